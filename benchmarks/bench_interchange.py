@@ -13,7 +13,7 @@ import numpy as np
 from benchmarks import plain_interchange
 from benchmarks.base import Comparison
 from tissueid.stimuli.distributions import Uniform
-from tissueid.stimuli.interchange import Interchanged, interchange
+from tissueid.stimuli.interchange import InterchangeResult, interchange
 from tissueid.stimuli.kinds.interchange import Interchange
 from tissueid.stimuli.spectra import Band
 
@@ -30,12 +30,12 @@ def target() -> np.ndarray:
     return Band(CUTOFF_HZ).autocorrelation(LAGS, RATE)
 
 
-def other_samples(ours: Interchanged, theirs: plain_interchange.Arranged) -> float:
+def other_samples(ours: InterchangeResult, theirs: plain_interchange.Arranged) -> float:
     """Number of samples that differ."""
     return float(np.count_nonzero(ours.values != theirs.values))
 
 
-def excess(ours: Interchanged, theirs: plain_interchange.Arranged) -> float:
+def excess(ours: InterchangeResult, theirs: plain_interchange.Arranged) -> float:
     """By how much an error is above what it was to reach."""
     return max(ours.error - FINE, theirs.error - COARSE, 0.0)
 

@@ -21,10 +21,10 @@ from tissueid.identification import get_engine
 from tissueid.identification.live.precision import PARAMETERS, Precision, precision
 from tissueid.identification.live.stopping import StopRule
 from tissueid.records import Record
-from tissueid.stimuli.base import Stimulus, guided, to_voltage
+from tissueid.stimuli.base import Stimulus, to_voltage, with_preload
 from tissueid.stimuli.kinds.designed import Designed
 from tissueid.stimuli.kinds.noise import Noise
-from tissueid.stimuli.stimulus_check import Appraisal, appraise
+from tissueid.stimuli.stimulus_check import StimulusCheck, assess_stimulus
 
 Array = NDArray[np.float64]
 
@@ -65,7 +65,7 @@ STIMULI = {"gaussian": reference, "designed": about_a_load, "even": over_depths}
 
 def measured(preset: str, stimulus: Stimulus, seed: int) -> Record:
     """Measured force and position of one test after its preload."""
-    played = guided(stimulus)
+    played = with_preload(stimulus)
     bench = Bench(preset, seed=seed)
     codes = bench.block(to_voltage(played.values, DEVICE), energised=True).codes[round(played.preload_s * RATE) :]
     values = {channel.name: channel.decode(codes[:, k]) for k, channel in enumerate(bench.channels)}
@@ -247,10 +247,10 @@ def curves(preset: str, kind: str, seconds: float) -> Curves:
 # -- what makes the difference, and what it costs ------------------------------------------------------------
 
 
-def appraised(kind: str) -> Appraisal:
+def appraised(kind: str) -> StimulusCheck:
     """Edges, currents and heating of a whole test with a stimulus, preload included."""
-    return appraise(
-        guided(STIMULI[kind](FIRST_SEED)), DEVICE, max_force_n=12.0, max_seconds=10.0, max_temperature_c=60.0
+    return assess_stimulus(
+        with_preload(STIMULI[kind](FIRST_SEED)), DEVICE, max_force_n=12.0, max_seconds=10.0, max_temperature_c=60.0
     )
 
 
@@ -273,7 +273,7 @@ def resonant_power() -> tuple[tuple[float, ...], tuple[float, ...]]:
 
 def variants() -> dict[str, Noise]:
     """Stimuli of half the reference's length, from it to the designed one and beyond."""
-    swing = Designed(load_n=LOAD_N).swing_n
+    swing = Designed(load_n=LOAD_N).amplitude_n
     whole = {"force_min_n": 0.5, "force_max_n": 10.5, "seconds": HALF_S}
     frequencies, densities = resonant_power()
     resonant = {"spectrum": "power", "frequencies_hz": frequencies, "densities": densities}

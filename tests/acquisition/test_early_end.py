@@ -11,7 +11,7 @@ from tissueid.acquisition.journal import Entry, encode_json, journal_path
 from tissueid.errors import FirmwareFaultError
 from tissueid.instrument import ReplayInstrument, SimulatedInstrument
 from tissueid.sessions import read_session
-from tissueid.stimuli import guided
+from tissueid.stimuli import with_preload
 from tissueid.stimuli.kinds.noise import Noise
 
 SURFACE = 0.01
@@ -19,7 +19,7 @@ PRELOAD = 1000
 
 
 def noise(seconds=3.0):
-    return guided(Noise(seconds=seconds, force_min_n=1.0, force_max_n=7.0, seed=4).build())
+    return with_preload(Noise(seconds=seconds, force_min_n=1.0, force_max_n=7.0, seed=4).build())
 
 
 class After:

@@ -23,7 +23,7 @@ from tissueid.messages import Message, translated
 from tissueid.sessions import Session, Test, read_session
 from tissueid.sessions.model import reason_notes
 from tissueid.sessions.quality import HEADLINES, worst_first
-from tissueid.stimuli.base import guided
+from tissueid.stimuli.base import with_preload
 from tissueid.stimuli.kinds.noise import Noise
 from tissueid.wire import Fault
 
@@ -61,7 +61,7 @@ def test_good_tests_pass_on_every_tissue(seed):
 
 def test_the_small_test_of_the_demo_is_not_called_noisy():
     noise = Noise(seed=2, force_min_n=2.65, force_max_n=4.15, seconds=3.0, sample_rate=RATE)
-    assert judge(Desk().run(guided(noise.build(), 0.5)), DEVICE).verdict == "good"
+    assert judge(Desk().run(with_preload(noise.build(), 0.5)), DEVICE).verdict == "good"
 
 
 def test_a_test_that_ends_within_its_preload_reports_its_length(good):
@@ -93,7 +93,7 @@ def test_warnings_of_the_calibration_end_with_a_full_stop(good):
 
 def lifting(desk):
     noise = Noise(seed=1, force_min_n=-6.0, force_max_n=11.5, seconds=3.0, sample_rate=RATE)
-    return desk.run(guided(noise.build(), 0.5))
+    return desk.run(with_preload(noise.build(), 0.5))
 
 
 def jumping(desk):
@@ -238,7 +238,7 @@ def test_a_jump_during_the_preload_is_found(metres, severity):
 @pytest.mark.parametrize("creep_m", [0.1e-3, 1.0e-3])
 def test_creep_during_the_preload_is_no_movement(preload_s, creep_m):
     noise = Noise(seed=4, seconds=1.5, sample_rate=RATE)
-    test = Desk().run(guided(noise.build(), preload_s))
+    test = Desk().run(with_preload(noise.build(), preload_s))
     time = np.arange(test.samples) / RATE
     given_way = creep_m * (0.5 * (1.0 - np.exp(-time / 0.05)) + 0.5 * (1.0 - np.exp(-time / 0.4)))
     crept = with_signal(test, "position", test.signals["position"] + given_way)

@@ -9,7 +9,7 @@ from acquisition.simulated_tests import DEVICE, RATE, Desk, with_signal
 
 from tissueid.acquisition.quality import judge
 from tissueid.acquisition.quality.texts import SPRING
-from tissueid.stimuli.base import guided
+from tissueid.stimuli.base import with_preload
 from tissueid.stimuli.kinds.noise import Noise
 
 SKIN = ("skin", "tissue", "arm", "lowest force", "reference surface", "without lifting the instrument")
@@ -22,7 +22,7 @@ def found(test, earlier=()):
 def swung(tissue, low_n, high_n):
     """A test of the calibration spring, played on something, between two forces, N."""
     noise = Noise(seed=1, force_min_n=low_n, force_max_n=high_n, seconds=3.0, sample_rate=RATE)
-    test = Desk(tissue, seed=3).run(guided(noise.build(), 0.5))
+    test = Desk(tissue, seed=3).run(with_preload(noise.build(), 0.5))
     return replace(test, kind="spring", surface_position_m=np.nan)
 
 

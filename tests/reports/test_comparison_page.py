@@ -20,7 +20,7 @@ from tissueid.reports.blocks import absent
 from tissueid.reports.comparison import NO_DEPTH_ENGINE
 from tissueid.reports.comparison_figures import FEW_IMPULSE_RESPONSES, NO_MEMORY_SWEEP, scores_figure, sweep_figure
 from tissueid.sessions import Session
-from tissueid.stimuli import guided
+from tissueid.stimuli import with_preload
 from tissueid.stimuli.kinds.multisine import Multisine
 
 ENGINES = ("lms", "als", "depth")
@@ -193,7 +193,7 @@ def test_distortion_is_drawn_where_the_stimulus_was_an_odd_multisine():
 @pytest.mark.parametrize(("lines", "drawn"), [("odd_random", True), ("full", False)])
 def test_distortion_uses_the_lines_of_the_stimulus(lines: str, drawn: bool):
     spec = Multisine(lines=lines, period_s=0.5, periods=6, phases="random", draws=1, sample_rate=RATE_HZ)
-    played = guided(spec.build())
+    played = with_preload(spec.build())
     test = make_test(1, seconds=played.seconds)
     load = signal.lfilter([0.2], [1.0, -0.8], played.values - 4.0)
     position = 0.013 + 1e-3 * load + 1e-7 * np.random.default_rng(4).standard_normal(load.size)

@@ -25,10 +25,10 @@ from tissueid.reports.panel_sheet import Panel, draw_sheet
 from tissueid.reports.stimulus_panels import stimulus_panels
 from tissueid.reports.stimulus_report import feedback_report, option_rows, stimulus_report
 from tissueid.sessions import Test
-from tissueid.stimuli import get_stimulus, guided, stimulus_names
+from tissueid.stimuli import get_stimulus, stimulus_names, with_preload
 from tissueid.stimuli.kinds.designed import Designed
 from tissueid.stimuli.kinds.interchange import Interchange
-from tissueid.stimuli.stimulus_check import appraise
+from tissueid.stimuli.stimulus_check import assess_stimulus
 
 RATE = 2000.0
 
@@ -38,11 +38,11 @@ def design(kind: str, preload: bool = False, **options: Any) -> Design:
     search = None
     if isinstance(specification, Interchange):
         search = specification.design()
-        built = specification.played(search)
+        built = specification.stimulus_from(search)
     else:
         built = specification.build()
-    built = guided(built) if preload else built
-    found = appraise(built, DeviceDescription(), max_force_n=12.0, max_seconds=30.0, max_temperature_c=80.0)
+    built = with_preload(built) if preload else built
+    found = assess_stimulus(built, DeviceDescription(), max_force_n=12.0, max_seconds=30.0, max_temperature_c=80.0)
     return Design(built, DeviceDescription(), found, search)
 
 

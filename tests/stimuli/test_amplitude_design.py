@@ -21,13 +21,13 @@ NOISE_N = 0.04  # white over 1 kHz
 DENSITY = NOISE_N / np.sqrt(RATE / 2.0)
 RUNS = 48
 SECONDS = 1.5
-TISSUE = LocalTissue(0.09, 12.0, 6000.0, stiffness_growth_per_m=1000.0, damping_turn_n_s2_per_m2=60.0)
+TISSUE = LocalTissue(0.09, 12.0, 6000.0, stiffness_growth_per_m=1000.0, damping_asymmetry_n_s2_per_m2=60.0)
 STRAIGHT = LocalTissue(0.09, 12.0, 6000.0)
 
 
 def answers(tissue: LocalTissue, force: np.ndarray) -> np.ndarray:
     """Positions (runs, n) for forces (runs, n): Runge-Kutta of order four, force linear between samples."""
-    growth, turn = tissue.stiffness_growth_per_m, tissue.damping_turn_n_s2_per_m2
+    growth, turn = tissue.stiffness_growth_per_m, tissue.damping_asymmetry_n_s2_per_m2
     m, b, k = tissue.mass_kg, tissue.damping_n_s_per_m, tissue.stiffness_n_per_m
     h = 1.0 / RATE
 
@@ -84,7 +84,7 @@ def test_prediction_agrees_with_the_spread_of_fits(tissue: LocalTissue, rms_n: f
 
 def test_the_best_swing_is_a_valley():
     design = predicted_precision(TISSUE, CUTOFF, DENSITY)
-    best = design.best_rms_n
+    best = design.optimal_rms_n
     worst = [float(design.std(factor * best, 1.0).max()) for factor in (0.5, 0.9, 1.0, 1.1, 2.0)]
     assert worst[2] == min(worst)
     assert worst[0] > 1.3 * worst[2]
@@ -92,9 +92,9 @@ def test_the_best_swing_is_a_valley():
 
 
 def test_a_tissue_that_does_not_bend_takes_all_the_range():
-    assert predicted_precision(STRAIGHT, CUTOFF, DENSITY).best_rms_n == float("inf")
+    assert predicted_precision(STRAIGHT, CUTOFF, DENSITY).optimal_rms_n == float("inf")
     straight = Designed(stiffness_n_per_m=6000.0, stiffness_growth_per_m=0.0, damping_turn_n_s2_per_m2=0.0)
-    assert straight.swing_n == pytest.approx(5.0)
+    assert straight.amplitude_n == pytest.approx(5.0)
 
 
 def test_four_times_as_long_is_twice_as_good():
@@ -107,8 +107,8 @@ def test_it_is_even_noise_about_the_load_and_can_be_built_again():
     assert isinstance(design, Designed)
     played = design.build()
     assert played.values.size == 4000
-    assert played.values.min() == pytest.approx(4.0 - design.swing_n)
-    assert played.values.max() == pytest.approx(4.0 + design.swing_n)
+    assert played.values.min() == pytest.approx(4.0 - design.amplitude_n)
+    assert played.values.max() == pytest.approx(4.0 + design.amplitude_n)
     assert played.values.mean() == pytest.approx(4.0)
     assert played.crest_factor == pytest.approx(np.sqrt(3.0), rel=0.01)
     again = rebuild(json.loads(json.dumps(played.description)))
@@ -117,14 +117,14 @@ def test_it_is_even_noise_about_the_load_and_can_be_built_again():
 
 
 def test_the_swing_keeps_to_the_range():
-    assert Designed(load_n=10.3).swing_n == pytest.approx(0.2)
-    assert Designed(load_n=0.6).swing_n == pytest.approx(0.1)
+    assert Designed(load_n=10.3).amplitude_n == pytest.approx(0.2)
+    assert Designed(load_n=0.6).amplitude_n == pytest.approx(0.1)
 
 
 def test_more_bend_asks_for_a_smaller_swing_and_more_noise_for_a_larger_one():
     plain = Designed()
-    assert Designed(stiffness_growth_per_m=2000.0, stiffness_n_per_m=5500.0).swing_n < plain.swing_n
-    assert Designed(force_noise_n_per_root_hz=4.8e-3).swing_n > 1.5 * plain.swing_n
+    assert Designed(stiffness_growth_per_m=2000.0, stiffness_n_per_m=5500.0).amplitude_n < plain.amplitude_n
+    assert Designed(force_noise_n_per_root_hz=4.8e-3).amplitude_n > 1.5 * plain.amplitude_n
 
 
 def test_a_first_test_tells_the_tissue():
@@ -159,7 +159,7 @@ def test_the_prediction_is_told_for_the_whole_length():
         ({"load_n": 0.5}, coded("designed.load", load_n=0.5, force_min_n=0.5, force_max_n=10.5)),
         (
             {"cutoff_hz": 1000.0},
-            coded("spectrum.nyquist", what="a cut-off", frequency_hz=1000.0, needed=2000.0, sample_rate_hz=2000.0),
+            coded("spectrum.nyquist", what="a cutoff", frequency_hz=1000.0, needed=2000.0, sample_rate_hz=2000.0),
         ),
         (
             {"cutoff_hz": 1e-5},

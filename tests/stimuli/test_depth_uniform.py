@@ -7,7 +7,7 @@ from scipy import signal
 
 from tissueid.errors import UnusableInputError
 from tissueid.stimuli import rebuild
-from tissueid.stimuli.depth_uniform import DepthDesign, redesign, uniform_distance
+from tissueid.stimuli.depth_uniform import DepthDesign, design_next_noise, distance_from_uniform
 
 RATE = 2000.0
 PRELOAD_S = 0.5
@@ -47,7 +47,7 @@ def share_apart(depth, low, high):
 
 @pytest.mark.parametrize("name", SYSTEMS)
 def test_the_depth_is_even_where_the_description_is_the_truth(name):
-    found = redesign(SYSTEMS[name], design(), 3, PRELOAD_S)
+    found = design_next_noise(SYSTEMS[name], design(), 3, PRELOAD_S)
     force = found.stimulus.build().values
     assert force.size == 6000
     assert force.min() >= 0.0
@@ -61,7 +61,7 @@ def test_the_depth_is_even_where_the_description_is_the_truth(name):
 
 
 def test_most_power_is_slow_and_some_reaches_the_cut_off_and_none_beyond():
-    found = redesign(SYSTEMS["saturating"], design(seconds=8.0), 3, PRELOAD_S)
+    found = design_next_noise(SYSTEMS["saturating"], design(seconds=8.0), 3, PRELOAD_S)
     frequency, density = signal.welch(found.stimulus.build().values, RATE, nperseg=2000)
     power = np.cumsum(density) / density.sum()
     assert power[frequency <= 16.0][-1] > 0.75
@@ -70,18 +70,18 @@ def test_most_power_is_slow_and_some_reaches_the_cut_off_and_none_beyond():
 
 
 def test_it_is_built_again_from_its_description():
-    stimulus = redesign(SYSTEMS["linear"], design(), 3, PRELOAD_S).stimulus
+    stimulus = design_next_noise(SYSTEMS["linear"], design(), 3, PRELOAD_S).stimulus
     np.testing.assert_array_equal(rebuild(stimulus.build().description).values, stimulus.build().values)
 
 
 def test_another_seed_gives_other_noise_as_even():
-    one, other = (redesign(SYSTEMS["saturating"], design(), seed, PRELOAD_S) for seed in (1, 2))
+    one, other = (design_next_noise(SYSTEMS["saturating"], design(), seed, PRELOAD_S) for seed in (1, 2))
     assert not np.array_equal(one.stimulus.build().values, other.stimulus.build().values)
     assert max(one.distance, other.distance) <= 0.025
 
 
 def test_what_of_the_range_is_out_of_reach_is_left_out():
-    found = redesign(SYSTEMS["linear"], design(depth_max_m=20.0e-3), 3, PRELOAD_S)
+    found = design_next_noise(SYSTEMS["linear"], design(depth_max_m=20.0e-3), 3, PRELOAD_S)
     assert found.depth_min_m == 1.0e-3
     assert 9.0e-3 < found.depth_max_m <= 10.0e-3
     assert found.distance <= 0.025
@@ -89,7 +89,7 @@ def test_what_of_the_range_is_out_of_reach_is_left_out():
 
 def test_a_depth_of_which_nothing_is_reached_is_refused():
     with pytest.raises(UnusableInputError, check=coded("depth.out_of_reach", depth_min_m=12.0, depth_max_m=20.0)):
-        redesign(SYSTEMS["linear"], design(depth_min_m=12e-3, depth_max_m=20e-3), 3, PRELOAD_S)
+        design_next_noise(SYSTEMS["linear"], design(depth_min_m=12e-3, depth_max_m=20e-3), 3, PRELOAD_S)
 
 
 @pytest.mark.parametrize(
@@ -99,7 +99,7 @@ def test_a_depth_of_which_nothing_is_reached_is_refused():
 )
 def test_a_description_that_answers_nothing_is_refused(simulate):
     with pytest.raises(UnusableInputError, check=coded("depth.no_response")):
-        redesign(simulate, design(), 3, PRELOAD_S)
+        design_next_noise(simulate, design(), 3, PRELOAD_S)
 
 
 def test_the_first_stimulus_is_gentle():
@@ -126,7 +126,7 @@ def test_what_cannot_be_designed_is_refused(changes, refusal):
 
 def test_the_distance_is_that_of_the_definition():
     depth = np.random.Generator(np.random.PCG64(1)).normal(2e-3, 1e-3, 4000)
-    assert uniform_distance(depth, 0.0, 4e-3) == pytest.approx(share_apart(depth, 0.0, 4e-3), abs=5e-4)
-    assert uniform_distance(np.append(depth, np.nan), 0.0, 4e-3) == uniform_distance(depth, 0.0, 4e-3)
+    assert distance_from_uniform(depth, 0.0, 4e-3) == pytest.approx(share_apart(depth, 0.0, 4e-3), abs=5e-4)
+    assert distance_from_uniform(np.append(depth, np.nan), 0.0, 4e-3) == distance_from_uniform(depth, 0.0, 4e-3)
     with pytest.raises(UnusableInputError, check=coded("depth.lost")):
-        uniform_distance(np.full(5, np.nan), 0.0, 1.0)
+        distance_from_uniform(np.full(5, np.nan), 0.0, 1.0)

@@ -10,12 +10,11 @@ import pytest
 from coded import coded
 
 from tissueid.errors import UnusableInputError
-from tissueid.stimuli import guided as with_preload
 from tissueid.stimuli import interchange as module
-from tissueid.stimuli import rebuild, stimulus_names
-from tissueid.stimuli.autocorrelation_bounds import least_error
+from tissueid.stimuli import rebuild, stimulus_names, with_preload
+from tissueid.stimuli.autocorrelation_bounds import error_bound
 from tissueid.stimuli.distributions import Binary, Exponential, Gaussian, Uniform
-from tissueid.stimuli.interchange import Progress, arrange, autocorrelation, interchange
+from tissueid.stimuli.interchange import InterchangeProgress, autocorrelation, initial_arrangement, interchange
 from tissueid.stimuli.kinds.interchange import Interchange
 from tissueid.stimuli.spectra import Butterworth, ExponentialDecay
 
@@ -63,7 +62,7 @@ def test_the_same_swaps_tried_give_the_signal_of_the_published_algorithm(levels)
 def test_what_is_reported_is_what_the_values_have(guided: bool):
     start = np.random.default_rng(3).permutation(Uniform().levels(1000))
     target = Butterworth(200.0).autocorrelation(80, RATE)
-    told: list[Progress] = []
+    told: list[InterchangeProgress] = []
     found = interchange(
         start, target, tolerance=1e-3, max_trials=60_000, seed=1, guided=guided, on_progress=lambda p: told.append(p)
     )
@@ -101,22 +100,22 @@ def test_it_ends_where_progress_says_so():
         interchange(start, target, tolerance=1e-12, max_trials=10_000, on_progress=interrupted)
 
 
-def interrupted(told: Progress) -> None:
+def interrupted(told: InterchangeProgress) -> None:
     raise KeyboardInterrupt
 
 
 def test_a_result_that_is_not_what_was_followed_is_a_defect(monkeypatch: pytest.MonkeyPatch):
     start = np.random.default_rng(7).permutation(Uniform().levels(500))
     target = ExponentialDecay(0.002).autocorrelation(50, RATE)
-    honest = module.kernel.try_chosen
+    honest = module.kernel.try_guided_pairs
 
     def careless(x, errors, *others):
         error = honest(x, errors, *others)
         errors[3] += 1e-6
         return error
 
-    monkeypatch.setattr(module.kernel, "try_chosen", careless)
-    with pytest.raises(ArithmeticError, match=r"fails its audit: .* in between by 1\.0e-06"):
+    monkeypatch.setattr(module.kernel, "try_guided_pairs", careless)
+    with pytest.raises(ArithmeticError, match=r"drift 1\.0e-06"):
         interchange(start, target, tolerance=1e-12, max_trials=200)
 
 
@@ -141,8 +140,8 @@ def test_every_distribution_with_every_spectrum(distribution: str, spectrum: str
         {"distribution": distribution, "spectrum": spectrum, "seconds": 2.0, "lags": 200, "tolerance": 2e-6, "seed": 3}
     )
     found = kind.design()
-    np.testing.assert_array_equal(np.sort(found.values), kind.wanted_distribution().levels(4000))
-    wanted = kind.wanted_spectrum().autocorrelation(200, RATE)
+    np.testing.assert_array_equal(np.sort(found.values), kind.build_distribution().levels(4000))
+    wanted = kind.build_spectrum().autocorrelation(200, RATE)
     assert np.sum((plain(found.values, 200) - wanted) ** 2) <= 2.0e-6
 
 
@@ -196,7 +195,7 @@ def test_voltages_are_designed_like_forces():
     kind = Interchange.from_options(SHORT | {"voltage_min_v": -3.0, "voltage_max_v": 9.0})
     built = kind.build()
     assert (built.unit, built.values.min(), built.values.max()) == ("V", -3.0, 9.0)
-    np.testing.assert_array_equal(built.values, kind.over_range(kind.design().values))
+    np.testing.assert_array_equal(built.values, kind.scale_to_range(kind.design().values))
 
 
 def test_a_design_that_falls_short_is_told_and_not_played():
@@ -206,7 +205,7 @@ def test_a_design_that_falls_short_is_told_and_not_played():
     with pytest.raises(
         UnusableInputError, check=coded("interchange.not_reached", tried=500, lags=500, tolerance=1e-9, hint="")
     ):
-        kind.played(designed)
+        kind.stimulus_from(designed)
     two = Interchange(distribution="binary", spectrum="white", seconds=0.5, lags=100, tolerance=1e-6, max_trials=500)
     with pytest.raises(
         UnusableInputError, check=coded("interchange.not_reached", tolerance=1e-6, hint="interchange.binary")
@@ -219,7 +218,7 @@ def test_a_design_that_falls_short_is_told_and_not_played():
     [
         (
             {"cutoff_hz": 1000.0},
-            coded("spectrum.nyquist", what="a cut-off", frequency_hz=1000.0, needed=2000.0, sample_rate_hz=2000.0),
+            coded("spectrum.nyquist", what="a cutoff", frequency_hz=1000.0, needed=2000.0, sample_rate_hz=2000.0),
         ),
         ({"seconds": 0.25}, coded("interchange.lags", lags=500, needed=1000, samples=500)),
         ({"seconds": 0.001}, coded("shape.short", seconds=0.001, sample_rate=2000.0, name="interchange")),
@@ -270,7 +269,7 @@ def test_no_order_of_two_valued_samples_comes_below_the_bound(seed: int):
         values = -np.ones(n)
         values[list(high)] = 1.0
         best = min(best, np.sum((plain(values, lags) - target) ** 2))
-    bound = least_error(Binary().levels(n), target)
+    bound = error_bound(Binary().levels(n), target)
     assert 0.0 < bound.error <= best + 1e-12
 
 
@@ -279,18 +278,18 @@ def test_no_order_of_few_samples_comes_below_the_bound(levels):
     values = levels.levels(7)
     target = np.array([1.0, -0.99, 0.9])
     best = min(np.sum((plain(np.array(order), 2) - target) ** 2) for order in itertools.permutations(values))
-    assert 0.0 <= least_error(values, target).error <= best + 1e-12
+    assert 0.0 <= error_bound(values, target).error <= best + 1e-12
 
 
 def test_bounds_are_nothing_where_nothing_is_known():
-    assert least_error(Uniform().levels(1000), Butterworth(200.0).autocorrelation(100, RATE)).error == 0.0
-    assert least_error(Binary().levels(1000), ExponentialDecay(0.005).autocorrelation(100, RATE)).error == 0.0
+    assert error_bound(Uniform().levels(1000), Butterworth(200.0).autocorrelation(100, RATE)).error == 0.0
+    assert error_bound(Binary().levels(1000), ExponentialDecay(0.005).autocorrelation(100, RATE)).error == 0.0
 
 
 def test_the_start_is_near_already_and_begins_at_the_mean():
     levels = Uniform().levels(4000)
     target = Butterworth(200.0).autocorrelation(300, RATE)
-    start = arrange(levels, Butterworth(200.0), 300, RATE, seed=1)
+    start = initial_arrangement(levels, Butterworth(200.0), 300, RATE, seed=1)
     np.testing.assert_array_equal(np.sort(start), levels)
     assert np.sum((plain(start, 300) - target) ** 2) < 1e-4
     assert abs(start[0]) < 1e-3

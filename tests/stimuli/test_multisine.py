@@ -15,9 +15,9 @@ from hypothesis import strategies as st
 
 from tissueid.errors import UnusableInputError
 from tissueid.identification.validation.distortion import distortion
-from tissueid.stimuli import guided, rebuild, stimulus_names
-from tissueid.stimuli.crest import lowered, peak_ratio, schroeder_phases
-from tissueid.stimuli.kinds.multisine import Multisine, played_multisine
+from tissueid.stimuli import rebuild, stimulus_names, with_preload
+from tissueid.stimuli.crest import minimise_crest_factor, multisine_crest_factor, schroeder_phases
+from tissueid.stimuli.kinds.multisine import Multisine, multisine_from_description
 from tissueid.stimuli.kinds.noise import Noise
 
 QUICK: dict[str, Any] = {"phases": "random", "draws": 1}
@@ -143,7 +143,7 @@ def test_periods_join_exactly_within_the_range(
 def test_the_preload_leads_into_it_without_a_step():
     for options in ({}, {"lines": "full"}, {"settling_s": 0.0}, {"settling_s": 1.3, "spectrum": "power_law"}):
         built = made(**options, **QUICK).build()
-        values = guided(built).values
+        values = with_preload(built).values
         assert np.abs(np.diff(values))[998:1001].max() <= np.abs(np.diff(built.values)).max()
 
 
@@ -159,12 +159,12 @@ def test_the_same_specification_gives_the_same_samples_also_through_json():
         spec = made(**options)
         built = spec.build()
         np.testing.assert_array_equal(made(**options).build().values, built.values)
-        held = json.loads(json.dumps(guided(built).description))
-        np.testing.assert_array_equal(rebuild(held).values, guided(built).values)
+        held = json.loads(json.dumps(with_preload(built).description))
+        np.testing.assert_array_equal(rebuild(held).values, with_preload(built).values)
         assert held["stimulus"]["type"] == "multisine"
         assert held["stimulus"]["period_samples"] == spec.period
         assert held["stimulus"]["period_s"] == spec.period / 2000.0
-        found = played_multisine(held)
+        found = multisine_from_description(held)
         assert found is not None
         np.testing.assert_array_equal(found.driven_lines(), spec.driven_lines())
     assert "multisine" in stimulus_names()
@@ -179,12 +179,12 @@ def test_a_period_in_samples_and_in_seconds_are_the_same():
 
 
 def test_descriptions_of_other_stimuli_are_no_multisine():
-    assert played_multisine(Noise().describe()) is None
-    assert played_multisine(guided(Noise(seconds=0.5).build()).description) is None
-    assert played_multisine({"type": "multisine", "period_s": 1.0}) is None  # another program's
-    assert played_multisine({}) is None
+    assert multisine_from_description(Noise().describe()) is None
+    assert multisine_from_description(with_preload(Noise(seconds=0.5).build()).description) is None
+    assert multisine_from_description({"type": "multisine", "period_s": 1.0}) is None  # another program's
+    assert multisine_from_description({}) is None
     with pytest.raises(UnusableInputError, check=coded("option.refused", option="periods", reason="option.least")):
-        played_multisine(made().describe() | {"periods": 0})
+        multisine_from_description(made().describe() | {"periods": 0})
 
 
 @pytest.mark.parametrize(("lines", "most"), [("full", 1.42), ("odd", 1.50), ("odd_random", 1.62)])
@@ -220,10 +220,12 @@ def test_lowering_never_raises_and_reaches_the_literature():
     # Guillaume et al. (1991): 31 flat lines from 1.78 after Schroeder to about 1.4.
     lines, flat = np.arange(1, 32), np.ones(31)
     start = schroeder_phases(flat)
-    once = lowered(lines, flat, start, 512)
-    assert peak_ratio(lines, flat, start, 512) == pytest.approx(1.78, abs=0.03)
-    assert peak_ratio(lines, flat, once, 512) < 1.42
-    assert peak_ratio(lines, flat, lowered(lines, flat, once, 512), 512) <= peak_ratio(lines, flat, once, 512)
+    once = minimise_crest_factor(lines, flat, start, 512)
+    assert multisine_crest_factor(lines, flat, start, 512) == pytest.approx(1.78, abs=0.03)
+    assert multisine_crest_factor(lines, flat, once, 512) < 1.42
+    assert multisine_crest_factor(
+        lines, flat, minimise_crest_factor(lines, flat, once, 512), 512
+    ) <= multisine_crest_factor(lines, flat, once, 512)
 
 
 def test_two_lines_are_a_multisine():

@@ -125,11 +125,11 @@ def test_every_distribution_with_every_spectrum(distribution: str, spectrum: str
     noise = Noise.from_options(options | TABLES.get(distribution, {}) | TABLES.get(spectrum, {}))
     built = noise.build()
     if distribution != "gaussian":
-        levels = noise.wanted_distribution().levels(60_000)
-        np.testing.assert_array_equal(np.sort(built.values), noise.over_range(levels))
+        levels = noise.build_distribution().levels(60_000)
+        np.testing.assert_array_equal(np.sort(built.values), noise.scale_to_range(levels))
     about = (built.values - built.values.mean()) / built.values.std()
     found = np.array([1.0] + [np.mean(about[:-k] * about[k:]) for k in range(1, 101)])
-    wanted = noise.wanted_spectrum().autocorrelation(100, 2000.0)
+    wanted = noise.build_spectrum().autocorrelation(100, 2000.0)
     assert np.max(np.abs(found - wanted)) < 0.06  # four standard deviations of the estimate from 30 s, at the widest
     assert abs(about[0]) <= np.max(np.abs(np.diff(about)))
 
@@ -185,11 +185,11 @@ def test_tables_survive_json():
     [
         (
             {"cutoff_hz": 1000.0},
-            coded("spectrum.nyquist", what="a cut-off", frequency_hz=1000.0, needed=2000.0, sample_rate_hz=2000.0),
+            coded("spectrum.nyquist", what="a cutoff", frequency_hz=1000.0, needed=2000.0, sample_rate_hz=2000.0),
         ),
         (
             {"cutoff_hz": 1500.0},
-            coded("spectrum.nyquist", what="a cut-off", frequency_hz=1500.0, needed=3000.0, sample_rate_hz=2000.0),
+            coded("spectrum.nyquist", what="a cutoff", frequency_hz=1500.0, needed=3000.0, sample_rate_hz=2000.0),
         ),
         ({"force_min_n": 8.0}, coded("stimulus.range", what="force", least=8.0, greatest=8.0, unit="N")),
         ({"seconds": 0.001}, coded("shape.short", seconds=0.001, sample_rate=2000.0, name="noise")),
@@ -198,7 +198,7 @@ def test_tables_survive_json():
         ({"colour": "pink"}, coded("option.unknown", option="colour")),
         (
             {"spectrum": "band", "cutoff_hz": 1000.0},
-            coded("spectrum.nyquist", what="a cut-off", frequency_hz=1000.0, needed=2000.0, sample_rate_hz=2000.0),
+            coded("spectrum.nyquist", what="a cutoff", frequency_hz=1000.0, needed=2000.0, sample_rate_hz=2000.0),
         ),
         (
             {"spectrum": "power", "frequencies_hz": (1.0, 2.0), "densities": (1.0, -1.0)},

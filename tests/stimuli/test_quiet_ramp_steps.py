@@ -10,17 +10,17 @@ from hypothesis import strategies as st
 
 from tissueid.device import DeviceDescription
 from tissueid.errors import UnusableInputError
-from tissueid.stimuli import get_stimulus, guided, rebuild
+from tissueid.stimuli import get_stimulus, rebuild, with_preload
 from tissueid.stimuli.kinds.quiet import Quiet
 from tissueid.stimuli.kinds.slow_ramp import SlowRamp
 from tissueid.stimuli.kinds.step_hold import StepHold
-from tissueid.stimuli.stimulus_check import appraise
+from tissueid.stimuli.stimulus_check import assess_stimulus
 
 KINDS = (Quiet, SlowRamp, StepHold)
 
 
 def test_quiet_asks_for_nothing_not_even_a_preload():
-    played = guided(Quiet(seconds=1.5).build())
+    played = with_preload(Quiet(seconds=1.5).build())
     assert len(played) == 4000
     assert not played.values.any()
     assert np.isnan(played.crest_factor)
@@ -46,13 +46,16 @@ def test_steps_are_held_and_their_edges_are_no_jumps():
     # A raised cosine of 10 ms: its steepest is pi / 2 of a straight one.
     assert np.abs(np.diff(played.values)).max() * 2000.0 == pytest.approx(0.5 * np.pi * 4.0 / 0.01, rel=0.01)
     assert (
-        appraise(played, DeviceDescription(), max_force_n=12.0, max_seconds=30.0, max_temperature_c=80.0).concerns == ()
+        assess_stimulus(
+            played, DeviceDescription(), max_force_n=12.0, max_seconds=30.0, max_temperature_c=80.0
+        ).concerns
+        == ()
     )
 
 
 @pytest.mark.parametrize("kind", [SlowRamp, StepHold])
 def test_the_preload_leads_into_it_without_a_step(kind: type):
-    played = guided(kind(force_min_n=0.5, force_max_n=6.0).build(), preload_s=0.5)
+    played = with_preload(kind(force_min_n=0.5, force_max_n=6.0).build(), preload_s=0.5)
     assert played.values[999] == pytest.approx(0.5)
     assert abs(played.values[1000] - 0.5) < 0.01
     assert np.abs(np.diff(played.values[:1000])).max() < 0.02
@@ -66,7 +69,7 @@ def test_volts_are_designed_as_volts(kind: type):
 
 @pytest.mark.parametrize("kind", KINDS)
 def test_they_are_built_again_sample_for_sample(kind: type):
-    played = guided(kind(seconds=2.0).build(), 0.5)
+    played = with_preload(kind(seconds=2.0).build(), 0.5)
     again = rebuild(json.loads(json.dumps(played.description)))
     np.testing.assert_array_equal(again.values, played.values)
     assert get_stimulus(kind.name) is kind

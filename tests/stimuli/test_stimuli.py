@@ -12,8 +12,17 @@ from coded import coded
 
 from tissueid.device import DeviceDescription
 from tissueid.errors import LimitError, UnusableInputError
-from tissueid.stimuli import OpenLoopKind, Stimulus, base, get_stimulus, guided, rebuild, stimulus_names, to_voltage
-from tissueid.stimuli.kinds.multisine import played_multisine
+from tissueid.stimuli import (
+    OpenLoopKind,
+    Stimulus,
+    base,
+    get_stimulus,
+    rebuild,
+    stimulus_names,
+    to_voltage,
+    with_preload,
+)
+from tissueid.stimuli.kinds.multisine import multisine_from_description
 from tissueid.stimuli.kinds.noise import Noise
 
 NESTED: dict[str, Any] = {"type": "noise"}
@@ -74,7 +83,7 @@ def test_a_list_that_is_none_is_told_what_one_looks_like():
 
 def test_guided_rises_without_a_step_and_holds_the_mean_load():
     played = Noise(seed=1).build()
-    whole = guided(played, preload_s=0.5)
+    whole = with_preload(played, preload_s=0.5)
     mean = played.values.mean()
     assert len(whole) == 1000 + 8000
     assert whole.preload_s == 0.5
@@ -91,11 +100,11 @@ def test_guided_rises_without_a_step_and_holds_the_mean_load():
 
 def test_a_preload_shorter_than_its_rise_is_refused():
     with pytest.raises(UnusableInputError, check=coded("stimulus.preload_short", rise=0.05, seconds=0.01)):
-        guided(Noise().build(), preload_s=0.01)
+        with_preload(Noise().build(), preload_s=0.01)
 
 
 def test_a_description_survives_json_and_builds_the_same_again():
-    whole = guided(Noise(seed=9, distribution="uniform").build(), preload_s=0.3)
+    whole = with_preload(Noise(seed=9, distribution="uniform").build(), preload_s=0.3)
     again = rebuild(json.loads(json.dumps(whole.description)))
     np.testing.assert_array_equal(again.values, whole.values)
     assert again.preload_s == whole.preload_s
@@ -139,7 +148,7 @@ def test_descriptions_that_do_not_hold_are_refused(description: object, refusal)
 
 
 def test_a_description_nested_beyond_reason_is_no_multisine():
-    assert played_multisine(NESTED) is None
+    assert multisine_from_description(NESTED) is None
 
 
 def test_volts_for_newtons_and_the_limit_of_the_amplifier():

@@ -13,9 +13,9 @@ from hypothesis import strategies as st
 from tissueid.device import DeviceDescription
 from tissueid.errors import LimitError, UnusableInputError
 from tissueid.instrument import CLINICAL, RESEARCH, check_stimulus
-from tissueid.stimuli import Stimulus, build_stimulus, guided, to_voltage
-from tissueid.stimuli.heating import Range, Thermal, heating
-from tissueid.stimuli.stimulus_check import REFERENCE_EDGE_N_PER_S, Appraisal, appraise
+from tissueid.stimuli import Stimulus, build_stimulus, to_voltage, with_preload
+from tissueid.stimuli.heating import AssumedValue, ThermalParameters, heating
+from tissueid.stimuli.stimulus_check import REFERENCE_EDGE_N_PER_S, StimulusCheck, assess_stimulus
 
 DEVICE = DeviceDescription()
 RATE = 2000.0
@@ -25,12 +25,12 @@ def stimulus(values: np.ndarray, unit: str = "N", rate: float = RATE) -> Stimulu
     return Stimulus(np.asarray(values, dtype=float), rate, {"type": "test"}, 0, 1.0, unit=unit)  # type: ignore[arg-type]
 
 
-def appraised(played: Stimulus, device: DeviceDescription = DEVICE, **options: float) -> Appraisal:
+def appraised(played: Stimulus, device: DeviceDescription = DEVICE, **options: float) -> StimulusCheck:
     limits = {"max_force_n": 12.0, "max_seconds": 30.0, "max_temperature_c": 80.0}
-    return appraise(played, device, **{**limits, **options})
+    return assess_stimulus(played, device, **{**limits, **options})
 
 
-def refusals(found: Appraisal) -> list[str]:
+def refusals(found: StimulusCheck) -> list[str]:
     return [concern.words for concern in found.concerns if concern.severity == "refused"]
 
 
@@ -83,7 +83,7 @@ def test_power_ends_where_it_was_put():
 def test_heating_is_the_solution_of_its_equation():
     rng = np.random.default_rng(4)
     current = np.repeat(rng.uniform(0.0, 4.0, 40), 500)  # 10 s at 2 kHz
-    thermal = Thermal(Range(5.0, 10.0, 20.0), Range(0.5, 1.0, 3.0))
+    thermal = ThermalParameters(AssumedValue(5.0, 10.0, 20.0), AssumedValue(0.5, 1.0, 3.0))
     found = heating(current, 12.0, RATE, thermal)
 
     def slowly(capacity: float, resistance: float) -> float:
@@ -125,7 +125,7 @@ def test_the_reference_edge_is_that_of_the_standard_noise():
 @pytest.mark.parametrize("kind", ["gaussian", "uniform"])
 def test_noise_is_painless_and_binary_is_not(kind: str):
     options = {"distribution": kind, "force_min_n": 0.5, "force_max_n": 10.5}
-    noise = appraised(guided(build_stimulus("noise", options)))
+    noise = appraised(with_preload(build_stimulus("noise", options)))
     assert noise.concerns == ()
     assert noise.feel.code == "stimulus.feel.gentle"
     binary = appraised(stimulus(np.where(np.random.default_rng(5).random(8000) < 0.5, 0.5, 10.5)))
@@ -142,7 +142,7 @@ def test_noise_is_painless_and_binary_is_not(kind: str):
 
 def test_the_preload_counts_for_the_coil_and_not_for_the_stimulus():
     noise = build_stimulus("noise", {"force_min_n": 1.0, "force_max_n": 7.0, "seed": 2})
-    bare, led = appraised(noise), appraised(guided(noise, 2.0))
+    bare, led = appraised(noise), appraised(with_preload(noise, 2.0))
     for name in ("force_std_n", "crest_factor", "percentiles_n", "power_95_hz", "excess_kurtosis"):
         assert getattr(bare, name) == getattr(led, name), name
     assert bare.crest_factor == pytest.approx(noise.crest_factor)
@@ -219,7 +219,7 @@ def test_a_steady_load_has_no_figures_of_variation():
 
 def test_the_summary_is_sentences_for_a_person():
     found = appraised(
-        guided(build_stimulus("multisine", {"force_min_n": 0.5, "force_max_n": 10.5, "phases": "random"}))
+        with_preload(build_stimulus("multisine", {"force_min_n": 0.5, "force_max_n": 10.5, "phases": "random"}))
     )
     assert len(found.summary()) == 6
     assert all(map(is_german, found.summary()))

@@ -24,7 +24,7 @@ from tissueid.acquisition.surface_detection import place
 from tissueid.device import DeviceDescription
 from tissueid.instrument import SerialInstrument
 from tissueid.sessions import SIGNAL_UNITS, Test
-from tissueid.stimuli.base import Stimulus, guided
+from tissueid.stimuli.base import Stimulus, with_preload
 from tissueid.stimuli.kinds.noise import Noise
 
 RATE = 2000.0
@@ -143,7 +143,7 @@ def _move(bench: Bench, metres: float) -> None:
 
 def _lifting(desk: Desk) -> Spoilt:
     noise = Noise(seed=desk.seed + 1, force_min_n=-6.0, force_max_n=11.5, sample_rate=RATE)
-    return desk.run(guided(noise.build(), 0.5)), (), DEVICE
+    return desk.run(with_preload(noise.build(), 0.5)), (), DEVICE
 
 
 def _jump(desk: Desk, metres: float) -> Spoilt:

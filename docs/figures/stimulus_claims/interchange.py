@@ -11,9 +11,9 @@ from engine_claims.base import Claim
 
 from benchmarks import plain_interchange
 from tissueid.errors import UnusableInputError
-from tissueid.stimuli.autocorrelation_bounds import least_error
+from tissueid.stimuli.autocorrelation_bounds import error_bound
 from tissueid.stimuli.distributions import Binary, Uniform
-from tissueid.stimuli.interchange import Interchanged, arrange, interchange
+from tissueid.stimuli.interchange import InterchangeResult, initial_arrangement, interchange
 from tissueid.stimuli.kinds.interchange import Interchange
 from tissueid.stimuli.spectra import Band, Spectrum
 
@@ -61,7 +61,7 @@ def _kind(spectrum: str, tolerance: float, **options: object) -> Interchange:
 
 
 def _wanted(kind: Interchange) -> np.ndarray:
-    return kind.wanted_spectrum().autocorrelation(kind.lags, kind.sample_rate)
+    return kind.build_spectrum().autocorrelation(kind.lags, kind.sample_rate)
 
 
 def _uniform(spectrum: str) -> Iterator[Claim]:
@@ -95,7 +95,7 @@ def _against_plain() -> Iterator[Claim]:
     target = Band(CUTOFF_HZ).autocorrelation(LAGS, RATE)
     pairs, few = 200_000, 3000
 
-    def ours(trials: int) -> Interchanged:
+    def ours(trials: int) -> InterchangeResult:
         return interchange(start, target, tolerance=0.0, max_trials=trials, seed=2, guided=False)
 
     plain_s, plain = timed(lambda: plain_interchange.interchange(start, target, 2, 0.0, few), 2)
@@ -130,7 +130,7 @@ def _others() -> Iterator[Claim]:
             seconds, found = timed(kind.design, 1)
             worst = max(worst, error_of(found.values, _wanted(kind)))
             slowest = max(slowest, seconds)
-            exact &= np.array_equal(np.sort(found.values), kind.wanted_distribution().levels(SAMPLES))
+            exact &= np.array_equal(np.sort(found.values), kind.build_distribution().levels(SAMPLES))
         yield Claim(
             f"{distribution}, 10,000 samples: Butterworth, band, exponential, second-order and white, largest error",
             "distribution exact, 1e-6",
@@ -153,9 +153,9 @@ def _two_valued() -> Iterator[Claim]:
         )
     spectrum: Spectrum = Band(CUTOFF_HZ)
     levels, target = Binary().levels(SAMPLES), spectrum.autocorrelation(LAGS, RATE)
-    start = arrange(levels, spectrum, LAGS, RATE, seed=1)
+    start = initial_arrangement(levels, spectrum, LAGS, RATE, seed=1)
     found = interchange(start, target, tolerance=1e-6, max_trials=1_000_000)
-    least = least_error(levels, target).error
+    least = error_bound(levels, target).error
     yield Claim(
         "binary, flat to 200 Hz, which no order of two values has: error reached, and the one that none falls below",
         "reached above the bound, both above 0.01",

@@ -20,7 +20,7 @@ from tissueid.identification.live.sliding import SlidingLms
 from tissueid.identification.live.stopping import StopRule
 from tissueid.instrument import CLINICAL, SAMPLE, SerialInstrument, SerialLink
 from tissueid.records import Record
-from tissueid.stimuli.base import guided, to_voltage
+from tissueid.stimuli.base import to_voltage, with_preload
 from tissueid.stimuli.kinds.noise import Noise
 
 RATE = 2000.0
@@ -196,7 +196,7 @@ def _beside_a_run() -> Iterator[Claim]:
 def _lateness(method: Method | None) -> tuple[float, float, float]:
     """Greatest and 99th percentile of how late samples came, ms, and the share of a core that this process took, %."""
     with firmware_process("--tcp=0") as (url, _), SerialInstrument(SerialLink(url)) as instrument:
-        stimulus = guided(Noise(seconds=SECONDS, force_min_n=1.0, force_max_n=6.0, seed=1).build())
+        stimulus = with_preload(Noise(seconds=SECONDS, force_min_n=1.0, force_max_n=6.0, seed=1).build())
         live = None if method is None else LiveIdentification(instrument.device, preload_s=0.5, method=method)
         arrivals: list[tuple[float, float]] = []
 

@@ -12,10 +12,10 @@ from firmware_sim.bench import Bench
 from tissueid.device import DeviceDescription
 from tissueid.identification.validation.distortion import distortion
 from tissueid.records import Record
-from tissueid.stimuli.base import guided, to_voltage
-from tissueid.stimuli.crest import lowered, peak_ratio, schroeder_phases
+from tissueid.stimuli.base import to_voltage, with_preload
+from tissueid.stimuli.crest import minimise_crest_factor, multisine_crest_factor, schroeder_phases
 from tissueid.stimuli.kinds.multisine import Multisine
-from tissueid.stimuli.stimulus_check import appraise
+from tissueid.stimuli.stimulus_check import assess_stimulus
 
 RANGE = {"force_min_n": known.LOW_N, "force_max_n": known.HIGH_N}
 RANDOM = Multisine(phases="random", draws=20, **RANGE)
@@ -39,8 +39,8 @@ def _crest_factors() -> Iterator[Claim]:
     """Between the samples too; 31 lines are those of Guillaume et al. 1991."""
     lines, flat = np.arange(1, 32), np.ones(31)
     start = schroeder_phases(flat)
-    reached = peak_ratio(lines, flat, lowered(lines, flat, start, 512), 512)
-    before = peak_ratio(lines, flat, start, 512)
+    reached = multisine_crest_factor(lines, flat, minimise_crest_factor(lines, flat, start, 512), 512)
+    before = multisine_crest_factor(lines, flat, start, 512)
     yield Claim(
         "crest factor of 31 flat lines, begun with Schroeder's phases",
         "about 1.4",
@@ -140,7 +140,7 @@ def _several() -> Iterator[Claim]:
 
 def _measured(preset: str, spec: Multisine) -> tuple[Record, float]:
     """Force by current and position of a preset after the preload, and by how much the coil got warmer, K."""
-    played = guided(spec.build())
+    played = with_preload(spec.build())
     bench = Bench(preset, seed=1)
     codes = bench.block(to_voltage(played.values, DeviceDescription()), energised=True).codes
     values = {c.name: c.decode(codes[:, k]) for k, c in enumerate(bench.channels)}
@@ -172,7 +172,7 @@ def _skin() -> Iterator[Claim]:
 
 def _warmth() -> Claim:
     limits = {"max_force_n": 12.0, "max_seconds": 30.0, "max_temperature_c": 80.0}
-    foretold = appraise(guided(LOW_CREST.build()), DeviceDescription(), **limits).heating
+    foretold = assess_stimulus(with_preload(LOW_CREST.build()), DeviceDescription(), **limits).heating
     _, warmer = _measured(SKIN[0], LOW_CREST)
     return Claim(
         "warming of the simulated coil, whose thermal figures the appraisal does not know",

@@ -24,8 +24,8 @@ from tissueid.identification.validation import validate
 from tissueid.instrument import CLINICAL, SAMPLE, Instrument, Limits
 from tissueid.messages import Message
 from tissueid.records import Record, joined
-from tissueid.stimuli.base import Array, guided
-from tissueid.stimuli.depth_uniform import DepthDesign, Redesign, redesign, uniform_distance
+from tissueid.stimuli.base import Array, with_preload
+from tissueid.stimuli.depth_uniform import DepthDesign, DepthUniformNoise, design_next_noise, distance_from_uniform
 from tissueid.stimuli.kinds.noise import Noise
 
 _ENGINES = ("wiener", "dpn")
@@ -83,7 +83,7 @@ class MultistepTest:
     def guided_test(self, noise: Noise, notes: dict[str, str | float]) -> GuidedTest:
         """Return one of its tests."""
         return GuidedTest(
-            guided(noise.build(), self.preload_s),
+            with_preload(noise.build(), self.preload_s),
             self.site,
             configuration=self.configuration,
             limits=self.limits,
@@ -146,7 +146,7 @@ def run_multistep(
     records: list[Record] = []
     steps: list[Step] = []
     described: Described | None = None
-    redesigned: Redesign | None = None
+    redesigned: DepthUniformNoise | None = None
     while True:
         notes = _notes(design, len(steps) + 1, described, redesigned)
         noise = design.first(test.seed) if redesigned is None else redesigned.stimulus
@@ -171,7 +171,7 @@ def run_multistep(
             if redesigned is None
             else (redesigned.depth_min_m, redesigned.depth_max_m)
         )
-        distance = uniform_distance(records[-1].output, low, high)
+        distance = distance_from_uniform(records[-1].output, low, high)
         recorder.event("depth", distance=distance, depth_min_m=low, depth_max_m=high)
         steps.append(
             Step(
@@ -231,9 +231,11 @@ def describe_system(records: Iterable[Record], engines: Iterable[str] = _ENGINES
     return Described(best[1], get_engine(best[1]).from_options({"hold": "zero-order"}).fit(joined(whole)), best[0])
 
 
-def _next(records: list[Record], design: DepthDesign, seed: int, preload_s: float) -> tuple[Described, Redesign]:
+def _next(
+    records: list[Record], design: DepthDesign, seed: int, preload_s: float
+) -> tuple[Described, DepthUniformNoise]:
     described = describe_system(records)
-    return described, redesign(described.model.simulate, design, seed, preload_s)
+    return described, design_next_noise(described.model.simulate, design, seed, preload_s)
 
 
 def _record(blocks: list[NDArray[np.void]], device: DeviceDescription, surface_m: float, preload_s: float) -> Record:
@@ -248,7 +250,7 @@ def _record(blocks: list[NDArray[np.void]], device: DeviceDescription, surface_m
 
 
 def _notes(
-    design: DepthDesign, step: int, described: Described | None, redesigned: Redesign | None
+    design: DepthDesign, step: int, described: Described | None, redesigned: DepthUniformNoise | None
 ) -> dict[str, str | float]:
     notes: dict[str, str | float] = {
         "multistep": float(step),

@@ -9,7 +9,7 @@ from pathlib import Path
 from tissueid.acquisition.stimulus_file import load_stimulus
 from tissueid.errors import UnusableInputError
 from tissueid.messages import Message
-from tissueid.stimuli.base import OpenLoopKind, Stimulus, StimulusKind, guided, specified
+from tissueid.stimuli.base import OpenLoopKind, Stimulus, StimulusKind, parse_description, with_preload
 from tissueid.stimuli.feedback import FeedbackKind
 from tissueid.stimuli.kinds.noise import Noise
 
@@ -35,7 +35,7 @@ class NoiseChoice:
         Raises:
             UnusableInputError: the values are invalid.
         """
-        return guided(Noise.from_options(self.noise_options(sample_rate_hz)).build(), PRELOAD_S)
+        return with_preload(Noise.from_options(self.noise_options(sample_rate_hz)).build(), PRELOAD_S)
 
     def noise_options(self, sample_rate_hz: float) -> dict[str, float | str]:
         """Return the values under the option names of the kinds of stimulus, SI."""
@@ -64,7 +64,7 @@ def playable(
             Message("stimulus.not_playable", "the stimulus '{name}' cannot be played", name=specification.name)
         )
     specification.check_size()
-    return guided(build(specification), PRELOAD_S)
+    return with_preload(build(specification), PRELOAD_S)
 
 
 def playable_file(path: Path) -> Stimulus | FeedbackKind:
@@ -76,12 +76,12 @@ def playable_file(path: Path) -> Stimulus | FeedbackKind:
     loaded = load_stimulus(path)
     if isinstance(loaded, FeedbackKind) or loaded.preload_s > 0.0:
         return loaded
-    return guided(loaded, PRELOAD_S)
+    return with_preload(loaded, PRELOAD_S)
 
 
 def test_kind(stimulus: Stimulus | FeedbackKind) -> str:
     """Return the kind of test that a stimulus makes on tissue, as stored in a session."""
-    kind = stimulus if isinstance(stimulus, FeedbackKind) else specified(stimulus.description)[0]
+    kind = stimulus if isinstance(stimulus, FeedbackKind) else parse_description(stimulus.description)[0]
     return kind.test_kind
 
 

@@ -18,7 +18,7 @@ from tissueid import __version__
 from tissueid.atomic_write import atomic_file, open_regular
 from tissueid.errors import UnusableInputError
 from tissueid.messages import Message
-from tissueid.stimuli import FeedbackKind, Stimulus, build_specified, specified
+from tissueid.stimuli import FeedbackKind, Stimulus, build_from_specification, parse_description
 from tissueid.untrusted_input import json_value
 
 FORMAT = "tissueid-stimulus"
@@ -73,7 +73,7 @@ def load_stimulus(path: Path) -> Stimulus | FeedbackKind:
         raise UnusableInputError(
             Message("stimulus.no_description", "{path} holds no description of a stimulus", path=str(path))
         )
-    specification, preload_s = specified(description)
+    specification, preload_s = parse_description(description)
     if isinstance(specification, FeedbackKind):
         if preload_s is not None:
             raise UnusableInputError(
@@ -85,7 +85,7 @@ def load_stimulus(path: Path) -> Stimulus | FeedbackKind:
                 )
             )
         return specification
-    built = build_specified(specification, preload_s)
+    built = build_from_specification(specification, preload_s)
     _verify(path, content, built)
     return built
 

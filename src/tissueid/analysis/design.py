@@ -15,13 +15,13 @@ from tissueid.errors import UnusableInputError
 from tissueid.formatting import fixed, number, with_unit
 from tissueid.language import marked
 from tissueid.messages import Message
-from tissueid.stimuli import Stimulus, StimulusKind, specified
+from tissueid.stimuli import Stimulus, StimulusKind, parse_description
 from tissueid.stimuli.distributions import kolmogorov_distance
-from tissueid.stimuli.interchange import Interchanged, autocorrelation
+from tissueid.stimuli.interchange import InterchangeResult, autocorrelation
 from tissueid.stimuli.kinds.designed import Designed
 from tissueid.stimuli.kinds.multisine import Multisine
 from tissueid.stimuli.shape_options import Shaped
-from tissueid.stimuli.stimulus_check import Appraisal
+from tissueid.stimuli.stimulus_check import StimulusCheck
 
 LAGS = 500
 """Lags over which the error of the autocorrelation is summed where the stimulus does not say."""
@@ -42,13 +42,13 @@ class Design:
 
     stimulus: Stimulus
     device: DeviceDescription
-    appraisal: Appraisal
-    search: Interchanged | None = None
+    appraisal: StimulusCheck
+    search: InterchangeResult | None = None
 
     @cached_property
     def specification(self) -> StimulusKind:
         """What it was built from, without its preload."""
-        return specified(self.stimulus.description)[0]
+        return parse_description(self.stimulus.description)[0]
 
     @cached_property
     def played(self) -> Array:
@@ -61,7 +61,7 @@ class Design:
         kind = self.specification
         if not isinstance(kind, Shaped):
             return None
-        return kind.over_range(kind.wanted_distribution().levels(self.played.size))
+        return kind.scale_to_range(kind.build_distribution().levels(self.played.size))
 
     @cached_property
     def autocorrelation(self) -> Array:
@@ -85,7 +85,7 @@ class Design:
         kind = self.specification
         if not isinstance(kind, Shaped):
             return None
-        return kind.wanted_spectrum().autocorrelation(self.autocorrelation.size - 1, kind.sample_rate)
+        return kind.build_spectrum().autocorrelation(self.autocorrelation.size - 1, kind.sample_rate)
 
     @property
     def autocorrelation_error(self) -> float | None:
@@ -102,7 +102,7 @@ class Design:
         kind = self.specification
         if not isinstance(kind, Shaped):
             return None
-        density = kind.wanted_spectrum().power(_GRID, kind.sample_rate)
+        density = kind.build_spectrum().power(_GRID, kind.sample_rate)
         return np.asarray(np.fft.rfftfreq(_GRID, 1.0 / kind.sample_rate), dtype=np.float64), density
 
     @property
@@ -182,7 +182,7 @@ class Design:
             yield marked("Detection lines"), str(detection.size) if detection.size else marked("none")
 
 
-def _appraised(found: Appraisal) -> Iterator[Row]:
+def _appraised(found: StimulusCheck) -> Iterator[Row]:
     yield marked("Length"), with_unit(fixed(found.seconds, 2), "s")
     yield marked("Range of force"), _range(found.force_min_n, found.force_max_n, 2, "N")
     yield marked("Command, coil at rest"), _range(found.voltage_min_v, found.voltage_max_v, 1, "V")

@@ -10,7 +10,7 @@ from tissueid.identification.validation.distortion import Distortion, distortion
 from tissueid.language import marked
 from tissueid.messages import Listing, Message
 from tissueid.records import Record
-from tissueid.stimuli.kinds.multisine import played_multisine
+from tissueid.stimuli.kinds.multisine import multisine_from_description
 
 
 def is_multisine(described: Mapping[str, Any]) -> bool:
@@ -24,7 +24,7 @@ def distortion_of(record: Record, described: Mapping[str, Any]) -> Distortion:
     Raises:
         UnusableInputError: all lines were driven, or the record is not that of an odd multisine.
     """
-    known = played_multisine(described)
+    known = multisine_from_description(described)
     if known is None:
         return distortion(record)
     if known.lines == "full":

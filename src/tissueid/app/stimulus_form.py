@@ -25,8 +25,8 @@ class _Steps(BaseModel):
     """Options of a test in steps, as the command line has them."""
 
     steps: int = Field(3, ge=1, le=20, description="Most tests; fewer where the depth is even before")
-    depth_min_m: float = Field(0.001, ge=-0.05, le=0.05, description="Least depth wanted, from the surface, m")
-    depth_max_m: float = Field(0.004, ge=-0.05, le=0.05, description="Greatest depth wanted, m")
+    depth_min_m: float = Field(0.001, ge=-0.05, le=0.05, description="Least desired depth from the surface, m")
+    depth_max_m: float = Field(0.004, ge=-0.05, le=0.05, description="Greatest desired depth, m")
     target: float = Field(0.05, gt=0.0, le=1.0, description="Distance from evenness at which it is enough")
 
 

@@ -24,7 +24,7 @@ from tissueid.errors import CancelledError, FirmwareFaultError, LimitError, Tiss
 from tissueid.instrument import CLINICAL, Instrument, Limits, SerialInstrument
 from tissueid.messages import Message, Quantity
 from tissueid.sessions import Session
-from tissueid.stimuli import guided
+from tissueid.stimuli import with_preload
 from tissueid.wire import Fault
 
 PRELOAD_S = 0.3
@@ -218,7 +218,7 @@ class Sweep:
         for share in (1.0, _HALVED):
             notes: dict[str, str | float] = {"wanted_m": place_m, "sweep": float(repeat), "volts": share * volts}
             test = GuidedTest(
-                guided(noise(share * volts, self._plan.seconds, seed, rate), PRELOAD_S),
+                with_preload(noise(share * volts, self._plan.seconds, seed, rate), PRELOAD_S),
                 f"calibration spring at {at}",
                 kind=KIND,
                 limits=self._plan.limits,

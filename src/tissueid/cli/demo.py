@@ -30,7 +30,7 @@ from tissueid.instrument import CLINICAL, Instrument, open_instrument
 from tissueid.records import Estimate
 from tissueid.reports import Comparison, ComparisonRow, write_report
 from tissueid.sessions import Session, Subject
-from tissueid.stimuli.base import guided
+from tissueid.stimuli.base import with_preload
 from tissueid.stimuli.kinds.noise import Noise
 
 LARGE_N = (-5.0, 11.8)
@@ -139,7 +139,7 @@ def _measure(instrument: Instrument, path: Path, seed: int, preset: str, show: A
         ),
     }
     for label, noise in noises.items():
-        test = GuidedTest(guided(noise.build()), site=preset.replace("-", " "), limits=CLINICAL)
+        test = GuidedTest(with_preload(noise.build()), site=preset.replace("-", " "), limits=CLINICAL)
         run_guided_test(instrument, test, recorder, surface_m=surface, progress=show_progress(show, label))
     return recorder.finish(), check
 

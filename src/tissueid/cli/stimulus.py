@@ -29,9 +29,9 @@ from tissueid.errors import LimitError, UnusableInputError
 from tissueid.instrument import PROFILES, Limits, open_instrument
 from tissueid.procedures.output_files import write_text
 from tissueid.stimuli import FeedbackKind, OpenLoopKind, Stimulus, StimulusKind, get_stimulus, to_voltage
-from tissueid.stimuli.interchange import Interchanged, Progress
+from tissueid.stimuli.interchange import InterchangeProgress, InterchangeResult
 from tissueid.stimuli.kinds.interchange import Interchange
-from tissueid.stimuli.stimulus_check import Appraisal, appraise
+from tissueid.stimuli.stimulus_check import StimulusCheck, assess_stimulus
 
 
 def run_stimulus(
@@ -107,7 +107,7 @@ def _device(url: str | None) -> DeviceDescription:
         instrument.close()
 
 
-def designed(specification: OpenLoopKind) -> tuple[Stimulus, Interchanged | None]:
+def designed(specification: OpenLoopKind) -> tuple[Stimulus, InterchangeResult | None]:
     """Build a stimulus with a progress bar; also return the interchange search if there was one.
 
     Raises:
@@ -118,21 +118,21 @@ def designed(specification: OpenLoopKind) -> tuple[Stimulus, Interchanged | None
     with progress_bars() as show:
         show(label, 0.0)
         if isinstance(specification, Interchange):
-            first: list[Progress] = []
+            first: list[InterchangeProgress] = []
 
-            def follow(step: Progress) -> None:
+            def follow(step: InterchangeProgress) -> None:
                 first[:] = first or [step]
                 show(label, _share(first[0], step))
 
             search = specification.design(follow)
-            built = specification.played(search)
+            built = specification.stimulus_from(search)
         else:
             search, built = None, specification.build()
         show(label, 1.0)
     return built, search
 
 
-def _share(first: Progress, step: Progress) -> float:
+def _share(first: InterchangeProgress, step: InterchangeProgress) -> float:
     """Return the completed share of a search: of the decades of error, or of the allowed swaps."""
     tried = step.tried / step.max_trials
     if not first.error > step.tolerance:
@@ -143,7 +143,7 @@ def _share(first: Progress, step: Progress) -> float:
 
 def show_open_loop(
     stimulus: Stimulus,
-    search: Interchanged | None,
+    search: InterchangeResult | None,
     device: DeviceDescription,
     limits: Limits,
     targets: Targets,
@@ -154,7 +154,7 @@ def show_open_loop(
     Raises:
         LimitError: the instrument would refuse the stimulus.
     """
-    found = appraise(
+    found = assess_stimulus(
         stimulus,
         device,
         max_force_n=limits.max_force_n,
@@ -194,7 +194,7 @@ def _csv(stimulus: Stimulus, device: DeviceDescription) -> str:
     return text.getvalue()
 
 
-def _answer(stimulus: Stimulus, found: Appraisal) -> dict[str, Any]:
+def _answer(stimulus: Stimulus, found: StimulusCheck) -> dict[str, Any]:
     return {
         "description": stimulus.description,
         "samples": len(stimulus),

@@ -16,7 +16,7 @@ from tissueid.formatting import fixed, grouped
 from tissueid.messages import MISSING
 from tissueid.sessions import Test
 from tissueid.stimuli.base import GUIDED
-from tissueid.stimuli.depth_uniform import uniform_distance
+from tissueid.stimuli.depth_uniform import distance_from_uniform
 
 DepthRange = tuple[float, float]
 
@@ -146,7 +146,7 @@ def kolmogorov_distance(test: Test, depths: DepthRange | None) -> float | None:
     if depths is None or not even:
         return None
     try:
-        return uniform_distance(test.record().output - test.surface_position_m, *depths)
+        return distance_from_uniform(test.record().output - test.surface_position_m, *depths)
     except UnusableInputError:
         return None
 

@@ -28,7 +28,7 @@ from tissueid.reports.style import (
     log_axis,
 )
 from tissueid.stimuli import Stimulus
-from tissueid.stimuli.interchange import Interchanged
+from tissueid.stimuli.interchange import InterchangeResult
 from tissueid.stimuli.kinds.multisine import Multisine
 
 ZOOM_S = 0.2
@@ -212,7 +212,7 @@ def _decade(values: Array) -> tuple[str, float]:
     return (f" (×10{superscript(exponent)})", 10.0**exponent) if exponent < -1 else ("", 1.0)
 
 
-def draw_swaps(figure: FigureBase, search: Interchanged | None) -> None:
+def draw_swaps(figure: FigureBase, search: InterchangeResult | None) -> None:
     """Draw the sum of squared differences of the autocorrelation against accepted swaps (Chen 2010, Fig. 6.2b).
 
     Raises:

@@ -23,7 +23,7 @@ from tissueid.reports.stimulus_panels import stimulus_panels
 from tissueid.reports.style import plain_image
 from tissueid.reports.tables import Table, named_text
 from tissueid.stimuli import FeedbackKind
-from tissueid.stimuli.stimulus_check import Appraisal
+from tissueid.stimuli.stimulus_check import StimulusCheck
 
 FAR = 0.08
 """Kolmogorov distance from the desired distribution of depth above which the report shows a caution."""
@@ -101,7 +101,7 @@ def output_suffix(path: Path) -> str:
     return form
 
 
-def judged(found: Appraisal) -> tuple[str, Literal["good", "check", "poor"]]:
+def judged(found: StimulusCheck) -> tuple[str, Literal["good", "check", "poor"]]:
     """Return the headline of a stimulus check and its level."""
     if not found.playable:
         return marked("The stimulus cannot be played"), "poor"

@@ -1,19 +1,19 @@
-"""Stimuli: what to play. Specifications that build the same history every time, or generate it while a test runs."""
+"""Stimuli: specifications of open-loop force or voltage histories and of feedback-generated set-points."""
 
 from tissueid.stimuli.base import (
     OpenLoopKind,
     Ranged,
     Stimulus,
     StimulusKind,
-    build_specified,
+    build_from_specification,
     build_stimulus,
     get_stimulus,
-    guided,
+    parse_description,
     rebuild,
-    specified,
     stimulus,
     stimulus_names,
     to_voltage,
+    with_preload,
 )
 from tissueid.stimuli.feedback import FeedbackKind, FeedbackSource
 
@@ -24,13 +24,13 @@ __all__ = [
     "Ranged",
     "Stimulus",
     "StimulusKind",
-    "build_specified",
+    "build_from_specification",
     "build_stimulus",
     "get_stimulus",
-    "guided",
+    "parse_description",
     "rebuild",
-    "specified",
     "stimulus",
     "stimulus_names",
     "to_voltage",
+    "with_preload",
 ]

@@ -1,8 +1,8 @@
-"""The compiled part of the interchange: what a swap of two samples does to every lag, and many swaps tried in a row.
+"""Compiled part of the interchange: effect of one swap on all lags, and loops that try many swaps.
 
-Signals are less their mean, of unit energy, and lie between ``lags`` zeros on either side, so that no index needs a
-check; sample i is element i + lags. ``x`` (2, n + 2 lags) has the signal and the signal backwards, so that the samples
-before one and those after it are both slices that are read forwards: several are then taken at a time.
+Signals have zero mean and unit energy and are padded with ``lags`` zeros on either side, so that indices need no bounds
+check; sample i is element i + lags. ``x`` (2, n + 2 lags) holds the signal and its time reversal, so that the samples
+before and after a position are both contiguous forward slices, which vectorise.
 """
 
 from __future__ import annotations
@@ -12,18 +12,19 @@ from numba import njit
 from numpy.typing import NDArray
 
 Array = NDArray[np.float64]
-Whole = NDArray[np.int64]
+Integers = NDArray[np.int64]
 
 TRIED, ACCEPTED = 0, 1
 
 
-# Sums may be taken in any order, which is what lets them be taken four or eight at a time.
+# Reassociation of sums allows SIMD instructions.
 @njit(cache=True, fastmath={"reassoc", "contract"}, nogil=True)
-def _change(x: Array, errors: Array, change: Array, one: int, other: int) -> float:
-    """Fill the change (lags,) of the autocorrelation at lags 1, 2, ... and return that of the sum of squared errors.
+def _swap_gain(x: Array, errors: Array, change: Array, one: int, other: int) -> float:
+    """Fill the change (lags,) of the autocorrelation at lags 1, 2, ... and return the change of the sum of squared
+    errors.
 
-    Every product of the swapped samples with a neighbour changes by the difference of the two; the product of the two
-    with each other, at the lag between them, stays as it is.
+    Each product of a swapped sample with a neighbour changes by the difference of the two samples. The product of the
+    two samples with each other, at the lag between them, does not change.
     """
     lags, mirrored = errors.size, x.shape[1]
     i, j = one + lags, other + lags
@@ -45,7 +46,7 @@ def _change(x: Array, errors: Array, change: Array, one: int, other: int) -> flo
 
 
 @njit(cache=True, nogil=True)
-def _accept(x: Array, errors: Array, change: Array, rank: Whole, one: int, other: int) -> None:
+def _apply_swap(x: Array, errors: Array, change: Array, rank: Integers, one: int, other: int) -> None:
     lags = errors.size
     for k in range(lags):
         errors[k] += change[k]
@@ -56,52 +57,59 @@ def _accept(x: Array, errors: Array, change: Array, rank: Whole, one: int, other
 
 
 @njit(cache=True, nogil=True)
-def try_pairs(
-    x: Array, errors: Array, change: Array, rank: Whole, pairs: Whole, counts: Whole, error: float, tolerance: float
+def try_random_pairs(
+    x: Array,
+    errors: Array,
+    change: Array,
+    rank: Integers,
+    pairs: Integers,
+    counts: Integers,
+    error: float,
+    tolerance: float,
 ) -> float:
-    """Try to swap each of the pairs (m, 2) of samples, and keep the swaps that lower the error. Returns the error.
+    """Try to swap given pairs (m, 2) of samples and keep the swaps that lower the error. Return the error.
 
-    Stops at the tolerance. ``x``, ``errors`` (lags,) of the autocorrelation, ``rank`` (n,) of each
-    sample and ``counts`` are kept up to date; ``change`` (lags,) is room to work in.
+    Stops at the tolerance. Updates ``x``, the autocorrelation ``errors`` (lags,), the ``rank`` (n,) of each sample and
+    ``counts`` in place; ``change`` (lags,) is a work array.
     """
     for t in range(pairs.shape[0]):
         if error <= tolerance:
             break
         one, other = pairs[t, 0], pairs[t, 1]
         counts[TRIED] += 1
-        gain = _change(x, errors, change, one, other)
+        gain = _swap_gain(x, errors, change, one, other)
         if gain < 0.0:
-            _accept(x, errors, change, rank, one, other)
+            _apply_swap(x, errors, change, rank, one, other)
             counts[ACCEPTED] += 1
             error += gain
     return error
 
 
 @njit(cache=True, nogil=True)
-def try_chosen(
+def try_guided_pairs(
     x: Array,
     errors: Array,
     change: Array,
-    rank: Whole,
-    place: Whole,
+    rank: Integers,
+    place: Integers,
     levels: Array,
     gradient: Array,
     curvature: float,
     nearby: Array,
-    picks: Whole,
+    picks: Integers,
     spreads: Array,
-    counts: Whole,
+    counts: Integers,
     error: float,
     tolerance: float,
 ) -> float:
-    """As :func:`try_pairs`, for a partner of each of the picked samples (m,) that promises most. Returns the error.
+    """Try to swap each picked sample (m,) with the partner of the largest predicted improvement. Return the error.
 
-    Partners are looked for among the ranks above and below, at distances that double from ``spreads`` (m,), 1 to 2,
-    and among the neighbours in time, as many on either side as ``nearby`` has elements. What a swap promises follows
-    from the ``gradient`` (n,) of half the error with respect to each sample, which grows old as swaps are made, and
-    the mean of the second-order part: ``curvature`` for any two samples, ``nearby`` (r,) for those 1, 2, ... apart.
-    Only the swap that promises most is worked out. ``place`` (n,) is where each of the ``levels`` (n,), ascending,
-    stands. The first sample stays.
+    Candidate partners: samples whose rank differs by distances that double from ``spreads`` (m,), 1 to 2, in both
+    directions, and the ``nearby.size`` neighbours in time on either side. The improvement is predicted from the
+    ``gradient`` (n,) of half the error with respect to each sample, computed at the start of the sweep, and the mean
+    second-order term: ``curvature`` for any two samples, ``nearby`` (r,) for samples 1, 2, ... apart. Only the best
+    candidate is evaluated exactly. ``place`` (n,) is the sample index of each of the ascending ``levels`` (n,). The
+    first sample is never moved. Updates the same arrays as :func:`try_random_pairs`.
     """
     n = levels.size
     for t in range(picks.size):
@@ -132,9 +140,9 @@ def try_chosen(
         counts[TRIED] += 1
         if other < 0:
             continue
-        gain = _change(x, errors, change, one, other)
+        gain = _swap_gain(x, errors, change, one, other)
         if gain < 0.0:
-            _accept(x, errors, change, rank, one, other)
+            _apply_swap(x, errors, change, rank, one, other)
             place[rank[one]], place[rank[other]] = one, other
             counts[ACCEPTED] += 1
             error += gain

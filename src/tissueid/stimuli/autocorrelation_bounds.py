@@ -16,7 +16,7 @@ from tissueid.messages import Message
 Array = NDArray[np.float64]
 
 _TRIANGLE_LAGS = 500
-"""Largest lag of the pairs that are checked; their number grows with its square."""
+"""Largest lag in the pairs of lags that are checked; the number of pairs grows with its square."""
 
 
 @dataclass(frozen=True)
@@ -27,13 +27,15 @@ class Bound:
     reason: str
 
 
-def least_error(levels: Array, target: Array) -> Bound:
+def error_bound(levels: Array, target: Array) -> Bound:
     """Return a lower bound of the error for levels (n,) and a target autocorrelation (lags + 1,); 0 where unknown."""
-    return max(_opposed(levels, target), _two_valued(levels, target), key=lambda bound: bound.error)
+    return max(_rearrangement_bound(levels, target), _two_valued_bound(levels, target), key=lambda bound: bound.error)
 
 
-def _opposed(levels: Array, target: Array) -> Bound:
-    """No two copies are more opposed than the ascending and the descending order (the rearrangement inequality)."""
+def _rearrangement_bound(levels: Array, target: Array) -> Bound:
+    """Return the bound from the rearrangement inequality: the product sum of two orders is least for
+    opposite orders.
+    """
     about = np.sort(levels) - np.mean(levels)
     power = float(about @ about)
     least = float(about @ about[::-1]) / power
@@ -45,7 +47,7 @@ def _opposed(levels: Array, target: Array) -> Bound:
         float(short @ short),
         Message(
             "autocorrelation.too_low",
-            "at lag {lag} it is {value:.3g}, and samples of this distribution cannot be correlated below {least:.3g}",
+            "at lag {lag} it is {value:.3g}, but the minimum for this distribution is {least:.3g}",
             lag=worst + 1,
             value=float(target[worst + 1]),
             least=least,
@@ -53,11 +55,12 @@ def _opposed(levels: Array, target: Array) -> Bound:
     )
 
 
-def _two_valued(levels: Array, target: Array) -> Bound:
-    """Of three samples of +1 or -1 some two are equal: s r(j) + t r(k) + s t r(j + k) is at least -1, s, t = +-1.
+def _two_valued_bound(levels: Array, target: Array) -> Bound:
+    """Return the bound for two-valued samples: s r(j) + t r(k) + s t r(j + k) >= -1 with s, t = +-1.
 
-    With s = t = -1 it is the triangle inequality for 1 - r, the share of the time in which two samples differ: the
-    autocorrelation of a two-valued signal leaves lag 0 with an edge, never with a round top.
+    It holds because two of any three samples of +1 or -1 are equal. With s = t = -1 it is the triangle inequality for 1
+    - r, the share of time in which two samples differ: the autocorrelation of a two-valued signal has a corner at lag
+    0.
     """
     nothing = Bound(0.0, "")
     low, high = float(np.min(levels)), float(np.max(levels))
@@ -67,7 +70,7 @@ def _two_valued(levels: Array, target: Array) -> Bound:
     j, k = np.triu_indices(lags)
     j, k = j + 1, k + 1
     j, k = j[j + k <= lags], k[j + k <= lags]
-    # a difference of counts by one of an odd number of samples moves the mean, and every product, by at most this
+    # With an odd number of samples one value occurs once more: this bounds the change of the mean and of each product.
     slack = 4.0 * abs(float(np.mean(levels == low)) - 0.5)
     best = nothing
     for s, t in ((-1.0, -1.0), (1.0, 1.0), (1.0, -1.0), (-1.0, 1.0)):
@@ -81,9 +84,8 @@ def _two_valued(levels: Array, target: Array) -> Bound:
                 float(error[worst]),
                 Message(
                     "autocorrelation.two_valued",
-                    "at lags {lag}, {other} and {both} it is {value:.4g}, {other_value:.4g} and {both_value:.4g}, and "
-                    "of "
-                    "three samples with two values some two are equal",
+                    "its values {value:.4g}, {other_value:.4g} and {both_value:.4g} at lags {lag}, {other} and "
+                    "{both} are impossible for a two-valued signal",
                     lag=a,
                     other=b,
                     both=a + b,

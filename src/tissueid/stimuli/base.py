@@ -25,13 +25,15 @@ from tissueid.option_errors import option_error
 from tissueid.plugins import Registry
 
 GUIDED = "guided"
+"""Type of a stimulus with a preload in its description; fixed by the session format."""
 RISE_S = 0.05
 """Time, s, over which a guided stimulus rises to the mean load."""
-LONGEST_PRELOAD_S = 60.0
-LEAST_SPAN = 1e-6
-"""Narrowest range of a stimulus, N or V: narrower ones are lost in rounding."""
-MOST_SAMPLES = 5_000_000
-"""Largest number of samples of a stimulus."""
+MAX_PRELOAD_S = 60.0
+"""Maximum length of a preload, s."""
+MIN_SPAN = 1e-6
+"""Minimum range of a stimulus, N or V; a narrower range is lost in rounding."""
+MAX_SAMPLES = 5_000_000
+"""Maximum number of samples of a stimulus."""
 
 Array = NDArray[np.float64]
 
@@ -41,11 +43,11 @@ Unit = Literal["N", "V"]
 
 @dataclass(frozen=True, eq=False)
 class Stimulus:
-    """A history to be played: ``values`` (n,) in ``unit``, N or V, at ``sample_rate_hz``.
+    """History to play: ``values`` (n,) in ``unit``, N or V, at ``sample_rate_hz``.
 
-    ``description`` is plain data, enough for :func:`rebuild`. ``crest_factor`` is the peak over the
-    root-mean-square of the part about its mean. ``preload_s`` seconds at the start hold the mean load, or ``begins_at``
-    where the stimulus begins elsewhere than at its mean.
+    ``description`` is plain data, sufficient for :func:`rebuild`. ``crest_factor`` is peak over RMS of the zero-mean
+    part. The first ``preload_s`` seconds hold the mean load, or ``start_value`` for a stimulus that does not start at
+    its mean.
     """
 
     values: Array
@@ -55,7 +57,7 @@ class Stimulus:
     crest_factor: float
     preload_s: float = 0.0
     unit: Unit = "N"
-    begins_at: float | None = None
+    start_value: float | None = None
 
     def __len__(self) -> int:
         return self.values.size
@@ -67,7 +69,7 @@ class Stimulus:
 
 
 class StimulusKind(BaseModel, ABC):
-    """The specification of a stimulus: options with bounds, which double as the limits of a form."""
+    """Specification of a stimulus: options with bounds, which are also the limits of the form."""
 
     model_config = ConfigDict(frozen=True, extra="forbid", allow_inf_nan=False)
 
@@ -82,7 +84,7 @@ class StimulusKind(BaseModel, ABC):
         """Build the specification from named options.
 
         Raises:
-            UnusableInputError: an option is unknown, out of its bounds, or at odds with another.
+            UnusableInputError: an option is unknown, out of bounds, or inconsistent with another option.
         """
         try:
             return cls(**options)
@@ -95,7 +97,7 @@ class StimulusKind(BaseModel, ABC):
         return {"type": self.name} | self.model_dump(mode="json")
 
 
-def check_rising(what: str, least: float, greatest: float, unit: str) -> None:
+def check_range_order(what: str, least: float, greatest: float, unit: str) -> None:
     """Raise for an inverted or empty range of ``what``, such as "force".
 
     Raises:
@@ -134,19 +136,18 @@ class OpenLoopKind(StimulusKind):
         """Raise for a stimulus with too many samples.
 
         Raises:
-            UnusableInputError: the options ask for more than ``MOST_SAMPLES``.
+            UnusableInputError: the options ask for more than ``MAX_SAMPLES``.
         """
         samples = self.planned_samples()
-        if samples is not None and samples > MOST_SAMPLES:
+        if samples is not None and samples > MAX_SAMPLES:
             raise UnusableInputError(
                 Message(
                     "stimulus.samples",
-                    "the stimulus {name} would have {samples:.3g} samples, and {limit:.3g} is the most: lower its "
-                    "length "
-                    "or its sample rate",
+                    "the stimulus {name} would have {samples:.3g} samples; the maximum is {limit:.3g}: lower "
+                    "its length or its sample rate",
                     name=self.name,
                     samples=samples,
-                    limit=MOST_SAMPLES,
+                    limit=MAX_SAMPLES,
                 )
             )
 
@@ -162,23 +163,23 @@ class Ranged(OpenLoopKind):
     voltage_max_v: float | None = Field(None, ge=-1000.0, le=1000.0, description=marked("Greatest voltage, V"))
 
     @model_validator(mode="after")
-    def _range_holds(self) -> Self:
+    def _check_range(self) -> Self:
         if (self.voltage_min_v is None) != (self.voltage_max_v is None):
             raise UnusableInputError(
                 Message(
-                    "stimulus.voltage_ends", "a range of voltage needs both its ends, voltage_min_v and voltage_max_v"
+                    "stimulus.voltage_ends", "a voltage range needs both limits: give voltage_min_v and voltage_max_v"
                 )
             )
         low, high, unit = self.span
-        check_rising("force" if unit == "N" else "voltage", low, high, unit)
-        if high - low < LEAST_SPAN:
+        check_range_order("force" if unit == "N" else "voltage", low, high, unit)
+        if high - low < MIN_SPAN:
             raise UnusableInputError(
                 Message(
                     "stimulus.narrow",
                     "the range from {low:g} to {high:g} {unit} is narrower than {least:g} {unit}: widen it",
                     low=low,
                     high=high,
-                    least=LEAST_SPAN,
+                    least=MIN_SPAN,
                     unit=unit,
                 )
             )
@@ -210,7 +211,7 @@ def get_stimulus(name: str) -> type[StimulusKind]:
     """Return the kind of stimulus registered under a name.
 
     Raises:
-        UnusableInputError: there is none of that name; the line lists those that there are.
+        UnusableInputError: no kind has that name; the message lists the known names.
     """
     return _kinds.get(name)
 
@@ -224,16 +225,16 @@ def build_stimulus(name: str, options: Mapping[str, Any]) -> Stimulus:
     """Build a stimulus of an open-loop kind from named options.
 
     Raises:
-        UnusableInputError: no such kind, an option does not hold, or the kind is generated while a test runs.
+        UnusableInputError: unknown kind, invalid option, or the kind is generated during the test.
     """
-    return build_specified(get_stimulus(name).from_options(options))
+    return build_from_specification(get_stimulus(name).from_options(options))
 
 
-def build_specified(specification: StimulusKind, preload_s: float | None = None) -> Stimulus:
-    """Build the stimulus of a specification, after a preload of ``preload_s`` seconds if one is given.
+def build_from_specification(specification: StimulusKind, preload_s: float | None = None) -> Stimulus:
+    """Build the stimulus of a specification, with a preload of ``preload_s`` seconds if given.
 
     Raises:
-        UnusableInputError: the kind is generated while a test runs, it would be too long, or the preload too short.
+        UnusableInputError: the kind is generated during the test, the stimulus is too long, or the preload too short.
     """
     if not isinstance(specification, OpenLoopKind):
         raise UnusableInputError(
@@ -246,20 +247,20 @@ def build_specified(specification: StimulusKind, preload_s: float | None = None)
         )
     specification.check_size()
     built = specification.build()
-    return built if preload_s is None else guided(built, preload_s)
+    return built if preload_s is None else with_preload(built, preload_s)
 
 
-def specified(description: object) -> tuple[StimulusKind, float | None]:
-    """The specification that a description holds, and the preload before it, s, None where there is none.
+def parse_description(description: object) -> tuple[StimulusKind, float | None]:
+    """Return the specification and the preload length, s (None without preload), from a description.
 
-    Nothing is taken for granted of the description: it may come from a file.
+    The description is validated completely, since it may come from a file.
 
     Raises:
-        UnusableInputError: no known kind, options that do not hold, or a preload that is no length of time.
+        UnusableInputError: unknown kind, invalid options, or invalid preload length.
     """
     if not isinstance(description, Mapping) or not all(isinstance(name, str) for name in description):
         raise UnusableInputError(
-            Message("stimulus.description", "the description of the stimulus is no list of options by name")
+            Message("stimulus.description", "the description of the stimulus is not a table of options")
         )
     fields = dict(description)
     kind = fields.pop("type", None)
@@ -269,21 +270,21 @@ def specified(description: object) -> tuple[StimulusKind, float | None]:
             raise UnusableInputError(
                 Message(
                     "stimulus.preload_description",
-                    "the description of the stimulus with its preload does not hold together",
+                    "the description of the stimulus with its preload is not valid",
                 )
             )
-        if not RISE_S <= preload_s <= LONGEST_PRELOAD_S:
+        if not RISE_S <= preload_s <= MAX_PRELOAD_S:
             raise UnusableInputError(
                 Message(
                     "stimulus.preload_length",
                     "the preload must last from its rise of {rise:g} s up to {limit:g} s",
                     rise=RISE_S,
-                    limit=LONGEST_PRELOAD_S,
+                    limit=MAX_PRELOAD_S,
                 )
             )
-        return specified(inner)[0], float(preload_s)
+        return parse_description(inner)[0], float(preload_s)
     if not isinstance(kind, str):
-        raise UnusableInputError(Message("stimulus.no_type", "the description of the stimulus does not say its type"))
+        raise UnusableInputError(Message("stimulus.no_type", "the description of the stimulus has no type"))
     return get_stimulus(kind[:100]).from_options(fields), None
 
 
@@ -291,26 +292,25 @@ def rebuild(description: Mapping[str, Any]) -> Stimulus:
     """Rebuild a stimulus from the description that a session stores.
 
     Raises:
-        UnusableInputError: the description is of no known kind, its options or its preload do not hold, or it was
-            generated while the test ran.
+        UnusableInputError: unknown kind, invalid options or preload, or a stimulus generated during the test.
     """
-    return build_specified(*specified(description))
+    return build_from_specification(*parse_description(description))
 
 
-def guided(played: Stimulus, preload_s: float = 0.5) -> Stimulus:
-    """Put a preload before a stimulus: a raised-cosine rise to its mean load, or to where it begins, then a hold.
+def with_preload(played: Stimulus, preload_s: float = 0.5) -> Stimulus:
+    """Add a preload before a stimulus: a raised-cosine rise to its mean load or start value, then a hold.
 
-    The hold lets the tissue come to rest at the operating point, which is where identification takes it to begin
-    (Chen 2010, 3.1.3).
+    The hold lets the tissue settle at the operating point, the initial state that identification assumes (Chen 2010,
+    3.1.3).
 
     Args:
-        played: what follows the preload.
-        preload_s: length of the preload, s, the rise of ``RISE_S`` included.
+        played: stimulus to play after the preload.
+        preload_s: length of the preload, s, including the rise of ``RISE_S``.
 
     Raises:
         UnusableInputError: the preload is shorter than its rise.
     """
-    load = float(np.mean(played.values)) if played.begins_at is None else played.begins_at
+    load = float(np.mean(played.values)) if played.start_value is None else played.start_value
     preload = preload_values(load, preload_s, played.sample_rate_hz)
     return Stimulus(
         values=np.concatenate([preload, played.values]),
@@ -320,15 +320,15 @@ def guided(played: Stimulus, preload_s: float = 0.5) -> Stimulus:
         crest_factor=played.crest_factor,
         preload_s=preload_s,
         unit=played.unit,
-        begins_at=played.begins_at,
+        start_value=played.start_value,
     )
 
 
 def preload_values(load: float, preload_s: float, sample_rate_hz: float) -> Array:
-    """A raised-cosine rise to a load within ``RISE_S``, then a hold: shape (preload_s * sample_rate_hz,), its unit.
+    """Return a raised-cosine rise to ``load`` within ``RISE_S``, then a hold: shape (preload_s * sample_rate_hz,).
 
     Raises:
-        UnusableInputError: the preload is shorter than its rise, or has more samples than any stimulus.
+        UnusableInputError: the preload is shorter than its rise or exceeds the maximum number of samples.
     """
     if not preload_s >= RISE_S:
         raise UnusableInputError(
@@ -339,13 +339,13 @@ def preload_values(load: float, preload_s: float, sample_rate_hz: float) -> Arra
                 seconds=preload_s,
             )
         )
-    if preload_s * sample_rate_hz > MOST_SAMPLES:
+    if preload_s * sample_rate_hz > MAX_SAMPLES:
         raise UnusableInputError(
             Message(
                 "stimulus.preload_samples",
-                "the preload would have {samples:.3g} samples, and {limit:.3g} is the most: shorten it",
+                "the preload would have {samples:.3g} samples; the maximum is {limit:.3g}: shorten it",
                 samples=preload_s * sample_rate_hz,
-                limit=MOST_SAMPLES,
+                limit=MAX_SAMPLES,
             )
         )
     rise = np.minimum(np.arange(round(preload_s * sample_rate_hz)) / (RISE_S * sample_rate_hz), 1.0)
@@ -353,10 +353,10 @@ def preload_values(load: float, preload_s: float, sample_rate_hz: float) -> Arra
 
 
 def to_voltage(values: Array, device: DeviceDescription, unit: Unit = "N") -> Array:
-    """The command, V, shape (n,), for values (n,): volts as they are, newtons as held by a coil at rest.
+    """Return the command, V, shape (n,), for values (n,) in V, or in N as the static force of a coil at rest.
 
     Raises:
-        LimitError: the amplifier cannot give that voltage.
+        LimitError: the voltage exceeds the amplifier limit.
     """
     voltage = np.asarray(values, dtype=np.float64) * (device.voltage_for_force(1.0) if unit == "N" else 1.0)
     peak = float(np.max(np.abs(voltage), initial=0.0))
@@ -382,6 +382,6 @@ def to_voltage(values: Array, device: DeviceDescription, unit: Unit = "N") -> Ar
 
 
 def crest_factor(values: Array) -> float:
-    """Peak over root-mean-square of values (n,) about their mean (Chen 2010, 3.1.1)."""
+    """Return peak over RMS of the zero-mean part of values (n,) (Chen 2010, 3.1.1)."""
     about = values - np.mean(values)
     return float(np.max(np.abs(about)) / np.sqrt(np.mean(about**2)))

@@ -1,9 +1,10 @@
-"""The next stimulus of a multistep test: the one that a fitted description says will spread the depth evenly (6.3).
+"""Design of the next stimulus of a multistep test: noise with a uniform depth distribution, predicted by a fitted model
+(6.3).
 
-The spectrum is given: slow noise that goes through the depths, and under it fast noise up to the cut-off, by which the
-dynamics are identified. The distribution of the force is sought. Each round simulates what the stimulus would do, and
-gives every force the place in the distribution at which the simulated depth is due; the round that comes nearest is
-kept. What a linear system would do to a distribution (bring it nearer to a Gaussian, 3.1.1) is so undone beforehand.
+The spectrum is fixed: slow noise that covers the depth range, and fast noise up to the cutoff for the identification of
+the dynamics. The force distribution is found iteratively: each round simulates the depth and maps every quantile of the
+force to the quantile of depth that it should reach; the best round is kept. This compensates in advance for the
+tendency of a linear system to make any distribution more Gaussian (3.1.1).
 """
 
 from __future__ import annotations
@@ -19,30 +20,34 @@ from tissueid.errors import UnusableInputError
 from tissueid.language import marked
 from tissueid.messages import Message
 from tissueid.option_errors import option_error
-from tissueid.stimuli.base import Array, check_rising, guided
+from tissueid.stimuli.base import Array, check_range_order, with_preload
 from tissueid.stimuli.distributions import kolmogorov_distance
 from tissueid.stimuli.kinds.noise import Noise
 
 Simulation = Callable[[Array], Array]
-"""Depth from the surface, m, shape (n,), for a force, N, shape (n,), from rest."""
+"""Function from a force, N, shape (n,), to the depth from the surface, m, shape (n,), starting from rest."""
 
 _ROUNDS = 12
+"""Rounds of simulation for each range."""
 _LEVELS = 33
-"""Quantiles of the force: 3 % of the samples lie between two of them."""
+"""Number of quantiles of the force: 3 % of the samples lie between two of them."""
 
 _SETTLE_S = 0.5
-_EDGES = (0.0, 0.01, 0.02, 0.05)
-"""Shares of the force range that are kept at either end to turn the motion round in: no more than is needed."""
+"""Simulated time, s, after which the depth under a constant force is read."""
+_RESERVED_SHARES = (0.0, 0.01, 0.02, 0.05)
+"""Shares of the force range reserved at both ends for reversing the motion, tried in this order."""
 
-_EVEN = 0.02
-"""Predicted distance at which no more is kept."""
+_GOOD_DISTANCE = 0.02
+"""Predicted Kolmogorov distance below which no larger reserve is tried."""
 
 _TABLE_HZ = (0.25, 0.5, 0.75, 1.0, 1.25, 1.5, 2.0, 2.5, 3.0, 4.0, 6.0, 9.0, 14.0)
-"""Frequencies of the table of the spectrum, in cut-offs of its slow part."""
+"""Frequencies of the spectrum table, relative to the cutoff of the slow part."""
 
 
 class DepthDesign(BaseModel):
-    """What a multistep test is to reach, and with what: the same for each of its tests but for the seed."""
+    """Specification of a multistep test: depth and force ranges, length and spectrum, shared by its tests except the
+    seed.
+    """
 
     model_config = ConfigDict(frozen=True, extra="forbid", allow_inf_nan=False)
 
@@ -50,26 +55,24 @@ class DepthDesign(BaseModel):
     depth_max_m: float = Field(ge=-0.05, le=0.05, description=marked("Greatest depth, m, from the surface"))
     force_min_n: float = Field(0.0, ge=-100.0, le=100.0, description=marked("Least force, N"))
     force_max_n: float = Field(10.5, ge=-100.0, le=100.0, description=marked("Greatest force, N"))
-    seconds: float = Field(
-        3.0, ge=0.5, le=60.0, description=marked("Length of each test, s; its preload comes before it")
-    )
-    sample_rate: float = Field(2000.0, gt=0.0, le=1e6, description=marked("Samples a second"))
-    slow_hz: float = Field(8.0, gt=0.0, le=100.0, description=marked("Cut-off of the slow part, Hz"))
+    seconds: float = Field(3.0, ge=0.5, le=60.0, description=marked("Length of each test without its preload, s"))
+    sample_rate: float = Field(2000.0, gt=0.0, le=1e6, description=marked("Sample rate, Hz"))
+    slow_hz: float = Field(8.0, gt=0.0, le=100.0, description=marked("Cutoff frequency of the slow part, Hz"))
     fast_share: float = Field(0.15, ge=0.0, le=1.0, description=marked("Share of the power in the fast part"))
-    cutoff_hz: float = Field(200.0, gt=0.0, description=marked("Cut-off of the fast part, Hz"))
+    cutoff_hz: float = Field(200.0, gt=0.0, description=marked("Cutoff frequency of the fast part, Hz"))
 
     @model_validator(mode="after")
-    def _ranges_hold(self) -> Self:
-        check_rising("depth", 1e3 * self.depth_min_m, 1e3 * self.depth_max_m, "mm")
-        check_rising("force", self.force_min_n, self.force_max_n, "N")
+    def _check_ranges(self) -> Self:
+        check_range_order("depth", 1e3 * self.depth_min_m, 1e3 * self.depth_max_m, "mm")
+        check_range_order("force", self.force_min_n, self.force_max_n, "N")
         return self
 
     @classmethod
     def from_options(cls, options: Mapping[str, Any]) -> Self:
-        """Build it from named options.
+        """Build the specification from named options.
 
         Raises:
-            UnusableInputError: an option is unknown, out of its bounds, or at odds with another.
+            UnusableInputError: an option is unknown, out of bounds, or inconsistent with another option.
         """
         try:
             return cls.model_validate(dict(options))
@@ -77,12 +80,12 @@ class DepthDesign(BaseModel):
             raise UnusableInputError(option_error("multistep", cls.model_fields, error)) from error
 
     def first(self, seed: int) -> Noise:
-        """The test before anything is known: Gaussian, and gentle, over the lower half of the force range."""
+        """Return the first test, without a model: Gaussian noise over the lower half of the force range."""
         middle = 0.5 * (self.force_min_n + self.force_max_n)
         return self._noise(seed, force_min_n=self.force_min_n, force_max_n=middle, distribution="gaussian")
 
     def with_quantiles(self, force: Array, seed: int) -> Noise:
-        """Noise whose force has these quantiles (m,), N, at evenly spaced probabilities."""
+        """Return noise whose force has the quantiles (m,), N, at evenly spaced probabilities."""
         low, high = float(force[0]), float(force[-1])
         table = tuple(float(value) for value in force)
         return self._noise(seed, force_min_n=low, force_max_n=high, distribution="quantiles", quantiles=table)
@@ -106,12 +109,11 @@ class DepthDesign(BaseModel):
 
 
 @dataclass(frozen=True)
-class Redesign:
-    """The next stimulus, and what the description says that it will do.
+class DepthUniformNoise:
+    """Designed noise and the depth distribution that the model predicts for it.
 
-    ``depth_min_m`` and ``depth_max_m`` are the range that it is designed for: the one asked, or what of it the forces
-    can reach. ``distance`` is the Kolmogorov distance from uniform that is predicted, and ``history`` that of each
-    round.
+    ``depth_min_m`` and ``depth_max_m`` are the design range: the requested range, limited to what the forces can reach.
+    ``distance`` is the predicted Kolmogorov distance from uniform, ``history`` that of each round.
     """
 
     stimulus: Noise
@@ -121,49 +123,49 @@ class Redesign:
     history: tuple[float, ...]
 
 
-def uniform_distance(depth: Array, low: float, high: float) -> float:
-    """Kolmogorov distance of depths (n,) from a uniform distribution between two depths; NaN are left out.
+def distance_from_uniform(depth: Array, low: float, high: float) -> float:
+    """Return the Kolmogorov distance of depths (n,) from a uniform distribution over a range; NaN are ignored.
 
     Raises:
-        UnusableInputError: no depth was received.
+        UnusableInputError: all depths are NaN.
     """
     received = depth[np.isfinite(depth)]
     if not received.size:
-        raise UnusableInputError(Message("depth.lost", "no sample of the depth was received"))
+        raise UnusableInputError(Message("depth.lost", "no sample of the depth was received: repeat the test"))
     return kolmogorov_distance(received, np.linspace(low, high, received.size))
 
 
-def redesign(simulate: Simulation, design: DepthDesign, seed: int, preload_s: float) -> Redesign:
-    """Find the noise whose simulated depth is uniform over the range, or over what of it can be reached.
+def design_next_noise(simulate: Simulation, design: DepthDesign, seed: int, preload_s: float) -> DepthUniformNoise:
+    """Design noise whose simulated depth is uniform over the requested range, or over the reachable part of it.
 
     Args:
-        simulate: the fitted description.
-        design: what is to be reached.
+        simulate: the fitted model.
+        design: specification.
         seed: of the noise.
-        preload_s: how long the mean load is held before it.
+        preload_s: length of the preload at the mean load, s.
 
     Raises:
-        UnusableInputError: nothing of the range can be reached, or the description does not answer the force.
+        UnusableInputError: no part of the range is reachable, or the simulated depth does not rise with force.
     """
     curve = _static_curve(simulate, design)
-    best: Redesign | None = None
-    for edge in _EDGES:
+    best: DepthUniformNoise | None = None
+    for edge in _RESERVED_SHARES:
         low, high = _reachable(curve, design, edge)
         if best is not None and (low, high) == (best.depth_min_m, best.depth_max_m):
-            continue  # the forces are not what keeps it from being even
-        found = _over_range(simulate, design, seed, preload_s, curve, low, high)
+            continue  # the range is not limited by force
+        found = _design_for_range(simulate, design, seed, preload_s, curve, low, high)
         if best is None or found.distance < best.distance:
             best = found
-        if best.distance <= _EVEN:
+        if best.distance <= _GOOD_DISTANCE:
             break
     assert best is not None
     return best
 
 
-def _over_range(
+def _design_for_range(
     simulate: Simulation, design: DepthDesign, seed: int, preload_s: float, curve: _Curve, low: float, high: float
-) -> Redesign:
-    """The noise for a range that is within reach, by rounds of simulation."""
+) -> DepthUniformNoise:
+    """Design noise for a reachable range by rounds of simulation."""
     wanted = np.linspace(low, high, _LEVELS)
     held = round(preload_s * design.sample_rate)
     quantiles = _bounded(curve.force(wanted), design)
@@ -171,29 +173,29 @@ def _over_range(
     history: list[float] = []
     for _ in range(_ROUNDS):
         tried = design.with_quantiles(quantiles, seed)
-        depth = simulate(guided(tried.build(), preload_s).values)[held:]
-        history.append(uniform_distance(depth, low, high))
+        depth = simulate(with_preload(tried.build(), preload_s).values)[held:]
+        history.append(distance_from_uniform(depth, low, high))
         if best is None or history[-1] < best[0]:
             best = history[-1], tried
         reached = np.quantile(depth, np.linspace(0.0, 1.0, _LEVELS))
         quantiles = _bounded(_forces_for(wanted, reached, quantiles), design)
     assert best is not None
-    return Redesign(best[1], low, high, best[0], tuple(history))
+    return DepthUniformNoise(best[1], low, high, best[0], tuple(history))
 
 
 @dataclass(frozen=True, eq=False)
 class _Curve:
-    """Depths (m,), m, that forces (m,), N, hold at rest, both rising."""
+    """Static curve: depths (m,), m, at constant forces (m,), N, both rising."""
 
     forces: Array
     depths: Array
 
     def force(self, depth: Array) -> Array:
-        """Force, N, that holds each depth (k,)."""
+        """Return the force, N, for each depth (k,), m."""
         return np.interp(depth, self.depths, self.forces)
 
     def depth(self, force: float) -> float:
-        """Depth, m, at a force."""
+        """Return the depth, m, at a force, N."""
         return float(np.interp(force, self.forces, self.depths))
 
 
@@ -205,17 +207,19 @@ def _static_curve(simulate: Simulation, design: DepthDesign) -> _Curve:
         raise UnusableInputError(
             Message(
                 "depth.no_response",
-                "the fitted description does not go deeper with more force: nothing can be designed",
+                "in the fitted model depth does not grow with force, so no stimulus can be designed: record "
+                "another test",
             )
         )
     return _Curve(forces, np.maximum.accumulate(depths))
 
 
 def _reachable(curve: _Curve, design: DepthDesign, edge: float) -> tuple[float, float]:
-    """The part of the depth range, m, that is within reach when a share of the force is kept at either end.
+    """Return the part of the depth range, m, that is reachable with a share ``edge`` of the force reserved at both
+    ends.
 
     Raises:
-        UnusableInputError: none of it; the line says what is within reach.
+        UnusableInputError: no part is reachable; the message gives the reachable range.
     """
     low, high = design.force_min_n, design.force_max_n
     kept = edge * (high - low)
@@ -225,8 +229,8 @@ def _reachable(curve: _Curve, design: DepthDesign, edge: float) -> tuple[float, 
         raise UnusableInputError(
             Message(
                 "depth.out_of_reach",
-                "depths from {depth_min_m:.2f} to {depth_max_m:.2f} mm are out of reach: forces from "
-                "{low:g} to {high:g} N go from {lowest:.2f} to {highest:.2f} mm here",
+                "depths from {depth_min_m:.2f} to {depth_max_m:.2f} mm are out of reach: forces from {low:g} "
+                "to {high:g} N reach {lowest:.2f} to {highest:.2f} mm here",
                 depth_min_m=1000.0 * design.depth_min_m,
                 depth_max_m=1000.0 * design.depth_max_m,
                 low=low,
@@ -239,7 +243,7 @@ def _reachable(curve: _Curve, design: DepthDesign, edge: float) -> tuple[float, 
 
 
 def _forces_for(wanted: Array, reached: Array, forces: Array) -> Array:
-    """Forces for the wanted depths, when these forces (m,) reached these depths (m,); straight on beyond the ends."""
+    """Return forces for the wanted depths from forces (m,) and the depths (m,) they reached; extrapolates linearly."""
     rising = reached + 1e-9 * np.arange(reached.size)
     found = np.interp(wanted, rising, forces)
     for beyond, end, inner in ((wanted < rising[0], 0, 3), (wanted > rising[-1], -1, -4)):
@@ -249,7 +253,7 @@ def _forces_for(wanted: Array, reached: Array, forces: Array) -> Array:
 
 
 def _bounded(forces: Array, design: DepthDesign) -> Array:
-    """Forces (m,) within their range, rising, and never all the same."""
+    """Return forces (m,) clipped to the force range and made non-decreasing."""
     rising = np.maximum.accumulate(np.clip(forces, design.force_min_n, design.force_max_n))
     if not rising[-1] > rising[0]:
         raise UnusableInputError(

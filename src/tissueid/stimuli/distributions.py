@@ -24,8 +24,8 @@ from tissueid.plugins import Registry
 
 Array = NDArray[np.float64]
 
-_NEAREST, _FARTHEST = 1e-300, 1e300
-"""Spans of quantiles that can be scaled to a range without leaving the numbers there are."""
+_MIN_SPAN, _MAX_SPAN = 1e-300, 1e300
+"""Smallest and largest span of quantiles that can be scaled to a range without underflow or overflow."""
 
 
 class Distribution(ABC):
@@ -93,7 +93,7 @@ def get_distribution(name: str) -> type[Distribution]:
     """Return the distribution registered under a name.
 
     Raises:
-        UnusableInputError: there is none of that name.
+        UnusableInputError: no distribution has that name.
     """
     return _distributions.get(name)
 
@@ -106,16 +106,16 @@ def distribution_names() -> tuple[str, ...]:
 @distribution
 @dataclass(frozen=True)
 class Uniform(Distribution):
-    """Equal density over the range."""
+    """Uniform distribution over the range."""
 
     name: ClassVar[str] = "uniform"
 
     def quantile(self, probability: Array) -> Array:
-        """Amplitudes (k,) at probabilities (k,)."""
+        """Return amplitudes (k,) at probabilities (k,)."""
         return 2.0 * probability - 1.0
 
     def levels(self, n: int) -> Array:
-        """Evenly spaced amplitudes (n,) from -1 to 1."""
+        """Return evenly spaced amplitudes (n,) from -1 to 1."""
         if n < 2:
             raise UnusableInputError(
                 Message("distribution.samples", "a distribution needs at least 2 samples, not {n}", n=n)
@@ -126,7 +126,7 @@ class Uniform(Distribution):
 @distribution
 @dataclass(frozen=True)
 class Gaussian(Distribution):
-    """The normal distribution, truncated at ``cut`` standard deviations on either side of the mean."""
+    """Normal distribution, truncated at ``cut`` standard deviations on either side of the mean."""
 
     name: ClassVar[str] = "gaussian"
     cut: float = 3.0
@@ -137,7 +137,7 @@ class Gaussian(Distribution):
         return cls(cut)
 
     def quantile(self, probability: Array) -> Array:
-        """Amplitudes (k,) at probabilities (k,), in standard deviations before the cut."""
+        """Return amplitudes (k,) at probabilities (k,), in standard deviations before truncation."""
         beyond = scipy.special.ndtr(-self.cut)
         below = scipy.special.ndtri(beyond + probability * (1.0 - 2.0 * beyond))
         above = -scipy.special.ndtri(beyond + (1.0 - probability) * (1.0 - 2.0 * beyond))
@@ -147,7 +147,9 @@ class Gaussian(Distribution):
 @distribution
 @dataclass(frozen=True)
 class Rayleigh(Distribution):
-    """The length of a vector of two Gaussian components, up to ``cut`` standard deviations above its mean."""
+    """Rayleigh distribution: length of a vector of two Gaussian components, truncated ``cut`` standard deviations above
+    the mean.
+    """
 
     name: ClassVar[str] = "rayleigh"
     cut: float = 3.0
@@ -158,7 +160,7 @@ class Rayleigh(Distribution):
         return cls(cut)
 
     def quantile(self, probability: Array) -> Array:
-        """Amplitudes (k,) at probabilities (k,), in standard deviations of a component."""
+        """Return amplitudes (k,) at probabilities (k,), in standard deviations of a component."""
         reach = np.sqrt(0.5 * np.pi) + self.cut * np.sqrt(2.0 - 0.5 * np.pi)
         kept = -np.expm1(-0.5 * reach**2)
         return np.asarray(np.sqrt(-2.0 * np.log1p(-probability * kept)), dtype=np.float64)
@@ -167,7 +169,7 @@ class Rayleigh(Distribution):
 @distribution
 @dataclass(frozen=True)
 class Exponential(Distribution):
-    """The waiting time for a random event, up to ``cut`` standard deviations above its mean."""
+    """Exponential distribution, truncated ``cut`` standard deviations above the mean."""
 
     name: ClassVar[str] = "exponential"
     cut: float = 3.0
@@ -178,7 +180,7 @@ class Exponential(Distribution):
         return cls(cut)
 
     def quantile(self, probability: Array) -> Array:
-        """Amplitudes (k,) at probabilities (k,), in means before the cut."""
+        """Return amplitudes (k,) at probabilities (k,), in means before truncation."""
         kept = -np.expm1(-(1.0 + self.cut))
         return np.asarray(-np.log1p(-probability * kept), dtype=np.float64)
 
@@ -186,22 +188,22 @@ class Exponential(Distribution):
 @distribution
 @dataclass(frozen=True)
 class Binary(Distribution):
-    """Both ends of the range, each half of the time; an odd number of samples has one more at the lower end."""
+    """Both ends of the range with equal probability; an odd number of samples has one more at the lower end."""
 
     name: ClassVar[str] = "binary"
 
     def quantile(self, probability: Array) -> Array:
-        """Amplitudes (k,), -1 or 1, at probabilities (k,)."""
+        """Return amplitudes (k,), -1 or 1, at probabilities (k,)."""
         return np.where(probability > 0.5, 1.0, -1.0)
 
 
 @distribution
 @dataclass(frozen=True)
 class Quantiles(Distribution):
-    """A distribution given by its quantiles, with linear interpolation.
+    """Distribution given by a table of quantiles, interpolated linearly.
 
-    ``values`` (m,) are those at ``probabilities`` (m,), by default evenly spaced from 0 to 1. The least value is scaled
-    to the lower end of the range and the greatest to the upper. A value given twice is held for the share of the time
+    ``values`` (m,) belong to ``probabilities`` (m,), by default evenly spaced from 0 to 1. The lowest value is scaled
+    to the lower end of the range and the highest to the upper end. A repeated value is held for the share of time
     between its probabilities.
 
     Raises:
@@ -214,7 +216,7 @@ class Quantiles(Distribution):
 
     @classmethod
     def from_options(cls, cut: float, quantiles: tuple[float, ...], probabilities: tuple[float, ...]) -> Distribution:
-        """Return the distribution of these tables."""
+        """Return the distribution of the given tables."""
         return cls(quantiles, probabilities)
 
     def __post_init__(self) -> None:
@@ -223,7 +225,7 @@ class Quantiles(Distribution):
                 Message("quantiles.few", "quantiles need at least 2 values, not {values}", values=len(self.values))
             )
         if any(b < a for a, b in pairwise(self.values)):
-            raise UnusableInputError(Message("quantiles.fall", "the values of quantiles must not fall: sort them"))
+            raise UnusableInputError(Message("quantiles.fall", "the values of quantiles must not decrease: sort them"))
         if not self.values[-1] > self.values[0]:
             raise UnusableInputError(
                 Message(
@@ -232,11 +234,11 @@ class Quantiles(Distribution):
                     values=self.values[0],
                 )
             )
-        if not _NEAREST <= self.values[-1] - self.values[0] <= _FARTHEST:
+        if not _MIN_SPAN <= self.values[-1] - self.values[0] <= _MAX_SPAN:
             raise UnusableInputError(
                 Message(
                     "quantiles.scale",
-                    "the quantiles from {low:g} to {high:g} are too near or too far to be scaled: give values nearer 1",
+                    "the quantiles from {low:g} to {high:g} cannot be scaled to a range: give values closer to 1",
                     low=self.values[0],
                     high=self.values[-1],
                 )
@@ -258,17 +260,17 @@ class Quantiles(Distribution):
             )
         if any(b <= a for a, b in pairwise(self.probabilities)):
             raise UnusableInputError(
-                Message("quantiles.rise", "the probabilities of quantiles must rise from one to the next")
+                Message("quantiles.rise", "the probabilities of quantiles must be strictly rising")
             )
 
     def quantile(self, probability: Array) -> Array:
-        """Amplitudes (k,) at probabilities (k,), in the unit of the values."""
+        """Return amplitudes (k,) at probabilities (k,), in the unit of the values."""
         given = self.probabilities or np.linspace(0.0, 1.0, len(self.values))
         return np.asarray(np.interp(probability, given, self.values), dtype=np.float64)
 
 
 def kolmogorov_distance(values: Array, levels: Array) -> float:
-    """Largest difference between the shares of values (n,) and of levels (m,) that lie at or below any amplitude."""
+    """Return the Kolmogorov-Smirnov distance between the empirical distributions of values (n,) and levels (m,)."""
     one, other = np.sort(values), np.sort(levels)
     steps = np.concatenate([one, other])
     share = np.searchsorted(one, steps, side="right") / one.size

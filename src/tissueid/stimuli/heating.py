@@ -1,4 +1,4 @@
-"""How warm a coil gets from what is played: one heat capacity, one way out for the heat."""
+"""Temperature rise of a coil from a stimulus: first-order thermal model, one capacity and one resistance."""
 
 from __future__ import annotations
 
@@ -11,8 +11,8 @@ from tissueid.stimuli.base import Array
 
 
 @dataclass(frozen=True)
-class Range:
-    """A figure that is assumed, with the least and the most that it may be."""
+class AssumedValue:
+    """Assumed value with a lower and an upper bound."""
 
     least: float
     usual: float
@@ -20,25 +20,26 @@ class Range:
 
 
 @dataclass(frozen=True)
-class Thermal:
-    """Thermal figures of a coil: assumptions, since no source gives them for this one.
+class ThermalParameters:
+    """Assumed thermal parameters of the coil; no source gives measured ones.
 
-    The thesis winds 12 ohm of 28 gage copper (2.2.1): 0.213 ohm/m and 0.72 g/m make 56 m and 40 g, at 385 J/(kg K) 16
-    J/K. That is the least heat capacity; what part of the bobbin warms with the wire adds up to half of it. Some 50
-    cm2 of surface at 12 to 50 W/(m2 K), still air to air that the moving coil stirs, make 4 to 16 K/W. The resistance
-    is taken as cold: warm copper at the same voltage takes less current, so the figures err to the high side.
+    The thesis winds 12 ohm of 28 gauge copper (2.2.1): 0.213 ohm/m and 0.72 g/m give 56 m and 40 g, at 385 J/(kg K) 16
+    J/K. That is the lower bound of the heat capacity; the part of the bobbin that warms with the wire adds up to half
+    of it. About 50 cm2 of surface at 12 to 50 W/(m2 K), from still air to air stirred by the moving coil, give 4 to 16
+    K/W. The resistance is that of the cold coil: warm copper draws less current at the same voltage, so the predictions
+    err on the high side.
     """
 
-    heat_capacity_j_per_k: Range = Range(16.0, 20.0, 25.0)
-    resistance_k_per_w: Range = Range(4.0, 8.0, 16.0)
+    heat_capacity_j_per_k: AssumedValue = AssumedValue(16.0, 20.0, 25.0)
+    resistance_k_per_w: AssumedValue = AssumedValue(4.0, 8.0, 16.0)
 
 
 @dataclass(frozen=True)
-class Heating:
-    """By how much a coil warms at the most while a stimulus is played, K.
+class TemperatureRise:
+    """Maximum temperature rise of a coil during a stimulus, K.
 
-    ``expected`` is for the usual figures; ``least`` and ``most`` are for their ranges; ``bound`` is what the wire alone
-    would reach if it kept all its heat: no coil of this wire gets warmer. ``energy_j`` is the heat, J.
+    ``expected_k`` uses the typical parameters, ``least_k`` and ``most_k`` their bounds. ``bound_k`` is the adiabatic
+    rise of the wire alone, an upper limit for any coil of this wire. ``energy_j`` is the dissipated heat, J.
     """
 
     expected_k: float
@@ -48,12 +49,14 @@ class Heating:
     energy_j: float
 
 
-def heating(current_a: Array, resistance_ohm: float, sample_rate_hz: float, thermal: Thermal | None = None) -> Heating:
-    """Heating of a coil by a current (n,), A, each value held for one sample, from a coil at the room's temperature.
+def heating(
+    current_a: Array, resistance_ohm: float, sample_rate_hz: float, thermal: ThermalParameters | None = None
+) -> TemperatureRise:
+    """Compute the heating of a coil, initially at room temperature, by a current (n,), A, held for one sample each.
 
-    Solves C dT/dt = I^2 R - T / R_th exactly for a held current.
+    Solves C dT/dt = I^2 R - T / R_th exactly for a piecewise constant current.
     """
-    figures = thermal or Thermal()
+    figures = thermal or ThermalParameters()
     capacity, resistance = figures.heat_capacity_j_per_k, figures.resistance_k_per_w
     power = current_a**2 * resistance_ohm  # (n,) W
     energy = float(np.sum(power)) / sample_rate_hz
@@ -62,7 +65,7 @@ def heating(current_a: Array, resistance_ohm: float, sample_rate_hz: float, ther
         kept = float(np.exp(-1.0 / (sample_rate_hz * capacity_j_per_k * resistance_k_per_w)))
         return float(np.max(signal.lfilter([(1.0 - kept) * resistance_k_per_w], [1.0, -kept], power)))
 
-    return Heating(
+    return TemperatureRise(
         expected_k=warmest(capacity.usual, resistance.usual),
         least_k=warmest(capacity.most, resistance.least),
         most_k=warmest(capacity.least, resistance.most),

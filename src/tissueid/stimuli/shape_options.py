@@ -21,7 +21,7 @@ else:
     DistributionName = Literal[distribution_names()]
     """Choices of the option ``distribution``: all registered distributions."""
 
-_MOST_ROWS = 10_000
+_MAX_ROWS = 10_000
 """Largest number of rows of a table."""
 
 _TABLES = {
@@ -42,50 +42,50 @@ class Shaped(Ranged):
     spectrum: SpectrumName = Field(
         "butterworth",
         description=marked(
-            "Spectrum: a filter's, flat (white, or up to the cut-off: band), a form of autocorrelation "
+            "Spectrum: low-pass (butterworth), flat (white, or up to the cutoff: band), by its autocorrelation "
             "(exponential, second_order), or a table (power, autocorrelation)"
         ),
     )
-    cutoff_hz: float = Field(200.0, gt=0.0, description=marked("butterworth, band: cut-off frequency, Hz"))
+    cutoff_hz: float = Field(200.0, gt=0.0, description=marked("butterworth, band: cutoff frequency, Hz"))
     order: int = Field(8, ge=1, le=12, description=marked("butterworth: order of the low-pass"))
-    time_constant_s: float = Field(0.005, gt=0.0, le=60.0, description=marked("exponential: decay to 1/e of it, s"))
+    time_constant_s: float = Field(0.005, gt=0.0, le=60.0, description=marked("exponential: time constant, s"))
     natural_hz: float = Field(40.0, gt=0.0, description=marked("second_order: undamped natural frequency, Hz"))
     damping: float = Field(0.3, gt=0.0, lt=1.0, description=marked("second_order: damping ratio"))
     frequencies_hz: tuple[float, ...] = Field(
-        (), max_length=_MOST_ROWS, description=marked("power: frequencies, Hz, rising")
+        (), max_length=_MAX_ROWS, description=marked("power: frequencies, Hz, rising")
     )
     densities: tuple[float, ...] = Field(
-        (), max_length=_MOST_ROWS, description=marked("power: density at each, in any unit")
+        (), max_length=_MAX_ROWS, description=marked("power: density at each, in any unit")
     )
     lags_s: tuple[float, ...] = Field(
-        (), max_length=_MOST_ROWS, description=marked("autocorrelation: lags, s, from 0, rising")
+        (), max_length=_MAX_ROWS, description=marked("autocorrelation: lags, s, from 0, rising")
     )
     correlations: tuple[float, ...] = Field(
-        (), max_length=_MOST_ROWS, description=marked("autocorrelation: value at each lag")
+        (), max_length=_MAX_ROWS, description=marked("autocorrelation: value at each lag")
     )
     quantiles: tuple[float, ...] = Field(
-        (), max_length=_MOST_ROWS, description=marked("quantiles: values, not falling")
+        (), max_length=_MAX_ROWS, description=marked("quantiles: values in ascending order")
     )
     probabilities: tuple[float, ...] = Field(
         (),
-        max_length=_MOST_ROWS,
-        description=marked("quantiles: probability of each value, 0 to 1; evenly spaced without"),
+        max_length=_MAX_ROWS,
+        description=marked("quantiles: probability of each value, 0 to 1; evenly spaced by default"),
     )
     cut: float = Field(
-        3.0, ge=1.0, le=6.0, description=marked("Where an endless tail is cut, in standard deviations from the mean")
+        3.0, ge=1.0, le=6.0, description=marked("Truncation of infinite tails, in standard deviations from the mean")
     )
     seconds: float = Field(4.0, gt=0.0, le=600.0, description=marked("Length, s"))
-    sample_rate: float = Field(2000.0, gt=0.0, le=1e6, description=marked("Samples a second"))
-    seed: int = Field(0, ge=0, le=2**63 - 1, description=marked("The same seed gives the same samples"))
+    sample_rate: float = Field(2000.0, gt=0.0, le=1e6, description=marked("Sample rate, Hz"))
+    seed: int = Field(0, ge=0, le=2**63 - 1, description=marked("Random seed: the same seed gives the same samples"))
 
     @model_validator(mode="after")
-    def _shape_holds(self) -> Self:
+    def _check_shape(self) -> Self:
         for table, (option, choice) in _TABLES.items():
             if getattr(self, table) and getattr(self, option) != choice:
                 raise UnusableInputError(
                     Message(
                         "shape.table",
-                        "{table} are given, and belong to {option} '{choice}': choose that too",
+                        "{table} need {option} '{choice}': set it or omit {table}",
                         table=table,
                         option=option,
                         choice=choice,
@@ -102,8 +102,8 @@ class Shaped(Ranged):
                 )
             )
         self.check_size()
-        self.wanted_distribution()
-        self.wanted_spectrum().check(self.sample_rate)
+        self.build_distribution()
+        self.build_spectrum().check(self.sample_rate)
         self._check_power()
         return self
 
@@ -112,13 +112,13 @@ class Shaped(Ranged):
         if self.spectrum == "butterworth":
             return
         with np.errstate(all="ignore"):
-            total = float(np.sum(self.wanted_spectrum().power(self.samples, self.sample_rate)[1:]))
+            total = float(np.sum(self.build_spectrum().power(self.samples, self.sample_rate)[1:]))
         if not np.finfo(np.float64).tiny <= total < np.inf:
             raise UnusableInputError(
                 Message(
                     "shape.no_power",
-                    "the spectrum has no power at any multiple of {samples:.3g} Hz, which is what "
-                    "{seconds:g} s can hold: ask for a wider one, or for a longer stimulus",
+                    "the spectrum has no power at multiples of {samples:.3g} Hz, the resolution of {seconds:g} "
+                    "s: use a wider spectrum or a longer stimulus",
                     samples=self.sample_rate / self.samples,
                     seconds=self.seconds,
                 )
@@ -129,7 +129,7 @@ class Shaped(Ranged):
         """Length in samples."""
         return round(self.seconds * self.sample_rate)
 
-    def wanted_distribution(self) -> Distribution:
+    def build_distribution(self) -> Distribution:
         """Return the distribution, over -1 to 1.
 
         Raises:
@@ -138,7 +138,7 @@ class Shaped(Ranged):
         kind = get_distribution(self.distribution)
         return kind.from_options(self.cut, self.quantiles, self.probabilities)
 
-    def wanted_spectrum(self) -> Spectrum:
+    def build_spectrum(self) -> Spectrum:
         """Return the spectrum.
 
         Raises:
@@ -160,14 +160,14 @@ class Shaped(Ranged):
             case "autocorrelation":
                 return spectra.AutocorrelationTable(self.lags_s, self.correlations)
 
-    def over_range(self, unit: Array) -> Array:
+    def scale_to_range(self, unit: Array) -> Array:
         """Return values (n,) over the range for values (n,) over -1 to 1."""
         low, high, _ = self.span
         return np.asarray(low + 0.5 * (unit + 1.0) * (high - low), dtype=np.float64)
 
     def as_stimulus(self, unit: Array) -> Stimulus:
         """Return the stimulus with these values (n,) over -1 to 1."""
-        values = self.over_range(unit)
+        values = self.scale_to_range(unit)
         return Stimulus(
             values=values,
             sample_rate_hz=self.sample_rate,

@@ -1,8 +1,8 @@
-"""Spectra that a stimulus can be asked for, each as a power density and as an autocorrelation.
+"""Spectra of stimuli, each as a power density and as an autocorrelation.
 
 Both are normalised: the autocorrelation at lag 0 is 1, and so is the mean of the power density from 0 to half the
-sample rate. They belong to one another exactly, as functions of the sampled signal (Wiener and Khinchin), whichever
-of the two is given. The forms are those of Chen 2010, C.4.1, and tables.
+sample rate. Both are exact for the sampled signal (Wiener-Khinchin theorem), whichever of the two is given. The forms
+are those of Chen 2010, C.4.1, and tables.
 """
 
 from __future__ import annotations
@@ -19,48 +19,52 @@ from numpy.typing import NDArray
 from tissueid.errors import UnusableInputError
 from tissueid.language import marked
 from tissueid.messages import Message
-from tissueid.stimuli.base import MOST_SAMPLES
+from tissueid.stimuli.base import MAX_SAMPLES
 
 Array = NDArray[np.float64]
 
 SpectrumName = Literal["butterworth", "white", "band", "exponential", "second_order", "power", "autocorrelation"]
 
-UNREACHABLE = 1e-5
-"""Least error, a sum of squares over all lags, that still passes for the rounding of a table to three digits."""
+ROUNDING_ERROR = 1e-5
+"""Largest negative power of a tabulated spectrum, as a sum of squares over all lags, attributed to three-digit
+rounding.
+"""
 
-_GRID, _MOST_GRID = 1 << 16, 1 << 24
-"""Samples whose frequencies a filter's power is summed on, least and most: its response must have died away by then."""
+_MIN_GRID, _MAX_GRID = 1 << 16, 1 << 24
+"""Minimum and maximum grid, samples, for summing the power of a filter; its impulse response must decay within it."""
 
 _GRID_CYCLES = 100
-"""Periods of the cut-off frequency, for each order of the filter, after which its response counts as gone."""
+"""Periods of the cutoff frequency per filter order after which the impulse response has decayed."""
 
-_PIECE = 1 << 16
-"""Frequencies at which a filter's gain is worked out at a time: what lies between takes many times its room."""
+_CHUNK = 1 << 16
+"""Frequencies evaluated at a time, which limits memory."""
 
 _SETTLING_CYCLES = 40
-"""Periods of the cut-off frequency after which the start of a low-pass has died away."""
+"""Periods of the cutoff frequency after which the initial transient of a low-pass has decayed."""
 
 _TINY = float(np.finfo(np.float64).tiny)
 
 
 class Spectrum(ABC):
-    """How the power of a stimulus is spread over frequency."""
+    """Distribution of the power of a stimulus over frequency."""
 
     @abstractmethod
     def check(self, sample_rate_hz: float) -> None:
-        """Refuse what no sampled signal has.
+        """Raise if no signal at this sample rate has this spectrum.
 
         Raises:
-            UnusableInputError: says what cannot be, and why.
+            UnusableInputError: the message gives the reason.
         """
 
     @abstractmethod
     def autocorrelation(self, lags: int, sample_rate_hz: float) -> Array:
-        """Autocorrelation (lags + 1,) at 0 to ``lags`` samples, 1 at lag 0."""
+        """Return the autocorrelation (lags + 1,) at 0 to ``lags`` samples, 1 at lag 0."""
 
     @abstractmethod
     def power(self, n: int, sample_rate_hz: float) -> Array:
-        """Power density (n // 2 + 1,) at the frequencies of a real transform of n samples, in units of its mean."""
+        """Return the power density (n // 2 + 1,) at the frequencies of a real transform of n samples, relative to its
+        mean.
+        """
 
 
 def _below_nyquist(what: str, frequency_hz: float, sample_rate_hz: float) -> None:
@@ -68,7 +72,7 @@ def _below_nyquist(what: str, frequency_hz: float, sample_rate_hz: float) -> Non
         raise UnusableInputError(
             Message(
                 "spectrum.nyquist",
-                "{what} of {frequency_hz:g} Hz needs more than {needed:g} samples a second, not {sample_rate_hz:g}",
+                "{what} of {frequency_hz:g} Hz needs a sample rate above {needed:g} Hz, not {sample_rate_hz:g} Hz",
                 what=what,
                 frequency_hz=frequency_hz,
                 needed=2 * frequency_hz,
@@ -77,43 +81,43 @@ def _below_nyquist(what: str, frequency_hz: float, sample_rate_hz: float) -> Non
         )
 
 
-def settling(cutoff_hz: float, sample_rate_hz: float) -> int:
-    """Samples after which the start of a low-pass has died away."""
+def settling_samples(cutoff_hz: float, sample_rate_hz: float) -> int:
+    """Return the number of samples after which the initial transient of a low-pass has decayed."""
     return int(np.ceil(_SETTLING_CYCLES * sample_rate_hz / cutoff_hz))
 
 
 def check_settling(cutoff_hz: float, sample_rate_hz: float, grid_cycles: float = 0.0) -> None:
-    """Refuse a low-pass that takes longer to settle than any stimulus lasts.
+    """Raise for a low-pass that takes longer to settle than the longest stimulus.
 
     Args:
-        cutoff_hz: of the low-pass.
-        sample_rate_hz: of the stimulus.
-        grid_cycles: periods of the cut-off frequency that its power is summed over, 0 where it is not.
+        cutoff_hz: of the low-pass, Hz.
+        sample_rate_hz: of the stimulus, Hz.
+        grid_cycles: periods of the cutoff frequency over which its power is summed, 0 if it is not.
 
     Raises:
-        UnusableInputError: it does, or its sum would have too many terms; the line says the least cut-off.
+        UnusableInputError: the cutoff is too low; the message gives the minimum.
     """
-    settled, summed = (sample_rate_hz * share for share in (_SETTLING_CYCLES / MOST_SAMPLES, grid_cycles / _MOST_GRID))
+    settled, summed = (sample_rate_hz * share for share in (_SETTLING_CYCLES / MAX_SAMPLES, grid_cycles / _MAX_GRID))
     least = max(settled, summed)
     if cutoff_hz < least:
         reason = (
             Message(
                 "spectrum.settling",
                 "the filter would take more than {limit:.3g} samples to settle",
-                limit=MOST_SAMPLES,
+                limit=MAX_SAMPLES,
             )
             if cutoff_hz < settled
             else Message(
                 "spectrum.grid",
                 "its power would have to be summed over more than {limit:.3g} samples",
-                limit=_MOST_GRID,
+                limit=_MAX_GRID,
             )
         )
         raise UnusableInputError(
             Message(
                 "spectrum.low_cutoff",
-                "a cut-off of {cutoff_hz:g} Hz is too low at {sample_rate_hz:g} samples a second: "
-                "{reason}; {least:.3g} Hz is about the least",
+                "a cutoff of {cutoff_hz:g} Hz is too low at a sample rate of {sample_rate_hz:g} Hz: {reason}; "
+                "the minimum is about {least:.3g} Hz",
                 cutoff_hz=cutoff_hz,
                 sample_rate_hz=sample_rate_hz,
                 reason=reason,
@@ -128,94 +132,94 @@ def _frequencies(n: int, sample_rate_hz: float) -> Array:
 
 @dataclass(frozen=True)
 class White(Spectrum):
-    """The same power at all frequencies."""
+    """White spectrum: constant power density."""
 
     def check(self, sample_rate_hz: float) -> None:
-        """Every sample rate will do."""
+        """Accept every sample rate."""
 
     def autocorrelation(self, lags: int, sample_rate_hz: float) -> Array:
-        """1 at lag 0, and 0 at all others."""
+        """Return 1 at lag 0 and 0 at all others, shape (lags + 1,)."""
         return np.concatenate([[1.0], np.zeros(lags)])
 
     def power(self, n: int, sample_rate_hz: float) -> Array:
-        """1 everywhere."""
+        """Return ones (n // 2 + 1,)."""
         return np.ones(n // 2 + 1)
 
 
 @dataclass(frozen=True)
 class Butterworth(Spectrum):
-    """White noise through a Butterworth low-pass, as a digital filter has it (bilinear transform)."""
+    """White noise through a digital Butterworth low-pass (bilinear transform)."""
 
     cutoff_hz: float
     order: int = 8
 
     def check(self, sample_rate_hz: float) -> None:
-        """The cut-off lies below half the sample rate, and the filter settles within a stimulus."""
-        _below_nyquist(marked("a cut-off"), self.cutoff_hz, sample_rate_hz)
+        """Raise unless the cutoff is below half the sample rate and the filter settles within a stimulus."""
+        _below_nyquist(marked("a cutoff"), self.cutoff_hz, sample_rate_hz)
         check_settling(self.cutoff_hz, sample_rate_hz, _GRID_CYCLES * self.order)
 
     def autocorrelation(self, lags: int, sample_rate_hz: float) -> Array:
-        """Sum of the filter's power over enough frequencies for its response to decay between repeats."""
-        correlation = scipy.fft.irfft(*self._fine(lags, sample_rate_hz))[: lags + 1]
+        """Return the transform of the filter's power, on a grid fine enough for the response to decay."""
+        correlation = scipy.fft.irfft(*self._resolved_gain(lags, sample_rate_hz))[: lags + 1]
         return np.asarray(correlation / correlation[0], dtype=np.float64)
 
     def power(self, n: int, sample_rate_hz: float) -> Array:
-        """The filter's power."""
-        return self._gain(n, sample_rate_hz) / _mean_power(self._fine(0, sample_rate_hz)[0])
+        """Return the normalised power gain of the filter."""
+        return self._gain(n, sample_rate_hz) / _mean_power(self._resolved_gain(0, sample_rate_hz)[0])
 
-    def _fine(self, lags: int, sample_rate_hz: float) -> tuple[Array, int]:
-        """Gain of power on a grid that resolves it, and the number of samples that the grid belongs to."""
+    def _resolved_gain(self, lags: int, sample_rate_hz: float) -> tuple[Array, int]:
+        """Return the power gain on a sufficiently fine grid and the number of samples of the grid."""
         samples = _GRID_CYCLES * self.order * sample_rate_hz / self.cutoff_hz
-        n = max(_GRID, 1 << int(np.ceil(np.log2(max(samples, 4.0 * lags + 4.0)))))
+        n = max(_MIN_GRID, 1 << int(np.ceil(np.log2(max(samples, 4.0 * lags + 4.0)))))
         return self._gain(n, sample_rate_hz), n
 
     def _gain(self, n: int, sample_rate_hz: float) -> Array:
         low_pass = scipy.signal.butter(self.order, self.cutoff_hz, fs=sample_rate_hz, output="sos")
         gain = _frequencies(n, sample_rate_hz)
-        for first in range(0, gain.size, _PIECE):
-            piece = gain[first : first + _PIECE]
+        for first in range(0, gain.size, _CHUNK):
+            piece = gain[first : first + _CHUNK]
             piece[:] = np.abs(scipy.signal.sosfreqz(low_pass, piece, fs=sample_rate_hz)[1]) ** 2
         return gain
 
 
 @dataclass(frozen=True)
 class Band(Spectrum):
-    """The same power up to the cut-off and none above: "power" of C.4.1, without its tail."""
+    """Constant power up to the cutoff and none above: "power" of C.4.1, without its tail."""
 
     cutoff_hz: float
 
     def check(self, sample_rate_hz: float) -> None:
-        """The cut-off lies below half the sample rate."""
-        _below_nyquist(marked("a cut-off"), self.cutoff_hz, sample_rate_hz)
+        """Raise unless the cutoff is below half the sample rate."""
+        _below_nyquist(marked("a cutoff"), self.cutoff_hz, sample_rate_hz)
 
     def autocorrelation(self, lags: int, sample_rate_hz: float) -> Array:
-        """sin(x) / x, x = 2 pi cutoff lag."""
+        """Return sin(x) / x, x = 2 pi cutoff lag, shape (lags + 1,)."""
         return np.asarray(np.sinc(2.0 * self.cutoff_hz * np.arange(lags + 1) / sample_rate_hz), dtype=np.float64)
 
     def power(self, n: int, sample_rate_hz: float) -> Array:
-        """Flat, then nothing."""
+        """Return a constant up to the cutoff and 0 above."""
         inside = _frequencies(n, sample_rate_hz) <= self.cutoff_hz
         return np.where(inside, 0.5 * sample_rate_hz / self.cutoff_hz, 0.0)
 
 
 @dataclass(frozen=True)
 class ExponentialDecay(Spectrum):
-    """Autocorrelation exp(-t / T): what white noise through a first-order low-pass has."""
+    """Autocorrelation exp(-t / T): white noise through a first-order low-pass."""
 
     time_constant_s: float
 
     def check(self, sample_rate_hz: float) -> None:
-        """The correlation is lost within a stimulus, and reaches over some small part of a sample at least."""
+        """Raise unless the time constant lies between 0.001 samples and the length of the longest stimulus."""
         samples = self.time_constant_s * sample_rate_hz
-        if not 1e-3 <= samples <= MOST_SAMPLES:
+        if not 1e-3 <= samples <= MAX_SAMPLES:
             raise UnusableInputError(
                 Message(
                     "spectrum.time_constant",
-                    "a time constant of {time_constant_s:g} s is {samples:.3g} samples: it must be 0.001 to "
-                    "{limit:.3g}; at its short end the spectrum is white",
+                    "the time constant must be between 0.001 and {limit:.3g} samples, not {samples:.3g} "
+                    "({time_constant_s:g} s); below that use the white spectrum",
                     time_constant_s=self.time_constant_s,
                     samples=samples,
-                    limit=MOST_SAMPLES,
+                    limit=MAX_SAMPLES,
                 )
             )
 
@@ -230,21 +234,23 @@ class ExponentialDecay(Spectrum):
 
 @dataclass(frozen=True)
 class SecondOrder(Spectrum):
-    """Autocorrelation exp(-z w t) cos(w sqrt(1 - z^2) t) of a damped oscillation: "order2" of C.4.1."""
+    """Autocorrelation exp(-z w t) cos(w sqrt(1 - z^2) t) of a damped oscillator: "order2" of C.4.1."""
 
     natural_hz: float
     damping: float
 
     def check(self, sample_rate_hz: float) -> None:
-        """The natural frequency lies below half the sample rate, and the oscillation dies away within a stimulus."""
+        """Raise unless the natural frequency is below half the sample rate and the oscillation decays within a
+        stimulus.
+        """
         _below_nyquist(marked("a natural frequency"), self.natural_hz, sample_rate_hz)
-        least = sample_rate_hz / (2.0 * np.pi * self.damping * MOST_SAMPLES)
+        least = sample_rate_hz / (2.0 * np.pi * self.damping * MAX_SAMPLES)
         if self.natural_hz < least:
             raise UnusableInputError(
                 Message(
                     "spectrum.slow",
-                    "an oscillation of {natural_hz:g} Hz with a damping of {damping:g} takes longer to die "
-                    "away than any stimulus lasts; at that damping {least:.3g} Hz is about the least",
+                    "an oscillation of {natural_hz:g} Hz with a damping of {damping:g} decays more slowly than "
+                    "the longest stimulus; at this damping the minimum is about {least:.3g} Hz",
                     natural_hz=self.natural_hz,
                     damping=self.damping,
                     least=1.005 * least,
@@ -252,11 +258,11 @@ class SecondOrder(Spectrum):
             )
 
     def autocorrelation(self, lags: int, sample_rate_hz: float) -> Array:
-        """Real part of a complex factor for every lag."""
+        """Return the real part of a complex geometric sequence, shape (lags + 1,)."""
         return np.asarray(np.exp(np.arange(lags + 1) * self._exponent(sample_rate_hz)).real, dtype=np.float64)
 
     def power(self, n: int, sample_rate_hz: float) -> Array:
-        """That of a geometric autocorrelation with a complex factor."""
+        """Return the power of a geometric autocorrelation with a complex factor."""
         return _geometric_power(self._exponent(sample_rate_hz), n)
 
     def _exponent(self, sample_rate_hz: float) -> complex:
@@ -266,10 +272,10 @@ class SecondOrder(Spectrum):
 
 @dataclass(frozen=True)
 class PowerTable(Spectrum):
-    """Power ``densities`` (m,) at ``frequencies_hz`` (m,), straight lines between, nothing outside.
+    """Power ``densities`` (m,) at ``frequencies_hz`` (m,), interpolated linearly, 0 outside.
 
     Raises:
-        UnusableInputError: the tables are no power density.
+        UnusableInputError: the tables are not a power density.
     """
 
     frequencies_hz: tuple[float, ...]
@@ -290,7 +296,7 @@ class PowerTable(Spectrum):
             raise UnusableInputError(
                 Message(
                     "spectrum.table_rise",
-                    "the frequencies of a power spectrum must rise from one to the next, from 0 or above",
+                    "the frequencies of a power spectrum must be nonnegative and strictly rising",
                 )
             )
         if min(self.densities) < 0.0:
@@ -312,22 +318,22 @@ class PowerTable(Spectrum):
             raise UnusableInputError(
                 Message(
                     "spectrum.scale",
-                    "the power spectrum adds up to {total:g}, or is steeper than a number can say: give "
-                    "densities nearer 1, and frequencies further apart",
+                    "the power spectrum has a total power of {total:g} or is too steep: give densities closer "
+                    "to 1 and frequencies further apart",
                     total=total,
                 )
             )
 
     def check(self, sample_rate_hz: float) -> None:
-        """No power at or above half the sample rate."""
+        """Raise for power at or above half the sample rate."""
         f, s = np.array(self.frequencies_hz), np.array(self.densities)
         highest = float(f[min(int(np.flatnonzero(s)[-1]) + 1, f.size - 1)])
         if highest > 0.5 * sample_rate_hz:
             raise UnusableInputError(
                 Message(
                     "spectrum.table_rate",
-                    "a power spectrum up to {highest:g} Hz needs at least {needed:g} samples a second, "
-                    "not {sample_rate_hz:g}",
+                    "a power spectrum up to {highest:g} Hz needs a sample rate of at least {needed:g} Hz, not "
+                    "{sample_rate_hz:g} Hz",
                     highest=highest,
                     needed=2 * highest,
                     sample_rate_hz=sample_rate_hz,
@@ -335,7 +341,7 @@ class PowerTable(Spectrum):
             )
 
     def autocorrelation(self, lags: int, sample_rate_hz: float) -> Array:
-        """Fourier integral of the straight lines, exactly."""
+        """Return the exact Fourier integral of the piecewise linear density."""
         f, s = np.array(self.frequencies_hz), np.array(self.densities)
         slope = np.diff(s) / np.diff(f)
         w = 2.0 * np.pi * np.arange(1, lags + 1)[:, None] / sample_rate_hz
@@ -344,7 +350,7 @@ class PowerTable(Spectrum):
         return np.concatenate([[1.0], (ends + bends) / np.trapezoid(s, f)])
 
     def power(self, n: int, sample_rate_hz: float) -> Array:
-        """The straight lines."""
+        """Return the interpolated density, normalised."""
         f, s = np.array(self.frequencies_hz), np.array(self.densities)
         density = np.interp(_frequencies(n, sample_rate_hz), f, s, left=0.0, right=0.0)
         return np.asarray(density * 0.5 * sample_rate_hz / np.trapezoid(s, f), dtype=np.float64)
@@ -352,10 +358,10 @@ class PowerTable(Spectrum):
 
 @dataclass(frozen=True)
 class AutocorrelationTable(Spectrum):
-    """Autocorrelation ``correlations`` (m,) at ``lags_s`` (m,), s, straight lines between, 0 beyond the last.
+    """Autocorrelation ``correlations`` (m,) at ``lags_s`` (m,), s, interpolated linearly, 0 beyond the last lag.
 
     Raises:
-        UnusableInputError: the tables are no autocorrelation of any process.
+        UnusableInputError: the tables are not the autocorrelation of any process.
     """
 
     lags_s: tuple[float, ...]
@@ -376,7 +382,7 @@ class AutocorrelationTable(Spectrum):
             raise UnusableInputError(
                 Message(
                     "autocorrelation.rise",
-                    "the lags of an autocorrelation must begin at 0 and rise from one to the next",
+                    "the lags of an autocorrelation must begin at 0 and be strictly rising",
                 )
             )
         if abs(self.correlations[0] - 1.0) > 1e-9:
@@ -392,32 +398,32 @@ class AutocorrelationTable(Spectrum):
             raise UnusableInputError(
                 Message(
                     "autocorrelation.range",
-                    "an autocorrelation lies between -1 and 1, and at {largest:g} s this one is {value:g}",
+                    "an autocorrelation must lie between -1 and 1, but is {value:g} at {largest:g} s",
                     largest=self.lags_s[largest],
                     value=self.correlations[largest],
                 )
             )
 
     def check(self, sample_rate_hz: float) -> None:
-        """Its spectrum is negative nowhere: an autocorrelation is positive semidefinite."""
+        """Raise unless the spectrum is nonnegative: an autocorrelation is positive semidefinite."""
         samples = self.lags_s[-1] * sample_rate_hz
-        if samples > MOST_SAMPLES:
+        if samples > MAX_SAMPLES:
             raise UnusableInputError(
                 Message(
                     "autocorrelation.long",
-                    "the table of the autocorrelation reaches {samples:.3g} samples, and {limit:.3g} "
-                    "is the most: give its lags in seconds",
+                    "the autocorrelation table extends to {samples:.3g} samples; the maximum is {limit:.3g}: "
+                    "give its lags in seconds",
                     samples=samples,
-                    limit=MOST_SAMPLES,
+                    limit=MAX_SAMPLES,
                 )
             )
         reach = self._reach(sample_rate_hz)
         n = max(8192, 1 << int(np.ceil(np.log2(4.0 * reach + 4.0))))
         density = self._density(n, sample_rate_hz)
-        # A signal's power is nowhere negative, so by Parseval half the mean square of what lies below 0 is the least
-        # sum of squares, over all lags to one side, that is left between its autocorrelation and this one.
+        # By Parseval, half the mean square of the negative power is a lower bound of the one-sided sum of squared
+        # differences between this table and the autocorrelation of any signal.
         error = 0.5 * _mean_power(np.minimum(density, 0.0) ** 2)
-        if error > UNREACHABLE:
+        if error > ROUNDING_ERROR:
             lowest = int(np.argmin(density))
             raise UnusableInputError(
                 Message(
@@ -430,19 +436,19 @@ class AutocorrelationTable(Spectrum):
             )
 
     def autocorrelation(self, lags: int, sample_rate_hz: float) -> Array:
-        """The table at these lags."""
+        """Return the interpolated table at these lags."""
         times = np.arange(lags + 1) / sample_rate_hz * (1.0 - 1e-12)  # the last lag must not fall beyond the table
         return np.asarray(np.interp(times, self.lags_s, self.correlations, right=0.0), dtype=np.float64)
 
     def power(self, n: int, sample_rate_hz: float) -> Array:
-        """Transform of the table, without the little below zero that its rounding can leave."""
+        """Return the transform of the table, with small negative values from rounding set to 0."""
         return np.maximum(self._density(n, sample_rate_hz), 0.0)
 
     def _reach(self, sample_rate_hz: float) -> int:
         return int(self.lags_s[-1] * sample_rate_hz * (1.0 + 1e-12))
 
     def _density(self, n: int, sample_rate_hz: float) -> Array:
-        """Power density (n // 2 + 1,): the two-sided autocorrelation, folded to n samples, and transformed."""
+        """Return the power density (n // 2 + 1,) of the two-sided autocorrelation, aliased to n samples."""
         one_sided = self.autocorrelation(self._reach(sample_rate_hz), sample_rate_hz)
         folded = np.zeros(n)
         np.add.at(folded, np.arange(one_sided.size) % n, one_sided)
@@ -451,9 +457,9 @@ class AutocorrelationTable(Spectrum):
 
 
 def _geometric_power(exponent: complex, n: int) -> Array:
-    """Power density (n // 2 + 1,) of the autocorrelation Re exp(exponent |lag|)."""
+    """Return the power density (n // 2 + 1,) of the autocorrelation Re exp(exponent |lag|)."""
     w = 2.0 * np.pi * np.arange(n // 2 + 1) / n
-    # Re 1 / (1 - z) - 1/2, |z| < 1, on either side; by its closed form, since it is a small difference near |z| = 1
+    # Closed form of Re 1 / (1 - z) - 1/2, |z| < 1, for both sides; avoids cancellation near |z| = 1
     kept = -np.expm1(2.0 * exponent.real)
     density = np.zeros(w.size)
     for turned in (w, -w):
@@ -462,5 +468,5 @@ def _geometric_power(exponent: complex, n: int) -> Array:
 
 
 def _mean_power(density: Array) -> float:
-    """Mean over 0 to half the sample rate of a density (n // 2 + 1,), n even."""
+    """Return the mean of a density (n // 2 + 1,), n even, over 0 to half the sample rate."""
     return float((0.5 * (density[0] + density[-1]) + density[1:-1].sum()) / (density.size - 1))

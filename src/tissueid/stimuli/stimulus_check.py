@@ -1,4 +1,4 @@
-"""Check of a stimulus before it is played: force, heating, spectrum and comfort, and reasons against playing it."""
+"""Check of a stimulus before a test: force, heating, spectrum and comfort, with errors and warnings."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ from tissueid.device import DeviceDescription
 from tissueid.errors import UnusableInputError
 from tissueid.messages import Message
 from tissueid.stimuli.base import Array, Stimulus, Unit
-from tissueid.stimuli.heating import Heating, Thermal, heating
+from tissueid.stimuli.heating import TemperatureRise, ThermalParameters, heating
 
 Severity = Literal["refused", "caution"]
 
@@ -21,42 +21,44 @@ ROOM_C = 23.0
 """Temperature, degC, of a coil that has not been used."""
 
 REFERENCE_EDGE_N_PER_S = 4600.0
-"""Steepest edge of the thesis' painless test: Gaussian noise, 8th-order low-pass at 200 Hz, over 10 N (3.1.1, 7.1.1).
+"""Steepest edge, N/s, of the thesis' painless test: Gaussian noise, 8th-order low-pass at 200 Hz, 10 N (3.1.1, 7.1.1).
 
-The median over seeds of 4 s of the kind ``noise`` from 0.5 to 10.5 N; single seeds lie between 3,800 and 5,800.
+Median over seeds of 4 s of the kind ``noise`` from 0.5 to 10.5 N; single seeds give 3,800 to 5,800 N/s.
 """
 
-SHARPER = 1.5
-SHARP = 3.0
-"""Ratios of the steepness of the edges to the reference's from which they count as sharper than it, and as sharp.
+SHARPER_RATIO = 1.5
+SHARP_RATIO = 3.0
+"""Ratios of the steepest edge to the reference above which edges count as sharper, and as sharp.
 
-A convention of this program, no clinical finding. The thesis found Gaussian and uniform noise painless and the sharp
-transitions of binary noise painful (3.1.1): over the same 10 N at 2 kHz these are 1, 1.2 and 4.3 times the reference.
+A convention of this program, not a clinical finding. The thesis found Gaussian and uniform noise painless and the sharp
+transitions of binary noise painful (3.1.1): over 10 N at 2 kHz these have 1, 1.2 and 4.3 times the reference.
 """
 
 CUTOFFS_HZ = (100.0, 200.0, 400.0)
+"""Frequencies, Hz, above which the share of power is reported."""
 _PERCENTS = (5, 50, 95)
 
 
 @dataclass(frozen=True)
-class Concern:
-    """A concern about a stimulus: ``refused`` cannot be played, ``caution`` asks for a decision."""
+class StimulusConcern:
+    """Problem of a stimulus: ``refused`` must not be played, ``caution`` needs a decision of the operator."""
 
     severity: Severity
     words: str
 
 
 @dataclass(frozen=True)
-class Appraisal:
-    """A stimulus in figures. Forces and currents are those of a coil at rest; moving, it loses force to its back-EMF.
+class StimulusCheck:
+    """Properties of a stimulus. Forces and currents are those of a coil at rest; in motion, back-EMF reduces the force.
 
     ``force_mean_n``, ``force_std_n``, ``crest_factor``, ``percentiles_n`` (5, 50 and 95 % of the samples), ``skewness``
-    and ``excess_kurtosis`` (0 for a Gaussian, -1.2 for a uniform distribution) and the figures of power are of the part
-    after the preload; what needs variation is None where nothing varies. ``rms_current_a`` is about zero: it heats.
-    ``power_95_hz`` and ``power_99_hz`` say where so much of the power about the mean ends, ``power_above`` pairs a
-    frequency, Hz, with the share above it. ``steepest_edge_n_per_s`` is the largest step from one sample to the next
-    over its time, ``edge_ratio`` that over ``REFERENCE_EDGE_N_PER_S``, ``sharp_edges_per_s`` how many steps a second
-    are ``SHARPER`` than the reference.
+    and ``excess_kurtosis`` (0 for a Gaussian, -1.2 for a uniform distribution) and the power figures describe the part
+    after the preload; they are None for a constant stimulus where they need variation. ``rms_current_a`` includes the
+    mean, as it determines the heating. ``power_95_hz`` and ``power_99_hz`` are the frequencies below which 95 % and 99
+    % of the zero-mean power lie; ``power_above`` pairs a frequency, Hz, with the share above it.
+    ``steepest_edge_n_per_s`` is the largest difference of consecutive samples divided by the sample interval,
+    ``edge_ratio`` the same relative to ``REFERENCE_EDGE_N_PER_S``, ``sharp_edges_per_s`` the rate of steps above
+    ``SHARPER_RATIO`` times the reference.
     """
 
     seconds: float
@@ -73,18 +75,18 @@ class Appraisal:
     excess_kurtosis: float | None
     peak_current_a: float
     rms_current_a: float
-    heating: Heating
+    heating: TemperatureRise
     power_95_hz: float | None
     power_99_hz: float | None
     power_above: tuple[tuple[float, float], ...]
     steepest_edge_n_per_s: float
     edge_ratio: float
     sharp_edges_per_s: float
-    concerns: tuple[Concern, ...]
+    concerns: tuple[StimulusConcern, ...]
 
     @property
     def playable(self) -> bool:
-        """Whether nothing refuses it."""
+        """Whether no concern refuses the stimulus."""
         return all(concern.severity != "refused" for concern in self.concerns)
 
     @property
@@ -94,29 +96,28 @@ class Appraisal:
 
     @property
     def feel(self) -> Message:
-        """Meaning of the edges for the person under the probe."""
-        if self.edge_ratio <= SHARPER:
-            return Message("stimulus.feel.gentle", "That is no sharper than noise that is known to be painless.")
-        if self.edge_ratio <= SHARP:
+        """Expected sensation from the steepest edge."""
+        if self.edge_ratio <= SHARPER_RATIO:
+            return Message("stimulus.feel.gentle", "That is within the range of noise known to be painless.")
+        if self.edge_ratio <= SHARP_RATIO:
             return Message(
                 "stimulus.feel.harder",
-                "That is {ratio:.1f} times as sharp as noise that is known to be painless: it will feel harder.",
+                "That is {ratio:.1f} times as steep as in noise known to be painless: it will feel harder.",
                 ratio=self.edge_ratio,
             )
         return Message(
             "stimulus.feel.hurts",
-            "That is {ratio:.1f} times as sharp as noise that is known to be painless, as sharp as a random square "
-            "wave: "
-            "edges like that hurt.",
+            "That is {ratio:.1f} times as steep as in noise known to be painless, like a random square wave: "
+            "such edges are painful.",
             ratio=self.edge_ratio,
         )
 
     def summary(self) -> tuple[Message, ...]:
-        """Return a sentence on each property of the stimulus; ``concerns`` are separate."""
+        """Return one sentence for each property of the stimulus; ``concerns`` are separate."""
         return tuple(_sentences(self))
 
 
-def appraise(
+def assess_stimulus(
     played: Stimulus,
     device: DeviceDescription,
     *,
@@ -124,27 +125,25 @@ def appraise(
     max_seconds: float,
     max_temperature_c: float,
     start_c: float = ROOM_C,
-    thermal: Thermal | None = None,
-) -> Appraisal:
-    """Appraise a stimulus on a device within limits.
+    thermal: ThermalParameters | None = None,
+) -> StimulusCheck:
+    """Check a stimulus for a device and limits.
 
     Args:
-        played: with its preload or without.
-        device: whose coil and amplifier play it.
-        max_force_n: limit of the force, N, either way.
-        max_seconds: limit of the length, s.
-        max_temperature_c: limit of the coil's temperature, degC.
-        start_c: temperature of the coil before, degC.
-        thermal: figures of the coil; the assumed ones by default.
+        played: stimulus, with or without preload.
+        device: coil and amplifier.
+        max_force_n: force limit, N, of the absolute value.
+        max_seconds: length limit, s.
+        max_temperature_c: coil temperature limit, degC.
+        start_c: initial coil temperature, degC.
+        thermal: thermal parameters of the coil; the assumed ones by default.
 
     Raises:
-        UnusableInputError: the stimulus has no samples, or some that are not finite.
+        UnusableInputError: the stimulus is empty or not finite.
     """
     values = np.asarray(played.values, dtype=np.float64)
     if values.size == 0 or not np.isfinite(values).all():
-        raise UnusableInputError(
-            Message("stimulus.not_finite", "a stimulus to be checked must be a row of finite values")
-        )
+        raise UnusableInputError(Message("stimulus.not_finite", "a stimulus must have at least one sample, all finite"))
     volts = values * (device.voltage_for_force(1.0) if played.unit == "N" else 1.0)  # (n,) command
     current = volts * (device.amplifier_gain / device.coil_resistance_ohm)
     force = current * device.force_constant_n_per_a
@@ -159,11 +158,11 @@ def appraise(
     low, middle, high = (float(level) for level in np.percentile(part, _PERCENTS))
     warmth = heating(current, device.coil_resistance_ohm, rate, thermal)
     concerns = [
-        *_limits(played, volts, device, max_force_n, max_seconds),
-        *_warmth(warmth, start_c, max_temperature_c),
-        *_comfort(steepest, float(np.min(force))),
+        *_limit_concerns(played, volts, device, max_force_n, max_seconds),
+        *_heating_concerns(warmth, start_c, max_temperature_c),
+        *_comfort_concerns(steepest, float(np.min(force))),
     ]
-    return Appraisal(
+    return StimulusCheck(
         seconds=played.seconds,
         unit=played.unit,
         force_min_n=float(np.min(force)),
@@ -179,37 +178,37 @@ def appraise(
         peak_current_a=float(np.max(np.abs(current))),
         rms_current_a=float(np.sqrt(np.mean(current**2))),
         heating=warmth,
-        power_95_hz=_where(frequency, share, 0.95) if varies else None,
-        power_99_hz=_where(frequency, share, 0.99) if varies else None,
+        power_95_hz=_power_quantile(frequency, share, 0.95) if varies else None,
+        power_99_hz=_power_quantile(frequency, share, 0.99) if varies else None,
         power_above=tuple((hz, float(np.sum(share[frequency > hz])) if varies else 0.0) for hz in CUTOFFS_HZ),
         steepest_edge_n_per_s=steepest,
         edge_ratio=steepest / REFERENCE_EDGE_N_PER_S,
-        sharp_edges_per_s=float(np.sum(steps > SHARPER * REFERENCE_EDGE_N_PER_S)) / played.seconds,
+        sharp_edges_per_s=float(np.sum(steps > SHARPER_RATIO * REFERENCE_EDGE_N_PER_S)) / played.seconds,
         concerns=tuple(concerns),
     )
 
 
 def _power(about: Array, rate: float) -> tuple[Array, Array]:
-    """Frequencies (lines,), Hz, and the share of the power at each; a Hann window keeps the ends from showing."""
+    """Return frequencies (lines,), Hz, and the share of the power at each, with a Hann window against leakage."""
     power = np.abs(fft.rfft(about * signal.windows.hann(about.size, sym=False))) ** 2
     return np.asarray(fft.rfftfreq(about.size, 1.0 / rate)), np.asarray(power / max(float(np.sum(power)), 1e-300))
 
 
-def _where(frequency: Array, share: Array, wanted: float) -> float:
-    """Frequency, Hz, below which the ``wanted`` part of the power lies."""
+def _power_quantile(frequency: Array, share: Array, wanted: float) -> float:
+    """Return the frequency, Hz, below which the ``wanted`` share of the power lies."""
     return float(frequency[min(int(np.searchsorted(np.cumsum(share), wanted)), frequency.size - 1)])
 
 
-def _limits(
+def _limit_concerns(
     played: Stimulus, volts: Array, device: DeviceDescription, max_force_n: float, max_seconds: float
-) -> Iterator[Concern]:
-    """Yield the limits of the instrument that the stimulus exceeds."""
+) -> Iterator[StimulusConcern]:
+    """Yield a concern for each limit of the instrument that the stimulus exceeds."""
     if played.sample_rate_hz != device.sample_rate_hz:
-        yield Concern(
+        yield StimulusConcern(
             "refused",
             Message(
                 "stimulus.check.rate",
-                "It has {rate:g} samples a second and the instrument {needed:g}: design it at {needed:g}.",
+                "Its sample rate is {rate:g} Hz, that of the instrument {needed:g} Hz: design it at {needed:g} Hz.",
                 rate=played.sample_rate_hz,
                 needed=device.sample_rate_hz,
             ),
@@ -217,7 +216,7 @@ def _limits(
     peak = float(np.max(np.abs(volts)))
     newtons = peak * device.amplifier_gain * device.force_constant_n_per_a / device.coil_resistance_ohm
     if newtons > max_force_n:
-        yield Concern(
+        yield StimulusConcern(
             "refused",
             Message(
                 "stimulus.check.force",
@@ -228,7 +227,7 @@ def _limits(
         )
     if peak * max(device.amplifier_gain, 1.0) > device.amplifier_limit_v:
         needed = peak * max(device.amplifier_gain, 1.0)
-        yield Concern(
+        yield StimulusConcern(
             "refused",
             Message(
                 "stimulus.check.voltage",
@@ -238,80 +237,78 @@ def _limits(
             ),
         )
     if played.seconds > max_seconds:
-        yield Concern(
+        yield StimulusConcern(
             "refused",
             Message(
                 "stimulus.check.length",
-                "It lasts {seconds:.1f} s; there is room for {limit:g} s: shorten it.",
+                "It lasts {seconds:.1f} s; the maximum is {limit:g} s: shorten it.",
                 seconds=played.seconds,
                 limit=max_seconds,
             ),
         )
 
 
-def _warmth(warmth: Heating, start_c: float, max_temperature_c: float) -> Iterator[Concern]:
-    """Yield a concern where the coil would reach its temperature limit."""
+def _heating_concerns(warmth: TemperatureRise, start_c: float, max_temperature_c: float) -> Iterator[StimulusConcern]:
+    """Yield a concern if the coil would reach its temperature limit."""
     if start_c + warmth.expected_k > max_temperature_c:
-        yield Concern(
+        yield StimulusConcern(
             "refused",
             Message(
                 "stimulus.check.hot",
-                "It would warm the coil to about {temperature:.0f} °C and be ended before: the limit is {limit:g} °C. "
-                "Lower the force or shorten it.",
+                "It would warm the coil to about {temperature:.0f} °C, above the limit of {limit:g} °C, and be "
+                "stopped early. Lower the force or shorten it.",
                 temperature=start_c + warmth.expected_k,
                 limit=max_temperature_c,
             ),
         )
     elif start_c + warmth.most_k > max_temperature_c:
-        yield Concern(
+        yield StimulusConcern(
             "caution",
             Message(
                 "stimulus.check.warm",
-                "It may warm the coil to {temperature:.0f} °C where it cools badly, and be ended before; the limit is "
-                "{limit:g} °C.",
+                "With poor cooling it may warm the coil to {temperature:.0f} °C, above the limit of {limit:g} "
+                "°C, and be stopped early.",
                 temperature=start_c + warmth.most_k,
                 limit=max_temperature_c,
             ),
         )
 
 
-def _comfort(steepest_n_per_s: float, least_n: float) -> Iterator[Concern]:
-    """Yield concerns about what the person under the probe will feel."""
+def _comfort_concerns(steepest_n_per_s: float, least_n: float) -> Iterator[StimulusConcern]:
+    """Yield concerns about the sensation of the person under the probe."""
     ratio = steepest_n_per_s / REFERENCE_EDGE_N_PER_S
-    if ratio > SHARP:
-        yield Concern(
+    if ratio > SHARP_RATIO:
+        yield StimulusConcern(
             "caution",
             Message(
                 "stimulus.check.hurts",
-                "Its edges are {ratio:.1f} times as steep as those of noise that is known to be painless. Edges like "
-                "that "
-                "hurt: lower the range or the highest frequency.",
+                "Its edges are {ratio:.1f} times as steep as those of noise known to be painless. Such edges "
+                "are painful: lower the range or the highest frequency.",
                 ratio=ratio,
             ),
         )
-    elif ratio > SHARPER:
-        yield Concern(
+    elif ratio > SHARPER_RATIO:
+        yield StimulusConcern(
             "caution",
             Message(
                 "stimulus.check.steep",
-                "Its edges are {ratio:.1f} times as steep as those of noise that is known to be painless. Warn the "
-                "person, and begin with a smaller range.",
+                "Its edges are {ratio:.1f} times as steep as those of noise known to be painless. Warn the "
+                "person and begin with a smaller range.",
                 ratio=ratio,
             ),
         )
     if least_n < 0.0:
-        yield Concern(
+        yield StimulusConcern(
             "caution",
             Message(
                 "stimulus.check.pulls",
-                "It pulls by up to {force:.2g} N: where the weight of the coil does not make up for that, the probe "
-                "leaves the skin.",
+                "It pulls with up to {force:.2g} N: if this exceeds the weight of the coil, the probe leaves the skin.",
                 force=-least_n,
             ),
         )
 
 
-def _sentences(found: Appraisal) -> Iterator[Message]:
+def _sentences(found: StimulusCheck) -> Iterator[Message]:
     yield Message(
         "stimulus.summary.range",
         "{seconds:.2f} s, {low:.2f} to {high:.2f} N ({least:.1f} to {most:.1f} V with the coil at rest).",
@@ -335,7 +332,7 @@ def _sentences(found: Appraisal) -> Iterator[Message]:
         )
         yield Message(
             "stimulus.summary.power",
-            "95 % of its power ends at {most:.0f} Hz, 99 % at {nearly_all:.0f} Hz.",
+            "95 % of its power lies below {most:.0f} Hz, 99 % below {nearly_all:.0f} Hz.",
             most=found.power_95_hz,
             nearly_all=found.power_99_hz,
         )
@@ -348,7 +345,7 @@ def _sentences(found: Appraisal) -> Iterator[Message]:
     )
     yield Message(
         "stimulus.summary.heat",
-        "The coil warms by about {expected:.1f} K ({least:.1f} to {most:.1f} K), and by no more than {bound:.1f} K.",
+        "The coil warms by about {expected:.1f} K ({least:.1f} to {most:.1f} K, at most {bound:.1f} K).",
         expected=warmth.expected_k,
         least=warmth.least_k,
         most=warmth.most_k,

@@ -1,8 +1,8 @@
-"""Arranging given amplitudes in time so that they have a spectrum or an autocorrelation: quick, and nearly right.
+"""Surrogates: arrangement of given amplitudes in time to approximate a spectrum or an autocorrelation, quickly.
 
-Both ways move all samples at once and then give each the amplitude of its rank, so the amplitudes stay exactly what
-they were; what the second step spoils of the first is brought down by repeating. The exchange of single pairs
-(:mod:`tissueid.stimuli.interchange`) goes on from there.
+Both methods change all samples at once and then assign each the amplitude of its rank, so the amplitudes stay exact;
+iteration reduces the spectral error that the assignment causes. :mod:`tissueid.stimuli.interchange` refines the result
+by swapping pairs.
 """
 
 from __future__ import annotations
@@ -13,25 +13,28 @@ from numpy.typing import NDArray
 
 Array = NDArray[np.float64]
 
-_ALTERNATIONS = 30
+_ITERATIONS = 30
+"""Iterations of the spectral surrogate."""
 
-_CORRECTIONS = 40
+_MAX_CORRECTIONS = 40
+"""Maximum number of corrections of the lag surrogate."""
 _FLOOR = 0.1, 0.02
-"""Of the mean and of the largest power density: where less is wanted, a correction asks for no larger a share."""
+"""Lower bounds of the target power in a correction, relative to the mean and to the maximum power density."""
 
-_LEAST_STEP = 0.01
+_MIN_STEP = 0.01
+"""Step size at which the line search stops."""
 
-_WORTH = 0.98
-"""Corrections end when one leaves more than this share of the error."""
+_STOP_RATIO = 0.98
+"""Corrections stop when one leaves more than this share of the error."""
 
 
-def mean_crossing(values: Array) -> int:
-    """First sample after values (n,) change sign; their start where they do not."""
+def first_mean_crossing(values: Array) -> int:
+    """Return the index of the first sample after a sign change of values (n,), or 0 without one."""
     crossings = np.flatnonzero(np.diff(np.signbit(values)))
     return int(crossings[0]) + 1 if crossings.size else 0
 
 
-def ranked(values: Array, levels: Array) -> Array:
+def assign_by_rank(values: Array, levels: Array) -> Array:
     """Replace values (n,) by the ascending levels (n,) of the same rank."""
     arranged = np.empty_like(levels)
     arranged[np.argsort(values, kind="stable")] = levels
@@ -39,46 +42,46 @@ def ranked(values: Array, levels: Array) -> Array:
 
 
 def spectral_surrogate(values: Array, levels: Array, amplitude: Array) -> Array:
-    """Give a signal the levels (n,) and nearly the amplitude spectrum (n // 2 + 1,), by alternation.
+    """Arrange levels (n,) to approximate an amplitude spectrum (n // 2 + 1,) by alternating projections.
 
-    The spectrum is restored, then the levels, in turn (Schreiber and Schmitz 1996); the levels are last, and exact.
+    Spectrum and levels are restored alternately (Schreiber and Schmitz 1996), levels last, so they are exact.
 
     Args:
-        values: (n,), whose ranks and phases it begins with.
+        values: (n,), gives the initial ranks and phases.
         levels: (n,), ascending.
         amplitude: of the real transform, in any unit.
     """
     n = values.size
-    arranged = ranked(values, levels)
-    for _ in range(_ALTERNATIONS):
+    arranged = assign_by_rank(values, levels)
+    for _ in range(_ITERATIONS):
         spectrum = scipy.fft.rfft(arranged)
         size = np.abs(spectrum)
         coloured = scipy.fft.irfft(
             np.divide(spectrum, size, out=np.zeros_like(spectrum), where=size > 0.0) * amplitude, n
         )
-        arranged = ranked(coloured, levels)
+        arranged = assign_by_rank(coloured, levels)
     return arranged
 
 
-def first_at_the_mean(values: Array) -> Array:
-    """Turn a signal (n,) round so that it crosses its mean at its start, and begin with the value nearest the mean.
+def start_at_mean(values: Array) -> Array:
+    """Rotate a signal (n,) to a mean crossing and let it begin with the value nearest the mean.
 
-    The rest keeps its ranks. Values that are all far from their mean, as two-valued ones are, begin with one of them.
+    The other samples keep their rank order. Signals without values near the mean, such as binary ones, begin with one
+    of their values.
     """
     about = values - np.mean(values)
-    turned = np.roll(about, -mean_crossing(about))
+    turned = np.roll(about, -first_mean_crossing(about))
     levels = np.sort(values)
     first = int(np.argmin(np.abs(levels - np.mean(levels))))
-    return np.concatenate([levels[first : first + 1], ranked(turned[1:], np.delete(levels, first))])
+    return np.concatenate([levels[first : first + 1], assign_by_rank(turned[1:], np.delete(levels, first))])
 
 
 def lag_surrogate(values: Array, target: Array) -> Array:
-    """Rearrange values (n,) so that their autocorrelation comes nearer a target (lags + 1,), all samples at once.
+    """Rearrange values (n,) to approximate a target autocorrelation (lags + 1,), all samples at once.
 
-    The autocorrelation is that of :func:`tissueid.stimuli.interchange.autocorrelation`, of the record as it is played
-    and not as if it came round again. A correction is a filter with the lags' errors for its response, divided by
-    twice the wanted power: to first order it moves the record by the least that removes the errors. The first sample
-    stays.
+    The autocorrelation is the aperiodic one of :func:`tissueid.stimuli.interchange.autocorrelation`. A correction is a
+    filter whose impulse response is the lag errors, divided by twice the target power: to first order the smallest
+    change of the record that removes the errors. The first sample is not moved.
     """
     about = values - np.mean(values)
     order = np.argsort(values[1:], kind="stable")
@@ -97,26 +100,26 @@ def lag_surrogate(values: Array, target: Array) -> Array:
     best = about
     spectrum, errors = errors_of(best)
     least, step = float(errors @ errors), 1.0
-    for _ in range(_CORRECTIONS):
+    for _ in range(_MAX_CORRECTIONS):
         correction = scipy.fft.rfft(_two_sided(errors, padded)).real / divisor
         moved = best - step * scipy.fft.irfft(correction * spectrum, padded)[:n]
-        tried = np.concatenate([about[:1], ranked(moved[1:], levels_about)])
+        tried = np.concatenate([about[:1], assign_by_rank(moved[1:], levels_about)])
         tried_spectrum, tried_errors = errors_of(tried)
         error = float(tried_errors @ tried_errors)
         if error < least:
-            worth = error < _WORTH * least
+            worth = error < _STOP_RATIO * least
             best, spectrum, errors, least = tried, tried_spectrum, tried_errors, error
             if not worth:
                 break
         else:
             step *= 0.5
-            if step < _LEAST_STEP:
+            if step < _MIN_STEP:
                 break
-    return np.concatenate([values[:1], ranked(best[1:], levels)])
+    return np.concatenate([values[:1], assign_by_rank(best[1:], levels)])
 
 
 def _two_sided(one_sided: Array, n: int) -> Array:
-    """A symmetric function of the lag, given (lags + 1,), on a circle of n samples, n > 2 lags."""
+    """Return the symmetric circular extension, n samples, n > 2 lags, of a function of the lag (lags + 1,)."""
     whole = np.zeros(n)
     whole[: one_sided.size] = one_sided
     whole[n - one_sided.size + 1 :] = one_sided[:0:-1]

@@ -1,4 +1,4 @@
-"""Multisine: a sum of sines on the lines of a period, played several times over."""
+"""Multisine: a sum of sines on the lines of a period, repeated for several periods."""
 
 from __future__ import annotations
 
@@ -13,18 +13,20 @@ from tissueid.errors import UnusableInputError
 from tissueid.language import marked
 from tissueid.messages import Message
 from tissueid.stimuli.base import GUIDED, Array, Ranged, Stimulus, crest_factor, stimulus
-from tissueid.stimuli.crest import Lines, lowered, peak_ratio, schroeder_phases, summed
+from tissueid.stimuli.crest import Lines, minimise_crest_factor, multisine_crest_factor, schroeder_phases, sum_of_sines
 
 
-def lines_between(period: int, sample_rate_hz: float, low_hz: float, high_hz: float) -> Lines:
-    """Lines 1, 2, ... under half of the ``period`` (samples) whose frequency lies from ``low_hz`` to ``high_hz``."""
+def lines_in_band(period: int, sample_rate_hz: float, low_hz: float, high_hz: float) -> Lines:
+    """Return the lines 1, 2, ... below half the ``period`` (samples) with frequencies from ``low_hz``
+    to ``high_hz``.
+    """
     lines = np.arange(1, (period + 1) // 2)
     frequency = np.asarray(lines * sample_rate_hz / period, dtype=np.float64)
     return lines[_inside(frequency, low_hz, high_hz)]
 
 
-def without_notches(frequency_hz: Array, notches: Sequence[tuple[float, float]]) -> NDArray[np.bool_]:
-    """True (n,) where a frequency lies in none of the bands (low, high), Hz, their ends included."""
+def outside_notches(frequency_hz: Array, notches: Sequence[tuple[float, float]]) -> NDArray[np.bool_]:
+    """Return True (n,) where a frequency lies in none of the bands (low, high), Hz, ends included."""
     kept = np.ones(frequency_hz.size, dtype=bool)
     for low, high in notches:
         kept &= ~_inside(frequency_hz, low, high)
@@ -32,16 +34,16 @@ def without_notches(frequency_hz: Array, notches: Sequence[tuple[float, float]])
 
 
 def _inside(frequency_hz: Array, low_hz: float, high_hz: float) -> NDArray[np.bool_]:
-    """True (n,) from low to high; 0.3 / 0.1 is not quite 3, and a line on the edge counts as inside."""
+    """Return True (n,) from low to high, ends included up to rounding."""
     slack = 1e-9 * np.abs(frequency_hz)
     return (frequency_hz >= low_hz - slack) & (frequency_hz <= high_hz + slack)
 
 
 def detection_lines(odd: Lines, group: int, rng: np.random.Generator) -> Lines:
-    """One of each ``group`` lines (n,) in their order, at random: those to be left undriven.
+    """Return one random line of each ``group`` consecutive lines (n,): the lines left undriven.
 
-    The lowest line of all and the highest stay driven, so that every detection line lies in the driven band; what is
-    left over after the last whole group stays driven too.
+    The lowest and the highest line and the remainder after the last whole group stay driven, so that every detection
+    line lies inside the driven band.
     """
     chosen = []
     for first in range(0, odd.size - group + 1, group):
@@ -52,29 +54,35 @@ def detection_lines(odd: Lines, group: int, rng: np.random.Generator) -> Lines:
 
 
 def butterworth(frequency_hz: Array, cutoff_hz: float, order: int) -> Array:
-    """Gain (n,) of a Butterworth low-pass."""
-    with np.errstate(over="ignore"):  # a gain too small for a number is 0
+    """Return the gain (n,) of a Butterworth low-pass."""
+    with np.errstate(over="ignore"):  # gains underflow to 0
         return np.asarray(1.0 / np.sqrt(1.0 + (frequency_hz / cutoff_hz) ** (2 * order)), dtype=np.float64)
 
 
-def best_of_random(lines: Lines, amplitudes: Array, period: int, draws: int, rng: np.random.Generator) -> Array:
-    """Of ``draws`` sets of phases, evenly spread over the circle, the one of the lowest crest factor, (lines,)."""
+def best_random_phases(lines: Lines, amplitudes: Array, period: int, draws: int, rng: np.random.Generator) -> Array:
+    """Return the phases (lines,) of the lowest crest factor among ``draws`` uniform random sets."""
     sets = [2.0 * np.pi * rng.random(lines.size) for _ in range(draws)]
-    return min(sets, key=lambda phases: peak_ratio(lines, amplitudes, phases, period)) if draws > 1 else sets[0]
+    return (
+        min(sets, key=lambda phases: multisine_crest_factor(lines, amplitudes, phases, period))
+        if draws > 1
+        else sets[0]
+    )
 
 
-def played(lines: Lines, amplitudes: Array, phases: Array, period: int, periods: int, settling: int) -> Array:
-    """Whole periods after a run-in of ``settling`` samples, shape (settling + periods * period,), joined exactly.
+def multisine_record(lines: Lines, amplitudes: Array, phases: Array, period: int, periods: int, settling: int) -> Array:
+    """Return a run-in of ``settling`` samples and whole periods, shape (settling + periods * period,), continuous.
 
-    The period is turned so that the whole begins as near its mean as it can.
+    The period is rotated so that the record begins as close to its mean as possible.
     """
-    one = summed(lines, amplitudes, phases, period)
-    begin = _nearest_to_mean(one, settling, periods)
+    one = sum_of_sines(lines, amplitudes, phases, period)
+    begin = _start_sample(one, settling, periods)
     return np.take(one, np.arange(begin, begin + settling + periods * period), mode="wrap")
 
 
-def _nearest_to_mean(one: Array, settling: int, periods: int) -> int:
-    """Sample of the period (n,) from which ``settling`` samples and whole periods begin nearest to their mean."""
+def _start_sample(one: Array, settling: int, periods: int) -> int:
+    """Return the sample of the period (n,) at which a record of ``settling`` samples and whole periods is nearest its
+    mean.
+    """
     n = one.size
     upto = np.concatenate([[0.0], np.cumsum(np.tile(one, 2))])
     over = settling % n
@@ -83,73 +91,77 @@ def _nearest_to_mean(one: Array, settling: int, periods: int) -> int:
     return int(np.argmin(np.abs(one - mean)))
 
 
-_USUAL_GROUP = 2
-_LARGEST_PERIOD = 2**20
-_LONGEST_S = 600.0
-_WHOLE = 1e-6
-"""How far from a whole number of samples a period may be: rounding of a decimal fraction."""
+_DEFAULT_GROUP = 2
+"""Default of ``group``."""
+_MAX_PERIOD = 2**20
+"""Maximum period, samples."""
+_MAX_SECONDS = 600.0
+"""Maximum length of a period and of the stimulus, s."""
+_WHOLE_TOLERANCE = 1e-6
+"""Tolerance for a period to count as a whole number of samples, relative: rounding of a decimal fraction."""
 
 _LINES, _PHASES = range(2)
-"""Streams of random numbers: the choice of lines does not follow from that of the phases."""
+"""Indices of the independent random streams for lines and phases."""
 
 
 @stimulus
 class Multisine(Ranged):
     """Sines on chosen lines of a period, repeated exactly (Chen 2010, 6.1; Pintelon and Schoukens, 2nd ed., ch. 4-5).
 
-    ``full`` drives every line of the band, ``odd`` every odd one, ``odd_random`` every odd one but one in each
-    ``group`` of consecutive ones, chosen at random: the detection lines. Lines that are not driven hold no power at
-    all, so what the answer holds there is noise or nonlinearity; ``distortion`` of
-    ``tissueid.identification.validation`` tells which. Frequencies in ``notches`` are left out like those outside the
-    band; they have no detection lines.
+    ``full`` drives every line of the band, ``odd`` every odd line, ``odd_random`` every odd line except one at random
+    in each ``group`` of consecutive ones: the detection lines. Lines that are not driven have no power, so the response
+    there is noise or nonlinear distortion; ``distortion`` of ``tissueid.identification.validation`` distinguishes the
+    two. Frequencies in ``notches`` are excluded like those outside the band; they have no detection lines.
 
-    Phases: ``low_crest`` minimises the crest factor from random starts, ``schroeder`` takes his formula as it
-    stands, ``random`` keeps random phases, which a best linear approximation over several realisations needs, and
-    takes the best of ``draws``. Realisations that belong together differ in ``seed`` and share everything else, so
-    also ``lines_seed`` and with it the lines.
+    Phases: ``low_crest`` minimises the crest factor from random starting points, ``schroeder`` uses Schroeder's
+    formula, ``random`` keeps random phases, which a best linear approximation over several realisations requires, and
+    selects the best of ``draws``. Realisations of one experiment differ in ``seed`` and share everything else,
+    including ``lines_seed`` and thus the lines.
 
-    The record is a run-in of ``settling_s`` and then whole periods. It uses its range to both ends and begins within
-    a step of its mean, so a preload at the mean leads into it. Its ``crest_factor`` is that of a period.
+    The record is a run-in of ``settling_s`` followed by whole periods. It covers its range exactly and begins within
+    one step of its mean, so a preload at the mean joins it smoothly. Its ``crest_factor`` is that of a period.
     """
 
     name: ClassVar[str] = "multisine"
     title: ClassVar[str] = marked("Multisine")
 
     period_s: float = Field(
-        2.0, gt=0.0, le=_LONGEST_S, description=marked("Period, s: one over it is the resolution in Hz")
+        2.0, gt=0.0, le=_MAX_SECONDS, description=marked("Period, s: its reciprocal is the frequency resolution")
     )
     period_samples: int | None = Field(
-        None, ge=8, le=_LARGEST_PERIOD, description=marked("Period in samples, in place of seconds")
+        None, ge=8, le=_MAX_PERIOD, description=marked("Period in samples, instead of period_s")
     )
-    periods: int = Field(2, ge=1, le=1000, description=marked("Whole periods; two or more tell noise from distortion"))
+    periods: int = Field(
+        2, ge=1, le=1000, description=marked("Number of whole periods; two or more separate noise from distortion")
+    )
     settling_s: float = Field(0.25, ge=0.0, le=60.0, description=marked("Run-in before the first whole period, s"))
-    lowest_hz: float = Field(0.0, ge=0.0, le=1e6, description=marked("Lowest frequency that may be driven, Hz"))
-    highest_hz: float = Field(200.0, gt=0.0, le=1e6, description=marked("Highest frequency that may be driven, Hz"))
+    lowest_hz: float = Field(0.0, ge=0.0, le=1e6, description=marked("Lowest driven frequency, Hz"))
+    highest_hz: float = Field(200.0, gt=0.0, le=1e6, description=marked("Highest driven frequency, Hz"))
     lines: Literal["full", "odd", "odd_random"] = Field("odd_random", description=marked("Which lines are driven"))
     group: int | None = Field(
         None, ge=2, le=100, description=marked("odd_random: number of odd lines per detection line; 2 by default")
     )
     lines_seed: int = Field(0, ge=0, le=2**63 - 1, description=marked("odd_random: the same seed gives the same lines"))
     notches: tuple[tuple[float, float], ...] = Field(
-        (), max_length=1000, description=marked("Bands (low, high) that are left out, Hz")
+        (), max_length=1000, description=marked("Excluded bands (low, high), Hz")
     )
     spectrum: Literal["flat", "butterworth", "power_law", "table"] = Field(
         "flat", description=marked("Amplitude of the lines")
     )
-    cutoff_hz: float = Field(100.0, gt=0.0, le=1e6, description=marked("butterworth: cut-off frequency, Hz"))
+    cutoff_hz: float = Field(100.0, gt=0.0, le=1e6, description=marked("butterworth: cutoff frequency, Hz"))
     order: int = Field(2, ge=1, le=12, description=marked("butterworth: order"))
     exponent: float = Field(
-        1.0, ge=-4.0, le=4.0, description=marked("power_law: the amplitude goes as 1 / frequency to this")
+        1.0, ge=-4.0, le=4.0, description=marked("power_law: exponent e of amplitude = frequency^-e")
     )
     table: tuple[tuple[float, float], ...] = Field(
         (),
         max_length=10_000,
-        description=marked("table: (frequency in Hz, relative amplitude), straight between, level beyond the ends"),
+        description=marked("table: (frequency in Hz, relative amplitude), linear in between, constant outside"),
     )
     phases: Literal["low_crest", "schroeder", "random"] = Field("low_crest", description=marked("Phases of the lines"))
-    draws: int = Field(2, ge=1, le=100, description=marked("Random sets of phases that are tried; the best is kept"))
+    draws: int = Field(2, ge=1, le=100, description=marked("Number of random phase sets to try; the best is kept"))
     seed: int = Field(0, ge=0, le=2**63 - 1, description=marked("Realisation: the same seed gives the same phases"))
-    sample_rate: float = Field(2000.0, gt=0.0, le=1e6, description=marked("Samples a second"))
+    sample_rate: float = Field(2000.0, gt=0.0, le=1e6, description=marked("Sample rate, Hz"))
 
     @model_validator(mode="after")
     def _consistent(self) -> Self:
@@ -179,33 +191,35 @@ class Multisine(Ranged):
         return self.sample_rate / self.period
 
     def driven_lines(self) -> Lines:
-        """The driven lines, rising, as multiples of the frequency of one period."""
+        """Return the driven lines, rising, as multiples of the frequency of one period."""
         candidates = self._candidates()
         return np.setdiff1d(candidates, self.detection_lines())
 
     def detection_lines(self) -> Lines:
-        """The odd lines left undriven among driven ones, rising; none unless the lines are ``odd_random``."""
+        """Return the undriven odd lines, rising; empty unless the lines are ``odd_random``."""
         if self.lines != "odd_random":
             return np.zeros(0, dtype=np.int_)
-        return detection_lines(self._candidates(), self.group or _USUAL_GROUP, self._random(self.lines_seed, _LINES))
+        return detection_lines(self._candidates(), self.group or _DEFAULT_GROUP, self._random(self.lines_seed, _LINES))
 
     def amplitudes(self) -> Array:
-        """Relative amplitudes of the driven lines, (lines,)."""
+        """Return the relative amplitudes of the driven lines, (lines,)."""
         return self._relative(self._frequency(self.driven_lines()))
 
     def describe(self) -> dict[str, Any]:
-        """The kind and its options as plain values, fit for JSON; the period both in seconds and in samples."""
+        """Return the kind and its options as plain values, JSON-serialisable; the period both in seconds and in
+        samples.
+        """
         period = {"period_s": self.period / self.sample_rate, "period_samples": self.period}
         return super().describe() | period
 
     def planned_samples(self) -> int:
-        """Samples of the run-in and the whole periods."""
+        """Return the number of samples of the run-in and the whole periods."""
         return round(self.settling_s * self.sample_rate) + self.periods * self.period
 
     def build(self) -> Stimulus:
         """Build the history: run-in and whole periods, shape (settling_s * sample_rate + periods * period,)."""
         driven, sizes = self.driven_lines(), self.amplitudes()
-        shape = played(
+        shape = multisine_record(
             driven,
             sizes,
             self._chosen_phases(driven, sizes),
@@ -230,19 +244,19 @@ class Multisine(Ranged):
             return schroeder_phases(sizes)
         rng = self._random(self.seed, _PHASES)
         if self.phases == "random":
-            return best_of_random(driven, sizes, self.period, self.draws, rng)
+            return best_random_phases(driven, sizes, self.period, self.draws, rng)
         starts = [2.0 * np.pi * rng.random(driven.size) for _ in range(self.draws)]
-        found = [lowered(driven, sizes, start, self.period) for start in starts]
-        return min(found, key=lambda phases: peak_ratio(driven, sizes, phases, self.period))
+        found = [minimise_crest_factor(driven, sizes, start, self.period) for start in starts]
+        return min(found, key=lambda phases: multisine_crest_factor(driven, sizes, phases, self.period))
 
     def _random(self, seed: int, stream: int) -> np.random.Generator:
         return np.random.Generator(np.random.PCG64([seed, stream]))
 
     def _candidates(self) -> Lines:
-        """Lines of the band that the spectrum and the notches leave, odd ones alone unless all are driven."""
-        lines = lines_between(self.period, self.sample_rate, self.lowest_hz, self.highest_hz)
+        """Return the lines of the band with power outside the notches; only odd lines unless all are driven."""
+        lines = lines_in_band(self.period, self.sample_rate, self.lowest_hz, self.highest_hz)
         frequency = self._frequency(lines)
-        kept = without_notches(frequency, self.notches) & (self._relative(frequency) > 0.0)
+        kept = outside_notches(frequency, self.notches) & (self._relative(frequency) > 0.0)
         return lines[kept if self.lines == "full" else kept & (lines % 2 == 1)]
 
     def _frequency(self, lines: Lines) -> Array:
@@ -261,12 +275,12 @@ class Multisine(Ranged):
     def _check_length(self) -> None:
         exact = self.period_s * self.sample_rate
         whole = max(1, round(exact))
-        if self.period_samples is None and abs(exact - whole) > _WHOLE * whole:
+        if self.period_samples is None and abs(exact - whole) > _WHOLE_TOLERANCE * whole:
             raise UnusableInputError(
                 Message(
                     "multisine.period_fraction",
-                    "a period of {period_s:g} s is {exact:.6g} samples at {sample_rate:g} Hz, which is no "
-                    "whole number: take {whole:.9g} s",
+                    "a period of {period_s:g} s is {exact:.6g} samples at {sample_rate:g} Hz, not a whole "
+                    "number: use {whole:.9g} s",
                     period_s=self.period_s,
                     exact=exact,
                     sample_rate=self.sample_rate,
@@ -283,24 +297,24 @@ class Multisine(Ranged):
                     period_samples=self.period_samples,
                 )
             )
-        if not 8 <= self.period <= _LARGEST_PERIOD:
+        if not 8 <= self.period <= _MAX_PERIOD:
             raise UnusableInputError(
                 Message(
                     "multisine.period",
                     "a period must have 8 to {limit} samples, not {period}",
-                    limit=_LARGEST_PERIOD,
+                    limit=_MAX_PERIOD,
                     period=self.period,
                 )
             )
         seconds = self.settling_s + self.periods * self.period / self.sample_rate
-        if seconds > _LONGEST_S:
+        if seconds > _MAX_SECONDS:
             raise UnusableInputError(
                 Message(
                     "multisine.length",
                     "{periods} periods and their run-in last {seconds:g} s: a stimulus may last {limit:g} s",
                     periods=self.periods,
                     seconds=seconds,
-                    limit=_LONGEST_S,
+                    limit=_MAX_SECONDS,
                 )
             )
 
@@ -309,8 +323,8 @@ class Multisine(Ranged):
             raise UnusableInputError(
                 Message(
                     "multisine.nyquist",
-                    "a highest frequency of {highest_hz:g} Hz needs more than {needed:g} samples a "
-                    "second, not {sample_rate:g}",
+                    "a highest frequency of {highest_hz:g} Hz needs a sample rate above {needed:g} Hz, not "
+                    "{sample_rate:g} Hz",
                     highest_hz=self.highest_hz,
                     needed=2 * self.highest_hz,
                     sample_rate=self.sample_rate,
@@ -336,7 +350,10 @@ class Multisine(Ranged):
     def _check_spectrum(self) -> None:
         if (self.spectrum == "table") != bool(self.table):
             raise UnusableInputError(
-                Message("multisine.table_spectrum", "a table of amplitudes and the spectrum 'table' belong together")
+                Message(
+                    "multisine.table_spectrum",
+                    "a table of amplitudes needs the spectrum 'table', and the spectrum 'table' needs a table",
+                )
             )
         if not self.table:
             return
@@ -345,7 +362,7 @@ class Multisine(Ranged):
             raise UnusableInputError(
                 Message(
                     "multisine.table",
-                    "a table of amplitudes takes rising frequencies and amplitudes that are not negative, not all zero",
+                    "a table of amplitudes needs rising frequencies and nonnegative amplitudes that are not all zero",
                 )
             )
 
@@ -364,8 +381,8 @@ class Multisine(Ranged):
             raise UnusableInputError(
                 Message(
                     "multisine.lines",
-                    "a multisine needs two lines or more, and {band} leaves {count} {which}{left}: widen the "
-                    "band, or take a longer period",
+                    "a multisine needs at least two lines; {band} has {count} {which}{left}: widen the band or "
+                    "use a longer period",
                     band=band,
                     count=candidates.size or marked("no"),
                     which=which,
@@ -378,18 +395,18 @@ class Multisine(Ranged):
             raise UnusableInputError(
                 Message(
                     "multisine.power",
-                    "the power of the lines adds up to {power:g}, which is no amount to scale: give "
-                    "amplitudes nearer 1, or a higher cut-off",
+                    "the total power of the lines is {power:g} and cannot be scaled: give amplitudes closer to "
+                    "1 or a higher cutoff",
                     power=power,
                 )
             )
-        group = self.group or _USUAL_GROUP
+        group = self.group or _DEFAULT_GROUP
         if self.lines == "odd_random" and candidates.size < max(group, 3):
             raise UnusableInputError(
                 Message(
                     "multisine.detection",
-                    "{band} leaves {size} odd lines, too few for a detection line in each group of {group}: "
-                    "widen the band, take a longer period, or a smaller group",
+                    "{band} has {size} odd lines, too few for a detection line in each group of {group}: widen "
+                    "the band, or use a longer period or a smaller group",
                     band=band,
                     size=candidates.size,
                     group=group,
@@ -397,11 +414,11 @@ class Multisine(Ranged):
             )
 
 
-def played_multisine(description: Mapping[str, Any]) -> Multisine | None:
-    """The multisine that a stimulus' description is of, also behind a preload; None where it is of anything else.
+def multisine_from_description(description: Mapping[str, Any]) -> Multisine | None:
+    """Return the multisine of a stimulus description, with or without preload; None for another kind of stimulus.
 
     Raises:
-        UnusableInputError: it says that it is one, and its options do not hold.
+        UnusableInputError: the description is of a multisine with invalid options.
     """
     inner = description.get("stimulus") if description.get("type") == GUIDED else description
     fields = dict(inner) if isinstance(inner, Mapping) else {}

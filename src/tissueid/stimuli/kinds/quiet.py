@@ -1,4 +1,4 @@
-"""No force: a record of disturbances and sensor noise."""
+"""Zero force: records disturbances and sensor noise."""
 
 from __future__ import annotations
 
@@ -13,10 +13,10 @@ from tissueid.stimuli.base import OpenLoopKind, Stimulus, stimulus
 
 @stimulus
 class Quiet(OpenLoopKind):
-    """No force: a record of disturbances and sensor noise.
+    """Zero force: records disturbances and sensor noise.
 
-    The probe leans on the tissue with its own weight, or lies free where the device does not point down. Pulse, breath,
-    a shaking hand, hum and the sensors' noise are left.
+    The probe rests on the tissue with its own weight, or hangs free if the device does not point down. The record shows
+    pulse, respiration, hand tremor, mains hum and sensor noise.
     """
 
     name: ClassVar[str] = "quiet"
@@ -24,10 +24,10 @@ class Quiet(OpenLoopKind):
     test_kind: ClassVar[str] = "quiet"
 
     seconds: float = Field(1.5, gt=0.0, le=600.0, description=marked("Length, s"))
-    sample_rate: float = Field(2000.0, gt=0.0, le=1e6, description=marked("Samples a second"))
+    sample_rate: float = Field(2000.0, gt=0.0, le=1e6, description=marked("Sample rate, Hz"))
 
     def build(self) -> Stimulus:
-        """Build the history, shape (seconds * sample_rate,), N: zeros. It has no crest factor: that is NaN."""
+        """Build the history, shape (seconds * sample_rate,), N: zeros. The crest factor is NaN."""
         samples = max(1, round(self.seconds * self.sample_rate))
         return Stimulus(
             values=np.zeros(samples),
@@ -35,5 +35,5 @@ class Quiet(OpenLoopKind):
             description=self.describe(),
             seed=0,
             crest_factor=float("nan"),
-            begins_at=0.0,
+            start_value=0.0,
         )

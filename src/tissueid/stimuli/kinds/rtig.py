@@ -1,4 +1,4 @@
-"""Real-time input generation: force that gives the depth a desired distribution, by feedback (Chen 2010, 6.3)."""
+"""Real-time input generation: force that gives the depth a desired distribution by feedback (Chen 2010, 6.3)."""
 
 from __future__ import annotations
 
@@ -11,80 +11,81 @@ from pydantic import Field, model_validator
 from tissueid.errors import UnusableInputError
 from tissueid.language import marked
 from tissueid.messages import Message
-from tissueid.stimuli.base import MOST_SAMPLES, Array, stimulus
+from tissueid.stimuli.base import MAX_SAMPLES, Array, stimulus
 from tissueid.stimuli.feedback import BLOCK, FeedbackKind
 from tissueid.stimuli.rtig.averages import Averages
 from tissueid.stimuli.rtig.histogram import DepthHistogram
-from tissueid.stimuli.rtig.identified import Identified
-from tissueid.stimuli.rtig.identified_control import Scheduled
+from tissueid.stimuli.rtig.identified import OnlineIdentification
+from tissueid.stimuli.rtig.identified_control import IdentifiedController
 from tissueid.stimuli.rtig.local_identification import LocalIdentification
-from tissueid.stimuli.rtig.source import RtigSource, Setup
+from tissueid.stimuli.rtig.source import RtigSource, SourceParameters
 from tissueid.stimuli.rtig.static_map import StaticMap
 from tissueid.stimuli.rtig.stochastic import StochasticStream
 from tissueid.stimuli.rtig.target_sweep import TargetSweep
 from tissueid.stimuli.spectra import check_settling
 
-_PRELOAD = 0.1
-"""Of the range of force, from its least pushing force on: a gentle load, which a soft tissue bears too."""
+_PRELOAD_SHARE = 0.1
+"""Preload as a share of the positive force range: a gentle load that soft tissue tolerates too."""
 
-_LEAST_RANGE_M = 1e-4
+_MIN_RANGE_M = 1e-4
+"""Minimum depth range, m."""
 
 _AVERAGES_HZ = (200.0, 2000.0)
-"""Bounds of the rate to which what was measured is averaged down for identification: twice the cut-off otherwise."""
+"""Bounds of the rate to which measured samples are averaged for identification; otherwise twice the cutoff."""
 
 
 @stimulus
 class Rtig(FeedbackKind):
-    """Real-time input generation by feedback of the output's distribution (Chen 2010, Eq. 6.9).
+    """Real-time input generation by feedback of the depth distribution (Chen 2010, Eq. 6.9).
 
-    Each block of set-points is an offset that takes the depth to where samples are wanted, and a stochastic part that
-    excites the dynamics. Without ``identify`` the offset goes for the emptiest bin by a fixed gain (6.3.1). With it
-    the tissue is identified on the way: the static force says which offset holds a depth, adaptive least squares give
-    mass, damping and stiffness by depth, and the range is swept so that the histogram ends flat (6.3.2). When the
-    identified tissue does not predict the measured force, the blocks are made without it until it does.
+    Each block of set-points is an offset that moves the depth to where samples are missing, plus a stochastic part that
+    excites the dynamics. Without ``identify`` the offset targets the emptiest bin with a fixed gain (6.3.1). With it
+    the tissue is identified during the test: the static force gives the offset for a depth, adaptive least squares give
+    mass, damping and stiffness by depth, and the range is swept so that the final histogram is flat (6.3.2). While the
+    identified model does not predict the measured force, blocks are generated without it.
 
-    Depths are counted from the surface, into the tissue. The force never leaves its range; depths that it does not
-    reach are left out, which the report tells.
+    Depths are measured from the surface, positive into the tissue. The force never leaves its range; unreachable depths
+    are left out and reported.
     """
 
     name: ClassVar[str] = "rtig"
     title: ClassVar[str] = marked("Equal depths, by feedback")
 
     force_min_n: float = Field(
-        -0.6, ge=-100.0, le=100.0, description=marked("Least force, N; below zero the coil carries its own weight")
+        -0.6, ge=-100.0, le=100.0, description=marked("Least force, N; below zero the coil lifts its own weight")
     )
-    depth_min_m: float = Field(0.001, ge=-0.05, le=0.05, description=marked("Least depth wanted, from the surface, m"))
-    depth_max_m: float = Field(0.004, ge=-0.05, le=0.05, description=marked("Greatest depth wanted, m"))
+    depth_min_m: float = Field(0.001, ge=-0.05, le=0.05, description=marked("Least desired depth from the surface, m"))
+    depth_max_m: float = Field(0.004, ge=-0.05, le=0.05, description=marked("Greatest desired depth, m"))
     distribution: Literal["uniform", "triangular", "table"] = Field(
         "uniform", description=marked("Desired distribution of the depth over its range")
     )
     table: tuple[float, ...] = Field(
         (),
         max_length=200,
-        description=marked("For 'table': time wanted in each of evenly wide parts of the range, any unit"),
+        description=marked("table: desired time in each of the equal parts of the range, any unit"),
     )
     bins: int = Field(30, ge=4, le=200, description=marked("Bins of the histogram over the range of depth"))
     gain_n_per_m: float = Field(
         1000.0,
         gt=0.0,
         le=1e6,
-        description=marked("Change of force for a change of depth: the stiffness that is assumed, N/m"),
+        description=marked("Assumed stiffness, N/m: change of force for a change of depth"),
     )
     edge_modulation: float = Field(
         0.3,
         ge=0.0,
         le=1.0,
-        description=marked("Without identification: part of the gain that is left at the range's edges"),
+        description=marked("Without identification: share of the gain at the edges of the range"),
     )
     stochastic: Literal["uniform", "gaussian"] = Field(
         "uniform", description=marked("Distribution of the stochastic part")
     )
     stochastic_share: float = Field(
-        0.13, ge=0.0, le=0.3, description=marked("Width of the stochastic part in that of the force range")
+        0.13, ge=0.0, le=0.3, description=marked("Width of the stochastic part relative to the force range")
     )
-    cutoff_hz: float = Field(200.0, ge=1.0, description=marked("Cut-off frequency of the stochastic part, Hz"))
+    cutoff_hz: float = Field(200.0, ge=1.0, description=marked("Cutoff frequency of the stochastic part, Hz"))
     order: int = Field(8, ge=1, le=12, description=marked("Order of its low-pass"))
-    identify: bool = Field(True, description=marked("Identify the tissue on the way, and steer by it"))
+    identify: bool = Field(True, description=marked("Identify the tissue during the test and control by the model"))
     memory: float = Field(
         0.0625, gt=0.0, le=1.0, description=marked("With identification: length of the local responses, s")
     )
@@ -92,7 +93,7 @@ class Rtig(FeedbackKind):
         2.0,
         ge=0.1,
         le=1000.0,
-        description=marked("With identification: time after which the static force is forgotten, s"),
+        description=marked("With identification: time constant of forgetting of the static force, s"),
     )
     cycle: float = Field(
         0.5, ge=0.1, le=60.0, description=marked("With identification: length of a sweep in and out, s")
@@ -100,14 +101,14 @@ class Rtig(FeedbackKind):
 
     @model_validator(mode="after")
     def _consistent(self) -> Self:
-        if self.depth_max_m - self.depth_min_m < _LEAST_RANGE_M:
+        if self.depth_max_m - self.depth_min_m < _MIN_RANGE_M:
             raise UnusableInputError(
                 Message(
                     "rtig.range",
-                    "the greatest depth ({depth_max_m:g} mm) must be {least:g} mm or more beyond the "
-                    "least ({depth_min_m:g} mm)",
+                    "the greatest depth ({depth_max_m:g} mm) must exceed the least depth ({depth_min_m:g} mm) "
+                    "by at least {least:g} mm",
                     depth_max_m=1000.0 * self.depth_max_m,
-                    least=1000.0 * _LEAST_RANGE_M,
+                    least=1000.0 * _MIN_RANGE_M,
                     depth_min_m=1000.0 * self.depth_min_m,
                 )
             )
@@ -115,7 +116,7 @@ class Rtig(FeedbackKind):
             raise UnusableInputError(
                 Message(
                     "rtig.nyquist",
-                    "a cut-off of {cutoff_hz:g} Hz needs more than {needed:g} samples a second, not {sample_rate:g}",
+                    "a cutoff of {cutoff_hz:g} Hz needs a sample rate above {needed:g} Hz, not {sample_rate:g} Hz",
                     cutoff_hz=self.cutoff_hz,
                     needed=2 * self.cutoff_hz,
                     sample_rate=self.sample_rate,
@@ -123,20 +124,20 @@ class Rtig(FeedbackKind):
             )
         check_settling(self.cutoff_hz, self.sample_rate)
         samples = round(self.seconds * self.sample_rate)
-        if samples > MOST_SAMPLES:
+        if samples > MAX_SAMPLES:
             raise UnusableInputError(
                 Message(
                     "rtig.samples",
-                    "the test would have {samples:.3g} samples, and {limit:.3g} is the most: lower its length",
+                    "the test would have {samples:.3g} samples; the maximum is {limit:.3g}: shorten it",
                     samples=samples,
-                    limit=MOST_SAMPLES,
+                    limit=MAX_SAMPLES,
                 )
             )
         if samples < BLOCK:
             raise UnusableInputError(
                 Message(
                     "rtig.short",
-                    "{seconds:g} s at {sample_rate:g} Hz is less than one block of {block}",
+                    "{seconds:g} s at {sample_rate:g} Hz is less than one block of {block} samples: lengthen the test",
                     seconds=self.seconds,
                     sample_rate=self.sample_rate,
                     block=BLOCK,
@@ -144,27 +145,30 @@ class Rtig(FeedbackKind):
             )
         if self.distribution == "table" and not (len(self.table) > 1 and min(self.table) >= 0.0 < max(self.table)):
             raise UnusableInputError(
-                Message("rtig.table", "a table of the desired distribution needs two entries or more, none negative")
+                Message("rtig.table", "a table of the desired distribution needs at least two entries, none negative")
             )
         if self.table and not math.isfinite(sum(self.table)):
             raise UnusableInputError(
-                Message("rtig.table_sum", "the table of the desired distribution has no sum: give smaller numbers")
+                Message(
+                    "rtig.table_sum",
+                    "the sum of the table of the desired distribution is not finite: give smaller numbers",
+                )
             )
         if self.table and self.distribution != "table":
             raise UnusableInputError(
-                Message("rtig.table_distribution", "a table of the desired distribution goes with distribution 'table'")
+                Message("rtig.table_distribution", "a table of the desired distribution needs distribution 'table'")
             )
         return self
 
     @property
     def preload_n(self) -> float:
-        """A tenth of the way into the range of forces that push, or as near to none as the range goes."""
+        """Preload, N: a tenth of the positive part of the force range above its lower end."""
         least = min(max(0.0, self.force_min_n), self.force_max_n)
-        return least + _PRELOAD * (self.force_max_n - least)
+        return least + _PRELOAD_SHARE * (self.force_max_n - least)
 
     @property
     def desired(self) -> Array:
-        """Shares of the time that are desired of the bins, (bins,), adding up to one."""
+        """Desired share of time in each bin, (bins,), with sum 1."""
         edges = np.linspace(0.0, 1.0, self.bins + 1)
         table = np.array({"uniform": (1.0,), "triangular": ()}.get(self.distribution, self.table))
         if self.distribution == "triangular":
@@ -175,12 +179,12 @@ class Rtig(FeedbackKind):
         return np.diff(cumulative)
 
     def start(self, surface_m: float) -> RtigSource:
-        """A source for one test. ``surface_m`` is the position where the tissue begins."""
+        """Return a source for one test. ``surface_m`` is the position of the tissue surface, m."""
         depth, force = (self.depth_min_m, self.depth_max_m), (self.force_min_n, self.force_max_n)
         amplitude = 0.5 * self.stochastic_share * (force[1] - force[0])
         samples = round(self.seconds * self.sample_rate)
         histogram = DepthHistogram(np.linspace(*depth, self.bins + 1), self.desired, samples)
-        setup = Setup(
+        setup = SourceParameters(
             samples=samples,
             sample_rate=self.sample_rate,
             lead=self.lead,
@@ -194,7 +198,7 @@ class Rtig(FeedbackKind):
         identified = self._identified(histogram, amplitude) if self.identify else None
         return RtigSource(setup, surface_m, histogram, stream, identified)
 
-    def _identified(self, histogram: DepthHistogram, amplitude: float) -> Identified:
+    def _identified(self, histogram: DepthHistogram, amplitude: float) -> OnlineIdentification:
         depth, force = (self.depth_min_m, self.depth_max_m), (self.force_min_n, self.force_max_n)
         usual = float(np.clip(2.0 * self.cutoff_hz, *_AVERAGES_HZ))
         every = max(1, int(self.sample_rate / usual))
@@ -203,5 +207,7 @@ class Rtig(FeedbackKind):
         local = LocalIdentification(depth, rate, self.memory, amplitude)
         sweep = TargetSweep(histogram.edges, histogram.shares, 0.5 * self.cycle * self.sample_rate)
         density = amplitude**2 * StochasticStream.variance(self.stochastic) / (2.0 * self.cutoff_hz)
-        controller = Scheduled(histogram, static, local, sweep, force, self.sample_rate, density)
-        return Identified(Averages(every, self.sample_rate), static, local, controller, force[1] - force[0], rate)
+        controller = IdentifiedController(histogram, static, local, sweep, force, self.sample_rate, density)
+        return OnlineIdentification(
+            Averages(every, self.sample_rate), static, local, controller, force[1] - force[0], rate
+        )

@@ -1,4 +1,4 @@
-"""A slow ramp: press as if there were no mass and no damping, and let go again."""
+"""Slow force ramp up and down: quasi-static loading curve."""
 
 from __future__ import annotations
 
@@ -13,32 +13,33 @@ from tissueid.messages import Message
 from tissueid.stimuli.base import Array, Ranged, Stimulus, crest_factor, stimulus
 
 SECONDS = 4.5
-_LEAST_SAMPLES = 4
+"""Default length, s."""
+_MIN_SAMPLES = 4
 
 
 @stimulus
 class SlowRamp(Ranged):
-    """A slow ramp from the least to the greatest force and back: the static law, and its loop.
+    """Slow ramp from the lowest to the highest force and back: static force-depth curve and its hysteresis loop.
 
-    So slow, mass and damping take next to no part: what rise and fall show is stiffness, and where they differ friction
-    or hysteresis. It begins and ends at its least force, and so does its preload.
+    Inertia and viscous forces are negligible: loading and unloading show stiffness, and their difference friction or
+    hysteresis. It begins and ends at the lowest force, and its preload is held there.
     """
 
     name: ClassVar[str] = "slow_ramp"
     title: ClassVar[str] = marked("Slow ramp")
     test_kind: ClassVar[str] = "slow_ramp"
 
-    seconds: float = Field(SECONDS, gt=0.0, le=600.0, description=marked("Length of rise and fall together, s"))
-    sample_rate: float = Field(2000.0, gt=0.0, le=1e6, description=marked("Samples a second"))
+    seconds: float = Field(SECONDS, gt=0.0, le=600.0, description=marked("Total length of rise and fall, s"))
+    sample_rate: float = Field(2000.0, gt=0.0, le=1e6, description=marked("Sample rate, Hz"))
 
     @model_validator(mode="after")
-    def _long_enough(self) -> SlowRamp:
-        if round(self.seconds * self.sample_rate) < _LEAST_SAMPLES:
+    def _check_length(self) -> SlowRamp:
+        if round(self.seconds * self.sample_rate) < _MIN_SAMPLES:
             raise UnusableInputError(
                 Message(
                     "slow_ramp.short",
-                    "a ramp needs {least} samples or more: give it more seconds",
-                    least=_LEAST_SAMPLES,
+                    "a ramp needs at least {least} samples: lengthen it",
+                    least=_MIN_SAMPLES,
                 )
             )
         return self
@@ -54,11 +55,11 @@ class SlowRamp(Ranged):
             seed=0,
             crest_factor=crest_factor(values),
             unit=unit,
-            begins_at=low,
+            start_value=low,
         )
 
 
 def ramp(samples: int) -> Array:
-    """Straight from 0 to 1 and back, shape (samples,)."""
+    """Return a linear rise from 0 to 1 and back, shape (samples,)."""
     up = np.linspace(0.0, 1.0, samples - samples // 2)
     return np.concatenate([up, up[::-1][samples % 2 :]])

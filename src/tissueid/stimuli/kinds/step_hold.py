@@ -1,4 +1,4 @@
-"""Steps that are held: what the tissue does after the force has come to rest."""
+"""Steps with holds: creep and relaxation after a change of force."""
 
 from __future__ import annotations
 
@@ -14,48 +14,50 @@ from tissueid.stimuli.base import Array, Ranged, Stimulus, crest_factor, stimulu
 
 SECONDS, RISE_S = 4.0, 0.01
 LEVELS = (0.0, 1.0, 0.5, 0.0)
-"""Of the range, one after the other, each for as long."""
+"""Levels of the holds, relative to the range, in order; all holds have the same length."""
 
 
 @stimulus
 class StepHold(Ranged):
-    """Steps that are held: from the least to the greatest force, halfway back, and back.
+    """Steps with holds: from the lowest to the highest force, halfway back, and back.
 
-    Creep, relaxation and drift show while the force rests. The steps are raised cosines of ``rise_s``, because sharp
-    edges hurt (Chen 2010, 3.1.1). It begins and ends at its least force, and so does its preload.
+    Creep, relaxation and drift appear during the holds. The steps are raised cosines of ``rise_s``, because sharp edges
+    are painful (Chen 2010, 3.1.1). It begins and ends at the lowest force, and its preload is held there.
     """
 
     name: ClassVar[str] = "step_hold"
-    title: ClassVar[str] = marked("Steps that are held")
+    title: ClassVar[str] = marked("Steps with holds")
     test_kind: ClassVar[str] = "step_hold"
 
-    seconds: float = Field(SECONDS, gt=0.0, le=600.0, description=marked("Length of the four holds together, s"))
-    rise_s: float = Field(RISE_S, ge=0.002, le=10.0, description=marked("Time that each step takes, s"))
-    sample_rate: float = Field(2000.0, gt=0.0, le=1e6, description=marked("Samples a second"))
+    seconds: float = Field(SECONDS, gt=0.0, le=600.0, description=marked("Total length of the four holds, s"))
+    rise_s: float = Field(RISE_S, ge=0.002, le=10.0, description=marked("Rise time of each step, s"))
+    sample_rate: float = Field(2000.0, gt=0.0, le=1e6, description=marked("Sample rate, Hz"))
 
     @model_validator(mode="after")
-    def _steps_have_room(self) -> StepHold:
+    def _check_hold_length(self) -> StepHold:
         hold_s = self.seconds / len(LEVELS)
         if self.rise_s > hold_s:
             raise UnusableInputError(
                 Message(
                     "step_hold.rise",
-                    "steps of {rise_s:g} s do not fit into holds of {hold_s:g} s: give more seconds or a "
-                    "shorter rise_s",
+                    "a rise of {rise_s:g} s does not fit into a hold of {hold_s:g} s: increase seconds or "
+                    "shorten rise_s",
                     rise_s=self.rise_s,
                     hold_s=hold_s,
                 )
             )
         if hold_s * self.sample_rate < 1.0:
-            raise UnusableInputError(Message("step_hold.short", "each hold needs a sample or more: give more seconds"))
+            raise UnusableInputError(
+                Message("step_hold.short", "each hold needs at least one sample: increase seconds")
+            )
         return self
 
     def planned_samples(self) -> int:
-        """Samples of the four holds."""
+        """Return the number of samples of the four holds."""
         return len(LEVELS) * round(self.seconds / len(LEVELS) * self.sample_rate)
 
     def build(self) -> Stimulus:
-        """Build the history, four holds of as many samples, N or V."""
+        """Build the history, four holds of equal length, N or V."""
         low, high, unit = self.span
         hold = self.planned_samples() // len(LEVELS)
         values = low + (high - low) * steps(hold, self.rise_s * self.sample_rate)
@@ -66,12 +68,12 @@ class StepHold(Ranged):
             seed=0,
             crest_factor=crest_factor(values),
             unit=unit,
-            begins_at=low,
+            start_value=low,
         )
 
 
 def steps(hold: int, rise: float) -> Array:
-    """``LEVELS``, each for ``hold`` samples, shape (4 hold,), with raised cosines of ``rise`` samples between them."""
+    """Return ``LEVELS``, each for ``hold`` samples, shape (4 hold,), joined by raised cosines of ``rise`` samples."""
     levels = np.repeat(LEVELS, hold)
     before = np.repeat((LEVELS[0], *LEVELS[:-1]), hold)
     since = np.tile(np.arange(1, hold + 1), len(LEVELS))

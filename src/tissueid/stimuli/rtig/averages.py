@@ -1,4 +1,4 @@
-"""What was measured, as it comes: put in order, averaged down, and differentiated."""
+"""Decimation and differentiation of measured samples as they arrive."""
 
 from __future__ import annotations
 
@@ -8,15 +8,15 @@ import numpy as np
 
 from tissueid.stimuli.base import Array
 
-_ENOUGH = 0.6
-"""Share of the samples of an average that must have been received."""
+_MIN_RECEIVED_SHARE = 0.6
+"""Minimum share of received samples in an average."""
 
 
 @dataclass(frozen=True)
 class States:
-    """Averages over ``every`` samples: force, N, depth, m, and its derivatives by time; each (n,), NaN where unknown.
+    """Averages over ``every`` samples: force, N, depth, m, and its time derivatives; each (n,), NaN where unknown.
 
-    Speed and acceleration are central differences, so a state is that of the average before the newest.
+    Speed and acceleration are central differences, so a state lags the newest average by one.
     """
 
     force: Array
@@ -26,7 +26,7 @@ class States:
 
 
 class Averages:
-    """Samples in, averages of ``every`` samples out, whatever the samples are cut into."""
+    """Average samples in groups of ``every``, independently of how the input is split into calls."""
 
     def __init__(self, every: int, sample_rate: float) -> None:
         self._every = every
@@ -35,14 +35,14 @@ class Averages:
         self._last = np.full((2, 2), np.nan)
 
     def take(self, force: Array, depth: Array) -> States:
-        """Take force (k,), N, and depth (k,), m, both NaN where a sample was lost."""
+        """Process force (k,), N, and depth (k,), m, NaN where a sample was lost; return the new states."""
         signals = np.concatenate([self._left, [force, depth]], axis=1)
         whole = signals.shape[1] // self._every
         cut = whole * self._every
         self._left = signals[:, cut:]
         parts = signals[:, :cut].reshape(2, whole, self._every)
         received = np.isfinite(parts[0])
-        enough = received.sum(axis=1) >= _ENOUGH * self._every
+        enough = received.sum(axis=1) >= _MIN_RECEIVED_SHARE * self._every
         share = received / np.maximum(received.sum(axis=1, keepdims=True), 1)
         averages = np.where(enough, (np.where(received, parts, 0.0) * share).sum(axis=2), np.nan)
         course = np.concatenate([self._last, averages], axis=1)  # (2, 2 + whole)

@@ -1,4 +1,4 @@
-"""What is identified while the input is being made, and whether it is good enough to steer by."""
+"""Online identification for RTIG and the decision whether its model is good enough to control the input."""
 
 from __future__ import annotations
 
@@ -9,35 +9,35 @@ import numpy as np
 from tissueid.language import marked
 from tissueid.stimuli.base import Array
 from tissueid.stimuli.rtig.averages import Averages
-from tissueid.stimuli.rtig.identified_control import Scheduled
+from tissueid.stimuli.rtig.identified_control import IdentifiedController
 from tissueid.stimuli.rtig.local_identification import LocalIdentification
 from tissueid.stimuli.rtig.static_map import StaticMap
 
-_TRUST_S = 0.5
-"""Time over which the predictions of the force are judged."""
+_JUDGING_TIME_S = 0.5
+"""Time constant, s, of the average by which the force prediction is judged."""
 
-_LEAVE, _RETURN = 0.4, 0.25
-"""Share of the force's variance that is not predicted from which it is made without identification, and with again."""
+_REJECT_SHARE, _ACCEPT_SHARE = 0.4, 0.25
+"""Unpredicted share of the force variance above which control by the model stops, and below which it resumes."""
 
-_HASTE = 8.0
-"""How much faster is forgotten what does not predict."""
+_FAST_FORGETTING = 8.0
+"""Factor on the forgetting rate while the model does not predict the force."""
 
-_CREDIT = 0.1
-"""Standard deviation of the force, in its range, that is taken for granted at the start."""
+_INITIAL_STD = 0.1
+"""Standard deviation of the force assumed at the start, relative to the force range."""
 
-_NOTHING = 0.02
-"""Standard deviation of the force, in its range, under which nothing can be judged."""
+_MIN_STD = 0.02
+"""Standard deviation of the force, relative to its range, added so that a constant force is not judged."""
 
 
-class Identified:
-    """The static force, the local parameters, and the controller that goes by them."""
+class OnlineIdentification:
+    """Static force, local second-order parameters, and the controller that uses them."""
 
     def __init__(
         self,
         averages: Averages,
         static: StaticMap,
         local: LocalIdentification,
-        controller: Scheduled,
+        controller: IdentifiedController,
         force_span: float,
         averages_rate: float,
     ) -> None:
@@ -45,16 +45,16 @@ class Identified:
         self.local = local
         self.controller = controller
         self._averages = averages
-        self._keep = 1.0 - 1.0 / (_TRUST_S * averages_rate)
-        self._least = (_NOTHING * force_span) ** 2
-        credit = _TRUST_S * averages_rate
-        # Samples, forces, their squares, squared errors; faded. They begin with what a fair start would have given.
-        self._sums = np.array([credit, 0.0, credit * (_CREDIT * force_span) ** 2, 0.0])
+        self._keep = 1.0 - 1.0 / (_JUDGING_TIME_S * averages_rate)
+        self._least = (_MIN_STD * force_span) ** 2
+        credit = _JUDGING_TIME_S * averages_rate
+        # Exponentially weighted sums: samples, forces, squared forces, squared errors; initialised as for a good model.
+        self._sums = np.array([credit, 0.0, credit * (_INITIAL_STD * force_span) ** 2, 0.0])
         self.good = True
-        self.times_left = 0
+        self.rejections = 0
 
     def take(self, force: Array, depth: Array, first: int) -> None:
-        """Take force (k,), N, and depth (k,), m, NaN where one was lost, from sample ``first`` on."""
+        """Process force (k,), N, and depth (k,), m, NaN where a sample was lost, from sample index ``first`` on."""
         states = self._averages.take(force, depth)
         self.local.learn(states.force, states.depth)
         known = np.isfinite(states.acceleration) & np.isfinite(states.force)
@@ -71,25 +71,25 @@ class Identified:
         self._sums = self._keep**force.size * self._sums + new
         samples, forces, squares, missed = self._sums.tolist()
         varied = squares - forces**2 / samples + samples * self._least
-        if self.good and missed > _LEAVE * varied:
+        if self.good and missed > _REJECT_SHARE * varied:
             self.good = False
-            self.times_left += 1
-            self.static.forget(_HASTE)
-        elif not self.good and missed < _RETURN * varied:
+            self.rejections += 1
+            self.static.forget(_FAST_FORGETTING)
+        elif not self.good and missed < _ACCEPT_SHARE * varied:
             self.good = True
             self.static.forget(1.0)
 
     @property
     def verdict(self) -> str:
-        """One line: whether the input went by what was identified."""
+        """Text on whether the identified model controlled the input."""
         if not self.good:
-            return marked("the force was not predicted: made without identification")
+            return marked("model rejected: it did not predict the force; controlled without it")
         if self.local.diverged:
-            return marked("good, but the local responses ran away: no parameters by depth")
-        return marked("good, after a time without") if self.times_left else marked("good")
+            return marked("good, but the local impulse responses diverged: no parameters by depth")
+        return marked("good, rejected for part of the test") if self.rejections else marked("good")
 
     def report(self) -> dict[str, Any]:
-        """Parameters by depth (Fig. 6.12) and the static force, plain values."""
+        """Return the parameters by depth (Fig. 6.12) and the static force as plain values."""
         levels = []
         for level in range(self.local.updates.size):
             system, depth = self.local.system(level), self.local.depth(level)

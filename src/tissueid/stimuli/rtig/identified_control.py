@@ -1,7 +1,7 @@
-"""The offset of the input with identification: sweeps through the identified static force (Chen 2010, 6.3.2).
+"""Offset of the RTIG input with identification: sweeps through the identified static force (Chen 2010, 6.3.2).
 
-The static force says what offset holds each depth, so the feedback of Eq. 6.9 is left with what that does not explain:
-creep, a moving hand, a surface that was taken for another. There the gain follows the local stiffness.
+The static force gives the offset for each depth. The feedback of Eq. 6.9 corrects the rest: creep, hand motion, a wrong
+surface position. Its gain follows the local stiffness.
 """
 
 from __future__ import annotations
@@ -17,13 +17,15 @@ from tissueid.stimuli.rtig.static_map import StaticMap
 from tissueid.stimuli.rtig.target_sweep import TargetSweep
 
 LEVELS = 6
+"""Depth levels of the scatter statistics."""
 _ITERATIONS = 12
+"""Iterations of the multiplicative update in :meth:`Scatter.targets`."""
 _WEIGHT = 100.0
-"""Samples that the first guess of the scatter counts for."""
+"""Weight of the initial scatter estimate, samples."""
 
 
 class Scatter:
-    """Mean and spread of the distance from target to depth, by level of the target; ``edges`` (bins + 1,), m."""
+    """Mean and standard deviation of depth minus target, by level of the target; ``edges`` (bins + 1,), m."""
 
     def __init__(self, edges: Array, forget: float) -> None:
         self._edges = edges
@@ -38,32 +40,33 @@ class Scatter:
         self._least = 0.25 * float(edges[1] - edges[0])
 
     def learn(self, target: Array, away: Array) -> None:
-        """Take targets (n,), m, and how far away from them the depths were, (n,), m; no NaN."""
+        """Update from targets (n,), m, and deviations of the depth from them (n,), m; no NaN."""
         level = np.searchsorted(self._bounds, target)
         new = np.stack([np.bincount(level, weight, LEVELS) for weight in (np.ones(away.size), away, away**2)])
         self._sums = self._keep ** new[0] * self._sums + new
 
     @property
     def bias(self) -> Array:
-        """Mean distance by level, m, (LEVELS,)."""
+        """Mean deviation by level, m, (LEVELS,)."""
         return np.asarray(self._sums[1] / self._sums[0])
 
     @property
     def spread(self) -> Array:
-        """Standard deviation of the distance by level, m, (LEVELS,)."""
+        """Standard deviation of the deviation by level, m, (LEVELS,)."""
         return np.asarray(np.sqrt(np.maximum(self._sums[2] / self._sums[0] - self.bias**2, 0.0)))
 
     def targets(self, want: Array, remaining: int) -> Array:
-        """Time wanted at targets in each bin, (bins,), in samples that add up to ``remaining``.
+        """Return the time at targets in each bin, (bins,), in samples that sum to ``remaining``.
 
-        ``want`` (bins,) are the samples wanted of depths; what is negative cannot be had.
+        Richardson-Lucy deconvolution of ``want`` (bins,), the samples missing by depth, with the scatter; negative
+        entries count as zero.
         """
         wanted = np.maximum(want, 0.0)
         wanted *= remaining / max(float(wanted.sum()), 1e-9)
         spread = np.maximum(np.interp(self._centres, self._middles, self.spread), self._least)
         mean = self._centres + np.interp(self._centres, self._middles, self.bias)
         below = special.ndtr((self._edges - mean[:, None]) / spread[:, None])  # (targets, edges)
-        below[:, 0], below[:, -1] = 0.0, 1.0  # what goes beyond counts for the outermost bins
+        below[:, 0], below[:, -1] = 0.0, 1.0  # samples outside the range count for the outermost bins
         chance = np.diff(below, axis=1)
         time = np.full(wanted.size, remaining / wanted.size)
         for _ in range(_ITERATIONS):
@@ -72,25 +75,28 @@ class Scatter:
 
 
 _CORRECTION = 0.1
-"""Share of the mean distance from the target that a block corrects; four blocks late, twice that would ring."""
+"""Share of the mean deviation that a block corrects; twice this value oscillates with a delay of four blocks."""
 
 _FADE = 0.97
-_MOST_CORRECTION = 0.25
-"""Of the range of depth."""
+"""Decay of the correction from block to block."""
+_MAX_CORRECTION = 0.25
+"""Maximum correction, relative to the depth range."""
 
-_BELIEVED = (0.5, 2.0)
-"""Local stiffnesses that are believed, in the slope of the static force there."""
+_STIFFNESS_LIMITS = (0.5, 2.0)
+"""Accepted local stiffness, relative to the local slope of the static force."""
 
 _SCATTER_S = 2.0
-_QUIETEST = 0.25
-_MOST_SCATTER = 0.06
-"""Standard deviation of the depth about its target, in its range, from which the stochastic part is turned down."""
+"""Time constant of the scatter statistics, s."""
+_MIN_STOCHASTIC = 0.25
+"""Minimum share of the stochastic part."""
+_MAX_SCATTER = 0.06
+"""Standard deviation of the depth, relative to its range, above which the stochastic part is attenuated."""
 
 
-class Scheduled:
-    """Offsets and the size of the stochastic part, block by block.
+class IdentifiedController:
+    """Controller of the offsets and of the amplitude of the stochastic part, block by block.
 
-    ``density`` is the power density of the whole stochastic part, two-sided, N^2 s.
+    ``density`` is the two-sided power density of the full stochastic part, N^2 s.
     """
 
     def __init__(
@@ -110,7 +116,7 @@ class Scheduled:
         self._force = force
         self._rate = sample_rate
         self._density = density
-        self._loud = 1.0
+        self._last_share = 1.0
         self._span = float(histogram.edges[-1] - histogram.edges[0])
         self._scatter = Scatter(histogram.edges, 1.0 / (_SCATTER_S * sample_rate))
         self._targets = np.full(histogram.samples + BLOCK, np.nan)
@@ -119,7 +125,7 @@ class Scheduled:
         self.reachable = (float(histogram.edges[0]), float(histogram.edges[-1]))
 
     def learn(self, depth: Array, first: int) -> None:
-        """Take depths (n,), m, NaN where one was lost, from sample ``first`` of the test on."""
+        """Process depths (n,), m, NaN where a sample was lost, from sample index ``first`` of the test on."""
         target = self._targets[first : first + depth.size]
         depth = depth[: target.size]
         known = np.isfinite(target) & np.isfinite(depth)
@@ -128,13 +134,14 @@ class Scheduled:
         away = depth[known] - target[known]
         self._scatter.learn(target[known], away)
         share = _CORRECTION * away.size / BLOCK
-        most = _MOST_CORRECTION * self._span
+        most = _MAX_CORRECTION * self._span
         self._correction = float(np.clip(_FADE * self._correction - share * away.mean(), -most, most))
 
     def offset(self, made: int, depth: float) -> tuple[Array, Array]:
-        """The next offsets, N, (BLOCK,), and the share of the stochastic part that goes with them, (BLOCK,).
+        """Return the next offsets, N, (BLOCK,), and the share of the stochastic part to add, (BLOCK,).
 
-        ``made`` is how many samples were made before, ``depth`` is where to begin when there was no target, m.
+        ``made`` is the number of samples generated before; ``depth``, m, is the starting depth when there was no
+        target.
         """
         histogram, edges, static = self._histogram, self._histogram.edges, self._static
         if not self._begun:
@@ -144,34 +151,40 @@ class Scheduled:
         low = max(float(edges[0]), min(static.depth(self._force[0]), float(edges[-1])))
         self.reachable = (low, max(low, min(float(edges[-1]), static.depth(self._force[1]))))
         remaining = max(BLOCK, histogram.samples - made)
-        want = histogram.want(ahead[np.isfinite(ahead)], remaining, self.reachable)
+        want = histogram.missing_samples(ahead[np.isfinite(ahead)], remaining, self.reachable)
         before = self._sweep.place
         path = self._sweep.advance(self._scatter.targets(want, remaining), remaining, self.reachable, BLOCK)
         self._targets[made : made + BLOCK] = path[: max(0, self._targets.size - made)]
         speed = np.diff(path, prepend=before) * self._rate
         offset = static.force(path) + static.damping(path) * speed + self._gain(float(path.mean())) * self._correction
-        return offset, self._loudness(float(path.mean()))
+        return offset, self._stochastic_share(float(path.mean()))
 
-    def rest(self) -> None:
-        """Another controller makes the blocks: begin afresh when it is asked again."""
+    def reset(self) -> None:
+        """Reset the path and the correction while another controller generates the blocks."""
         self._begun = False
         self._correction = 0.0
 
     def _gain(self, depth: float) -> float:
-        """Stiffness at a depth, N/m: the identified one as far as the static force bears it out."""
+        """Return the stiffness at a depth, N/m: the identified one, limited to ``_STIFFNESS_LIMITS`` times the static
+        slope.
+        """
         slope = float(self._static.slope(np.array([depth]))[0])
         system = self._local.at(depth)
-        return slope if system is None else float(np.clip(system.stiffness, _BELIEVED[0] * slope, _BELIEVED[1] * slope))
+        return (
+            slope
+            if system is None
+            else float(np.clip(system.stiffness, _STIFFNESS_LIMITS[0] * slope, _STIFFNESS_LIMITS[1] * slope))
+        )
 
-    def _loudness(self, depth: float) -> Array:
-        """Share of the stochastic part that is played, (BLOCK,): less where it would throw the depth about.
+    def _stochastic_share(self, depth: float) -> Array:
+        """Return the share of the stochastic part, (BLOCK,): reduced where it would scatter the depth too much.
 
-        Force of a power density S, two-sided, gives a second-order system the variance S / (2 B K).
+        A force of two-sided power density S gives the depth of a second-order system the variance S / (2 B K).
         """
         system = self._local.at(depth)
         goal = 1.0
         if system is not None and self._density > 0.0:
             scatter = float(np.sqrt(self._density / (2.0 * system.damping * system.stiffness)))
-            goal = float(np.clip(_MOST_SCATTER * self._span / scatter, _QUIETEST, 1.0))
-        before, self._loud = self._loud, goal
+            goal = float(np.clip(_MAX_SCATTER * self._span / scatter, _MIN_STOCHASTIC, 1.0))
+        before, self._last_share = self._last_share, goal
         return before + (goal - before) * np.arange(1, BLOCK + 1) / BLOCK

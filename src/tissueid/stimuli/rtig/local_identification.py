@@ -1,9 +1,9 @@
-"""Mass, damping and stiffness by depth from adaptive least squares in the loop (Chen 2010, 6.3.2 and Fig. 6.12).
+"""Mass, damping and stiffness by depth from online adaptive least squares (Chen 2010, 6.3.2 and Fig. 6.12).
 
-Adaptation is quick only while its input is white, and the input is white up to the cut-off of its stochastic part. So
-force and depth are averaged down to about twice that rate, and their slow course, which belongs to the sweep, is taken
-off both by the same high-pass. Each level of depth has a response of its own that learns while the depth is there: one
-response for all would trail the depth by the time that it takes to adapt.
+Adaptation converges quickly only for a white input, and the input is white up to the cutoff of its stochastic part.
+Force and depth are therefore averaged to about twice that rate, and the slow sweep is removed from both by the same
+high-pass. Each depth level has its own impulse response, adapted while the depth is in that level: a single response
+would lag the depth by its adaptation time.
 """
 
 from __future__ import annotations
@@ -19,27 +19,31 @@ from tissueid.identification.second_order import SecondOrder
 from tissueid.stimuli.base import Array
 
 LEVELS = 8
+"""Number of depth levels."""
 _HIGH_PASS_HZ = 10.0
+"""Cutoff of the high-pass, Hz."""
 _STEP = 0.5
-"""Share of the error that one average corrects: a level is passed in a tenth of a second."""
+"""Normalised step size of the adaptation, chosen so that it converges within a tenth of a second in a level."""
 
 _FLOOR = 0.01
-"""Share of the usual energy of the stochastic part over the memory that is added to what the step is divided by."""
+"""Regularisation of the normalised step, relative to the nominal energy of the stochastic part over the memory."""
 
 _FREQUENCIES = 12
-_LEAST_HZ, _MOST_SHARE = 6.0, 0.5
-"""Frequencies that a second-order system is fitted at: from there to that share of the Nyquist frequency."""
+"""Number of frequencies for the second-order fit."""
+_MIN_HZ, _MAX_NYQUIST_SHARE = 6.0, 0.5
+"""Frequencies of the second-order fit: lowest, Hz, and highest, relative to the Nyquist frequency."""
 
 _REFITS = 3
+"""Iterations of the reweighted fit."""
 
 
 class LocalIdentification:
-    """Adaptive least squares by level of depth.
+    """Adaptive least-squares identification by depth level.
 
     Args:
-        depth: the range of depths that is split into levels, m.
-        sample_rate: of the averages that are taken in.
-        memory: length of the responses, s.
+        depth: depth range that is divided into levels, m.
+        sample_rate: of the averages, Hz.
+        memory: length of the impulse responses, s.
         amplitude: of the stochastic force, N.
     """
 
@@ -56,19 +60,19 @@ class LocalIdentification:
         self._slow = signal.butter(1, min(_HIGH_PASS_HZ, sample_rate / 8.0), "highpass", fs=sample_rate)
         self._slow_state: Array | None = None
         self._last = np.full(2, np.nan)
-        frequency = np.geomspace(min(_LEAST_HZ, sample_rate / 16.0), _MOST_SHARE * 0.5 * sample_rate, _FREQUENCIES)
+        frequency = np.geomspace(min(_MIN_HZ, sample_rate / 16.0), _MAX_NYQUIST_SHARE * 0.5 * sample_rate, _FREQUENCIES)
         self._s = 2j * np.pi * frequency
         self._transform = np.exp(-np.outer(self._s / sample_rate, np.arange(taps)))
         self._edges = np.zeros(0)
         self._sums = np.zeros((1, taps))
         self._counts = np.zeros((1, 2))
-        self._adapt(0, np.zeros((2, 0)), np.zeros(0))  # compiled now, and not while the test runs
+        self._adapt(0, np.zeros((2, 0)), np.zeros(0))  # compiles before the test
 
     def learn(self, force: Array, depth: Array) -> None:
-        """Take averages of force (n,), N, and depth (n,), m, NaN where one was lost."""
+        """Update from averages of force (n,), N, and depth (n,), m, NaN where a sample was lost."""
         signals = np.stack([force, depth])
         lost = ~np.isfinite(signals).all(axis=0)
-        for n in np.flatnonzero(lost):  # the high-pass goes on from what was last received; nothing is learnt there
+        for n in np.flatnonzero(lost):  # hold the last value for the high-pass; excluded from adaptation
             signals[:, n] = signals[:, n - 1] if n else self._last
         if force.size == 0 or not np.isfinite(signals).all():
             return
@@ -84,12 +88,12 @@ class LocalIdentification:
             self._adapt(int(level[piece[0]]), fast[:, piece], signals[1, piece])
 
     def _level(self, depth: Array) -> NDArray[np.int64]:
-        """Levels that hold depths (n,), m; the outermost for those beyond."""
+        """Return the levels of depths (n,), m; the outermost level for depths outside the range."""
         place = (depth - self.bounds[0]) / (self.bounds[1] - self.bounds[0])
         return np.asarray(np.clip(np.floor(place), 0, LEVELS - 1), dtype=np.int64)
 
     def _adapt(self, level: int, fast: Array, depth: Array) -> None:
-        """Let the response of a level learn from force and depth, fast (2, n), at depths (n,), m."""
+        """Adapt the response of a level to force and depth, fast (2, n), at depths (n,), m."""
         if self.updates[level] == 0.0 and self.updates.any():
             known = np.flatnonzero(self.updates)
             self._responses[level] = self._responses[known[np.argmin(np.abs(known - level))]]
@@ -106,11 +110,11 @@ class LocalIdentification:
 
     @property
     def diverged(self) -> bool:
-        """Whether the adaptation ran away."""
+        """Whether the adaptation diverged."""
         return bool(self._scalars[adaptation.DIVERGED])
 
     def system(self, level: int) -> SecondOrder | None:
-        """The second-order system of a level as it stands; None before one is found that is physical."""
+        """Return the current second-order system of a level; None before a physical one was fitted."""
         if self.diverged or self.updates[level] < self._responses.shape[1]:
             return None
         if self._stale[level]:
@@ -119,15 +123,17 @@ class LocalIdentification:
         return self._fitted[level]
 
     def depth(self, level: int) -> float | None:
-        """Mean depth, m, of what a level learnt from; None where it learnt nothing."""
+        """Return the mean depth, m, of the samples of a level; None without samples."""
         return float(self._depths[level] / self.updates[level]) if self.updates[level] else None
 
     def at(self, depth: float) -> SecondOrder | None:
-        """The second-order system of the level that holds a depth, m."""
+        """Return the second-order system of the level at a depth, m."""
         return self.system(int(self._level(np.array([depth]))[0]))
 
     def _fit(self, response: Array) -> SecondOrder | None:
-        """Least squares of 1 / H = K + B s + M s^2, weighted so that errors of H count alike (Sanathanan, Koerner)."""
+        """Fit 1 / H = K + B s + M s^2 by least squares, weighted for equal errors of H (Sanathanan and
+        Koerner 1963).
+        """
         measured = self._transform @ response
         weight = np.ones(measured.size)
         powers = np.stack([np.ones_like(self._s), self._s, self._s**2], axis=1)

@@ -1,4 +1,4 @@
-"""Real-time input generation under way: samples in, blocks of set-points out (Chen 2010, Eq. 6.9)."""
+"""Running RTIG test: takes measured samples, returns blocks of set-points (Chen 2010, Eq. 6.9)."""
 
 from __future__ import annotations
 
@@ -10,26 +10,26 @@ import numpy as np
 from tissueid.stimuli.base import Array
 from tissueid.stimuli.feedback import BLOCK, FeedbackSource
 from tissueid.stimuli.rtig.histogram import DepthHistogram
-from tissueid.stimuli.rtig.identified import Identified
+from tissueid.stimuli.rtig.identified import OnlineIdentification
 from tissueid.stimuli.rtig.stochastic import StochasticStream
 
-_SHARE = 0.3
-"""Part of the way to the wanted bin that a block goes, away from the edges."""
+_STEP_SHARE = 0.3
+"""Share of the distance to the target bin covered per block, away from the edges."""
 
-_EDGE = 0.15
-"""Share of the range at either end over which the edge modulation takes hold."""
+_EDGE_SHARE = 0.15
+"""Share of the range at either end over which the edge modulation applies."""
 
-_PATIENCE = 6
-"""Blocks at the end of the force range after which the depth that it gives is taken for the end of the depths."""
+_LIMIT_BLOCKS = 6
+"""Blocks at a limit of the force range after which the current depth counts as the end of the reachable range."""
 
 
-class Plain:
-    """Offsets by Eq. 6.9, block by block.
+class FixedGainController:
+    """Controller of the offsets by Eq. 6.9 with a fixed gain, block by block.
 
     Args:
         histogram: of the depths so far.
         gain: change of force for a change of depth, N/m.
-        edge_modulation: what is left of the gain at the edges of the range, 0 to 1.
+        edge_modulation: share of the gain that remains at the edges of the range, 0 to 1.
         force: range of the force, N.
     """
 
@@ -44,38 +44,38 @@ class Plain:
         self._reach = [float(histogram.edges[0]), float(histogram.edges[-1])]
 
     def offset(self, last: float, measured: tuple[float, float], pending: Array) -> Array:
-        """The next offsets, N, shape (BLOCK,).
+        """Return the next offsets, N, shape (BLOCK,).
 
         Args:
-            last: offset at the end of the block before, N.
-            measured: mean depth of the newest samples, m, and the mean offset that they belong to, N.
-            pending: offsets (n,) of the samples that were made and not measured yet, N.
+            last: offset at the end of the previous block, N.
+            measured: mean depth of the newest samples, m, and their mean offset, N.
+            pending: offsets (n,) of the samples generated and not yet measured, N.
         """
         edges, histogram = self._histogram.edges, self._histogram
         low, high = float(edges[0]), float(edges[-1])
         depth, then = measured
         expected = np.clip(depth + (np.append(pending, last) - then) / self._gain, low, high)
-        self._watch_ends(last, depth)
+        self._update_reach(last, depth)
         centres = 0.5 * (edges[1:] + edges[:-1])
-        want = histogram.want(expected[:-1], BLOCK, (self._reach[0], self._reach[1]))
+        want = histogram.missing_samples(expected[:-1], BLOCK, (self._reach[0], self._reach[1]))
         want[(centres < self._reach[0]) | (centres > self._reach[1])] = -np.inf
         here = float(expected[-1])
-        # Of bins that lack as much the nearest, so that an even histogram is swept and not jumped about in.
+        # Break ties by distance, so that an even histogram gives a sweep instead of jumps.
         target = float(centres[np.lexsort((np.abs(centres - here), -want))[0]])
-        from_edge = min(here - low, high - here) / (_EDGE * (high - low))
+        from_edge = min(here - low, high - here) / (_EDGE_SHARE * (high - low))
         toward_edge = (target > here) == (here > 0.5 * (low + high))
         modulation = self._edge_modulation + (1.0 - self._edge_modulation) * min(1.0, from_edge)
-        change = self._gain * _SHARE * (modulation if toward_edge else 1.0) * (target - here)
+        change = self._gain * _STEP_SHARE * (modulation if toward_edge else 1.0) * (target - here)
         goal = float(np.clip(last + change, *self._force))  # Eq. 6.9
         return last + (goal - last) * np.arange(1, BLOCK + 1) / BLOCK
 
-    def _watch_ends(self, last: float, depth: float) -> None:
-        """Give up depths that the range of force does not reach, and take them back when they are reached after all."""
+    def _update_reach(self, last: float, depth: float) -> None:
+        """Exclude depths that the force range does not reach, and include them again when they are reached."""
         edges = self._histogram.edges
         ends = (last <= self._force[0], last >= self._force[1])
         self._at_end = self._at_end + 1 if any(ends) else 0
         bin_width = float(edges[1] - edges[0])
-        if self._at_end >= _PATIENCE:
+        if self._at_end >= _LIMIT_BLOCKS:
             if ends[1]:
                 self._reach[1] = max(self._reach[0] + bin_width, min(self._reach[1], depth))
             else:
@@ -84,22 +84,22 @@ class Plain:
         self._reach[0] = min(self._reach[0], max(depth, float(edges[0])))
 
 
-_BLIND_S = 0.15
-"""Without a sample for so long, beyond the lead, the load of the preload is gone back to."""
+_MAX_GAP_S = 0.15
+"""Time without samples, s, beyond the lead, after which the offset returns to the preload."""
 
 _RETURN_S = 0.1
-"""Time that this takes."""
+"""Duration of that return over the whole force range, s."""
 
-_QUIETEST = 0.2
-"""Share of the stochastic part that is kept at the ends of the force range, where half of it would be cut off."""
+_MIN_STOCHASTIC = 0.2
+"""Minimum share of the stochastic part near the ends of the force range, where half of it would be clipped."""
 
-_SEAM = np.maximum(0.0, 1.0 - np.arange(1, BLOCK + 1) / (0.5 * BLOCK))
-"""What is left of a step between blocks, which half a block smooths away."""
+_STEP_FADE = np.maximum(0.0, 1.0 - np.arange(1, BLOCK + 1) / (0.5 * BLOCK))
+"""Weights (BLOCK,) that fade out a step between two blocks over half a block."""
 
 
 @dataclass(frozen=True)
-class Setup:
-    """What a source is started with, SI; see the options of the kind."""
+class SourceParameters:
+    """Parameters of a source, SI; see the options of the kind."""
 
     samples: int
     sample_rate: float
@@ -112,37 +112,37 @@ class Setup:
 
 
 class RtigSource(FeedbackSource):
-    """One test: a controller for the offset, with identification or without, and the stochastic part on top."""
+    """State of one RTIG test: offset controllers with and without identification, and the stochastic part."""
 
     def __init__(
         self,
-        setup: Setup,
+        setup: SourceParameters,
         surface_m: float,
         histogram: DepthHistogram,
         stream: StochasticStream,
-        identified: Identified | None,
+        identified: OnlineIdentification | None,
     ) -> None:
         self._setup = setup
         self._surface = surface_m
         self._histogram = histogram
         self._stream = stream
         self._identified = identified
-        self._plain = Plain(histogram, setup.gain, setup.edge_modulation, setup.force)
+        self._fixed_gain = FixedGainController(histogram, setup.gain, setup.edge_modulation, setup.force)
         self._offsets = np.full(setup.samples + BLOCK, setup.preload)
         self._last = setup.preload
         self._made = self._identified_blocks = 0
         self._taken = self._worked = 0
         self._begun = False
-        self._heard: int | None = None
-        """The number after the newest sample that was received."""
+        self._received_until: int | None = None
+        """Index after the newest received sample."""
         self._depth = np.nan
         self._waiting = np.empty((2, 0))
 
     def take(self, force: Array, position: Array, first: int) -> None:
-        """Take in measured force (k,), N, and position (k,), m; see :class:`FeedbackSource`.
+        """Process measured force (k,), N, and position (k,), m; see :class:`FeedbackSource`.
 
-        Samples that were left out altogether count as lost, and those that come again are passed over. What comes is
-        worked through in whole blocks, so that it does not matter what it is cut into.
+        Omitted samples count as lost, repeated ones are ignored. Samples are processed in whole blocks, so that the
+        result does not depend on how the input is split into calls.
         """
         depth = np.asarray(position, dtype=np.float64) - self._surface
         signals = np.stack([np.asarray(force, dtype=np.float64), depth])
@@ -155,23 +155,23 @@ class RtigSource(FeedbackSource):
         signals = signals[:, max(0, self._taken - first) :]
         self._taken += signals.shape[1]
         self._waiting = np.concatenate([self._waiting, signals], axis=1)
-        while (cut := self._next_cut()) is not None:
+        while (cut := self._next_piece_length()) is not None:
             piece, self._waiting = self._waiting[:, :cut], self._waiting[:, cut:]
-            self._work_through(piece[0], piece[1], self._worked)
+            self._process(piece[0], piece[1], self._worked)
             self._worked += cut
 
-    def _next_cut(self) -> int | None:
-        """Length of the next piece that is whole: it ends with a block, or with the test."""
+    def _next_piece_length(self) -> int | None:
+        """Return the length of the next complete piece, which ends at a block boundary or at the end of the test."""
         end = self._worked // BLOCK * BLOCK + BLOCK
         if self._worked < self._histogram.samples <= self._taken:
             end = min(end, self._histogram.samples)
         cut = end - self._worked
         return cut if cut <= self._waiting.shape[1] else None
 
-    def _work_through(self, force: Array, depth: Array, first: int) -> None:
+    def _process(self, force: Array, depth: Array, first: int) -> None:
         received = np.flatnonzero(np.isfinite(depth))
         if received.size:
-            self._heard = first + int(received[-1]) + 1
+            self._received_until = first + int(received[-1]) + 1
             self._depth = float(depth[received].mean())
         if self._identified is not None:
             self._identified.take(force, depth, first)
@@ -179,37 +179,37 @@ class RtigSource(FeedbackSource):
             self._histogram.add(depth)
 
     def next_block(self) -> Array:
-        """The next set-points, N, (BLOCK,): Eq. 6.9, within the range of force."""
+        """Return the next set-points, N, (BLOCK,): Eq. 6.9, within the force range."""
         setup, made = self._setup, self._made
         noise = setup.amplitude * self._stream.take(BLOCK)
-        offset, loudness = self._offset(self._last)
-        offset = np.clip(offset + (self._last - offset[0]) * _SEAM, *setup.force)
+        offset, stochastic_share = self._offset(self._last)
+        offset = np.clip(offset + (self._last - offset[0]) * _STEP_FADE, *setup.force)
         self._offsets[made : made + BLOCK] = offset[: max(0, self._offsets.size - made)]
         self._last = float(offset[-1])
         self._made += BLOCK
         room = np.minimum(offset - setup.force[0], setup.force[1] - offset)
-        loudness = loudness * np.clip(room / max(setup.amplitude, 1e-9), _QUIETEST, 1.0)
-        return np.asarray(np.clip(offset + loudness * noise, *setup.force))
+        stochastic_share = stochastic_share * np.clip(room / max(setup.amplitude, 1e-9), _MIN_STOCHASTIC, 1.0)
+        return np.asarray(np.clip(offset + stochastic_share * noise, *setup.force))
 
     def _offset(self, last: float) -> tuple[Array, Array]:
-        """The next offsets, N, and the share of the stochastic part that goes with them, each (BLOCK,)."""
+        """Return the next offsets, N, and the share of the stochastic part to add, each (BLOCK,)."""
         setup, made = self._setup, self._made
-        blind = setup.lead * BLOCK + _BLIND_S * setup.sample_rate
-        if self._heard is None or made - self._heard > blind:
+        max_gap = setup.lead * BLOCK + _MAX_GAP_S * setup.sample_rate
+        if self._received_until is None or made - self._received_until > max_gap:
             step = (setup.force[1] - setup.force[0]) / (_RETURN_S * setup.sample_rate) * np.arange(1, BLOCK + 1)
             return last + np.clip(setup.preload - last, -step, step), np.zeros(BLOCK)
         if self._identified is not None and self._identified.good:
             self._identified_blocks += 1
             return self._identified.controller.offset(made, self._depth)
         if self._identified is not None:
-            self._identified.controller.rest()
+            self._identified.controller.reset()
         newest = self._histogram.seen
         then = self._offsets[max(0, newest - BLOCK) : newest]
         measured = self._depth, float(then.mean()) if then.size else setup.preload
-        return self._plain.offset(last, measured, self._offsets[newest:made]), np.ones(BLOCK)
+        return self._fixed_gain.offset(last, measured, self._offsets[newest:made]), np.ones(BLOCK)
 
     def report(self) -> dict[str, Any]:
-        """Distribution of depth so far, cycles, and what was identified; see docs/stimuli.md for the fields."""
+        """Return depth distribution, cycles and identified parameters so far; see docs/stimuli.md for the fields."""
         histogram, setup = self._histogram, self._setup
         reached = histogram.reached
         answer: dict[str, Any] = {
@@ -222,7 +222,7 @@ class RtigSource(FeedbackSource):
             "below": histogram.below,
             "above": histogram.above,
             "cycles": 0.5 * histogram.half_cycles,
-            "cover_s": None if histogram.covered is None else histogram.covered / setup.sample_rate,
+            "cover_s": None if histogram.full_coverage_at is None else histogram.full_coverage_at / setup.sample_rate,
             "reached_m": None if reached is None else list(reached),
             "identification": None,
         }

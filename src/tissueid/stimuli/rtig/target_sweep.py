@@ -11,16 +11,16 @@ import numpy as np
 
 from tissueid.stimuli.base import Array
 
-_WORTH = 0.2
+_MIN_MISSING_SHARE = 0.2
 """Minimum share of the mean missing samples per bin for which a sweep extends to a bin at the end of the range."""
 
-_FASTEST, _SLOWEST = 0.35, 2.5
+_MIN_DWELL, _MAX_DWELL = 0.35, 2.5
 """Shortest and longest dwell time in a bin, relative to an even sweep: limits the speed and avoids plateaus."""
 
-_CROSSING = 0.2
+_CROSSING_DWELL = 0.2
 """Time to cross a bin with a desired share of zero, relative to an even sweep of a uniform distribution."""
 
-_MOST_TURNS = 8
+_MAX_REVERSALS = 8
 """Maximum number of turns in one block; ends the loop when the range is almost empty."""
 
 
@@ -45,14 +45,14 @@ class TargetSweep:
         """
         path = np.empty(n)
         done = 0
-        asked = np.flatnonzero(want >= _WORTH * want.sum() / want.size)
+        asked = np.flatnonzero(want >= _MIN_MISSING_SHARE * want.sum() / want.size)
         low, high = limits
         if asked.size:
             low = max(low, float(self._edges[asked[0]]))
             high = max(low, min(high, float(self._edges[asked[-1] + 1])))
         self.place = float(np.clip(self.place, low, high))
-        for _ in range(_MOST_TURNS):
-            times, depths = self._planned(want, remaining - done, low, high)
+        for _ in range(_MAX_REVERSALS):
+            times, depths = self._plan_sweep(want, remaining - done, low, high)
             ask = np.arange(1, n - done + 1, dtype=np.float64)
             inside = ask <= times[-1]
             count = int(np.count_nonzero(inside))
@@ -66,7 +66,7 @@ class TargetSweep:
         path[done:] = self.place
         return path
 
-    def _planned(self, want: Array, remaining: int, low: float, high: float) -> tuple[Array, Array]:
+    def _plan_sweep(self, want: Array, remaining: int, low: float, high: float) -> tuple[Array, Array]:
         """Return the rest of the current sweep: times in samples from now, and depths, m."""
         edges = self._edges
         if self.rising:
@@ -79,6 +79,6 @@ class TargetSweep:
         even = self._traverse * self._shares
         ahead = float(np.sum(widths * even[bins]))
         after = max(0.0, np.round((remaining - ahead) / self._traverse))
-        usual = np.maximum(even, _CROSSING * self._traverse / want.size)
-        dwell = np.clip(want / (after + 1.0), _FASTEST * usual, _SLOWEST * usual)
+        usual = np.maximum(even, _CROSSING_DWELL * self._traverse / want.size)
+        dwell = np.clip(want / (after + 1.0), _MIN_DWELL * usual, _MAX_DWELL * usual)
         return np.concatenate([[0.0], np.cumsum(widths * dwell[bins])]), depths
