@@ -14,7 +14,7 @@ from tissueid.gap.fitting import fit
 from tissueid.gap.localisation import Localisation, localise
 from tissueid.gap.preparation import prepare
 from tissueid.gap.scoring import score_candidate
-from tissueid.gap.stage_substitution import DRIVE, bounded_least_squares, motion, propagated_noise, simulate_stage
+from tissueid.gap.stage_substitution import DRIVE, motion, propagated_noise, simulate_stage
 from tissueid.sessions import Session, Test
 from tissueid.twin.catalogue import effect
 from tissueid.twin.effect import STAGES
@@ -124,17 +124,6 @@ def test_settling_is_not_quiet_motion():
     noise = 1e-6 * np.random.default_rng(4).normal(size=3000)
     assert quiet_motion(1e-3 * np.exp(-time / 0.08) + noise, RATE_HZ) < 1.2e-6
     assert quiet_motion(2e-5 * np.sin(2.0 * np.pi * 3.0 * time) + noise, RATE_HZ) > 8e-6
-
-
-def test_least_squares_stay_within_their_bounds():
-    target = np.array([1.0, 5.0])
-
-    def residuals(at):
-        return np.concatenate([at - target, 0.1 * (at**2 - target**2)])
-
-    low, high = np.array([0.0, 0.0]), np.array([2.0, 3.0])
-    at = bounded_least_squares(residuals, np.array([0.5, 0.5]), low, high, np.full(2, 1e-4), 40)
-    assert at == pytest.approx([1.0, 3.0], abs=1e-2)
 
 
 def test_connected_bins_are_one_interval():

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field, replace
+from functools import partial
 
 import numpy as np
 from numpy.typing import NDArray
@@ -12,6 +13,7 @@ from tissueid.errors import CancelledError
 from tissueid.gap.dataset import LEAST_NOISE, Dataset, DatasetTest, Purpose
 from tissueid.gap.forward_model import simulate_test
 from tissueid.gap.parameters import Parametrisation, parametrise
+from tissueid.identification.levenberg_marquardt import Bounds, SecantProblem, minimise
 from tissueid.twin.effect import Effect
 
 FloatArray = NDArray[np.float64]
@@ -150,7 +152,7 @@ def differences(
 
 
 class _Search:
-    """Levenberg-Marquardt optimiser with bounds; the Jacobian is updated by secants where they suffice."""
+    """Residuals of the twin on the fitted samples and their derivatives, for a search within bounds."""
 
     def __init__(
         self,
@@ -164,8 +166,6 @@ class _Search:
         self._low, self._high = low, high
         self._cancelled = cancelled
         self._steps = parameters.array("step")
-        self._reach = parameters.array("reach")
-        self._prior, self._std = parameters.array("prior"), parameters.array("prior_std")
         dataset = parameters.dataset
         self._tests = dataset.tests
         self._channels = dataset.channels
@@ -187,67 +187,19 @@ class _Search:
         }
 
     def run(self, theta: FloatArray, near: Fit | None, most_steps: int) -> Fit:
-        residuals, predictions = self.residuals(theta)
-        cost = self._cost(theta, residuals)
-        jacobian = self._jacobian(theta, residuals, near)
-        fresh = near is None
-        damping, steps = 1e-3, 0
-        while steps < most_steps:
-            step, damping = self._step(theta, residuals, jacobian, cost, damping)
-            trial = np.clip(theta + step, self._low, self._high)
-            then, predicted = self.residuals(trial)
-            gain = cost - self._cost(trial, then)
-            if gain > 0.0:
-                moved = trial - theta
-                expected = residuals + jacobian @ moved
-                promised = cost - self._cost(trial, expected)
-                # Broyden's update by the last secant.
-                scaled = moved / self._steps
-                jacobian += np.outer(then - expected, scaled / self._steps) / float(scaled @ scaled)
-                small, poor = gain < TOLERANCE * cost, gain < 0.3 * promised
-                theta, residuals, predictions, cost = trial, then, predicted, cost - gain
-                steps += 1
-                if small and fresh:
-                    break
-                fresh = small or poor
-                if fresh:
-                    jacobian = self._jacobian(theta, residuals, None)
-                damping = max(damping / 5.0, 1e-9)
-            elif not fresh:
-                jacobian, fresh = self._jacobian(theta, residuals, None), True
-            else:
-                damping *= 10.0
-                if damping > 1e5:
-                    break
-        predictions = self._unfitted(theta, predictions)
-        return Fit(self._parameters, theta, cost, predictions, residuals, jacobian, steps)
+        prior = self._parameters.array("prior"), self._parameters.array("prior_std")
+        bounds = Bounds(self._low, self._high, self._parameters.array("reach"))
+        problem = SecantProblem(self.residuals, self._jacobian, self._steps, bounds, prior)
+        known = None if near is None else partial(self._jacobian, near=near)
+        found = minimise(
+            problem, problem.start(theta, known), most_steps=most_steps, tolerance=TOLERANCE, bounds=bounds
+        )
+        best = found.point
+        problem.follow(best)
+        predictions = self._unfitted(best.theta, best.extra)
+        return Fit(self._parameters, best.theta, best.cost, predictions, best.residuals, problem.jacobian, found.steps)
 
-    def _cost(self, theta: FloatArray, residuals: FloatArray) -> float:
-        from_priors = (theta - self._prior) / self._std
-        return float(residuals @ residuals + from_priors @ from_priors)
-
-    def _step(
-        self, theta: FloatArray, residuals: FloatArray, jacobian: FloatArray, cost: float, damping: float
-    ) -> tuple[FloatArray, float]:
-        # A step within the trust region of every coordinate, and its damping.
-        normal = jacobian.T @ jacobian + np.diag(self._std**-2.0)
-        slope = jacobian.T @ residuals + (theta - self._prior) * self._std**-2.0
-        # A coordinate at its bound that would leave it is fixed.
-        free = ~(((theta <= self._low) & (slope > 0.0)) | ((theta >= self._high) & (slope < 0.0)))
-        step = np.zeros_like(theta)
-        if not free.any():
-            return step, damping
-        inner, reach = normal[np.ix_(free, free)], self._reach[free]
-        # Coordinates without influence are damped: a step over their whole reach costs a share of the total.
-        scale = np.diag(inner) + cost / reach**2
-        while True:
-            part = -np.linalg.solve(inner + damping * np.diag(scale), slope[free])
-            if np.all(np.abs(part) <= reach):
-                step[free] = part
-                return step, damping
-            damping *= 3.0
-
-    def _jacobian(self, theta: FloatArray, residuals: FloatArray, near: Fit | None) -> FloatArray:
+    def _jacobian(self, theta: FloatArray, residuals: FloatArray, near: Fit | None = None) -> FloatArray:
         # Columns known from another fit are reused.
         names = [item.name for item in self._parameters.coordinates]
         known = {} if near is None else {k: near.parameters.index.get(name) for k, name in enumerate(names)}

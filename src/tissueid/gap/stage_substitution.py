@@ -8,7 +8,7 @@ stage.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, field
 
 import numpy as np
@@ -19,6 +19,7 @@ from tissueid.gap.dataset import LEAST_NOISE, DatasetTest
 from tissueid.gap.excitation import interpolated
 from tissueid.gap.fitting import Fit
 from tissueid.gap.forward_model import STEP_S, simulate_test
+from tissueid.identification.levenberg_marquardt import Bounds, SecantProblem, minimise
 from tissueid.twin.simulation import NOTHING_MEASURED, MeasuredSignals
 
 FloatArray = NDArray[np.float64]
@@ -157,18 +158,28 @@ def simulate_stage(
             found.append({name: np.asarray(getattr(readings, name)) for name in (channel, *keep)})
         return found
 
-    def residuals(values: FloatArray) -> FloatArray:
+    def residuals(values: FloatArray) -> tuple[FloatArray, None]:
         rows = [
             np.clip(np.nan_to_num((one[channel] - test.signals[channel])[mask] / sigma, nan=1e6), -1e6, 1e6)
             for one, test, mask in zip(simulated(values), tests, masks, strict=True)
         ]
-        return np.concatenate([*rows, (values - prior) / std])
+        return np.concatenate(rows), None
+
+    def derivatives(values: FloatArray, here: FloatArray) -> FloatArray:
+        columns = []
+        for k, step in enumerate(steps):
+            signed = step if values[k] + step <= high[k] else -step
+            other = values.copy()
+            other[k] += signed
+            columns.append((residuals(other)[0] - here) / signed)
+        return np.stack(columns, axis=1)
 
     if places:
         steps = parameters.array("step")[places]
-        start[places] = bounded_least_squares(
-            residuals, np.clip(start[places], low, high), low, high, steps, most_steps
-        )
+        bounds = Bounds(low, high, parameters.array("reach")[places])
+        problem = SecantProblem(residuals, derivatives, steps, bounds, (prior, std))
+        at = problem.start(np.clip(start[places], low, high))
+        start[places] = minimise(problem, at, most_steps=most_steps, tolerance=_TOLERANCE, bounds=bounds).point.theta
     predictions = {test.number: one for test, one in zip(tests, simulated(start[places]), strict=True)}
     return StageSimulation(channel, tuple(tests), start, predictions)
 
@@ -207,66 +218,3 @@ def propagated_noise(baseline: Fit, tests: Sequence[DatasetTest], name: str, noi
             moved = simulate_test(parameters, baseline.theta, test, MeasuredSignals(**{name: noisy})).position
             squares.append(float(np.nanvar(moved - quiet)))
     return float(np.sqrt(np.mean(squares))) if squares else 0.0
-
-
-def bounded_least_squares(
-    residuals: Callable[[FloatArray], FloatArray],
-    start: FloatArray,
-    low: FloatArray,
-    high: FloatArray,
-    steps: FloatArray,
-    most_steps: int = _STEPS,
-) -> FloatArray:
-    """Minimise a sum of squares within bounds, shape (n,): Levenberg-Marquardt with secants (Broyden 1965).
-
-    Args:
-        residuals: function of a vector, shape (m,).
-        start: starting values, shape (n,).
-        low: lower bounds.
-        high: upper bounds.
-        steps: steps of the derivatives.
-        most_steps: most accepted steps.
-    """
-
-    def derivatives(at: FloatArray, here: FloatArray) -> FloatArray:
-        columns = []
-        for k, step in enumerate(steps):
-            signed = step if at[k] + step <= high[k] else -step
-            other = at.copy()
-            other[k] += signed
-            columns.append((residuals(other) - here) / signed)
-        return np.stack(columns, axis=1)
-
-    theta = start.copy()
-    here = residuals(theta)
-    jacobian, fresh = derivatives(theta, here), True
-    cost, damping, taken = float(here @ here), 1e-4, 0
-    while taken < most_steps and damping < 1e4:
-        slope = jacobian.T @ here
-        free = ~(((theta <= low) & (slope > 0.0)) | ((theta >= high) & (slope < 0.0)))
-        if not free.any():
-            break
-        inner = (jacobian.T @ jacobian)[np.ix_(free, free)]
-        moved = np.zeros_like(theta)
-        moved[free] = -np.linalg.solve(inner + damping * np.diag(np.maximum(np.diag(inner), 1e-12)), slope[free])
-        trial = np.clip(theta + moved, low, high)
-        moved = trial - theta
-        then = residuals(trial)
-        gain = cost - float(then @ then)
-        if gain > 0.0:
-            expected = here + jacobian @ moved
-            scaled = moved / steps
-            jacobian = jacobian + np.outer(then - expected, scaled / steps) / float(scaled @ scaled)
-            poor = gain < 0.5 * (cost - float(expected @ expected))
-            theta, here, cost, taken, damping = trial, then, cost - gain, taken + 1, max(damping / 5.0, 1e-9)
-            small = gain < _TOLERANCE * (cost + gain)
-            if small and fresh:
-                break
-            fresh = small or poor
-            if fresh and taken < most_steps:
-                jacobian = derivatives(theta, here)
-        elif not fresh:
-            jacobian, fresh = derivatives(theta, here), True
-        else:
-            damping *= 10.0
-    return theta

@@ -22,6 +22,7 @@ from tissueid.errors import UnusableInputError
 from tissueid.identification.base import Array, Mask
 from tissueid.identification.correlation import Correlator
 from tissueid.identification.effective_samples import dependence_samples, long_run_covariance
+from tissueid.identification.levenberg_marquardt import Bounds, minimise
 from tissueid.identification.sample_masks import finite_runs
 from tissueid.identification.second_order import (
     Complex,
@@ -43,9 +44,11 @@ _FELT = 1e-7
 """Effect on the output below which a parameter is undetermined, relative to the strongest."""
 
 _ITERATIONS = 40
-_SETTLED_STEP, _SMALLEST_STEP = 1e-7, 1e-9
 _SETTLED_GAIN = 1e-9
 """Relative decrease of the squared error below which the fit has converged: less than 0.01 standard deviations."""
+_DAMPING = 1e-9
+_STEPS = Bounds.of_steps(np.ones(3))
+"""A step changes mass, damping and stiffness by at most a factor e."""
 _BRIDGE = 64
 
 
@@ -141,10 +144,16 @@ def fit_second_order(
     w = np.ones(y.size) if weights is None else weights[used]
 
     theta = np.log([system.mass, system.damping, system.stiffness])
-    theta, error, slopes, settled = _minimise(lambda trial: _evaluate(runs, y, w, trial, rate, hold), theta)
-    mass, damping, stiffness = np.exp(theta)
+    problem = _SimulationError(lambda trial: _evaluate(runs, y, w, trial, rate, hold))
+    found = minimise(
+        problem, problem.point(theta), most_steps=_ITERATIONS, tolerance=_SETTLED_GAIN, damping=_DAMPING, bounds=_STEPS
+    )
+    mass, damping, stiffness = np.exp(found.point.theta)
     fitted = SecondOrder(mass=float(mass), damping=float(damping), stiffness=float(stiffness))
-    covariance = _sandwich(slopes, error, dependence_samples(error, rate)) if settled else None
+    covariance = None
+    if found.converged:
+        error = found.point.error
+        covariance = _sandwich(found.point.slopes, error, dependence_samples(error, rate))
     warnings: list[str] = []
     if covariance is None:
         warnings.append(
@@ -181,30 +190,35 @@ def fit_second_order(
     )
 
 
-def _minimise(evaluate: Callable[[Array], tuple[Array, Array]], theta: Array) -> tuple[Array, Array, Array, bool]:
-    """Minimise by Gauss-Newton with halved steps, from ``theta`` (p,), with steps of at most a factor e (theta is
-    logarithmic).
+@dataclass(frozen=True, eq=False)
+class _Point:
+    """Logarithms of mass, damping and stiffness (3,) with the errors (m,) and minus their derivatives (m, 3)."""
 
-    ``evaluate`` returns the error (m,) and minus its derivatives (m, p). Returns the minimum, both at the minimum, and
-    whether the steps or their gains converged. The derivatives neglect the change of the free responses, so that the
-    last steps may stay small without vanishing.
-    """
-    error, slopes = evaluate(theta)
-    for _ in range(_ITERATIONS):
-        gain = 1.0
-        step = np.linalg.lstsq(slopes, error, rcond=1e-10)[0]
-        step /= max(1.0, float(np.max(np.abs(step))))
-        bound = float(error @ error) * (1.0 + 1e-12)
-        while np.max(np.abs(step)) >= _SMALLEST_STEP:
-            tried_error, tried_slopes = evaluate(theta + step)
-            if (tried := float(tried_error @ tried_error)) <= bound:
-                gain = 1.0 - tried / bound
-                theta, error, slopes = theta + step, tried_error, tried_slopes
-                break
-            step = 0.5 * step
-        if np.max(np.abs(step)) < _SETTLED_STEP or 0.0 <= gain < _SETTLED_GAIN:
-            return theta, error, slopes, True
-    return theta, error, slopes, False
+    theta: Array
+    error: Array
+    slopes: Array
+    cost: float
+
+
+class _SimulationError:
+    """The squared error of the free run by log M, log B and log K."""
+
+    def __init__(self, evaluate: Callable[[Array], tuple[Array, Array]]) -> None:
+        self._evaluate = evaluate
+
+    def point(self, theta: Array) -> _Point:
+        """Evaluate logarithms of mass, damping and stiffness."""
+        error, slopes = self._evaluate(theta)
+        return _Point(theta, error, slopes, float(error @ error))
+
+    def linearised(self, at: _Point) -> tuple[Array, Array]:
+        return at.slopes.T @ at.slopes, at.slopes.T @ at.error
+
+    def attempt(self, at: _Point, step: Array) -> _Point:
+        return self.point(at.theta + step)
+
+    def refresh(self, _at: _Point) -> bool:
+        return False
 
 
 def _sandwich(slopes: Array, error: Array, block: int) -> Array | None:

@@ -5,15 +5,13 @@ from __future__ import annotations
 from dataclasses import dataclass, replace
 
 import numpy as np
-from scipy import linalg
 
-from tissueid.identification.cascades.blocks import Blocks, CascadeData, run, slopes
+from tissueid.identification.base import Array
+from tissueid.identification.cascades.blocks import Blocks, CascadeData, Signals, run, slopes
+from tissueid.identification.levenberg_marquardt import minimise
 from tissueid.identification.static_nonlinearity import StaticNonlinearity
 
 _ROUNDS = 3
-_FIRST_DAMPING, _LEAST_DAMPING, _MOST_DAMPING = 1e-3, 1e-10, 1e5
-_UNFELT = 1e-12
-"""Relative sensitivity below which a parameter is not changed."""
 
 _LEFT, _HOLLOW = 0.02, 0.7
 """The outer curve is refitted when z exceeds its range by the first share of it, or fills less than the second."""
@@ -39,10 +37,13 @@ def refine(blocks: Blocks, data: CascadeData, iterations: int = 40, settled: flo
     ``settled`` is the relative decrease of the squared error below which the iteration ends. The damping is scaled by
     the sensitivities, so that it does not depend on the division of gains between blocks.
     """
+    problem = _SimulationError(data)
     best = Fitted(blocks, squared_error(blocks, data))
     for _ in range(_ROUNDS):
         before = best.rss
-        tried = _descend(_laid_anew(best, data), data, iterations, settled)
+        start = problem.point(_laid_anew(best, data).blocks)
+        found = minimise(problem, start, most_steps=iterations, tolerance=settled, idle_steps=2).point
+        tried = Fitted(found.blocks, found.cost)
         if tried.rss < best.rss:
             best = tried
         if before - best.rss <= 10.0 * settled * before or _fits_range(best.blocks, data):
@@ -50,39 +51,41 @@ def refine(blocks: Blocks, data: CascadeData, iterations: int = 40, settled: flo
     return best
 
 
-def _descend(fitted: Fitted, data: CascadeData, iterations: int, settled: float) -> Fitted:
-    blocks, rss = fitted.blocks, fitted.rss
-    signals = run(blocks, data)
-    damping = _FIRST_DAMPING
-    idle = 0
-    for _ in range(iterations):
-        by_all = slopes(blocks, data, signals)  # (p, rows)
-        error = data.measured - signals.output[data.rows]
-        gram = by_all @ by_all.T
-        right = by_all @ error
-        size = np.sqrt(np.diag(gram))
-        felt = size > _UNFELT * float(np.max(size))
-        gram = gram[np.ix_(felt, felt)] / np.outer(size[felt], size[felt])
-        right = right[felt] / size[felt]
-        gained = 0.0
-        while damping <= _MOST_DAMPING:
-            step = np.zeros(size.size)
-            step[felt] = linalg.solve(gram + damping * np.eye(right.size), right, assume_a="pos") / size[felt]
-            tried = blocks.with_vector(blocks.vector + step)
-            passing = run(tried, data)
-            left = data.measured - passing.output[data.rows]
-            tried_rss = float(left @ left)
-            if tried_rss < rss:
-                gained, blocks, rss, signals = rss - tried_rss, tried, tried_rss, passing
-                damping = max(_LEAST_DAMPING, damping / 5.0)
-                break
-            damping *= 4.0
-        if gained == 0.0:
-            break
-        idle = idle + 1 if gained <= settled * rss else 0
-        if idle == 2:
-            break
-    return Fitted(blocks, rss)
+@dataclass(frozen=True, eq=False)
+class _Point:
+    """Blocks with the signals between them, the errors of the fitted rows (m,) and their sum of squares."""
+
+    blocks: Blocks
+    signals: Signals
+    error: Array
+    cost: float
+
+    @property
+    def theta(self) -> Array:
+        return self.blocks.vector
+
+
+class _SimulationError:
+    """The squared error of a cascade by all its parameters."""
+
+    def __init__(self, data: CascadeData) -> None:
+        self._data = data
+
+    def point(self, blocks: Blocks) -> _Point:
+        """Return blocks with their signals and their squared error."""
+        signals = run(blocks, self._data)
+        error = self._data.measured - signals.output[self._data.rows]
+        return _Point(blocks, signals, error, float(error @ error))
+
+    def linearised(self, at: _Point) -> tuple[Array, Array]:
+        by_all = slopes(at.blocks, self._data, at.signals)  # (p, rows)
+        return by_all @ by_all.T, by_all @ at.error
+
+    def attempt(self, at: _Point, step: Array) -> _Point:
+        return self.point(at.blocks.with_vector(at.theta + step))
+
+    def refresh(self, _at: _Point) -> bool:
+        return False
 
 
 def _fits_range(blocks: Blocks, data: CascadeData) -> bool:

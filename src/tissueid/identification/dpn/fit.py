@@ -13,6 +13,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from tissueid.identification import levenberg_marquardt
 from tissueid.identification.base import Array
 from tissueid.identification.dpn.curves import LogCurves
 from tissueid.identification.dpn.simulation import MOST_STEPS, NO_OWNERS, NO_SLOPES, integrate, intersample
@@ -166,36 +167,57 @@ def minimise(
     Every coefficient has the prior mean ``centre`` (p,), see :data:`PRIOR`. The iteration ends when a step decreases
     the cost by less than the share ``settled``.
     """
-    here = fitting.evaluate(curves, starts)
-    if here is None:
+    problem = _SimulationError(fitting, centre)
+    start = problem.point(curves, starts)
+    if start is None:
         return None
-    damping = 1e-4
-    for _ in range(_ITERATIONS):
-        weights = prior_weights(curves, here.rss, here.error.size)
-        theta = curves.theta
-        slopes = here.slopes
-        gram = slopes.T @ slopes + np.diag(weights)
-        right = slopes.T @ here.error_projected - weights * (theta - centre)
-        size = np.sqrt(np.maximum(np.diag(gram), 1e-300))
-        cost = here.rss + float(weights @ (theta - centre) ** 2)
-        moved = False
-        while damping < 1e8:
-            scaled = gram / np.outer(size, size) + damping * np.eye(size.size)
-            step = np.linalg.solve(scaled, right / size) / size
-            tried = curves.with_theta(theta + step)
-            tried_starts = [s + a + b @ step for s, (a, b) in zip(starts, here.starts, strict=True)]
-            there = fitting.evaluate(tried, tried_starts)
-            if there is not None:
-                tried_cost = there.rss + float(weights @ (tried.theta - centre) ** 2)
-                if tried_cost < cost:
-                    gain = (cost - tried_cost) / cost
-                    curves, starts, here = tried, tried_starts, there
-                    damping = max(1e-9, damping / 10.0)
-                    moved = True
-                    break
-                if np.max(np.abs(step * size)) ** 2 < 1e-12 * cost:
-                    break
-            damping = max(10.0 * damping, 1e-6)
-        if not moved or gain < settled:
-            return Fitted(curves, starts, here, True)
-    return Fitted(curves, starts, here, False)
+    found = levenberg_marquardt.minimise(problem, start, most_steps=_ITERATIONS, tolerance=settled, damping=1e-4)
+    return Fitted(found.point.curves, found.point.starts, found.point.evaluation, found.converged)
+
+
+@dataclass(frozen=True, eq=False)
+class _Point:
+    """Curves and starting values with their evaluation; ``cost`` includes the prior."""
+
+    curves: LogCurves
+    starts: list[Array]
+    evaluation: Evaluation
+    cost: float
+
+    @property
+    def theta(self) -> Array:
+        return self.curves.theta
+
+
+class _SimulationError:
+    """The squared simulation error by the coefficients of the curves, each held weakly to its centre.
+
+    The prior is relative to the variance of the error, so that it multiplies the squared error.
+    """
+
+    def __init__(self, fitting: Fitting, centre: Array) -> None:
+        self._fitting, self._centre = fitting, centre
+
+    def point(self, curves: LogCurves, starts: list[Array]) -> _Point | None:
+        """Evaluate curves and starting values; None where the simulation diverges."""
+        found = self._fitting.evaluate(curves, starts)
+        if found is None:
+            return None
+        weights = prior_weights(curves, found.rss, found.error.size)
+        return _Point(curves, starts, found, found.rss + float(weights @ (curves.theta - self._centre) ** 2))
+
+    def linearised(self, at: _Point) -> tuple[Array, Array]:
+        slopes = at.evaluation.slopes
+        weights = prior_weights(at.curves, at.evaluation.rss, at.evaluation.error.size)
+        descent = slopes.T @ at.evaluation.error_projected - weights * (at.theta - self._centre)
+        return slopes.T @ slopes + np.diag(weights), descent
+
+    def attempt(self, at: _Point, step: Array) -> _Point | None:
+        starts = [
+            s + by_error + by_theta @ step
+            for s, (by_error, by_theta) in zip(at.starts, at.evaluation.starts, strict=True)
+        ]
+        return self.point(at.curves.with_theta(at.theta + step), starts)
+
+    def refresh(self, _at: _Point) -> bool:
+        return False
