@@ -96,7 +96,8 @@ class ReaderProcess:
         """End the child without waiting for a file that it reads: the program ends."""
         if (process := self._process) is not None:
             process.kill()
-            process.wait()
+            with contextlib.suppress(OSError), process:
+                pass  # closes the pipes and waits
 
     def _ask(self, request: bytes) -> list[Any]:
         process = self._running()
