@@ -15,6 +15,7 @@ from tissueid.cli.gap import gap
 from tissueid.cli.import_export import export_command, import_command
 from tissueid.cli.plan_command import plan_command
 from tissueid.cli.twin_commands import twin
+from tissueid.procedures.comparison import ComparePlan
 from tissueid.procedures.recovery import RecoveryPlan
 from tissueid.procedures.report import ReportPlan
 
@@ -327,49 +328,15 @@ def engines(
 
 
 @app.command()
-def compare(
-    session: Annotated[Path, typer.Argument(metavar="SESSION", help="session file")],
-    engines: Annotated[str | None, typer.Option(metavar="A,B,...", help="engines to compare; default: all")] = None,
-    test: OneTest = None,
-    also: MoreTests = None,
-    validate: Validate = None,
-    input_name: Input = "force",
-    output_name: Output = "position",
-    memory: Annotated[
-        float | None, typer.Option(metavar="SECONDS", help="memory length of all engines that have one")
-    ] = None,
-    option: Annotated[
-        list[str] | None,
-        typer.Option("--option", metavar="ENGINE.NAME=VALUE", help="option of one engine; may be repeated"),
-    ] = None,
-    sweep: Annotated[bool, typer.Option("--memory-sweep", help="also compute scores against memory; slow")] = False,
-    json_file: JsonFile = None,
-    out: Annotated[Path | None, typer.Option("--out", metavar="FILE", help="write the report, one HTML page")] = None,
-    figures: Annotated[
-        Path | None, typer.Option("--figures", metavar="DIR", help="folder for all figures as SVG and PNG")
-    ] = None,
-) -> None:
+@plan_command
+def compare(plan: ComparePlan, json_file: JsonFile = None) -> None:
     """Fit all engines to one saved test and compare their scores.
 
     Recommends the description that the test supports.
     """
-    from tissueid.cli.compare import run_compare
+    from tissueid.cli.compare import compare_session
 
-    run_compare(
-        session,
-        engines,
-        test,
-        also or [],
-        validate,
-        input_name,
-        output_name,
-        memory,
-        option or [],
-        sweep,
-        json_file,
-        out,
-        figures,
-    )
+    compare_session(plan, json_file)
 
 
 @app.command()

@@ -2,25 +2,24 @@
 
 from __future__ import annotations
 
-import os
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Iterator, Sequence
 from pathlib import Path
 from typing import Any
 
 from rich.console import Console
 from rich.table import Table
 
-from tissueid.analysis import EngineComparison, Entry, SweepRow, compare, known_ceiling, specifications, split
+from tissueid.analysis import EngineComparison, Entry, SweepRow
 from tissueid.analysis.distortion import described_levels, distortion_of, is_multisine
-from tissueid.cli.identify import identify_answer, parse_options
-from tissueid.cli.output import check_json, human_output, message_json, progress_bars, table, write_json
+from tissueid.cli.identify import identify_answer
+from tissueid.cli.output import check_json, console_control, human_output, message_json, table, write_json
 from tissueid.cli.quality import repeat_warnings
 from tissueid.errors import UnusableInputError
 from tissueid.formatting import fixed, grouped
 from tissueid.identification.recommendation import Recommendation
 from tissueid.messages import MISSING
-from tissueid.procedures.output_files import check_output, check_report
-from tissueid.sessions import Session, read_session
+from tissueid.procedures.comparison import ComparePlan, run_comparison
+from tissueid.sessions import Session
 
 _MOST_NAMES = 4
 """File names that are listed of pictures that belong to other comparisons."""
@@ -28,55 +27,26 @@ _UNBOUND_WIDTH = 120
 """Width of the output in characters if it does not go to a terminal."""
 
 
-def run_compare(
-    path: Path,
-    engines: str | None,
-    test: int | None,
-    also: Sequence[int],
-    validate: int | None,
-    input_name: str,
-    output_name: str,
-    memory: float | None,
-    options: Sequence[str],
-    sweep: bool,
-    json_file: Path | None,
-    out: Path | None = None,
-    figures: Path | None = None,
-) -> None:
-    """Fit all engines, print the table and the recommendation, and write the JSON, the page and the figures."""
+def compare_session(plan: ComparePlan, json_file: Path | None) -> None:
+    """Compare the engines, print the table and the recommendation, and write the JSON, the page and the figures."""
     check_json(json_file)
-    check_output(out, ("<!DOCTYPE html",))
-    if figures is not None and figures.exists() and not figures.is_dir():
-        raise UnusableInputError(f"{figures} is a file; name a folder for the figures")
-    _check_writable(out if out is None else out.parent)
-    _check_writable(figures if figures is None or figures.is_dir() else figures.parent)
-    names = None if engines is None else [name.strip() for name in engines.split(",") if name.strip()]
-    chosen = specifications(names, {} if memory is None else {"memory": memory}, _by_engine(options))
-    session = read_session(path)
-    check_report(out, session)
-    parts = split(session, test=test, also=also, validate=validate, input_name=input_name, output_name=output_name)
-    no_ceiling = ""
-    try:
-        ceiling = known_ceiling(session, parts)
-    except UnusableInputError as error:
-        ceiling, no_ceiling = None, f"The limit set by repeats is not known: {error}."
-    with progress_bars() as show:
-        found = compare(chosen, parts, ceiling=ceiling, sweep=sweep, progress=show)
-        drawn = _draw(session, found, out, figures, show)
-    _print_result(found, no_ceiling, human_output(json_file))
-    warned = list(repeat_warnings(session, found.split.tests))
+    with console_control() as control:
+        compared = run_comparison(plan, control)
+    found, out = compared.found, human_output(json_file)
+    _print_result(found, compared.no_ceiling, out)
+    warned = list(repeat_warnings(compared.session, found.split.tests))
     for line in warned:
-        human_output(json_file).print(line, markup=False)
-    if line := _distortion(session, found):
-        human_output(json_file).print(line, markup=False)
+        out.print(line, markup=False)
+    if line := _distortion(compared.session, found):
+        out.print(line, markup=False)
     if json_file is not None:
         write_json(json_file, compare_answer(found) | {"quality_warnings": warned})
-    if out is not None:
-        human_output(json_file).print(f"report: {out}", markup=False)
-    if figures is not None:
-        human_output(json_file).print(f"figures: {figures}", markup=False)
-        if left := _unrelated_pictures(figures, drawn):
-            human_output(json_file).print(left, markup=False)
+    if plan.page is not None:
+        out.print(f"report: {plan.page}", markup=False)
+    if plan.figures is not None:
+        out.print(f"figures: {plan.figures}", markup=False)
+        if left := _unrelated_pictures(plan.figures, compared.figures):
+            out.print(left, markup=False)
 
 
 def _unrelated_pictures(folder: Path, drawn: Sequence[Path]) -> str:
@@ -101,43 +71,6 @@ def _distortion(session: Session, found: EngineComparison) -> str:
     except UnusableInputError as error:
         return f"Noise and distortion of the multisine are not known: {error}."
     return f"Noise, even and odd distortion of the multisine relative to the output: {said}." if said else ""
-
-
-def _check_writable(folder: Path | None) -> None:
-    """Check, before any work, that a folder is writable.
-
-    Raises:
-        UnusableInputError: the folder exists and is not writable.
-    """
-    if folder is not None and folder.is_dir() and not os.access(folder, os.W_OK):
-        raise UnusableInputError(f"the folder {folder} is not writable")
-
-
-def _draw(
-    session: Session,
-    found: EngineComparison,
-    out: Path | None,
-    figures: Path | None,
-    show: Callable[[str, float], None],
-) -> tuple[Path, ...]:
-    """Write the requested page and figures, and return the files of the figures.
-
-    Raises:
-        UnusableInputError: the page or a figure cannot be written.
-    """
-    if out is None and figures is None:
-        return ()
-    from tissueid.reports import comparison_report
-
-    report = comparison_report(session, found, show)
-    try:
-        if out is not None:
-            report.write(out)
-        if figures is not None:
-            return report.write_figures(figures)
-    except OSError as error:
-        raise UnusableInputError(f"cannot write {error.filename or out or figures}: {error.strerror}") from error
-    return ()
 
 
 def compare_answer(found: EngineComparison) -> dict[str, Any]:
@@ -180,21 +113,6 @@ def _sweep_answer(row: SweepRow) -> dict[str, Any]:
     return about | {name: report[name] for name in scores} | {"effective_parameters": row.parameters}
 
 
-def _by_engine(options: Sequence[str]) -> dict[str, dict[str, Any]]:
-    """Return options given as ENGINE.NAME=VALUE by engine.
-
-    Raises:
-        UnusableInputError: an option names no engine.
-    """
-    sorted_out: dict[str, dict[str, Any]] = {}
-    for name, value in parse_options(options).items():
-        engine, dot, option = name.partition(".")
-        if not dot or not option:
-            raise UnusableInputError(f"an option must be ENGINE.NAME=VALUE, got {name!r}")
-        sorted_out.setdefault(engine, {})[option] = value
-    return sorted_out
-
-
 def _print_result(found: EngineComparison, no_ceiling: str, out: Console) -> None:
     if not out.is_terminal:
         out.width = _UNBOUND_WIDTH
@@ -216,7 +134,7 @@ def _print_result(found: EngineComparison, no_ceiling: str, out: Console) -> Non
         for line in found.ceiling.left_out:
             out.print(f"  {line[:1].upper()}{line[1:]}.", markup=False)
     elif no_ceiling:
-        out.print(no_ceiling, markup=False)
+        out.print(f"The limit set by repeats is not known: {no_ceiling}.", markup=False)
     for note, number in notes.items():
         out.print(f"  {number}. {note}", markup=False)
     if found.memory_sweep:

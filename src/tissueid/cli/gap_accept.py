@@ -25,7 +25,7 @@ def run_accept(plan: AcceptPlan, json_file: Path | None, *, yes: bool = False) -
 
     Raises:
         UnusableInputError: the session, the twin, an effect or an option cannot be used, or there is nothing to accept.
-        CancelledError: interrupted, or no member was chosen; nothing was written.
+        CancelledError: no member was chosen; nothing was written.
     """
     check_json(json_file)
     check_different(plan.out, json_file)

@@ -25,7 +25,6 @@ def run_diagnose(plan: DiagnosisPlan, json_file: Path | None) -> None:
 
     Raises:
         UnusableInputError: the session, the twin or an option cannot be used.
-        CancelledError: the diagnosis was interrupted; nothing was written.
     """
     check_json(json_file)
     check_different(json_file, plan.report, plan.twin_out)
@@ -53,7 +52,6 @@ def run_batch(plan: FolderPlan, json_file: Path) -> None:
 
     Raises:
         UnusableInputError: there are no session files.
-        CancelledError: the diagnosis was interrupted; nothing was written.
     """
     check_json(json_file)
     with console_control() as control:

@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import contextlib
-import json
 from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
@@ -21,6 +19,7 @@ from tissueid.formatting import fixed, label_and_unit, plus_minus
 from tissueid.identification.depth_profile import DepthProfile
 from tissueid.identification.registry import engine_names
 from tissueid.identification.validation.residual_tests import ResidualTests, residual_tests
+from tissueid.procedures.plan_options import parse_options
 from tissueid.records import Estimate
 from tissueid.sessions import read_session
 from tissueid.units import display_unit
@@ -109,25 +108,6 @@ def identify_answer(analysis: Analysis) -> dict[str, Any]:
         "external_spring_n_per_m": analysis.external_spring_n_per_m,
         "depth_profile": None if profile is None else profile.as_rows(),
     }
-
-
-def parse_options(options: Sequence[str]) -> dict[str, Any]:
-    """Parse NAME=VALUE pairs. A value is JSON (a number, true, a list with or without brackets) or otherwise text.
-
-    Raises:
-        UnusableInputError: a pair has no equals sign or no name.
-    """
-    parsed: dict[str, Any] = {}
-    for pair in options:
-        name, equals, value = pair.partition("=")
-        if not equals or not name:
-            raise UnusableInputError(f"an option must be NAME=VALUE, got {pair!r}")
-        parsed[name] = value
-        for reading in (value, f"[{value}]") if "," in value else (value,):
-            with contextlib.suppress(ValueError):
-                parsed[name] = json.loads(reading)
-                break
-    return parsed
 
 
 def readable(name: str, found: Estimate) -> tuple[str, str, str]:

@@ -14,7 +14,7 @@ from rich.markup import escape
 from rich.progress import BarColumn, Progress, TextColumn, TimeElapsedColumn
 from rich.table import Table
 
-from tissueid.errors import CancelledError, UnusableInputError
+from tissueid.errors import UnusableInputError
 from tissueid.formatting import clean
 from tissueid.messages import Message
 from tissueid.procedures.control import COUNTED, Control
@@ -139,12 +139,9 @@ class ConsoleControl(Control):
 
 @contextmanager
 def console_control() -> Iterator[ConsoleControl]:
-    """Yield the control of a procedure that runs in this command; an interrupt becomes a ``CancelledError``."""
-    try:
-        with progress_bars() as show:
-            yield ConsoleControl(show)
-    except KeyboardInterrupt:
-        raise CancelledError("cancelled; nothing was written") from None
+    """Yield the control of a procedure that runs in this command."""
+    with progress_bars() as show:
+        yield ConsoleControl(show)
 
 
 class PlainTable(Table):

@@ -12,9 +12,9 @@ from pydantic.fields import FieldInfo
 from pydantic_core import PydanticUndefined
 from rich.table import Table
 
-from tissueid.cli.identify import parse_options
 from tissueid.cli.output import table
 from tissueid.errors import UnusableInputError
+from tissueid.procedures.plan_options import parse_options
 from tissueid.stimuli import FeedbackKind, StimulusKind, get_stimulus, stimulus_names
 
 _BOUNDS = (("ge", "{} or more"), ("gt", "over {}"), ("le", "up to {}"), ("lt", "under {}"))

@@ -10,7 +10,9 @@ no option of the command line.
 
 from __future__ import annotations
 
-from collections.abc import Callable
+import contextlib
+import json
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -18,6 +20,7 @@ from pydantic import BaseModel, ConfigDict, ValidationError
 from pydantic.fields import FieldInfo
 
 from tissueid.errors import UnusableInputError
+from tissueid.messages import Message, Verbatim
 from tissueid.option_errors import option_error
 
 
@@ -67,3 +70,26 @@ def bounds_of(field: FieldInfo) -> tuple[float | None, float | None]:
     """Return the least and greatest value of a field, None where it has no such bound."""
     least, most = (next((getattr(i, name) for i in field.metadata if hasattr(i, name)), None) for name in ("ge", "le"))
     return least, most
+
+
+def parse_options(options: Sequence[str]) -> dict[str, Any]:
+    """Parse NAME=VALUE pairs. A value is JSON (a number, true, a list with or without brackets) or otherwise text.
+
+    Raises:
+        UnusableInputError: a pair has no equals sign or no name.
+    """
+    parsed: dict[str, Any] = {}
+    for pair in options:
+        name, equals, value = pair.partition("=")
+        if not equals or not name:
+            raise UnusableInputError(
+                Message(
+                    "option.pair", "an option must be {form}, got {text}", form="NAME=VALUE", text=Verbatim(repr(pair))
+                )
+            )
+        parsed[name] = value
+        for reading in (value, f"[{value}]") if "," in value else (value,):
+            with contextlib.suppress(ValueError):
+                parsed[name] = json.loads(reading)
+                break
+    return parsed

@@ -31,9 +31,9 @@ class ReportPlan(Plan):
         int | None, Option("--test", metavar="N", help="test to fit; default: the first stochastic test")
     ] = None
     engines: Annotated[
-        tuple[str, ...],
+        tuple[str, ...] | None,
         Option("--engines", metavar="A,B,...", separator=",", help="engines to report; default: lms,spectral,wiener"),
-    ] = ()
+    ] = None
     pdf: Annotated[Path | None, Option("--pdf", metavar="FILE", help="also write a short PDF")] = None
 
 
@@ -48,7 +48,7 @@ class AnalysedTest:
 
 
 def analyse_test(
-    session: Session, number: int | None = None, engines: Iterable[str] = (), control: Control | None = None
+    session: Session, number: int | None = None, engines: Iterable[str] | None = None, control: Control | None = None
 ) -> AnalysedTest:
     """Fit the engines of the standard report, or those that are named, to one test.
 
@@ -57,7 +57,7 @@ def analyse_test(
     Args:
         session: the session.
         number: of the test; None for the first stochastic one.
-        engines: names; none for the standard report.
+        engines: names; None for the standard report.
         control: progress and cancellation.
 
     Raises:
@@ -70,7 +70,7 @@ def analyse_test(
     test = session.test(number)
     analyses: dict[str, Analysis] = {}
     refused: dict[str, str] = {}
-    names = tuple(dict.fromkeys(engines)) or report_engines()
+    names = report_engines() if engines is None else tuple(dict.fromkeys(engines))
     for done, name in enumerate(names):
         get_engine(name)
         control.progress(done / len(names), _FITTING)

@@ -13,8 +13,8 @@ from PySide6.QtWidgets import (
     QTableView,
 )
 
+from tissueid import analysis
 from tissueid.app.theme import DARK
-from tissueid.app.views.researcher import batch
 from tissueid.app.views.researcher.pictures import PICTURES
 from tissueid.identification.base import PREDICTS_NOTHING
 from tissueid.messages import MISSING
@@ -202,14 +202,14 @@ def test_a_comparison_recommends_with_reasons(qtbot, panel, two):
 
 def test_a_comparison_is_cancelled_between_its_engines(qtbot, panel, strip, monkeypatch, two):
     reached, go_on = threading.Event(), threading.Event()
-    real = batch.split
+    real = analysis.split
 
     def slow(*args, **options):
         reached.set()
         assert go_on.wait(WAIT_MS / 1000)
         return real(*args, **options)
 
-    monkeypatch.setattr(batch, "split", slow)
+    monkeypatch.setattr(analysis, "split", slow)
     panel.show_tests(two)
     press(qtbot, panel.compare)
     qtbot.waitUntil(reached.is_set, timeout=WAIT_MS)

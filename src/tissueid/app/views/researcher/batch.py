@@ -7,7 +7,7 @@ from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 
-from tissueid.analysis import EngineComparison, analyse, compare, known_ceiling, specifications, split
+from tissueid.analysis import EngineComparison, analyse, specifications
 from tissueid.app.file_stamp import stamp_of
 from tissueid.app.job_control import JobControl
 from tissueid.app.views.researcher.analysis_history import AnalysisHistory, HistoryEntry
@@ -21,6 +21,8 @@ from tissueid.formatting import clean, fixed, subject_text
 from tissueid.identification import engine_label
 from tissueid.language import _, marked
 from tissueid.messages import Listing, Message, translated
+from tissueid.procedures.comparison import compare_engines
+from tissueid.procedures.control import Control
 from tissueid.sessions import Session, read_session
 
 _SUFFIX = ".h5"
@@ -55,11 +57,12 @@ def run(task: AnalysisTask, control: JobControl, history: AnalysisHistory, momen
     cancelled = False
     try:
         for place, group in enumerate(groups):
-            tell = _part(control, place, len(groups), clean(group[0].label))
-            tell("", 0.0)
+            part = _PartControl(control, place, len(groups), clean(group[0].label))
+            part.progress(0.0, "")
+            part.check()
             stamp = stamp_of(group[0].path)
             try:
-                found, verdict = (_run_one if task.kind == "run" else _compare_one)(task, group, read, tell)
+                found, verdict = (_run_one if task.kind == "run" else _compare_one)(task, group, read, part)
             except CancelledError:
                 raise
             except Exception as error:  # noqa: BLE001 - one test that fails must not cost the others
@@ -85,11 +88,12 @@ def refit(outcomes: Sequence[EngineOutcome], control: JobControl) -> Batch:
     read = functools.lru_cache(maxsize=2)(read_session)
     tasks = [_task_of(outcome) for outcome in outcomes]
     for place, (outcome, task) in enumerate(zip(outcomes, tasks, strict=True)):
-        tell = _part(control, place, len(outcomes), outcome.test_label)
+        part = _PartControl(control, place, len(outcomes), outcome.test_label)
         try:
-            tell("", 0.0)
+            part.progress(0.0, "")
+            part.check()
             stamp = stamp_of(outcome.tests[0].path)
-            ((found,), _none) = _run_one(task, outcome.tests, read, tell)
+            ((found,), _none) = _run_one(task, outcome.tests, read, part)
             done.append(replace(found, options=outcome.options, stamp=stamp, recommended=outcome.recommended))
         except CancelledError:
             cancelled = True
@@ -125,21 +129,49 @@ def run_folder(folder: Path, task: AnalysisTask, control: JobControl, history: A
     return replace(found, problems=(*problems, *found.problems))
 
 
-def _part(control: JobControl, place: int, count: int, label: str) -> Callable[[str, float], None]:
-    which = _("{place} of {count}: {label}").format(place=place + 1, count=count, label=label) if count > 1 else label
+class _PartControl(Control):
+    """Control of one of several parts of a task: it shows the completed share of the task."""
 
-    def tell(what: str, share: float) -> None:
-        control.progress((place + share) / count, f"{which}, {what}" if what else which)
-        control.check()
+    def __init__(self, whole: Control, place: int, count: int, label: str) -> None:
+        self._whole, self._place, self._count = whole, place, count
+        self._label = (
+            _("{place} of {count}: {label}").format(place=place + 1, count=count, label=label) if count > 1 else label
+        )
 
-    return tell
+    def progress(self, fraction: float | None, step: str) -> None:
+        """Show the part, the step and the completed share of the task."""
+        share = (self._place + (fraction or 0.0)) / self._count
+        self._whole.progress(share, f"{self._label}, {step}" if step else self._label)
+
+    def cancelled(self) -> bool:
+        """Return whether the task should end."""
+        return self._whole.cancelled()
+
+
+class _ComparisonControl(Control):
+    """Control of a comparison: it adds the shares of its steps to that of the comparison."""
+
+    def __init__(self, whole: Control, engines: Sequence[str]) -> None:
+        self._whole, self._engines = whole, tuple(engines)
+        self._begun: list[str] = []
+
+    def progress(self, fraction: float | None, step: str) -> None:
+        """Show the engine or the step, and the completed share of the comparison."""
+        share, count = fraction or 0.0, len(self._engines)
+        if step not in self._begun:
+            self._begun.append(step)
+        begun = len(self._begun)
+        within = min(begun - 1.0, count) + (share if begun <= count else 0.5 * _STEPS * share)
+        title = engine_label(step) if step in self._engines else sentence(translated(step))
+        self._whole.progress(min(0.95, within / (count + _STEPS)), title)
+
+    def cancelled(self) -> bool:
+        """Return whether the comparison should end."""
+        return self._whole.cancelled()
 
 
 def _run_one(
-    task: AnalysisTask,
-    group: tuple[SelectedTest, ...],
-    read: Callable[[Path], Session],
-    tell: Callable[[str, float], None],
+    task: AnalysisTask, group: tuple[SelectedTest, ...], read: Callable[[Path], Session], control: Control
 ) -> tuple[list[EngineOutcome], list[ComparisonSummary]]:
     first, *others = group
     signals = task.input_name, task.output_name
@@ -152,38 +184,27 @@ def _run_one(
         input_name=signals[0],
         output_name=signals[1],
     )
-    tell(_("drawing"), 0.8)
+    control.progress(0.8, _("drawing"))
+    control.check()
     return [EngineOutcome.of(analysis, dict(task.options), group, signals)], []
 
 
 def _compare_one(
-    task: AnalysisTask,
-    group: tuple[SelectedTest, ...],
-    read: Callable[[Path], Session],
-    tell: Callable[[str, float], None],
+    task: AnalysisTask, group: tuple[SelectedTest, ...], read: Callable[[Path], Session], control: Control
 ) -> tuple[list[EngineOutcome], list[ComparisonSummary]]:
     first, *others = group
-    engines = specifications(task.engines)
-    session = read(first.path)
-    also = [test.number for test in others]
     signals = task.input_name, task.output_name
-    parts = split(session, test=first.number, also=also, input_name=signals[0], output_name=signals[1])
-    try:
-        ceiling = known_ceiling(session, parts)
-    except UnusableInputError:
-        ceiling = None
-    heard: list[str] = []
-    names = {engine.name for engine in engines}
-    total = len(engines) + _STEPS
-
-    def advance(what: str, share: float) -> None:
-        if what not in heard:
-            heard.append(what)
-        within = min(len(heard) - 1.0, len(engines)) + (share if len(heard) <= len(engines) else 0.5 * _STEPS * share)
-        tell(engine_label(what) if what in names else sentence(translated(what)), min(0.95, within / total))
-
-    found = compare(engines, parts, ceiling=ceiling, progress=advance)
-    tell(_("drawing"), 0.96)
+    found = compare_engines(
+        read(first.path),
+        specifications(task.engines),
+        _ComparisonControl(control, task.engines),
+        test=first.number,
+        also=[test.number for test in others],
+        input_name=signals[0],
+        output_name=signals[1],
+    ).found
+    control.progress(0.96, _("drawing"))
+    control.check()
     return list(_outcomes(found, group, signals)), [summary_of(found, group)]
 
 

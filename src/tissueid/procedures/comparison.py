@@ -1,0 +1,210 @@
+"""Comparison of engines on saved tests, with the page and the figures."""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Any
+
+from tissueid.errors import UnusableInputError
+from tissueid.messages import Message, Verbatim
+from tissueid.procedures.control import Control
+from tissueid.procedures.output_files import HTML, check_output, check_report, unwritable
+from tissueid.procedures.plan_options import Option, Plan, parse_options
+
+if TYPE_CHECKING:  # each takes long to import
+    from tissueid.analysis import EngineComparison
+    from tissueid.identification import Engine
+    from tissueid.sessions import Session
+
+
+class ComparePlan(Plan):
+    """Tests, engines with their options, and the files to write."""
+
+    session: Annotated[Path, Option(argument=True, metavar="SESSION", help="session file")]
+    engines: Annotated[
+        tuple[str, ...] | None,
+        Option("--engines", metavar="A,B,...", separator=",", help="engines to compare; default: all"),
+    ] = None
+    test: Annotated[
+        int | None, Option("--test", metavar="N", help="test to fit; default: the first stochastic test")
+    ] = None
+    also: Annotated[
+        tuple[int, ...], Option("--also", metavar="N", help="another test to fit jointly; may be repeated")
+    ] = ()
+    validation_test: Annotated[
+        int | None,
+        Option(
+            "--validate",
+            metavar="N",
+            help="test for validation; default: the last quarter of the test is held out",
+        ),
+    ] = None
+    input_name: Annotated[str, Option("--input", metavar="SIGNAL", help="input signal")] = "force"
+    output_name: Annotated[str, Option("--output", metavar="SIGNAL", help="output signal")] = "position"
+    memory_s: Annotated[
+        float | None, Option("--memory", metavar="SECONDS", help="memory length of all engines that have one")
+    ] = None
+    options: Annotated[
+        tuple[str, ...],
+        Option("--option", metavar="ENGINE.NAME=VALUE", help="option of one engine; may be repeated"),
+    ] = ()
+    sweep: Annotated[bool, Option("--memory-sweep", help="also compute scores against memory; slow")] = False
+    page: Annotated[Path | None, Option("--out", metavar="FILE", help="write the report, one HTML page")] = None
+    figures: Annotated[
+        Path | None, Option("--figures", metavar="DIR", help="folder for all figures as SVG and PNG")
+    ] = None
+
+
+@dataclass(frozen=True)
+class ComparedTests:
+    """A comparison with its session. ``no_ceiling`` says why the limit set by repeats is not known."""
+
+    session: Session
+    found: EngineComparison
+    no_ceiling: str = ""
+    figures: tuple[Path, ...] = ()
+
+
+def run_comparison(plan: ComparePlan, control: Control) -> ComparedTests:
+    """Compare the engines of a plan and write its page and figures.
+
+    Raises:
+        UnusableInputError: the session, a test, an engine, an option or a file cannot be used.
+        CancelledError: it was cancelled; nothing was written.
+    """
+    from tissueid.analysis import specifications
+    from tissueid.sessions import read_session
+
+    check_output(plan.page, HTML)
+    _check_figures(plan.figures)
+    _check_writable(plan.page if plan.page is None else plan.page.parent)
+    shared = {} if plan.memory_s is None else {"memory": plan.memory_s}
+    engines = specifications(plan.engines, shared, _by_engine(plan.options))
+    session = read_session(plan.session)
+    check_report(plan.page, session)
+    compared = compare_engines(
+        session,
+        engines,
+        control,
+        test=plan.test,
+        also=plan.also,
+        validate=plan.validation_test,
+        input_name=plan.input_name,
+        output_name=plan.output_name,
+        sweep=plan.sweep,
+    )
+    figures = _draw(compared, plan.page, plan.figures, control)
+    return ComparedTests(session, compared.found, compared.no_ceiling, figures)
+
+
+def compare_engines(
+    session: Session,
+    engines: Sequence[Engine],
+    control: Control,
+    *,
+    test: int | None = None,
+    also: Sequence[int] = (),
+    validate: int | None = None,
+    input_name: str = "force",
+    output_name: str = "position",
+    sweep: bool = False,
+) -> ComparedTests:
+    """Fit engines to one test, or to several jointly, and compare them; arguments as the options of ``ComparePlan``.
+
+    The control shows the name of each engine, and other steps, with the completed share of the step.
+
+    Raises:
+        UnusableInputError: a test cannot be used, or every engine refused it.
+        CancelledError: it was cancelled.
+    """
+    from tissueid.analysis import compare, known_ceiling, split
+
+    parts = split(session, test=test, also=also, validate=validate, input_name=input_name, output_name=output_name)
+    no_ceiling = ""
+    try:
+        ceiling = known_ceiling(session, parts)
+    except UnusableInputError as error:
+        ceiling, no_ceiling = None, error.message
+    found = compare(engines, parts, ceiling=ceiling, sweep=sweep, progress=_shown(control))
+    return ComparedTests(session, found, no_ceiling)
+
+
+def _shown(control: Control) -> Callable[[str, float], None]:
+    def show(step: str, share: float) -> None:
+        control.progress(share, step)
+        control.check()
+
+    return show
+
+
+def _by_engine(options: Sequence[str]) -> dict[str, dict[str, Any]]:
+    """Return options given as ENGINE.NAME=VALUE by engine.
+
+    Raises:
+        UnusableInputError: an option names no engine.
+    """
+    found: dict[str, dict[str, Any]] = {}
+    for name, value in parse_options(options).items():
+        engine, dot, option = name.partition(".")
+        if not dot or not option:
+            raise UnusableInputError(
+                Message(
+                    "option.pair",
+                    "an option must be {form}, got {text}",
+                    form="ENGINE.NAME=VALUE",
+                    text=Verbatim(repr(name)),
+                )
+            )
+        found.setdefault(engine, {})[option] = value
+    return found
+
+
+def _check_figures(folder: Path | None) -> None:
+    """Check that a folder for figures can be made or written.
+
+    Raises:
+        UnusableInputError: it is a file, or not writable.
+    """
+    if folder is None:
+        return
+    if folder.exists() and not folder.is_dir():
+        raise UnusableInputError(
+            Message("file.not_a_folder", "{path} is a file; name a folder for the figures", path=str(folder))
+        )
+    _check_writable(folder if folder.is_dir() else folder.parent)
+
+
+def _check_writable(folder: Path | None) -> None:
+    """Check that a folder is writable.
+
+    Raises:
+        UnusableInputError: the folder exists and is not writable.
+    """
+    if folder is not None and folder.is_dir() and not os.access(folder, os.W_OK):
+        raise UnusableInputError(
+            Message("file.folder_unwritable", "the folder {folder} is not writable", folder=str(folder))
+        )
+
+
+def _draw(compared: ComparedTests, page: Path | None, figures: Path | None, control: Control) -> tuple[Path, ...]:
+    """Write the requested page and figures, and return the files of the figures.
+
+    Raises:
+        UnusableInputError: the page or a figure cannot be written.
+    """
+    if page is None and figures is None:
+        return ()
+    from tissueid.reports import comparison_report
+
+    report = comparison_report(compared.session, compared.found, _shown(control))
+    try:
+        if page is not None:
+            report.write(page)
+        if figures is not None:
+            return report.write_figures(figures)
+    except OSError as error:
+        raise unwritable(Path(error.filename or page or figures or ""), error) from error
+    return ()
