@@ -35,11 +35,14 @@ _FIRST_YEAR = 2000
 
 @dataclass(frozen=True)
 class _Recorded:
+    """The session of a sweep, the file of its calibration, and where a new recording was saved."""
+
     session: Session
     path: Path
     nominal: DeviceDescription
     conditions: dict[str, float | str]
     remarks: tuple[str, ...] = ()
+    saved: Path | None = None
     made: datetime | None = None
 
 
@@ -94,7 +97,6 @@ def run_sweep(
             valid_days=plan.valid_days,
             now=recorded.made,
         )
-    saved = recorded.path.with_suffix(".h5") if plan.all_files else plan.session
     return keep(
         plan,
         calibration,
@@ -103,7 +105,7 @@ def run_sweep(
         trail,
         nominal=recorded.nominal,
         seconds=seconds,
-        session=saved,
+        session=recorded.saved,
         sweep=result,
     )
 
@@ -179,7 +181,7 @@ def _record(
         "seconds": plan.seconds,
         "by": "motorised stage" if sweep.has_stage else "hand",
     }
-    return _Recorded(session, path, instrument.nominal, conditions, tuple(sweep.remarks))
+    return _Recorded(session, path, instrument.nominal, conditions, tuple(sweep.remarks), wanted)
 
 
 def _broken_off(
