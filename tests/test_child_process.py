@@ -16,10 +16,10 @@ import tissueid
 from tissueid.acquisition.live_estimator import LiveSettings
 from tissueid.acquisition.live_process import LiveProcess
 from tissueid.child_process import run
-from tissueid.cli.demo import firmware_process
 from tissueid.cli.gap_blind import _record
 from tissueid.gap.workers import executor
 from tissueid.procedures.control import Control
+from tissueid.procedures.demo import firmware_process
 from tissueid.procedures.separate_process import run_in_process
 
 HOSTILE = (

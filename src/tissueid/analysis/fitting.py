@@ -53,6 +53,17 @@ class Analysis:
             return profile
         return profile_without_spring(profile, self.external_spring_n_per_m)
 
+    def as_answer(self) -> dict[str, Any]:
+        """Return the result for JSON: report, fitted tests, validation part, and parameters against depth."""
+        profile = self.depth_profile()
+        return self.model.report.as_dict() | {
+            "test": self.test,
+            "tests": list(self.tests),
+            "validated_on": self.validated_on,
+            "external_spring_n_per_m": self.external_spring_n_per_m,
+            "depth_profile": None if profile is None else profile.as_rows(),
+        }
+
 
 def analyse(
     session: Session,

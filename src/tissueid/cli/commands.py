@@ -16,6 +16,7 @@ from tissueid.cli.import_export import export_command, import_command
 from tissueid.cli.plan_command import plan_command
 from tissueid.cli.twin_commands import twin
 from tissueid.procedures.comparison import ComparePlan
+from tissueid.procedures.demo import DemoPlan
 from tissueid.procedures.recovery import RecoveryPlan
 from tissueid.procedures.report import ReportPlan
 
@@ -83,19 +84,15 @@ def open_window(
 
 
 @app.command()
-def demo(
-    out: Annotated[Path, typer.Option("--out", metavar="DIR", help="folder for session.h5, results.json, report.html")],
-    seed: Annotated[int, typer.Option(min=0, max=2**31 - 1, help="seed of stimulus and sensor noise")] = 1,
-    preset: Annotated[str, typer.Option(help="tissue; see 'tissueid-firmware-sim --list'")] = "left-posterior-forearm",
-    json_file: JsonFile = None,
-) -> None:
+@plan_command
+def demo(plan: DemoPlan, json_file: JsonFile = None) -> None:
     """Run one guided test on a simulated forearm, without hardware.
 
     Includes recording, identification and report.
     """
-    from tissueid.cli.demo import run_demo
+    from tissueid.cli.demo import demonstrate
 
-    run_demo(out, seed, preset, json_file)
+    demonstrate(plan, json_file)
 
 
 @app.command()

@@ -11,7 +11,6 @@ from rich.table import Table
 
 from tissueid.analysis import EngineComparison, Entry, SweepRow
 from tissueid.analysis.distortion import described_levels, distortion_of, is_multisine
-from tissueid.cli.identify import identify_answer
 from tissueid.cli.output import check_json, console_control, human_output, message_json, table, write_json
 from tissueid.cli.quality import repeat_warnings
 from tissueid.errors import UnusableInputError
@@ -92,7 +91,7 @@ def _entry_answer(entry: Entry) -> dict[str, Any]:
     if entry.scored is None:
         return about | {"refused": entry.refused, "refused_message": message_json(entry.refused)}
     return (
-        identify_answer(entry.scored.analysis)
+        entry.scored.analysis.as_answer()
         | about
         | {
             "refused": None,

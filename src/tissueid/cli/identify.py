@@ -74,7 +74,7 @@ def run_identify(
         out.print(line, markup=False)
     if json_file is not None:
         write_json(
-            json_file, identify_answer(analysis) | {"residual_tests": _tests_answer(tests), "quality_warnings": warned}
+            json_file, analysis.as_answer() | {"residual_tests": _tests_answer(tests), "quality_warnings": warned}
         )
 
 
@@ -95,18 +95,6 @@ def _tests_answer(tests: ResidualTests | None) -> dict[str, Any] | None:
         "tests": p_values,
         "findings": list(tests.findings),
         "finding_messages": messages_json(tests.findings),
-    }
-
-
-def identify_answer(analysis: Analysis) -> dict[str, Any]:
-    """Return the result for JSON: report, fitted tests, validation part, and parameters against depth."""
-    profile = analysis.depth_profile()
-    return analysis.model.report.as_dict() | {
-        "test": analysis.test,
-        "tests": list(analysis.tests),
-        "validated_on": analysis.validated_on,
-        "external_spring_n_per_m": analysis.external_spring_n_per_m,
-        "depth_profile": None if profile is None else profile.as_rows(),
     }
 
 

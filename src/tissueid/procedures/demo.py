@@ -1,0 +1,236 @@
+"""Demonstration: a complete test with simulated firmware over a real serial link, identification and report."""
+
+from __future__ import annotations
+
+import contextlib
+import json
+import subprocess
+import tempfile
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from dataclasses import asdict, dataclass, replace
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Any
+
+import numpy as np
+from pydantic import Field
+
+from tissueid.atomic_write import private_folder
+from tissueid.child_process import run, start
+from tissueid.errors import InstrumentError, UnusableInputError
+from tissueid.language import marked
+from tissueid.messages import Message, Verbatim
+from tissueid.procedures.audit_notes import audit_note
+from tissueid.procedures.control import Control
+from tissueid.procedures.output_files import json_text, write_text
+from tissueid.procedures.plan_options import Option, Plan
+
+if TYPE_CHECKING:  # each takes long to import
+    from tissueid.analysis import Analysis
+    from tissueid.audit import AuditTrail
+    from tissueid.calibration import ElectricalCheck
+    from tissueid.instrument import Instrument
+    from tissueid.reports import Comparison
+    from tissueid.sessions import Session
+
+LARGE_N = (-5.0, 11.8)
+"""Force range of the main test, N. Below zero the coil pulls and the probe lifts off at times (thesis Fig. 3.8)."""
+LARGE_CLIPPED = 0.0455
+"""Share of samples clipped to that range: the share of a Gaussian beyond two standard deviations."""
+SMALL_N = 0.75
+"""Half the force range of the small-amplitude test, N, about the mean load of the main test (thesis 3.4)."""
+OUTPUTS = ("session.h5", "results.json", "report.html")
+_COMPARED = {"mass_kg": "kg", "damping_n_s_per_m": "N s/m", "stiffness_n_per_m": "N/m"}
+_STARTING = marked("Starting the simulated instrument")
+_COIL = marked("Checking the coil")
+_PLACING = marked("Placing the probe")
+_MAIN = marked("Main test")
+_SMALL = marked("Small-amplitude test")
+_IDENTIFYING = marked("Identifying")
+_WRITING = marked("Writing the report")
+
+
+class DemoPlan(Plan):
+    """Folder, seed and tissue of a demonstration."""
+
+    out: Annotated[Path, Option("--out", metavar="DIR", help="folder for session.h5, results.json, report.html")]
+    seed: Annotated[int, Option("--seed", help="seed of stimulus and sensor noise"), Field(ge=0, le=2**31 - 1)] = 1
+    preset: Annotated[str, Option("--preset", help="tissue; see 'tissueid-firmware-sim --list'")] = (
+        "left-posterior-forearm"
+    )
+
+
+@dataclass(frozen=True)
+class DemoResult:
+    """The analyses by test and engine, their comparison with the plant, and the content of the JSON file."""
+
+    page: Path
+    analyses: dict[int, dict[str, Analysis]]
+    comparison: Comparison
+    answer: dict[str, Any]
+
+
+def run_demo(plan: DemoPlan, control: Control, trail: AuditTrail) -> DemoResult:
+    """Run the demonstration. The three output files appear together at the end, or not at all.
+
+    Raises:
+        UnusableInputError: the folder cannot be used, or there is no such tissue.
+        InstrumentError: the simulated instrument did not start.
+    """
+    from tissueid.analysis import analyse_all
+    from tissueid.instrument import open_instrument
+    from tissueid.reports import write_report
+
+    _check_target(plan.out)
+    audit_note(trail, control, "demo.begun", subject="DEMO", new={"preset": plan.preset, "seed": plan.seed})
+    with tempfile.TemporaryDirectory(dir=plan.out, prefix=".demo-") as folder:
+        work = Path(folder)
+        control.progress(0.0, _STARTING)
+        with firmware_process(plan.preset, plan.seed) as url:
+            instrument = open_instrument(url)
+            control.progress(1.0, _STARTING)
+            try:
+                session, check = _measure(instrument, work / OUTPUTS[0], plan, control)
+            finally:
+                instrument.close()
+        control.progress(0.0, _IDENTIFYING)
+        analyses: dict[int, dict[str, Analysis]] = {}
+        for number, test in enumerate(session.tests):
+            analyses[test.number] = analyse_all(session, test=test)
+            control.progress((number + 1) / len(session.tests), _IDENTIFYING)
+        comparison = _compare(session, analyses, plan.preset)
+        control.progress(0.0, _WRITING)
+        answer = _answer(plan, session, check, analyses, comparison)
+        write_text(work / OUTPUTS[1], json_text(answer))
+        write_report(work / OUTPUTS[2], session, analyses, comparison=comparison)
+        for name in OUTPUTS:
+            (work / name).replace(plan.out / name)
+        control.progress(1.0, _WRITING)
+    return DemoResult(plan.out / OUTPUTS[2], analyses, comparison, answer)
+
+
+def _check_target(out: Path) -> None:
+    """Make the folder, and check that only results of an earlier demo are overwritten.
+
+    Raises:
+        UnusableInputError: the folder contains other results.
+    """
+    if out.exists() and not out.is_dir():
+        raise UnusableInputError(Message("demo.no_folder", "{path} is not a folder", path=str(out)))
+    private_folder(out)
+    if not any((out / name).exists() for name in OUTPUTS):
+        return
+    made_by = None
+    with contextlib.suppress(OSError, ValueError, AttributeError):
+        made_by = json.loads((out / OUTPUTS[1]).read_text(encoding="utf-8")).get("made_by")
+    if made_by != "tissueid demo":
+        raise UnusableInputError(
+            Message(
+                "demo.other_results",
+                "{folder} contains results that are not of a demo; choose another folder",
+                folder=str(out),
+            )
+        )
+
+
+@contextmanager
+def firmware_process(preset: str, seed: int) -> Iterator[str]:
+    """Run the simulated firmware in its own process; yield the URL of its serial port.
+
+    Raises:
+        UnusableInputError: the preset is unknown.
+        InstrumentError: the process did not start.
+    """
+    command = ("-m", "firmware_sim", "--preset", preset, "--seed", str(seed))
+    with tempfile.TemporaryFile("w+") as complaints:
+        process = start(*command, stdout=subprocess.PIPE, stderr=complaints, text=True)
+        assert process.stdout is not None
+        try:
+            url = process.stdout.readline().strip()
+            if not url:
+                status = process.wait()
+                complaints.seek(0)
+                reason = (complaints.read().strip().splitlines() or ["no reason given"])[-1]
+                error = UnusableInputError if status == 2 else InstrumentError
+                raise error(
+                    Message(
+                        "demo.not_started",
+                        "the simulated instrument did not start: {reason}",
+                        reason=Verbatim(reason.removeprefix("tissueid-firmware-sim: ")),
+                    )
+                )
+            yield url
+        finally:
+            process.terminate()
+            with contextlib.suppress(subprocess.TimeoutExpired):
+                process.wait(timeout=5)
+            process.kill()
+            process.stdout.close()
+
+
+def _measure(instrument: Instrument, path: Path, plan: DemoPlan, control: Control) -> tuple[Session, ElectricalCheck]:
+    """Check the coil, place the probe, run the main test and a small-amplitude test about the same mean load."""
+    from tissueid.acquisition import GuidedTest, Progress, SessionRecorder, run_guided_test
+    from tissueid.acquisition.guided import find_surface
+    from tissueid.calibration import check_coil
+    from tissueid.instrument import CLINICAL
+    from tissueid.sessions import Subject
+    from tissueid.stimuli.base import with_preload
+    from tissueid.stimuli.kinds.noise import Noise
+
+    def shown(step: str) -> Callable[[Progress], None]:
+        return lambda progress: control.progress(progress.fraction, step)
+
+    check = check_coil(instrument, progress=lambda fraction: control.progress(fraction, _COIL))
+    device = replace(instrument.device, calibration=check.as_calibration())
+    surface = find_surface(instrument, progress=shown(_PLACING))
+    recorder = SessionRecorder(path, device, Subject("DEMO"))
+    mean, rate = sum(LARGE_N) / 2, device.sample_rate_hz
+    noises = {
+        _MAIN: Noise(
+            seed=plan.seed, force_min_n=LARGE_N[0], force_max_n=LARGE_N[1], clipped=LARGE_CLIPPED, sample_rate=rate
+        ),
+        _SMALL: Noise(seed=plan.seed + 1, force_min_n=mean - SMALL_N, force_max_n=mean + SMALL_N, sample_rate=rate),
+    }
+    for step, noise in noises.items():
+        test = GuidedTest(with_preload(noise.build()), site=plan.preset.replace("-", " "), limits=CLINICAL)
+        run_guided_test(instrument, test, recorder, surface_m=surface, progress=shown(step))
+    return recorder.finish(), check
+
+
+def _compare(session: Session, analyses: dict[int, dict[str, Analysis]], preset: str) -> Comparison:
+    """Return the estimates of both tests and the known values of the plant at the depth of the small test."""
+    from tissueid.reports import Comparison, ComparisonRow
+
+    position = float(np.nanmean(session.test(2).record().output))
+    command = ("-m", "firmware_sim", "--preset", preset, "--local-values", repr(position))
+    truth = json.loads(run(*command, capture_output=True, text=True, check=True).stdout)
+    large, small = (analyses[number]["lms"].model.report.parameters for number in (1, 2))
+    rows = tuple(
+        ComparisonRow(name, unit, small[name], truth[name], large[name])
+        for name, unit in _COMPARED.items()
+        if name in small and name in large
+    )
+    return Comparison(position, rows)
+
+
+def _answer(
+    plan: DemoPlan,
+    session: Session,
+    check: ElectricalCheck,
+    analyses: dict[int, dict[str, Analysis]],
+    comparison: Comparison,
+) -> dict[str, Any]:
+    return {
+        "made_by": "tissueid demo",
+        "software": session.software,
+        "session_id": session.session_id,
+        "seed": plan.seed,
+        "preset": plan.preset,
+        "calibration": asdict(check),
+        "tests": {
+            str(number): {engine: analysis.as_answer() for engine, analysis in engines.items()}
+            for number, engines in analyses.items()
+        },
+        "small_amplitude": asdict(comparison),
+    }
