@@ -7,7 +7,7 @@ import pytest
 from app.benches import WAIT_MS
 from app.test_window import idle, press
 from app.views.research_hosts import drag
-from coded import made, reads
+from coded import begins, made, reads
 from gap_records import recorded
 from PySide6.QtCore import QEvent, QPoint, Qt
 from PySide6.QtWidgets import QApplication, QFileDialog
@@ -20,6 +20,7 @@ from tissueid.instrument import SimulatedInstrument
 from tissueid.instrument.twin_file import read_twin
 from tissueid.sessions import read_session, write_session
 from tissueid.twin import catalogue as shelf
+from tissueid.twin.effects.dry_friction import EFFECT as FRICTION
 
 pytestmark = [pytest.mark.qt_log_level_fail("WARNING"), pytest.mark.qt_log_ignore("This plugin does not support")]
 
@@ -271,7 +272,7 @@ def test_from_a_session_to_a_twin_that_is_measured(qtbot, from_start, tmp_path, 
     qtbot.keyClick(page.asking.run, Qt.Key.Key_Return)
     assert page.asking.stop.isVisible()
     rest(qtbot, window)
-    assert page.result.headline.text().startswith("The gap is explained: Dry friction in the bearing (")
+    assert begins(page.result.headline.text(), "gap.explained", causes=FRICTION.title)
     press(qtbot, page.result.accept)
     answer(qtbot, window, tmp_path / "mine.toml")
     assert [item.name for item in read_twin(tmp_path / "mine.toml").effects] == ["dry_friction"]

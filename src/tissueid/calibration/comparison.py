@@ -153,18 +153,16 @@ def drift_in_words(found: Difference, date: str) -> Message:
     label = label_of(found.name)
     if not any(digit in fixed(size, decimals) for digit in "123456789"):
         return Message("drift.none", "{quantity}: the same as on {date}.", quantity=label, date=date)
-    return Message(
-        "drift.higher" if found.absolute > 0 else "drift.lower",
-        _HIGHER if found.absolute > 0 else _LOWER,
-        quantity=label,
-        difference=ShownQuantity(size, unit, decimals),
-        date=date,
-        significance=_significance(found.verdict, ShownQuantity(math.nan if known is None else known, unit, decimals)),
-    )
-
-
-_HIGHER = marked("{quantity}: {difference} higher than on {date}, {significance}.")
-_LOWER = marked("{quantity}: {difference} lower than on {date}, {significance}.")
+    limit = ShownQuantity(math.nan if known is None else known, unit, decimals)
+    values = {
+        "quantity": label,
+        "difference": ShownQuantity(size, unit, decimals),
+        "date": date,
+        "significance": _significance(found.verdict, limit),
+    }
+    if found.absolute > 0:
+        return Message("drift.higher", "{quantity}: {difference} higher than on {date}, {significance}.", **values)
+    return Message("drift.lower", "{quantity}: {difference} lower than on {date}, {significance}.", **values)
 
 
 def _significance(verdict: Verdict, known: ShownQuantity) -> Message:

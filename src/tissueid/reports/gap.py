@@ -13,7 +13,7 @@ from tissueid.formatting import fixed, number, subject_text
 from tissueid.gap.diagnosis import Diagnosis, Ranked
 from tissueid.gap.statement import effect_title, headline_of, next_steps_of, ordered_candidates, percent, sentences_of
 from tissueid.language import _
-from tissueid.messages import MISSING, translated
+from tissueid.messages import MISSING, Message, translated
 from tissueid.reports.blocks import FigureGroup
 from tissueid.reports.gap_figures import tables_of, times_noise
 from tissueid.reports.gap_panels import gap_panels
@@ -141,7 +141,12 @@ def _findings(found: Diagnosis) -> Table | None:
         for item in where.findings[:_LISTED]
     )
     note = _("× noise: error as a multiple of the noise, which is what the sensors' noise alone would leave.")
-    return Table(_("What speaks against each stage"), (_("Stage"), _("Finding"), _("Signal"), _("Error")), rows, note)
+    return Table(
+        translated(Message("report.gap.findings", "What speaks against each stage")),
+        (_("Stage"), _("Finding"), _("Signal"), _("Error")),
+        rows,
+        note,
+    )
 
 
 def _ranking(found: Diagnosis) -> Table | None:

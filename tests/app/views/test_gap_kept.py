@@ -9,7 +9,7 @@ from datetime import UTC, datetime, timedelta
 import numpy as np
 import pytest
 from app.benches import WAIT_MS
-from coded import says
+from coded import begins, part_of, reads, says
 from gap_records import recorded
 from PySide6.QtCore import Qt
 from PySide6.QtWidgets import QFileDialog
@@ -119,8 +119,8 @@ def test_a_diagnosis_is_there_at_the_next_start_with_headline_odds_chain_and_cur
     assert page.history.list.count() == 1
     assert page.history.result is not before
     assert [page.result.headline.text(), page.result.todo.text(), page.result.far.closing.text()] == said
-    assert "(> 99 %)" in said[0]
     story = page.history.result.story
+    assert says(part_of(story.headline, "gap.cause_probability"), "gap.cause_probability", percent="> 99")
     assert [item.odds for item in story.ranking] == [item.odds for item in before.story.ranking]
     assert [item.share for item in story.stages] == [item.share for item in before.story.stages]
     assert np.array_equal(story.overlays[0].after, before.story.overlays[0].after)
@@ -321,7 +321,7 @@ def test_a_damaged_file_costs_one_line_and_no_other_diagnosis(shown, diagnosed, 
     window, page = shown()
     assert page.history.list.count() == 1
     assert page.result.headline.text() == diagnosed.story.headline
-    assert window.ui.notice.text.text().startswith("1 kept diagnosis could not be read")
+    assert reads(window.ui.notice.text.text(), "gap.one_unreadable")
 
 
 def test_what_cannot_be_kept_is_said_and_the_diagnosis_is_shown_all_the_same(qtbot, shown, diagnosed, monkeypatch):
@@ -332,7 +332,7 @@ def test_what_cannot_be_kept_is_said_and_the_diagnosis_is_shown_all_the_same(qtb
     press(qtbot, page.asking.run)
     idle(qtbot, window)
     assert page.history.result is diagnosed
-    assert "not there at the next start" in window.ui.notice.text.text()
+    assert begins(window.ui.notice.text.text(), "gap.not_kept")
 
 
 def test_what_could_not_be_read_again_is_not_written(diagnosed):

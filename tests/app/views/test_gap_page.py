@@ -8,7 +8,7 @@ import pytest
 from app.benches import WAIT_MS
 from app.tabbing import check_tabs
 from app.test_window import idle
-from coded import says
+from coded import begins, part_of, reads, says, shows
 from gap_records import recorded
 from golden.golden_page import check_golden_page, lines_of_widget
 from PySide6.QtCore import Qt
@@ -17,10 +17,12 @@ from PySide6.QtWidgets import QAbstractButton, QComboBox, QFileDialog, QLabel, Q
 from tissueid.app.file_stamp import stamp_of
 from tissueid.app.views.gap import diagnosis_run
 from tissueid.app.views.gap.diagnosis_export import why_not_accepted
+from tissueid.app.views.gap.displayed_text import VERDICT_TITLES
 from tissueid.app.views.gap.effect_dialog import EffectDialog
 from tissueid.app.views.gap.next_test import session_url
 from tissueid.app.views.gap.page_content import Proposal
 from tissueid.app.views.gap.page_content_builder import page_content_of
+from tissueid.app.words import sentence
 from tissueid.audit import AuditLog, last_lines
 from tissueid.device import DeviceDescription
 from tissueid.gap.candidate_tests import candidate_tests
@@ -29,11 +31,14 @@ from tissueid.instrument import open_instrument
 from tissueid.instrument.twin_file import Source, content_of, device_of, read_twin, write_twin
 from tissueid.instrument.twin_list import twins_in
 from tissueid.language import current_language, set_language
+from tissueid.messages import translated
 from tissueid.procedures.control import counted
 from tissueid.procedures.gap_plans import DiagnosisPlan
 from tissueid.sessions import read_session, write_session
 from tissueid.twin import catalogue as shelf
 from tissueid.twin.chain_parameters import Instrument, Tissue
+from tissueid.twin.effect import STAGE_NAMES
+from tissueid.twin.effects.dry_friction import EFFECT as FRICTION
 from tissueid.twin.named_twin import NamedTwin
 
 pytestmark = [pytest.mark.qt_log_level_fail("WARNING"), pytest.mark.qt_log_ignore("This plugin does not support")]
@@ -113,15 +118,24 @@ def test_from_a_session_to_verdict_stage_and_effect(qtbot, diagnosed):
     _, page = diagnosed()
     result = page.result
     assert result.isVisible()
-    assert result.headline.text() == "The gap is explained: Dry friction in the bearing (> 99 %)"
-    assert "Clean and realign the bearing" in result.todo.text()
+    headline = page.history.result.story.headline
+    assert headline.code == "gap.explained"
+    assert says(
+        part_of(headline, "gap.cause_probability"), "gap.cause_probability", effect=FRICTION.title, percent="> 99"
+    )
+    assert result.headline.text() == headline.replace(" %", "\N{NO-BREAK SPACE}%")
+    assert FRICTION.remedy in result.todo.text()
     assert result.chain.stages["mechanics"].accessibleName().endswith("at fault")
     assert "Dry friction" in result.evidence.text()
     item = page.history.list.item(0).text()
-    assert item.splitlines() == ["friction.h5", "Effect named  ·  Moving part", "Dry friction in the bearing"]
-    assert result.which.table.item(0, 0).text() == "Dry friction in the bearing"
+    assert item.splitlines() == [
+        "friction.h5",
+        f"{VERDICT_TITLES['effect']}  ·  {STAGE_NAMES['mechanics']}",
+        FRICTION.title,
+    ]
+    assert result.which.table.item(0, 0).text() == FRICTION.title
     fitted = result.which.figures.text().splitlines()
-    assert fitted[1].startswith("Friction force at speed: ")
+    assert fitted[1].casefold().startswith(f"{FRICTION.parameters[0].meaning}: ")
     assert fitted[1].endswith(" N")
     assert "Closed: 9" in result.far.closing.text()
     assert result.far.bars.accessibleName().startswith("Gap: Before ")
@@ -174,12 +188,12 @@ def test_in_german_it_is_as_wide_as_there_is_room(diagnosed, qapp):
         qapp.processEvents()
         result = page.result
         assert result.widget().minimumSizeHint().width() <= result.viewport().width()
-        assert result.headline.text().startswith("Die Abweichung ist erklärt: ")
-        assert "Übernehmen Sie den Effekt in einen benannten Zwilling" in result.todo.text()
-        assert "Reinigen Sie das Lager" in result.todo.text()
+        assert begins(result.headline.text(), "gap.explained")
+        assert shows(result.todo.text(), "gap.accept")
+        assert translated(FRICTION.remedy) in result.todo.text()
         assert "korreliert mit: " in result.evidence.text()
         assert result.which.table.item(0, 0).text() == "Trockenreibung im Lager"
-        assert result.which.leaves.text().startswith("Kennzeichen: Die Position hinkt")
+        assert sentence(translated(FRICTION.signature)) in result.which.leaves.text()
         assert result.which.figures.text().splitlines()[1].startswith("Reibkraft in Bewegung: ")
         said = [label.text() for label in result.findChildren(QLabel)]
         assert not [text for text in said if {"the", "and", "of", "is"} & set(text.split())]
@@ -297,7 +311,7 @@ def test_a_diagnosis_is_cancelled_and_a_window_closed_in_mid_work(qtbot, open_wi
     if held == "cancel":
         press(qtbot, page.asking.stop)
         wait(qtbot, window)
-        assert window.ui.notice.text.text() == "The diagnosis was cancelled."
+        assert reads(window.ui.notice.text.text(), "gap.cancelled")
         assert page.asking.run.isEnabled()
     else:
         assert not window.close()
@@ -440,7 +454,7 @@ def test_every_candidate_test_is_prepared_on_the_form(qtbot, diagnosed, answers,
     assert form.subject.text() == ("" if under else read_session(friction).subject.pseudonym)
     assert {"spring": "calibration spring", "free_air": "free air"}.get(kind, plan.site) == plan.site
     assert ("under the probe" in form.summary.text()) == bool(under)
-    assert "the instrument of the session: desktop indenter" in window.ui.notice.text.text()
+    assert shows(window.ui.notice.text.text(), "gap.choose_instrument", model="desktop indenter")
     assert plan.prepared(2000.0) is not None
 
 

@@ -8,9 +8,10 @@ from html import escape
 
 import numpy as np
 import pytest
-from coded import says
+from coded import made, reads, says
 from gap_records import observed, recorded
 
+from tissueid.app.views.gap.displayed_text import as_title
 from tissueid.app.views.gap.page_content_builder import page_content_of
 from tissueid.app.views.gap.result_page import ResultPage
 from tissueid.cli.gap_diagnosis import summary_lines
@@ -18,6 +19,7 @@ from tissueid.gap.diagnosis import Diagnosis, diagnose
 from tissueid.gap.statement import LIKELY, headline_of, judged_alone, members_of, ordered_candidates
 from tissueid.gap.twin_export import twin_of, with_prior_twin
 from tissueid.gap.workers import SerialExecutor
+from tissueid.messages import code_of
 from tissueid.reports.gap import gap_html
 from tissueid.reports.gap_panels import gap_panels
 from tissueid.twin.effect import STAGE_NAMES
@@ -71,7 +73,7 @@ def test_page_chain_tabs_report_and_shell_agree(qtbot, case):
     qtbot.addWidget(page)
     page.show_story(story)
     headline, level = headline_of(found)
-    assert (page.headline.text(), page.headline.property("level")) == (headline, level)
+    assert (page.headline.text(), page.headline.property("level")) == (as_title(headline), level)
     lit = {stage for stage, box in page.chain.stages.items() if box.accessibleName().endswith("at fault")}
     assert lit == set(found.at_fault) == {item.stage for item in story.stages if item.lit}
     html = gap_html(found)
@@ -95,8 +97,9 @@ def test_page_chain_tabs_report_and_shell_agree(qtbot, case):
     assert story.spectrum is None or story.spectrum.bands == ()
     assert not any(profile.above.any() for profile in story.profiles.values())
     assert list(story.means) == []
-    assert page.which.none.text().startswith("There is no gap")
-    assert "What speaks against each stage" not in html
+    assert reads(page.which.none.text(), "gap.no_cause")
+    assert code_of(story.closing) == "gap.nothing_to_close"
+    assert made("report.gap.findings") not in html
 
 
 def test_an_accepted_twin_explains_its_own_recording_stage_by_stage():

@@ -5,6 +5,7 @@ import threading
 import pytest
 from app.benches import WAIT_MS
 from app.views.research_hosts import click, listed, save, show, wait_shown
+from coded import reads, shows
 from PySide6.QtCore import QSettings, Qt
 from PySide6.QtGui import QColor
 from PySide6.QtWidgets import QApplication, QComboBox, QFileDialog, QLineEdit, QPushButton, QSpinBox
@@ -23,7 +24,7 @@ def test_a_year_is_listed_newest_first_and_what_is_no_session_is_greyed_with_the
     assert shown.index(0, QUALITY).data() == "Repeat"
     assert [shown.rowCount(shown.index(row, 0)) for row in range(4)] == [1, 2, 1, 0]
     rubbish = shown.index(3, 0)
-    assert rubbish.data() == "rubbish.h5: damaged, or not an HDF5 session"
+    assert reads(rubbish.data(), "session.damaged", path="rubbish.h5:")
     assert rubbish.data(Qt.ItemDataRole.ForegroundRole) == QColor(LIGHT.muted)
     assert not shown.flags(rubbish) & Qt.ItemFlag.ItemIsSelectable
     assert view.browser.count.text() == "3 sessions, 1 unreadable"
@@ -69,7 +70,7 @@ def test_one_test_of_a_session_can_be_selected_by_keyboard(qtbot, opened):
         qtbot.keyClick(tree, key)
     wait_shown(qtbot, window, view, 1)
     qtbot.waitUntil(lambda: view.signals.loaded[0].chosen.number == 2, timeout=WAIT_MS)
-    assert view.browser.picked.text() == "1 test of 1 session selected"
+    assert reads(view.browser.picked.text(), "research.selected", tests="1 test", sessions="1 session")
 
 
 def test_a_session_is_opened_by_double_click_and_by_return(qtbot, opened):
@@ -111,7 +112,7 @@ def test_folders_are_added_removed_and_kept(qtbot, opened, year, tmp_path):
     folders.add(str(year / "march"))
     folders.add(str(year / "gone"))
     qtbot.waitUntil(lambda: len(listed(view)) == 3 and not window.jobs, timeout=WAIT_MS)
-    assert "There is no folder" in window.said[-1]
+    assert shows(window.said[-1], "file.no_folder", folder=year / "gone")
     view.save_state()
     _, view = opened(folder=tmp_path)
     assert len(listed(view)) == 3

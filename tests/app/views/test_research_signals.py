@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 from app.benches import WAIT_MS
 from app.views.research_hosts import RATE, drag, listed, ranges, show, signals, wait_shown
+from coded import reads
 from PySide6.QtCore import Qt
 from PySide6.QtGui import QColor, QImage
 from PySide6.QtWidgets import QFileDialog
@@ -19,7 +20,7 @@ def test_signals_of_selected_tests_are_laid_over_one_another(qtbot, opened):
     window, view = opened()
     assert view.signals.empty.isVisible()
     show(qtbot, window, view, (0, 1), tests=3)
-    assert view.browser.picked.text() == "3 tests of 2 sessions selected"
+    assert reads(view.browser.picked.text(), "research.selected", tests="3 tests", sessions="2 sessions")
     table = view.signals.table
     assert [table.horizontalHeaderItem(column).text() for column in range(4)] == [
         "Mean ± SD",

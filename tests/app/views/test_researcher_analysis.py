@@ -8,7 +8,7 @@ from itertools import pairwise
 import pytest
 from app.benches import WAIT_MS
 from app.views.research_panels import answer, choose, press, run, wait
-from coded import coded
+from coded import begins, coded
 from PySide6.QtCore import QByteArray, QCoreApplication, QPoint, Qt
 from PySide6.QtGui import QImage
 from PySide6.QtSvg import QSvgRenderer
@@ -153,7 +153,7 @@ def test_a_history_that_cannot_be_written_costs_no_result(qtbot, panel, strip, h
     history.path.parent.write_text("a file where the folder should be")
     run(qtbot, panel, two[:1])
     assert len(panel.results.outcomes) == 1
-    assert "history could not be written" in strip.said[-1][0]
+    assert begins(strip.said[-1][0], "research.no_history")
 
 
 def test_new_results_are_brought_to_the_top_of_the_table(qtbot, panel, two):

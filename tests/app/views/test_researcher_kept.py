@@ -9,7 +9,7 @@ from pathlib import Path
 
 import pytest
 from app.views.research_panels import chosen_of, press, run, wait
-from coded import codes
+from coded import codes, shows
 from PySide6.QtCore import Qt
 
 from tissueid.app.views.researcher.engine_outcome import EngineOutcome
@@ -83,7 +83,7 @@ def test_a_file_that_changed_or_went_is_marked(qtbot, open_panel, strip, two):
     later = restart(qtbot, open_panel, panel)
     assert [outcome.changed for outcome in later.results.outcomes] == [True, True]
     tip = later.results.model().index(0, 0).data(3)
-    assert "has changed or gone" in tip
+    assert shows(tip, "research.file_changed")
     press(qtbot, later.refit)
     wait(qtbot, later)
     _first, second = later.results.outcomes

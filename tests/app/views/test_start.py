@@ -8,6 +8,8 @@ import threading
 import pytest
 from app.benches import WAIT_MS, found
 from app.test_window import idle, press
+from coded import made, reads
+from failing_disk import FULL
 from PySide6.QtCore import QSettings, Qt
 from PySide6.QtGui import QGuiApplication
 
@@ -96,9 +98,9 @@ def test_finding_asks_every_port_and_says_how_each_stands(qtbot, open_start):
     qtbot.keyClick(page.seek, Qt.Key.Key_D, Qt.KeyboardModifier.AltModifier)
     qtbot.waitUntil(lambda: len(said(page.instruments)) == 4 and settled(window), timeout=WAIT_MS)
     lines = said(page.instruments)
-    assert lines[0][1] == "Ready: desktop indenter, TEST-7."
+    assert reads(lines[0][1], "instruments.ready", what="desktop indenter, TEST-7")
     assert lines[0][2] != "Not known yet"
-    assert lines[3][1] == "Does not answer: no answer"
+    assert reads(lines[3][1], "instruments.no_answer", what="no answer")
     assert "check the cable" in page.instruments.item(3, 1).toolTip()
 
 
@@ -142,7 +144,7 @@ def test_a_folder_that_is_not_there_is_empty_and_nothing_is_made(qtbot, open_sta
     window = open_start(folder=tmp_path / "none")
     page = window.pages.start
     assert page.recent.rowCount() == 0
-    assert "No session is here yet" in page.about_recent.text()
+    assert reads(page.about_recent.text(), "start.no_session")
     press(qtbot, page.folder)
     assert "first test" in window.ui.notice.text.text()
     assert not (tmp_path / "none").exists()
@@ -186,7 +188,7 @@ def test_reading_is_cancelled_and_what_is_asked_for_meanwhile_comes_next(qtbot, 
     press(qtbot, page.stop_reading)
     go_on.set()
     qtbot.waitUntil(lambda: settled(window), timeout=WAIT_MS)
-    assert page.about_recent.text() == "Cancelled: 0 of 1 sessions were read."
+    assert reads(page.about_recent.text(), "start.cancelled", read=0, count=1)
     assert page.stop_reading.isHidden()
     reached.clear()
     go_on.clear()
@@ -289,7 +291,7 @@ def test_the_log_has_every_notice_and_failure_with_its_time(qtbot, window, tmp_p
     window.ui.notice.say("Something <b>happened</b>\nhere.")
 
     def fails():
-        raise OSError(28, "No space left on device")
+        raise OSError(28, FULL)
 
     window.jobs.do(fails, window.context.say_failed, window.context.say_failed)
     qtbot.waitUntil(lambda: idle(window), timeout=WAIT_MS)
@@ -299,7 +301,7 @@ def test_the_log_has_every_notice_and_failure_with_its_time(qtbot, window, tmp_p
     assert [line[9:] for line in lines] == [
         "  TissueID was started.",
         "  Something <b>happened</b> here.",
-        "! No space left on device.",
+        f"! {FULL}.",
     ]
     press(qtbot, log.copy)
     assert QGuiApplication.clipboard().text().splitlines()[:3] == lines
@@ -425,7 +427,7 @@ def test_sittings_are_listed_by_the_time_of_their_tests_with_their_accepted_mean
     page = open_start().pages.start
     lines = said(page.recent)
     assert len(lines) == 2
-    assert lines[0][1] == "left calf (3 tests): accepted mean of 2: 92.7 g"
+    assert lines[0][1] == f"left calf (3 tests): {made('start.accepted_mean', count=2, values='92.7 g')}"
     assert lines[1][0].startswith("2025-02-01")
     assert [item.path for item in page._look.sessions] == [files[1], tmp_path / "copied.h5"]
     assert page.about_recent.text() == ""

@@ -7,6 +7,7 @@ import pytest
 from app.benches import WAIT_MS
 from app.test_window import idle, press
 from app.views.technician_pages import CALIBRATIONS, HEALTH, PLACES, choose, column, rest, select, static, sweep
+from coded import begins, made, reads, shows
 from golden.golden_page import check_golden_page, lines_of_widget
 from PySide6.QtCore import QPoint, Qt
 from support import connect
@@ -47,7 +48,13 @@ def test_a_calibrated_instrument_is_green_and_its_force_constants_stand_over_the
     rest(qtbot, view)
     assert view.health.lamps.level == "good"
     assert view.health.lamps.accessibleName() == "Traffic light: green"
-    assert view.health.state.facts["State"] == "Calibrated today, linear 4.0 to 27.0 mm"
+    assert reads(
+        view.health.state.facts["State"],
+        "calibration.summary.linear",
+        words=made("calibration.summary.static", age=made("age.today")),
+        low=4.0,
+        high="27.0 mm",
+    )
     assert view.health.state.facts["Resistance"] == "12 Ω"
     assert view.health._static.getData()[1] == pytest.approx([3.01])
     assert view.health._sweep.getData()[1] == pytest.approx([3.0])
@@ -85,18 +92,18 @@ def test_damage_on_the_cable_is_a_reason_in_words(qtbot, page):
     rest(qtbot, view)
     assert view.health.lamps.level == "check"
     assert "frames were damaged" in view.health.reasons.text()
-    assert "samples did not arrive" in view.health.reasons.text()
+    assert shows(view.health.reasons.text(), "checkup.lost")
 
 
 def test_what_does_not_answer_is_red_with_the_reason(qtbot, page):
     def opener(url):
-        raise LinkLostError("no instrument answers on /dev/ttyACM7; check the cable and the power")
+        raise LinkLostError(made("link.no_instrument", port="/dev/ttyACM7"))
 
     view = page(opener=opener)
     press(qtbot, view.health.ask)
     rest(qtbot, view)
     assert view.health.lamps.level == "poor"
-    assert view.health.reasons.text().startswith("No instrument answers on /dev/ttyACM7")
+    assert begins(view.health.reasons.text(), "link.no_instrument", port="/dev/ttyACM7")
 
 
 def test_f5_asks_and_cancel_ends_it(qtbot, page, bench):
@@ -195,8 +202,8 @@ def test_each_calibration_says_whether_it_is_in_force_or_why_not(qtbot, page, ca
     assert column(model, 5) == ["a.toml", "b.toml", "c.toml", "d.toml", "e.toml"]
     force = column(model, 4)
     assert force[0] == "Yes"
-    assert force[1] == "No: a newer one is"
-    assert "it is of OTHER, not of TWIN-3" in force[2]
+    assert reads(force[1], "calibrations.superseded")
+    assert shows(force[2], "calibration.other_device", found="OTHER", expected="TWIN-3")
     assert "the spring slipped" in force[3]
     assert "not a text file" in force[4]
     select(view.calibrations.list, 4)
@@ -216,7 +223,14 @@ def test_two_sweeps_are_laid_over_each_other_and_their_drift_is_said(qtbot, page
     assert "select another" in panel.words.text()
     control = Qt.KeyboardModifier.ControlModifier
     qtbot.mouseClick(table.viewport(), Qt.MouseButton.LeftButton, control, QPoint(where[1]))
-    assert panel.words.text() == "Force constant: 1.2 % lower than on 2026-01-01, within the uncertainty of ±1.4 %."
+    assert reads(
+        panel.words.text(),
+        "drift.lower",
+        quantity="Force constant",
+        difference="1.2 %",
+        date="2026-01-01",
+        significance=made("drift.uncertainty", uncertainty="1.4 %"),
+    )
     force = panel.cards[0]
     assert force._lines[1].getData()[0] == pytest.approx([1e3 * place for place in PLACES])
     assert force._lines[0].getData()[1] == pytest.approx([2.964] * len(PLACES))

@@ -19,6 +19,7 @@ from app.views.technician_pages import (
     static,
     sweep,
 )
+from coded import begins, shows
 from PySide6.QtCore import Qt
 from PySide6.QtWidgets import QAbstractButton, QLabel
 
@@ -78,10 +79,10 @@ def test_empty_folders_and_no_log_are_no_trouble(qtbot, page, tmp_path):
     view = page(FAULTS, folder=tmp_path / "nothing", audit=AuditLog(tmp_path / "none.jsonl"))
     assert view.faults.model.rowCount() == 0
     choose(qtbot, view, AUDIT)
-    assert "There is no audit log" in view.audit.count.text()
+    assert shows(view.audit.count.text(), "audit.missing", path=tmp_path / "none.jsonl")
     press(qtbot, view.audit.verify)
     rest(qtbot, view)
-    assert "nothing has been logged yet" in view.window_.ui.notice.text.text()
+    assert shows(view.window_.ui.notice.text.text(), "audit.missing", path=tmp_path / "none.jsonl")
     assert view.audit.words.text() == "Not verified."
     assert not view.audit.export.isEnabled()
 
@@ -133,11 +134,11 @@ def test_verify_tells_a_whole_log_from_one_that_was_changed(qtbot, page, audit_f
     audit_file.write_bytes(audit_file.read_bytes().replace(b'"s2"', b'"x2"'))
     press(qtbot, view.audit.verify)
     rest(qtbot, view)
-    assert "not as it was written. Line 4" in view.audit.words.text()
+    assert begins(view.audit.words.text(), "audit.table.broken", place=4)
     assert view.audit.verdict.property("level") == "poor"
     press(qtbot, view.audit.again)
     rest(qtbot, view)
-    assert "1 piece is no whole line" in view.audit.count.text()
+    assert shows(view.audit.count.text(), "audit.table.piece")
 
 
 def test_rubbish_in_place_of_the_log_gives_words(qtbot, page, audit_file):

@@ -11,15 +11,19 @@ from tissueid.app.views.gap.bar_table import BarTable
 from tissueid.app.views.gap.displayed_text import STAGE_TITLES, as_sentence, as_title
 from tissueid.app.views.gap.labels import plain_label
 from tissueid.formatting import plus_minus, with_unit
-from tissueid.language import _, marked
-from tissueid.messages import translated
+from tissueid.language import _
+from tissueid.messages import Message, translated
 from tissueid.units import shown_si
 
 if TYPE_CHECKING:
     from tissueid.app.views.gap.page_content import Fitted, PageContent, Rival
 
-_NO_TRACE = marked("No effect leaves a trace in this recording that a refit of the twin would not take up.")
-_NO_GAP = marked("There is no gap, so no cause is looked for: the twin explains this recording down to its noise.")
+_NO_TRACE = Message(
+    "gap.no_trace", "No effect leaves a trace in this recording that a refit of the twin would not take up."
+)
+_NO_GAP = Message(
+    "gap.no_cause", "There is no gap, so no cause is looked for: the twin explains this recording down to its noise."
+)
 
 
 class CandidatesTab(QWidget):
@@ -67,7 +71,7 @@ class CandidatesTab(QWidget):
         there = bool(self._rivals)
         self.table.setVisible(there)
         self._details.setVisible(there)
-        self.none.setText(_(_NO_GAP if story.verdict == "no_gap" else _NO_TRACE))
+        self.none.setText(translated(_NO_GAP if story.verdict == "no_gap" else _NO_TRACE))
         self.none.setVisible(not there)
         if there:
             self.table.clearSelection()

@@ -17,7 +17,7 @@ from tissueid.gap.diagnosis import Diagnosis
 from tissueid.gap.next_experiment import odds
 from tissueid.instrument.twin_list import model_of_file, twin_url, twins_in
 from tissueid.language import _, marked
-from tissueid.messages import Message
+from tissueid.messages import Message, Verbatim, translated
 from tissueid.sessions import Session
 from tissueid.stimuli.kinds.noise import Noise
 
@@ -80,12 +80,19 @@ def prepared_words(step: Proposal, device: DeviceDescription, url: str) -> str:
             title=words, low=fields.get("min_force_n", 0.0), high=fields["max_force_n"]
         )
     if url:
-        instrument = _("The simulation of the session is chosen as the instrument.")
+        instrument = translated(
+            Message("gap.simulation_chosen", "The simulation of the session is chosen as the instrument.")
+        )
     elif device.simulated:
         instrument = _("The session is of an unknown simulation: choose the simulation as the instrument.")
     else:
-        instrument = _("Choose the instrument of the session: {model}, {serial}.").format(
-            model=clean(device.model), serial=clean(device.serial_number)
+        instrument = translated(
+            Message(
+                "gap.choose_instrument",
+                "Choose the instrument of the session: {model}, {serial}.",
+                model=Verbatim(clean(device.model)),
+                serial=Verbatim(clean(device.serial_number)),
+            )
         )
     parts = (
         _("Prepared: {title}.").format(title=words),

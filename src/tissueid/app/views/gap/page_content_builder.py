@@ -210,7 +210,7 @@ def _figures(found: Diagnosis, item: Ranked) -> tuple[Fitted, ...]:
 def _closing(found: Diagnosis) -> str:
     gap = found.gap
     if found.verdict == "no_gap":
-        return marked("There is no gap to close: the residual is noise.")
+        return Message("gap.nothing_to_close", "There is no gap to close: the residual is noise.")
     if not np.isfinite(gap.closed):
         return marked("No candidate was fitted to the gap.")
     low, high = gap.closed_ci

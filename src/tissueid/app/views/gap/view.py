@@ -43,8 +43,8 @@ from tissueid.app.views.gap.result_page import ResultPage
 from tissueid.app.views.view import View
 from tissueid.app.words import in_words
 from tissueid.errors import CancelledError, UnusableInputError
-from tissueid.language import _, marked, plural
-from tissueid.messages import translated
+from tissueid.language import _, marked
+from tissueid.messages import Message, Verbatim, translated
 from tissueid.procedures.gap_plans import DiagnosisPlan
 
 _WELCOME = marked(
@@ -52,7 +52,7 @@ _WELCOME = marked(
     "difference is more than noise, in which stage of the signal chain it arises, which effect that the simulation "
     "leaves out causes it, and how much of it goes away once that effect is added."
 )
-_CANCELLED = marked("The diagnosis was cancelled.")
+_CANCELLED = Message("gap.cancelled", "The diagnosis was cancelled.")
 _TAB = "gap/tab"
 _LOOK_MS = 100
 """Interval at which the progress is shown, ms."""
@@ -214,7 +214,7 @@ class GapView(View):
         waited = self._rest()
         result, unkept = ended
         if result is None:
-            self.context.say(_(_CANCELLED))
+            self.context.say(translated(_CANCELLED))
             return
         self.history.add(result)
         if waited:
@@ -223,7 +223,12 @@ class GapView(View):
 
     def _say_unkept(self, why: str) -> None:
         if why:
-            self.context.say(_("The diagnosis is not there at the next start. {why}").format(why=why), problem=True)
+            self.context.say(
+                translated(
+                    Message("gap.not_kept", "The diagnosis is not there at the next start. {why}", why=Verbatim(why))
+                ),
+                problem=True,
+            )
 
     def _failed(self, words: str) -> None:
         self._rest()
@@ -250,12 +255,13 @@ class GapView(View):
     def _restore(self, kept: KeptDiagnoses) -> None:
         self.history.restore(kept.results)
         if kept.bad:
-            words = plural(
-                "{count} kept diagnosis could not be read and is passed over.",
+            one = Message("gap.one_unreadable", "1 kept diagnosis could not be read and is passed over.")
+            several = Message(
+                "gap.several_unreadable",
                 "{count} kept diagnoses could not be read and are passed over.",
-                kept.bad,
+                count=kept.bad,
             )
-            self.context.say(words.format(count=kept.bad), problem=True)
+            self.context.say(translated(one if kept.bad == 1 else several), problem=True)
 
     def _forget(self, result: DiagnosisResult) -> None:
         remove(result.key, self._kept_in)

@@ -20,7 +20,7 @@ from tissueid.errors import CancelledError, TissueIDError, UnusableInputError
 from tissueid.formatting import clean, fixed, subject_text
 from tissueid.identification import engine_label
 from tissueid.language import _, marked
-from tissueid.messages import Listing, Message, translated
+from tissueid.messages import Listing, Message, Verbatim, translated
 from tissueid.procedures.comparison import compare_engines
 from tissueid.procedures.control import Control
 from tissueid.sessions import Session, read_session
@@ -78,7 +78,15 @@ def run(task: AnalysisTask, control: JobControl, history: AnalysisHistory, momen
     try:
         history.add(entry)
     except OSError as error:
-        problems.append(_("The history could not be written: {problem}").format(problem=in_words(error)))
+        problems.append(
+            translated(
+                Message(
+                    "research.no_history",
+                    "The history could not be written: {problem}",
+                    problem=Verbatim(in_words(error)),
+                )
+            )
+        )
     return Batch(task, tuple(done), tuple(verdicts), tuple(problems), cancelled, entry)
 
 

@@ -25,6 +25,7 @@ from tissueid.app.views.researcher.text_settings import load_texts, save_texts
 from tissueid.app.views.researcher.tool_tips import plain_tip
 from tissueid.formatting import clean, grouped, subject_text
 from tissueid.language import _, plural
+from tissueid.messages import Message, translated
 
 _LONGEST = 70
 
@@ -281,8 +282,9 @@ class Browser(QWidget):
         chosen = self.chosen()
         sessions = len({one.path for one in chosen})
         tests = plural("{count} test", "{count} tests", len(chosen)).format(count=len(chosen))
-        of = plural(" of {count} session", " of {count} sessions", sessions).format(count=sessions)
-        self.picked.setText(_("{tests} selected").format(tests=f"{tests}{of}") if chosen else _("Nothing selected"))
+        of = plural("{count} session", "{count} sessions", sessions).format(count=sessions)
+        picked = Message("research.selected", "{tests} of {sessions} selected", tests=tests, sessions=of)
+        self.picked.setText(translated(picked) if chosen else _("Nothing selected"))
         self.selected.emit()
 
     def _chosen(self, entry: SessionEntry, test: TestEntry) -> SelectedTest:

@@ -23,7 +23,7 @@ from tissueid.app.words import sentence
 from tissueid.formatting import axis_label, clean, fixed, label_and_unit, plain_text, plus_minus, subject_text
 from tissueid.identification import engine_label
 from tissueid.language import _, marked
-from tissueid.messages import MISSING, translated
+from tissueid.messages import MISSING, Message, translated
 from tissueid.units import shown_si
 
 SERIES = ("measured", "model", "good", "poor", "text", "check", "muted")
@@ -318,7 +318,11 @@ def _tool_tip(outcome: EngineOutcome) -> str:
     if outcome.recommended:
         lines.append(_("Recommended by the comparison of engines"))
     if outcome.changed:
-        lines.append(_("The file has changed or gone since this was fitted: run it again"))
+        lines.append(
+            translated(
+                Message("research.file_changed", "The file has changed or gone since this was fitted: run it again")
+            )
+        )
     if outcome.options:
         lines.append(_("Options: {options}").format(options=plain_text(outcome.options)))
     if outcome.report is not None:

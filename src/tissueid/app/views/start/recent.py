@@ -13,7 +13,7 @@ from tissueid.app.words import in_words, sentence
 from tissueid.errors import TissueIDError, UnusableInputError
 from tissueid.formatting import clean, label_and_unit, local_minute, local_time, number, subject_text
 from tissueid.language import _, marked
-from tissueid.messages import MISSING
+from tissueid.messages import MISSING, Message, translated
 from tissueid.procedures.recovery import unfinished_journals
 from tissueid.sessions import Outline, read_outline, read_session_head
 from tissueid.sessions.accepted_result import AcceptedResult, is_sitting_key, read_result, result_path, sitting_of
@@ -150,7 +150,9 @@ def _said(result: AcceptedResult) -> str:
     words = ", ".join(values)
     if result.count == 1:
         return _("accepted {values}").format(values=words)
-    return _("accepted mean of {count}: {values}").format(count=result.count, values=words)
+    return translated(
+        Message("start.accepted_mean", "accepted mean of {count}: {values}", count=result.count, values=words)
+    )
 
 
 def _line(path: Path, recorded: float) -> tuple[str, Recent]:

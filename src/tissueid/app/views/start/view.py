@@ -39,7 +39,7 @@ from tissueid.app.words import RESEARCH_USE
 from tissueid.audit import Role
 from tissueid.formatting import clean
 from tissueid.language import _, marked, plural
-from tissueid.messages import code_of, translated
+from tissueid.messages import Message, code_of, translated
 
 WHAT_ROLES_DO: dict[Role, str] = {
     "clinician": marked(
@@ -225,9 +225,13 @@ class StartView(View):
             return look.problem
         read = sum(item.tests for item in look.sessions)
         if self._cancelled.is_set():
-            return _("Cancelled: {read} of {count} sessions were read.").format(read=read, count=look.count)
+            return translated(
+                Message(
+                    "start.cancelled", "Cancelled: {read} of {count} sessions were read.", read=read, count=look.count
+                )
+            )
         if not look.count:
-            return _("No session is here yet: the first test makes one.")
+            return translated(Message("start.no_session", "No session is here yet: the first test makes one."))
         return _("The newest {shown} of {count}.").format(shown=read, count=look.count) if look.count > read else ""
 
     def _looking_failed(self, words: str) -> None:

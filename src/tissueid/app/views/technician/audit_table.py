@@ -177,11 +177,14 @@ class AuditTab(Tab):
     def _verified(self, found: Verification) -> None:
         remarks = " ".join(sentence(translated(line)) for line in found.remarks[:3])
         if found.broken is not None:
-            where = _("Line {place} of the file").format(place=grouped(found.broken.place))
-            words = _("The log is not as it was written. {where}: {words} ({damage}).").format(
-                where=where, words=translated(found.broken.words), damage=_(found.broken.damage.value)
+            broken = Message(
+                "audit.table.broken",
+                "The log is not as it was written. Line {place} of the file: {words} ({damage}).",
+                place=grouped(found.broken.place),
+                words=found.broken.words,
+                damage=found.broken.damage.value,
             )
-            self._tell("poor", f"{words} {remarks}".strip())
+            self._tell("poor", f"{translated(broken)} {remarks}".strip())
         elif not found.lines:
             self._tell("check", f"{_('The log holds no whole line: nothing has been logged yet.')} {remarks}".strip())
         else:

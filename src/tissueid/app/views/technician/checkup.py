@@ -20,6 +20,7 @@ from tissueid.instrument import PROFILES, Instrument, Limits, SerialInstrument
 from tissueid.instrument.replies import describe_faults
 from tissueid.instrument.thermal import PLAUSIBLE_C
 from tissueid.language import _, marked
+from tissueid.messages import Message, translated
 from tissueid.sessions import read_outline, read_test
 from tissueid.sessions.model import IMPORTED
 
@@ -235,8 +236,13 @@ def _concerns(checkup: Checkup) -> tuple[list[str], list[str]]:
         poor.append(sentence(_("a fault stays: {faults}").format(faults=checkup.faults)))
     if checkup.lost > LOST_SHARE * checkup.samples:
         check.append(
-            _("{lost} of {samples} samples did not arrive: check the cable, and close other programs.").format(
-                lost=grouped(checkup.lost), samples=grouped(checkup.samples)
+            translated(
+                Message(
+                    "checkup.lost",
+                    "{lost} of {samples} samples did not arrive: check the cable, and close other programs.",
+                    lost=grouped(checkup.lost),
+                    samples=grouped(checkup.samples),
+                )
             )
         )
     link = checkup.link

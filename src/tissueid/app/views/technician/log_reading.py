@@ -14,8 +14,8 @@ from tissueid.audit import Line
 from tissueid.audit.line import MAX_LINE, fields_of, read_line
 from tissueid.errors import UnusableInputError
 from tissueid.formatting import clean, grouped, plain_text
-from tissueid.language import _, plural
-from tissueid.messages import Message
+from tissueid.language import _
+from tissueid.messages import Message, translated
 
 MOST_BYTES = 96 * 1024 * 1024
 MOST_LINES = 200_000
@@ -76,12 +76,13 @@ def read_log(path: Path, cancelled: Callable[[], None], most_bytes: int = MOST_B
             )
         )
     if damaged:
-        said = plural(
-            "{count} piece is no whole line and left out: Verify tells more.",
+        one = Message("audit.table.piece", "1 piece is no whole line and left out: Verify tells more.")
+        several = Message(
+            "audit.table.pieces",
             "{count} pieces are no whole lines and left out: Verify tells more.",
-            damaged,
+            count=grouped(damaged),
         )
-        remarks.append(said.format(count=grouped(damaged)))
+        remarks.append(translated(one if damaged == 1 else several))
     return LogPage(tuple(reversed(kept)), tuple(remarks))
 
 

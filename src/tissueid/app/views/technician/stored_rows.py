@@ -14,7 +14,7 @@ from tissueid.calibration.store import Stored
 from tissueid.device import DeviceDescription
 from tissueid.formatting import clean
 from tissueid.language import _, marked
-from tissueid.messages import MISSING, translated
+from tissueid.messages import MISSING, Message, translated
 
 HEADERS = (marked("Date"), marked("Kind"), marked("Verdict"), marked("Age"), marked("In force"), marked("File"))
 _LONGEST = 300
@@ -83,7 +83,7 @@ def _row(
         elif usable and item.path in sources:
             force, level = _("In part, together with another one"), "good"
         elif usable:
-            force, level = _("No: a newer one is"), ""
+            force, level = translated(Message("calibrations.superseded", "No: a newer one is")), ""
         else:
             force, level = _said(_("no: {reason}").format(reason=reason)), "" if state == "foreign" else "poor"
     if calibration.verdict == "failed":
