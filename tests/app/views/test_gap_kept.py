@@ -18,7 +18,7 @@ from tissueid.app.file_stamp import stamp_of
 from tissueid.app.views.gap.diagnosis_result import new_key
 from tissueid.app.views.gap.diagnosis_run import result_of
 from tissueid.app.views.gap.diagnosis_store import MOST_KEPT, default_folder, keep, read_kept
-from tissueid.app.views.gap.displayed_text import STATE_TITLES
+from tissueid.app.views.gap.displayed_text import STATE_TITLES, as_title
 from tissueid.app.views.gap.effect_dialog import EffectDialog
 from tissueid.errors import UnusableInputError
 from tissueid.gap.diagnosis import diagnose
@@ -224,7 +224,7 @@ def test_a_kept_diagnosis_is_shown_in_the_language_of_the_window(shown, diagnose
         texts += [text for item in story.ranking for text in (item.title, item.signature, item.remedy)]
         assert says(story.headline, "gap.explained")
         assert [text for text in texts if translated(text) == str(text)] == []
-        assert page.result.headline.text() == translated(diagnosed.story.headline)
+        assert page.result.headline.text() == as_title(diagnosed.story.headline)
         assert page.result.far.closing.text() == translated(diagnosed.story.closing)
     finally:
         set_language("en")
@@ -320,7 +320,7 @@ def test_a_damaged_file_costs_one_line_and_no_other_diagnosis(shown, diagnosed, 
     (default_folder() / "notes.json").write_text("mine")
     window, page = shown()
     assert page.history.list.count() == 1
-    assert page.result.headline.text() == diagnosed.story.headline
+    assert page.result.headline.text() == as_title(diagnosed.story.headline)
     assert reads(window.ui.notice.text.text(), "gap.one_unreadable")
 
 

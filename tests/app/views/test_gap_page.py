@@ -17,7 +17,7 @@ from PySide6.QtWidgets import QAbstractButton, QComboBox, QFileDialog, QLabel, Q
 from tissueid.app.file_stamp import stamp_of
 from tissueid.app.views.gap import diagnosis_run
 from tissueid.app.views.gap.diagnosis_export import why_not_accepted
-from tissueid.app.views.gap.displayed_text import VERDICT_TITLES
+from tissueid.app.views.gap.displayed_text import STAGE_TITLES, VERDICT_TITLES
 from tissueid.app.views.gap.effect_dialog import EffectDialog
 from tissueid.app.views.gap.next_test import session_url
 from tissueid.app.views.gap.page_content import Proposal
@@ -37,7 +37,6 @@ from tissueid.procedures.gap_plans import DiagnosisPlan
 from tissueid.sessions import read_session, write_session
 from tissueid.twin import catalogue as shelf
 from tissueid.twin.chain_parameters import Instrument, Tissue
-from tissueid.twin.effect import STAGE_NAMES
 from tissueid.twin.effects.dry_friction import EFFECT as FRICTION
 from tissueid.twin.named_twin import NamedTwin
 
@@ -130,7 +129,7 @@ def test_from_a_session_to_verdict_stage_and_effect(qtbot, diagnosed):
     item = page.history.list.item(0).text()
     assert item.splitlines() == [
         "friction.h5",
-        f"{VERDICT_TITLES['effect']}  ·  {STAGE_NAMES['mechanics']}",
+        f"{VERDICT_TITLES['effect']}  ·  {STAGE_TITLES['mechanics']}",
         FRICTION.title,
     ]
     assert result.which.table.item(0, 0).text() == FRICTION.title
