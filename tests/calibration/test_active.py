@@ -106,13 +106,13 @@ def test_it_is_told_in_a_line():
 @pytest.mark.parametrize(
     ("items", "words"),
     [
-        ([made(0), made(0, "sweep")], "calibrated today, linear from 4.0 to 27.5 mm"),
+        ([made(0), made(0, "sweep")], "calibrated today, linear 4.0 to 27.5 mm"),
         (
             [made(0, verdict="failed"), made(0, "sweep", figures={"force_constant_n_per_a": 2.9})],
-            "static calibration refused: force by the sweep, sweep of today, linear from 4.0 to 27.5 mm",
+            "static calibration refused: force by the sweep, sweep of today, linear 4.0 to 27.5 mm",
         ),
-        ([made(0, "sweep")], "no static calibration: nominal force, sweep of today, linear from 4.0 to 27.5 mm"),
-        ([made(0, verdict="failed"), made(9), made(0, "sweep")], "calibrated 9 days ago, linear from 4.0 to 27.5 mm"),
+        ([made(0, "sweep")], "no static calibration: nominal force, sweep of today, linear 4.0 to 27.5 mm"),
+        ([made(0, verdict="failed"), made(9), made(0, "sweep")], "calibrated 9 days ago, linear 4.0 to 27.5 mm"),
         ([made(0, verdict="failed")], "not calibrated: the nominal figures are used"),
     ],
 )

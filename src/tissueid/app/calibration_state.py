@@ -27,6 +27,5 @@ def calibration_state(device: DeviceDescription, now: datetime | None = None) ->
     """Return the state of a device's calibration; ``now`` is timezone-aware."""
     good = device.calibration.get("state") == "valid"
     warnings = tuple(sentence(translated(line)) for line in warnings_of(device))
-    # Without "from" the line fits into the form.
-    words = sentence(translated(in_words(device, now))).removesuffix(".").replace("linear from", "linear")
+    words = sentence(translated(in_words(device, now))).removesuffix(".")
     return CalibrationState(words, "good" if good else "check", warnings)

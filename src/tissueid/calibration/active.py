@@ -166,7 +166,7 @@ def _age(date: str, now: datetime) -> Message:
 def in_words(device: DeviceDescription, now: datetime | None = None) -> Message:
     """Return a summary of the calibration that a device carries.
 
-    For example "calibrated 12 days ago, linear from 4.0 to 27.5 mm". Where only a sweep is active the summary says so,
+    For example "calibrated 12 days ago, linear 4.0 to 27.5 mm". Where only a sweep is active the summary says so,
     and what the force is based on.
     """
     known = device.calibration
@@ -180,7 +180,7 @@ def in_words(device: DeviceDescription, now: datetime | None = None) -> Message:
     if isinstance(low, float) and isinstance(high, float):
         return Message(
             "calibration.summary.linear",
-            "{words}, linear from {low:.1f} to {high}",
+            "{words}, linear {low:.1f} to {high}",
             words=words,
             low=1e3 * low,
             high=Quantity(1e3 * high, "mm", 1),

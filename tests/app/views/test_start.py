@@ -16,6 +16,7 @@ from PySide6.QtGui import QGuiApplication
 from tissueid.acquisition import journal_path
 from tissueid.app.help_panel import FOLDER
 from tissueid.app.panels import HELP_KEY, MOST_LINES
+from tissueid.app.views.start.parts import brief
 from tissueid.app.views.start.recent import MOST_SHOWN, look_into
 from tissueid.instrument import FoundInstrument
 from tissueid.sessions import read_session, write_session
@@ -100,7 +101,7 @@ def test_finding_asks_every_port_and_says_how_each_stands(qtbot, open_start):
     lines = said(page.instruments)
     assert reads(lines[0][1], "instruments.ready", what="desktop indenter, TEST-7")
     assert lines[0][2] != "Not known yet"
-    assert reads(lines[3][1], "instruments.no_answer", what="no answer")
+    assert lines[3][1] == brief(made("instruments.no_answer", what="no answer; check the cable"))
     assert "check the cable" in page.instruments.item(3, 1).toolTip()
 
 
