@@ -16,7 +16,6 @@ from numpy.typing import NDArray
 from PySide6.QtCore import QCoreApplication, QEvent, QPointF, Qt
 from PySide6.QtGui import QMouseEvent
 from PySide6.QtWidgets import QApplication, QVBoxLayout, QWidget
-from tissueid.app.views.researcher.test_loading import Channel, LoadedTest
 
 from benchmarks.base import Comparison
 from tissueid.app.live_signals import decimated
@@ -25,6 +24,7 @@ from tissueid.app.theme import LIGHT
 from tissueid.app.views.researcher.plot_stack import PlotStack
 from tissueid.app.views.researcher.recorded_signal import RecordedSignal
 from tissueid.app.views.researcher.selected_test import SelectedTest
+from tissueid.app.views.researcher.signal_loading import Channel, LoadedTest
 
 Array = NDArray[np.float64]
 RATE = 2000.0

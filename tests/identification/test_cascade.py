@@ -16,7 +16,7 @@ from tissueid.identification import validated
 from tissueid.identification.cascades.basis import lag_basis
 from tissueid.identification.cascades.blocks import Blocks, Structure, cascade_data, prepare_cascade, run, slopes
 from tissueid.identification.cascades.fit import fit_structures
-from tissueid.identification.cascades.structure_selection import StructureCandidate, StructureChoice, findings_of
+from tissueid.identification.cascades.structure_selection import StructureCandidate, StructureChoice, structure_findings
 from tissueid.identification.engines.cascade import Cascade, CascadeModel
 from tissueid.messages import code_of
 from tissueid.records import Record, joined
@@ -87,11 +87,11 @@ def test_what_is_not_told_apart_is_said_not_to_be():
     level = replace(wiener, structure="hammerstein", vaf_held_out_percent=90.1, behind=0.0)
     choice = StructureChoice("hammerstein", (wiener, level), ("wiener", "hammerstein"), determined=False, complete=True)
     assert not choice.confident
-    (finding,) = findings_of(choice)
+    (finding,) = structure_findings(choice)
     assert says(finding, "cascade.undetermined")
     assert finding.values["names"].items == ("a Wiener system", "a Hammerstein system")
     linear = replace(wiener, structure="linear", vaf_held_out_percent=90.2, unexplained_p_value=1e-3)
-    (finding,) = findings_of(replace(choice, candidates=(linear, level), alike=("hammerstein",)))
+    (finding,) = structure_findings(replace(choice, candidates=(linear, level), alike=("hammerstein",)))
     assert says(finding, "cascade.undetermined")
     assert finding.values["names"].items == ("a linear system", "a Hammerstein system")
 

@@ -15,8 +15,8 @@ from scipy import interpolate, stats
 from tissueid.errors import UnusableInputError
 from tissueid.identification import validated
 from tissueid.identification.dpn.curves import LogCurves
-from tissueid.identification.dpn.fit import Fitting
-from tissueid.identification.dpn.simulation import simulate_dpn, tabulated
+from tissueid.identification.dpn.fit import DpnData
+from tissueid.identification.dpn.simulation import simulate_dpn, tabulate_curves
 from tissueid.identification.engines.dpn import Dpn, DpnModel
 from tissueid.identification.engines.wiener import Wiener
 from tissueid.messages import code_of
@@ -56,7 +56,7 @@ def _table(tissue: simulated_dpn.Tissue, low: float = 0.009, high: float = 0.014
 @pytest.mark.parametrize("name", list(TISSUES))
 def test_tabulated_curves_move_as_the_plain_loop_does(name: str):
     force, position = simulated_dpn.clean(TISSUES[name], (1,))
-    run = simulate_dpn(tabulated(*_table(TISSUES[name])), force, simulated_dpn.RATE, rest_input=4.0)
+    run = simulate_dpn(tabulate_curves(*_table(TISSUES[name])), force, simulated_dpn.RATE, rest_input=4.0)
     assert run.diverged_at is None
     error = (run.position - position)[1000:-20]
     assert np.max(np.abs(error)) < 2e-4 * np.std(position)
@@ -68,13 +68,13 @@ def test_tabulated_curves_move_as_the_plain_loop_does(name: str):
 
 def test_a_held_force_at_500_hz_moves_as_the_plain_loop_does():
     force, position = simulated_dpn.clean_held(simulated_dpn.THESIS, (1,))
-    curves = tabulated(*_table(simulated_dpn.THESIS))
+    curves = tabulate_curves(*_table(simulated_dpn.THESIS))
     run = simulate_dpn(curves, force, simulated_dpn.SLOW_RATE, rest_input=4.0, hold="zero-order")
     assert np.max(np.abs((run.position - position)[500:])) < 2e-4 * np.std(position)
 
 
 def test_every_run_of_input_begins_at_rest():
-    curves = tabulated(*_table(simulated_dpn.SKIN))
+    curves = tabulate_curves(*_table(simulated_dpn.SKIN))
     u = np.full(300, 4.0)
     u[100:110] = np.nan
     run = simulate_dpn(curves, u, 2000.0)
@@ -87,7 +87,7 @@ def test_every_run_of_input_begins_at_rest():
 
 def test_a_steady_force_beyond_the_table_is_borne_on_its_straight_end():
     y = np.array([0.0, 0.001, 0.002])
-    curves = tabulated(y, np.full(3, 0.05), np.full(3, 10.0), 2000.0 * y)
+    curves = tabulate_curves(y, np.full(3, 0.05), np.full(3, 10.0), 2000.0 * y)
     for force in (-3.0, 9.0):
         run = simulate_dpn(curves, np.full(50, force), 2000.0)
         np.testing.assert_allclose(run.position, force / 2000.0, rtol=1e-6)
@@ -96,7 +96,7 @@ def test_a_steady_force_beyond_the_table_is_borne_on_its_straight_end():
 def test_a_diverging_motion_is_stopped_and_told():
     # A mass that falls by ten times over 2 mm, at a resonance without damping: each swing throws it further.
     y = np.linspace(-0.001, 0.001, 21)
-    curves = tabulated(y, 0.05 * np.exp(-1200.0 * y), np.zeros(21), 2000.0 * y)
+    curves = tabulate_curves(y, 0.05 * np.exp(-1200.0 * y), np.zeros(21), 2000.0 * y)
     u = 1e3 * np.sin(2 * np.pi * 20.0 * np.arange(4000) / 2000.0)
     run = simulate_dpn(curves, u, 2000.0)
     assert run.diverged_at is not None
@@ -116,22 +116,22 @@ def test_a_diverging_motion_is_stopped_and_told():
 def test_curves_that_no_tissue_has_are_refused(changed: dict[str, np.ndarray], code: str):
     plain = {"position": np.arange(3.0), "mass": np.ones(3), "damping": np.ones(3), "force": np.arange(3.0)}
     with pytest.raises(UnusableInputError, check=coded(code)):
-        tabulated(**(plain | changed))
+        tabulate_curves(**(plain | changed))
 
 
 def test_curves_too_stiff_for_the_sample_rate_and_missing_input_are_refused():
     y = np.array([0.0, 0.001])
-    stiff = tabulated(y, np.full(2, 1e-6), np.full(2, 10.0), 2000.0 * y)
+    stiff = tabulate_curves(y, np.full(2, 1e-6), np.full(2, 10.0), 2000.0 * y)
     with pytest.raises(UnusableInputError, check=coded("dpn.too_stiff")):
         simulate_dpn(stiff, np.ones(10), 2000.0)
     with pytest.raises(UnusableInputError, check=coded("dpn.no_input")):
-        simulate_dpn(tabulated(y, np.ones(2), np.ones(2), y), np.full(10, np.nan), 2000.0)
+        simulate_dpn(tabulate_curves(y, np.ones(2), np.ones(2), y), np.full(10, np.nan), 2000.0)
 
 
 @pytest.mark.parametrize("extended", [False, True], ids=["Eq. 3.33", "with direction and inertia"])
 def test_slopes_are_those_of_the_simulated_output(extended: bool):
     record = simulated_dpn.record(simulated_dpn.GROWING, 3)[:1500]
-    fitting = Fitting(record, slice(0, 1500), "band-limited")
+    data = DpnData(record, slice(0, 1500), "band-limited")
     curves = LogCurves(
         low=0.0104,
         high=0.0124,
@@ -143,8 +143,8 @@ def test_slopes_are_those_of_the_simulated_output(extended: bool):
         speed_scale=0.02,
         inertia=np.array([0.6] if extended else []),
     )
-    starts = fitting.starts()
-    here = fitting.evaluate(curves, starts)
+    starts = data.starts()
+    here = data.evaluate(curves, starts)
     assert here is not None
     theta = curves.theta
     for place in range(theta.size):
@@ -153,7 +153,7 @@ def test_slopes_are_those_of_the_simulated_output(extended: bool):
         errors = []
         for sign in (1.0, -1.0):
             # Starting values are projected out, so what is compared must be the error that they cannot explain.
-            there = fitting.evaluate(curves.with_theta(theta + sign * step), starts)
+            there = data.evaluate(curves.with_theta(theta + sign * step), starts)
             assert there is not None
             errors.append(there.error)
         slope = (errors[1] - errors[0]) / 2e-4

@@ -12,7 +12,7 @@ from identification.simulated_kernels import LAGS, polynomial
 from scipy import linalg, stats
 
 from tissueid.errors import UnusableInputError
-from tissueid.identification.volterra.kernel_regression import DualKernels, dual_kernels, simulate_third
+from tissueid.identification.volterra.kernel_regression import RegressionKernels, regression_kernels, simulate_third
 
 
 def _covariance(lags: int, std: float, decay: float, rate: float) -> np.ndarray:
@@ -54,7 +54,7 @@ def _written_out(x: np.ndarray, rows: np.ndarray, lags: int, spacing: int, order
 def test_it_is_the_posterior_of_that_prior(order: int, spacing: int):
     lags = 5
     known = polynomial(20, n=330, lags=lags, spacing=spacing, cube=0.5, slowness=0.4, snr_db=15.0)
-    found = dual_kernels(known.x, known.y, known.used, lags, spacing, order)
+    found = regression_kernels(known.x, known.y, known.used, lags, spacing, order)
     rows = np.flatnonzero(known.used)
     products = _written_out(known.x, rows, lags, spacing, order)
     prior = _prior(found.hyperparameters, lags, order)
@@ -97,7 +97,7 @@ def _orders(k: int) -> list[tuple[int, ...]]:
 def test_the_likelihood_is_what_it_says_and_is_at_its_greatest():
     lags, order = 5, 3
     known = polynomial(21, n=300, lags=lags, cube=0.5, slowness=0.4, snr_db=10.0)
-    found = dual_kernels(known.x, known.y, known.used, lags, 1, order)
+    found = regression_kernels(known.x, known.y, known.used, lags, 1, order)
     rows = np.flatnonzero(known.used)
     p = np.concatenate(_written_out(known.x, rows, lags, 1, order), axis=1)
     contrasts = linalg.helmert(rows.size)  # what the constant leaves
@@ -117,12 +117,12 @@ def test_the_likelihood_is_what_it_says_and_is_at_its_greatest():
 
 
 @pytest.fixture(scope="module")
-def cubic() -> tuple[simulated_kernels.Known, DualKernels]:
+def cubic() -> tuple[simulated_kernels.Known, RegressionKernels]:
     known = polynomial(22, n=2700, cube=2.0, cutoff_hz=500.0, snr_db=30.0)
-    return known, dual_kernels(known.x, known.y, known.used, LAGS, 1, 3)
+    return known, regression_kernels(known.x, known.y, known.used, LAGS, 1, 3)
 
 
-def test_a_cubic_system_shows_its_kernels(cubic: tuple[simulated_kernels.Known, DualKernels]):
+def test_a_cubic_system_shows_its_kernels(cubic: tuple[simulated_kernels.Known, RegressionKernels]):
     known, found = cubic
     assert found.kernel2 is not None
     assert found.kernel3 is not None
@@ -138,7 +138,7 @@ def test_a_cubic_system_shows_its_kernels(cubic: tuple[simulated_kernels.Known, 
         np.testing.assert_allclose(found.kernel3, found.kernel3.transpose(turned), atol=1e-12)
 
 
-def test_fresh_samples_are_met(cubic: tuple[simulated_kernels.Known, DualKernels]):
+def test_fresh_samples_are_met(cubic: tuple[simulated_kernels.Known, RegressionKernels]):
     _, found = cubic
     assert found.kernel2 is not None
     assert found.kernel3 is not None
@@ -153,7 +153,7 @@ def test_fresh_samples_are_met(cubic: tuple[simulated_kernels.Known, DualKernels
 @pytest.mark.parametrize("order", [2, 3])
 def test_a_curve_before_the_dynamics_is_found_on_the_diagonal(order: int):
     known = polynomial(23, n=1500, before=True, square=0.5, cube=0.1 if order == 3 else 0.0)
-    found = dual_kernels(known.x, known.y, known.used, LAGS, 1, order, search_rows=500)
+    found = regression_kernels(known.x, known.y, known.used, LAGS, 1, order, search_rows=500)
     assert found.kernel2 is not None
     assert np.linalg.norm(found.kernel2 - known.kernel2) < 0.12 * np.linalg.norm(known.kernel2)
     off = found.kernel2 - np.diag(np.diag(found.kernel2))
@@ -165,7 +165,7 @@ def _coverage(runs: int, **options: object) -> np.ndarray:
     inside = []
     for run in range(runs):
         known = polynomial(24, run, **options)
-        found = dual_kernels(known.x, known.y, known.used, LAGS, 1, 2, search_rows=600)
+        found = regression_kernels(known.x, known.y, known.used, LAGS, 1, 2, search_rows=600)
         assert found.kernel2 is not None
         assert found.kernel2_std is not None
         first = np.abs(found.kernel1 - known.kernel1) < 1.96 * found.kernel1_std
@@ -193,10 +193,10 @@ def test_coverage_over_20_runs(options: dict[str, object]):
 
 def test_more_rows_than_allowed_are_thinned_with_a_warning():
     known = polynomial(25, n=2000)
-    found = dual_kernels(known.x, known.y, known.used, LAGS, 1, 2, max_rows=500, search_rows=300)
+    found = regression_kernels(known.x, known.y, known.used, LAGS, 1, 2, max_rows=500, search_rows=300)
     assert found.rows == 495
     assert any(says(text, "volterra.thinned", every=4) for text in found.warnings)
-    whole = dual_kernels(known.x, known.y, known.used, LAGS, 1, 2, search_rows=300)
+    whole = regression_kernels(known.x, known.y, known.used, LAGS, 1, 2, search_rows=300)
     assert whole.rows == known.used.sum()
     assert found.kernel2_std is not None
     assert whole.kernel2_std is not None
@@ -210,7 +210,7 @@ def test_rows_may_have_gaps():
     x, y, used = known.x.copy(), known.y.copy(), known.used.copy()
     x[700:710] = y[700:710] = np.nan
     used[700 : 710 + LAGS - 1] = False
-    found = dual_kernels(x, y, used, LAGS, 1, 2, search_rows=400)
+    found = regression_kernels(x, y, used, LAGS, 1, 2, search_rows=400)
     assert found.kernel2 is not None
     assert np.linalg.norm(found.kernel2 - known.kernel2) < 0.1 * np.linalg.norm(known.kernel2)
 
@@ -239,13 +239,13 @@ def test_a_third_order_kernel_is_simulated_as_loops_do_it(spacing: int):
 def test_refusals(order: int, n: int, refusal: Refusal):
     known = polynomial(28, n=n)
     with pytest.raises(UnusableInputError, check=refusal.check):
-        dual_kernels(known.x, known.y, known.used, LAGS, 1, order)
+        regression_kernels(known.x, known.y, known.used, LAGS, 1, order)
 
 
 def test_units_do_not_matter():
     known = polynomial(30, n=600)
-    found = dual_kernels(known.x, known.y, known.used, LAGS, 1, 2)
+    found = regression_kernels(known.x, known.y, known.used, LAGS, 1, 2)
     other = replace(known, x=1e3 * known.x, y=1e-6 * known.y)
-    scaled = dual_kernels(other.x, other.y, other.used, LAGS, 1, 2)
+    scaled = regression_kernels(other.x, other.y, other.used, LAGS, 1, 2)
     np.testing.assert_allclose(1e9 * scaled.kernel1, found.kernel1, atol=1e-3 * np.max(np.abs(found.kernel1)))
     assert scaled.effective_parameters == pytest.approx(found.effective_parameters, rel=0.02)

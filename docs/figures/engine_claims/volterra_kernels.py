@@ -19,7 +19,7 @@ from outside_data import RIG
 
 from engine_claims.base import Claim
 from tissueid.identification.validation import vaf_percent
-from tissueid.identification.volterra.kernel_regression import dual_kernels
+from tissueid.identification.volterra.kernel_regression import regression_kernels
 from tissueid.identification.volterra.lag_grid import smoothed
 from tissueid.identification.volterra.laguerre import laguerre_kernels
 from tissueid.identification.volterra.prior import regularised_fit, roughness
@@ -235,7 +235,7 @@ def bands() -> Iterator[Claim]:
             y = known.y[known.used]
             prior = regularised_fit(regressors.normal_equations(regressors.gram(), y), regressors, y)
             mean, std = kernels_of(prior.coefficients, lags, 2), kernels_of(prior.std, lags, 2)
-            dual = dual_kernels(known.x, known.y, known.used, lags, 1, 2)
+            dual = regression_kernels(known.x, known.y, known.used, lags, 1, 2)
             laguerre = laguerre_kernels(known.x, known.y, known.used, lags, 1, 2)
             for name, first, first_std, second, second_std in (
                 ("regularised", mean.first, std.first, mean.second, std.second),

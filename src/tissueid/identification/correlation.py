@@ -17,7 +17,7 @@ from tissueid.identification.base import Array, Mask
 
 ROWS_AT_ONCE = 8192
 
-_SOLVED = 1e-6
+_LARGEST_ERROR = 1e-6
 """Largest accepted relative error of a solution."""
 
 
@@ -87,7 +87,7 @@ def condition_number(first_column: Array) -> float:
     unit[m // 2] = 1.0
     middle = toeplitz_solve(first_column, unit)
     through_middle = np.concatenate([first_column[m // 2 : 0 : -1], first_column[: m - m // 2]])  # middle row of R
-    if not (middle[m // 2] > 0.0 and abs(float(through_middle @ middle) - 1.0) < _SOLVED):
+    if not (middle[m // 2] > 0.0 and abs(float(through_middle @ middle) - 1.0) < _LARGEST_ERROR):
         raise np.linalg.LinAlgError("the correlation matrix is not positive definite to working precision")
     to_lag = np.cumsum(np.abs(first_column))  # column j of R holds lags 0 .. j above and 1 .. m - 1 - j below
     norm = float(np.max(to_lag + to_lag[::-1])) - abs(float(first_column[0]))

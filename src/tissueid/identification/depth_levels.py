@@ -74,11 +74,11 @@ def is_stepped(x: Array, used: Mask, memory_samples: int) -> bool:
 
 
 def _runs(x: Array, used: Mask, memory_samples: int) -> list[tuple[int, int]]:
-    received = np.isfinite(x) & _near(used, memory_samples)
+    received = np.isfinite(x) & _with_memory(used, memory_samples)
     return [(int(first), int(end)) for first, end in finite_runs(received) if end - first > 2 * memory_samples]
 
 
-def _near(used: Mask, memory_samples: int) -> Mask:
+def _with_memory(used: Mask, memory_samples: int) -> Mask:
     """Return the mask of the fitted samples and of the memory before each of them."""
     later = np.concatenate([used, np.zeros(memory_samples, dtype=np.bool_)])
     counts = np.cumsum(np.concatenate([[0], later]))

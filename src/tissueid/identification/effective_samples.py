@@ -7,19 +7,19 @@ import numpy as np
 from tissueid.identification.base import Array
 from tissueid.identification.correlation import Correlator
 
-DEPENDENCE_S = 0.05
+DEPENDENCE_TIME_S = 0.05
 """Lag, s, up to which a prewhitened coloured residual is treated as autocorrelated."""
 
 _SIGNIFICANT = 4.0
 """Threshold of the autocorrelation, in standard deviations of white noise, above which a signal is coloured."""
 
-_STEADIEST = 0.97
+_LARGEST_GAIN = 0.97
 """Bound on the singular values of the prewhitening filter, so that its inverse is stable (Andrews and Monahan 1992)."""
 
 
 def dependence_samples(residual: Array, sample_rate_hz: float) -> int:
     """Return the number of samples over which a residual (n,) is autocorrelated: 1 for a white residual."""
-    longest = max(1, min(round(DEPENDENCE_S * sample_rate_hz), residual.size // 8))
+    longest = max(1, min(round(DEPENDENCE_TIME_S * sample_rate_hz), residual.size // 8))
     correlation = Correlator(residual - residual.mean(), longest).auto()
     white = np.all(np.abs(correlation[1:]) <= _SIGNIFICANT / np.sqrt(residual.size) * correlation[0])
     return 1 if white else longest
@@ -40,7 +40,7 @@ def long_run_covariance(terms: Array, block: int) -> Array:
     before, after = rows[:-1], rows[1:]
     regression = np.linalg.lstsq(before, after, rcond=1e-10)[0].T  # after = regression @ before + innovation
     left, gains, right = np.linalg.svd(regression)
-    regression = (left * np.minimum(gains, _STEADIEST)) @ right
+    regression = (left * np.minimum(gains, _LARGEST_GAIN)) @ right
     colouring = np.linalg.inv(np.eye(size.size) - regression) * size[:, None]
     innovations = _block_covariance(after - before @ regression.T, block)
     share = block / terms.shape[0]

@@ -32,7 +32,7 @@ biased correlations the ends of the record have that effect. For a force without
 the band is five times the mean, so that the ridge reduces the response there by 0.02 %.
 """
 
-BEYOND_S = 0.005
+EXTRA_MEMORY_S = 0.005
 """Additional memory, s, for which a response is estimated and then cut off.
 
 Effects beyond the last lag (a longer response, nonlinearity, noise) are attributed to the last lags, over the
@@ -40,10 +40,10 @@ correlation time of the input: 5 ms for a force without power above 200 Hz.
 """
 
 
-_AT_REST = 0.1
+_DECAYED = 0.1
 """Share of the peak below which a kernel has decayed."""
 
-_SMALL = 500
+_DENSE_LAGS = 500
 """Number of lags up to which a Toeplitz matrix is multiplied as a dense matrix."""
 
 _FEWEST_LAGS = 5
@@ -55,8 +55,8 @@ class ImpulseResponses:
     """The factored input side of Eq. 3.2.
 
     ``prepared.memory_samples`` is the number of estimated lags, which may exceed the number that is used:
-    :func:`beyond_memory`. ``input`` (n,) is the input minus its mean; ``fade`` (fitted samples,) is the window of input
-    and output before correlation. R (lags, lags) is stored by its first column if it is Toeplitz, else by its
+    :func:`with_extra_memory`. ``input`` (n,) is the input minus its mean; ``fade`` (fitted samples,) is the taper of
+    input and output before correlation. R (lags, lags) is stored by its first column if it is Toeplitz, else by its
     pseudo-inverse. ``condition`` is its condition number, in the 1-norm in the first case and in the 2-norm in the
     second. ``ridge`` was added to its diagonal.
     """
@@ -101,11 +101,11 @@ class ImpulseResponses:
         return toeplitz_inverse(self.column)
 
 
-def beyond_memory(prepared: Prepared) -> Prepared:
-    """Return the record prepared for a response longer by ``BEYOND_S``, or less if there are too few samples."""
+def with_extra_memory(prepared: Prepared) -> Prepared:
+    """Return the record prepared for a response longer by ``EXTRA_MEMORY_S``, or less if there are too few samples."""
     record, part = prepared.record, prepared.part
     spare = part.stop - part.start - prepared.memory_samples
-    lags = prepared.memory_samples + min(round(BEYOND_S * record.sample_rate_hz), spare)
+    lags = prepared.memory_samples + min(round(EXTRA_MEMORY_S * record.sample_rate_hz), spare)
     used = scored_samples(record, lags, part)
     if int(used.sum()) < lags:
         return prepared
@@ -182,7 +182,7 @@ def memory_warnings(kernel: Array) -> tuple[str, ...]:
             ),
         )
     late = kernel[int(0.8 * kernel.size) : int(0.95 * kernel.size)]
-    if late.size < 3 or abs(float(np.mean(late))) <= _AT_REST * float(np.max(np.abs(kernel))):
+    if late.size < 3 or abs(float(np.mean(late))) <= _DECAYED * float(np.max(np.abs(kernel))):
         return ()
     return (
         Message(
@@ -208,7 +208,7 @@ def kernel_std(inverse: Array, x: Array, residuals: Array) -> Array:
     error_power = fft.rfft(error_correlation * np.maximum(0.0, 1.0 - lag / lags), length).real
     score_correlation = fft.irfft(x_power * error_power, length)[:lags]
     # (lags, lags): a dense product is several times faster for few lags.
-    whole = lags <= _SMALL
+    whole = lags <= _DENSE_LAGS
     spread = (
         linalg.toeplitz(score_correlation) @ inverse if whole else linalg.matmul_toeplitz(score_correlation, inverse)
     )

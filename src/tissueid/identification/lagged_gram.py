@@ -18,7 +18,7 @@ from tissueid.identification.sample_masks import finite_runs
 
 _ROWS_AT_ONCE = 2048
 
-_ENDS = 0.25
+_LARGEST_END_SHARE = 0.25
 """Share of rows at the ends of runs above which all products are summed directly."""
 
 
@@ -142,14 +142,14 @@ class _Sums:
         """Return P'P (p, p), with the columns ordered by lag."""
         regressors = self.regressors
         rows = int(np.diff(regressors.runs, axis=1).sum())
-        if 2 * regressors.spacing * len(regressors.runs) > _ENDS * rows:
+        if 2 * regressors.spacing * len(regressors.runs) > _LARGEST_END_SHARE * rows:
             total = np.zeros((self.channel.size, self.channel.size))
             used = np.flatnonzero(regressors.used)
             for first in range(0, rows, _ROWS_AT_ONCE):
                 columns = self._columns(used[first : first + _ROWS_AT_ONCE])
                 total += columns @ columns.T
             return total
-        return self._stepped(self._at_lag_zero(), self._ends())
+        return self._by_recursion(self._at_lag_zero(), self._end_corrections())
 
     def _at_lag_zero(self) -> Array:
         """Return the sums over the rows of the products of the columns at lag 0 with all columns, (channels, p)."""
@@ -171,7 +171,7 @@ class _Sums:
                 total += values[:count] @ values.T
         return total
 
-    def _ends(self) -> Array:
+    def _end_corrections(self) -> Array:
         """Return the change of all products (p, p), due to the ends of the runs, when every column is shifted by one
         more lag.
         """
@@ -182,7 +182,7 @@ class _Sums:
         lost = self._columns(np.concatenate(leaving))
         return np.asarray(np.hstack([gained, lost]) @ np.hstack([gained, -lost]).T, dtype=np.float64)
 
-    def _stepped(self, first: Array, ends: Array) -> Array:
+    def _by_recursion(self, first: Array, ends: Array) -> Array:
         """Return all products (p, p) from those with lag 0 (channels, p) and their change per lag (p, p)."""
         total = np.empty_like(ends)
         total[: self.starts[1]] = first

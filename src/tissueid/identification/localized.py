@@ -10,7 +10,7 @@ from tissueid.errors import UnusableInputError
 from tissueid.identification.base import Array, Mask, Model
 from tissueid.identification.depth_levels import Level
 from tissueid.identification.depth_profile import DepthProfile
-from tissueid.identification.dpn.simulation import Curves, simulate_dpn, tabulated
+from tissueid.identification.dpn.simulation import Curves, simulate_dpn, tabulate_curves
 from tissueid.identification.partitions.parameters import LocalParameters
 from tissueid.identification.sample_masks import complete_windows
 from tissueid.identification.second_order import Hold
@@ -173,7 +173,7 @@ def curves_through(found: tuple[LevelFit, ...]) -> Curves:
         rise = 0.5 * (stiffness[1:] + stiffness[:-1]) * np.diff(position)
         integral = np.concatenate([[0.0], np.cumsum(rise)])
         force = integral + float(np.mean(force - integral))
-    return tabulated(position, mass, damping, force)
+    return tabulate_curves(position, mass, damping, force)
 
 
 def _mean_of(group: list[LevelFit], index: int) -> float:

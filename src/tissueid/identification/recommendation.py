@@ -29,10 +29,10 @@ from tissueid.records import Record
 LEVEL = 0.05
 """Significance level (one-sided) of a lead."""
 
-RELEVANT = 0.05
+RELEVANT_REDUCTION = 0.05
 """Smallest share of the error variance that a lead must remove to count."""
 
-WORTH_POINTS = 0.1
+RELEVANT_POINTS = 0.1
 """Smallest relevant lead, percentage points of VAF."""
 
 
@@ -160,7 +160,7 @@ def recommend(
 def beaten(lead: Difference, level: float = LEVEL) -> bool:
     """Return whether a lead is significant at ``level`` and relevant."""
     sure = lead.p_value is not None and lead.p_value < level
-    return sure and lead.reduction > RELEVANT and lead.points > WORTH_POINTS
+    return sure and lead.reduction > RELEVANT_REDUCTION and lead.points > RELEVANT_POINTS
 
 
 def sufficient(trials: Sequence[tuple[float, Array]], held_out: Record) -> float:

@@ -37,19 +37,19 @@ from tissueid.language import marked
 from tissueid.messages import Listing, Message
 from tissueid.records import Estimate, Record
 
-_KNOWN = 0.5
+_LARGEST_RELATIVE_STD = 0.5
 """Relative standard deviation above which a parameter is undetermined."""
 
-_FELT = 1e-7
+_NEGLIGIBLE_SENSITIVITY = 1e-7
 """Effect on the output below which a parameter is undetermined, relative to the strongest."""
 
 _ITERATIONS = 40
-_SETTLED_GAIN = 1e-9
+_GAIN_TOLERANCE = 1e-9
 """Relative decrease of the squared error below which the fit has converged: less than 0.01 standard deviations."""
 _DAMPING = 1e-9
 _STEPS = Bounds.of_steps(np.ones(3))
 """A step changes mass, damping and stiffness by at most a factor e."""
-_BRIDGE = 64
+_EXTENSION = 64
 
 
 @dataclass(frozen=True)
@@ -146,7 +146,12 @@ def fit_second_order(
     theta = np.log([system.mass, system.damping, system.stiffness])
     problem = _SimulationError(lambda trial: _evaluate(runs, y, w, trial, rate, hold))
     found = minimise(
-        problem, problem.point(theta), most_steps=_ITERATIONS, tolerance=_SETTLED_GAIN, damping=_DAMPING, bounds=_STEPS
+        problem,
+        problem.point(theta),
+        most_steps=_ITERATIONS,
+        tolerance=_GAIN_TOLERANCE,
+        damping=_DAMPING,
+        bounds=_STEPS,
     )
     mass, damping, stiffness = np.exp(found.point.theta)
     fitted = SecondOrder(mass=float(mass), damping=float(damping), stiffness=float(stiffness))
@@ -163,7 +168,7 @@ def fit_second_order(
             )
         )
     else:
-        known = np.sqrt(np.diag(covariance)) < _KNOWN
+        known = np.sqrt(np.diag(covariance)) < _LARGEST_RELATIVE_STD
         names = (marked("mass"), marked("damping"), marked("stiffness"))
         unknown = tuple(name for name, ok in zip(names, known, strict=True) if not ok)
         if unknown:
@@ -224,17 +229,17 @@ class _SimulationError:
 def _sandwich(slopes: Array, error: Array, block: int) -> Array | None:
     """Return the covariance (3, 3) of log M, log B, log K; NaN for one without effect, None on failure."""
     size = np.linalg.norm(slopes, axis=0)
-    felt = size > _FELT * np.max(size)
-    if not felt.any():
+    effective = size > _NEGLIGIBLE_SENSITIVITY * np.max(size)
+    if not effective.any():
         return None
-    directions = slopes[:, felt] / size[felt]
+    directions = slopes[:, effective] / size[effective]
     gram = directions.T @ directions
-    if not np.all(np.isfinite(gram)) or np.linalg.cond(gram) > 1.0 / _FELT**2:
+    if not np.all(np.isfinite(gram)) or np.linalg.cond(gram) > 1.0 / _NEGLIGIBLE_SENSITIVITY**2:
         return None
-    influence = (directions @ np.linalg.inv(gram)) * error[:, None] / size[felt]
+    influence = (directions @ np.linalg.inv(gram)) * error[:, None] / size[effective]
     n, p = influence.shape
     covariance = np.full((3, 3), np.nan)
-    covariance[np.ix_(felt, felt)] = long_run_covariance(influence, block) * n / (n - p)
+    covariance[np.ix_(effective, effective)] = long_run_covariance(influence, block) * n / (n - p)
     return covariance
 
 
@@ -251,7 +256,7 @@ def _runs(record: Record, used: Mask, mean_u: float, mean_y: float) -> tuple[lis
         if local.size == 0:
             continue
         values = record.input[first : first + local[-1] + 1] - mean_u
-        length = fft.next_fast_len(values.size + _BRIDGE, real=True)
+        length = fft.next_fast_len(values.size + _EXTENSION, real=True)
         blend = 0.5 - 0.5 * np.cos(np.pi * np.arange(1, length - values.size + 1) / (length - values.size + 1))
         bridge = values[-1] + blend * (values[0] - values[-1])
         spectrum = fft.rfft(np.concatenate([values, bridge]))
@@ -281,7 +286,7 @@ def _evaluate(runs: list[_Run], y: Array, weights: Array, theta: Array, rate: fl
         here -= np.einsum("ij,jk->ik", q, np.einsum("ij,ik->jk", q, here))
     offset = columns[:, 4]
     energy = float(offset @ offset)
-    if energy > _FELT**2 * float(weights @ weights):
+    if energy > _NEGLIGIBLE_SENSITIVITY**2 * float(weights @ weights):
         columns[:, :4] -= np.outer(offset, (offset @ columns[:, :4]) / energy)
     return columns[:, 0], columns[:, 1:4]
 

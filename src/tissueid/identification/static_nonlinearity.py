@@ -20,7 +20,7 @@ from scipy import interpolate, optimize
 from tissueid.identification.base import Array
 from tissueid.language import marked
 
-_STRAIGHT = 1e-4
+_SERIES_LIMIT = 1e-4
 """C2 times the range of t below which the derivative with respect to C2 is computed by its series."""
 
 
@@ -42,7 +42,7 @@ def exponential_sums(
         The sums of b, b b, b y, d, d d, d b and d y.
     """
     b_sum = b_b = b_y = d_sum = d_d = d_b = d_y = 0.0
-    if abs(c2) * reach < _STRAIGHT:
+    if abs(c2) * reach < _SERIES_LIMIT:
         for n in range(t.size):
             b = t[n] * (1.0 - c2 * t[n] * (0.5 - c2 * t[n] / 6.0))
             d = t[n] * t[n] * (c2 * t[n] / 3.0 - 0.5)
@@ -75,7 +75,7 @@ _FORMS = (marked("exponential"), marked("polynomial"), marked("spline"))
 _STEEPEST = 20.0
 """Largest C2 times half the range of z: a curve that decays by a factor exp(20) is a step."""
 
-_SETTLED_BEND, _SMALLEST_BEND = 1e-5, 1e-9
+_BEND_TOLERANCE, _SMALLEST_BEND = 1e-5, 1e-9
 """Steps of C2 times half the range of z: the fit ends below the first; steps below the second are not tried."""
 
 _GRID_SAMPLES = 1000
@@ -165,7 +165,7 @@ class Exponential(StaticNonlinearity):
     def slope(self, z: Array) -> Array:
         """Return dg/dz, shape of z."""
         _, s, c2 = self.coefficients
-        return np.asarray(s * np.exp(_bounded(-c2 * (z - self.centre))))
+        return np.asarray(s * np.exp(_limited(-c2 * (z - self.centre))))
 
     def jacobian(self, z: Array) -> Array:
         """Return the derivatives of g(z) with respect to y0, s and C2, shape (n, 3)."""
@@ -316,7 +316,7 @@ def fit_exponential(z: Array, y: Array, start: float | None = None) -> Exponenti
                 line, improved = tried, True
                 break
             step *= 0.5
-        if not improved or abs(step) < _SETTLED_BEND / reach:
+        if not improved or abs(step) < _BEND_TOLERANCE / reach:
             break
     return Exponential(np.array([mean_y - line.s * line.mean_bend, line.s, line.c2]), low, high, centre)
 
@@ -354,14 +354,14 @@ def _b_splines(z: Array, knots: Array) -> Array:
     return np.asarray(interpolate.BSpline.design_matrix(z, knots, 3).toarray(), dtype=np.float64)
 
 
-def _bounded(exponent: Array) -> Array:
+def _limited(exponent: Array) -> Array:
     """Return the exponent, limited to avoid overflow."""
     return np.minimum(exponent, 300.0)
 
 
 def _bend(t: Array, c2: float) -> Array:
     """Return (1 - exp(-C2 t)) / C2, and t for C2 = 0."""
-    return np.asarray(-np.expm1(_bounded(-c2 * t)) / c2) if c2 != 0.0 else t
+    return np.asarray(-np.expm1(_limited(-c2 * t)) / c2) if c2 != 0.0 else t
 
 
 class _Line(NamedTuple):

@@ -26,7 +26,7 @@ Structure = Literal["linear", "wiener", "hammerstein", "lnl", "nln"]
 STRUCTURES: tuple[Structure, ...] = ("linear", "wiener", "hammerstein", "lnl", "nln")
 """Structures in order of complexity; of two that explain a record equally well, the first is preferred."""
 
-INSIDE: dict[Structure, frozenset[Structure]] = {
+SPECIAL_CASES: dict[Structure, frozenset[Structure]] = {
     "linear": frozenset(),
     "wiener": frozenset({"linear"}),
     "hammerstein": frozenset({"linear"}),

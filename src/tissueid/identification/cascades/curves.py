@@ -74,17 +74,17 @@ def curve_slopes(curve: StaticNonlinearity, z: Array) -> Array:
     return slopes
 
 
-def at_zero(curve: StaticNonlinearity, place: float) -> StaticNonlinearity:
+def with_zero_at(curve: StaticNonlinearity, place: float) -> StaticNonlinearity:
     """Return the curve with a constant subtracted so that its value at ``place`` is zero."""
-    return lifted(curve, -float(curve(np.array([place]))[0]))
+    return with_offset(curve, -float(curve(np.array([place]))[0]))
 
 
-def lifted(curve: StaticNonlinearity, by: float) -> StaticNonlinearity:
+def with_offset(curve: StaticNonlinearity, by: float) -> StaticNonlinearity:
     """Return the curve plus the constant ``by``."""
     return curve.with_coefficients(curve.coefficients + by * _constant(curve))
 
 
-def scaled(curve: StaticNonlinearity, factor: float) -> StaticNonlinearity:
+def multiplied(curve: StaticNonlinearity, factor: float) -> StaticNonlinearity:
     """Return the curve times ``factor``; the curvature constant of an exponential does not change."""
     factors = np.full(curve.coefficients.size, factor)
     if isinstance(curve, Exponential):
@@ -92,7 +92,7 @@ def scaled(curve: StaticNonlinearity, factor: float) -> StaticNonlinearity:
     return curve.with_coefficients(curve.coefficients * factors)
 
 
-def stretched(curve: StaticNonlinearity, factor: float) -> StaticNonlinearity:
+def with_scaled_argument(curve: StaticNonlinearity, factor: float) -> StaticNonlinearity:
     """Return the curve of a scaled argument: its value at ``factor * z`` equals the value of the given curve at z."""
     low, high = sorted((factor * curve.low, factor * curve.high))
     mirrored = factor < 0.0

@@ -14,10 +14,10 @@ from tissueid.identification.cascades.curves import fit_curve
 from tissueid.identification.cascades.refinement import Fitted, refine, squared_error, with_outer
 from tissueid.identification.cascades.starting_points import (
     RankOne,
-    canonical,
+    canonical_weights,
     first_blocks,
+    legendre_columns,
     linear_weights,
-    powers,
     quadratic_weights,
     rank_one,
 )
@@ -27,19 +27,19 @@ from tissueid.identification.validation import aicc
 _FIRST_DEGREE = 3
 """Degree of the polynomials used to compare starting points."""
 
-_GLANCE, _GLANCE_ROWS = 6, 20
+_SCREENING_STEPS, _SCREENING_ROWS_PER_PARAMETER = 6, 20
 """Steps of the first refinement of every starting point, and rows per parameter used in it."""
 
-_FOLLOWED = 2
-_WIDER = (1.5, 2.0, 3.0)
+_REFINED_STARTS = 2
+_KNOT_SPACINGS = (1.5, 2.0, 3.0)
 """Spacings of the knots tried for the blocks of an LNL system, relative to the closest spacing."""
 
-_STEPS, _SETTLED = 25, 1e-4
+_STEPS, _TOLERANCE = 25, 1e-4
 
 
 def fit_linear(data: CascadeData) -> Fitted:
     """Return the best linear approximation by least squares."""
-    blocks = _with_mean(Blocks(None, linear_weights(data), None, None, 0.0), data)
+    blocks = _with_fitted_offset(Blocks(None, linear_weights(data), None, None, 0.0), data)
     return Fitted(blocks, squared_error(blocks, data))
 
 
@@ -48,11 +48,11 @@ def hammerstein_passes(data: CascadeData, form: Form, degree: int, passes: int) 
 
     The passes use a polynomial; for another ``form``, that form is fitted to the polynomial of each pass.
     """
-    curves = powers(data.input - data.rest, degree)
+    curves = legendre_columns(data.input - data.rest, degree)
     found = []
     for done in rank_one(curves, data, passes):
         inner = fit_curve(form, data.input, done.channels @ curves, degree)
-        blocks = _with_mean(Blocks(inner, done.lags, None, None, 0.0), data)
+        blocks = _with_fitted_offset(Blocks(inner, done.lags, None, None, 0.0), data)
         found.append(Fitted(blocks, squared_error(blocks, data)))
     return found
 
@@ -78,7 +78,7 @@ def fit_lnl(data: CascadeData, form: Form, degree: int, simpler: Iterable[Blocks
     firsts = [*first_blocks(data), impulse, *wiener]
     finished = [_lnl_blocks(weights, data, form, degree) for weights in firsts]
     finished.sort(key=lambda done: done[0])
-    return _best([blocks for _, blocks in finished[: _FOLLOWED + 1]], data)
+    return _best([blocks for _, blocks in finished[: _REFINED_STARTS + 1]], data)
 
 
 def fit_nln(data: CascadeData, form: Form, degree: int, simpler: Iterable[Blocks]) -> Fitted:
@@ -120,7 +120,7 @@ def fit_structures(data: CascadeData, form: Form, degree: int, wanted: Iterable[
     return found
 
 
-def polished(fitted: Fitted, data: CascadeData) -> tuple[Blocks, CascadeData]:
+def refine_until_converged(fitted: Fitted, data: CascadeData) -> tuple[Blocks, CascadeData]:
     """Return the converged blocks, with the data in whose basis their weights are given.
 
     The division of an LNL system's dynamics between its blocks is weakly determined, and free lags overfit. Its blocks
@@ -131,66 +131,66 @@ def polished(fitted: Fitted, data: CascadeData) -> tuple[Blocks, CascadeData]:
     blocks = refine(fitted.blocks, data).blocks
     if blocks.second is None:
         return blocks, data
-    best = (_information(blocks, data), blocks, data)
-    for wider in _WIDER:
+    best = (_aicc_of(blocks, data), blocks, data)
+    for wider in _KNOT_SPACINGS:
         basis = lag_basis(data.bank.basis.shape[0], wider * data.spacing)
         leaner = replace(data, bank=LagBank(basis, data.input.size))
         first = leaner.bank.nearest(data.bank.basis @ blocks.first)
         second = leaner.bank.nearest(data.bank.basis @ blocks.second)
         tried = refine(replace(blocks, first=first, second=second), leaner).blocks
-        best = min(best, (_information(tried, leaner), tried, leaner), key=lambda one: one[0])
+        best = min(best, (_aicc_of(tried, leaner), tried, leaner), key=lambda one: one[0])
     return best[1], best[2]
 
 
-def _information(blocks: Blocks, data: CascadeData) -> float:
+def _aicc_of(blocks: Blocks, data: CascadeData) -> float:
     error = data.measured - run(blocks, data).output[data.rows]
     return aicc(error, blocks.n_parameters)
 
 
 def _best(starts: list[Blocks], data: CascadeData) -> Fitted:
     """Refine every starting point by a few steps, refine the best ones until convergence, and return the best fit."""
-    some = data.thinned(_GLANCE_ROWS * max(blocks.vector.size for blocks in starts))
-    glanced = sorted((refine(blocks, some, _GLANCE, 1e-3) for blocks in starts), key=lambda done: done.rss)
-    followed = (refine(done.blocks, data, _STEPS, _SETTLED) for done in glanced[:_FOLLOWED])
-    return min(followed, key=lambda done: done.rss)
+    some = data.thinned(_SCREENING_ROWS_PER_PARAMETER * max(blocks.vector.size for blocks in starts))
+    screened = sorted((refine(blocks, some, _SCREENING_STEPS, 1e-3) for blocks in starts), key=lambda done: done.rss)
+    refined = (refine(done.blocks, data, _STEPS, _TOLERANCE) for done in screened[:_REFINED_STARTS])
+    return min(refined, key=lambda done: done.rss)
 
 
-def _with_mean(blocks: Blocks, data: CascadeData) -> Blocks:
+def _with_fitted_offset(blocks: Blocks, data: CascadeData) -> Blocks:
     """Return the blocks with the offset that makes the mean error zero."""
     error = data.measured - run(blocks, data).output[data.rows]
     return replace(blocks, offset=blocks.offset + float(error.mean()))
 
 
-def _to_unit(weights: Array, data: CascadeData, signal: Array) -> Array:
+def _with_unit_output(weights: Array, data: CascadeData, signal: Array) -> Array:
     """Return the weights of a linear block scaled to an output of unit standard deviation for an input (n,)."""
     spread = float(np.std(data.bank.apply(weights, signal)[data.rows]))
     return weights / spread if spread > 0.0 else weights
 
 
 def _wiener_blocks(weights: Array, data: CascadeData, form: Form, degree: int) -> Blocks:
-    weights = _to_unit(weights, data, data.input - data.rest)
+    weights = _with_unit_output(weights, data, data.input - data.rest)
     inside = data.bank.apply(weights, data.input - data.rest)[data.rows]
     straight = Blocks(None, weights, None, None, 0.0)
     return with_outer(straight, fit_curve(form, inside, data.measured, degree))
 
 
 def _lnl_blocks(weights: Array, data: CascadeData, form: Form, degree: int) -> tuple[float, Blocks]:
-    weights = _to_unit(weights, data, data.input - data.rest)
+    weights = _with_unit_output(weights, data, data.input - data.rest)
     inside = data.bank.apply(weights, data.input - data.rest)
-    curves = powers(inside, min(degree, _FIRST_DEGREE))
+    curves = legendre_columns(inside, min(degree, _FIRST_DEGREE))
     done: RankOne = rank_one(curves, data, 2)[-1]
     outer: StaticNonlinearity = fit_curve(form, inside[data.rows], (done.channels @ curves)[data.rows], degree)
-    return done.rss, _with_mean(Blocks(None, weights, outer, done.lags, 0.0), data)
+    return done.rss, _with_fitted_offset(Blocks(None, weights, outer, done.lags, 0.0), data)
 
 
 def _nln_blocks(data: CascadeData, form: Form, degree: int) -> Blocks:
     low = min(degree, _FIRST_DEGREE)
-    weights = canonical(data, low)
-    curves = powers(data.input - data.rest, low)
+    weights = canonical_weights(data, low)
+    curves = legendre_columns(data.input - data.rest, low)
     left, sizes, right = np.linalg.svd(weights)
     inner = fit_curve(form, data.input, left[:, 0] @ curves, degree)
     lags = sizes[0] * right[0]
     driven = inner(data.input) - inner(np.array([data.rest]))
-    lags = _to_unit(lags, data, driven)
+    lags = _with_unit_output(lags, data, driven)
     inside = data.bank.apply(lags, driven)[data.rows]
     return with_outer(Blocks(inner, lags, None, None, 0.0), fit_curve(form, inside, data.measured, degree))

@@ -16,15 +16,15 @@ from scipy import linalg
 
 from tissueid.identification.base import Array
 from tissueid.identification.cascades.blocks import Blocks, CascadeData, Structure, run, slopes
-from tissueid.identification.cascades.curves import at_zero, scaled, stretched
+from tissueid.identification.cascades.curves import multiplied, with_scaled_argument, with_zero_at
 from tissueid.identification.correlation import convolve_at_rest
 from tissueid.identification.effective_samples import dependence_samples, long_run_covariance
 from tissueid.identification.static_nonlinearity import StaticNonlinearity
 
-_CERTAIN = 3.0
+_SIGNIFICANT_STD = 3.0
 """Significance threshold of a kernel's sum, in standard deviations; a smaller sum is not used as a divisor."""
 
-_UNFELT, _UNDETERMINED = 1e-12, 1e-9
+_NEGLIGIBLE_SENSITIVITY, _UNDETERMINED = 1e-12, 1e-9
 """Relative thresholds below which a parameter, or a direction in parameter space, counts as undetermined."""
 
 _STEP = 0.01
@@ -100,7 +100,7 @@ def uncertainty(blocks: Blocks, data: CascadeData) -> Uncertainty:
     by_all = slopes(blocks, data, signals)  # (p, rows)
     error = data.measured - signals.output[data.rows]
     size = np.linalg.norm(by_all, axis=1)
-    size[size <= _UNFELT * float(np.max(size))] = np.inf
+    size[size <= _NEGLIGIBLE_SENSITIVITY * float(np.max(size))] = np.inf
     by_all /= size[:, None]
     values, vectors = linalg.eigh(by_all @ by_all.T)
     kept = values > _UNDETERMINED * values[-1]
@@ -111,37 +111,37 @@ def uncertainty(blocks: Blocks, data: CascadeData) -> Uncertainty:
     return Uncertainty(blocks, vectors[:, kept] / size[:, None], covariance)
 
 
-def steady(blocks: Blocks, data: CascadeData, known: Uncertainty) -> tuple[bool, bool]:
+def has_steady_gains(blocks: Blocks, data: CascadeData, known: Uncertainty) -> tuple[bool, bool]:
     """Return whether the first and the second kernel have a steady-state gain that differs significantly from zero."""
 
     def shares(some: Blocks) -> Array:
         kernels = [data.bank.basis @ weights for weights in (some.first, some.second) if weights is not None]
         return np.array([kernel.sum() / np.linalg.norm(kernel) for kernel in kernels])
 
-    certain = np.abs(shares(blocks)) > _CERTAIN * np.sqrt(np.diag(known.of(shares)))
+    certain = np.abs(shares(blocks)) > _SIGNIFICANT_STD * np.sqrt(np.diag(known.of(shares)))
     return bool(certain[0]), bool(certain[-1])
 
 
-def normalised(blocks: Blocks, data: CascadeData, steady_gains: tuple[bool, bool]) -> Normalised:
+def normalise_gains(blocks: Blocks, data: CascadeData, steady_gains: tuple[bool, bool]) -> Normalised:
     """Return the blocks with normalised gains; the output is unchanged."""
     inner, outer = blocks.inner, blocks.outer
     first = data.bank.basis @ blocks.first
     second = None if blocks.second is None else data.bank.basis @ blocks.second
     if inner is not None:
-        inner = at_zero(inner, data.rest)
+        inner = with_zero_at(inner, data.rest)
         if outer is not None:
             spread = _spread(inner, data)
-            inner, first = scaled(inner, 1.0 / spread), first * spread
+            inner, first = multiplied(inner, 1.0 / spread), first * spread
     if inner is not None or outer is not None:
         gain = _gain(first, steady_gains[0])
         first = first / gain
         if outer is not None:
-            outer = at_zero(stretched(outer, 1.0 / gain), 0.0)
+            outer = with_zero_at(with_scaled_argument(outer, 1.0 / gain), 0.0)
         elif inner is not None:
-            inner = scaled(inner, gain)
+            inner = multiplied(inner, gain)
     if second is not None and outer is not None:
         gain = _gain(second, steady_gains[1])
-        second, outer = second / gain, scaled(outer, gain)
+        second, outer = second / gain, multiplied(outer, gain)
     return Normalised(blocks.structure, inner, first, outer, second, blocks.offset, data.rest)
 
 

@@ -23,7 +23,7 @@ _FLAT = 0.05
 _PLACES = 101
 
 
-def fit_small_movements(normal: Normalised, record: Record, used: Mask, residuals: Array, hold: Hold) -> SecondOrderFit:
+def fit_linearised(normal: Normalised, record: Record, used: Mask, residuals: Array, hold: Hold) -> SecondOrderFit:
     """Fit the second-order system of the cascade linearised at rest; its residuals (n,) are the noise."""
     x = np.where(np.isfinite(record.input), record.input - normal.input_mean, 0.0)
     small = normal.offset + convolve_at_rest(normal.small_signal_kernel(), x)

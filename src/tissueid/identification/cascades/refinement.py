@@ -13,7 +13,7 @@ from tissueid.identification.static_nonlinearity import StaticNonlinearity
 
 _ROUNDS = 3
 
-_LEFT, _HOLLOW = 0.02, 0.7
+_EXCEEDED, _UNDERFILLED = 0.02, 0.7
 """The outer curve is refitted when z exceeds its range by the first share of it, or fills less than the second."""
 
 
@@ -31,22 +31,22 @@ def squared_error(blocks: Blocks, data: CascadeData) -> float:
     return float(error @ error)
 
 
-def refine(blocks: Blocks, data: CascadeData, iterations: int = 40, settled: float = 1e-6) -> Fitted:
+def refine(blocks: Blocks, data: CascadeData, iterations: int = 40, tolerance: float = 1e-6) -> Fitted:
     """Minimise the simulation error over all blocks. The result is never worse than the start.
 
-    ``settled`` is the relative decrease of the squared error below which the iteration ends. The damping is scaled by
+    ``tolerance`` is the relative decrease of the squared error below which the iteration ends. The damping is scaled by
     the sensitivities, so that it does not depend on the division of gains between blocks.
     """
     problem = _SimulationError(data)
     best = Fitted(blocks, squared_error(blocks, data))
     for _ in range(_ROUNDS):
         before = best.rss
-        start = problem.point(_laid_anew(best, data).blocks)
-        found = minimise(problem, start, most_steps=iterations, tolerance=settled, idle_steps=2).point
+        start = problem.point(_with_refitted_outer_curve(best, data).blocks)
+        found = minimise(problem, start, most_steps=iterations, tolerance=tolerance, idle_steps=2).point
         tried = Fitted(found.blocks, found.cost)
         if tried.rss < best.rss:
             best = tried
-        if before - best.rss <= 10.0 * settled * before or _fits_range(best.blocks, data):
+        if before - best.rss <= 10.0 * tolerance * before or _fits_range(best.blocks, data):
             break
     return best
 
@@ -94,13 +94,13 @@ def _fits_range(blocks: Blocks, data: CascadeData) -> bool:
     inside = run(blocks, data).inside[data.rows]
     width = blocks.outer.high - blocks.outer.low
     return bool(
-        inside.min() >= blocks.outer.low - _LEFT * width
-        and inside.max() <= blocks.outer.high + _LEFT * width
-        and np.ptp(inside) >= _HOLLOW * width
+        inside.min() >= blocks.outer.low - _EXCEEDED * width
+        and inside.max() <= blocks.outer.high + _EXCEEDED * width
+        and np.ptp(inside) >= _UNDERFILLED * width
     )
 
 
-def _laid_anew(fitted: Fitted, data: CascadeData) -> Fitted:
+def _with_refitted_outer_curve(fitted: Fitted, data: CascadeData) -> Fitted:
     """Return the system with its outer curve refitted over the present range of its argument."""
     outer = fitted.blocks.outer
     if outer is None or _fits_range(fitted.blocks, data):

@@ -35,7 +35,7 @@ class RankOne:
     rss: float
 
 
-def powers(z: Array, degree: int) -> Array:
+def legendre_columns(z: Array, degree: int) -> Array:
     """Return Legendre polynomials of degree 1 to ``degree`` over the range of z (n,), minus their values at z = 0,
     shape (degree, n).
     """
@@ -59,7 +59,7 @@ def rank_one(channels: Array, data: CascadeData, passes: int = 6) -> list[RankOn
     gram = lagged @ lagged.T
     right = lagged @ y
     power = float(y @ y)
-    free = solved(gram, right).reshape(p, q)
+    free = solve_with_ridge(gram, right).reshape(p, q)
     blocks = gram.reshape(p, q, p, q)
     between = _root(np.einsum("ajbj->ab", blocks))  # (p, p)
     along = _root(np.einsum("aiaj->ij", blocks))  # (q, q)
@@ -68,8 +68,8 @@ def rank_one(channels: Array, data: CascadeData, passes: int = 6) -> list[RankOn
     answer = right.reshape(p, q)
     done: list[RankOne] = []
     for _ in range(passes):
-        lags = solved(np.einsum("a,aibj,b->ij", weights, blocks, weights, optimize=True), weights @ answer)
-        weights = solved(np.einsum("i,aibj,j->ab", lags, blocks, lags, optimize=True), answer @ lags)
+        lags = solve_with_ridge(np.einsum("a,aibj,b->ij", weights, blocks, weights, optimize=True), weights @ answer)
+        weights = solve_with_ridge(np.einsum("i,aibj,j->ab", lags, blocks, lags, optimize=True), answer @ lags)
         explained = float(weights @ answer @ lags)
         done.append(RankOne(weights, lags, (power - explained) * data.rows.size / thin.rows.size))
     return done
@@ -79,7 +79,7 @@ def linear_weights(data: CascadeData) -> Array:
     """Return the weights (q,) of the best linear approximation by least squares."""
     lagged = data.bank.rows(data.input - data.rest)[:, data.rows]
     lagged -= lagged.mean(axis=1, keepdims=True)
-    return solved(lagged @ lagged.T, lagged @ (data.measured - data.measured.mean()))
+    return solve_with_ridge(lagged @ lagged.T, lagged @ (data.measured - data.measured.mean()))
 
 
 def quadratic_weights(data: CascadeData, count: int) -> list[Array]:
@@ -96,7 +96,7 @@ def quadratic_weights(data: CascadeData, count: int) -> list[Array]:
     first, second = np.triu_indices(kept)
     regressors = np.concatenate([whitened, whitened[first] * whitened[second]])
     regressors -= regressors.mean(axis=1, keepdims=True)
-    fitted = solved(regressors @ regressors.T, regressors @ (data.measured - data.measured.mean()))
+    fitted = solve_with_ridge(regressors @ regressors.T, regressors @ (data.measured - data.measured.mean()))
     kernel = np.zeros((kept, kept))
     kernel[first, second] = 0.5 * fitted[kept:]
     kernel += kernel.T
@@ -120,27 +120,27 @@ def first_blocks(data: CascadeData) -> list[Array]:
     return found + quadratic_weights(data, 1)
 
 
-def canonical(data: CascadeData, degree: int) -> Array:
+def canonical_weights(data: CascadeData, degree: int) -> Array:
     """Return the weights (degree, q) of the lagged curves of the input that correlate best with some curve of the
     output.
 
     If the last curve of an NLN system is invertible, a curve of its output is the output of a Hammerstein system.
     """
-    curves = powers(data.input - data.rest, degree)
+    curves = legendre_columns(data.input - data.rest, degree)
     thin = data.thinned(_ROWS_PER_COLUMN * degree * data.bank.size)
     lagged = np.concatenate([data.bank.rows(curve)[:, thin.rows] for curve in curves])
     lagged -= lagged.mean(axis=1, keepdims=True)
     measured = thin.measured - thin.measured.mean()
-    answers = powers(measured, _CANONICAL_DEGREE)
+    answers = legendre_columns(measured, _CANONICAL_DEGREE)
     answers -= answers.mean(axis=1, keepdims=True)
     cross = lagged @ answers.T  # (p q, degree)
-    fitted = solved(lagged @ lagged.T, cross)
+    fitted = solve_with_ridge(lagged @ lagged.T, cross)
     values, vectors = linalg.eigh(cross.T @ fitted, answers @ answers.T)
     best = vectors[:, int(np.argmax(values))]
     return np.asarray((fitted @ best).reshape(degree, data.bank.size), dtype=np.float64)
 
 
-def solved(gram: Array, right: Array) -> Array:
+def solve_with_ridge(gram: Array, right: Array) -> Array:
     """Return the solution of symmetric equations (p, p) for a right-hand side (p,) or (p, k).
 
     The columns may differ in scale. A small ridge keeps the solution finite.

@@ -19,7 +19,7 @@ from scipy import fft, linalg, stats
 
 from tissueid.identification.base import Array
 from tissueid.identification.cascades.blocks import (
-    INSIDE,
+    SPECIAL_CASES,
     STRUCTURES,
     Blocks,
     CascadeData,
@@ -30,13 +30,13 @@ from tissueid.identification.cascades.blocks import (
 )
 from tissueid.identification.cascades.fit import fit_linear
 from tissueid.identification.cascades.refinement import Fitted, refine
-from tissueid.identification.cascades.starting_points import solved
+from tissueid.identification.cascades.starting_points import solve_with_ridge
 from tissueid.identification.effective_samples import dependence_samples, long_run_covariance
 from tissueid.identification.validation import aicc
 from tissueid.language import marked
 from tissueid.messages import Listing, Message
 
-_HIGHEST = 3
+_HIGHEST_DEGREE = 3
 """Highest degree of the products."""
 
 _UNDETERMINED = 1e-9
@@ -44,7 +44,7 @@ _UNDETERMINED = 1e-9
 
 
 @dataclass(frozen=True)
-class Remainder:
+class RemainderTest:
     """Share of a cascade's residual that products of its own signals explain, beyond the share expected for noise.
 
     ``share`` is relative to the residual variance; ``p_value`` is that of noise with the residual's autocorrelation.
@@ -54,15 +54,15 @@ class Remainder:
     p_value: float
 
 
-def unexplained(blocks: Blocks, data: CascadeData) -> Remainder:
+def remainder_test(blocks: Blocks, data: CascadeData) -> RemainderTest:
     """Test the residual of fitted blocks on the rows of the fit."""
     signals = run(blocks, data)
     error = data.measured - signals.output[data.rows]
     by_all = slopes(blocks, data, signals)
     gram = by_all @ by_all.T
     products = _products(signals, blocks, data)
-    products -= solved(gram, by_all @ products.T).T @ by_all  # project out the derivatives of the model
-    error = error - solved(gram, by_all @ error) @ by_all
+    products -= solve_with_ridge(gram, by_all @ products.T).T @ by_all  # project out the derivatives of the model
+    error = error - solve_with_ridge(gram, by_all @ error) @ by_all
     size = np.linalg.norm(products, axis=1)
     products /= np.where(size > 0.0, size, 1.0)[:, None]
     values, vectors = linalg.eigh(products @ products.T)
@@ -72,12 +72,12 @@ def unexplained(blocks: Blocks, data: CascadeData) -> Remainder:
     n, k = data.rows.size, int(kept.sum())
     free = n - blocks.n_parameters
     if free <= 2 * k:
-        return Remainder(0.0, 1.0)
+        return RemainderTest(0.0, 1.0)
     covariance = _covariance(products, error, data) * n / free
     statistic = float(score @ linalg.solve(covariance, score, assume_a="pos")) / k
     by_chance = float(np.trace(covariance))
     share = max(0.0, float(score @ score) - by_chance) / float(error @ error)
-    return Remainder(share, float(stats.f.sf(statistic, k, free - k)))
+    return RemainderTest(share, float(stats.f.sf(statistic, k, free - k)))
 
 
 def _covariance(products: Array, error: Array, data: CascadeData) -> Array:
@@ -109,7 +109,7 @@ def _products(passing: Signals, blocks: Blocks, data: CascadeData) -> Array:
     signals = [signal / (float(np.std(signal[data.rows])) or 1.0) for signal in signals]
     products = [
         np.prod([signals[k] for k in places], axis=0)
-        for degree in range(1, _HIGHEST + 1)
+        for degree in range(1, _HIGHEST_DEGREE + 1)
         for places in combinations_with_replacement(range(len(signals)), degree)
     ]
     plain = np.array(products)  # (k, n)
@@ -137,21 +137,21 @@ _ORDERS: Mapping[Structure, str] = {
 _AND = marked(" and ")
 
 _FOLDS = 4
-_FOLD_STEPS, _FOLD_SETTLED = 8, 1e-5
+_FOLD_STEPS, _FOLD_TOLERANCE = 8, 1e-5
 
-_CLEAR = 2.33
+_SIGNIFICANT_STD = 2.33
 """Significance threshold of a lead, in standard errors: exceeded by chance with a probability of 1 %."""
 
-_WORTH = 2e-4
+_RELEVANT_SHARE = 2e-4
 """Smallest relevant lead, as a share of the output variance: curves of finite degree differ by less."""
 
-_FAR = 2.0
+_REJECTED_RATIO = 2.0
 """Ratio to the smallest squared error above which a structure is rejected regardless of significance."""
 
 _LEAST_PERCENT = 10.0
 """Smallest held-out VAF, %, for which a structure is named."""
 
-_CHANCE = 0.01
+_SIGNIFICANCE_LEVEL = 0.01
 """Significance level of the residual test."""
 
 
@@ -180,7 +180,7 @@ class StructureCandidate:
         if self.unexplained_p_value is None or self.unexplained_percent is None:
             return False
         worth = self.unexplained_percent * (1.0 - 0.01 * self.vaf_held_out_percent)
-        return self.unexplained_p_value > _CHANCE or worth < 100.0 * _WORTH
+        return self.unexplained_p_value > _SIGNIFICANCE_LEVEL or worth < 100.0 * _RELEVANT_SHARE
 
 
 @dataclass(frozen=True)
@@ -229,7 +229,7 @@ def choose(found: Mapping[Structure, Fitted], data: CascadeData) -> StructureCho
         if structure not in errors:
             continue
         lost = errors[structure] ** 2 - errors[best] ** 2
-        behind, share = _ahead(lost, rate), float(np.mean(lost)) / variance
+        behind, share = _lead_in_standard_errors(lost, rate), float(np.mean(lost)) / variance
         error = data.measured - run(found[structure].blocks, data).output[data.rows]
         one = StructureCandidate(
             structure=structure,
@@ -237,14 +237,15 @@ def choose(found: Mapping[Structure, Fitted], data: CascadeData) -> StructureCho
             aicc=aicc(error, found[structure].blocks.n_parameters),
             behind=behind,
             lost_percent=100.0 * share,
-            alike=share < _WORTH or (behind < _CLEAR and sizes[structure] < _FAR * sizes[best]),
+            alike=share < _RELEVANT_SHARE
+            or (behind < _SIGNIFICANT_STD and sizes[structure] < _REJECTED_RATIO * sizes[best]),
         )
         if one.alike:
-            left = unexplained(found[structure].blocks, data)
+            left = remainder_test(found[structure].blocks, data)
             one = replace(one, unexplained_percent=100.0 * left.share, unexplained_p_value=left.p_value)
         candidates.append(one)
     alike = [one for one in candidates if one.alike and one.complete]
-    simplest = [one for one in alike if not any(other.structure in INSIDE[one.structure] for other in alike)]
+    simplest = [one for one in alike if not any(other.structure in SPECIAL_CASES[one.structure] for other in alike)]
     leading = next(one for one in candidates if one.structure == best)
     chosen = max(simplest, key=lambda one: one.vaf_held_out_percent, default=leading)
     return StructureChoice(
@@ -253,14 +254,14 @@ def choose(found: Mapping[Structure, Fitted], data: CascadeData) -> StructureCho
         alike=tuple(one.structure for one in alike),
         determined=len(simplest) == 1
         and chosen.vaf_held_out_percent > _LEAST_PERCENT
-        and not _unbeaten(chosen, candidates),
+        and not _special_cases_not_beaten(chosen, candidates),
         complete=bool(alike),
     )
 
 
-def _unbeaten(chosen: StructureCandidate, candidates: Iterable[StructureCandidate]) -> list[Structure]:
+def _special_cases_not_beaten(chosen: StructureCandidate, candidates: Iterable[StructureCandidate]) -> list[Structure]:
     """Return the special cases of a structure that it does not beat both in cross-validation and by AICc."""
-    simpler = [one for one in candidates if one.structure in INSIDE[chosen.structure]]
+    simpler = [one for one in candidates if one.structure in SPECIAL_CASES[chosen.structure]]
     return [
         one.structure
         for one in simpler
@@ -268,7 +269,7 @@ def _unbeaten(chosen: StructureCandidate, candidates: Iterable[StructureCandidat
     ]
 
 
-def findings_of(choice: StructureChoice) -> tuple[str, ...]:
+def structure_findings(choice: StructureChoice) -> tuple[str, ...]:
     """Return one sentence on the chosen structure, which is named only if the record determines it."""
     chosen = choice.chosen
     values: dict[str, Any] = {"name": NAMES[choice.structure], "percent": chosen.vaf_held_out_percent}
@@ -291,8 +292,8 @@ def findings_of(choice: StructureChoice) -> tuple[str, ...]:
             ),
         )
     if not choice.determined:
-        level = [NAMES[one] for one in choice.alike if not any(other in INSIDE[one] for other in choice.alike)]
-        simpler = [NAMES[one] for one in _unbeaten(chosen, choice.candidates)]
+        level = [NAMES[one] for one in choice.alike if not any(other in SPECIAL_CASES[one] for other in choice.alike)]
+        simpler = [NAMES[one] for one in _special_cases_not_beaten(chosen, choice.candidates)]
         return (
             Message(
                 "cascade.undetermined",
@@ -325,7 +326,7 @@ def findings_of(choice: StructureChoice) -> tuple[str, ...]:
     )
 
 
-def doubts_of(choice: StructureChoice) -> tuple[str, ...]:
+def structure_warnings(choice: StructureChoice) -> tuple[str, ...]:
     """Return a warning if the residual of the chosen structure is not noise."""
     if choice.complete:
         return ()
@@ -349,7 +350,7 @@ def _refitted(fitted: Fitted, data: CascadeData, folds: list[NDArray[np.intp]]) 
         if fitted.blocks.structure == "linear":
             answers.append(fit_linear(others).blocks)
         else:
-            answers.append(refine(fitted.blocks, others, _FOLD_STEPS, _FOLD_SETTLED).blocks)
+            answers.append(refine(fitted.blocks, others, _FOLD_STEPS, _FOLD_TOLERANCE).blocks)
     return answers
 
 
@@ -361,7 +362,7 @@ def _held_out_errors(refitted: list[Blocks], data: CascadeData, folds: list[NDAr
     return errors
 
 
-def _ahead(gains: Array, sample_rate_hz: float) -> float:
+def _lead_in_standard_errors(gains: Array, sample_rate_hz: float) -> float:
     """Return the mean of autocorrelated gains (n,) in units of its standard error; 0 if all are equal."""
     spread = float(np.std(gains))
     if spread == 0.0:

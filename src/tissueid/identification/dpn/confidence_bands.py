@@ -9,7 +9,7 @@ import numpy as np
 from tissueid.identification.base import Array
 from tissueid.identification.depth_profile import DepthProfile
 from tissueid.identification.dpn.curves import LogCurves
-from tissueid.identification.dpn.fit import PRIOR, Fitted, Fitting, prior_weights
+from tissueid.identification.dpn.fit import PRIOR, DpnData, Fitted, prior_weights
 from tissueid.identification.effective_samples import dependence_samples, long_run_covariance
 from tissueid.records import Estimate
 
@@ -31,7 +31,7 @@ class CurveBand:
 
 
 @dataclass(frozen=True, eq=False)
-class KnownCurves:
+class EstimatedCurves:
     """Fitted curves with the covariance (p, p) of their coefficients, and the positions (m,) of the fitted samples.
 
     ``speed`` (m,) is the simulated speed at those samples, m/s. The covariance is NaN if it is unknown.
@@ -44,12 +44,12 @@ class KnownCurves:
 
     def mass(self, position: Array | float) -> CurveBand:
         """Return M(y) at positions (k,), kg."""
-        position = _places(position)
+        position = _as_positions(position)
         return self._band("mass", self.curves.masses(position), position)
 
     def damping(self, position: Array | float, direction: int = 0) -> CurveBand:
         """Return B(y) at positions (k,), N s/m, for fast indentation (1) or retraction (-1), or their mean (0)."""
-        position = _places(position)
+        position = _as_positions(position)
         curves = self.curves
         basis = curves.basis(position, max(curves.damping.size, curves.direction.size))
         slopes = np.zeros((position.size, curves.theta.size))
@@ -60,12 +60,12 @@ class KnownCurves:
 
     def stiffness(self, position: Array | float) -> CurveBand:
         """Return the tangent stiffness dF/dy at positions (k,), N/m, as a small-signal test there would measure it."""
-        position = _places(position)
+        position = _as_positions(position)
         return self._band("stiffness", self.curves.stiffnesses(position), position)
 
     def force(self, position: Array | float) -> CurveBand:
         """Return F(y) at positions (k,), N."""
-        position = _places(position)
+        position = _as_positions(position)
         slopes = self.curves.force_slopes(position)
         std = self._std(slopes)
         value = self.curves.forces(position)
@@ -76,7 +76,7 @@ class KnownCurves:
 
         NaN at the surface and above it; negative for adhesive tissue that pulls the probe in.
         """
-        position = _places(position)
+        position = _as_positions(position)
         depth = np.where(position > surface, position - surface, np.nan)
         force = self.force(position)
         return CurveBand(position, force.value / depth, force.std / depth, force.low / depth, force.high / depth)
@@ -163,18 +163,18 @@ class KnownCurves:
         return np.asarray(np.sqrt(np.maximum(variance, 0.0)), dtype=np.float64)
 
 
-def _places(position: Array | float) -> Array:
+def _as_positions(position: Array | float) -> Array:
     return np.atleast_1d(np.asarray(position, dtype=np.float64))
 
 
-def coefficient_covariance(fitting: Fitting, fitted: Fitted) -> Array:
+def coefficient_covariance(data: DpnData, fitted: Fitted) -> Array:
     """Return the covariance (p, p) of the coefficients; NaN if the fit did not converge.
 
     Sandwich estimate for a model that need not be complete (White 1982), with autocorrelated errors and the weak prior.
     """
     here = fitted.evaluation
     n, p = here.slopes.shape
-    if not fitted.settled or n <= p:
+    if not fitted.converged or n <= p:
         return np.full((p, p), np.nan)
     weights = prior_weights(fitted.curves, here.rss, n)
     size = np.sqrt(np.sum(here.slopes**2, axis=0) + weights)
@@ -182,7 +182,7 @@ def coefficient_covariance(fitting: Fitting, fitted: Fitted) -> Array:
     directions = here.slopes / size
     inverse = np.linalg.pinv(directions.T @ directions + np.diag(weights / size**2), rcond=1e-14, hermitian=True)
     influence = (directions @ inverse) * here.error_projected[:, None]
-    block = dependence_samples(here.error_projected, fitting.rate)
+    block = dependence_samples(here.error_projected, data.rate)
     held = inverse * (weights / size * PRIOR)
     covariance = long_run_covariance(influence, block) * n / (n - p) + held @ held.T
     return np.asarray(covariance / np.outer(size, size), dtype=np.float64)

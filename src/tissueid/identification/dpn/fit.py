@@ -22,7 +22,7 @@ from tissueid.identification.second_order import Hold
 from tissueid.records import Record
 
 _ITERATIONS = 30
-SETTLED = 1e-7
+TOLERANCE = 1e-7
 """Relative decrease of the cost below which a fit has converged."""
 
 PRIOR = 3.0
@@ -62,7 +62,7 @@ class Evaluation:
     starts: list[tuple[Array, Array]]
 
 
-class Fitting:
+class DpnData:
     """A record prepared for repeated simulation and fitting."""
 
     def __init__(self, record: Record, part: slice, hold: Hold) -> None:
@@ -141,7 +141,7 @@ class Fitted:
     curves: LogCurves
     starts: list[Array]
     evaluation: Evaluation
-    settled: bool
+    converged: bool
 
 
 def _start(local: NDArray[np.intp], output: Array, rate: float) -> Array:
@@ -160,18 +160,18 @@ def prior_weights(curves: LogCurves, rss: float, samples: int) -> Array:
 
 
 def minimise(
-    fitting: Fitting, curves: LogCurves, starts: list[Array], centre: Array, settled: float = SETTLED
+    data: DpnData, curves: LogCurves, starts: list[Array], centre: Array, tolerance: float = TOLERANCE
 ) -> Fitted | None:
     """Return the curves of the same degrees with the least squared simulation error; None if the start diverges.
 
     Every coefficient has the prior mean ``centre`` (p,), see :data:`PRIOR`. The iteration ends when a step decreases
-    the cost by less than the share ``settled``.
+    the cost by less than the share ``tolerance``.
     """
-    problem = _SimulationError(fitting, centre)
+    problem = _SimulationError(data, centre)
     start = problem.point(curves, starts)
     if start is None:
         return None
-    found = levenberg_marquardt.minimise(problem, start, most_steps=_ITERATIONS, tolerance=settled, damping=1e-4)
+    found = levenberg_marquardt.minimise(problem, start, most_steps=_ITERATIONS, tolerance=tolerance, damping=1e-4)
     return Fitted(found.point.curves, found.point.starts, found.point.evaluation, found.converged)
 
 
@@ -190,17 +190,17 @@ class _Point:
 
 
 class _SimulationError:
-    """The squared simulation error by the coefficients of the curves, each held weakly to its centre.
+    """The squared simulation error by the coefficients of the curves, each with a weak prior at its centre.
 
     The prior is relative to the variance of the error, so that it multiplies the squared error.
     """
 
-    def __init__(self, fitting: Fitting, centre: Array) -> None:
-        self._fitting, self._centre = fitting, centre
+    def __init__(self, data: DpnData, centre: Array) -> None:
+        self._data, self._centre = data, centre
 
     def point(self, curves: LogCurves, starts: list[Array]) -> _Point | None:
         """Evaluate curves and starting values; None where the simulation diverges."""
-        found = self._fitting.evaluate(curves, starts)
+        found = self._data.evaluate(curves, starts)
         if found is None:
             return None
         weights = prior_weights(curves, found.rss, found.error.size)

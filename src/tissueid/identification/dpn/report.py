@@ -8,16 +8,16 @@ import numpy as np
 
 from tissueid.formatting import number
 from tissueid.identification.base import Array
-from tissueid.identification.dpn.confidence_bands import KnownCurves
+from tissueid.identification.dpn.confidence_bands import EstimatedCurves
 from tissueid.language import marked
 from tissueid.messages import Listing, Message
 from tissueid.records import Estimate
 from tissueid.units import display_unit
 
-_DOUBT = 3.0
+_SIGNIFICANT_STD = 3.0
 """Significance threshold of a change with depth, in standard deviations."""
 
-_KNOWN = 0.5
+_LARGEST_RELATIVE_STD = 0.5
 """Relative standard deviation above which a parameter is undetermined."""
 
 _SETTLING = 16.0
@@ -26,14 +26,14 @@ _SETTLING = 16.0
 _EXPLAINED = 0.05
 """Share of the squared error that a term outside the model must explain to be reported."""
 
-_ALIKE = 0.2
+_COMMON_TOLERANCE = 0.2
 """Largest difference of the changes of the three logarithms, relative to their mean, that counts as one common change.
 """
 
 UNITS = {"mass": "kg", "damping": "N s/m", "stiffness": "N/m"}
 
 
-def dpn_parameters(known: KnownCurves, surface: float | None, mechanical: bool) -> dict[str, Estimate]:
+def dpn_parameters(known: EstimatedCurves, surface: float | None, mechanical: bool) -> dict[str, Estimate]:
     """Return the named estimates at the median position.
 
     Mass, damping and stiffness there, their growth with depth (1/m), natural frequency and damping ratio; with a known
@@ -71,7 +71,7 @@ def dpn_parameters(known: KnownCurves, surface: float | None, mechanical: bool) 
     return found
 
 
-def settling_samples(known: KnownCurves, sample_rate_hz: float) -> int:
+def settling_samples(known: EstimatedCurves, sample_rate_hz: float) -> int:
     """Return the samples after which the initial state has decayed, from the mean decay rate over the visited
     positions.
     """
@@ -82,7 +82,7 @@ def settling_samples(known: KnownCurves, sample_rate_hz: float) -> int:
     return math.ceil(_SETTLING * sample_rate_hz / max(float(np.mean(slowest)), 1e-3))
 
 
-def findings(known: KnownCurves, gains: dict[str, tuple[float, float]]) -> list[str]:
+def findings(known: EstimatedCurves, gains: dict[str, tuple[float, float]]) -> list[str]:
     """Return how mass, damping and stiffness change with depth, and which optional terms would reduce the error.
 
     Args:
@@ -94,7 +94,9 @@ def findings(known: KnownCurves, gains: dict[str, tuple[float, float]]) -> list[
     ends = np.array([low, high])
     found: list[str] = []
     changes, covariance = known.changes(low, high)
-    significant = np.abs(changes) > _DOUBT * np.sqrt(np.diag(covariance))  # False where the covariance is unknown
+    significant = np.abs(changes) > _SIGNIFICANT_STD * np.sqrt(
+        np.diag(covariance)
+    )  # False where the covariance is unknown
     for name, change, stands_out in zip(UNITS, changes, significant, strict=True):
         found.append(_change(known, name, change if stands_out else 0.0, ends, middle))
     if significant.all() and _common(changes, covariance):
@@ -121,7 +123,7 @@ def findings(known: KnownCurves, gains: dict[str, tuple[float, float]]) -> list[
             )
         )
     for name, (statistic, explained) in gains.items():
-        if statistic > _DOUBT**2 and explained > _EXPLAINED:
+        if statistic > _SIGNIFICANT_STD**2 and explained > _EXPLAINED:
             found.append(
                 Message(
                     "dpn.term_would_help",
@@ -140,7 +142,7 @@ _TERMS = {
 }
 
 
-def _change(known: KnownCurves, name: str, change: float, ends: Array, middle: float) -> Message:
+def _change(known: EstimatedCurves, name: str, change: float, ends: Array, middle: float) -> Message:
     """Return how one parameter changes between two depths (2,), m; ``change`` is 0 where it is not significant."""
     first, last = getattr(known, name)(ends).value
     unit, scale = display_unit(UNITS[name])
@@ -161,7 +163,7 @@ def _change(known: KnownCurves, name: str, change: float, ends: Array, middle: f
             "depth.falls", "{name} falls from {start} to {end} {unit} from {low:.2f} to {high:.2f} mm", **values
         )
     growth = known.growth(name, middle)
-    if growth.std is not None and abs(growth.value) > _DOUBT * growth.std:
+    if growth.std is not None and abs(growth.value) > _SIGNIFICANT_STD * growth.std:
         values = {
             "name": _NAMES[name],
             "percent": number(abs(growth.value) / 10.0, 2),
@@ -192,7 +194,7 @@ def _change(known: KnownCurves, name: str, change: float, ends: Array, middle: f
     )
 
 
-def doubts(known: KnownCurves) -> list[str]:
+def curve_warnings(known: EstimatedCurves) -> list[str]:
     """Return warnings about the curves."""
     if not np.all(np.isfinite(known.covariance)):
         return [
@@ -201,7 +203,7 @@ def doubts(known: KnownCurves) -> list[str]:
     middle = float(np.median(known.position))
     here = np.array([middle])
     bands = {"mass": known.mass(here), "damping": known.damping(here), "stiffness": known.stiffness(here)}
-    unknown = tuple(_NAMES[name] for name, band in bands.items() if band.std[0] > _KNOWN * band.value[0])
+    unknown = tuple(_NAMES[name] for name, band in bands.items() if band.std[0] > _LARGEST_RELATIVE_STD * band.value[0])
     if not unknown:
         return []
     return [
@@ -223,4 +225,4 @@ def _common(changes: Array, covariance: Array) -> bool:
     contrast = np.array([[1.0, -1.0, 0.0], [0.0, 1.0, -1.0]])
     difference = contrast @ changes
     statistic = float(difference @ np.linalg.solve(contrast @ covariance @ contrast.T, difference))
-    return statistic < _DOUBT**2 and float(np.ptp(changes)) < _ALIKE * abs(float(np.mean(changes)))
+    return statistic < _SIGNIFICANT_STD**2 and float(np.ptp(changes)) < _COMMON_TOLERANCE * abs(float(np.mean(changes)))

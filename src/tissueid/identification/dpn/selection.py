@@ -16,7 +16,7 @@ import numpy as np
 from tissueid.identification.base import Array
 from tissueid.identification.dpn.confidence_bands import coefficient_covariance
 from tissueid.identification.dpn.curves import LogCurves
-from tissueid.identification.dpn.fit import SETTLED, Fitted, Fitting, minimise
+from tissueid.identification.dpn.fit import TOLERANCE, DpnData, Fitted, minimise
 from tissueid.identification.effective_samples import dependence_samples, long_run_covariance
 
 SERIES = ("mass", "damping", "stiffness", "direction", "inertia")
@@ -24,20 +24,20 @@ SERIES = ("mass", "damping", "stiffness", "direction", "inertia")
 _FEWEST = {"mass": 1, "damping": 1, "stiffness": 1, "direction": 0, "inertia": 0}
 """Minimum number of coefficients of each series."""
 
-_ON_THE_WAY = 1e-4
+_INTERMEDIATE_TOLERANCE = 1e-4
 """Relative decrease of the cost below which an intermediate fit ends."""
 
-_AHEAD = 2
+_DEGREES_TESTED = 2
 """Largest number of degrees tested together: a second degree can be present without the first."""
 
-_PRICES = (10.0, 13.0)
+_SCORE_THRESHOLDS = (10.0, 13.0)
 """Thresholds of the score statistic for one additional coefficient and for two: exceeded by chance in 1 of 600."""
 
-_SHARES = (-0.5, 1.5)
+_INERTIA_RANGE = (-0.5, 1.5)
 """Plausible range of the share of M'(y) y'^2: 0, 0.5 or 1, plus its uncertainty."""
 
 
-def score_gains(fitting: Fitting, fitted: Fitted, steps: dict[str, int]) -> dict[tuple[str, int], tuple[float, float]]:
+def score_gains(data: DpnData, fitted: Fitted, steps: dict[str, int]) -> dict[tuple[str, int], tuple[float, float]]:
     """Return the gain of each series from 1 to ``steps`` additional degrees.
 
     Returns for each series and number of degrees the score statistic, which is chi-squared with that many degrees of
@@ -46,7 +46,7 @@ def score_gains(fitting: Fitting, fitted: Fitted, steps: dict[str, int]) -> dict
     steps = {name: more for name, more in steps.items() if more > 0}
     degrees = {name: _degree(fitted, name) for name in SERIES}
     wider = fitted.curves.with_degrees(**{name: degrees[name] + more for name, more in steps.items()})
-    there = fitting.evaluate(wider, fitted.starts) if steps else None
+    there = data.evaluate(wider, fitted.starts) if steps else None
     if there is None:
         return {}
     at = wider.places
@@ -57,7 +57,7 @@ def score_gains(fitting: Fitting, fitted: Fitted, steps: dict[str, int]) -> dict
     own = there.slopes[:, every] - q @ (q.T @ there.slopes[:, every])  # (m, all that are new)
     # The covariance uses the errors without what all new terms explain, which is not noise.
     left = there.error_projected - own @ np.linalg.lstsq(own, there.error_projected, rcond=1e-8)[0]
-    covariance = long_run_covariance(own * left[:, None], dependence_samples(left, fitting.rate))
+    covariance = long_run_covariance(own * left[:, None], dependence_samples(left, data.rate))
     total, gram = own.T @ there.error_projected, own.T @ own
     gains = {}
     first = 0
@@ -72,8 +72,8 @@ def score_gains(fitting: Fitting, fitted: Fitted, steps: dict[str, int]) -> dict
     return gains
 
 
-def grow(
-    fitting: Fitting, start: LogCurves, degrees: dict[str, int], free: Collection[str], most: int, spare: int
+def select_degrees(
+    data: DpnData, start: LogCurves, degrees: dict[str, int], free: Collection[str], most: int, spare: int
 ) -> tuple[Fitted, dict[str, int]] | None:
     """Fit constant curves, then raise the degrees as far as the record supports.
 
@@ -89,42 +89,42 @@ def grow(
         The fit, and the selected degree of each free series, -1 for a series that is left out; None if the constant
         curves cannot be simulated.
     """
-    fitted = minimise(fitting, start, fitting.starts(), start.theta, _ON_THE_WAY)
+    fitted = minimise(data, start, data.starts(), start.theta, _INTERMEDIATE_TOLERANCE)
     if fitted is None:
         return None
     for degree in range(max(degrees.values(), default=0) + 1):
         due = {name: degree for name in SERIES if degrees.get(name, -1) >= degree > _degree(fitted, name)}
-        fitted = _raised(fitting, fitted, due, start) or fitted if due else fitted
+        fitted = _refitted(data, fitted, due, start) or fitted if due else fitted
     growing = True
     while free and growing:
         growing = False
-        gains = score_gains(fitting, fitted, {name: _room(fitted, name, most) for name in free})
-        asked = [key for key, (statistic, _) in gains.items() if statistic > _PRICES[key[1] - 1]]
+        gains = score_gains(data, fitted, {name: _degrees_to_test(fitted, name, most) for name in free})
+        asked = [key for key, (statistic, _) in gains.items() if statistic > _SCORE_THRESHOLDS[key[1] - 1]]
         for name, more in sorted(asked, key=lambda key: -gains[key][1]):
-            better = _raised(fitting, fitted, {name: _degree(fitted, name) + more}, start)
+            better = _refitted(data, fitted, {name: _degree(fitted, name) + more}, start)
             if better is not None and _plausible(better):
                 fitted, growing = better, True
                 break
-    fitted = _pruned(fitting, fitted, free, start)
+    fitted = _without_insignificant_degrees(data, fitted, free, start)
     found = {name: _degree(fitted, name) for name in free}
     shapes = {"mass", "damping", "stiffness"} & set(free)
     wanted = {name: min(most, found[name] + spare) for name in SERIES if name in shapes and found[name] < most}
-    return _raised(fitting, fitted, wanted, start, SETTLED) or fitted, found
+    return _refitted(data, fitted, wanted, start, TOLERANCE) or fitted, found
 
 
-def _pruned(fitting: Fitting, fitted: Fitted, free: Collection[str], start: LogCurves) -> Fitted:
+def _without_insignificant_degrees(data: DpnData, fitted: Fitted, free: Collection[str], start: LogCurves) -> Fitted:
     """Return the fit without highest degrees that are no longer significant by the Wald test."""
     while True:
-        covariance = coefficient_covariance(fitting, fitted)
+        covariance = coefficient_covariance(data, fitted)
         weakest: tuple[float, dict[str, int]] | None = None
         for name in free:
             place = fitted.curves.places[name]
             last = place.stop - 1
             if place.stop - place.start > _FEWEST[name] and np.isfinite(covariance[last, last]):
                 statistic = float(fitted.curves.theta[last] ** 2 / covariance[last, last])
-                if statistic < _PRICES[0] and (weakest is None or statistic < weakest[0]):
+                if statistic < _SCORE_THRESHOLDS[0] and (weakest is None or statistic < weakest[0]):
                     weakest = statistic, {name: _degree(fitted, name) - 1}
-        lighter = None if weakest is None else _raised(fitting, fitted, weakest[1], start)
+        lighter = None if weakest is None else _refitted(data, fitted, weakest[1], start)
         if lighter is None:
             return fitted
         fitted = lighter
@@ -134,24 +134,24 @@ def _degree(fitted: Fitted, name: str) -> int:
     return int(getattr(fitted.curves, name).size) - 1
 
 
-def _room(fitted: Fitted, name: str, most: int) -> int:
+def _degrees_to_test(fitted: Fitted, name: str, most: int) -> int:
     """Return how many additional degrees of a series may be tested."""
     if name == "inertia":  # means nothing for a constant mass
         return 1 if fitted.curves.inertia.size == 0 and fitted.curves.mass.size > 1 else 0
-    return max(0, min(_AHEAD, most - _degree(fitted, name)))
+    return max(0, min(_DEGREES_TESTED, most - _degree(fitted, name)))
 
 
 def _plausible(fitted: Fitted) -> bool:
     """Return False if the share of M'(y) y'^2 is not possible for any mass, so that another effect must cause it."""
-    low, high = _SHARES
+    low, high = _INERTIA_RANGE
     return all(low < share < high for share in fitted.curves.inertia)
 
 
-def _raised(
-    fitting: Fitting, fitted: Fitted, degrees: dict[str, int], start: LogCurves, settled: float = _ON_THE_WAY
+def _refitted(
+    data: DpnData, fitted: Fitted, degrees: dict[str, int], start: LogCurves, tolerance: float = _INTERMEDIATE_TOLERANCE
 ) -> Fitted | None:
     """Return the fit with series of other degrees; None if it cannot be simulated."""
     curves = fitted.curves.with_degrees(**degrees)
     every = {name: int(getattr(curves, name).size) - 1 for name in SERIES}
     centre: Array = start.with_degrees(**every).theta
-    return minimise(fitting, curves, fitted.starts, centre, settled)
+    return minimise(data, curves, fitted.starts, centre, tolerance)

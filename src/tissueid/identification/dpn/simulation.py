@@ -33,11 +33,11 @@ STABLE_RADIANS = 2.0
 MOST_STEPS = 32
 """Largest number of steps per sample; stiffer curves are not integrated."""
 
-_BRIDGE = 64
+_EXTENSION = 64
 """Samples by which a run is extended at both ends, so that its Fourier series is smooth."""
 
 _ROWS = 2049
-_REACH = 20.0
+_DIVERGED_WIDTHS = 20.0
 """Distance from the table, in its widths, beyond which a motion counts as diverged."""
 
 
@@ -103,7 +103,11 @@ class Curves:
         width = self.spacing * (self.mass.size - 1)
         fastest = math.sqrt(float(np.max(self.stiffness / self.mass)))
         return np.array(
-            [self.low - _REACH * width, self.low + (1.0 + _REACH) * width, 10.0 * _REACH * width * max(fastest, 1.0)]
+            [
+                self.low - _DIVERGED_WIDTHS * width,
+                self.low + (1.0 + _DIVERGED_WIDTHS) * width,
+                10.0 * _DIVERGED_WIDTHS * width * max(fastest, 1.0),
+            ]
         )
 
 
@@ -120,7 +124,7 @@ class FreeRun:
     diverged_at: int | None
 
 
-def tabulated(position: Array, mass: Array, damping: Array, force: Array) -> Curves:
+def tabulate_curves(position: Array, mass: Array, damping: Array, force: Array) -> Curves:
     """Return curves through points at increasing positions (k,), m, with mass (kg), damping (N s/m) and force (N), each
     (k,).
 
@@ -160,7 +164,7 @@ def simulate_dpn(
     Every uninterrupted run of input starts at rest, in equilibrium with ``rest_input``.
 
     Args:
-        curves: see :func:`tabulated`.
+        curves: see :func:`tabulate_curves`.
         u: force, N, shape (n,); where it is NaN, the motion is NaN too.
         sample_rate_hz: of u.
         rest_input: steady force, N, before every run; None for the mean of the received input.
@@ -237,7 +241,7 @@ def intersample(u: Array, steps: int, hold: Hold) -> Array:
     halves = 2 * steps
     if hold == "zero-order" or u.size < 3:
         return np.ascontiguousarray(np.repeat(u[:-1, None], halves + 1, axis=1))
-    reach = min(_BRIDGE, u.size - 1)
+    reach = min(_EXTENSION, u.size - 1)
     length = fft.next_fast_len(u.size + 2 * reach, real=True)
     middle = 0.5 * (u[0] + u[-1])
     fade = 0.5 + 0.5 * np.cos(np.pi * np.arange(1, reach + 1) / (reach + 1))

@@ -18,10 +18,10 @@ from tissueid.identification.online.identifier import (
     Identifier,
     OnlineEngine,
     OnlineModel,
-    fed,
     first_sample,
     lags_of,
     prepared_recent,
+    run_over,
 )
 from tissueid.identification.preparation import Prepared, prepare
 from tissueid.identification.registry import engine
@@ -148,7 +148,7 @@ class AlsIdentifier(Identifier):
         Raises:
             UnusableInputError: there are too few samples for a score.
         """
-        return self.options.described(self, prepared_recent(self))
+        return self.options.model_of(self, prepared_recent(self))
 
 
 @engine
@@ -227,12 +227,12 @@ class Als(OnlineEngine):
             begin=first_sample(prepared),
             depth_edges=np.unique(np.quantile(outputs, np.linspace(0.0, 1.0, self.levels + 1)[1:-1])),
         )
-        fed(identifier, prepared)
+        run_over(identifier, prepared)
         if identifier.warning is not None:
             raise UnusableInputError(identifier.warning)
-        return self.described(identifier, prepared)
+        return self.model_of(identifier, prepared)
 
-    def described(self, identifier: AlsIdentifier, prepared: Prepared) -> AlsModel:
+    def model_of(self, identifier: AlsIdentifier, prepared: Prepared) -> AlsModel:
         """Return the model of an identifier, scored on a prepared record."""
         record, used = prepared.record, prepared.used
         lags, rate = identifier.lags, identifier.sample_rate_hz

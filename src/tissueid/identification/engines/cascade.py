@@ -19,10 +19,21 @@ from tissueid.identification.cascades.blocks import (
     input_levels,
     prepare_cascade,
 )
-from tissueid.identification.cascades.fit import fit_structures, polished
-from tissueid.identification.cascades.normalisation import Normalised, Uncertainty, normalised, steady, uncertainty
-from tissueid.identification.cascades.parameters import fit_small_movements, parameters_at_rest
-from tissueid.identification.cascades.structure_selection import StructureChoice, choose, doubts_of, findings_of
+from tissueid.identification.cascades.fit import fit_structures, refine_until_converged
+from tissueid.identification.cascades.normalisation import (
+    Normalised,
+    Uncertainty,
+    has_steady_gains,
+    normalise_gains,
+    uncertainty,
+)
+from tissueid.identification.cascades.parameters import fit_linearised, parameters_at_rest
+from tissueid.identification.cascades.structure_selection import (
+    StructureChoice,
+    choose,
+    structure_findings,
+    structure_warnings,
+)
 from tissueid.identification.impulse_response import memory_warnings
 from tissueid.identification.model_family import Family
 from tissueid.identification.preparation import memory_in_samples
@@ -150,22 +161,22 @@ class Cascade(Engine):
         found = fit_structures(data, self.nonlinearity, self.degree, wanted)
         choice = choose(found, data) if self.structure == "auto" else None
         structure = wanted[0] if choice is None else choice.structure
-        blocks, data = polished(found[structure], data)
+        blocks, data = refine_until_converged(found[structure], data)
         known = uncertainty(blocks, data)
-        gains = steady(blocks, data, known)
-        normal = normalised(blocks, data, gains)
+        gains = has_steady_gains(blocks, data, known)
+        normal = normalise_gains(blocks, data, gains)
         first_std, second_std = _kernel_stds(known, data, gains)
 
         modelled = normal.simulate(np.where(np.isfinite(record.input), record.input, prepared.input_mean))
         residuals = np.where(used, record.output - modelled, np.nan)
-        small = fit_small_movements(normal, record, used, residuals, self.hold)
-        parameters, flat = parameters_at_rest(normal, lambda some: normalised(some, data, gains), known, small)
+        small = fit_linearised(normal, record, used, residuals, self.hold)
+        parameters, flat = parameters_at_rest(normal, lambda some: normalise_gains(some, data, gains), known, small)
         warnings += flat or small.warnings
         for kernel in (normal.first, normal.second):
             warnings += [] if kernel is None else memory_warnings(kernel)
         details = {"kernel_functions": float(data.bank.size), "input_edge_hz": data.edge_hz}
         if choice is not None:
-            warnings += doubts_of(choice)
+            warnings += structure_warnings(choice)
             for one in choice.candidates:
                 details[f"vaf_held_out_{one.structure}_percent"] = one.vaf_held_out_percent
                 details[f"aicc_{one.structure}"] = one.aicc
@@ -181,7 +192,7 @@ class Cascade(Engine):
                 aic=aic(residuals, blocks.n_parameters),
                 aicc=aicc(residuals, blocks.n_parameters),
                 parameters=parameters,
-                findings=() if choice is None else findings_of(choice),
+                findings=() if choice is None else structure_findings(choice),
                 warnings=tuple(dict.fromkeys(warnings)),
                 details=details,
             ),
@@ -218,7 +229,7 @@ def _kernel_stds(known: Uncertainty, data: CascadeData, gains: tuple[bool, bool]
     """Return the standard deviations (lags,) of the reported kernels."""
 
     def kernels(some: Blocks) -> Array:
-        shape = normalised(some, data, gains)
+        shape = normalise_gains(some, data, gains)
         return shape.first if shape.second is None else np.concatenate([shape.first, shape.second])
 
     std = np.sqrt(np.maximum(np.diag(known.of(kernels)), 0.0))

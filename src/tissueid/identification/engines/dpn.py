@@ -11,11 +11,11 @@ from pydantic import Field
 from tissueid.errors import UnusableInputError
 from tissueid.identification.base import Array, Engine, FitReport, Mask, Model
 from tissueid.identification.depth_profile import DepthProfile
-from tissueid.identification.dpn.confidence_bands import KnownCurves, coefficient_covariance
+from tissueid.identification.dpn.confidence_bands import EstimatedCurves, coefficient_covariance
 from tissueid.identification.dpn.curves import LogCurves
-from tissueid.identification.dpn.fit import Fitted, Fitting
-from tissueid.identification.dpn.report import doubts, dpn_parameters, findings, settling_samples
-from tissueid.identification.dpn.selection import grow, score_gains
+from tissueid.identification.dpn.fit import DpnData, Fitted
+from tissueid.identification.dpn.report import curve_warnings, dpn_parameters, findings, settling_samples
+from tissueid.identification.dpn.selection import score_gains, select_degrees
 from tissueid.identification.dpn.simulation import FreeRun, simulate_dpn
 from tissueid.identification.model_family import Family
 from tissueid.identification.preparation import SAMPLES_PER_PARAMETER, Prepared, prepare
@@ -37,10 +37,10 @@ _LEAST_PARAMETERS = 7
 _LONGEST_SHARE = 0.25
 """Share of the record after which initial conditions must have decayed; otherwise a warning is given."""
 
-_TURNING_SHARE = 0.1
+_DIRECTION_SPEED_SHARE = 0.1
 """Speed over which the damping changes between directions, relative to the typical speed."""
 
-_STIFFEST = 4.0
+_LARGEST_DAMPING = 4.0
 """Largest initial damping, relative to mass over sample period."""
 
 
@@ -53,7 +53,7 @@ class DpnModel(Model):
     the equilibrium under the mean input of the fit, where a simulation starts.
     """
 
-    known: KnownCurves
+    known: EstimatedCurves
     degrees: dict[str, int]
     input_mean: float
     rest_position: float
@@ -176,34 +176,32 @@ class Dpn(Engine):
                 decreases with increasing input.
         """
         prepared = prepare(record, fit_part, self.memory or _MEMORY_S, _LEAST_PARAMETERS)
-        fitting = Fitting(record, prepared.part, self.hold)
-        if fitting.samples.size < _LEAST_PARAMETERS:
+        data = DpnData(record, prepared.part, self.hold)
+        if data.samples.size < _LEAST_PARAMETERS:
             raise UnusableInputError(
                 Message("dpn.no_stretch", "the record has no stretch without gaps that is long enough to simulate")
             )
         start = _constant_curves(prepared, self.hold)
-        degrees, free, off = self._wanted()
-        most = min(self.max_degree, int(fitting.samples.size) // (4 * SAMPLES_PER_PARAMETER))
-        grown = grow(fitting, start, degrees, free, most, self.spare_degree)
-        if grown is None:
+        degrees, free, off = self._series()
+        most = min(self.max_degree, int(data.samples.size) // (4 * SAMPLES_PER_PARAMETER))
+        selected = select_degrees(data, start, degrees, free, most, self.spare_degree)
+        if selected is None:
             raise UnusableInputError(
                 Message(
                     "dpn.diverged_at_once", "not even constant mass, damping and stiffness can be simulated: use lms"
                 )
             )
-        fitted, found = grown
-        known = KnownCurves(
+        fitted, found = selected
+        known = EstimatedCurves(
             fitted.curves,
-            coefficient_covariance(fitting, fitted),
-            record.output[fitting.samples],
-            fitting.speeds(fitted),
+            coefficient_covariance(data, fitted),
+            record.output[data.samples],
+            data.speeds(fitted),
         )
-        gains = score_gains(
-            fitting, fitted, {name: 1 for name in off if name != "inertia" or fitted.curves.mass.size > 1}
-        )
+        gains = score_gains(data, fitted, {name: 1 for name in off if name != "inertia" or fitted.curves.mass.size > 1})
         return self._model(prepared, fitted, found, known, {name: gain for (name, _), gain in gains.items()})
 
-    def _wanted(self) -> tuple[dict[str, int], list[str], list[str]]:
+    def _series(self) -> tuple[dict[str, int], list[str], list[str]]:
         """Return the given degrees, the free series, and the terms that are switched off."""
         given = {"mass": self.mass_degree, "damping": self.damping_degree, "stiffness": self.stiffness_degree}
         switched = {"direction": self.direction, "inertia": self.inertia}
@@ -218,13 +216,13 @@ class Dpn(Engine):
         prepared: Prepared,
         fitted: Fitted,
         found: dict[str, int],
-        known: KnownCurves,
+        known: EstimatedCurves,
         gains: dict[str, tuple[float, float]],
     ) -> DpnModel:
         record = prepared.record
         rate = record.sample_rate_hz
         mechanical = (record.input_unit, record.output_unit) == ("N", "m")
-        warnings = [*prepared.warnings, *doubts(known)]
+        warnings = [*prepared.warnings, *curve_warnings(known)]
         length = prepared.part.stop - prepared.part.start
         memory = prepared.memory_samples if self.memory is not None else settling_samples(known, rate)
         if memory > _LONGEST_SHARE * length:
@@ -317,7 +315,7 @@ def _constant_curves(prepared: Prepared, hold: Hold) -> LogCurves:
     low, high = float(received.min()), float(received.max())
     system = linear.system
     damping = abs(system.damping)
-    mass = max(system.mass, damping / (_STIFFEST * record.sample_rate_hz))
+    mass = max(system.mass, damping / (_LARGEST_DAMPING * record.sample_rate_hz))
     speed = float(np.nanstd(np.diff(output))) * record.sample_rate_hz
     middle = 0.5 * (low + high)
     return LogCurves(
@@ -328,6 +326,6 @@ def _constant_curves(prepared: Prepared, hold: Hold) -> LogCurves:
         stiffness=np.log([system.stiffness]),
         level=prepared.input_mean + system.stiffness * (middle - prepared.output_mean),
         direction=np.zeros(0),
-        speed_scale=_TURNING_SHARE * speed,
+        speed_scale=_DIRECTION_SPEED_SHARE * speed,
         inertia=np.zeros(0),
     )

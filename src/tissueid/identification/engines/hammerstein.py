@@ -11,9 +11,9 @@ from pydantic import Field
 from tissueid.errors import UnusableInputError
 from tissueid.identification.base import Array, Engine, FitReport, Mask, Model
 from tissueid.identification.cascades.blocks import Blocks, CascadeData, cascade_data, input_levels, prepare_cascade
-from tissueid.identification.cascades.curves import lifted
+from tissueid.identification.cascades.curves import with_offset
 from tissueid.identification.cascades.fit import fit_linear, hammerstein_passes
-from tissueid.identification.cascades.normalisation import normalised, steady, uncertainty
+from tissueid.identification.cascades.normalisation import has_steady_gains, normalise_gains, uncertainty
 from tissueid.identification.cascades.parameters import FLAT
 from tissueid.identification.cascades.refinement import Fitted, refine
 from tissueid.identification.correlation import convolve_at_rest
@@ -30,13 +30,13 @@ from tissueid.language import marked
 from tissueid.messages import Listing, Message
 from tissueid.records import Record
 
-_CERTAIN = 2.0
+_SIGNIFICANT_STD = 2.0
 """Threshold of a difference between slopes, or of a slope from zero, in standard deviations."""
 
 _FLAT = 0.05
 """Share of the steepest slope below which a curve is flat."""
 
-_SAME = 1e-9
+_STRAIGHT_TOLERANCE = 1e-9
 """Relative difference of slopes below which a curve counts as a straight line."""
 
 _QUANTILES = (0.05, 0.5, 0.95)
@@ -53,7 +53,7 @@ def fit_driven_stage(
     return fit_second_order(driven, used, hold, start=start)
 
 
-def curve_remarks(
+def curve_messages(
     nonlinearity: StaticNonlinearity, covariance: Array, x: Array, mean_input: float, unit: str
 ) -> tuple[list[str], list[str]]:
     """Return findings and warnings about a curve with coefficient covariance (p, p), over inputs x (k,)."""
@@ -66,7 +66,10 @@ def curve_remarks(
     steepest = max(abs(estimate.value) for estimate in estimates)
     findings: list[str] = []
     warnings: list[str] = []
-    if all(abs(change.value) <= max(_CERTAIN * (change.std or 0.0), _SAME * steepest) for change in changes):
+    if all(
+        abs(change.value) <= max(_SIGNIFICANT_STD * (change.std or 0.0), _STRAIGHT_TOLERANCE * steepest)
+        for change in changes
+    ):
         findings.append(
             Message(
                 "hammerstein.straight",
@@ -103,7 +106,7 @@ def curve_remarks(
             )
         )
     here = derived(nonlinearity, covariance, lambda f: float(f.slope(np.array([mean_input]))[0]))
-    if here.std is None or abs(here.value) <= max(_CERTAIN * here.std, _FLAT * steepest):
+    if here.std is None or abs(here.value) <= max(_SIGNIFICANT_STD * here.std, _FLAT * steepest):
         warnings.append(FLAT)
     return findings, warnings
 
@@ -218,29 +221,29 @@ class Hammerstein(Engine):
         if self.refine:
             blocks = refine(blocks, data).blocks
         known = uncertainty(blocks, data)
-        gains = steady(blocks, data, known)
-        normal = normalised(blocks, data, gains)
+        gains = has_steady_gains(blocks, data, known)
+        normal = normalise_gains(blocks, data, gains)
         nonlinearity = normal.inner
         assert nonlinearity is not None
 
         def kernel_of(some: Blocks) -> Array:
-            return normalised(some, data, gains).first
+            return normalise_gains(some, data, gains).first
 
         def curve_of(some: Blocks) -> Array:
-            inner = normalised(some, data, gains).inner
+            inner = normalise_gains(some, data, gains).inner
             assert inner is not None
             return inner.coefficients
 
         def static_curve_of(some: Blocks) -> Array:
-            shape = normalised(some, data, gains)
+            shape = normalise_gains(some, data, gains)
             assert shape.inner is not None
-            return lifted(shape.inner, shape.offset).coefficients
+            return with_offset(shape.inner, shape.offset).coefficients
 
         modelled = normal.simulate(np.where(np.isfinite(record.input), record.input, prepared.input_mean))
         residuals = np.where(used, record.output - modelled, np.nan)
         stage = fit_driven_stage(record, used, nonlinearity, self.hold)
         parameters = wiener_parameters(
-            lifted(nonlinearity, normal.offset),
+            with_offset(nonlinearity, normal.offset),
             known.of(static_curve_of),
             stage,
             prepared.input_mean,
@@ -251,7 +254,7 @@ class Hammerstein(Engine):
         )
         covariance = known.of(curve_of)
         x = record.input[prepared.part]
-        findings, doubts = curve_remarks(
+        findings, doubts = curve_messages(
             nonlinearity, covariance, x[np.isfinite(x)], prepared.input_mean, record.input_unit
         )
         driven = nonlinearity(np.where(np.isfinite(record.input), record.input, prepared.input_mean))
@@ -300,7 +303,7 @@ class Hammerstein(Engine):
         history: list[HammersteinPass] = []
         stage: SecondOrderFit | None = None
         for number, done in enumerate(passes, start=1):
-            inner = normalised(done.blocks, data, gains).inner
+            inner = normalise_gains(done.blocks, data, gains).inner
             assert inner is not None
             stage = fit_driven_stage(record, data.prepared.used, inner, self.hold, stage)
             history.append(

@@ -10,7 +10,7 @@ from pydantic import Field
 
 from tissueid.identification.base import Array, Engine, FitReport, Model
 from tissueid.identification.correlation import convolve_at_rest
-from tissueid.identification.impulse_response import beyond_memory, factor_input, kernel_std, memory_warnings
+from tissueid.identification.impulse_response import factor_input, kernel_std, memory_warnings, with_extra_memory
 from tissueid.identification.model_family import Family
 from tissueid.identification.preparation import prepare
 from tissueid.identification.registry import engine
@@ -94,7 +94,7 @@ class Lms(Engine):
         prepared = prepare(record, fit_part, self.memory)
         lags = prepared.memory_samples
         solved = factor_input(
-            prepared if self.taper == 0.0 else beyond_memory(prepared),
+            prepared if self.taper == 0.0 else with_extra_memory(prepared),
             pseudo_inverse=self.method == "svd",
             tolerance=self.tolerance,
             taper=self.taper,

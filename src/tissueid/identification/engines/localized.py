@@ -103,7 +103,7 @@ class Localized(Engine):
         if linear.mechanical:
             parameters = means_and_slopes(level_parameters(ordered), middle)
         count = _EACH * len(found)
-        warnings = [*prepared.warnings, *_doubts(found, short)]
+        warnings = [*prepared.warnings, *_warnings(found, short)]
         return model.with_report(
             vaf_percent=vaf_percent(record.output[used], simulated[used]),
             aic=aic(residuals, count),
@@ -119,7 +119,7 @@ class Localized(Engine):
         )
 
 
-def _doubts(found: tuple[LevelFit, ...], short: int) -> list[str]:
+def _warnings(found: tuple[LevelFit, ...], short: int) -> list[str]:
     doubts: list[str] = []
     if short:
         doubts.append(

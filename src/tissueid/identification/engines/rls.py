@@ -17,10 +17,10 @@ from tissueid.identification.online.identifier import (
     Identifier,
     OnlineEngine,
     OnlineModel,
-    fed,
     first_sample,
     lags_of,
     prepared_recent,
+    run_over,
 )
 from tissueid.identification.preparation import SAMPLES_PER_PARAMETER, Prepared, prepare
 from tissueid.identification.registry import engine
@@ -30,7 +30,7 @@ from tissueid.language import marked
 from tissueid.messages import Message
 from tissueid.records import Record
 
-_FORGOTTEN = 4.0
+_RETAINED_TIME_CONSTANTS = 4.0
 """Time constants of forgetting after which the weight of a residual is neglected."""
 
 
@@ -92,7 +92,7 @@ class RlsIdentifier(Identifier):
         Raises:
             UnusableInputError: there are too few samples for a score.
         """
-        return self.options.described(self, prepared_recent(self))
+        return self.options.model_of(self, prepared_recent(self))
 
 
 @engine
@@ -158,10 +158,10 @@ class Rls(OnlineEngine):
             (prepared.input_mean, prepared.output_mean),
             begin=first_sample(prepared),
         )
-        fed(identifier, prepared)
-        return self.described(identifier, prepared)
+        run_over(identifier, prepared)
+        return self.model_of(identifier, prepared)
 
-    def described(self, identifier: RlsIdentifier, prepared: Prepared) -> RlsModel:
+    def model_of(self, identifier: RlsIdentifier, prepared: Prepared) -> RlsModel:
         """Return the model of an identifier, scored on a prepared record."""
         record, used = prepared.record, prepared.used
         lags, rate = identifier.lags, identifier.sample_rate_hz
@@ -171,7 +171,7 @@ class Rls(OnlineEngine):
         residuals = np.where(used, record.output - modelled, np.nan)
         covariance = identifier.covariance
         second_order = fit_second_order(record, used, self.hold)
-        warnings, findings = self._doubts(identifier, covariance)
+        warnings, findings = self._warnings(identifier, covariance)
         trajectory, trajectory_s, trajectory_position = identifier.trajectory
         return RlsModel(
             report=FitReport(
@@ -213,7 +213,7 @@ class Rls(OnlineEngine):
         if forgetting < 1.0:
             weight = (1.0 - forgetting**n) / (1.0 - forgetting)
             weight_squares = (1.0 - forgetting ** (2 * n)) / (1.0 - forgetting**2)
-            remembered = round(_FORGOTTEN / (1.0 - forgetting))
+            remembered = round(_RETAINED_TIME_CONSTANTS / (1.0 - forgetting))
             begin = max(begin, part.stop - max(remembered, 4 * identifier.lags))
         recent = slice(begin, part.stop)
         known = int(np.isfinite(residuals[recent]).sum())
@@ -223,7 +223,7 @@ class Rls(OnlineEngine):
         std = kernel_std(covariance * weight, about, residuals[recent])
         return std * float(np.sqrt(known * weight_squares) / weight)
 
-    def _doubts(self, identifier: RlsIdentifier, covariance: Array) -> tuple[list[str], tuple[str, ...]]:
+    def _warnings(self, identifier: RlsIdentifier, covariance: Array) -> tuple[list[str], tuple[str, ...]]:
         """Return a warning if the memory exceeds the retained samples, and a finding on directions that are not
         excited.
         """

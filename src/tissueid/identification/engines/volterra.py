@@ -19,7 +19,12 @@ from tissueid.identification.second_order import HOLD_DESCRIPTION, HOLD_TITLE, H
 from tissueid.identification.second_order_fit import fit_second_order
 from tissueid.identification.validation import aic, aicc, vaf_percent
 from tissueid.identification.volterra.lag_grid import LagGrid, automatic_grid, lag_grid, smoothed, whiteness
-from tissueid.identification.volterra.methods import Solved, exactly, in_laguerre_functions, with_prior
+from tissueid.identification.volterra.methods import (
+    Solved,
+    exact_least_squares,
+    laguerre_least_squares,
+    regularised_least_squares,
+)
 from tissueid.identification.volterra.model import VolterraModel
 from tissueid.identification.volterra.regressors import VolterraRegressors, coefficient_count
 from tissueid.identification.volterra.stimulus import VolterraStimulus, factor_stimulus
@@ -115,7 +120,7 @@ class Volterra(Engine):
         x = record.input - prepared.input_mean
         solved = self._solved(x, record.output, record.sample_rate_hz, prepared, grid, stimulus)
         white = self._whiteness(x, prepared, grid)
-        warnings = [*prepared.warnings, *solved.warnings, *self._doubts(solved, white, prepared, grid)]
+        warnings = [*prepared.warnings, *solved.warnings, *self._warnings(solved, white, prepared, grid)]
         second_order = fit_second_order(record, prepared.used, self.hold) if self.order else None
         if second_order is not None:
             warnings += second_order.warnings
@@ -238,7 +243,7 @@ class Volterra(Engine):
             regressors = VolterraRegressors(
                 x[::step], prepared.used[::step], grid.lags, grid.spacing // step, self.order
             )
-            solve = with_prior if self.method == "regularised" else in_laguerre_functions
+            solve = regularised_least_squares if self.method == "regularised" else laguerre_least_squares
             return solve(regressors, y[::step])
         if stimulus is None:
             stimulus = self._factored(x, prepared, grid)
@@ -248,7 +253,7 @@ class Volterra(Engine):
                     "volterra.other_stimulus", "the factored stimulus belongs to another input, part or set of options"
                 )
             )
-        return exactly(stimulus, y[::step], rate / step)
+        return exact_least_squares(stimulus, y[::step], rate / step)
 
     def _whiteness(self, x: Array, prepared: Prepared, grid: LagGrid) -> float | None:
         if self.order == 0:
@@ -266,7 +271,7 @@ class Volterra(Engine):
             std = None
         return (kernel_structure(kernels.first, kernels.second, solved.kernel1_std, std).sentence,)
 
-    def _doubts(self, solved: Solved, white: float | None, prepared: Prepared, grid: LagGrid) -> list[str]:
+    def _warnings(self, solved: Solved, white: float | None, prepared: Prepared, grid: LagGrid) -> list[str]:
         """Return warnings about the kernels."""
         doubts: list[str] = []
         rows, spent = self._rows(prepared, grid), math.ceil(solved.parameters)

@@ -10,7 +10,7 @@ from pydantic import Field
 from scipy import fft
 
 from tissueid.identification.base import Array, Engine, FitReport, Model
-from tissueid.identification.impulse_response import beyond_memory, factor_input, memory_warnings
+from tissueid.identification.impulse_response import factor_input, memory_warnings, with_extra_memory
 from tissueid.identification.model_family import Family
 from tissueid.identification.preparation import memory_in_samples, prepare
 from tissueid.identification.registry import engine
@@ -22,19 +22,19 @@ from tissueid.identification.wiener.iteration import (
     Cascade,
     LinearStage,
     Pass,
+    cut_to_memory,
     hunter_korenberg,
     linear_output,
-    shortened,
 )
-from tissueid.identification.wiener.parameters import fit_linear_stage, straightness, wiener_parameters
+from tissueid.identification.wiener.parameters import fit_linear_stage, straightness_warning, wiener_parameters
 from tissueid.identification.wiener.refinement import coefficient_covariance, refine
 from tissueid.language import marked
 from tissueid.messages import Message
 from tissueid.records import Record
 
 _ITERATIONS = 30
-_SETTLED = 1e-6
-_IDLE = 1e-9
+_TOLERANCE = 1e-6
+_NEGLIGIBLE_POWER = 1e-9
 """Power below which a frequency is not used, relative to the strongest frequency."""
 
 
@@ -45,7 +45,7 @@ class KernelSystems:
         self._length = fft.next_fast_len(x.size, real=True)
         power = np.abs(fft.rfft(x, self._length)) ** 2
         power[0] = 0.0  # an offset is free
-        self._driven = power > _IDLE * float(power.max())
+        self._driven = power > _NEGLIGIBLE_POWER * float(power.max())
         self._weights = np.sqrt(power[self._driven])
         self._rate = sample_rate_hz
         self._hold: Hold = hold
@@ -60,13 +60,13 @@ class KernelSystems:
         for _ in range(_ITERATIONS):
             step = np.linalg.lstsq(slopes @ slopes.T, slopes @ error, rcond=1e-12)[0]
             step /= max(1.0, float(np.max(np.abs(step))))
-            while np.max(np.abs(step)) > _SETTLED:
+            while np.max(np.abs(step)) > _TOLERANCE:
                 tried_error, tried_slopes = self._evaluate(theta + step, wanted)
                 if np.dot(tried_error, tried_error) < np.dot(error, error):
                     theta, error, slopes = theta + step, tried_error, tried_slopes
                     break
                 step *= 0.5
-            if np.max(np.abs(step)) <= _SETTLED:
+            if np.max(np.abs(step)) <= _TOLERANCE:
                 break
         mass, damping, stiffness = np.exp(theta)
         return SecondOrder(float(mass), float(damping), float(stiffness))
@@ -89,7 +89,7 @@ _TAPER = 0.05
 _LOST_POINTS = 1.0
 """Loss of VAF from the best to the last iterate, percentage points, above which the iteration has diverged."""
 
-_FED_BACK = Message(
+_FEEDBACK_USED = Message(
     "wiener.feedback", "the nonlinearity has no inverse: the linear stage was estimated by feedback of the output error"
 )
 
@@ -215,17 +215,17 @@ class Wiener(Engine):
         lags = memory_in_samples(self.memory, record.sample_rate_hz)
         n_parameters = lags - 1 + coefficient_count(self.nonlinearity, self.degree)  # the sum of the kernel is fixed
         prepared = prepare(record, fit_part, self.memory, n_parameters)
-        longer = LinearStage(factor_input(beyond_memory(prepared), taper=_TAPER))
+        longer = LinearStage(factor_input(with_extra_memory(prepared), taper=_TAPER))
         solved = factor_input(prepared, taper=_TAPER)
         stage = LinearStage(solved)
         estimated = hunter_korenberg(longer, self.nonlinearity, self.degree, self.iterations)
-        passes = [_shortened(longer, stage, done) for done in estimated]
+        passes = [_pass_cut_to_memory(longer, stage, done) for done in estimated]
         chosen = min(range(len(passes)), key=lambda k: passes[k].cascade.rss)
         cascade = passes[chosen].cascade
         if self.refine:
-            refined = shortened(longer, stage, refine(longer, estimated[chosen].cascade))
+            refined = cut_to_memory(longer, stage, refine(longer, estimated[chosen].cascade))
             cascade = min(refined, cascade, key=lambda one: one.rss)
-        warnings = [*prepared.warnings, *solved.warnings, *self._doubts(passes, chosen, cascade)]
+        warnings = [*prepared.warnings, *solved.warnings, *self._warnings(passes, chosen, cascade)]
 
         used = prepared.used
         z = linear_output(cascade.kernel, solved.input, prepared.input_mean)
@@ -243,7 +243,7 @@ class Wiener(Engine):
             c3=self.c3_n,
             mechanical=(record.input_unit, record.output_unit) == ("N", "m"),
         )
-        warnings += straightness(cascade.nonlinearity, parameters)
+        warnings += straightness_warning(cascade.nonlinearity, parameters)
         parametric = prepared.input_mean + second_order.simulate(np.where(np.isfinite(solved.input), solved.input, 0.0))
         return WienerModel(
             report=FitReport(
@@ -256,7 +256,7 @@ class Wiener(Engine):
                 aicc=aicc(residuals, n_parameters),
                 parameters=parameters,
                 warnings=(*warnings, *memory_warnings(cascade.kernel)),
-                findings=(_FED_BACK,) if passes[chosen].feedback else (),
+                findings=(_FEEDBACK_USED,) if passes[chosen].feedback else (),
                 details={
                     "condition_number": solved.condition,
                     "vaf_linear_percent": passes[0].linear_vaf_percent,
@@ -275,7 +275,7 @@ class Wiener(Engine):
             second_order=second_order,
         )
 
-    def _doubts(self, passes: list[Pass], chosen: int, cascade: Cascade) -> list[str]:
+    def _warnings(self, passes: list[Pass], chosen: int, cascade: Cascade) -> list[str]:
         """Return warnings about the iteration and the nonlinearity."""
         doubts: list[str] = []
         turned = any(one.feedback for one in passes)
@@ -352,7 +352,7 @@ class Wiener(Engine):
         return tuple(history)
 
 
-def _shortened(longer: LinearStage, stage: LinearStage, done: Pass) -> Pass:
-    cascade = shortened(longer, stage, done.cascade)
+def _pass_cut_to_memory(longer: LinearStage, stage: LinearStage, done: Pass) -> Pass:
+    cascade = cut_to_memory(longer, stage, done.cascade)
     simulated = cascade.nonlinearity(stage.input_mean + stage.response(cascade.kernel))
     return replace(done, cascade=cascade, nonlinear_vaf_percent=vaf_percent(stage.y, simulated))

@@ -177,7 +177,7 @@ def view(identifier: LiveIdentifier, looks: Sequence[Precision] = ()) -> LiveVie
     bode: LiveBode | None = None
     missing = ""
     try:
-        response = _respond(identifier)
+        response = _present_response(identifier)
         bode = _bode(response)
     except UnusableInputError as error:
         missing = error.message
@@ -229,7 +229,7 @@ def _method(identifier: LiveIdentifier) -> Method:
     return "rls" if isinstance(identifier, RlsIdentifier) else "als"
 
 
-def _respond(identifier: LiveIdentifier) -> _Response:
+def _present_response(identifier: LiveIdentifier) -> _Response:
     """Return the response as the engine of the identifier would report it.
 
     Raises:

@@ -13,14 +13,14 @@ from tissueid.errors import UnusableInputError
 from tissueid.identification.base import Array
 from tissueid.identification.correlation import condition_number, toeplitz_inverse, toeplitz_solve
 from tissueid.identification.engines.lms import Lms, LmsModel
-from tissueid.identification.impulse_response import BEYOND_S, RIDGE, beyond_memory, factor_input
+from tissueid.identification.impulse_response import EXTRA_MEMORY_S, RIDGE, factor_input, with_extra_memory
 from tissueid.identification.lagged_gram import LaggedRegressors
 from tissueid.identification.live import sliding_sums
 from tissueid.identification.preparation import Prepared, memory_in_samples, prepare
 from tissueid.messages import Message
 from tissueid.records import Record
 
-_FIRST_ROOM_S = 8.0
+_INITIAL_CAPACITY_S = 8.0
 """Initial capacity, s, if the window has no limit."""
 
 
@@ -95,8 +95,8 @@ class SlidingLms:
         self.lags = memory_in_samples(options.memory, sample_rate_hz)
         self._units = (input_unit, output_unit)
         self._window = None if window_s is None else round(window_s * sample_rate_hz)
-        summed = self.lags + round(BEYOND_S * sample_rate_hz)
-        room = 2 * self._window if self._window else round(_FIRST_ROOM_S * sample_rate_hz) + summed
+        summed = self.lags + round(EXTRA_MEMORY_S * sample_rate_hz)
+        room = 2 * self._window if self._window else round(_INITIAL_CAPACITY_S * sample_rate_hz) + summed
         self._received = np.zeros((2, room))  # input and output as received
         self._counted = np.zeros((2, room))  # minus the first received value of each, 0 for missing samples
         self._first = self._end = self._taken = 0
@@ -176,16 +176,16 @@ class SlidingLms:
         """
         if self._solution is None:
             prepared = prepare(self.recent(), None, self.options.memory)
-            wide = prepared if self.options.taper == 0.0 else beyond_memory(prepared)
+            wide = prepared if self.options.taper == 0.0 else with_extra_memory(prepared)
             try:
                 if self.options.method == "svd":
-                    solution = self._as_a_whole(wide)
+                    solution = self._from_dense_matrix(wide)
                 elif prepared.gapless:
                     solution = self._from_sums(wide)
                 else:
-                    solution = self._across_gaps(wide)
+                    solution = self._from_complete_memories(wide)
             except np.linalg.LinAlgError:
-                solution = self._as_a_whole(wide)
+                solution = self._from_dense_matrix(wide)
             self._solution = replace(solution, kernel=solution.kernel[: self.lags], prepared=prepared)
         return self._solution
 
@@ -270,7 +270,7 @@ class SlidingLms:
         kernel = toeplitz_solve(column, cross / size)
         return SlidingSolution(kernel, prepared, column=column)
 
-    def _across_gaps(self, prepared: Prepared) -> SlidingSolution:
+    def _from_complete_memories(self, prepared: Prepared) -> SlidingSolution:
         """Return the least-squares solution over the outputs with a complete memory."""
         x = prepared.record.input - prepared.input_mean
         regressors = LaggedRegressors(x[None, :], (prepared.memory_samples,), 1, prepared.used, constant=False)
@@ -281,7 +281,7 @@ class SlidingLms:
         kernel = np.asarray(linalg.solve(gram, right, assume_a="pos"))
         return SlidingSolution(kernel, prepared, matrix=gram)
 
-    def _as_a_whole(self, prepared: Prepared) -> SlidingSolution:
+    def _from_dense_matrix(self, prepared: Prepared) -> SlidingSolution:
         """Return the solution by the dense correlation matrix, on request or if the input does not excite all lags."""
         options = self.options
         solved = factor_input(prepared, pseudo_inverse=True, tolerance=options.tolerance, taper=options.taper)

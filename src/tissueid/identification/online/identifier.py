@@ -104,9 +104,9 @@ class Identifier(ABC):
 
         NaN if there is no prediction or no output.
         """
-        place = self._room(1)
+        place = self._next_index(1)
         if self._means[0] is None or self._means[1] is None:
-            self._settle(np.array([u]), np.array([y]))
+            self._set_operating_point(np.array([u]), np.array([y]))
         self._put(place, u, y)
         return self._step(place, 1)
 
@@ -126,12 +126,12 @@ class Identifier(ABC):
                     outputs=int(y.size),
                 )
             )
-        self._settle(u, y)
+        self._set_operating_point(u, y)
         errors = np.empty(u.size)
         done = 0
         while done < u.size:
             n = min(u.size - done, self._keep, self._stride - self._taken % self._stride)
-            place = self._room(n)
+            place = self._next_index(n)
             self._put(slice(place, place + n), u[done : done + n], y[done : done + n])
             self._step(place, n)
             errors[done : done + n] = self._recent[2, place : place + n]
@@ -194,7 +194,7 @@ class Identifier(ABC):
             output_unit=self._units[1],
         )
 
-    def _settle(self, u: Array, y: Array) -> None:
+    def _set_operating_point(self, u: Array, y: Array) -> None:
         """Set an unknown operating point to the first received sample."""
         known = []
         for mean, values in zip(self._means, (u, y), strict=True):
@@ -202,7 +202,7 @@ class Identifier(ABC):
             known.append(float(received[0]) if received.size else mean)
         self._means = (known[0], known[1])
 
-    def _room(self, n: int) -> int:
+    def _next_index(self, n: int) -> int:
         """Return the index for the next n samples; move the latest samples to the front of a full buffer."""
         if self._held + n > self._recent.shape[1]:
             self._recent[:, : self._keep] = self._recent[:, self._held - self._keep : self._held].copy()
@@ -230,10 +230,10 @@ class Identifier(ABC):
             e, y_used = errors[used], self._recent[1, some][used]
             self._sums += np.array([e.size, e.sum(), e @ e, y_used.sum(), y_used @ y_used])
         if self._taken % self._stride == 0 and not math.isnan(last):
-            self._remember(float(self._recent[1, place + n - 1]))
+            self._store_snapshot(float(self._recent[1, place + n - 1]))
         return last
 
-    def _remember(self, y: float) -> None:
+    def _store_snapshot(self, y: float) -> None:
         if self._snapshots == SNAPSHOTS:
             self._stride *= 2
             kept = np.round(self._times[0] * self.sample_rate_hz + 1.0) % self._stride == 0.0
@@ -281,7 +281,7 @@ class OnlineEngine(Engine):
         """
 
 
-def fed(identifier: Identifier, prepared: Prepared) -> None:
+def run_over(identifier: Identifier, prepared: Prepared) -> None:
     """Run an identifier that was started at :func:`first_sample` over the fitted part of a record."""
     record, part = prepared.record, prepared.part
     begin = first_sample(prepared)

@@ -26,7 +26,7 @@ from tissueid.identification.volterra.lag_grid import LagGrid
 from tissueid.messages import Message
 
 _ITERATIONS = 15
-_SETTLED = 1e-3
+_TOLERANCE = 1e-3
 _PROBE = 1e-3
 _LONGEST_STEP = 0.3
 
@@ -60,13 +60,13 @@ def fit_contrast(tissue: SimulatedTissue, log_parameters: Array, used: Mask) -> 
         step = np.linalg.lstsq(slopes, error - error.mean(), rcond=1e-8)[0]
         step /= max(1.0, float(np.max(np.abs(step))) / _LONGEST_STEP)
         bound = float(np.var(error)) * (1.0 + 1e-9)
-        while np.max(np.abs(step)) > 0.1 * _SETTLED:
+        while np.max(np.abs(step)) > 0.1 * _TOLERANCE:
             tried = simulated(theta + step)
             if tried is not None and float(np.var(measured - tried)) <= bound:
                 theta, run = theta + step, tried
                 break
             step = 0.5 * step
-        if np.max(np.abs(step)) < _SETTLED:
+        if np.max(np.abs(step)) < _TOLERANCE:
             return _contrast(tissue, theta, logs, slopes, measured - run)
     return None
 
@@ -100,7 +100,7 @@ _PROBE = 0.05
 _LEAST_GAIN = 0.15
 """Lower bound on the sensitivity of an estimate to the parameter, for the correction."""
 
-_FARTHEST = np.log(2.0)
+_LARGEST_CORRECTION = np.log(2.0)
 """Largest plausible correction of a logarithm; beyond it the simulated tissue does not resemble the record."""
 
 _UNCORRECTED = Message(
@@ -176,8 +176,8 @@ class DepthEstimator:
         tissue = SimulatedTissue.through(seen.local, self.prepared, self.partitions, self.linear.hold, seen.rest)
         found = fit_contrast(tissue, seen.local.log_parameters, self.used) if contrast else None
         seen = replace(seen, contrast=found)
-        search = _Search.begun(self, seen, tissue) if found is not None or not contrast else None
-        local = None if search is None else search.matched(found or Contrast.none(seen.local.position.size))
+        search = _Search.with_sensitivities(self, seen, tissue) if found is not None or not contrast else None
+        local = None if search is None else search.solve(found or Contrast.none(seen.local.position.size))
         return replace(seen, warnings=(_UNCORRECTED,)) if local is None else replace(seen, local=local)
 
 
@@ -191,36 +191,38 @@ class _Search:
     inverse: Array  # (6, 6), inverse of the derivatives of the estimated lines with respect to the true ones
 
     @classmethod
-    def begun(cls, estimator: DepthEstimator, seen: LocalEstimates, tissue: SimulatedTissue) -> _Search | None:
+    def with_sensitivities(
+        cls, estimator: DepthEstimator, seen: LocalEstimates, tissue: SimulatedTissue
+    ) -> _Search | None:
         """Return a search with the sensitivities of the estimator; None if the tissue cannot be simulated."""
         lines = tissue.lines
         search = cls(estimator, seen, tissue, np.eye(3 * lines.basis.shape[1]))
         sought, still = seen.local.log_parameters, Contrast.none(lines.position.size)
-        back = search._returned(sought, still)
+        back = search._re_estimated(sought, still)
         if back is None:
             return None
         columns = []
         for change in lines.unit_changes():
-            moved = search._returned(sought + _PROBE * change, still)
+            moved = search._re_estimated(sought + _PROBE * change, still)
             if moved is None:
                 return None
             columns.append(np.ravel(lines.pick @ (moved - back)) / _PROBE)
         left, gains, right = np.linalg.svd(np.array(columns).T)
         return replace(search, inverse=(right.T / np.maximum(gains, _LEAST_GAIN)) @ left.T)
 
-    def matched(self, contrast: Contrast) -> LocalParameters | None:
+    def solve(self, contrast: Contrast) -> LocalParameters | None:
         """Return the parameters of a tissue with this contrast of damping between directions; None on failure."""
         lines, wanted = self.tissue.lines, self.seen.local.log_parameters
         sought = wanted
-        back = self._returned(sought, contrast)
+        back = self._re_estimated(sought, contrast)
         for _ in range(_ROUNDS):
             if back is None:
                 return None
             missing = np.ravel(lines.pick @ (wanted - back))
             sought = sought + lines.basis @ (self.inverse @ missing).reshape(-1, 3)
-            if not np.all(np.abs(sought - wanted) < _FARTHEST):
+            if not np.all(np.abs(sought - wanted) < _LARGEST_CORRECTION):
                 return None
-            back = self._returned(sought, contrast)
+            back = self._re_estimated(sought, contrast)
         if back is None:
             return None
         root = self.seen.local.root
@@ -232,7 +234,7 @@ class _Search:
             root=root + np.einsum("kl,lim->kim", lines.basis, widened - across),
         )
 
-    def _returned(self, values: Array, contrast: Contrast) -> Array | None:
+    def _re_estimated(self, values: Array, contrast: Contrast) -> Array | None:
         """Return the estimates for a tissue with these logarithms (K, 3); None if they are not available."""
         simulated = self.tissue.output(self.tissue.lines.coefficients(values), contrast)
         if simulated is None:

@@ -21,10 +21,10 @@ from tissueid.identification.partitions.cells import (
     place_breakpoints,
 )
 from tissueid.identification.partitions.estimation import DepthEstimator, LocalEstimates
-from tissueid.identification.partitions.model import PartitionedModel, resting
+from tissueid.identification.partitions.model import PartitionedModel, equilibrium
 from tissueid.identification.partitions.parameters import local_parameters
 from tissueid.identification.partitions.regression import PartitionedKernels, solve_along_lags, solve_at_output
-from tissueid.identification.partitions.report import details_of, doubts, findings, named_parameters, profile_of
+from tissueid.identification.partitions.report import details_of, findings, fit_warnings, named_parameters, profile_of
 from tissueid.identification.partitions.simulation import free_run
 from tissueid.identification.preparation import SAMPLES_PER_PARAMETER, Prepared, prepare
 from tissueid.identification.sample_masks import complete_windows
@@ -44,7 +44,7 @@ _ROUNDS = 3
 """Number of times that the fitted samples are assigned to partitions by the model's own output."""
 
 
-_FORGOTTEN = 3
+_SETTLING_MEMORIES = 3
 """Memories of the kernels after which the initial state of a free run has decayed."""
 
 _STEPPED = Message(
@@ -52,7 +52,7 @@ _STEPPED = Message(
     "the input is stepped: an offset for each partition, or the engine localized, gives more accurate mass, damping "
     "and stiffness",
 )
-_STEPPED_APART = Message("partitions.own_offsets", "the input is stepped: every partition has its own offset")
+_OWN_OFFSETS = Message("partitions.own_offsets", "the input is stepped: every partition has its own offset")
 
 
 @dataclass(frozen=True)
@@ -114,11 +114,11 @@ def fit_partitions(
     linear = fit_second_order(record, prepared.used, choice.hold)
     reference = 0.0 if choice.offset == "common" else prepared.input_mean
     if at_output:
-        solved, placed = _self_placed(record, prepared, partitions, cells, used, grid)
+        solved, assigned = _assigned_by_model(record, prepared, partitions, cells, used, grid)
     else:
         solved = solve_along_lags(record.input, record.output, reference, cells, partitions.count, used, grid, rate)
-        placed = cells
-    local = _local(choice, prepared, partitions, solved, placed, used, grid, linear)
+        assigned = cells
+    local = _local(choice, prepared, partitions, solved, assigned, used, grid, linear)
     profile = profile_of(local, partitions, cells, used) if linear.mechanical else None
     model = _model(solved, prepared, partitions, grid, local, profile, engine, options)
     fitted = _reported(model, record, prepared, used, solved, local, linear)
@@ -126,7 +126,7 @@ def fit_partitions(
         return fitted
     report = fitted.report
     if at_output:
-        return fitted.with_report(findings=(*report.findings, _STEPPED_APART))
+        return fitted.with_report(findings=(*report.findings, _OWN_OFFSETS))
     return fitted.with_report(warnings=(*report.warnings, _STEPPED))
 
 
@@ -177,7 +177,7 @@ def _check_support(partitions: Partitions, cells: Cells, used: Mask, grid: LagGr
         )
 
 
-def _self_placed(
+def _assigned_by_model(
     record: Record, prepared: Prepared, partitions: Partitions, cells: Cells, used: Mask, grid: LagGrid
 ) -> tuple[PartitionedKernels, Cells]:
     """Return the linear models of each cell, with samples assigned by the free run of a model, initially that of Eq.
@@ -189,30 +189,32 @@ def _self_placed(
     rate, mean = record.sample_rate_hz, prepared.input_mean
     complete = used & complete_windows(cells != UNKNOWN, grid.memory_samples)
     first = solve_along_lags(record.input, record.output, 0.0, cells, partitions.count, complete, grid, rate)
-    _, own = _own_run(record, prepared, partitions, grid, first)
+    _, own = _free_run_cells(record, prepared, partitions, grid, first)
     best: tuple[float, PartitionedKernels, Cells] | None = None
-    for placed in (own, cells):
+    for assigned in (own, cells):
         for _ in range(_ROUNDS):
             try:
-                solved = solve_at_output(record.input, record.output, mean, placed, partitions.count, used, grid, rate)
+                solved = solve_at_output(
+                    record.input, record.output, mean, assigned, partitions.count, used, grid, rate
+                )
             except UnusableInputError:
-                if placed is cells and best is None:
+                if assigned is cells and best is None:
                     raise
                 break
-            output, own = _own_run(record, prepared, partitions, grid, solved)
+            output, own = _free_run_cells(record, prepared, partitions, grid, solved)
             error = float(np.mean((record.output[used] - output[used]) ** 2))
             if best is None or error < best[0]:
-                best = (error, solved, placed)
-            if np.array_equal(own[used], placed[used]):
+                best = (error, solved, assigned)
+            if np.array_equal(own[used], assigned[used]):
                 break
-            placed = own
+            assigned = own
         if best is not None:
             break
     assert best is not None
     return best[1], best[2]
 
 
-def _own_run(
+def _free_run_cells(
     record: Record, prepared: Prepared, partitions: Partitions, grid: LagGrid, solved: PartitionedKernels
 ) -> tuple[Array, Cells]:
     """Return free-run output and cells, (n,) each, for the input of the record; missing inputs are replaced by the
@@ -220,7 +222,7 @@ def _own_run(
     """
     mean = prepared.input_mean
     steady = mean - solved.reference
-    rest_cell, rest = resting(solved.kernels, solved.offsets, steady, partitions, prepared.output_mean)
+    rest_cell, rest = equilibrium(solved.kernels, solved.offsets, steady, partitions, prepared.output_mean)
     x = np.concatenate(
         [np.full(grid.memory_samples - 1, mean), np.where(np.isfinite(record.input), record.input, mean)]
     )
@@ -243,7 +245,7 @@ def _local(
     prepared: Prepared,
     partitions: Partitions,
     solved: PartitionedKernels,
-    placed: Cells,
+    assigned: Cells,
     used: Mask,
     grid: LagGrid,
     linear: SecondOrderFit,
@@ -252,7 +254,7 @@ def _local(
     record = prepared.record
     if solved.at_output:
         x = np.where(_part_mask(prepared), record.input - prepared.input_mean, np.nan)
-        found = local_parameters(solved, partitions, record.output[used], placed[used], x, grid, linear)
+        found = local_parameters(solved, partitions, record.output[used], assigned[used], x, grid, linear)
         return LocalEstimates(found, solved)
     depth_only = replace(partitions, directional=False)
     estimator = DepthEstimator(
@@ -280,12 +282,12 @@ def _model(
     rate = prepared.record.sample_rate_hz
     per_second = rate / grid.spacing
     steady = prepared.input_mean - solved.reference
-    rest_cell, rest = resting(solved.kernels, solved.offsets, steady, partitions, prepared.output_mean)
+    rest_cell, rest = equilibrium(solved.kernels, solved.offsets, steady, partitions, prepared.output_mean)
     own_past = not solved.at_output or partitions.directional or partitions.pole > 0.0
     return PartitionedModel(
         report=FitReport(engine=engine, options=options, n_samples=0, n_parameters=0, vaf_percent=float("nan")),
         sample_rate_hz=rate,
-        memory_samples=grid.memory_samples * (_FORGOTTEN if own_past else 1),
+        memory_samples=grid.memory_samples * (_SETTLING_MEMORIES if own_past else 1),
         partitions=partitions,
         kernels=solved.kernels * per_second,
         kernels_std=solved.kernels_std * per_second,
@@ -334,7 +336,7 @@ def _reported(
         warnings=(
             *prepared.warnings,
             *solved.warnings,
-            *doubts(vaf, details, local, few and not prepared.warnings),
+            *fit_warnings(vaf, details, local, few and not prepared.warnings),
         ),
         findings=findings(local, model.partitions, linear),
         details=details,

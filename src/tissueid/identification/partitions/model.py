@@ -116,7 +116,7 @@ class PartitionedModel(Model):
         return self.sample_rate_hz / self.lag_spacing
 
 
-def resting(
+def equilibrium(
     kernels: Array, offsets: Array, steady: float, partitions: Partitions, position: float
 ) -> tuple[int, float]:
     """Return cell and output in equilibrium with a steady input (minus the reference).

@@ -25,10 +25,10 @@ from tissueid.identification.second_order_fit import SecondOrderFit
 from tissueid.identification.volterra.lag_grid import LagGrid, input_spectrum
 from tissueid.records import Estimate
 
-_WEAKEST = 1e-4
+_EXCITED_POWER = 1e-4
 """Input power above which a frequency is used, relative to the strongest."""
 
-_LOST = math.log(1000.0)
+_LARGEST_LOG_DIFFERENCE = math.log(1000.0)
 """Largest difference of a logarithm from that of the whole record; beyond it the parameters are undetermined."""
 
 _SCATTER = 0.03
@@ -95,7 +95,7 @@ class _Band:
             weighted = values * weight
             return np.concatenate([weighted.real, weighted.imag], axis=-1)
 
-        low, high = start - _LOST, start + _LOST
+        low, high = start - _LARGEST_LOG_DIFFERENCE, start + _LARGEST_LOG_DIFFERENCE
         found = optimize.least_squares(
             lambda trial: split(self.response(trial)[0] - target),
             start,
@@ -205,7 +205,7 @@ def _band(x: Array, grid: LagGrid, linear: SecondOrderFit) -> _Band:
     rate = linear.sample_rate_hz
     frequency, power = input_spectrum(x, rate)
     length = 2 * (frequency.size - 1)
-    used = np.flatnonzero((power > _WEAKEST * float(power[1:].max())) & (frequency > 0.0))
+    used = np.flatnonzero((power > _EXCITED_POWER * float(power[1:].max())) & (frequency > 0.0))
     turn = np.exp(-2j * np.pi * np.outer(frequency[used], np.arange(grid.lags) * grid.spacing / rate))
     assert fft.rfftfreq(length, 1.0 / rate).size == frequency.size
     return _Band(length, used, power[used], turn, rate, linear.hold)

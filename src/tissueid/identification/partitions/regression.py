@@ -25,7 +25,7 @@ from tissueid.messages import Message
 _SHORTEST_BLOCK = 12
 _QUARTERS = 4
 
-_LEAST_SPARE = 0.25
+_LEAST_RESIDUAL_SHARE = 0.25
 """Lower bound on the residual degrees of freedom, as a share of the rows."""
 
 _ROWS_AT_ONCE = 4096
@@ -239,6 +239,6 @@ def _root(
         padded = np.pad(sums, ((0, 0), (_QUARTERS, _QUARTERS - 1)))
         running = np.cumsum(padded, axis=1)
         blocks = (running[:, _QUARTERS:] - running[:, :-_QUARTERS]) / np.sqrt(_QUARTERS)
-        spare = max(error.size - dependence * solved.rank, _LEAST_SPARE * error.size)
+        spare = max(error.size - dependence * solved.rank, _LEAST_RESIDUAL_SHARE * error.size)
         roots.append(solved.gram_solve(blocks) * widening * np.sqrt(error.size / spare))
     return np.vstack(roots)

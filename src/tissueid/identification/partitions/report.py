@@ -98,7 +98,7 @@ def details_of(
     }
 
 
-def doubts(vaf: float, details: dict[str, float], local: LocalEstimates, few: bool) -> tuple[str, ...]:
+def fit_warnings(vaf: float, details: dict[str, float], local: LocalEstimates, few: bool) -> tuple[str, ...]:
     """Return warnings on the fit."""
     found = list(local.warnings)
     if few:

@@ -22,7 +22,7 @@ _SCATTER = 0.03
 
 _LARGEST_CONTRAST = 0.95
 
-_TURNING_SHARE = 0.05
+_DIRECTION_SPEED_SHARE = 0.05
 """Share of the typical speed over which the direction changes."""
 
 
@@ -124,7 +124,7 @@ class SimulatedTissue:
         low, high = (float(partitions.breakpoints[end]) for end in (0, -1))
         margin = _MARGIN * (high - low)
         speed = np.diff(prepared.record.output) * prepared.record.sample_rate_hz
-        scale = _TURNING_SHARE * float(np.nanstd(speed))
+        scale = _DIRECTION_SPEED_SHARE * float(np.nanstd(speed))
         return cls(Lines.through(local), prepared, low - margin, high + margin, rest, local.sign, hold, scale)
 
     def output(self, coefficients: Array, contrast: Contrast) -> Array | None:

@@ -18,7 +18,7 @@ _LARGEST_ORDER = 60
 _ROWS_PER_ORDER = 20
 """Minimum number of samples per order that is tried."""
 
-_STEADIEST = 0.999
+_LARGEST_POLE = 0.999
 """Largest modulus of a pole; unstable least-squares models are scaled to it."""
 
 
@@ -87,9 +87,9 @@ def fit_autoregression(signal: Array, max_order: int | None = None) -> Autoregre
     known = np.isfinite(signal)
     count = int(known.sum())
     largest = min(_LARGEST_ORDER, count // _ROWS_PER_ORDER) if max_order is None else max_order
-    while max_order is None and largest > 1 and not _carries(known, largest):
+    while max_order is None and largest > 1 and not _has_enough_rows(known, largest):
         largest -= 1
-    if not _carries(known, largest):
+    if not _has_enough_rows(known, largest):
         raise UnusableInputError(
             Message(
                 "noise_model.too_few_residuals",
@@ -110,7 +110,7 @@ def fit_autoregression(signal: Array, max_order: int | None = None) -> Autoregre
     rows = complete_windows(known, order + 1)
     used = int(rows.sum())
     products = lagged_products(centred, rows, order + 1)
-    coefficients = _steadied(_solve(products))
+    coefficients = _stabilised(_solve(products))
     gain = np.concatenate([[1.0], -coefficients])
     rss = used * float(gain @ products @ gain)
     return Autoregression(
@@ -122,14 +122,14 @@ def fit_autoregression(signal: Array, max_order: int | None = None) -> Autoregre
     )
 
 
-def _carries(known: Mask, order: int) -> bool:
+def _has_enough_rows(known: Mask, order: int) -> bool:
     """Return whether there are enough successive known samples for a noise model of this order."""
     return int(complete_windows(known, order + 1).sum()) >= _ROWS_PER_ORDER * max(1, order)
 
 
 def _best_order(products: Array, rows: int) -> int:
     """Return the order with the smallest AICc, with all orders scored on the same rows."""
-    factor = linalg.cholesky(_loaded(products[1:, 1:]), lower=True) if products.shape[0] > 1 else np.zeros((0, 0))
+    factor = linalg.cholesky(_with_ridge(products[1:, 1:]), lower=True) if products.shape[0] > 1 else np.zeros((0, 0))
     explained = linalg.solve_triangular(factor, products[1:, 0], lower=True) if factor.size else np.zeros(0)
     left = products[0, 0] - np.concatenate([[0.0], np.cumsum(explained**2)])
     left = np.maximum(left, 1e-14 * products[0, 0])
@@ -139,10 +139,10 @@ def _best_order(products: Array, rows: int) -> int:
 def _solve(products: Array) -> Array:
     if products.shape[0] == 1:
         return np.zeros(0)
-    return np.asarray(linalg.solve(_loaded(products[1:, 1:]), products[1:, 0], assume_a="pos"), dtype=np.float64)
+    return np.asarray(linalg.solve(_with_ridge(products[1:, 1:]), products[1:, 0], assume_a="pos"), dtype=np.float64)
 
 
-def _loaded(products: Array) -> Array:
+def _with_ridge(products: Array) -> Array:
     """Return the products with a small ridge, for signals without power over most of the band."""
     loaded = products.copy()
     loaded[np.diag_indices_from(loaded)] += 1e-10 * products[0, 0]
@@ -154,11 +154,11 @@ def _aicc(power: float, n: int, order: int) -> float:
     return n * (math.log(2.0 * math.pi * power) + 1.0) + 2.0 * k + 2.0 * k * (k + 1) / max(1, n - k - 1)
 
 
-def _steadied(coefficients: Array) -> Array:
+def _stabilised(coefficients: Array) -> Array:
     """Return the coefficients (order,) with all poles inside the unit circle."""
     if coefficients.size == 0:
         return coefficients
     fastest = float(np.max(np.abs(np.roots(np.concatenate([[1.0], -coefficients])))))
-    if fastest < _STEADIEST:
+    if fastest < _LARGEST_POLE:
         return coefficients
-    return np.asarray(coefficients * (_STEADIEST / fastest) ** np.arange(1, coefficients.size + 1), dtype=np.float64)
+    return np.asarray(coefficients * (_LARGEST_POLE / fastest) ** np.arange(1, coefficients.size + 1), dtype=np.float64)

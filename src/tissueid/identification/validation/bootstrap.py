@@ -190,7 +190,7 @@ class _Source:
     def with_residuals(self, rng: np.random.Generator) -> tuple[Record, slice | None]:
         """Return the record with resampled residuals, and the part to fit."""
         n = len(self.record)
-        added = self.residual[self._drawn(rng, math.ceil(n / self.block))].ravel()[:n]
+        added = self.residual[self._drawn_blocks(rng, math.ceil(n / self.block))].ravel()[:n]
         output = np.where(np.isfinite(self.record.output), self.simulated + added, np.nan)
         unfitted = ~part_mask(n, self.part)
         output[unfitted] = self.record.output[unfitted]
@@ -198,14 +198,14 @@ class _Source:
 
     def with_blocks(self, rng: np.random.Generator) -> tuple[Record, None]:
         """Return resampled stretches of the record, each after the inputs of its memory, separated by gaps."""
-        drawn = self._drawn(rng, math.ceil(self.count / self.block))  # (blocks, block)
+        drawn = self._drawn_blocks(rng, math.ceil(self.count / self.block))  # (blocks, block)
         before = drawn[:, :1] - np.arange(self.memory - 1, 0, -1)
         gap = np.full((drawn.shape[0], 1), np.nan)
         u = np.hstack([gap, self.record.input[before], self.record.input[drawn]])
         y = np.hstack([gap, np.full(before.shape, np.nan), self.record.output[drawn]])
         return replace(self.record, input=u.ravel()[1:], output=y.ravel()[1:]), None
 
-    def _drawn(self, rng: np.random.Generator, blocks: int) -> NDArray[np.intp]:
+    def _drawn_blocks(self, rng: np.random.Generator, blocks: int) -> NDArray[np.intp]:
         """Return the indices (blocks, block) of blocks of known residuals."""
         last = self.ends[rng.integers(self.ends.size, size=blocks)]
         return np.asarray(last[:, None] + np.arange(1 - self.block, 1), dtype=np.intp)

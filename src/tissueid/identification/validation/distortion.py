@@ -164,7 +164,7 @@ class _Separation:
             total = np.sqrt(np.var(self.responses, axis=0, ddof=1) / len(self.cut))
         odd: Estimate | None = None
         if np.any(is_detection):
-            weights = self._carried(self.band[is_detection])  # (driven, detection)
+            weights = self._interpolation_weights(self.band[is_detection])  # (driven, detection)
             odd = self._sum(stood[is_detection], known[is_detection], 1.0 + weights.sum(axis=0))
             if len(self.cut) == 1:
                 beyond = weights @ (stood - np.nan_to_num(known))[is_detection] + np.nan_to_num(known)[self.at_driven]
@@ -210,7 +210,7 @@ class _Separation:
             return None
         return np.full(self.band.size, self.cut[0].period * float(np.mean(tail**2)) / 2.0)
 
-    def _carried(self, detection: Lines) -> Array:
+    def _interpolation_weights(self, detection: Lines) -> Array:
         """Return the weights (driven, detection) that interpolate the power of odd distortion to the driven lines."""
         count = min(_NEIGHBOURS, detection.size)
         nearest = np.argsort(np.abs(self.driven[:, None] - detection), axis=1)[:, :count]  # (driven, count)

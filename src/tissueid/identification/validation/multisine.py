@@ -16,10 +16,10 @@ from tissueid.records import Record
 
 Lines = NDArray[np.int_]
 
-_ALIKE = 0.9
+_PERIODIC_CORRELATION = 0.9
 """Minimum correlation of an input with itself one period later."""
 
-_AS_ALIKE = 0.01
+_EQUAL_CORRELATION = 0.01
 """Largest difference of the correlation between the first repetition and a later one."""
 
 _SHORTEST_OVERLAP = 0.02
@@ -29,10 +29,10 @@ _DRIVEN_RANGE = 1e-3
 _DRIVEN_SHARE = 0.1
 """Minimum power of a driven line, relative to the strongest of all and to the strongest near it."""
 
-_NEAR = 5
+_NEIGHBOUR_LINES = 5
 """Number of odd lines to each side that count as near."""
 
-_FAR = 20.0
+_LARGEST_GAP = 20.0
 """Gap to the next line, in usual gaps, beyond which that line is not part of the stimulus."""
 
 
@@ -73,14 +73,14 @@ def find_period(u: Array) -> int:
     away = np.flatnonzero(alike < 0.5)  # beyond the peak about lag 0, which is broad for a smooth input
     first = int(away[0]) if away.size else n
     best = float(np.max(alike[first:], initial=0.0))
-    if best < _ALIKE:
+    if best < _PERIODIC_CORRELATION:
         raise UnusableInputError(
             Message(
                 "multisine.no_period",
                 "the input is not periodic: at least two periods of a periodic stimulus are needed",
             )
         )
-    rising = np.flatnonzero(alike[first:] >= best - _AS_ALIKE) + first
+    rising = np.flatnonzero(alike[first:] >= best - _EQUAL_CORRELATION) + first
     run = rising[: int(np.argmax(np.append(np.diff(rising) > 1, True))) + 1]  # only the first such peak
     return int(run[np.argmax(alike[run])])
 
@@ -147,7 +147,7 @@ def find_driven(power: Array) -> Lines:
     """
     odd = np.arange(1, power.size, 2)
     even = np.arange(2, power.size, 2)
-    near = 2 * _NEAR + 1
+    near = 2 * _NEIGHBOUR_LINES + 1
     if odd.size < near or even.size < near:
         raise UnusableInputError(
             Message(
@@ -156,8 +156,10 @@ def find_driven(power: Array) -> Lines:
                 samples=4 * near,
             )
         )
-    strongest = np.lib.stride_tricks.sliding_window_view(np.pad(power[odd], _NEAR), near).max(axis=1)
-    quiet = np.median(np.lib.stride_tricks.sliding_window_view(np.pad(power[even], _NEAR, mode="edge"), near), axis=1)
+    strongest = np.lib.stride_tricks.sliding_window_view(np.pad(power[odd], _NEIGHBOUR_LINES), near).max(axis=1)
+    quiet = np.median(
+        np.lib.stride_tricks.sliding_window_view(np.pad(power[even], _NEIGHBOUR_LINES, mode="edge"), near), axis=1
+    )
     background = quiet[np.minimum(np.arange(odd.size), quiet.size - 1)]
     driven = (power[odd] > _DRIVEN_SHARE * strongest) & (power[odd] > 10.0 * background)
     driven &= power[odd] > _DRIVEN_RANGE * float(np.max(power[1:]))
@@ -169,12 +171,14 @@ def find_driven(power: Array) -> Lines:
                 "needed",
             )
         )
-    return _hanging_together(odd[driven], power)
+    return _strongest_group(odd[driven], power)
 
 
-def _hanging_together(lines: Lines, power: Array) -> Lines:
+def _strongest_group(lines: Lines, power: Array) -> Lines:
     """Return the group of adjacent lines (k,) with the most power, without distant spurs such as mains interference."""
     gaps = np.diff(lines)
-    usual = np.array([float(np.median(gaps[max(0, i - _NEAR) : i])) if i else float(gaps[0]) for i in range(gaps.size)])
-    groups = np.split(lines, np.flatnonzero(gaps > _FAR * usual) + 1)
+    usual = np.array(
+        [float(np.median(gaps[max(0, i - _NEIGHBOUR_LINES) : i])) if i else float(gaps[0]) for i in range(gaps.size)]
+    )
+    groups = np.split(lines, np.flatnonzero(gaps > _LARGEST_GAP * usual) + 1)
     return np.asarray(max(groups, key=lambda group: float(np.sum(power[group]))), dtype=np.int_)

@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 from tissueid.errors import UnusableInputError
 from tissueid.identification.base import Array
 from tissueid.identification.correlation import convolve_at_rest
-from tissueid.identification.impulse_response import beyond_memory, factor_input
+from tissueid.identification.impulse_response import factor_input, with_extra_memory
 from tissueid.identification.preparation import memory_in_samples, prepare
 from tissueid.identification.sample_masks import part_mask
 from tissueid.identification.validation.vaf_spread import ratio_std
@@ -30,10 +30,10 @@ _TAPER = 0.05
 _BLOCK_S = 0.25
 """Length of the aligned stretches, s."""
 
-_AS_GOOD = 1.5
+_EQUAL_MISFIT = 1.5
 """Ratio to the smallest misfit up to which a shift counts as equally good."""
 
-_UNLIKE = 0.5
+_LARGEST_MISFIT = 0.5
 """Misfit, relative to the variance of the input, above which two stretches belong to different commands."""
 
 
@@ -98,7 +98,7 @@ def ceiling(records: Sequence[Record], part: slice | None = None, memory: float 
     together = Record(u.mean(axis=0), y.mean(axis=0), rate)
     prepared = prepare(together, part, memory)
     used = prepared.used & part_mask(u.shape[1], part)
-    solved = factor_input(beyond_memory(prepared), taper=_TAPER)
+    solved = factor_input(with_extra_memory(prepared), taper=_TAPER)
     kernel = solved.kernel(together.output)[: prepared.memory_samples]
 
     difference = y - together.output
@@ -189,9 +189,9 @@ def _shifts(first: Array, other: Array, most: int, block: int) -> Lags:
         if enough.any():
             squares = np.sum(np.where(known, distance, 0.0) ** 2, axis=1) / np.maximum(1, known.sum(axis=1))
             squares[~enough] = np.inf
-            near = np.flatnonzero(squares <= _AS_GOOD * np.min(squares)) - most
+            near = np.flatnonzero(squares <= _EQUAL_MISFIT * np.min(squares)) - most
             last = int(near[np.argmin(np.abs(near - last))])
-            alike |= bool(np.min(squares) < _UNLIKE * np.nanvar(stretch))
+            alike |= bool(np.min(squares) < _LARGEST_MISFIT * np.nanvar(stretch))
         found.append(last)
     if not alike:
         raise UnusableInputError(

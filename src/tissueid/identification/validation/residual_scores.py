@@ -29,7 +29,7 @@ _DRAWS = 4000
 _RIDGE = 1e-6
 """Ridge of the nuisance projection relative to its power: lags of a low-pass input are nearly collinear."""
 
-_NOTHING_NEW = 1e-4
+_NEGLIGIBLE_REST = 1e-4
 """Share of a signal below which the rest after projection is rounding."""
 
 LEVEL = 0.95
@@ -70,7 +70,7 @@ class Scores:
         return exceeded / (largest.size + 1.0), float(np.quantile(largest, LEVEL))
 
 
-def independent(lags: Lags, correlation: Array, std: Array) -> Scores:
+def independent_scores(lags: Lags, correlation: Array, std: Array) -> Scores:
     """Return the scores of lags that are independent under the null hypothesis; all arrays of shape (lags,)."""
     return Scores(lags, correlation, np.diag(std**2), unrelated=True)
 
@@ -85,7 +85,7 @@ def _largest_of(related: Array) -> Array:
 
 
 @dataclass(frozen=True, eq=False)
-class Held:
+class WhitenedProducts:
     """Products of a whitened residual (n,) with lags of whitened signals, as one matrix.
 
     ``products`` are sums over ``n_rows`` samples of all columns: a constant, the nuisance lags, the lags of each
@@ -121,7 +121,7 @@ class Held:
             covariance = covariance + self.nuisance_size**2 * answers @ extra @ answers.T
         power = np.diag(p[some, some]) - p[some, 0] ** 2 / p[0, 0]
         scale = np.sqrt(np.maximum(power, 0.0) * self.n_rows * self.innovation_power)
-        empty = np.diag(left) <= _NOTHING_NEW * power
+        empty = np.diag(left) <= _NEGLIGIBLE_REST * power
         scale[empty] = np.inf
         correlation = np.where(empty, np.nan, sums / scale)
         return Scores(self.signals[which], correlation, covariance / np.outer(scale, scale))
@@ -139,9 +139,9 @@ class Held:
         return (float(p[-1, -1]) - explained) / max(1.0, self.n_rows - taken)
 
 
-def hold(
+def whitened_products(
     residual: Array, noise: Autoregression, nuisance: tuple[Array, int], signals: Sequence[tuple[Array, Lags]]
-) -> Held:
+) -> WhitenedProducts:
     """Whiten a residual (n,) and the signals alike, and form the products.
 
     ``nuisance`` is a signal (n,) and its number of lags, from 0 on; each of ``signals`` is one (n,) and its lags, of
@@ -160,7 +160,7 @@ def hold(
         parts = [signal[block[:, None] - lags] for signal, lags in columns]
         matrix = np.column_stack([np.ones(block.size), *parts, whitened[block]])  # (rows, width)
         products += matrix.T @ matrix
-    return Held(products, nuisance[1], sizes[0], tuple(lags for _, lags in signals), int(rows.size))
+    return WhitenedProducts(products, nuisance[1], sizes[0], tuple(lags for _, lags in signals), int(rows.size))
 
 
 def _rms(signal: Array) -> float:

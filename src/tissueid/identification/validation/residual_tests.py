@@ -24,9 +24,9 @@ from tissueid.identification.validation.residual_scores import (
     KernelError,
     Lags,
     Scores,
-    hold,
-    independent,
+    independent_scores,
     kernel_error,
+    whitened_products,
 )
 from tissueid.messages import Message
 from tissueid.records import Record
@@ -182,37 +182,37 @@ def residual_tests(
     short = np.arange(max(2, min(memory, _MOST_LAGS, count // 20)))
     long = np.arange(memory + min(memory, _MOST_LAGS, count // 20))  # also beyond the memory, which may be too short
     speed = np.concatenate([[np.nan], np.diff(y)])
-    held = hold(
+    products = whitened_products(
         residual,
         noise,
         (x, long.size),
         [(x, long), (x**2, short), (y**2, short), (speed**2, short), (y**3, short), (x, -1 - short[: short.size // 2])],
     )
     size = _normal_scores(np.abs(residual - noise.mean))
-    sized = hold(size, fit_autoregression(size), (x, 0), [(x, short), (x**2, short)])
+    size_products = whitened_products(size, fit_autoregression(size), (x, 0), [(x, short), (x**2, short)])
 
     fitted = max(1, model.report.n_samples)
     error = kernel_error(x, noise, memory, fitted, memory + 1)
     share = _share(model, x)
     free = model.report.n_parameters >= memory
-    straight = in_sample or _is_straight(model, record.input, simulated, used)
-    widening = 1.0 if straight else 1.0 + held.n_rows / fitted
+    linear = in_sample or _is_linear(model, record.input, simulated, used)
+    widening = 1.0 if linear else 1.0 + products.n_rows / fitted
     unknown = np.zeros((long.size, long.size))
     if not in_sample:
         unknown[:memory, :memory] = min(1.0, share) * error.covariance
     scores: dict[TestName, Scores | None] = {
         "autocorrelation": _autocorrelation(residual, np.arange(1, memory + 1), error, share, in_sample),
-        "input": None if in_sample and free else held.scores(0, unknown, project=False),
-        "feedback": held.scores(5),
-        "squared_input": held.scores(1, widening=widening),
-        "squared_output": held.scores(2, widening=widening),
-        "squared_speed": held.scores(3, widening=widening),
-        "cubed_output": held.scores(4, widening=widening),
-        "residual_size_input": sized.scores(0),
-        "residual_size_squared_input": sized.scores(1),
+        "input": None if in_sample and free else products.scores(0, unknown, project=False),
+        "feedback": products.scores(5),
+        "squared_input": products.scores(1, widening=widening),
+        "squared_output": products.scores(2, widening=widening),
+        "squared_speed": products.scores(3, widening=widening),
+        "cubed_output": products.scores(4, widening=widening),
+        "residual_size_input": size_products.scores(0),
+        "residual_size_squared_input": size_products.scores(1),
         "residual_input_product": _product(noise.innovations(residual), x, short + 1),
     }
-    tests = _judged(scores, record.sample_rate_hz)
+    tests = _adjusted_tests(scores, record.sample_rate_hz)
     return ResidualTests(tests, count, noise.order, in_sample, _findings(tests))
 
 
@@ -225,7 +225,7 @@ def _autocorrelation(residual: Array, lags: Lags, error: KernelError, share: flo
     auto = Correlator(centred, length).auto() * known.size
     left = (-share * error.deficit) if in_sample else share * error.excess
     correlation = auto[lags] / pairs / (auto[0] / known.sum()) - left[lags] / (1.0 + left[0])
-    return independent(lags, correlation, 1.0 / np.sqrt(pairs))
+    return independent_scores(lags, correlation, 1.0 / np.sqrt(pairs))
 
 
 def _product(innovation: Array, x: Array, lags: Lags) -> Scores:
@@ -267,7 +267,7 @@ def _share(model: Model, x: Array) -> float:
     return float(min(1.0, parameters / directions))
 
 
-def _is_straight(model: Model, u: Array, simulated: Array, used: Mask) -> bool:
+def _is_linear(model: Model, u: Array, simulated: Array, used: Mask) -> bool:
     """Return whether half of the input excursion gives half of the output excursion."""
     middle = float(np.mean(u[used]))
     half = model.simulate(middle + 0.5 * (u - middle))[used]
@@ -276,7 +276,7 @@ def _is_straight(model: Model, u: Array, simulated: Array, used: Mask) -> bool:
     return bool(np.nanmax(np.abs(off)) <= 1e-6 * np.std(simulated[used]))
 
 
-def _judged(scores: dict[TestName, Scores | None], rate: float) -> tuple[ResidualTest, ...]:
+def _adjusted_tests(scores: dict[TestName, Scores | None], rate: float) -> tuple[ResidualTest, ...]:
     joint = {name: found.joint() for name, found in scores.items() if found is not None}
     p_values = {name: p for name, (p, _) in joint.items() if np.isfinite(p)}
     adjusted = _holm(p_values)

@@ -16,7 +16,7 @@ from scipy import linalg
 
 from tissueid.errors import UnusableInputError
 from tissueid.identification.base import Array, Mask
-from tissueid.identification.volterra.kernel_regression_evidence import DualCovariance, search
+from tissueid.identification.volterra.kernel_regression_evidence import OutputCovariance, search
 from tissueid.identification.volterra.prior import residual_dependence
 from tissueid.identification.volterra.regressors import lagged_inputs
 from tissueid.messages import Message
@@ -39,7 +39,7 @@ _STD_STEPS = 3e10
 
 
 @dataclass(frozen=True, eq=False)
-class DualKernels:
+class RegressionKernels:
     """Posterior of Volterra kernels in output units per input units, per lag.
 
     ``kernel1`` has shape (L,), ``kernel2`` (L, L), ``kernel3`` (L, L, L), symmetric, None above the order. Standard
@@ -66,7 +66,7 @@ class DualKernels:
     warnings: tuple[str, ...] = ()
 
 
-def dual_kernels(
+def regression_kernels(
     x: Array,
     y: Array,
     used: Mask,
@@ -76,7 +76,7 @@ def dual_kernels(
     *,
     max_rows: int = MAX_ROWS,
     search_rows: int = SEARCH_ROWS,
-) -> DualKernels:
+) -> RegressionKernels:
     """Return the regularised kernels of order 0 to ``order`` (1, 2 or 3).
 
     Args:
@@ -107,7 +107,7 @@ def dual_kernels(
                 rows=int(rows.size),
             )
         )
-    covariance = DualCovariance(lags, order)
+    covariance = OutputCovariance(lags, order)
     chosen = _choose(covariance, x, y, rows, lags, spacing, search_rows)
     warnings: tuple[str, ...] = ()
     solved = _thinned(rows, max_rows)
@@ -165,7 +165,7 @@ class _Chosen:
 
 
 def _choose(
-    covariance: DualCovariance,
+    covariance: OutputCovariance,
     x: Array,
     y: Array,
     rows: NDArray[np.intp],
@@ -191,7 +191,7 @@ def _choose(
         counted = found
 
 
-def _modelled(covariance: DualCovariance, hyper: Array, windows: Array, output: Array, others: Array) -> Array:
+def _modelled(covariance: OutputCovariance, hyper: Array, windows: Array, output: Array, others: Array) -> Array:
     """Return the output (m,), up to a constant, for lagged inputs (m, L), by the kernels of these rows (n, L)."""
     z = covariance.between(hyper, windows, windows)
     z[np.diag_indices_from(z)] += 1.0
@@ -206,8 +206,13 @@ def _modelled(covariance: DualCovariance, hyper: Array, windows: Array, output: 
 
 
 def _posterior(
-    covariance: DualCovariance, chosen: _Chosen, windows: Array, output: Array, all_rows: int, warnings: tuple[str, ...]
-) -> DualKernels:
+    covariance: OutputCovariance,
+    chosen: _Chosen,
+    windows: Array,
+    output: Array,
+    all_rows: int,
+    warnings: tuple[str, ...],
+) -> RegressionKernels:
     """Return the kernels from lagged inputs (n, L) and the output (n,) by one factorisation in place."""
     n, order = output.size, covariance.order
     density = max(1.0, chosen.dependence * n / all_rows) * chosen.noise_variance
@@ -267,7 +272,7 @@ def _posterior(
     unit[leverages, np.arange(leverages.size)] = 1.0
     unit = half(unit)
     left = np.einsum("ij,ij->j", unit, unit) - (by_ones @ unit) ** 2 / certainty
-    return DualKernels(
+    return RegressionKernels(
         kernel0=float(offset + constant),
         kernel1=seen.T @ weights,
         kernel2=kernel2,

@@ -12,7 +12,7 @@ from scipy import linalg, optimize
 from tissueid.identification.base import Array
 from tissueid.identification.volterra.kernel_covariance import FIRST, FirstOrderCovariance
 
-_SEARCH_STEPS, _SETTLED = 40, 2e-6
+_SEARCH_STEPS, _TOLERANCE = 40, 2e-6
 
 _DECAY, _RATE = (1e-3, 2.0), (3e-3, 3.0)
 """Bounds of decays and correlation rates, per lag."""
@@ -44,7 +44,7 @@ _EXPLAINED = 1e-10
 """Share of the output's power below which the unexplained part is rounding."""
 
 
-class DualCovariance:
+class OutputCovariance:
     """Covariance of the outputs of kernels of order 1 to ``order``.
 
     A kernel of higher order is the sum of a smooth part and a diagonal part; a static curve before the dynamics gives
@@ -151,7 +151,7 @@ class DualCovariance:
 
 
 def search(
-    covariance: DualCovariance, windows: Array, output: Array, dependence: float, begin: Array | None = None
+    covariance: OutputCovariance, windows: Array, output: Array, dependence: float, begin: Array | None = None
 ) -> tuple[Array, float, float]:
     """Return hyperparameters, noise variance and log marginal likelihood for lagged inputs (n, L) and an output (n,).
 
@@ -190,7 +190,7 @@ def search(
         jac=True,
         method="L-BFGS-B",
         bounds=bounds,
-        options={"maxiter": _SEARCH_STEPS, "ftol": _SETTLED},
+        options={"maxiter": _SEARCH_STEPS, "ftol": _TOLERANCE},
     )
     hyper = np.asarray(found.x, dtype=np.float64)
     z = covariance.between(hyper, windows, windows)

@@ -29,7 +29,7 @@ _POLES = 9
 _NARROWINGS = 3
 _RIDGE = 1e-12
 
-_MORE = 4
+_EXTRA_FUNCTIONS = 4
 """Number of additional functions by which the truncation error of an expansion is estimated."""
 
 _NEIGHBOURS = 5
@@ -183,7 +183,7 @@ class _Trial:
         rights = [regressors[part].T @ self.output[part] for part in parts]
         powers = [float(self.output[part] @ self.output[part]) for part in parts]
         gram, right = sum(grams, np.zeros_like(grams[0])), sum(rights, np.zeros_like(rights[0]))
-        highest = _highest(most, self.order)
+        highest = _highest_function(most, self.order)
         missed = np.zeros(len(counts))
         for place, count in enumerate(counts):
             some = np.flatnonzero(highest < count)
@@ -227,12 +227,12 @@ def _solve(trial: _Trial, count: int, pole: float, held_out: float, offset: floa
     spread = long_run_covariance(orthonormal * residual[:, None], trial.lags * trial.spacing)
     covariance = inverse @ (spread * rows / max(1, rows - p)) @ inverse.T
     kernels = _kernels(functions, coefficients, trial.order)
-    beyond = _beyond(trial, count, pole, kernels)
+    truncated = _truncation_error(trial, count, pole, kernels)
     first = slice(1, 1 + count)
     pairs = slice(1 + count, _count(count, min(2, trial.order)))
     kernel2_std = None
-    if beyond.second is not None:
-        kernel2_std = np.sqrt(_second_variance(functions, covariance[pairs, pairs]) + beyond.second)
+    if truncated.second is not None:
+        kernel2_std = np.sqrt(_second_variance(functions, covariance[pairs, pairs]) + truncated.second)
     warnings: tuple[str, ...] = ()
     if rows < SAMPLES_PER_PARAMETER * p:
         warnings = (
@@ -251,8 +251,8 @@ def _solve(trial: _Trial, count: int, pole: float, held_out: float, offset: floa
         kernel1=kernels.first,
         kernel2=kernels.second,
         kernel3=_third(functions, coefficients[_count(count, 2) :]) if trial.order == 3 else None,
-        kernel0_std=float(np.sqrt(covariance[0, 0] + beyond.zeroth)),
-        kernel1_std=np.sqrt(_variance(functions, covariance[first, first]) + beyond.first),
+        kernel0_std=float(np.sqrt(covariance[0, 0] + truncated.zeroth)),
+        kernel1_std=np.sqrt(_variance(functions, covariance[first, first]) + truncated.first),
         kernel2_std=kernel2_std,
         functions=functions,
         coefficients=coefficients,
@@ -265,7 +265,7 @@ def _solve(trial: _Trial, count: int, pole: float, held_out: float, offset: floa
 
 
 @dataclass(frozen=True, eq=False)
-class _Low:
+class _LowOrders:
     """h0, h1 (L,) and h2 (L, L), or quantities of the same shapes."""
 
     zeroth: float
@@ -273,23 +273,23 @@ class _Low:
     second: Array | None
 
 
-def _kernels(functions: Array, coefficients: Array, order: int) -> _Low:
+def _kernels(functions: Array, coefficients: Array, order: int) -> _LowOrders:
     count = functions.shape[1]
     second = None
     if order >= 2:
         shares = np.zeros((count, count))
         shares[np.triu_indices(count)] = coefficients[1 + count : _count(count, 2)]
         second = functions @ (0.5 * (shares + shares.T)) @ functions.T
-    return _Low(float(coefficients[0]), functions @ coefficients[1 : 1 + count], second)
+    return _LowOrders(float(coefficients[0]), functions @ coefficients[1 : 1 + count], second)
 
 
-def _beyond(trial: _Trial, count: int, pole: float, kernels: _Low) -> _Low:
+def _truncation_error(trial: _Trial, count: int, pole: float, kernels: _LowOrders) -> _LowOrders:
     """Return the expected squared truncation error: the squared change due to a few more functions.
 
     Its expectation is the squared bias that they remove plus the variance that they add. It is averaged over
     neighbouring lags to reduce its scatter. Zero if there are no more functions or rows.
     """
-    more = min(trial.lags, count + _MORE)
+    more = min(trial.lags, count + _EXTRA_FUNCTIONS)
     while more > count and _count(more, trial.order) * SAMPLES_PER_PARAMETER > trial.rows.size:
         more -= 1
     functions = laguerre_functions(trial.lags, more, pole)
@@ -298,7 +298,7 @@ def _beyond(trial: _Trial, count: int, pole: float, kernels: _Low) -> _Low:
     second = None
     if kernels.second is not None and richer.second is not None:
         second = ndimage.uniform_filter((richer.second - kernels.second) ** 2, _NEIGHBOURS, mode="nearest")
-    return _Low(
+    return _LowOrders(
         (richer.zeroth - kernels.zeroth) ** 2,
         ndimage.uniform_filter1d((richer.first - kernels.first) ** 2, _NEIGHBOURS, mode="nearest"),
         second,
@@ -307,10 +307,10 @@ def _beyond(trial: _Trial, count: int, pole: float, kernels: _Low) -> _Low:
 
 def _count(functions: int, order: int) -> int:
     """Return the number of coefficients of an expansion to this order, including the constant."""
-    return int(_highest(functions, order).size)
+    return int(_highest_function(functions, order).size)
 
 
-def _highest(functions: int, order: int) -> NDArray[np.intp]:
+def _highest_function(functions: int, order: int) -> NDArray[np.intp]:
     """Return the highest function of each coefficient (p,); -1 for the constant."""
     highest = [-1]
     for degree in range(1, order + 1):

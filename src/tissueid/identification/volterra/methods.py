@@ -5,13 +5,13 @@ from __future__ import annotations
 from dataclasses import dataclass, field
 
 from tissueid.identification.base import Array
-from tissueid.identification.volterra.kernel_regression import DualKernels, dual_kernels
+from tissueid.identification.volterra.kernel_regression import RegressionKernels, regression_kernels
 from tissueid.identification.volterra.laguerre import laguerre_kernels
 from tissueid.identification.volterra.prior import RegularisedKernels, regularised_fit
 from tissueid.identification.volterra.regressors import Kernels, VolterraRegressors, kernels_of
 from tissueid.identification.volterra.stimulus import VolterraStimulus
 
-_MOST_FORMED = 1500
+_LARGEST_DIRECT = 1500
 """Largest number of coefficients for which regularised kernels are solved directly; above, kernel regression is used.
 """
 
@@ -28,7 +28,7 @@ class Solved:
     warnings: tuple[str, ...] = ()
 
 
-def exactly(stimulus: VolterraStimulus, output: Array, sample_rate_hz: float) -> Solved:
+def exact_least_squares(stimulus: VolterraStimulus, output: Array, sample_rate_hz: float) -> Solved:
     """Estimate kernels by least squares without constraints (Eqs. 4.2-4.14), for an output (n,).
 
     ``sample_rate_hz`` is that of the rows.
@@ -47,14 +47,14 @@ def exactly(stimulus: VolterraStimulus, output: Array, sample_rate_hz: float) ->
     )
 
 
-def with_prior(regressors: VolterraRegressors, output: Array) -> Solved:
+def regularised_least_squares(regressors: VolterraRegressors, output: Array) -> Solved:
     """Return regularised kernels with a smooth, decaying prior for an output (n,).
 
     Raises:
         UnusableInputError: too few independent rows to select a prior.
     """
-    if regressors.order == 3 or regressors.columns > _MOST_FORMED:
-        return _dually(regressors, output)
+    if regressors.order == 3 or regressors.columns > _LARGEST_DIRECT:
+        return _by_kernel_regression(regressors, output)
     y = output[regressors.rows]
     found = regularised_fit(regressors.normal_equations(regressors.gram(), y), regressors, y)
     theta = found.coefficients.copy()
@@ -69,7 +69,7 @@ def with_prior(regressors: VolterraRegressors, output: Array) -> Solved:
     )
 
 
-def in_laguerre_functions(regressors: VolterraRegressors, output: Array) -> Solved:
+def laguerre_least_squares(regressors: VolterraRegressors, output: Array) -> Solved:
     """Return the kernels as sums of a few Laguerre functions for an output (n,).
 
     Raises:
@@ -92,8 +92,10 @@ def in_laguerre_functions(regressors: VolterraRegressors, output: Array) -> Solv
     )
 
 
-def _dually(regressors: VolterraRegressors, output: Array) -> Solved:
-    found = dual_kernels(regressors.x, output, regressors.used, regressors.lags, regressors.spacing, regressors.order)
+def _by_kernel_regression(regressors: VolterraRegressors, output: Array) -> Solved:
+    found = regression_kernels(
+        regressors.x, output, regressors.used, regressors.lags, regressors.spacing, regressors.order
+    )
     return Solved(
         kernels=Kernels(found.kernel0, found.kernel1, found.kernel2, found.kernel3),
         kernel1_std=found.kernel1_std,
@@ -104,7 +106,7 @@ def _dually(regressors: VolterraRegressors, output: Array) -> Solved:
     )
 
 
-def _prior_details(found: RegularisedKernels | DualKernels) -> dict[str, float]:
+def _prior_details(found: RegularisedKernels | RegressionKernels) -> dict[str, float]:
     return {
         "effective_parameters": found.effective_parameters,
         "dependence": found.dependence,

@@ -34,7 +34,7 @@ _RANK = 1e-14
 _EXPLAINED = 1e-10
 """Share of the output's power below which the unexplained part is rounding."""
 
-_SEARCHES, _SEARCH_STEPS, _SETTLED = 4, 30, 2e-6
+_SEARCHES, _SEARCH_STEPS, _TOLERANCE = 4, 30, 2e-6
 
 _NAMES = (
     "first_std",
@@ -54,10 +54,10 @@ _BOUNDS = (_DECAY, _DECAY, _RATE, _DECAY, _DECAY, _RATE, _DECAY, _RATE)
 
 _SCALE_DOWN, _SCALE_UP = 14.0, 8.0
 
-_REACH = np.log([4.0, 0.5, 2.0, 4.0, 0.5, 2.0, 0.5, 2.0])
+_LARGEST_STEP = np.log([4.0, 0.5, 2.0, 4.0, 0.5, 2.0, 0.5, 2.0])
 """Largest factor by which priors may become wider and rougher than at the start of a search."""
 
-_WORTH = 0.03
+_LEAST_VARIANCE_RATIO = 0.03
 """Ratio of prior variance to noise variance of a direction below which it is left out of a search."""
 
 _EXPECTED = (100.0, 20.0)
@@ -69,7 +69,7 @@ _REFIT = 1.5
 _BLOCKS = 10
 
 
-class Applied(Protocol):
+class CoefficientMap(Protocol):
     """Interface of regressors that map coefficients (p,) to outputs (rows,)."""
 
     def apply(self, theta: Array) -> Array:
@@ -133,7 +133,7 @@ def regularised(
     return evidence.posterior(evidence.search(begin))
 
 
-def regularised_fit(equations: NormalEquations, regressors: Applied, output: Array) -> RegularisedKernels:
+def regularised_fit(equations: NormalEquations, regressors: CoefficientMap, output: Array) -> RegularisedKernels:
     """Return the regularised kernels with the dependence of the rows estimated from their residual.
 
     Args:
@@ -195,7 +195,7 @@ def roughness(kernel2: Array) -> float:
 
 
 @dataclass(frozen=True, eq=False)
-class _Seen:
+class _DataTerms:
     """Information in the samples: ``root`` B (M, rank) with B B' the Gram matrix, and the output (rank,)."""
 
     root: Array
@@ -232,7 +232,7 @@ class _Evidence:
         root = np.empty_like(factor)
         root[pivots] = factor
         output = linalg.solve_triangular(factor[:rank], (right / size)[pivots[:rank]], lower=True, check_finite=False)
-        self._seen = _Seen(root * size[:, None], output)
+        self._data = _DataTerms(root * size[:, None], output)
 
     def initial(self) -> Array:
         """Return initial hyperparameters: kernels decay within the memory and explain most of the output."""
@@ -268,36 +268,36 @@ class _Evidence:
         low, high = np.array(bounds).T
         hyper = np.clip(begin, low, high)
         for _ in range(_SEARCHES):
-            reach = hyper + _REACH[: hyper.size]
+            reach = hyper + _LARGEST_STEP[: hyper.size]
             found = optimize.minimize(
                 self._deviance,
                 hyper,
-                args=(self._told_to(reach),),
+                args=(self._informative_directions(reach),),
                 jac=True,
                 method="L-BFGS-B",
                 bounds=bounds,
-                options={"maxiter": _SEARCH_STEPS, "ftol": _SETTLED},
+                options={"maxiter": _SEARCH_STEPS, "ftol": _TOLERANCE},
             )
             hyper = np.asarray(found.x, dtype=np.float64)
-            if np.all((hyper - reach) * _REACH[: hyper.size] <= 0.0):
+            if np.all((hyper - reach) * _LARGEST_STEP[: hyper.size] <= 0.0):
                 break
         return hyper
 
-    def _told_to(self, hyper: Array) -> _Seen:
+    def _informative_directions(self, hyper: Array) -> _DataTerms:
         """Return the normal equations without directions in which a prior is stronger than the data."""
-        seen = self._seen
-        worth, directions = linalg.eigh(seen.root.T @ self._times_prior(hyper, seen), check_finite=False)
-        kept = directions[:, worth > _WORTH]
-        return _Seen(seen.root @ kept, seen.output @ kept)
+        data = self._data
+        worth, directions = linalg.eigh(data.root.T @ self._times_prior(hyper, data), check_finite=False)
+        kept = directions[:, worth > _LEAST_VARIANCE_RATIO]
+        return _DataTerms(data.root @ kept, data.output @ kept)
 
-    def _deviance(self, hyper: Array, seen: _Seen) -> tuple[float, Array]:
+    def _deviance(self, hyper: Array, data: _DataTerms) -> tuple[float, Array]:
         """Return minus the log marginal likelihood, up to a constant, and its derivatives."""
-        lags, root = self._lags, seen.root
+        lags, root = self._lags, data.root
         try:
-            factor, weights = _solve(seen, self._times_prior(hyper, seen))
+            factor, weights = _solve(data, self._times_prior(hyper, data))
         except linalg.LinAlgError:  # the step was too long: the noise vanishes
             return 1e3 * self._independent, np.zeros(hyper.size)
-        power = self._unexplained(seen, weights)
+        power = self._unexplained(data, weights)
         value = 0.5 * self._independent * np.log(power / self._power) + float(np.sum(np.log(np.diag(factor))))
         half = linalg.solve_triangular(factor, root.T, lower=True, check_finite=False)  # (rank, M)
         step = np.sqrt(self._independent / power) * (root @ weights)
@@ -309,9 +309,9 @@ class _Evidence:
 
     def posterior(self, hyper: Array) -> RegularisedKernels:
         """Return the posterior mean, standard deviations and related results for given hyperparameters."""
-        spread = self._times_prior(hyper, self._seen)  # K B, (M, rank)
-        factor, weights = _solve(self._seen, spread)
-        power = self._unexplained(self._seen, weights)
+        spread = self._times_prior(hyper, self._data)  # K B, (M, rank)
+        factor, weights = _solve(self._data, spread)
+        power = self._unexplained(self._data, weights)
         noise = power / (self.dependence * self._independent)
         density = self.dependence * noise
         kernels = spread @ weights
@@ -346,8 +346,8 @@ class _Evidence:
             return first
         return np.concatenate([first, self._second.matrix(hyper[FIRST:]) @ values[lags:]])
 
-    def _times_prior(self, hyper: Array, seen: _Seen) -> Array:
-        return self._prior_times(hyper, seen.root)
+    def _times_prior(self, hyper: Array, data: _DataTerms) -> Array:
+        return self._prior_times(hyper, data.root)
 
     def _prior_variance(self, hyper: Array) -> Array:
         first = np.diag(self._first.matrix(hyper[:FIRST]))
@@ -355,17 +355,17 @@ class _Evidence:
             return first
         return np.concatenate([first, self._second.variance(hyper[FIRST:])])
 
-    def _unexplained(self, seen: _Seen, weights: Array) -> float:
-        left = self._power - float(seen.output @ (seen.output - weights))
+    def _unexplained(self, data: _DataTerms, weights: Array) -> float:
+        left = self._power - float(data.output @ (data.output - weights))
         return float(max(left, _EXPLAINED * self._power))
 
 
-def _solve(seen: _Seen, spread: Array) -> tuple[Array, Array]:
+def _solve(data: _DataTerms, spread: Array) -> tuple[Array, Array]:
     """Return the Cholesky factor (rank, rank) of I + B' K B, and the weights (rank,) that turn K B into kernels."""
-    inner = seen.root.T @ spread
+    inner = data.root.T @ spread
     inner[np.diag_indices_from(inner)] += 1.0
     factor = linalg.cholesky(inner, lower=True, overwrite_a=True, check_finite=False)
-    return factor, linalg.cho_solve((factor, True), seen.output, check_finite=False)
+    return factor, linalg.cho_solve((factor, True), data.output, check_finite=False)
 
 
 def _product(half: Array, step: Array) -> Array:

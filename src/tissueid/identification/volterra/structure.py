@@ -21,10 +21,10 @@ from tissueid.messages import Listing, Message
 
 KernelName = Literal["linear", "wiener", "hammerstein", "lnl", "neither", "undetermined"]
 
-_BLURS = (0.0, 0.5, 1.0, 1.5, 2.0)
+_SMOOTHING_WIDTHS = (0.0, 0.5, 1.0, 1.5, 2.0)
 """Widths, in lags, by which an estimated kernel may be smoothed across its diagonal, as regularised kernels are."""
 
-_NEAR = 0.95
+_PROPORTIONAL_COSINE = 0.95
 """Cosine above which kernels without a standard deviation are proportional."""
 
 _TOLERANCE = 0.02
@@ -33,7 +33,7 @@ _TOLERANCE = 0.02
 _DRAWS = 100
 _LEVEL = 0.05
 _LOBE = 0.1
-_FELT = 4.0
+_PRESENT_STD = 4.0
 """Threshold of the largest value of a kernel, in standard errors, for the kernel to differ from zero."""
 
 _LEAST = 0.1
@@ -48,7 +48,7 @@ class StructureScore:
     band: float
 
     @property
-    def kept(self) -> bool:
+    def holds(self) -> bool:
         """Whether the kernels agree with the structure within their uncertainty."""
         return self.cosine >= self.band
 
@@ -85,9 +85,9 @@ def kernel_structure(
     kernel1, kernel2 = np.asarray(kernel1, dtype=np.float64), np.asarray(kernel2, dtype=np.float64)
     _check(kernel1, kernel2)
     kernel2 = 0.5 * (kernel2 + kernel2.T)
-    if not _there(kernel2, kernel2_std):
+    if not _is_present(kernel2, kernel2_std):
         return StructureVerdict("linear", {}, 0.0, _LINEAR)
-    first = kernel1 if _there(kernel1, kernel1_std) else None
+    first = kernel1 if _is_present(kernel1, kernel1_std) else None
     scores = _scores(first, kernel2, kernel1_std, kernel2_std)
     lobes = _side_lobes(kernel2)
     name = _name(scores)
@@ -135,13 +135,13 @@ _SENTENCES: dict[KernelName, str] = {
 
 
 def _name(scores: dict[str, StructureScore]) -> KernelName:
-    if scores["wiener"].kept and scores["hammerstein"].kept:
+    if scores["wiener"].holds and scores["hammerstein"].holds:
         return "undetermined"
-    if scores["wiener"].kept:
+    if scores["wiener"].holds:
         return "wiener"
-    if scores["hammerstein"].kept:
+    if scores["hammerstein"].holds:
         return "hammerstein"
-    return "lnl" if "lnl" in scores and scores["lnl"].kept else "neither"
+    return "lnl" if "lnl" in scores and scores["lnl"].holds else "neither"
 
 
 def _check(kernel1: Array, kernel2: Array) -> None:
@@ -161,13 +161,13 @@ def _check(kernel1: Array, kernel2: Array) -> None:
         )
 
 
-def _there(kernel: Array, std: Array | None) -> bool:
+def _is_present(kernel: Array, std: Array | None) -> bool:
     """Return whether a kernel differs from zero: its largest value exceeds its standard error."""
     if not np.any(kernel):
         return False
     if std is None:
         return True
-    return bool(np.max(np.abs(kernel) / np.maximum(std, 1e-300)) > _FELT)
+    return bool(np.max(np.abs(kernel) / np.maximum(std, 1e-300)) > _PRESENT_STD)
 
 
 def _scores(kernel1: Array | None, kernel2: Array, std1: Array | None, std2: Array | None) -> dict[str, StructureScore]:
@@ -176,7 +176,7 @@ def _scores(kernel1: Array | None, kernel2: Array, std1: Array | None, std2: Arr
     if kernel1 is not None:
         cosines["lnl"] = _cosine(kernel2.sum(axis=0), kernel1)
     if std2 is None:
-        return {name: StructureScore(cosine, _NEAR) for name, cosine in cosines.items()}
+        return {name: StructureScore(cosine, _PROPORTIONAL_COSINE) for name, cosine in cosines.items()}
     bands = _bands(kernel1, kernel2, std1, std2, tuple(cosines))
     return {name: StructureScore(cosine, bands[name]) for name, cosine in cosines.items()}
 
@@ -195,12 +195,12 @@ def _wiener(kernel1: Array | None, kernel2: Array) -> float:
 
 
 def _hammerstein(kernel1: Array | None, kernel2: Array) -> float:
-    """Return the best cosine with a diagonal kernel, smoothed by the widths in ``_BLURS``."""
+    """Return the best cosine with a diagonal kernel, smoothed by the widths in ``_SMOOTHING_WIDTHS``."""
     diagonal = np.diag(kernel2) if kernel1 is None else kernel1
-    return max(_cosine(kernel2, _smeared(np.diag(diagonal), width)) for width in _BLURS)
+    return max(_cosine(kernel2, _smoothed(np.diag(diagonal), width)) for width in _SMOOTHING_WIDTHS)
 
 
-def _smeared(kernel2: Array, width: float) -> Array:
+def _smoothed(kernel2: Array, width: float) -> Array:
     return ndimage.gaussian_filter(kernel2, width, mode="nearest") if width > 0.0 else kernel2
 
 

@@ -24,13 +24,13 @@ from tissueid.identification.sample_masks import finite_runs
 from tissueid.identification.static_nonlinearity import Form, StaticNonlinearity, fit_nonlinearity
 from tissueid.messages import Message
 
-_CERTAIN = 3.0
+_SIGNIFICANT_STD = 3.0
 """Significance threshold of a kernel's sum, in standard deviations; a smaller sum is not used as a divisor."""
 
 _FOLDED_PERCENT = 5.0
 """Share of the output, %, on branches of g that cannot be inverted, above which the feedback form is used."""
 
-_LEADING = 1.5
+_LEADING_RATIO = 1.5
 """Minimum ratio of the leading eigenvalue of the second-order correlation to the next."""
 
 
@@ -116,7 +116,7 @@ class LinearStage:
         """Return the impulse response per sample (lags,) for an output (n,) of the whole record."""
         return self.solve(self.solved.products(target))
 
-    def inverted(self, nonlinearity: StaticNonlinearity) -> Array:
+    def inverted_output(self, nonlinearity: StaticNonlinearity) -> Array:
         """Return the measured output transformed by the inverse of g, (n,), as target of a kernel fit (Eqs. 3.21,
         3.25).
         """
@@ -124,7 +124,7 @@ class LinearStage:
         target[self._stretch] = nonlinearity.inverse(self.output[self._stretch])
         return target
 
-    def fed_back(self, cascade: Cascade, share: float) -> Array:
+    def feedback_target(self, cascade: Cascade, share: float) -> Array:
         """Return the linear output of a cascade plus a share of the output error times the slope of g, (n,)."""
         linear = self._correlator.convolve(cascade.kernel)
         z = self.input_mean + linear[self.used]
@@ -135,7 +135,7 @@ class LinearStage:
         return target
 
     @cached_property
-    def even_kernel(self) -> Array | None:
+    def second_order_kernel_estimate(self) -> Array | None:
         """Kernel (lags,), up to its scale, of a system that is mostly even; None if no eigenvalue dominates.
 
         For a Gaussian input, the correlation of the output with pairs of inputs is twice the curvature of g times R h
@@ -158,7 +158,7 @@ class LinearStage:
         gram += 1e-5 * np.trace(gram) / self.lags * np.eye(self.lags)
         values, vectors = linalg.eigh(pairs, gram)
         order = np.argsort(np.abs(values))
-        if not np.abs(values[order[-1]]) > _LEADING * np.abs(values[order[-2]]):
+        if not np.abs(values[order[-1]]) > _LEADING_RATIO * np.abs(values[order[-2]]):
             return None
         return np.asarray(vectors[:, order[-1]])
 
@@ -175,8 +175,12 @@ def hunter_korenberg(stage: LinearStage, form: Form, degree: int, passes: int) -
         UnusableInputError: the first impulse response has no steady-state gain.
     """
     done = _iterate(stage, form, degree, passes, None)
-    if form == "polynomial" and (not done or any(one.feedback for one in done)) and stage.even_kernel is not None:
-        other = _iterate(stage, form, degree, passes, stage.even_kernel)
+    if (
+        form == "polynomial"
+        and (not done or any(one.feedback for one in done))
+        and stage.second_order_kernel_estimate is not None
+    ):
+        other = _iterate(stage, form, degree, passes, stage.second_order_kernel_estimate)
         done = min([way for way in (done, other) if way], key=_best_rss, default=[])
     if not done:
         raise UnusableInputError(
@@ -220,7 +224,7 @@ def _iterate(stage: LinearStage, form: Form, degree: int, passes: int, first: Ar
         aimed_at = stage.fitted(target)
         missed = _variance(aimed_at - linear)
         gain = float(kernel.sum())
-        certain = begun is None and abs(gain) > _CERTAIN * math.sqrt(missed) * gain_std
+        certain = begun is None and abs(gain) > _SIGNIFICANT_STD * math.sqrt(missed) * gain_std
         scale = gain
         if feedback:
             scale = math.copysign(math.sqrt(_variance(linear)) / spread, gain)
@@ -235,8 +239,8 @@ def _iterate(stage: LinearStage, form: Form, degree: int, passes: int, first: Ar
         cascade = Cascade(kernel / scale, nonlinearity, float(np.dot(error, error)))
         low, high = nonlinearity.monotone_range
         folded = 0.0 if nonlinearity.invertible else 100.0 * float(np.mean((z < low) | (z > high)))
-        inverted = stage.inverted(nonlinearity)
-        reached = stage.fitted(inverted)
+        inverted_output = stage.inverted_output(nonlinearity)
+        reached = stage.fitted(inverted_output)
         clipped = np.count_nonzero((reached <= low) | (reached >= high)) / reached.size
         was_feedback, feedback = feedback, folded > _FOLDED_PERCENT
         if certain:
@@ -253,11 +257,11 @@ def _iterate(stage: LinearStage, form: Form, degree: int, passes: int, first: Ar
             best = cascade
         elif feedback:
             share *= 0.5  # the step was too long: repeat from the same point with a shorter one
-        target = stage.fed_back(best, share) if feedback else inverted
+        target = stage.feedback_target(best, share) if feedback else inverted_output
     return done
 
 
-def shortened(longer: LinearStage, stage: LinearStage, cascade: Cascade) -> Cascade:
+def cut_to_memory(longer: LinearStage, stage: LinearStage, cascade: Cascade) -> Cascade:
     """Return the cascade with its kernel cut from the lags of ``longer`` to those of ``stage``.
 
     Components in directions that the input does not excite, which the refinement does not determine, are removed first,

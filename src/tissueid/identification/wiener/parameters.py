@@ -17,7 +17,7 @@ from tissueid.records import Estimate, Record
 _FLAT = 1e-3
 """Slope of g, relative to its largest, below which an output does not determine z."""
 
-_BENT = 2.0
+_SIGNIFICANT_STD = 2.0
 """Significance threshold of C2, in standard deviations, for a curved nonlinearity."""
 
 
@@ -91,12 +91,12 @@ def wiener_parameters(
     return found | {name: stage.parameters[name] for name in ("natural_frequency_rad_per_s", "damping_ratio")}
 
 
-def straightness(nonlinearity: StaticNonlinearity, parameters: dict[str, Estimate]) -> list[str]:
+def straightness_warning(nonlinearity: StaticNonlinearity, parameters: dict[str, Estimate]) -> list[str]:
     """Return a warning if the curvature of an exponential is not significant."""
     if not isinstance(nonlinearity, Exponential):
         return []
     bend = next(estimate for name, estimate in parameters.items() if name.startswith("c2"))
-    if bend.std is not None and abs(bend.value) > _BENT * bend.std:
+    if bend.std is not None and abs(bend.value) > _SIGNIFICANT_STD * bend.std:
         return []
     return [
         Message(

@@ -18,7 +18,7 @@ from tissueid.identification.effective_samples import dependence_samples, long_r
 from tissueid.identification.wiener.iteration import Cascade, LinearStage
 
 _STEPS = 10
-_SETTLED = 1e-3
+_TOLERANCE = 1e-3
 """Relative decrease of the squared error below which the iteration ends."""
 
 _STEP_TOLERANCE, _STEP_PRODUCTS = 1e-2, 20
@@ -105,7 +105,7 @@ def refine(stage: LinearStage, cascade: Cascade) -> Cascade:
             break
         gained = cascade.rss - better.rss
         cascade = better
-        if gained <= _SETTLED * cascade.rss:
+        if gained <= _TOLERANCE * cascade.rss:
             break
     return cascade
 
