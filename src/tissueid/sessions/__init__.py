@@ -1,4 +1,4 @@
-"""Sessions: one sitting, any number of tests, in one HDF5 file that is written once (docs/sessions.md)."""
+"""Sessions: one sitting with any number of tests, in one HDF5 file that is written once (docs/sessions.md)."""
 
 from tissueid.sessions.hdf5_reading import read_session as read_own_session
 from tissueid.sessions.hdf5_writing import write_session

@@ -1,4 +1,4 @@
-"""The accepted result of a sitting: a JSON file next to the sessions, written when a person finishes a sitting."""
+"""Accepted result of a sitting: a JSON file next to the sessions, written when the user finishes the sitting."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ from tissueid.option_errors import validation_reason
 from tissueid.sessions.model import Test
 
 SITTING = "sitting"
-"""Name of the note of a test that holds the key of its sitting."""
+"""Name of the note of a test with the key of its sitting."""
 LARGEST_BYTES = 64 * 1024
 MOST_TESTS = 100
 MOST_QUANTITIES = 20
@@ -63,7 +63,7 @@ class AcceptedValue(_Part):
 
 
 class AcceptedResult(_Part):
-    """The tests that a person accepted as the result of a sitting, and what they give."""
+    """The tests that a user accepted as the result of a sitting, and their values."""
 
     format: Literal["tissueid-result"] = "tissueid-result"
     format_version: Literal["1.0"] = "1.0"
@@ -79,7 +79,7 @@ class AcceptedResult(_Part):
         return len(self.tests)
 
     def holds(self, session_id: str, number: int) -> bool:
-        """Whether a test of a session is one of the accepted ones."""
+        """Return whether a test of a session is one of the accepted ones."""
         return any((test.session_id, test.number) == (session_id, number) for test in self.tests)
 
 
@@ -89,7 +89,7 @@ def result_path(folder: Path, sitting: str) -> Path:
 
 
 def write_result(folder: Path, result: AcceptedResult) -> Path:
-    """Write the accepted result of a sitting into the folder of its sessions, whole or not at all; return its path.
+    """Write the accepted result of a sitting atomically into the folder of its sessions; return its path.
 
     Raises:
         OSError: it cannot be written.
@@ -114,7 +114,7 @@ def read_result(path: Path) -> AcceptedResult:
     """Read the accepted result of a sitting.
 
     Raises:
-        UnusableInputError: it is too large, or no result file.
+        UnusableInputError: the file is too large, or not a result.
         OSError: it cannot be read.
     """
     if not path.is_file():
@@ -147,10 +147,10 @@ def read_result(path: Path) -> AcceptedResult:
 
 
 def result_of(folder: Path, test: Test) -> AcceptedResult | None:
-    """Read the accepted result of the sitting of a test; None where there is no sitting or it was never finished.
+    """Read the accepted result of the sitting of a test; None without a sitting or if the sitting was never finished.
 
     Raises:
-        UnusableInputError: the result file is damaged, or is that of another sitting.
+        UnusableInputError: the result file is damaged, or belongs to another sitting.
         OSError: it cannot be read.
     """
     key = sitting_of(test)
@@ -169,13 +169,13 @@ def result_of(folder: Path, test: Test) -> AcceptedResult | None:
 
 
 def sitting_of(test: Test) -> str | None:
-    """Return the key of the sitting of a test; None where it has none that could name a file."""
+    """Return the key of the sitting of a test; None if it has no valid key."""
     key = test.notes.get(SITTING)
     return key if is_sitting_key(key) else None
 
 
 def is_sitting_key(key: object) -> TypeGuard[str]:
-    """Return whether a text may be the key of a sitting, and so a part of the name of a file."""
+    """Return whether a value is a valid key of a sitting, which is safe as part of a file name."""
     try:
         _KEY.validate_python(key, strict=True)
     except ValidationError:

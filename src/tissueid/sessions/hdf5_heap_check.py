@@ -1,8 +1,8 @@
-"""A check of the text heaps in an HDF5 file, before the HDF5 library reads them.
+"""Check of the text heaps in an HDF5 file before the HDF5 library reads them.
 
-The library walks the objects of a global heap collection by the sizes that they state. A size that is damaged can make
-that walk endless, and nothing but the end of the process stops it. These sizes are the only part of the format that a
-session uses and that has no checksum. Source: "HDF5 File Format Specification", version 3.0, section III.E.
+The library walks the objects of a global heap collection by their stored sizes. A damaged size can cause an endless
+loop, which only the end of the process stops. These sizes are the only part of the format used by sessions without a
+checksum. Source: "HDF5 File Format Specification", version 3.0, section III.E.
 """
 
 from __future__ import annotations
@@ -16,17 +16,17 @@ from tissueid.messages import Message
 from tissueid.untrusted_input import MAX_HEAP_BYTES
 
 _MARK = b"GCOL\x01\0\0\0"
-"""Signature, version and reserved bytes. Eight bytes that other data hold by chance once in 10^19."""
+"""Signature, version and reserved bytes. Other data contain these eight bytes by chance once in 10^19."""
 _HEAD = len(_MARK) + 8
 _OBJECT = struct.Struct("<HHIQ")
 _BLOCK = 16 << 20
 
 
 def check_heaps(path: Path) -> None:
-    """Check that the objects of every global heap collection lie one after the other within it.
+    """Check that the objects of every global heap collection are consecutive and within it.
 
     Raises:
-        SessionFormatError: some do not, or a collection is too large.
+        SessionFormatError: an object is not, or a collection is too large.
         OSError: the file cannot be read.
     """
     with path.open("rb") as file:

@@ -1,4 +1,4 @@
-"""Vectors of a MAT file of version 7.3, which is an HDF5 file; for the reading process."""
+"""Read vectors of a MAT file of version 7.3, which is an HDF5 file; runs in the reading process."""
 
 from __future__ import annotations
 
@@ -20,13 +20,13 @@ _NUMERIC = frozenset(
     {"double", "single", "logical", "int8", "int16", "int32", "int64", "uint8", "uint16", "uint32", "uint64"}
 )
 _DEEPEST = 3
-"""Most levels of structures in structures."""
+"""Largest nesting depth of structures."""
 
 Part = tuple[int | slice, ...]
-"""An index into a variable that takes one vector out of it."""
+"""An index into a variable that selects one vector."""
 
 Place = tuple[str, tuple[int, ...], Part]
-"""Where a vector is: the variable's path in the file, its shape as MATLAB has it, and the part."""
+"""Location of a vector: path of the variable in the file, its shape in MATLAB, and the part."""
 
 
 def holds_vectors(shape: Sequence[int]) -> bool:
@@ -51,7 +51,7 @@ def vector_parts(name: str, shape: Sequence[int]) -> Iterator[tuple[str, Part]]:
 
 
 def hdf5_vectors(path: Path) -> Iterator[dict[str, Place]]:
-    """Yield the vectors of a MAT 7.3 file, by the names that they are offered by.
+    """Yield the vectors of a MAT 7.3 file by their displayed names.
 
     Raises:
         UnusableInputError: it is damaged, or a session.
@@ -76,9 +76,9 @@ def hdf5_values(path: Path, where: str, index: tuple[int | slice, ...]) -> Itera
 def _vectors(
     group: h5py.Group, before: str, depth: int, items: Iterator[int], most: int
 ) -> Iterator[tuple[str, str, tuple[int, ...], Part]]:
-    """Name, place in the file, shape as MATLAB has it, and part, of every vector of real numbers.
+    """Yield name, path in the file, shape in MATLAB, and part, of every vector of real numbers.
 
-    Everything looked at takes one of ``items``: groups may hold each other, and a walk through them would not end.
+    Every visited object takes one of ``items``, which limits the walk: groups may contain each other.
     """
     for name in group:
         if next(items, None) is None:
@@ -114,7 +114,7 @@ def _is_plain(dataset: h5py.Dataset) -> bool:
 
 @contextmanager
 def _opened(path: Path) -> Iterator[h5py.File]:
-    """An HDF5 file, open; whatever is wrong with it is one kind of error.
+    """Open an HDF5 file; raise any error of the file as one kind of error.
 
     Raises:
         UnusableInputError: it is damaged.

@@ -19,21 +19,21 @@ from tissueid.sessions.hdf5_heap_check import check_heaps
 from tissueid.untrusted_input import MAX_CHUNK_BYTES, MAX_MEMBERS, MAX_TEXT, json_value, storable_text
 
 _READABLE = (h5py.h5t.INTEGER, h5py.h5t.FLOAT, h5py.h5t.STRING, h5py.h5t.ENUM)
-"""Types of attributes that are read; others, such as references, belong to other programs."""
+"""Types of attributes that are read; others, such as references, are not used by sessions."""
 _MOST_TEXTS = 16
-"""Most texts in one attribute; each of them can point at the same large text."""
+"""Largest number of texts in one attribute; each of them can refer to the same large text."""
 _MOST_CHARACTERS = 4 * MAX_TEXT
-"""Most characters of all attributes of one object, which can also point at the same large text."""
+"""Largest number of characters of all attributes of one object, which can also refer to the same large text."""
 
 RECOVER_PLACE = marked("“Recover” on the page Start")
 
 
 @contextmanager
 def opened(path: Path) -> Iterator[h5py.File]:
-    """Open an HDF5 file for reading; any error of the file becomes a SessionFormatError.
+    """Open an HDF5 file for reading; raise any error of the file as a SessionFormatError.
 
     Raises:
-        SessionFormatError: the file is missing, damaged, or no HDF5 file.
+        SessionFormatError: the file is missing, damaged, or not an HDF5 file.
     """
     try:
         if path.exists() and not path.is_file() and not path.is_dir():
@@ -51,7 +51,7 @@ def opened(path: Path) -> Iterator[h5py.File]:
 
 
 def located(place: str, reason: str) -> Message:
-    """Return a message that says where a reason applies, with the code and the values of the reason."""
+    """Return a message with the location of a reason, and with the code and the values of the reason."""
     values = dict(reason.values) if isinstance(reason, Message) else {}
     return Message(code_of(reason), "{path}: {reason}", **values | {"path": place, "reason": reason})
 
@@ -98,7 +98,7 @@ def datasets(group: h5py.Group) -> Iterator[tuple[str, h5py.Dataset]]:
     """Yield the datasets of a group with their names.
 
     Raises:
-        SessionFormatError: some are elsewhere.
+        SessionFormatError: there are too many, or one is stored outside the file.
     """
     if len(group) > MAX_MEMBERS:
         raise SessionFormatError(
@@ -112,7 +112,7 @@ def datasets(group: h5py.Group) -> Iterator[tuple[str, h5py.Dataset]]:
     for name in group:
         item = _own(group, name)
         if not isinstance(item, h5py.Dataset):
-            continue  # the format may grow; a reader passes over what it does not know
+            continue  # unknown members are ignored, so that the format can be extended
         check_dataset(name, item)
         yield name, item
 
@@ -143,7 +143,7 @@ def subgroup(parent: h5py.Group, name: str) -> h5py.Group:
     """Return a subgroup.
 
     Raises:
-        SessionFormatError: there is none, or it is elsewhere.
+        SessionFormatError: there is none, or it is stored outside the file.
     """
     if name not in parent:
         raise SessionFormatError(Message("session.no_group", "the group {name} is missing", name=name))
@@ -161,7 +161,7 @@ def _own(parent: h5py.Group, name: str) -> Any:
 
 
 def plain_attributes(attributes: h5py.AttributeManager) -> dict[str, str | float]:
-    """Return the attributes of an object as texts and numbers, without those of types that a session does not have.
+    """Return the attributes of an object as texts and numbers, without types that sessions do not use.
 
     Raises:
         SessionFormatError: there are too many, or one is too large.
@@ -193,7 +193,7 @@ def plain_attributes(attributes: h5py.AttributeManager) -> dict[str, str | float
 
 
 def _attribute(attributes: h5py.AttributeManager, name: str) -> str | float | None:
-    """Return an attribute as text or number, several values as one text; None for types that sessions do not have.
+    """Return an attribute as text or number, an array as one text; None for types that sessions do not use.
 
     Raises:
         SessionFormatError: it is too large.
@@ -224,10 +224,10 @@ def _attribute(attributes: h5py.AttributeManager, name: str) -> str | float | No
 
 
 def text_of(attributes: h5py.AttributeManager, name: str, default: str | None = None) -> str:
-    """An attribute that is text.
+    """Return a text attribute.
 
     Raises:
-        SessionFormatError: it is not.
+        SessionFormatError: it is not text.
     """
     if name not in attributes and default is not None:
         return default
@@ -238,10 +238,10 @@ def text_of(attributes: h5py.AttributeManager, name: str, default: str | None = 
 
 
 def number_of(attributes: h5py.AttributeManager, name: str, default: float | None = None) -> float:
-    """An attribute that is a number.
+    """Return a numeric attribute.
 
     Raises:
-        SessionFormatError: it is not.
+        SessionFormatError: it is not a number.
     """
     if name not in attributes and default is not None:
         return default
@@ -254,7 +254,7 @@ def number_of(attributes: h5py.AttributeManager, name: str, default: float | Non
 
 
 def json_object(raw: str, name: str) -> dict[str, Any]:
-    """JSON that describes something; what is not an object is kept as text under ``type``."""
+    """Return a JSON object; any other text is kept under ``type``."""
     try:
         value = json_value(raw)
     except ValueError:

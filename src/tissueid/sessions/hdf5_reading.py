@@ -35,12 +35,12 @@ _REQUIRED_TEST = ("kind", "sample_rate_hz")
 
 
 def read_session(path: Path) -> Session:
-    """Read a session in this process, for files that it has just written itself.
+    """Read a session in this process, for files that this program has just written.
 
-    Sizes, types and links are checked before anything is loaded, but the time is not limited (``isolated_reading``).
+    Sizes, types and links are checked before anything is loaded, but time is not limited (``isolated_reading``).
 
     Raises:
-        SessionFormatError: missing, not a session, or one that breaks the format.
+        SessionFormatError: missing, not a session, or not in accordance with the format.
     """
     with opened(path) as file:
         session = read_all_but_tests(file)
@@ -52,7 +52,7 @@ def read_session_head(path: Path) -> Session:
     """Read a session without its tests.
 
     Raises:
-        SessionFormatError: missing, not a session, or one that breaks the format.
+        SessionFormatError: missing, not a session, or not in accordance with the format.
     """
     with opened(path) as file:
         return read_all_but_tests(file)
@@ -62,7 +62,7 @@ def read_outline(path: Path) -> Outline:
     """Read a session without its signals, in a few milliseconds for tests of any length.
 
     Raises:
-        SessionFormatError: missing, not a session, or one that breaks the format.
+        SessionFormatError: missing, not a session, or not in accordance with the format.
     """
     with opened(path) as file:
         head = _read_head(file)
@@ -76,7 +76,7 @@ def read_test(path: Path, number: int) -> Test:
     """Read one test of a session.
 
     Raises:
-        SessionFormatError: missing, not a session, one that breaks the format, or one without this test.
+        SessionFormatError: missing, not a session, not in accordance with the format, or without this test.
     """
     with opened(path) as file:
         read_all_but_tests(file)
@@ -93,7 +93,7 @@ def read_all_but_tests(file: h5py.File) -> Session:
     """Return the session of an open file without its tests, after checking the size of the tests.
 
     Raises:
-        SessionFormatError: the file breaks the format.
+        SessionFormatError: the file is not in accordance with the format.
     """
     head = _read_head(file)
     tests = _tests(file)
@@ -184,7 +184,7 @@ def read_numbered(name: str, group: h5py.Group, *, signals: bool = True) -> Test
     """Return the test of a group; without its samples if ``signals`` is false.
 
     Raises:
-        SessionFormatError: the test breaks the format.
+        SessionFormatError: the test is not in accordance with the format.
     """
     if not (name.isascii() and name.isdigit()):
         raise SessionFormatError(Message("session.test_name", "tests/{test}: tests are numbered", test=name))
@@ -261,7 +261,7 @@ def _read_signals(group: h5py.Group) -> dict[str, np.ndarray]:
                 )
             )
         length = dataset.size
-        with np.errstate(invalid="ignore"):  # any bits are a number in a damaged file, or NaN
+        with np.errstate(invalid="ignore"):  # damaged files can contain any float, also signalling NaN
             signals[name] = dataset[:].astype(np.float64)
     if len(set(signals) - {"time"}) < 2:
         raise SessionFormatError(Message("session.few_signals", "a test needs at least one input and one output"))
@@ -269,7 +269,7 @@ def _read_signals(group: h5py.Group) -> dict[str, np.ndarray]:
 
 
 def _read_units(group: h5py.Group) -> dict[str, str]:
-    """Units of the signals that are none of the format's own; those of the format are SI, and need no reading."""
+    """Return the units of signals that the format does not define; those of the format are SI."""
     units = {
         name: text_of(dataset.attrs, "units")
         for name, dataset in datasets(group)

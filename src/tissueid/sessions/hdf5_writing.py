@@ -33,7 +33,7 @@ def write_session(path: Path, session: Session, *, tests: Iterable[Test] | None 
     Raises:
         SessionExistsError: ``path`` exists, or appeared while the session was written.
         SessionFormatError: the session reads back differently.
-        OSError: the disk is full or not writable; nothing is left behind.
+        OSError: the disk is full or not writable; no file remains.
     """
     if path.exists():
         raise SessionExistsError(path)
@@ -118,10 +118,10 @@ def _write_test(group: h5py.Group, test: Test) -> None:
 
 
 def _verify(path: Path, session_id: str, digests: _Digests) -> None:
-    """Read the file back, one test at a time.
+    """Read the file back, one test at a time, and compare it with the digests.
 
     Raises:
-        SessionFormatError: it differs, or breaks the format.
+        SessionFormatError: it differs, or is not in accordance with the format.
     """
     with opened(path) as file:
         stored = read_all_but_tests(file)

@@ -14,7 +14,7 @@ def read_session(path: Path) -> Session:
     """Read a session.
 
     Raises:
-        SessionFormatError: missing, not a session, or one that breaks the format or a limit.
+        SessionFormatError: missing, not a session, or not in accordance with the format or a limit.
     """
     head, *tests = read_in_child("session", path)
     session: Session = replace(head, tests=tuple(tests))

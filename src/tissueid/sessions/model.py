@@ -44,9 +44,9 @@ SIGNAL_NAMES = {
     "output": "output of a system that is no instrument of this kind",
 }
 IMPORTED = "source_format"
-"""Note that every test has that was imported from elsewhere: the format of its file."""
+"""Note of every imported test: the format of its file."""
 DATE_NOTE = "source_date"
-"""Note of an imported test that names the origin of its date: "header" of its file, or when that was "modified"."""
+"""Note of an imported test with the origin of its date: "header" of its file, or "modified" (modification time)."""
 STAND_INS = {"force": "input", "position": "output"}
 """Signals of imported tests that replace a missing force or position; ``Test.units`` has their units."""
 _REASON_MESSAGE = "reason_message"
@@ -97,7 +97,7 @@ class Test:
 
     @property
     def reason(self) -> str:
-        """Why the test ended early: a message where its code and values are stored; "" if no reason is stored."""
+        """Why the test ended early: a message if its code and values are stored; "" if no reason is stored."""
         text = self.notes.get("reason")
         if not isinstance(text, str):
             return ""

@@ -1,4 +1,4 @@
-"""A session without its signals: enough for a list of a thousand sessions."""
+"""A session without its signals, for lists of many sessions."""
 
 from __future__ import annotations
 

@@ -97,9 +97,9 @@ def worst_first(findings: list[QualityFinding]) -> Quality:
 
 
 def quality_of(test: Test) -> Quality | None:
-    """Return the stored result of the quality gate; None if the test was never judged.
+    """Return the stored result of the quality gate; None if the test was never checked.
 
-    The note may be damaged or hostile: entries that are not findings are left out, and long texts are truncated.
+    The note may be damaged or malicious: entries that are not findings are left out, and long texts are truncated.
     """
     note = test.notes.get(NOTE)
     if not isinstance(note, str):

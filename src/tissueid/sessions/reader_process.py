@@ -1,7 +1,7 @@
-"""HDF5 files from anywhere are read in a child process, which can be ended (docs/decisions/0030-reader-process.md).
+"""Child process that reads untrusted HDF5 files (docs/decisions/0030-reader-process.md).
 
-The HDF5 library is written in C: a damaged file can make it loop, take all memory or crash, and neither Ctrl+C nor an
-exception stops it. The child stays for further files, and is started again after one that ended it.
+The HDF5 library is written in C: a damaged file can cause an endless loop, exhaust memory or crash it, and neither
+Ctrl+C nor an exception stops it. The child is reused for further files, and restarted if a file ended it.
 """
 
 from __future__ import annotations
@@ -29,13 +29,13 @@ from tissueid.untrusted_input import MEMORY_BYTES, allowed_seconds
 
 _COMMAND = "from tissueid.sessions.reader_process import serve; serve()"
 _TIMED_OUT = -signal.SIGPROF if hasattr(signal, "SIGPROF") else 1
-"""Exit status of a child whose time ran out."""
+"""Exit status of a child that exceeded its time."""
 _MEMORY = MEMORY_BYTES * 3 // 5
-"""Bytes that a child may take for one file, beyond what it has at its start. The rest is for what it hands over."""
+"""Memory limit of the child for one file, bytes above its size at start. The rest is for the result."""
 _MEMORY_PER_BYTE = 16
-"""Further bytes for each byte of the file."""
+"""Additional memory per byte of the file."""
 _KEPT = 100_000_000
-"""A child that holds this much more than at its start ends after the file, and another one takes its place."""
+"""Growth of a child's memory, bytes, above which it is replaced after the file."""
 
 
 def _slow(path: Path) -> Message:
@@ -47,7 +47,7 @@ def _crashed(path: Path) -> Message:
 
 
 def _renamed(value: Any, old: str, new: str) -> Any:
-    """Return a text, message or value of one with a path replaced."""
+    """Return a text, message or value with a path replaced."""
     if isinstance(value, Message):
         values = {name: _renamed(item, old, new) for name, item in value.values.items()}
         return Message(value.code, value.template, **values)
@@ -57,9 +57,9 @@ def _renamed(value: Any, old: str, new: str) -> Any:
 
 
 class ReaderProcess:
-    """A child process that reads HDF5 files, one at a time. Threads wait for each other.
+    """A child process that reads HDF5 files, one at a time. Concurrent threads are serialised.
 
-    ``seconds`` is the time for one file, by its size.
+    ``seconds`` is the time limit for one file by its size.
     """
 
     def __init__(self, seconds: Callable[[int], float] = allowed_seconds) -> None:
@@ -68,7 +68,7 @@ class ReaderProcess:
         self._process: subprocess.Popen[bytes] | None = None
 
     def read(self, task: str, path: Path, *arguments: Any) -> list[Any]:
-        """Run a task of ``_TASKS`` on a file in the child; returns what it yields.
+        """Run a task of ``_TASKS`` on a file in the child; return what it yields.
 
         Raises:
             UnusableInputError: as the task, or the child could not be started.
@@ -84,16 +84,16 @@ class ReaderProcess:
             except UnusableInputError as error:
                 raise type(error)(_renamed(error.message, str(absolute), str(path))) from error
             except BaseException:
-                self._ended()  # an interrupt or a defect: the next caller must not receive the rest of the answer
+                self._ended()  # after an interrupt or a defect, the next caller must not receive the remaining items
                 raise
 
     def close(self) -> None:
-        """End the child. The next file starts another one."""
+        """End the child. It is restarted for the next file."""
         with self._lock:
             self._ended()
 
     def kill(self) -> None:
-        """End the child without waiting for a file that it reads: the program ends."""
+        """Kill the child without waiting for its file, at the end of the program."""
         if (process := self._process) is not None:
             process.kill()
             with contextlib.suppress(OSError), process:
@@ -131,8 +131,8 @@ class ReaderProcess:
                 stdin=subprocess.PIPE,
                 stdout=subprocess.PIPE,
                 stderr=subprocess.DEVNULL,
-                cwd=Path(sys.executable).anchor,  # no folder stays in use by it
-                # In a group of its own Ctrl+C does not reach it: it ends when its input does.
+                cwd=Path(sys.executable).anchor,  # does not keep the current folder in use
+                # In its own process group it does not receive Ctrl+C; it ends when its input is closed.
                 start_new_session=sys.platform != "win32",
                 creationflags=getattr(subprocess, "CREATE_NEW_PROCESS_GROUP", 0),
             )
@@ -147,7 +147,7 @@ class ReaderProcess:
         return self._process
 
     def _ended(self) -> int | None:
-        """End the child, whatever it does; returns its exit status where it has ended by itself."""
+        """End the child; return its exit status if it had ended by itself."""
         process, self._process = self._process, None
         if process is None:
             return None
@@ -167,12 +167,12 @@ atexit.register(lambda: _reader.kill())
 
 
 def read_in_child(task: str, path: Path, *arguments: Any) -> list[Any]:
-    """As ``ReaderProcess.read``, by the one child of this process."""
+    """Run ``ReaderProcess.read`` with the child of this process."""
     global _reader, _reader_of
-    if _reader_of != os.getpid():  # a fork: the child is its parent's
+    if _reader_of != os.getpid():  # after a fork, the child belongs to the parent
         _reader, _reader_of = ReaderProcess(), os.getpid()
     if not path.is_file():
-        return list(_TASKS[task](path, *arguments))  # refused, in words that tell a folder from a missing file
+        return list(_TASKS[task](path, *arguments))  # raises an error that distinguishes a folder from a missing file
     return _reader.read(task, path, *arguments)
 
 
@@ -210,9 +210,9 @@ _TASKS: dict[str, Callable[..., Iterator[Any]]] = {
 
 
 def serve() -> None:
-    """The child itself: read file after file until the input ends."""
+    """Main function of the child: read files until the input ends."""
     incoming, outgoing = sys.stdin.buffer, sys.stdout.buffer
-    sys.stdout = sys.stderr  # whatever else is printed must not mix with what is read
+    sys.stdout = sys.stderr  # other output must not mix with the results
     if hasattr(signal, "SIGPROF"):
         signal.signal(signal.SIGPROF, signal.SIG_DFL)  # a parent may have ignored it
     addresses, resident = _memory()
@@ -242,7 +242,7 @@ def _served(
         return "done", SessionFormatError(
             Message("session.memory", "{path} is damaged: it would take too much memory", path=str(path))
         )
-    except Exception:  # noqa: BLE001 - a defect of the software, and the parent's to report
+    except Exception:  # noqa: BLE001 - a defect of the software, reported by the parent
         return "defect", traceback.format_exc()
     return "done", None
 
@@ -253,12 +253,12 @@ def _send(outgoing: IO[bytes], kind: str, value: object) -> None:
 
 
 def _end_after(seconds: float) -> None:
-    """End this process when it has worked for so long, whatever it does then; never where ``seconds`` is 0.
+    """End this process after a time limit, regardless of its state; no limit for 0.
 
-    Where the system can, time of the processor counts: a busy machine or a slow disk is no fault of the file.
+    CPU time counts if the system supports it, so that a busy machine or a slow disk is not attributed to the file.
     """
     if hasattr(signal, "setitimer"):
-        signal.setitimer(signal.ITIMER_PROF, seconds)  # nothing handles its signal, so it ends the process
+        signal.setitimer(signal.ITIMER_PROF, seconds)  # the unhandled signal ends the process
     elif seconds:
         faulthandler.dump_traceback_later(seconds, exit=True)
     else:
@@ -266,7 +266,7 @@ def _end_after(seconds: float) -> None:
 
 
 def _memory() -> tuple[int, int]:
-    """Bytes of addresses in use, and of those in memory, where the system tells; else 0."""
+    """Return the virtual and the resident memory in use, bytes; 0 if the system does not report them."""
     try:
         addresses, resident = Path("/proc/self/statm").read_text(encoding="ascii").split()[:2]
         page = os.sysconf("SC_PAGE_SIZE")
@@ -276,7 +276,7 @@ def _memory() -> tuple[int, int]:
 
 
 def _limit_memory(addresses: int, path: Path) -> None:
-    """Limit the memory of this process, on systems that can."""
+    """Limit the memory of this process, if the system supports it."""
     if not addresses:
         return
     import resource

@@ -1,4 +1,4 @@
-"""Records from elsewhere into sessions, and sessions out to other programs (docs/sessions.md)."""
+"""Import of records of other programs as sessions, and export of sessions to other programs (docs/sessions.md)."""
 
 from tissueid.sessions.imports.column_mapping import ROLES, guessed_role, parse_map
 from tissueid.sessions.imports.export import FORMATS, export_session

@@ -1,4 +1,4 @@
-"""Which column is which signal, in which unit; and whether the sizes can be."""
+"""Mapping of the columns of an imported file to signals and units, with checks of plausibility."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ from tissueid.sessions.model import SIGNAL_UNITS, STAND_INS
 from tissueid.units import Unit, alternatives, known_unit, unit_named
 
 ROLES = (*SIGNAL_UNITS, *STAND_INS.values())
-"""What a column can be: time, a signal of the format, or the bare input and output of something else."""
+"""Roles of columns: time, a signal of the format, or input and output of another system."""
 
 _TIME_NAMES = frozenset({"time", "t", "x_value", "timestamp", "zeit", "temps", "tempo", "elapsed", "elapsed time"})
 _NAMED_LIKE = {
@@ -27,7 +27,7 @@ _NAMED_LIKE = {
     "command": ("command", "cmd", "soll"),
     "temperature": ("temp",),
 }
-"""Parts of names that columns of each signal often carry, in English, German and French."""
+"""Parts of the names of columns that indicate each signal, in English, German and French."""
 _TIME_UNITS = ("s", "ms", "us", "min")
 
 _PLAUSIBLE = {
@@ -37,15 +37,15 @@ _PLAUSIBLE = {
     "voltage": (0.02, 300.0),
     "current": (0.002, 50.0),
 }
-"""Between the lowest and the highest value, in SI: what instruments that push on things measure."""
+"""Plausible difference between highest and lowest value, SI."""
 _LARGEST = {"force": 1000.0, "position": 1.0, "command": 500.0, "voltage": 500.0, "current": 100.0}
-"""Away from zero, for what hardly changes but is too large."""
+"""Largest plausible absolute value, SI."""
 _TEMPERATURES = (-40.0, 250.0)
 
 
 @dataclass(frozen=True)
 class Mapped:
-    """One signal: the place of its column, from 0, its header, and its unit."""
+    """One signal: the index of its column, from 0, its header, and its unit."""
 
     role: str
     place: int
@@ -54,10 +54,10 @@ class Mapped:
 
 
 def parse_map(options: Sequence[str]) -> dict[str, tuple[str, str]]:
-    """ROLE=COLUMN:UNIT options as column and unit by role; the unit is "" where it is left to the file.
+    """Return column and unit by role from ROLE=COLUMN:UNIT options; the unit is "" if it is not given.
 
     Raises:
-        UnusableInputError: one that does not read so, or a role that is not known, given twice or missing.
+        UnusableInputError: an option is invalid, or a role is unknown, given twice or missing.
     """
     found: dict[str, tuple[str, str]] = {}
     for option in options:
@@ -81,10 +81,10 @@ def parse_map(options: Sequence[str]) -> dict[str, tuple[str, str]]:
 
 
 def mapped(file: ImportedTable, wanted: dict[str, tuple[str, str]]) -> tuple[list[Mapped], list[str]]:
-    """The columns that are wanted, and notices of what the file says otherwise.
+    """Return the requested columns, and notices where the file states something else.
 
     Raises:
-        UnusableInputError: no such column, one for two signals, or no unit.
+        UnusableInputError: there is no such column, one is used twice, or a unit is missing.
     """
     found: list[Mapped] = []
     notices: list[str] = []
@@ -120,7 +120,7 @@ def mapped(file: ImportedTable, wanted: dict[str, tuple[str, str]]) -> tuple[lis
 
 
 def guessed_role(file: ImportedTable, place: int) -> str:
-    """Return the role that a column seems to have, by its name or else by its unit; "" where neither tells."""
+    """Return the probable role of a column by its name or else by its unit; "" if unknown."""
     column = file.columns[place]
     if place == file.time or column.name.casefold() in _TIME_NAMES:
         return "time"
@@ -134,7 +134,7 @@ def guessed_role(file: ImportedTable, place: int) -> str:
 
 
 def time_column(file: ImportedTable, taken: Sequence[Mapped]) -> Mapped | None:
-    """The column that is time by the rules of the format, or by its name; None where none is."""
+    """Return the time column by the rules of the format, or by its name; None if there is none."""
     places = [file.time] if file.time is not None else []
     places += [place for place, column in enumerate(file.columns) if column.name.casefold() in _TIME_NAMES]
     for place in places:
@@ -145,10 +145,10 @@ def time_column(file: ImportedTable, taken: Sequence[Mapped]) -> Mapped | None:
 
 
 def doubts(role: str, unit: Unit, values: NDArray[np.float64], *, quiet: bool = False) -> list[str]:
-    """What is doubtful about a signal in SI, shape (n,): one line each.
+    """Return notices about implausible values of a signal in SI, shape (n,).
 
     Raises:
-        UnusableInputError: it holds no number at all.
+        UnusableInputError: it holds no number.
     """
     finite = values[np.isfinite(values)]
     if finite.size == 0:
@@ -228,10 +228,10 @@ def _better(unit: Unit, spread: float, least: float, most: float) -> list[str]:
 
 
 def _checked(role: str, unit: Unit) -> Unit:
-    """The unit, if it is one of the signal's quantity.
+    """Return the unit after checking that it fits the quantity of the signal.
 
     Raises:
-        UnusableInputError: it is not.
+        UnusableInputError: it does not.
     """
     expected = SIGNAL_UNITS.get(role)
     if expected is not None and unit.si != expected:

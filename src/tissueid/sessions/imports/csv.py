@@ -1,4 +1,4 @@
-"""CSV in the wide sense: rows of cells, with any delimiter, with or without header, comments and decimal commas."""
+"""CSV and similar files: rows of cells, with any delimiter, optional header, comments and decimal commas."""
 
 from __future__ import annotations
 
@@ -29,7 +29,7 @@ from tissueid.units import known_unit
 from tissueid.untrusted_input import MAX_COLUMNS, MAX_SAMPLES
 
 _LOOKED_AT = 400
-"""Lines that are looked at to find out how a file is written."""
+"""Number of lines by which the layout is detected."""
 _DELIMITERS = ("\t", ";", ",", "|", " ")
 _COMMENTS = ("#", "%", "//")
 _DECIMAL_COMMAS = {
@@ -43,7 +43,7 @@ _DECIMAL_COMMAS = {
 
 @dataclass(frozen=True)
 class _Layout:
-    """How a file is written; ``start`` is its first line of data, from 0."""
+    """Layout of a file; ``start`` is its first line of data, from 0."""
 
     delimiter: str
     decimal: str
@@ -53,7 +53,7 @@ class _Layout:
 
 
 def open_csv(path: Path) -> ImportedTable:
-    """Look into a text file of rows.
+    """Open a text file of rows, without reading its data yet.
 
     Raises:
         UnusableInputError: it is not text, or has no rows of two or more cells with numbers.
@@ -70,7 +70,7 @@ def open_csv(path: Path) -> ImportedTable:
     return ImportedTable("csv", layout.columns, load, notices=tuple(notices))
 
 
-# -- how it is written ----------------------------------------------------------------------------------------
+# -- layout ---------------------------------------------------------------------------------------------------
 
 
 def _is_comment(line: str) -> bool:
@@ -103,12 +103,12 @@ def _layout(lines: list[str]) -> _Layout:
 
 
 def _score(rows: list[list[str]], decimal: str) -> tuple[float, int]:
-    """How well a way of reading fits: numbers more than texts, over the rows of the commonest width."""
+    """Return the score of a layout: numbers minus texts, over the rows of the most common width; and that width."""
     widths = Counter(len(cells) for cells in rows if any(is_number(cell, decimal) for cell in cells))
     del widths[1]
     if not widths:
         return 0.0, 0
-    width = max(widths, key=lambda each: widths[each])  # of two as common, the one that comes first
+    width = max(widths, key=lambda each: widths[each])  # the first of equally common widths
     score = 0.0
     for cells in rows:
         if len(cells) == width:
@@ -136,13 +136,13 @@ def _first_row(lines: list[str], delimiter: str, decimal: str, width: int) -> in
 
 
 def _columns(above: list[str], delimiter: str, width: int, below: list[str]) -> tuple[Column, ...]:
-    """Names and units from the lines above the data: a header, perhaps with a line of units under it."""
+    """Return names and units from the lines above the data: a header, optionally followed by a line of units."""
     heads = []
     for line in above:
         text = line.strip().lstrip("#%/").strip() if _is_comment(line) else line
         cells = [cell.strip() for cell in cells_of(text, delimiter)]
         if len(cells) == width - 1 and all(not c[-1].strip() for c in (cells_of(b, delimiter) for b in below[:3]) if c):
-            cells.append("")  # rows end with a delimiter where the header does not
+            cells.append("")  # rows end with a delimiter and the header does not
         if len(cells) == width:
             heads.append(cells)
     if not heads:
@@ -160,7 +160,7 @@ def _columns(above: list[str], delimiter: str, width: int, below: list[str]) -> 
 
 
 def _data_lines(path: Path, encoding: str, start: int) -> Iterator[tuple[int, str]]:
-    """Number, from 1, and text of every line of data; blank lines and comments are no data."""
+    """Yield number, from 1, and text of every line of data; blank lines and comments are skipped."""
     for number, line in enumerate(lines_of(path, encoding), start=1):
         if number > start and line.strip() and not _is_comment(line):
             yield number, line

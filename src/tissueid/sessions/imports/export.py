@@ -1,4 +1,4 @@
-"""Export a session to files for other programs: one for each test, and one with its attributes in JSON."""
+"""Export a session to files for other programs: for each test a data file and a JSON file with its attributes."""
 
 from __future__ import annotations
 
@@ -23,10 +23,10 @@ from tissueid.sessions.model import Session, Test
 
 _BLOCK = 65_536
 _LONGEST_VARIABLE = 63
-"""Characters that MATLAB allows in the name of a variable."""
+"""Longest name of a MATLAB variable, characters."""
 
 _FORMULA = ("=", "+", "-", "@")
-"""What formulas of spreadsheets begin with."""
+"""First characters of spreadsheet formulas."""
 
 _Columns = dict[str, NDArray[np.float64]]
 
@@ -36,12 +36,12 @@ def export_session(
 ) -> list[str]:
     """Write every test of a session and its attributes into a new or empty folder; return the names of the files.
 
-    ``kind`` is one of ``FORMATS``; ``progress`` receives the share that is done, 0 to 1. The folder is written
+    ``kind`` is one of ``FORMATS``; ``progress`` is called with the completed share, 0 to 1. The folder is written
     completely or not at all.
 
     Raises:
-        UnusableInputError: no such format, the folder is there and holds something, or there is nothing to export.
-        OSError: the disk is full or not writable; nothing is left behind.
+        UnusableInputError: there is no such format, the folder exists and is not empty, or the session has no tests.
+        OSError: the disk is full or not writable; no file remains.
     """
     if kind not in FORMATS:
         raise UnusableInputError(
@@ -74,7 +74,7 @@ def _new_folder(folder: Path) -> Path:
     Raises:
         UnusableInputError: it holds files, or its parent is missing.
     """
-    folder = Path(os.path.abspath(folder))  # noqa: PTH100 - resolve() would follow a link, and replace what it leads to
+    folder = Path(os.path.abspath(folder))  # noqa: PTH100 - resolve() would follow a link and replace its target
     if folder.is_symlink() or (folder.exists() and (not folder.is_dir() or any(folder.iterdir()))):
         raise UnusableInputError(
             Message(
@@ -89,7 +89,7 @@ def _new_folder(folder: Path) -> Path:
 
 
 def _columns(test: Test, named: Callable[[str, str], str]) -> tuple[_Columns, dict[str, ColumnPart]]:
-    """Return the columns by their names in the file, time first, and the signal and unit of each."""
+    """Return the columns by their names in the file, time first, and the column and unit of each signal."""
     columns: _Columns = {}
     parts = {}
     signals = {"time": np.arange(test.samples) / test.sample_rate_hz} | test.signals

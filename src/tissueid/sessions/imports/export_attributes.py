@@ -1,4 +1,4 @@
-"""The attributes of an exported test: a JSON file next to it with everything except the samples."""
+"""Attributes of an exported test: a JSON file next to it with everything except the samples."""
 
 from __future__ import annotations
 
@@ -96,10 +96,10 @@ class Attributes(_Part):
     columns: dict[_Name, ColumnPart]
 
     def device(self) -> DeviceDescription:
-        """Return the instrument; missing figures are NaN.
+        """Return the instrument; missing parameters are NaN.
 
         Raises:
-            UnusableInputError: a figure that is no number.
+            UnusableInputError: a parameter is not a number.
         """
         device = unknown_device()
         values: dict[str, str | float | dict[str, str | float]] = {}
@@ -153,7 +153,7 @@ class Attributes(_Part):
 
 
 def unknown_device() -> DeviceDescription:
-    """Return an instrument whose figures are all unknown (NaN)."""
+    """Return an instrument whose parameters are all unknown (NaN)."""
     figures = {field.name: math.nan for field in fields(DeviceDescription) if field.type == "float"}
     return DeviceDescription(model="unknown", serial_number="unknown", **figures)  # type: ignore[arg-type]
 
@@ -182,7 +182,7 @@ def attributes_beside(path: Path) -> Attributes | None:
     """Read the attributes file that ``tissueid export`` wrote next to a file; None without one.
 
     Raises:
-        UnusableInputError: it is there, but broken.
+        UnusableInputError: it exists but is invalid.
     """
     file_path = path.with_suffix(".json")
     if file_path == path or not file_path.is_file():

@@ -1,4 +1,4 @@
-"""Which reader a file from elsewhere needs, by what it holds rather than by its name."""
+"""Detection of the format of a file by its content."""
 
 from __future__ import annotations
 
@@ -15,15 +15,15 @@ _SESSIONS = (".h5", ".hdf5", ".hdf")
 
 
 def is_record(path: Path) -> bool:
-    """Return whether a file, by its name, is a record to be imported rather than a session to be opened."""
+    """Return whether a file, by its name, must be imported instead of opened as a session."""
     return path.suffix.lower() not in (*_SESSIONS, "")
 
 
 def open_foreign(path: Path) -> ImportedTable:
-    """Look into a file from elsewhere: CSV, MAT or LVM.
+    """Open a file of another program: CSV, MAT or LVM.
 
     Raises:
-        UnusableInputError: it is not there, or none of these; without the name of the file.
+        UnusableInputError: it is missing, or in none of these formats; the message does not name the file.
         OSError: the disk failed, or the file may not be read.
     """
     checked_size(path)

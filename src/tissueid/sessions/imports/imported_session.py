@@ -1,4 +1,4 @@
-"""A session made of imported tests."""
+"""Assembly of a session from imported tests."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ from tissueid.sessions.model import Session, Subject
 from tissueid.untrusted_input import MAX_NUMBERS, MAX_TESTS
 
 _FIGURES = {field.name: field.type == "float" for field in fields(DeviceDescription) if field.name != "calibration"}
-"""Every figure of an instrument, and whether it is a number."""
+"""Names of the parameters of an instrument, and whether each is a number."""
 
 
 _READING, _WRITING = marked("reading"), marked("writing")
@@ -38,7 +38,7 @@ _MORE_THAN_ONE = {
 
 @dataclass(frozen=True)
 class ImportedSession:
-    """What an import made: the session as it was written, its tests as they were read, and doubts about the whole."""
+    """Result of an import: the session as written, its tests with their origin, and notices about the whole."""
 
     session: Session
     tests: tuple[Imported, ...]
@@ -46,11 +46,11 @@ class ImportedSession:
 
 
 def check_new_session(out: Path) -> None:
-    """Refuse, before any work, a path where no session can be made.
+    """Check that a session can be created at a path.
 
     Raises:
-        SessionExistsError: a file is there; sessions are never overwritten.
-        UnusableInputError: there is no folder for it.
+        SessionExistsError: a file exists there; sessions are never overwritten.
+        UnusableInputError: its folder does not exist.
     """
     if out.exists():
         raise SessionExistsError(out)
@@ -72,11 +72,11 @@ def import_session(
 ) -> ImportedSession:
     """Read one test from each source and write them as one session.
 
-    ``wanted`` is column and unit by role (``parse_map``), ``choices`` has one entry for each source. ``progress`` gets
-    a word for what is done and the share of it, 0 to 1.
+    ``wanted`` is column and unit by role (``parse_map``), ``choices`` has one entry for each source. ``progress`` is
+    called with the name of the step and its completed share, 0 to 1.
 
     Raises:
-        UnusableInputError: a file, its columns, units or times cannot be used; names the file.
+        UnusableInputError: a file, its columns, units or times cannot be used; the message names the file.
         SessionExistsError: ``out`` exists.
         OSError: a file cannot be read or written.
     """
@@ -94,10 +94,10 @@ def import_session(
 
 
 def instrument_figures(options: Sequence[str]) -> dict[str, str | float]:
-    """KEY=VALUE options as figures of the instrument.
+    """Return parameters of the instrument from KEY=VALUE options.
 
     Raises:
-        UnusableInputError: no such figure, or not one.
+        UnusableInputError: an unknown parameter, or an invalid value.
     """
     found: dict[str, str | float] = {}
     for option in options:
@@ -123,9 +123,10 @@ def _positive(key: str, value: str) -> float:
 def assembled(
     imported: Sequence[Imported], figures: dict[str, str | float], pseudonym: str | None
 ) -> tuple[Session, list[str]]:
-    """The session, its tests in the order given, and notices about it as a whole.
+    """Return the session with its tests in the given order, and notices about it as a whole.
 
-    Tests that were exported from one session become that session again; others are tests of a new one, numbered from 1.
+    Tests that were exported from one session become that session again; others become tests of a new one, numbered from
+    1.
 
     Raises:
         UnusableInputError: too many tests or samples, or exports of different instruments or subjects.

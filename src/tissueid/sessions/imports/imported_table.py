@@ -1,4 +1,4 @@
-"""An imported file: columns of numbers with their headers and units."""
+"""An imported file as columns of numbers with headers and units."""
 
 from __future__ import annotations
 
@@ -29,7 +29,7 @@ MAP = Action("import.map", "--map ROLE=COLUMN:UNIT", marked("the lists of the co
 
 @dataclass(frozen=True)
 class Rows:
-    """A selection of rows as slices have it: from 0, ``last`` exclusive, negative ones from the end."""
+    """A selection of rows like a slice: from 0, ``last`` exclusive, negative indices count from the end."""
 
     first: int | None = None
     last: int | None = None
@@ -79,15 +79,15 @@ class Column:
 
 
 Loader = Callable[[Sequence[int], Rows], tuple[list[NDArray[np.float64]], range]]
-"""Function of column places, from 0, and a row selection that returns the columns, each (n,), and the rows."""
+"""Function of column indices, from 0, and a row selection that returns the columns, each (n,), and the rows."""
 
 
 @dataclass(frozen=True)
 class ImportedTable:
     """An imported file whose columns are known but not yet read.
 
-    ``time`` is the place of the column that is time by the rules of the format, ``step_s`` the step that the file
-    states, and ``segments`` the first rows of its parts. ``notices`` are for people, one line each.
+    ``time`` is the index of the time column by the rules of the format, ``step_s`` the time step that the file states,
+    and ``segments`` the first rows of its parts. ``notices`` are for users, one line each.
     """
 
     format: str
@@ -107,7 +107,7 @@ class ImportedTable:
         return ", ".join(names[:_MOST_LISTED]) + more
 
     def place(self, wanted: str) -> int:
-        """Return the place, from 0, of a column by its header, its name without unit, or its number from 1.
+        """Return the index, from 0, of a column by its header, its name without unit, or its number from 1.
 
         Raises:
             UnusableInputError: there is none, or more than one.

@@ -29,14 +29,14 @@ _SELECTED = re.compile(r"(?P<path>.+)@(?P<first>-?\d{1,12})?:(?P<last>-?\d{1,12}
 
 @dataclass(frozen=True)
 class Source:
-    """A file, and which of its rows."""
+    """A file and the selection of its rows."""
 
     path: Path
     rows: Rows
 
     @classmethod
     def parsed(cls, text: str) -> Source:
-        """FILE or FILE@FIRST:LAST; a file whose very name looks so is taken by its name."""
+        """Return the source for FILE or FILE@FIRST:LAST; an existing file with exactly this name takes precedence."""
         match = _SELECTED.fullmatch(text)
         if match is None or Path(text).exists():
             return cls(Path(text), Rows())
@@ -67,7 +67,7 @@ class Imported:
     notices: tuple[str, ...]
     attributes: Attributes | None
     created: str = ""
-    """When it was recorded, UTC, as far as its file says; empty for an export, whose attributes say it."""
+    """Recording time in UTC, if the file states it; empty for an export, whose attributes state it."""
 
 
 def import_test(

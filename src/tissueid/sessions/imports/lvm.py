@@ -1,4 +1,4 @@
-"""LVM, the text files of LabVIEW: a header, then segments that each have one of their own.
+"""LVM, the text files of LabVIEW: a file header, then segments with a header each.
 
 Source: "Specification for the LabVIEW Measurement File (.lvm)", National Instruments.
 """
@@ -26,12 +26,12 @@ _SPECIAL = "***"
 _SEPARATORS = {"tab": "\t", "comma": ",", "semicolon": ";"}
 _LONGEST_HEADER = 1000
 _CELL = 10
-"""Characters that a cell counts for: it takes more memory than its text."""
+"""Number of characters that a cell counts as: it takes more memory than its text."""
 
 
 @dataclass
 class _Segment:
-    """One segment: its header by key, its channels by name, where its rows begin and how many there are."""
+    """One segment: its header by key, its channels by name, its first row and its number of rows."""
 
     header: dict[str, list[str]]
     channels: list[str]
@@ -45,14 +45,14 @@ class _Outline:
     decimal: str
     x_columns: str
     segments: list[_Segment] = field(default_factory=list)
-    """As far as the file has been read."""
+    """The segments read so far."""
 
     def cell(self, place: int) -> int:
-        """Where, in a row, the column stands that has this place among the columns of the file."""
+        """Return the index in a row of a column of the file."""
         return 2 * place - 1 if self.x_columns == "multi" and place else place
 
     def figure(self, segment: _Segment, key: str) -> float | None:
-        """A figure of the first channel in a segment's header; None if it is missing."""
+        """Return a number of the first channel in a segment's header; None if it is missing."""
         values = segment.header.get(key, [])
         try:
             return float(numbers(values[:1], self.decimal)[0]) if values and values[0].strip() else None
@@ -65,10 +65,10 @@ class _Outline:
 
 
 def open_lvm(path: Path) -> ImportedTable:
-    """Look into an LVM file.
+    """Open an LVM file, without reading its data yet.
 
     Raises:
-        UnusableInputError: it is not one, or breaks its own rules; says where.
+        UnusableInputError: it is not an LVM file, or invalid; the message states the place.
     """
     encoding = encoding_of(path)
     outline = _outline(path, encoding)
@@ -123,7 +123,7 @@ def open_lvm(path: Path) -> ImportedTable:
 
 
 def _outline(path: Path, encoding: str) -> _Outline:
-    """Headers of the whole file, and its rows counted."""
+    """Return the headers of the whole file, with the number of rows of each segment."""
     outline = _Outline("\t", ".", "one")
     for outline, segment, _, _ in _rows(path, encoding):  # noqa: B007
         segment.rows += 1
@@ -133,11 +133,11 @@ def _outline(path: Path, encoding: str) -> _Outline:
 
 
 _Row = tuple[_Outline, _Segment, int, list[str]]
-"""The outline so far, the segment, the number of the line and the cells."""
+"""The outline so far, the segment, the number of the line, and the cells."""
 
 
 def _rows(path: Path, encoding: str) -> Iterator[_Row]:
-    """All rows of data in order; segments join the outline as they come."""
+    """Yield all rows of data in order; segments are added to the outline on the way."""
     lines = enumerate(lines_of(path, encoding), start=1)
     outline = _file_header(lines)
     header: dict[str, list[str]] | None = None
@@ -181,7 +181,7 @@ def _segment(outline: _Outline, header: dict[str, list[str]], named: list[str], 
     if named:
         names = named[1 :: 2 if outline.x_columns == "multi" else 1]
         names += [""] * (count - len(names))
-    else:  # further rows under the one heading
+    else:  # further rows under the previous headings
         names = before
     segment = _Segment(header, names[:count], first)
     outline.segments.append(segment)
@@ -227,7 +227,7 @@ def _file_header(lines: Iterator[tuple[int, str]]) -> _Outline:
 
 
 def _header(lines: Iterator[tuple[int, str]], separator: str) -> dict[str, list[str]]:
-    """Keys and values up to the end of a header; without a ``separator``, that of each line."""
+    """Return keys and values up to the end of a header; without a ``separator``, that of each line is detected."""
     stated: dict[str, list[str]] = {}
     for _, (_, line) in zip(range(_LONGEST_HEADER), lines, strict=False):
         if line.startswith(_END):

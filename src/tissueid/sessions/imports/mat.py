@@ -1,4 +1,4 @@
-"""MAT files of MATLAB: versions 4 to 7.2, and 7.3, which is HDF5. Numbers only, never objects."""
+"""MAT files of MATLAB: versions 4 to 7.2, and 7.3, which is HDF5. Only numbers are read, never objects."""
 
 from __future__ import annotations
 
@@ -32,7 +32,7 @@ _WITHOUT_PATH = {
 
 
 def open_mat(path: Path) -> ImportedTable:
-    """Look into a MAT file. Every vector is a column, every column of a matrix is ``name(:,k)``, fields are ``s.x``.
+    """Open a MAT file. Every vector is a column, the columns of a matrix are ``name(:,k)``, fields are ``s.x``.
 
     Raises:
         UnusableInputError: it is damaged, or holds no numbers.
@@ -44,7 +44,7 @@ def open_mat(path: Path) -> ImportedTable:
     return _open_classic(path)
 
 
-# -- to version 7.2 -------------------------------------------------------------------------------------------
+# -- up to version 7.2 ----------------------------------------------------------------------------------------
 
 
 def _open_classic(path: Path) -> ImportedTable:
@@ -72,7 +72,7 @@ def _open_hdf5(path: Path) -> ImportedTable:
 
     def read(name: str, rows: slice) -> NDArray[np.generic]:
         where, _, part = found[name]
-        # HDF5 has the sides of MATLAB turned round
+        # HDF5 stores the dimensions of MATLAB in reverse order
         index = tuple(reversed([rows if isinstance(side, slice) else side for side in part]))
         values: NDArray[np.generic] = _in_child("MAT values", path, where, index)[0]
         return values
@@ -102,7 +102,7 @@ def _file(lengths: dict[str, int], read: Callable[[str, slice], NDArray[np.gener
             )
         taken = rows.within(lengths[chosen[0]])
         part = slice(taken.start, taken.stop)
-        with np.errstate(invalid="ignore"):  # any bits are a number in a damaged file, or NaN
+        with np.errstate(invalid="ignore"):  # damaged files can contain any float, also signalling NaN
             return [np.ascontiguousarray(read(name, part), dtype=np.float64) for name in chosen], taken
 
     return ImportedTable("mat", tuple(Column.headed(name) for name in names), load)

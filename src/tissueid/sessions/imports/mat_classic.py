@@ -1,7 +1,7 @@
-"""MAT files before version 7.3, read with every length checked: vectors of real numbers, and nothing else.
+"""Reader of real vectors in MAT files before version 7.3, with checks of every length.
 
-Source: "MAT-File Format", The MathWorks (level 5, and level 4 in its appendix). A reader of our own because the ones at
-hand trust the lengths in a file: a damaged one can end the whole program.
+Source: "MAT-File Format", The MathWorks (level 5, and level 4 in its appendix). Available readers trust the lengths in
+a file, so that a damaged file can crash the program.
 """
 
 from __future__ import annotations
@@ -21,14 +21,14 @@ from tissueid.messages import Message
 from tissueid.untrusted_input import allowed_unpacked_bytes
 
 LARGEST = 2_000_000_000
-"""Bytes of all variables of a file together, once they are out of their compression."""
+"""Largest size of all variables of a file together, uncompressed, bytes."""
 _MOST_FIELDS = 10_000
 _MOST_SIDES = 32
 _DEEPEST = 3
 
 _MATRIX, _COMPRESSED = 14, 15
 _STORED = {1: "i1", 2: "u1", 3: "i2", 4: "u2", 5: "i4", 6: "u4", 7: "f4", 9: "f8", 12: "i8", 13: "u8"}
-"""How numbers are stored: level 5's data types."""
+"""Numeric data types of level 5."""
 _STRUCT = 2
 _NUMERIC = range(6, 16)
 _COMPLEX = 0x0800
@@ -43,7 +43,7 @@ class _DamagedError(UnusableInputError):
 
 
 def variables(path: Path) -> Iterator[Variable]:
-    """Names and values of all real, full variables of two dimensions; fields of structures as ``s.x``.
+    """Yield names and values of all real, full variables of two dimensions; fields of structures as ``s.x``.
 
     Raises:
         UnusableInputError: the file is damaged, or its variables are too large.
@@ -71,7 +71,7 @@ def variables(path: Path) -> Iterator[Variable]:
 
 @dataclass
 class _Level5:
-    """Level 5: elements of a type, a length and data, one after the other and within each other."""
+    """Level 5: nested elements with a type, a length and data."""
 
     order: str
     budget: int
@@ -86,11 +86,11 @@ class _Level5:
                 yield from self._matrix(part, "", 0)
 
     def _element(self, data: memoryview, at: int, *, padded: bool = True) -> tuple[int, memoryview, int]:
-        """Type and data of the element at a place, and the place after it."""
+        """Return type and data of the element at an offset, and the offset after it."""
         if at + 8 > len(data):
             raise _DamagedError
         kind, size = struct.unpack_from(f"{self.order}II", data, at)
-        if kind >> 16:  # a small one: type and length share four bytes, the data are the other four
+        if kind >> 16:  # a small element: type and length share four bytes, data are the other four
             size, kind = kind >> 16, kind & 0xFFFF
             if size > 4:
                 raise _DamagedError
@@ -101,7 +101,7 @@ class _Level5:
         return kind, data[first:end], end + (-size % 8 if padded else 0)
 
     def _inflated(self, packed: memoryview) -> tuple[int, memoryview]:
-        """Type and data of a compressed element; never more of it than it says of itself."""
+        """Return type and data of a compressed element, limited to its stated size."""
         unpacker = zlib.decompressobj()
         try:
             tag = unpacker.decompress(packed, 8)
@@ -178,7 +178,7 @@ class _Level5:
 
 
 def _level_4(data: memoryview) -> Iterator[Variable]:
-    """Level 4: a header of five numbers, a name, and the values, one variable after the other."""
+    """Yield the variables of level 4: for each a header of five numbers, a name, and the values."""
     order = "<" if struct.unpack_from("<I", data)[0] < 5000 else ">"
     at = 0
     while at < len(data):

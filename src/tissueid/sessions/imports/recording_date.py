@@ -1,4 +1,4 @@
-"""The date of a record from elsewhere: what the header of its file says, or else when the file was modified."""
+"""Recording date of an imported file: from its header, else its modification time."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ from typing import Literal
 
 Origin = Literal["header", "modified"]
 _HEAD = 8_192
-"""Bytes in which a header names its date: the first segment of an LVM file, the first 116 of a MAT file."""
+"""Bytes that contain the date: the first segment of an LVM file, the first 116 bytes of a MAT file."""
 _LVM_DATE = re.compile(r"^Date[\t,;](\d{4})[/.-](\d{1,2})[/.-](\d{1,2})", re.MULTILINE)
 _LVM_TIME = re.compile(r"^Time[\t,;](\d{1,2}):(\d{2}):(\d{2})", re.MULTILINE)
 _MAT = re.compile(r"Created on: \w{3} (\w{3}) +(\d{1,2}) (\d{2}):(\d{2}):(\d{2}) (\d{4})")
@@ -17,9 +17,9 @@ _MONTHS = ("Jan", "Feb", "Mar", "Apr", "May", "Jun", "Jul", "Aug", "Sep", "Oct",
 
 
 def recording_date(path: Path, file_format: str) -> tuple[str, Origin]:
-    """Return the date of a record in UTC, as sessions keep it, and where it is from.
+    """Return the date of a record in UTC, and its origin.
 
-    Headers give the local time of the computer that wrote them; the zone of this computer is assumed.
+    Headers state the local time of the computer that wrote them; the zone of this computer is assumed.
 
     Raises:
         OSError: the file cannot be read.
@@ -34,7 +34,7 @@ def recording_date(path: Path, file_format: str) -> tuple[str, Origin]:
 
 
 def _of_lvm(head: str) -> datetime | None:
-    """Return the last date before the rows: that of the first segment, or of the file where a segment has none."""
+    """Return the last date before the rows: that of the first segment, or of the file if the segment has none."""
     head = re.split(r"^X_Value", head, maxsplit=1, flags=re.MULTILINE)[0]
     days, times = _LVM_DATE.findall(head), _LVM_TIME.findall(head)
     if not days:
@@ -51,7 +51,7 @@ def _of_mat(head: str) -> datetime | None:
 
 
 def _moment(*parts: int) -> datetime | None:
-    """Return a date that can be, or None: a clock that was never set says 1904 or 1970."""
+    """Return a date, or None if it is invalid or from a clock that was never set (1904 or 1970)."""
     try:
         found = datetime(*parts)  # type: ignore[arg-type]
     except ValueError:

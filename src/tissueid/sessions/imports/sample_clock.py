@@ -1,4 +1,4 @@
-"""Sample rate of the times of an imported record."""
+"""Sample rate of an imported record, from its times."""
 
 from __future__ import annotations
 
@@ -57,7 +57,7 @@ def clock_of(times: Array, step_s: float | None = None, rate_hz: float | None = 
     empty.
 
     Raises:
-        UnusableInputError: times that are missing, run backwards or are irregular.
+        UnusableInputError: times are missing, decreasing or irregular.
     """
     steps = _increasing(times)
     median = float(np.median(steps))
@@ -137,7 +137,7 @@ def resampled(times: Array, values: list[Array], rate_hz: float) -> tuple[list[A
     Gaps of more than 2.5 steps and intervals next to a missing value stay empty.
 
     Raises:
-        UnusableInputError: times that are missing or run backwards, or too many samples.
+        UnusableInputError: times are missing or decreasing, or there would be too many samples.
     """
     steps = _increasing(times)
     span = float(times[-1] - times[0])
@@ -237,7 +237,7 @@ def _irregular(steps: Array) -> UnusableInputError:
 
 
 def _furthest(since: Array, places: NDArray[np.int64], rate: float) -> float:
-    """Return the largest deviation of a time from its place, in samples."""
+    """Return the largest deviation of a time from its sample, in samples."""
     return float(np.max(np.abs(since * rate - places)))
 
 

@@ -1,4 +1,4 @@
-"""Lines, cells and numbers of text files, whatever wrote them."""
+"""Lines, cells and numbers of text files."""
 
 from __future__ import annotations
 
@@ -19,9 +19,9 @@ from tissueid.untrusted_input import MAX_LINE
 _HEAD = 1 << 16
 _LONGEST_SHOWN = 40
 _HEAD_CHARACTERS = 500_000
-"""Characters that are looked at to find out how a file is written: each way is tried on all of them."""
+"""Largest number of characters by which a layout is detected: each layout is tried on all of them."""
 _BLOCK = 65_536
-"""Rows that are turned into numbers at a time."""
+"""Number of rows converted to numbers at a time."""
 _BLOCK_CHARACTERS = 4_000_000
 _Row = TypeVar("_Row")
 _CONTROL = re.compile(rb"[\x00-\x08\x0e-\x1a\x1c-\x1f]")
@@ -30,12 +30,12 @@ _NUMBER = {
     ",": re.compile(r"[+-]?(\d+(,\d+)?|,\d+)([eEdD][+-]?\d+)?"),
 }
 MISSING = frozenset({"", "nan", "-nan", "na", "n/a", "#n/a", "null", "none", "-", "--", "---", "missing", "1.#qnan"})
-"""What stands in a cell, in any case of letters, where there is no number."""
+"""Cells without a number, in lower case."""
 _INFINITE = frozenset({"inf", "-inf", "+inf", "infinity", "-infinity"})
 
 
 def encoding_of(path: Path) -> str:
-    """The encoding of a text file: what its byte order mark says, or UTF-8, or else Latin-1.
+    """Return the encoding of a text file: by its byte order mark, else UTF-8, else Latin-1.
 
     Raises:
         UnusableInputError: it is not text.
@@ -58,10 +58,10 @@ def encoding_of(path: Path) -> str:
 
 
 def lines_of(path: Path, encoding: str) -> Iterator[str]:
-    """The lines of a text file without their ends.
+    """Yield the lines of a text file without line ends.
 
     Raises:
-        UnusableInputError: a line that is no line.
+        UnusableInputError: a line is too long.
     """
     with path.open(encoding=encoding, errors="replace") as file:
         while line := file.readline(MAX_LINE + 1):
@@ -73,7 +73,7 @@ def lines_of(path: Path, encoding: str) -> Iterator[str]:
 
 
 def head_of(lines: Iterable[str], most: int) -> list[str]:
-    """Return the first lines, ``most`` of them, or fewer where they are long."""
+    """Return the first lines, at most ``most``, or fewer if they are long."""
     head, characters = [], 0
     for line in lines:
         head.append(line)
@@ -98,10 +98,10 @@ def blocks_of(rows: Iterable[_Row], length: Callable[[_Row], int]) -> Iterator[l
 
 
 def cells_of(line: str, delimiter: str) -> list[str]:
-    """The cells of a line; a space as delimiter stands for any white space.
+    """Return the cells of a line; a space as delimiter means any white space.
 
     Raises:
-        UnusableInputError: a quoted cell that is far too long.
+        UnusableInputError: the line cannot be parsed, for example because of a very long quoted cell.
     """
     if delimiter == " ":
         return line.split()
@@ -116,21 +116,21 @@ def cells_of(line: str, delimiter: str) -> list[str]:
 
 
 def is_number(cell: str, decimal: str) -> bool:
-    """Whether a cell is a number, with this sign between units and tenths."""
+    """Return whether a cell is a number with this decimal sign."""
     cell = cell.strip()
     return _NUMBER[decimal].fullmatch(cell) is not None or cell.lower() in _INFINITE
 
 
 def is_missing(cell: str) -> bool:
-    """Whether a cell says that there is no number."""
+    """Return whether a cell marks a missing number."""
     return cell.strip().lower() in MISSING
 
 
 def numbers(cells: list[str], decimal: str) -> NDArray[np.float64]:
-    """Cells as numbers, shape (n,); NaN for those that say that there is none.
+    """Return cells as numbers, shape (n,); NaN for missing ones.
 
     Raises:
-        ValueError: of a cell that is neither; its one argument is the place of the cell.
+        ValueError: a cell is neither a number nor missing; the argument is its index.
     """
     if decimal == ".":
         try:
@@ -138,7 +138,7 @@ def numbers(cells: list[str], decimal: str) -> NDArray[np.float64]:
         except ValueError:
             pass
         else:
-            if not any("_" in cell for cell in cells):  # only Python groups digits by underscores
+            if not any("_" in cell for cell in cells):  # Python accepts underscores between digits, data files do not
                 return found
     result = np.empty(len(cells))
     for place, cell in enumerate(cells):
@@ -152,5 +152,5 @@ def numbers(cells: list[str], decimal: str) -> NDArray[np.float64]:
 
 
 def shown(cell: str) -> str:
-    """A cell as it is shown in a complaint."""
+    """Return a cell as quoted in an error message."""
     return repr(cell.strip()[:_LONGEST_SHOWN])
