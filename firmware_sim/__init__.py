@@ -1,1 +1,1 @@
-"""The other end of the cable."""
+"""Simulated instrument: firmware, sensors, coil and tissue behind the serial protocol."""

@@ -1,4 +1,4 @@
-"""``tissueid-firmware-sim``: the simulated instrument as a process of its own."""
+"""``tissueid-firmware-sim``: run the simulated instrument as a separate process."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ from firmware_sim.presets import preset_names
 from firmware_sim.scenario import Scenario, load_scenario
 from firmware_sim.serve import Port, PseudoTerminal, Server, TcpPort
 
-_EXAMPLE = """a scenario with an effect for a diagnosis to find; all of it is in docs/simulated-instrument.md:
+_EXAMPLE = """a scenario with an effect for a diagnosis to find; format: docs/simulated-instrument.md:
   preset = "left-posterior-forearm"
   [effects.dry_friction]
   level = 0.3
@@ -45,28 +45,28 @@ def _effect(text: str) -> tuple[str, dict[str, float]]:
         return name, {"level": float(level)}
     except ValueError:
         raise argparse.ArgumentTypeError(
-            f"{level!r} is no level of {name}: a number, in {EFFECTS[name].unit}"
+            f"the level of {name} must be a number in {EFFECTS[name].unit}, not {level!r}"
         ) from None
 
 
 def _parser() -> argparse.ArgumentParser:
     parser = argparse.ArgumentParser(
         prog="tissueid-firmware-sim",
-        description="A simulated indenter at the other end of a cable. Research use only.",
+        description="Simulated indenter on a serial port or TCP port. Research use only.",
         epilog=_EXAMPLE,
         formatter_class=argparse.RawDescriptionHelpFormatter,
     )
     where = parser.add_mutually_exclusive_group()
-    where.add_argument("--pty", action="store_true", help="serve on a pseudo-terminal (default where there are any)")
-    where.add_argument("--tcp", type=_port, metavar="PORT", help="serve on 127.0.0.1:PORT; 0 takes a free port")
+    where.add_argument("--pty", action="store_true", help="serve on a pseudo-terminal (default if available)")
+    where.add_argument("--tcp", type=_port, metavar="PORT", help="serve on 127.0.0.1:PORT; 0 selects a free port")
     parser.add_argument("--scenario", type=Path, metavar="FILE", help="TOML file: preset, seed, speed, effects, faults")
     parser.add_argument("--preset", help="tissue under the probe; see --list")
     parser.add_argument("--seed", type=int, help="seed of the sensor noise")
     parser.add_argument("--speed", type=float, help="device seconds per second, 1 is real time")
     parser.add_argument("--rate", type=float, metavar="HZ", help="samples a second, 500 to 10000; 2000 by default")
     parser.add_argument("--serial-number", dest="serial_number")
-    parser.add_argument("--model", help="which device: desktop (default) or handheld")
-    parser.add_argument("--tilt", type=float, metavar="DEG", help="turn the stroke away from straight down")
+    parser.add_argument("--model", help="device: desktop (default) or handheld")
+    parser.add_argument("--tilt", type=float, metavar="DEG", help="angle between the stroke and straight down")
     parser.add_argument("--coil", help="force constant along the stroke: ideal (default) or finite")
     parser.add_argument(
         "--hide",
@@ -74,25 +74,25 @@ def _parser() -> argparse.ArgumentParser:
         default=[],
         type=_effect,
         metavar="EFFECT[=LEVEL]",
-        help="an effect of the plant in addition to its own laws, to be found by a diagnosis; again for a second one",
+        help="add an effect to the plant, to be found by a diagnosis; repeat for a second one",
     )
-    parser.add_argument("--list", action="store_true", help="list the presets and leave")
+    parser.add_argument("--list", action="store_true", help="list the presets and exit")
     parser.add_argument(
         "--local-values",
         type=float,
         metavar="POSITION",
-        help="print the plant's own mass, damping and stiffness at a position in metres, as JSON, and leave",
+        help="print the true mass, damping and stiffness of the plant at a position in metres, as JSON, and exit",
     )
     parser.add_argument(
         "--coil-profile",
         action="store_true",
-        help="print the coil's own force constant along the stroke and its linear region, as JSON, and leave",
+        help="print the true force constant of the coil along the stroke and its linear region, as JSON, and exit",
     )
     return parser
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
-    """Run the command; returns its exit status."""
+    """Run the command; return its exit status."""
     options = _parser().parse_args(arguments)
     if options.list:
         print("\n".join(preset_names()))
@@ -135,8 +135,8 @@ def _profile(scenario: Scenario) -> dict[str, object]:
 
 def _serve(scenario: Scenario, tcp_port: int | None) -> int:
     print("preparing the plant (compiled on first use) ...", file=sys.stderr, flush=True)
-    # What numba makes stays. Each search for garbage among it takes up to 60 ms: a device has no such pauses, and it
-    # starts sooner without them.
+    # Objects created by numba are permanent. Each garbage collection over them takes up to 60 ms, which a real device
+    # does not have, and delays the start.
     gc.disable()
     try:
         bench = scenario.bench()
@@ -165,14 +165,17 @@ def _serve(scenario: Scenario, tcp_port: int | None) -> int:
         server.run(until=lambda: bool(stopping))
     finally:
         if server.stopped_s > 0.0:
-            print(f"this machine kept the device's clock from running for {server.stopped_s:.3f} s", file=sys.stderr)
+            print(
+                f"this computer was too slow: the device's clock was stopped for {server.stopped_s:.3f} s",
+                file=sys.stderr,
+            )
         notice.unlink(missing_ok=True)
         port.unplug()
     return 0
 
 
 def _announce(url: str, scenario: Scenario) -> Path:
-    """Leave a note where the host's discovery looks, as a USB device would show up in the list of ports."""
+    """Write a file for the host's device discovery, in place of the entry of a USB device in the list of ports."""
     folder = user_cache_path("tissueid", appauthor=False) / "simulated"
     folder.mkdir(parents=True, exist_ok=True)
     notice = folder / f"{os.getpid()}.json"
@@ -188,7 +191,9 @@ def _announce(url: str, scenario: Scenario) -> Path:
 
 
 def _started() -> int | None:
-    """When this process began, in ticks since the computer did; its number may be another's after it; None: unknown."""
+    """Return the start time of this process in clock ticks since boot, which distinguishes reused process ids; None if
+    unknown.
+    """
     try:
         return int(Path("/proc/self/stat").read_text(encoding="utf-8", errors="replace").rpartition(")")[2].split()[19])
     except (OSError, ValueError, IndexError):

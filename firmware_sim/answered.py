@@ -1,4 +1,4 @@
-"""What was answered to whom: a request that is repeated gets the same answer and acts no second time."""
+"""Cache of responses: a repeated request gets the same response and is not executed again."""
 
 from __future__ import annotations
 
@@ -8,21 +8,21 @@ from collections.abc import Callable
 from tissueid.wire import Frame
 
 MOST_ANSWERS = 64
-"""A host repeats its newest requests alone."""
+"""Largest number of cached responses; a host repeats only its newest requests."""
 
 
 class Answered:
-    """The newest answers, by type and sequence number of the request."""
+    """The newest responses, by type and sequence number of the request."""
 
     def __init__(self) -> None:
         self._answers: OrderedDict[tuple[int, int], bytes] = OrderedDict()
 
     def forget(self) -> None:
-        """A new host counts its requests from the start again."""
+        """Clear the cache for a new host, which restarts its sequence numbers."""
         self._answers.clear()
 
     def once(self, frame: Frame, answer: Callable[[], bytes]) -> bytes:
-        """What was answered to this request, or is now for the first time."""
+        """Return the cached response to a request, or call ``answer`` if there is none."""
         key = (frame.type, frame.sequence)
         if key not in self._answers:
             self._answers[key] = answer()

@@ -1,4 +1,4 @@
-"""The bench: a plant on a tissue behind the converters, played block by block."""
+"""Bench: a plant on a tissue with sensors and converters, simulated block by block."""
 
 from __future__ import annotations
 
@@ -19,17 +19,17 @@ from firmware_sim.presets import DEFAULT, load_preset
 from firmware_sim.tissue import FREE_AIR, Tissue
 
 FRAME_MASS_KG = 5.0
-"""Mass that takes the coil's reaction: the desktop frame, an estimate."""
+"""Mass of the desktop frame, which takes the reaction of the coil; an estimate."""
 
 LEAST_SUBSTEPS = 3
 
 
 @dataclass(frozen=True)
 class Block:
-    """What the converters saw in a block of n samples.
+    """Samples of the converters in a block of n samples.
 
     ``codes`` has shape (n, channels), int16, columns in the order of the channel table; ``flags`` has shape (n,),
-    uint16, bit k set where channel k saturated; ``button`` is the button's state.
+    uint16, with bit k set if channel k saturated; ``button`` is the state of the button.
     """
 
     codes: NDArray[np.int16]
@@ -39,7 +39,7 @@ class Block:
 
 @dataclass(frozen=True)
 class Snapshot:
-    """The state of plant, noise and frozen sensors at one moment."""
+    """State of plant, noise and stuck sensors at one moment."""
 
     plant: NDArray[np.float64]
     noise: dict[str, Any]
@@ -49,27 +49,27 @@ class Snapshot:
 
 
 class Bench:
-    """A simulated instrument without its firmware.
+    """A simulated instrument without firmware.
 
-    ``tissue`` is a preset's name or a Tissue. ``tilt_deg`` turns the stroke away from straight down: gravity's pull
-    into the tissue follows its cosine. ``surface_m`` moves the tissue along the stroke. The same seed and commands give
-    the same codes, however they are cut into blocks.
+    ``tissue`` is the name of a preset or a Tissue. ``tilt_deg`` is the angle of the stroke from straight down; gravity
+    along the stroke follows its cosine. ``surface_m`` moves the tissue along the stroke. The same seed and commands
+    give the same codes for any division into blocks.
 
-    ``parameters`` is what the device really is, gravity turned with the tilt; ``nominal`` is what it believes of itself
-    and announces, the same where nothing else is said. ``coil`` names the force constant's course along the stroke.
-    ``channel_errors`` are those of the converters' real scales against the announced table. ``frame_mass_kg`` takes the
-    coil's reaction. ``effects`` are what the plant has besides its own laws.
+    ``parameters`` are the true parameters of the device; ``nominal`` are those that it announces, by default the same.
+    ``coil`` names the profile of the force constant along the stroke. ``channel_errors`` are the errors of the
+    converters' scales against the announced table. ``frame_mass_kg`` takes the reaction of the coil. ``effects`` are
+    added to the plant.
 
-    What may go wrong, at any time:
+    Faults, at any time:
 
-    - ``stuck``: names of sensor channels whose codes stand still from now on;
-    - ``coil_open``: the coil's wire is broken: no current, and nothing brakes it;
-    - ``supply_share``: what is left of the amplifier's supply, 1 in health; its limit goes along;
-    - ``sensor_supply_share``: the sensors' supply over what it ought to be: the potentiometer's reading goes along.
+    - ``stuck``: names of sensor channels whose codes are frozen; - ``coil_open``: the coil is disconnected: no current
+    and no electrical damping; - ``supply_share``: supply voltage of the amplifier relative to normal, which scales its
+    limit; - ``sensor_supply_share``: supply voltage of the sensors relative to nominal, which scales the
+    potentiometer's reading.
 
     Raises:
-        ValueError: no such preset, coil or channel; the message lists those that exist. Or an effect that this tissue
-            or an instrument that streams cannot have.
+        ValueError: there is no such preset, coil or channel (the message lists those that exist), or an effect is not
+            possible on this tissue or on a streaming instrument.
     """
 
     def __init__(
@@ -114,9 +114,9 @@ class Bench:
         return CHANNELS
 
     def reset(self) -> None:
-        """Back to rest with the coil released, button up, nothing broken, and the noise from its beginning.
+        """Reset to rest with the coil released, button up, no faults, and the noise restarted.
 
-        The tissue stays where it was put.
+        The tissue keeps its position.
         """
         self.plant = Plant(
             self.parameters,
@@ -136,13 +136,12 @@ class Bench:
         self._newest: NDArray[np.int16] | None = None
 
     def place_fixture(self, position_m: float | None) -> None:
-        """Move the tissue so that its surface lies at a position on the stroke, m, and let everything come to rest.
+        """Move the tissue so that its surface is at a position on the stroke, m, and let the plant come to rest.
 
-        None takes it away: nothing is under the probe, and the coil falls to its stop. Meanwhile the coil is free and
-        neither cools nor warms.
+        None removes the tissue: the coil falls to its stop. The coil is released meanwhile and keeps its temperature.
 
         Raises:
-            ValueError: the position does not lie on the stroke.
+            ValueError: the position is not on the stroke.
         """
         self.tissue = FREE_AIR if position_m is None else replace(self._fixture, surface_m=position_m)
         self.plant.tissue = self.tissue
@@ -150,7 +149,7 @@ class Bench:
         self.plant.settle()
 
     def snapshot(self) -> Snapshot:
-        """The state of plant, noise and sensors, for ``restore``."""
+        """Return the state of plant, noise and sensors, for ``restore``."""
         return Snapshot(
             self.plant.state.copy(),
             self._converters.noise_state,
@@ -160,7 +159,7 @@ class Bench:
         )
 
     def restore(self, snapshot: Snapshot) -> None:
-        """Back to a snapshot: the same commands give the same codes again."""
+        """Restore a snapshot: the same commands then give the same codes again."""
         self.plant.state = snapshot.plant.copy()
         self._converters.noise_state = snapshot.noise
         self._frozen = dict(snapshot.frozen)
@@ -169,14 +168,14 @@ class Bench:
             self.plant.memory = snapshot.memory
 
     def warm_up(self) -> None:
-        """Compile the plant now (some seconds on first use) and go back to rest."""
+        """Compile the plant (some seconds on first use) and reset it."""
         self.block(np.zeros(2), energised=False)
         self.reset()
 
     def block(self, commands_volts: NDArray[np.float64], energised: bool) -> Block:
-        """Play commands, shape (n,), volts, one a sample, and convert what the sensors saw.
+        """Play commands, shape (n,), volts, one per sample, and return the converted sensor signals.
 
-        While ``energised`` is false the coil is released: the commands are recorded and not played.
+        While ``energised`` is false the coil is released: the commands are recorded but not played.
 
         Raises:
             ValueError: the commands are not finite or have more than one dimension, or ``stuck`` names no sensor.
@@ -219,10 +218,10 @@ class Bench:
             "command": volts,
             "voltage": trace["filtered_voltage"],
             "current": trace["filtered_current"],
-            # A potentiometer gives a share of its supply, and the converter has a reference of its own.
+            # The potentiometer is ratiometric to its supply; the converter has a separate reference.
             "position": trace["filtered_position"] * self.sensor_supply_share,
             "temperature": trace["filtered_temperature"],
-            # At rest an accelerometer reads the push that holds it up: here the stroke points down at no tilt.
+            # At rest an accelerometer reads the reaction to gravity; without tilt the stroke points down.
             "accelerometer_x": STANDARD_GRAVITY * self._along - reaction,
             "accelerometer_y": STANDARD_GRAVITY * self._across,
         }

@@ -1,7 +1,7 @@
-"""The coil's force constant along the stroke: the same everywhere, or falling off where a finite coil leaves the field.
+"""Force constant of the coil along the stroke: constant, or decreasing where a finite coil leaves the field.
 
-Force and back-EMF go alike: k(x) newtons per ampere are k(x) volts per metre per second. A profile is relative: it is
-multiplied by the force constant of the plant's figures, which is thereby that of the plateau.
+Force and back-EMF have the same constant: k(x) N/A equals k(x) V s/m. A profile is relative to the force constant of
+the plant's parameters, which is its plateau.
 """
 
 from __future__ import annotations
@@ -17,7 +17,7 @@ if TYPE_CHECKING:
 
 COILS = ("ideal", "finite")
 LINEAR_SHARE = 0.05
-"""How far the force constant may be from its plateau within the linear region."""
+"""Largest relative deviation from the plateau within the linear region."""
 
 _FINE_M = 1e-5
 
@@ -26,11 +26,11 @@ _FINE_M = 1e-5
 class CoilProfile:
     """Relative force constant at equally spaced positions, both of shape (n,), n 4 or more.
 
-    None of either stands for a force constant that is the same everywhere. A cubic spline runs between them, twice
-    differentiable; beyond the ends the last value holds.
+    Without values the force constant is constant. Values are interpolated by a cubic spline and constant beyond the
+    ends.
 
     Raises:
-        ValueError: positions that are not equally spaced and rising, or values that are not positive.
+        ValueError: positions that are not equally spaced and increasing, or values that are not positive.
     """
 
     position_m: tuple[float, ...] = ()
@@ -48,23 +48,25 @@ class CoilProfile:
             raise ValueError("the positions of a coil profile must rise in equal steps")
         if not (np.all(np.isfinite(values)) and values.min() > 0):
             raise ValueError("the force constant must be positive all along the stroke")
-        from scipy.interpolate import CubicSpline  # an ideal coil, as most are, starts without it
+        from scipy.interpolate import CubicSpline  # imported late: an ideal coil does not need it
 
         object.__setattr__(self, "_spline", CubicSpline(at, values))
 
     def at(self, position_m: float) -> float:
-        """Relative force constant at a position in metres."""
+        """Return the relative force constant at a position in metres."""
         return 1.0 if self._spline is None else float(self.along(position_m))
 
     def along(self, position_m: ArrayLike) -> NDArray[np.float64]:
-        """Relative force constant at positions in metres, in their shape."""
+        """Return the relative force constant at positions in metres, in their shape."""
         where = np.asarray(position_m, dtype=np.float64)
         if self._spline is None:
             return np.ones_like(where)
         return np.asarray(self._spline(np.clip(where, self.position_m[0], self.position_m[-1])))
 
     def to_array(self) -> NDArray[np.float64]:
-        """For the compiled loop: number of nodes, first, spacing, then value and slope per spacing of each node."""
+        """Return the arguments of the compiled loop: number of nodes, first, spacing, then value and slope per spacing
+        of each node.
+        """
         if self._spline is None:
             return np.zeros(3)
         at = np.asarray(self.position_m)
@@ -77,11 +79,12 @@ IDEAL = CoilProfile()
 
 
 def finite_coil(stroke_m: float) -> CoilProfile:
-    """A coil that leaves its field at both ends of the stroke, more at the far one (thesis 2.4.1, Fig. 2.12).
+    """Return the profile of a coil that leaves its field at both ends of the stroke, more at the far one (thesis 2.4.1,
+    Fig. 2.12).
 
-    Each edge of the field is soft, an error function, which is what a magnet's fringe looks like. Chosen, since the
-    thesis prints no figures: 0.80 of the plateau at zero, 0.62 at the far end, and 5 % lost some 4 and 27 mm from the
-    stroke's beginning, for its "region of about 20 to 25 mm". The median over the middle half is 1.
+    Each edge of the field is an error function, which resembles the fringe field of a magnet. The values are chosen,
+    because the thesis gives none: 0.80 of the plateau at zero, 0.62 at the far end, and 5 % loss at about 4 and 27 mm,
+    for its "region of about 20 to 25 mm". The median over the middle half is 1.
     """
     from scipy.special import erfc
 
@@ -92,17 +95,17 @@ def finite_coil(stroke_m: float) -> CoilProfile:
         lost = erfc(near + position / near_width) + erfc(far + (stroke_m - position) / far_width)
         return np.asarray(1.0 - 0.5 * lost)
 
-    # The end stops give way by some tenths of a millimetre.
+    # The end stops yield by some tenths of a millimetre.
     nodes = np.linspace(-1e-3, stroke_m + 1e-3, 69)
     plateau = float(np.median(relative(_middle_half(stroke_m))))
     return CoilProfile(tuple(nodes.tolist()), tuple((relative(nodes) / plateau).tolist()))
 
 
 def coil_profile(name: str, stroke_m: float) -> CoilProfile:
-    """The profile of a coil by its name, "ideal" or "finite".
+    """Return the profile of a coil by its name, "ideal" or "finite".
 
     Raises:
-        ValueError: no such coil.
+        ValueError: there is no such coil.
     """
     if name not in COILS:
         raise ValueError(f"unknown coil {name!r}; known: {', '.join(COILS)}")
@@ -114,10 +117,10 @@ def _middle_half(stroke_m: float) -> NDArray[np.float64]:
 
 
 def profile_values(profile: CoilProfile, force_constant_n_per_a: float, stroke_m: float) -> dict[str, object]:
-    """A profile's own figures, for a calibration to be held against; all of it can be written as JSON.
+    """Return the true values of a profile for comparison with a calibration, as JSON.
 
-    ``plateau_n_per_a`` is the median over the middle half of the stroke; the linear region is what lies about the
-    middle and within 5 % of it.
+    ``plateau_n_per_a`` is the median over the middle half of the stroke; the linear region is the range about the
+    middle within 5 % of it.
     """
     shown = np.linspace(0.0, stroke_m, 129)
     fine = np.linspace(0.0, stroke_m, 1 + round(stroke_m / _FINE_M))

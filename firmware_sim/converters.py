@@ -28,11 +28,11 @@ class Channel:
     noise_rms: float
 
     def encode(self, physical: NDArray[np.float64]) -> tuple[NDArray[np.int16], NDArray[np.bool_]]:
-        """Nearest codes, and where the converter saturated; both in the shape of ``physical``."""
+        """Return the nearest codes and the saturation mask; both in the shape of ``physical``."""
         return _encoded(physical, self.gain, self.offset)
 
     def decode(self, codes: NDArray[np.int16]) -> NDArray[np.float64]:
-        """Physical values of codes, in ``unit``."""
+        """Return the physical values of codes, in ``unit``."""
         return self.gain * codes.astype(np.float64) + self.offset
 
 
@@ -49,7 +49,7 @@ def _bipolar(name: str, unit: str, full_scale: float, noise_rms: float) -> Chann
 
 
 CHANNELS = (
-    # The command is the input of the digital-to-analogue converter: it has steps but no noise.
+    # The command is the input of the digital-to-analogue converter: quantized but without noise.
     _bipolar("command", "V", 60.0, 0.0),
     # Fig. 3.2a: the voltage falls 8 decades of power to its floor. 12 V rms over 200 Hz gives 2.7 mV over 1 kHz.
     _bipolar("voltage", "V", 60.0, 2.7e-3),
@@ -68,9 +68,9 @@ CHANNELS = (
 
 @dataclass(frozen=True)
 class ChannelError:
-    """How a channel's real scale differs from the announced one: reading = (1 + gain error) * truth + offset.
+    """Error of a channel's scale against the announced one: reading = (1 + gain error) * truth + offset.
 
-    Of the command it is the volts that differ, by the same law: volts = (1 + gain error) * command + offset.
+    For the command, the output has the error: volts = (1 + gain error) * command + offset.
     """
 
     gain_error: float = 0.0
@@ -78,10 +78,10 @@ class ChannelError:
 
 
 class Converters:
-    """Turns analogue values into codes, with a noise generator of its own.
+    """Conversion of analogue values to codes, with sensor noise.
 
-    The noise is the same for the same seed however the samples are cut into blocks. It is that of each conversion: its
-    level does not follow the sample rate.
+    The noise is the same for the same seed and any division into blocks. It is added per conversion: its level does not
+    depend on the sample rate.
 
     Raises:
         ValueError: an error is given for a channel that does not exist.
@@ -109,7 +109,7 @@ class Converters:
 
     @property
     def noise_state(self) -> dict[str, Any]:
-        """Where the noise generator stands."""
+        """State of the noise generator."""
         return dict(self._random.bit_generator.state)
 
     @noise_state.setter
@@ -117,13 +117,13 @@ class Converters:
         self._random.bit_generator.state = state
 
     def drive(self, volts: NDArray[np.float64]) -> tuple[NDArray[np.float64], NDArray[np.int16], NDArray[np.bool_]]:
-        """What the digital-to-analogue converter makes of commands: volts, codes, saturation; each of shape (n,)."""
+        """Return the output of the digital-to-analogue converter: volts, codes, saturation; each of shape (n,)."""
         channel = self.channels[0]
         codes, saturated = channel.encode(volts)
         return self._scale[0] * channel.decode(codes) + self._offset[0], codes, saturated
 
     def read(self, physical: NDArray[np.float64]) -> tuple[NDArray[np.int16], NDArray[np.uint16]]:
-        """Noisy codes, shape (n, channels), and saturation flags, shape (n,), bit k for channel k."""
+        """Return noisy codes, shape (n, channels), and saturation flags, shape (n,), bit k for channel k."""
         noisy = self._scale * physical + self._offset + self._noise_rms * self._random.standard_normal(physical.shape)
         codes, saturated = _encoded(noisy, self._gains, self._zeros)
         return codes, (saturated * self._bits).sum(axis=1, dtype=np.uint16)

@@ -1,4 +1,4 @@
-"""Faults: what goes wrong on purpose, in the device and on the line. Each kind is one entry of ``FAULT_KINDS``."""
+"""Fault injection in the device and on the line. Each kind is one entry of ``FAULT_KINDS``."""
 
 from __future__ import annotations
 
@@ -16,10 +16,10 @@ from tissueid.wire import State
 Seconds = Annotated[float, Field(ge=0, le=3600, allow_inf_nan=False)]
 
 SAGGED_SUPPLY = 0.3
-"""What is left of the supply in a brown-out."""
+"""Supply voltage during a brown-out, relative to normal."""
 
 FURTHEST_CLOCK = 0.1
-"""A clock that is further off than this is broken."""
+"""Largest relative clock error."""
 
 
 def _known(kind: str) -> str:
@@ -29,10 +29,10 @@ def _known(kind: str) -> str:
 
 
 class PlannedFault(BaseModel):
-    """One thing that goes wrong, timed in seconds of the device's clock.
+    """One planned fault, timed in seconds of the device's clock.
 
-    Either from the first START (``after_start_s``), or from when a state is entered that a host listens to
-    (``in_state``, ``after_s``): it happens in the first such state that lasts long enough.
+    Timed either from the first START (``after_start_s``), or from entering a state while a host is listening
+    (``in_state``, ``after_s``): in the first such state that lasts long enough.
     """
 
     model_config = ConfigDict(frozen=True, extra="forbid")
@@ -42,16 +42,16 @@ class PlannedFault(BaseModel):
     in_state: Literal["idle", "loaded", "armed", "running"] | None = None
     after_s: Seconds = 0.0
     seconds: Seconds | None = None
-    """How long it lasts; without it as long as its kind does, which for some is for good."""
+    """Duration; by default that of its kind, which can be permanent."""
     share: Annotated[float, Field(gt=0, le=1)] | None = None
-    """The part of the frames, or bursts of bytes, that a fault of the line touches."""
+    """Share of frames, or bursts of bytes, affected by a line fault."""
     pieces: Pieces = "frames"
     direction: Direction = "both"
     channel: Literal["position", "current", "temperature"] = "position"
-    """The sensor that is stuck."""
+    """The stuck sensor."""
     clock_error: Annotated[float, Field(ge=-FURTHEST_CLOCK, le=FURTHEST_CLOCK)] = 0.02
     clock_drift_per_s: Annotated[float, Field(ge=-FURTHEST_CLOCK, le=FURTHEST_CLOCK)] = 0.0
-    """By how much the device's clock is off at once, and by how much more every second."""
+    """Relative clock error at the start, and its increase per second."""
 
     @model_validator(mode="after")
     def _timed_once(self) -> Self:
@@ -64,17 +64,17 @@ class Cable(Protocol):
     """The connection between host and device, which can be unplugged."""
 
     def unplug(self) -> None:
-        """Pull it."""
+        """Unplug the cable."""
 
     def replug(self) -> None:
-        """Put it back."""
+        """Plug the cable in again."""
 
 
 @dataclass
 class Happening:
-    """A fault under way, on the device and cable that it befalls. ``undo`` says how it ends, when it does.
+    """An active fault with the device and cable that it affects. ``undo`` ends it.
 
-    ``identity`` is what the device is when nothing is wrong with it.
+    ``identity`` is that of the device without faults.
     """
 
     fault: PlannedFault
@@ -84,7 +84,7 @@ class Happening:
     identity: Identity
     now_s: float
     ends_s: float | None
-    """By the time for which the device has run."""
+    """End in device time."""
     undo: Callable[[], None] = lambda: None
     clock_error: float = 0.0
     clock_drift_per_s: float = 0.0
@@ -92,9 +92,9 @@ class Happening:
 
 @dataclass(frozen=True)
 class FaultKind:
-    """A kind of fault: what it is in a line, how it begins, and how long it lasts unless a plan says otherwise.
+    """A kind of fault: description, start, and default duration.
 
-    ``seconds`` is None for what lasts for good, and 0 for what is over at once.
+    ``seconds`` is None for a permanent fault, and 0 for a momentary one.
     """
 
     what: str
@@ -115,7 +115,7 @@ def _stall(it: Happening) -> None:
 
 def _brown_out(it: Happening) -> None:
     bench = it.firmware.bench
-    bench.supply_share = SAGGED_SUPPLY  # the firmware sees it by itself
+    bench.supply_share = SAGGED_SUPPLY  # the firmware detects it
     it.undo = lambda: setattr(bench, "supply_share", 1.0)
 
 
@@ -159,31 +159,31 @@ def _button(it: Happening) -> None:
 
 
 FAULT_KINDS: dict[str, FaultKind] = {
-    "bit_flips": FaultKind("one bit of a frame or burst is turned over", _on_the_line, 2.0, 0.02),
-    "drops": FaultKind("frames or bursts of bytes never arrive", _on_the_line, 2.0, 0.02),
+    "bit_flips": FaultKind("one bit of a frame or burst is inverted", _on_the_line, 2.0, 0.02),
+    "drops": FaultKind("frames or bursts of bytes are lost", _on_the_line, 2.0, 0.02),
     "duplicates": FaultKind("frames or bursts of bytes arrive twice", _on_the_line, 2.0, 0.1),
     "reordering": FaultKind("frames or bursts of bytes are overtaken by others", _on_the_line, 2.0, 0.05),
-    "wrong_version_frames": FaultKind("frames of another version come in between", _on_the_line, 2.0, 0.1),
-    "stall": FaultKind("the firmware hangs; its watchdog goes on", _stall, 2.0),
+    "wrong_version_frames": FaultKind("frames of another protocol version are inserted", _on_the_line, 2.0, 0.1),
+    "stall": FaultKind("the firmware hangs; its watchdog keeps running", _stall, 2.0),
     "reset": FaultKind("the device restarts", lambda it: it.firmware.reboot(), 0.0),
     "wrong_version": FaultKind("the device restarts with a firmware of another version", _other_version),
     "brown_out": FaultKind("the supply sags", _brown_out, 0.2),
     "stuck_sensor": FaultKind("the codes of one channel freeze", _stuck),
     "open_coil": FaultKind("the coil is disconnected", _open_coil),
-    "drifting_clock": FaultKind("the device's clock is off, and drifts", _drift),
-    "unplug": FaultKind("the cable is pulled", _unplug),
-    "replug": FaultKind("the cable is put back", lambda it: it.cable.replug(), 0.0),
+    "drifting_clock": FaultKind("the device's clock is wrong, and drifts", _drift),
+    "unplug": FaultKind("the cable is unplugged", _unplug),
+    "replug": FaultKind("the cable is plugged in again", lambda it: it.cable.replug(), 0.0),
     "button": FaultKind("the button is pressed", _button),
 }
-"""Every kind of fault by its name."""
+"""All kinds of faults by name."""
 
 
 class FaultInjector:
-    """Lets faults befall a firmware and its cable: those that are planned when their time comes, any other at once.
+    """Injects faults into a firmware and its cable: planned ones at their time, others on request.
 
-    Bytes go through ``line`` both ways; ``clock_rate`` is by how much the device's clock is fast. The device's time is
-    counted in samples, so that the same plan plays the same way whatever the machine does. ``lasting`` are those under
-    way, ``happened`` counts all.
+    Bytes pass through ``line`` in both directions; ``clock_rate`` is the relative speed of the device's clock. Device
+    time is counted in samples, so that a plan has the same effect on any computer. ``lasting`` are the active faults,
+    ``happened`` counts all.
     """
 
     def __init__(
@@ -202,12 +202,12 @@ class FaultInjector:
 
     @property
     def clock_rate(self) -> float:
-        """Seconds of the device in a second of the world."""
+        """Device seconds per second."""
         error = sum(item.clock_error for item in self.lasting)
         return 1.0 + min(max(error, -FURTHEST_CLOCK), FURTHEST_CLOCK)
 
     def advance(self, samples: int, now_s: float) -> None:
-        """The device has lived on by ``samples``; ``now_s`` is the watchdog's clock."""
+        """Account for ``samples`` device samples; ``now_s`` is the clock of the watchdog."""
         self._samples += samples
         for item in self.lasting:
             item.clock_error += item.clock_drift_per_s * samples / self._firmware.sample_rate_hz
@@ -216,7 +216,7 @@ class FaultInjector:
         self.look(now_s)
 
     def look(self, now_s: float) -> None:
-        """Let happen what is due now; to be called whenever the firmware may have changed its state."""
+        """Start faults that are due; must be called whenever the state of the firmware may have changed."""
         state = self._firmware.state if self._firmware.streaming else None
         if state is not self._state:
             self._state, self._entered = state, self._samples
@@ -227,7 +227,7 @@ class FaultInjector:
             self.begin(fault, now_s)
 
     def begin(self, fault: PlannedFault, now_s: float) -> Happening:
-        """Let a fault happen now, whatever its timing says."""
+        """Start a fault now, regardless of its timing."""
         kind = FAULT_KINDS[fault.kind]
         seconds = kind.seconds if fault.seconds is None else fault.seconds
         ends = None if seconds is None else self._seconds() + seconds
@@ -238,12 +238,12 @@ class FaultInjector:
         return it
 
     def end(self, it: Happening) -> None:
-        """What lasted is over."""
+        """End an active fault."""
         self.lasting.remove(it)
         it.undo()
 
     def clear(self) -> None:
-        """All that lasts is over, a button let go, a cable put back; what was planned does not happen any more."""
+        """End all active faults and remove the planned ones."""
         self._planned.clear()
         self._firmware.stall(0.0)
         for it in self.lasting[::-1]:

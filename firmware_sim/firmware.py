@@ -1,6 +1,6 @@
-"""The firmware: a state machine that owns the coil. Bytes and time in, bytes out; no ports, no clocks of its own.
+"""Firmware: a state machine that controls the coil. Bytes and time in, bytes out; it has no ports or clocks itself.
 
-``docs/protocol.md`` specifies what it speaks; the safety rules of its section 5 hold whatever the host does.
+``docs/protocol.md`` specifies the protocol; the safety rules of its section 5 hold for any behaviour of the host.
 """
 
 from __future__ import annotations
@@ -24,26 +24,26 @@ from tissueid import wire
 from tissueid.wire import Fault, Frame, MessageType, Result, State
 
 FRAME_S = 0.01
-"""How much of the stream a DATA frame carries."""
+"""Duration of the samples in a DATA frame, s."""
 
 WATCHDOG_S = 0.5
 ALWAYS_OBEYED = (MessageType.STOP, MessageType.RELEASE, MessageType.FINISH)
-"""What frees the coil is done for anybody, in any state, whatever was agreed on before."""
+"""Requests that release the coil: accepted from any host, in any state, without a handshake."""
 
 LEAST_SUPPLY_SHARE = 0.4
-"""Below this share of its supply the amplifier is off."""
+"""Supply voltage, relative to normal, below which the amplifier is off."""
 
 HOST_SILENCE_S = 2.0
-"""A host that is silent for this long is gone: streaming ends, so that the next one finds a quiet line."""
+"""Silence of the host, s, after which streaming ends, so that the next host finds a quiet line."""
 
 STIMULUS_CAPACITY_S = 120.0
 
 
 class Firmware:
-    """The instrument's firmware on a simulated bench.
+    """The firmware of the instrument on a simulated bench.
 
-    Call ``receive`` with bytes from the host, ``advance`` as the device clock moves on, ``transmit`` for the
-    bytes to send. ``now_s`` is the watchdog's own clock and must not go backwards.
+    Call ``receive`` with bytes from the host, ``advance`` when the device clock advances, ``transmit`` for the bytes to
+    send. ``now_s`` is the clock of the watchdog and must not decrease.
     """
 
     def __init__(
@@ -87,43 +87,47 @@ class Firmware:
 
     @property
     def energised(self) -> bool:
-        """True while the amplifier is enabled."""
+        """Whether the amplifier is enabled."""
         return self.state is State.RUNNING
 
     @property
     def samples_to_frame(self) -> int:
-        """Samples still to be taken before the next DATA frame is whole."""
+        """Number of samples until the next DATA frame is complete."""
         return self.samples_per_frame - self._samples.size
 
     @property
     def samples_known(self) -> int:
-        """Samples that can be played before a set-point is missing; a great many where none is asked for."""
+        """Number of samples that can be played before a set-point is missing; the stimulus capacity if none is
+        expected.
+        """
         if self.state is not State.RUNNING or self._player.releasing or not self._setpoints.samples:
             return self.stimulus_capacity
         return self._setpoints.next_missing(self._player.cursor) - self._player.cursor
 
     @property
     def dropped_frames(self) -> int:
-        """Frames that the host did not make room for."""
+        """Number of frames dropped because the host did not read."""
         return self._outbox.dropped_frames
 
     def reboot(self) -> None:
-        """A reset: everything is forgotten and the coil is free; the tissue under the probe goes on as it was."""
+        """Reset: the whole state is lost and the coil is released; the tissue is not affected."""
         self._power_up()
         self._send_status()
 
     def brown_out(self) -> None:
-        """The supply voltage dropped: the amplifier is off until the fault is cleared."""
+        """Handle a drop of the supply voltage: the amplifier is off until the fault is cleared."""
         self._trip(Fault.BROWN_OUT)
 
     def stall(self, until_s: float) -> None:
-        """Hang until ``until_s``: nothing is heard or sent. The watchdog has its own oscillator and goes on."""
+        """Hang until ``until_s``: nothing is received or sent. The watchdog has a separate oscillator and keeps
+        running.
+        """
         self.stalled_until_s = until_s
 
     # -- bytes in -----------------------------------------------------------------------------------------
 
     def receive(self, data: bytes, now_s: float) -> None:
-        """Take bytes from the host. Damaged frames are dropped and counted."""
+        """Process bytes from the host. Damaged frames are dropped and counted."""
         if now_s < self.stalled_until_s:
             return
         for frame in self._decoder.feed(data):
@@ -159,7 +163,7 @@ class Firmware:
             return
         self._greeted = self.identity.speaks(hello["protocol_min"], hello["protocol_max"])
         if not self._greeted:
-            self._release(forget=False)  # the host of the run is gone
+            self._release(forget=False)  # the host of the run has disconnected
         answer = self.identity.hello_ack(
             self.bench.nominal,
             self._channels,
@@ -175,7 +179,7 @@ class Firmware:
         if self.state is State.FAULT and MessageType.STIMULUS_BEGIN <= frame.type <= MessageType.START:
             return Result.FAULT_LATCHED, int(self.faults)
         if self.bench.button and frame.type in (MessageType.ARM, MessageType.START, MessageType.STAGE):
-            return Result.FAULT_LATCHED, int(Fault.BUTTON)  # nothing moves while it is held down
+            return Result.FAULT_LATCHED, int(Fault.BUTTON)  # no motion while the button is pressed
         match frame.type:
             case MessageType.STREAM:
                 request, _ = wire.unpack(wire.STREAM, frame.payload)
@@ -208,7 +212,7 @@ class Firmware:
     # -- requests -----------------------------------------------------------------------------------------
 
     def _load(self, frame: Frame) -> Answer:
-        """A stimulus is announced, comes in pieces, and is played only when it is whole."""
+        """Receive a stimulus: it is announced, sent in chunks, and can be played after a successful commit."""
         permitted = (State.IDLE, State.LOADED) if frame.type == MessageType.STIMULUS_BEGIN else (State.IDLE,)
         if self.state not in permitted:
             return Result.BAD_STATE, 0
@@ -310,14 +314,14 @@ class Firmware:
         return Result.OK, self._player.played
 
     def _disarm(self) -> None:
-        """A run is over, or will not be: set-points are agreed on for one run alone."""
+        """End the permission of a run: limits and set-points are agreed for one run only."""
         self._armed = None
         self._setpoints.agree(0, 0.0)
 
     # -- the clock ----------------------------------------------------------------------------------------
 
     def advance(self, samples: int, now_s: float) -> None:
-        """The device clock moves on by ``samples`` sample periods; the watchdog's clock reads ``now_s``."""
+        """Advance the device clock by ``samples`` sample periods; the clock of the watchdog reads ``now_s``."""
         self._check_watchdog(now_s)
         while samples > 0:
             count = min(samples, self.samples_per_frame - self._samples.size)
@@ -333,7 +337,7 @@ class Firmware:
             self._trip(Fault.WATCHDOG)
 
     def _sample(self, count: int) -> int:
-        """Play and sample up to ``count`` samples; fewer where the stimulus ends or a limit trips."""
+        """Play and sample up to ``count`` samples; fewer if the stimulus ends or a limit trips."""
         if self.bench.supply_share < LEAST_SUPPLY_SHARE and Fault.BROWN_OUT not in self.faults:
             self.brown_out()
         command, flags = self._command(count)
@@ -346,7 +350,7 @@ class Firmware:
             limits=self._armed,
             cursor=self._player.cursor,
         )
-        # As a rule a frame is sampled at once; joining means comparing the fields of both parts, which takes long.
+        # A frame is usually sampled in one call; concatenating structured arrays is slow.
         self._samples = np.concatenate((self._samples, taken.samples)) if self._samples.size else taken.samples
         self.sample_index += taken.samples.size
         if self.state is State.RUNNING:
@@ -357,7 +361,7 @@ class Firmware:
         return taken.samples.size
 
     def _go_on(self, fault: Fault) -> None:
-        """The run goes on, or ends."""
+        """Continue or end the run after a block."""
         if fault:
             self._trip(fault)
         elif self._setpoints.starved:
@@ -367,7 +371,7 @@ class Firmware:
             self._enter(State.LOADED)
 
     def _command(self, count: int) -> tuple[NDArray[np.float64], NDArray[np.uint16]]:
-        """Volts for up to ``count`` samples, and the flags that say where they come from."""
+        """Return volts for up to ``count`` samples, and the flags of their source."""
         if self.state is State.RUNNING:
             return self._player.command(count)
         return np.zeros(count), np.zeros(count, np.uint16)
@@ -411,5 +415,5 @@ class Firmware:
         self._outbox.put(kind, payload, self.sample_index if index is None else index)
 
     def transmit(self, now_s: float) -> bytes:
-        """Take everything that waits to be sent."""
+        """Return all bytes that wait to be sent."""
         return b"" if now_s < self.stalled_until_s else self._outbox.take()

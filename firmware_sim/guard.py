@@ -1,4 +1,4 @@
-"""The guard over the coil: it judges every sample of a run, whatever the host says (docs/protocol.md, section 5)."""
+"""Safety monitor of the coil: checks every sample of a run, independent of the host (docs/protocol.md, section 5)."""
 
 from __future__ import annotations
 
@@ -15,14 +15,14 @@ from firmware_sim.thermal import WindingModel
 from tissueid.wire import Fault
 
 FORCE_CEILING = 1.01
-"""A command is lowered where the force is foreseen above this share of its limit; the trip is at 1.05."""
+"""Predicted force, relative to its limit, above which a command is reduced; the trip is at 1.05."""
 
 
 class Guard:
-    """Holds the limits that were armed, the winding's temperature by calculation, and what the sensors can say.
+    """The armed limits, the calculated winding temperature, and the plausibility of the sensors.
 
-    The temperature goes on from block to block as long as the device has power, and so do the newest positions;
-    ``begin`` resets the rest.
+    The temperature and the newest positions are kept from block to block as long as the device has power; ``begin``
+    resets the rest.
     """
 
     def __init__(self, channels: dict[str, Channel], coil: PlantParameters, sample_rate_hz: float) -> None:
@@ -38,17 +38,17 @@ class Guard:
         self._plausibility = Plausibility(sample_rate_hz, coil.resistance_ohm, coil.force_constant_n_per_a)
 
     def begin(self, armed: ArmedLimits) -> None:
-        """A run under these limits begins."""
+        """Start the monitoring of a run under these limits."""
         self._lifted = False
         self._plausibility.begin(seen_low_end=armed.min_position_m <= 0.0)
 
     def lowered(self, command_v: NDArray[np.float64], block: Block, armed: ArmedLimits) -> NDArray[np.float64]:
-        """Commands, shape (n,), V, lowered where the force would go beyond its limit; ``block`` is what they gave.
+        """Return commands, shape (n,), V, reduced where the force would exceed its limit; ``block`` is their result.
 
-        The current follows the voltage within a sample (L/R is 0.08 ms), less what the moving coil induces: F = k (V -
-        k v) / R. So a probe that moves against a push that begins is pushed harder than at standstill. The speed when
-        a sample begins follows from the three positions before it: of the block only those before a sample tell of it.
-        A command is never raised, and never turned round.
+        The current follows the voltage within a sample (L/R is 0.08 ms), minus the back-EMF: F = k (V - k v) / R. A
+        probe that moves against the force is therefore pushed harder than at rest. The speed at the start of a sample
+        is extrapolated from the three positions before it; later samples of the block are not used. A command is never
+        increased or reversed.
         """
         position = np.concatenate((self._newest_m, self._read(block, "position")))
         step = np.diff(position)[:-1] * self._rate
@@ -60,9 +60,10 @@ class Guard:
         return np.where(np.abs(command_v) > most_v, np.sign(command_v) * most_v, command_v)
 
     def judge(self, block: Block, armed: ArmedLimits, first: int) -> tuple[int, Fault]:
-        """Where in a block that was played the first limit is broken, and which; NONE when none is.
+        """Return index and kind of the first limit violation in a played block; NONE if there is none.
 
-        ``first`` numbers the block's first sample from the start of the run, the samples of its release with them.
+        ``first`` is the index of the block's first sample from the start of the run, including the samples of its
+        release.
         """
         readings = Readings(
             **{name: self._read(block, name) for name in ("command", "voltage", "current", "position")},
@@ -75,7 +76,7 @@ class Guard:
                 block,
                 self._channels,
                 self._coil,
-                first - self._release_samples,  # the release comes on top of what was agreed
+                first - self._release_samples,  # the release is in addition to the agreed samples
                 self._off_the_end(readings.position, armed, first),
             ),
         ]
@@ -84,17 +85,19 @@ class Guard:
         return min((item for item in found if item[1]), key=lambda item: item[0], default=(0, Fault.NONE))
 
     def _off_the_end(self, position: NDArray[np.float64], armed: ArmedLimits, first: int) -> NDArray[np.bool_]:
-        """From which sample on, shape (n,), the near limit counts: once the probe was inside it, or had the time to."""
+        """Return the mask (n,) of samples for which the near limit applies: after the probe was inside it, or had time
+        to be.
+        """
         off = (position >= armed.min_position_m) | (first + np.arange(position.size) >= self._lift_samples)
         off = np.logical_or.accumulate(off) | self._lifted
         self._lifted = bool(off[-1]) if off.size else self._lifted
         return np.asarray(off)
 
     def live_on(self, block: Block) -> None:
-        """A block has passed, played or not: the winding warms or cools, the probe goes on."""
+        """Update temperature and positions with a block, played or not."""
         self._newest_m = np.concatenate((self._newest_m, self._read(block, "position")))[-3:]
         self.winding.advance(self._read(block, "current"), self._read(block, "temperature"))
 
     def _read(self, block: Block, name: str) -> NDArray[np.float64]:
-        """A channel of a block in physical units, shape (n,)."""
+        """Return a channel of a block in physical units, shape (n,)."""
         return self._channels[name].decode(block.codes[:, self._columns[name]])

@@ -1,4 +1,4 @@
-"""What the firmware says of itself in the handshake."""
+"""Identity of the device in the handshake."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ from tissueid import wire
 
 @dataclass(frozen=True)
 class Identity:
-    """Who the device is, which protocol it speaks, and how far it may ever go."""
+    """Identity of the device, its protocol versions, and its absolute limits."""
 
     model: str = "desktop indenter (simulated)"
     serial_number: str = "SIM-0001"
@@ -21,10 +21,10 @@ class Identity:
     max_force_n: float = 15.0
     max_temperature_c: float = 85.0
     stage: bool = True
-    """Whether a motorised stage brings the fixture under the probe."""
+    """Whether a motorised stage positions the fixture."""
 
     def speaks(self, protocol_min: int, protocol_max: int) -> bool:
-        """Whether there is a version that both sides speak."""
+        """Return whether the two sides have a common protocol version."""
         return protocol_min <= self.protocol_max and protocol_max >= self.protocol_min
 
     def hello_ack(
@@ -38,7 +38,7 @@ class Identity:
         stimulus_capacity: int,
         watchdog_s: float,
     ) -> bytes:
-        """The payload of HELLO_ACK, the channel table included."""
+        """Return the payload of HELLO_ACK, including the channel table."""
         head = wire.pack(
             wire.HELLO_ACK,
             protocol_min=self.protocol_min,

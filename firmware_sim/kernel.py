@@ -1,10 +1,9 @@
-"""The compiled part of the plant: equations of motion, contact events and the integration loop.
+"""Compiled part of the plant: equations of motion, contact events and the integration loop.
 
-One call of :func:`advance` integrates a block of samples. Each hold interval is cut into equal sub-steps of
-classical Runge-Kutta of order four. Contact made or lost inside a sub-step is located in time and the sub-step is
-finished from there, so that the order of the method survives the switch.
-
-Units are SI throughout; positions grow into the tissue on the actuator scale.
+One call of :func:`advance` integrates a block of samples. Each hold interval is divided into equal sub-steps of
+classical Runge-Kutta of order four. If contact is made or lost within a sub-step, the event is located in time and the
+sub-step is continued from there, so that the order of the method is kept. Units are SI; positions increase into the
+tissue on the actuator scale.
 """
 
 from __future__ import annotations
@@ -18,14 +17,14 @@ from numpy.typing import NDArray
 Array = NDArray[np.float64]
 
 MAX_BRANCHES = 3
-"""Relaxation branches that a tissue may have."""
+"""Largest number of relaxation branches of a tissue."""
 
 # State vector.
 CURRENT, POSITION, VELOCITY, SURFACE, SURFACE_VELOCITY, TEMPERATURE = range(6)
-LATENT, LATENT_VELOCITY = 6, 7  # Wiener kind: the linear block that the static curve hides
+LATENT, LATENT_VELOCITY = 6, 7  # Wiener kind: state of the linear block before the static curve
 BRANCH = 8  # MAX_BRANCHES low-passed elastic forces, N
 FILTER = BRANCH + MAX_BRANCHES  # first-order anti-alias filters of voltage, current, position, temperature
-SENSOR = FILTER + 4  # the temperature sensor, which lags behind the winding
+SENSOR = FILTER + 4  # temperature of the sensor, which lags the winding
 TOUCHING = SENSOR + 1  # 1 while probe and tissue move together; switched, not integrated
 STATE_SIZE = TOUCHING + 1
 
@@ -51,8 +50,8 @@ PARALLEL, WIENER, HAMMERSTEIN = 0, 1, 2
     FILTER_CUTOFF,
     SENSOR_LAG,
 ) = range(16)
-# Behind them: the wire's state, and the force constant along the stroke, relative, as pairs of value and slope (per
-# node spacing) at equal distances. No nodes: the same everywhere.
+# Followed by the state of the wire, and the relative force constant along the stroke as pairs of value and slope (per
+# node spacing) at equal distances. Without nodes it is constant.
 COIL_OPEN, PROFILE_NODES, PROFILE_START, PROFILE_SPACING, PROFILE = 16, 17, 18, 19, 20
 
 # Tissue parameters, in the order of tissue.Tissue.to_array.
@@ -69,27 +68,27 @@ OUT_COLUMNS = 11
 _EVENTS_PER_STEP = 6
 _LOCATE_ITERATIONS = 40
 
-# No figure that is divided by may be zero, so nothing looks for that at each division; and calls with four arrays are
-# dear. Together that is 40 % of the time, and not one bit of the result.
+# Divisors are never zero, so checks for it are disabled, and calls are inlined. This saves 40 % of the time without any
+# change of the result.
 _swift = njit(error_model="numpy", forceinline=True)
 
 
 @_swift
 def _exponential(tissue: Array, first: int, depth: float) -> float:
-    # A law that does not change with depth, as most do not, needs no exponential: exp(0) is 1 to the last bit.
+    # The exponential is skipped for a constant law, which is exact: exp(0) is 1.
     rate = tissue[first + 1]
     return tissue[first] * ((1.0 if rate == 0.0 else exp(rate * depth)) + tissue[first + 2])
 
 
 @_swift
 def elastic_force(tissue: Array, depth: float) -> float:
-    """Relaxed elastic force K(y) y, newtons, at a depth in metres (thesis Eq. 3.33)."""
+    """Return the relaxed elastic force K(y) y, newtons, at a depth in metres (thesis Eq. 3.33)."""
     return _exponential(tissue, STIFFNESS, depth) * depth
 
 
 @_swift
 def tissue_mass(tissue: Array, depth: float) -> float:
-    """Mass of tissue that moves with its surface, kilograms, recruited mass included."""
+    """Return the mass of tissue that moves with its surface, kilograms, including recruited mass."""
     mass = _exponential(tissue, MASS, depth)
     if depth > 0.0 and tissue[RECRUITED_MASS] != 0.0:
         mass += tissue[RECRUITED_MASS] * (1.0 - exp(-depth / tissue[RECRUITMENT_DEPTH]))
@@ -98,7 +97,7 @@ def tissue_mass(tissue: Array, depth: float) -> float:
 
 @_swift
 def _recruitment_force(tissue: Array, depth: float, velocity: float) -> float:
-    # Half of dM/dy v^2: with it, recruiting and shedding mass neither makes nor loses kinetic energy.
+    # Half of dM/dy v^2 conserves kinetic energy when mass is recruited or released.
     if depth <= 0.0 or tissue[RECRUITED_MASS] == 0.0:
         return 0.0
     slope = tissue[RECRUITED_MASS] / tissue[RECRUITMENT_DEPTH] * exp(-depth / tissue[RECRUITMENT_DEPTH])
@@ -107,8 +106,7 @@ def _recruitment_force(tissue: Array, depth: float, velocity: float) -> float:
 
 @_swift
 def _resistance(state: Array, tissue: Array, depth: float, velocity: float) -> tuple[float, float]:
-    # Everything of the tissue that resists motion at this depth and speed, without inertia, and its part from the
-    # relaxed elastic force, N.
+    # Total resisting force of the tissue at this depth and speed, without inertia, and its relaxed elastic part, N.
     elastic = elastic_force(tissue, depth)
     force = elastic + _recruitment_force(tissue, depth, velocity)
     direction = 1.0
@@ -133,7 +131,7 @@ def _end_stop(plant: Array, position: float, velocity: float) -> float:
 
 @_swift
 def _wiener_output(tissue: Array, latent: float, latent_velocity: float) -> tuple[float, float]:
-    # Position and velocity of the probe behind the static curve.
+    # Position and velocity of the probe after the static curve.
     decay = exp(-tissue[CURVE_RATE] * tissue[STIFFNESS] * latent)
     position = tissue[REST_SURFACE] + tissue[CURVE_SCALE] * (1.0 - decay)
     return position, tissue[CURVE_SCALE] * tissue[CURVE_RATE] * tissue[STIFFNESS] * decay * latent_velocity
@@ -141,7 +139,7 @@ def _wiener_output(tissue: Array, latent: float, latent_velocity: float) -> tupl
 
 @_swift
 def _contact_force(state: Array, plant: Array, tissue: Array) -> float:
-    # What the tissue pushes back with while probe and surface move together, N.
+    # Force of the tissue on the probe while in contact, N.
     velocity = state[VELOCITY]
     depth = state[POSITION] - tissue[REST_SURFACE]
     resistance, _ = _resistance(state, tissue, depth, velocity)
@@ -170,7 +168,7 @@ def _force_constant(plant: Array, position: float) -> float:
 
 @_swift
 def _probe_force(state: Array, plant: Array) -> float:
-    # Every force on the moving part but the tissue's, N.
+    # Sum of all forces on the moving part except that of the tissue, N.
     return (
         _force_constant(plant, state[POSITION]) * state[CURRENT]
         + plant[GRAVITY_FORCE]
@@ -181,7 +179,7 @@ def _probe_force(state: Array, plant: Array) -> float:
 
 @_swift
 def _derivative(state: Array, rate: Array, row: int, volts: float, plant: Array, tissue: Array) -> None:
-    # Into a row of ``rate``: a view of it would be counted, at a cost, each time that it is made.
+    # Written into a row of ``rate``: creating a view each time would cost reference counting.
     current = state[CURRENT]
     kind = tissue[KIND]
     if kind == WIENER:
@@ -234,7 +232,7 @@ def _derivative(state: Array, rate: Array, row: int, volts: float, plant: Array,
 
 @_swift
 def _copy(source: Array, target: Array) -> None:
-    # Number by number: with a slice, numba compiles the words of an error that cannot happen, for seconds.
+    # Element by element: with a slice, numba spends seconds compiling an error message that cannot occur.
     for j in range(STATE_SIZE):
         target[j] = source[j]
 
@@ -261,7 +259,7 @@ def _runge_kutta(
 
 @_swift
 def _overdue(state: Array, plant: Array, tissue: Array) -> float:
-    # Positive where the present mode of contact has ended: the tissue would pull, or the probe is inside it.
+    # Positive if the present contact state has ended: the tissue would pull, or the probe is inside it.
     if state[TOUCHING] > 0.0:
         return -_contact_force(state, plant, tissue)
     return state[POSITION] - state[SURFACE]
@@ -272,7 +270,7 @@ def _switch_contact(state: Array, plant: Array, tissue: Array) -> None:
     if state[TOUCHING] > 0.0:
         state[TOUCHING] = 0.0
         return
-    # Inelastic meeting of probe and surface: momentum is kept, the difference in speed is lost.
+    # Inelastic collision of probe and surface: momentum is conserved.
     mass = tissue_mass(tissue, state[SURFACE] - tissue[REST_SURFACE])
     momentum = plant[MOVING_MASS] * state[VELOCITY] + mass * state[SURFACE_VELOCITY]
     state[TOUCHING] = 1.0
@@ -322,10 +320,9 @@ def advance(
     """Integrate one block of zero-order-hold commands in place.
 
     ``commands`` has shape (n,), volts at the amplifier's input; ``state`` (STATE_SIZE,) is updated; ``out`` has shape
-    (n, OUT_COLUMNS) and receives, at the end of each hold interval: voltage, current, position, velocity,
-    temperature of the winding, mean acceleration over the interval, touching, and the four filtered readings (voltage,
-    current, position, temperature as its sensor has it). ``plant`` holds the figures of plant.PlantParameters and,
-    behind them, what is said at COIL_OPEN above.
+    (n, OUT_COLUMNS) and receives, at the end of each hold interval: voltage, current, position, velocity, winding
+    temperature, mean acceleration over the interval, contact, and the four filtered readings (voltage, current,
+    position, sensor temperature). ``plant`` holds plant.PlantParameters followed by the entries from COIL_OPEN on.
     """
     step = interval / substeps
     work = np.zeros((5, STATE_SIZE))

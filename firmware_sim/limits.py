@@ -1,4 +1,4 @@
-"""The limits of one test as ARM agreed on them, and how samples are judged by them (docs/protocol.md, section 5)."""
+"""Limits of one test as agreed by ARM, and the check of samples against them (docs/protocol.md, section 5)."""
 
 from __future__ import annotations
 
@@ -13,24 +13,25 @@ from firmware_sim.plant import PlantParameters
 from tissueid.wire import Fault
 
 MAX_RUN_S = 90.0
-"""Longest stimulus with its set-points: a minute of them, and the preload before it."""
+"""Longest stimulus with its set-points, s: one minute of set-points after the preload."""
 
 FORCE_MARGIN = 1.05
-"""Trips are set this far above the limit, so that converter noise on a test at the limit does not end it."""
+"""Ratio of the trip level to the limit, so that converter noise on a test at the limit does not end it."""
 
 
 GENTLE_FORCE_N = 2.0
-"""Up to this force the probe may go to the ends of its stroke and lean on them: that is how they are found."""
+"""Force limit up to which the probe may press against the ends of its stroke, which locates them."""
 
 BEYOND_STROKE_M = 1.0e-3
-"""How far the limits may then lie beyond either end."""
+"""Largest distance of the position limits beyond the ends of the stroke in that case."""
 
 LIFT_S = 0.5
-"""A device that points upwards has its free probe at the near end: a run may take so long to lift it off."""
+"""Time at the start of a run in which the probe may leave the near end, where it rests if the device points upwards, s.
+"""
 
 
 def static_force_n(volts: NDArray[np.float64], coil: PlantParameters) -> NDArray[np.float64]:
-    """The coil's force at standstill, N, without its sign; motion against the push raises it."""
+    """Return the absolute force of the coil at rest, N; motion against the force increases it."""
     return np.abs(volts) * (coil.amplifier_gain * coil.force_constant_n_per_a / coil.resistance_ohm)
 
 
@@ -46,7 +47,7 @@ class ArmedLimits:
     max_samples: int
 
     def within(self, max_force_n: float, max_temperature_c: float, stroke_m: float, sample_rate_hz: float) -> bool:
-        """Whether all of them are sound and none goes beyond the device's own."""
+        """Return whether all limits are valid and none exceeds that of the device."""
         beyond = BEYOND_STROKE_M if self.max_force_n <= GENTLE_FORCE_N else 0.0
         figures = (self.max_force_n, self.min_position_m, self.max_position_m, self.max_temperature_c)
         return bool(
@@ -58,7 +59,7 @@ class ArmedLimits:
         )
 
     def permits(self, volts: NDArray[np.float64], coil: PlantParameters) -> bool:
-        """Whether no command, shape (n,), V, pushes harder at standstill than was agreed."""
+        """Return whether no command, shape (n,), V, exceeds the force limit at rest."""
         return bool(static_force_n(volts, coil).max() <= self.max_force_n * FORCE_MARGIN)
 
     def first_violation(
@@ -69,9 +70,10 @@ class ArmedLimits:
         first: int,
         lifted: NDArray[np.bool_] | bool = True,
     ) -> tuple[int, Fault]:
-        """Where in a block the first limit is broken, and which; ``first`` counts its first sample from the start.
+        """Return index and kind of the first limit violation in a block; ``first`` is the index of its first sample in
+        the run.
 
-        Where ``lifted`` is false, shape (n,), the probe has not come off the near end yet, and need not have.
+        Where ``lifted`` is false, shape (n,), the probe may still rest at the near end.
         """
         samples = block.codes.shape[0]
         columns = list(channels)

@@ -1,4 +1,4 @@
-"""A line that damages, loses, repeats and reorders what it carries, the same way every time for the same seed."""
+"""A line that damages, loses, repeats and reorders data, reproducibly for the same seed."""
 
 from __future__ import annotations
 
@@ -13,17 +13,17 @@ from tissueid import wire
 Way = Literal["to_host", "to_device"]
 Direction = Literal["both", "to_host", "to_device"]
 Pieces = Literal["frames", "bursts"]
-"""What a line takes hold of: whole frames, or runs of bytes that begin and end anywhere."""
+"""Unit affected by a fault: whole frames, or bursts of bytes with arbitrary boundaries."""
 
 LONGEST_BURST = 64
 FURTHEST = 3
-"""How many pieces, at most, overtake one that is held back."""
+"""Largest number of pieces that overtake a delayed one."""
 
 OTHER_VERSION = 2
 
 
 class _Trouble:
-    """One thing that is wrong with one way of the line. ``share`` of the pieces are touched."""
+    """One fault of one direction of the line, which affects the share ``share`` of the pieces."""
 
     def __init__(self, kind: str, share: float, pieces: Pieces, random: np.random.Generator) -> None:
         self._touch = _TOUCH[kind]
@@ -35,7 +35,7 @@ class _Trouble:
         self._held: list[tuple[int, bytes]] = []
 
     def carry(self, data: bytes) -> bytes:
-        """What comes out when ``data`` goes in; the beginning of a frame waits for its end."""
+        """Return the output for an input; an incomplete frame waits for its end."""
         out = bytearray()
         for piece in self._cut(data):
             touched = self._random.random() < self._share
@@ -46,32 +46,32 @@ class _Trouble:
         return bytes(out)
 
     def rest(self) -> bytes:
-        """What is still on the way."""
+        """Return the data that is still in transit."""
         held = b"".join(piece for _, piece in self._held)
         rest, self._held, self._tail = held + self._tail, [], b""
         return rest
 
     def flip(self, piece: bytes) -> bytes:
-        """One bit of it is turned over."""
+        """Invert one bit."""
         damaged = bytearray(piece)
         damaged[self._random.integers(len(piece))] ^= 1 << int(self._random.integers(8))
         return bytes(damaged)
 
     def drop(self, _: bytes) -> bytes:
-        """It never arrives."""
+        """Lose the piece."""
         return b""
 
     def repeat(self, piece: bytes) -> bytes:
-        """It arrives twice."""
+        """Send the piece twice."""
         return piece + piece
 
     def hold(self, piece: bytes) -> bytes:
-        """It is overtaken by some of those that follow."""
+        """Delay the piece behind some of the following ones."""
         self._held.append((int(self._random.integers(1, FURTHEST + 1)), piece))
         return b""
 
     def relabel(self, piece: bytes) -> bytes:
-        """A whole frame of another version of the protocol comes in its place."""
+        """Replace the piece by a valid frame of another protocol version."""
         return b"".join(
             wire.encode_frame(replace(frame, version=OTHER_VERSION)) for frame in wire.FrameDecoder().feed(piece)
         )
@@ -102,11 +102,11 @@ _TOUCH: dict[str, Callable[[_Trouble, bytes], bytes]] = {
 }
 
 LINE_KINDS = frozenset(_TOUCH)
-"""What can be wrong with a line."""
+"""Names of the line faults."""
 
 
 class LineFaults:
-    """Both ways of a line: bytes go through ``to_host`` or ``to_device``, and without trouble come out as they are."""
+    """Both directions of a line: bytes pass through ``to_host`` or ``to_device``, unchanged without faults."""
 
     def __init__(self, seed: int = 0) -> None:
         self._random = np.random.default_rng([seed, 0x11E5])
@@ -116,16 +116,16 @@ class LineFaults:
 
     @property
     def touched(self) -> int:
-        """How many pieces were touched so far."""
+        """Number of affected pieces so far."""
         return self._touched_before + sum(item.touched for items in self._troubles.values() for item in items)
 
     def begin(
         self, kind: str, share: float, pieces: Pieces = "frames", direction: Direction = "both"
     ) -> Callable[[], None]:
-        """From now on ``share`` of the pieces are touched; returns what ends it.
+        """Start a fault that affects the share ``share`` of the pieces; return a function that ends it.
 
         Raises:
-            KeyError: no such kind.
+            KeyError: there is no such kind.
         """
         ways: tuple[Way, ...] = get_args(Way) if direction == "both" else (direction,)
         begun = [(way, _Trouble(kind, share, pieces, self._random.spawn(1)[0])) for way in ways]
@@ -142,18 +142,18 @@ class LineFaults:
         return end
 
     def cut(self) -> None:
-        """The cable is pulled: what was on its way is gone."""
+        """Drop all data in transit when the cable is unplugged."""
         for way, troubles in self._troubles.items():
             self._left[way] = b""
             for trouble in troubles:
                 trouble.rest()
 
     def to_host(self, data: bytes) -> bytes:
-        """What the host hears of what the device sent."""
+        """Return what the host receives of the device's bytes."""
         return self._carry("to_host", data)
 
     def to_device(self, data: bytes) -> bytes:
-        """What the device hears of what the host sent."""
+        """Return what the device receives of the host's bytes."""
         return self._carry("to_device", data)
 
     def _carry(self, way: Way, data: bytes) -> bytes:

@@ -1,4 +1,4 @@
-"""What the plant itself is at a depth: the truth that a small-amplitude test should find."""
+"""True mass, damping and stiffness of the plant at a depth, which a small-signal test should find."""
 
 from __future__ import annotations
 
@@ -11,16 +11,16 @@ from firmware_sim.tissue import Tissue
 
 
 def local_values(preset: str | Tissue, position_m: float, parameters: PlantParameters | None = None) -> dict[str, Any]:
-    """Mass, damping and stiffness from coil force to position, linearised at a position on the actuator scale.
+    """Return mass, damping and stiffness from coil force to position, linearised at a position on the actuator scale,
+    for JSON.
 
-    The electrical damping by back-EMF is not in them, since the force is that of the measured current. The main values
-    are what applies at the natural frequency: ``mass_kg`` and ``damping_n_s_per_m`` with the moving part and the
-    bearing in them, ``stiffness_n_per_m`` the tangent of the static force plus what relaxation adds at that
-    frequency. Also included are the coefficients of the law, both directions of damping, and the relaxed and unrelaxed
-    stiffness. All of it can be written as JSON.
+    Electrical damping by back-EMF is not included, because the force is that of the measured current. The main values
+    apply at the natural frequency: ``mass_kg`` and ``damping_n_s_per_m`` include moving part and bearing,
+    ``stiffness_n_per_m`` is the tangent of the static force plus the part of relaxation at that frequency. The
+    coefficients of the law, both directions of damping, and the relaxed and unrelaxed stiffness are also included.
 
     Raises:
-        ValueError: no such preset, or a position that the tissue cannot be at.
+        ValueError: there is no such preset, or the tissue cannot be at the position.
     """
     tissue = load_preset(preset) if isinstance(preset, str) else preset
     plant = parameters or PlantParameters()
@@ -51,14 +51,14 @@ def _free(plant: PlantParameters) -> dict[str, Any]:
 
 
 def _cascade(tissue: Tissue, depth: float) -> dict[str, Any]:
-    """Mass, damping and stiffness of the linear block, all scaled by the slope of the static curve (Eq. 3.27-3.29)."""
+    """Return mass, damping and stiffness of the linear block, over the slope of the static curve (Eq. 3.27-3.29)."""
     mass, damping, stiffness = tissue.mass.at(0), tissue.damping.at(0), tissue.stiffness.at(0)
     limit = tissue.curve_scale if tissue.kind == "wiener" else tissue.curve_scale / stiffness
     if depth >= limit:
         raise ValueError(f"{tissue.name} saturates at a depth of {limit:g} m and is never as deep as {depth:g} m")
     slope = tissue.curve_scale * tissue.curve_rate * (1.0 - depth / limit)
     if tissue.kind == "wiener":
-        slope *= stiffness  # the curve turns the linear block's force K z into metres
+        slope *= stiffness  # the argument of the curve is the force K z of the linear block
     return {
         "mass_kg": mass / slope,
         "damping_n_s_per_m": damping / slope,
@@ -78,7 +78,7 @@ def _parallel(tissue: Tissue, plant: PlantParameters, depth: float) -> dict[str,
     branches = tissue.active_branches()
     unrelaxed = relaxed * (1.0 + sum(branch.fraction for branch in branches))
     frequency = sqrt(max(unrelaxed, 0.0) / mass)
-    # A branch is a spring of fraction * tangent behind a damper: at this frequency it stores and loses these shares.
+    # A branch is a spring of fraction * tangent in series with a damper: its storage and loss parts at this frequency.
     stored = lost = 0.0
     for branch in branches:
         turn = frequency * branch.time_s

@@ -1,4 +1,4 @@
-"""The memory for one stimulus: announced, filled in pieces, checked, and played from."""
+"""Memory for one stimulus: announced, filled in chunks, verified, and played from."""
 
 from __future__ import annotations
 
@@ -11,11 +11,11 @@ from tissueid import wire
 from tissueid.wire import Result
 
 Answer = tuple[Result, int]
-"""What a request is answered with: the result, and a detail that depends on it."""
+"""Response to a request: the result, and a detail that depends on it."""
 
 
 class StimulusMemory:
-    """Codes of one stimulus, known to the host by a number of its choice. Knows nothing of states."""
+    """Codes of one stimulus with an id chosen by the host; independent of the state of the firmware."""
 
     def __init__(self, capacity: int) -> None:
         self.capacity = capacity
@@ -25,11 +25,11 @@ class StimulusMemory:
 
     @property
     def size(self) -> int:
-        """Samples of the stimulus."""
+        """Number of samples of the stimulus."""
         return self.codes.size
 
     def begin(self, payload: bytes) -> Answer:
-        """Make room for a stimulus; what was there before is gone."""
+        """Allocate a stimulus, which replaces the previous one."""
         request, _ = wire.unpack(wire.STIMULUS_BEGIN, payload)
         if not request["samples"]:
             return Result.BAD_ARGUMENT, 0
@@ -40,7 +40,7 @@ class StimulusMemory:
         return Result.OK, 0
 
     def chunk(self, payload: bytes) -> Answer:
-        """Take a piece of it."""
+        """Store a chunk of the stimulus."""
         request, codes = wire.unpack(wire.STIMULUS_CHUNK, payload, tail=True)
         end = request["offset"] + len(codes) // 2
         if request["stimulus_id"] != self.id or len(codes) % 2 or end > self.size:
@@ -49,7 +49,7 @@ class StimulusMemory:
         return Result.OK, end
 
     def commit(self, payload: bytes) -> Answer:
-        """Say whether it is whole."""
+        """Verify that the stimulus is complete."""
         request, _ = wire.unpack(wire.STIMULUS_COMMIT, payload)
         if request["stimulus_id"] != self.id or self.size == 0:
             return Result.BAD_ARGUMENT, 0
@@ -59,5 +59,5 @@ class StimulusMemory:
         return Result.OK, self.size
 
     def forget(self) -> None:
-        """Nothing is there any more."""
+        """Clear the memory."""
         self.codes = self.codes[:0]

@@ -1,4 +1,4 @@
-"""The two devices: their figures, and what takes the coil's reaction."""
+"""The two device models: parameters, frame mass and force limit."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ from firmware_sim.plant import STANDARD_GRAVITY, PlantParameters
 
 @dataclass(frozen=True)
 class DeviceModel:
-    """A device by name: its title in the handshake, its figures, its frame and the greatest force that it permits."""
+    """A device model: its title in the handshake, its parameters, its frame and its largest force limit."""
 
     title: str
     plant: PlantParameters
@@ -22,13 +22,13 @@ DESKTOP = DeviceModel("desktop indenter (simulated)", PlantParameters(), FRAME_M
 
 
 def _handheld() -> DeviceModel:
-    """The handheld device of thesis 2.2.2: 9.5 ohm, 0.35 T, 39.5 g of 256 g, 32 mm.
+    """Return the handheld device of thesis 2.2.2: 9.5 ohm, 0.35 T, 39.5 g of 256 g, 32 mm.
 
-    The rest follows from the desktop's figures. Wire of the same gage: its length goes as its resistance. A coil of
-    the same diameter: turns go as the length of the wire. So the force constant, B l, is
-    3 N/A * (0.35 / 0.53) * (9.5 / 12), and the inductance goes as the square of the turns, 1 mH * (9.5 / 12)^2. Copper
-    and cooling surface, and with them the thermal figures, go as the length of the wire. The force is limited where
-    the desktop's is in current, 5 A. All of these are estimates.
+    The rest is estimated from the desktop device. With wire of the same gage its length is proportional to its
+    resistance; with the same diameter the number of turns is proportional to the length. The force constant B l is
+    therefore 3 N/A * (0.35 / 0.53) * (9.5 / 12), and the inductance 1 mH * (9.5 / 12)^2. Copper mass and cooling
+    surface, and with them the thermal parameters, are proportional to the length of the wire. The force limit
+    corresponds to the same current as that of the desktop, 5 A.
     """
     desktop = DESKTOP.plant
     wire = 9.5 / desktop.resistance_ohm

@@ -1,4 +1,4 @@
-"""The transmit queue: frames that wait for the line, numbered in the order in which they were made."""
+"""Transmit queue: encoded frames that wait for the line, numbered in the order of creation."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ TRANSMIT_QUEUE_BYTES = 64 * 1024
 
 
 class Outbox:
-    """Holds what fits. A host that does not read loses whole frames: ``dropped_frames`` counts them."""
+    """Queue of limited size. If the host does not read, whole frames are dropped: ``dropped_frames`` counts them."""
 
     def __init__(self, sample_rate_hz: float) -> None:
         self._rate = sample_rate_hz
@@ -21,7 +21,7 @@ class Outbox:
         self._sequence = 0
 
     def put(self, kind: MessageType, payload: bytes, index: int) -> None:
-        """Queue a frame whose sample index is ``index``; a dropped one leaves a gap in the sequence numbers."""
+        """Queue a frame with sample index ``index``; a dropped frame leaves a gap in the sequence numbers."""
         frame = Frame(kind, self._sequence, round(index / self._rate * 1e6), index, payload)
         self._sequence = (self._sequence + 1) & 0xFFFF
         encoded = wire.encode_frame(frame)
@@ -32,7 +32,7 @@ class Outbox:
         self._bytes += len(encoded)
 
     def take(self) -> bytes:
-        """Everything that waits, which then waits no more."""
+        """Return and remove all queued bytes."""
         data = b"".join(self._frames)
         self._frames.clear()
         self._bytes = 0

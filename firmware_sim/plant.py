@@ -1,8 +1,8 @@
-"""The plant: amplifier, coil, moving part and tissue, integrated in time.
+"""Plant: amplifier, coil, moving part and tissue, integrated in time.
 
-Conventions: SI; position grows into the tissue on the actuator scale, 0 to the stroke; a positive voltage pushes into
-the tissue. A command is held for one sample interval. Reading ``k`` is taken at the end of interval ``k``, just before
-command ``k + 1`` comes into force.
+Conventions: SI; position increases into the tissue on the actuator scale, 0 to the stroke; a positive voltage pushes
+into the tissue. A command is held for one sample interval. Reading ``k`` is taken at the end of interval ``k``, just
+before command ``k + 1`` takes effect.
 """
 
 from __future__ import annotations
@@ -41,23 +41,23 @@ TRACE = np.dtype(
         )
     ]
 )
-"""What an ideal observer sees (V, A, m, m/s, degC, m/s^2, 0 or 1) and what leaves the anti-alias filters.
+"""Noise-free signals (V, A, m, m/s, degC, m/s^2, 0 or 1) and the outputs of the anti-alias filters.
 
-``temperature`` is the winding's; ``filtered_temperature`` comes from its sensor, which lags.
+``temperature`` is that of the winding; ``filtered_temperature`` is that of its sensor, which lags.
 """
 
 
 @dataclass(frozen=True)
 class PlantParameters:
-    """Figures of the desktop research device (thesis 2.2.1, 2.3, Table 2.1), SI; the order is the compiled loop's.
+    """Parameters of the desktop research device (thesis 2.2.1, 2.3, Table 2.1), SI, in the order of the compiled loop.
 
-    The thermal figures and the end stops are estimates, since the thesis gives none: 56 m of 28 gage copper (12 ohm)
-    weigh 40 g and hold 16 J/K, a few J/K more with the bobbin; some 50 cm^2 of coil in moving air lose about
-    0.12 W/K. Resistance does not follow temperature. The temperature sensor on the winding's outside follows it with
-    a time constant of 2.5 s, an estimate as well.
+    The thermal parameters and the end stops are estimates, because the thesis gives none: 56 m of 28 gage copper (12
+    ohm) weigh 40 g and have a heat capacity of 16 J/K, plus a few J/K of the bobbin; about 50 cm^2 of coil surface in
+    moving air transfer about 0.12 W/K. Resistance does not depend on temperature. The temperature sensor on the outside
+    of the winding has an estimated time constant of 2.5 s.
 
     Raises:
-        ValueError: a figure that must be positive is not, or is not finite.
+        ValueError: a parameter that must be positive is not, or is not finite.
     """
 
     resistance_ohm: float = 12.0
@@ -85,23 +85,23 @@ class PlantParameters:
                 raise ValueError(f"plant parameter {item.name} must be finite and positive, not {value}")
 
     def to_array(self) -> NDArray[np.float64]:
-        """All figures in order, shape (16,)."""
+        """Return all parameters in order, shape (16,)."""
         return np.array([getattr(self, item.name) for item in fields(self)], dtype=np.float64)
 
 
 class Plant:
-    """Amplifier, coil, moving part and tissue with a state of their own.
+    """Amplifier, coil, moving part and tissue with their state.
 
-    ``substeps`` is the number of integration steps in one sample interval. The plant holds no randomness: the same
-    commands from the same state give the same trace, however they are cut into blocks.
+    ``substeps`` is the number of integration steps per sample interval. The plant has no randomness: the same commands
+    from the same state give the same trace for any division into blocks.
 
-    ``coil`` says how the force constant runs along the stroke; back-EMF follows it. Two things may go wrong at any
-    time: with ``coil_open`` the wire is broken, no current flows and nothing brakes the coil; ``supply_share`` is what
-    is left of the amplifier's supply, and so of its limit. ``effects`` act besides; without any the plant is as fast as
-    if there were none to have.
+    ``coil`` is the profile of the force constant along the stroke, also for the back-EMF. Two faults can be set at any
+    time: with ``coil_open`` the coil is disconnected, without current and electrical damping; ``supply_share`` is the
+    supply voltage of the amplifier relative to normal, which scales its limit. ``effects`` are added; without any, the
+    plain compiled loop is used.
 
     Raises:
-        ValueError: no sub-steps, an effect that is there twice, or one of tissue on a kind that knows no depth.
+        ValueError: no sub-steps, an effect that is given twice, or an effect of tissue on a kind without depth.
     """
 
     def __init__(
@@ -132,7 +132,7 @@ class Plant:
 
     @property
     def tissue(self) -> Tissue:
-        """What the probe meets. Another one takes force on the state as it stands: see ``settle``."""
+        """Tissue under the probe. A new one acts on the present state: see ``settle``."""
         return self._met
 
     @tissue.setter
@@ -144,14 +144,14 @@ class Plant:
 
     @property
     def amplifier_limit_v(self) -> float:
-        """Most that the amplifier gives in either direction with the supply it has, V."""
+        """Largest output voltage of the amplifier at the present supply, V."""
         return self.parameters.amplifier_limit_v * self.supply_share
 
     def advance(self, voltage: NDArray[np.float64]) -> NDArray[np.void]:
-        """Play commands, shape (n,), volts, one a sample, and return a TRACE array, shape (n,).
+        """Play commands, shape (n,), volts, one per sample, and return a TRACE array, shape (n,).
 
-        While ``energised`` is false the commands are ignored and the amplifier holds its terminals at 0 V: the
-        current dies with L/R and the moving coil brakes itself, unless its wire is broken.
+        While ``energised`` is false the commands are ignored and the amplifier shorts the coil: the current decays with
+        L/R and the moving coil is damped electrically, unless it is disconnected.
 
         Raises:
             ValueError: the commands have more than one dimension or are not finite.
@@ -173,9 +173,9 @@ class Plant:
         return out.view(TRACE).reshape(commands.size)
 
     def rest(self, voltage: float = 0.0) -> None:
-        """Put the state in static equilibrium under a steady command in volts, relaxation complete, coil cold.
+        """Set the state to static equilibrium under a steady command in volts, fully relaxed, with a cold coil.
 
-        Effects forget what was, and set in from there.
+        The state of the effects is reset.
         """
         self._acting.reset()
         limit = self.amplifier_limit_v
@@ -201,7 +201,7 @@ class Plant:
 
     @property
     def memory(self) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-        """What the effects remember; with ``state`` all that the plant's future hangs on."""
+        """State of the effects; with ``state`` the complete state of the plant."""
         return self._acting.memory
 
     @memory.setter
@@ -209,22 +209,22 @@ class Plant:
         self._acting.memory = memory
 
     def settle(self) -> None:
-        """Rest under no command, as ``rest``, but the coil keeps the temperature that it has."""
+        """Set the state to rest without command, as ``rest``, but keep the temperature of the coil."""
         heat = [kernel.TEMPERATURE, kernel.SENSOR, kernel.FILTER + 3]
         warm = self.state[heat]
         self.rest()
         self.state[heat] = warm
 
     def force_constant_at(self, position_m: float) -> float:
-        """Newtons per ampere, and volts per metre per second, at a position in metres."""
+        """Return N/A, equal to V s/m, at a position in metres."""
         return self.parameters.force_constant_n_per_a * self.coil.at(position_m)
 
     def static_position(self, force_n: float) -> float:
-        """Position, metres, where a steady force, newtons with gravity in it, is balanced after full relaxation."""
+        """Return the equilibrium position, metres, under a steady force, newtons including gravity, fully relaxed."""
         return self._balance(lambda _: force_n)
 
     def _balance(self, force_n: Callable[[float], float]) -> float:
-        # Where a force that may follow position, metres to newtons, is balanced.
+        # Equilibrium position of a force, N, that may depend on position, m.
         low, high = -1e-3, self.parameters.stroke_m + 1e-3
         for _ in range(60):
             middle = 0.5 * (low + high)
@@ -235,7 +235,7 @@ class Plant:
         return 0.5 * (low + high)
 
     def _surplus(self, force_n: float, position: float) -> float:
-        # Steady force that is left over to push the probe further in; falls with position.
+        # Net steady force into the tissue; decreases with position.
         tissue, depth = self.tissue, position - self.tissue.surface_m
         stop = self.parameters.stop_stiffness_n_per_m * (
             max(0.0, -position) - max(0.0, position - self.parameters.stroke_m)
@@ -252,6 +252,6 @@ class Plant:
 
 
 def _latent(tissue: Tissue, position: float) -> float:
-    # Hidden displacement behind the static curve; where the curve has saturated, as deep as the end stop needs.
+    # State of the linear block before the static curve; limited where the curve saturates.
     share = min((position - tissue.surface_m) / tissue.curve_scale, 1.0 - 1e-12)
     return -float(np.log1p(-share)) / (tissue.curve_rate * tissue.stiffness.coefficient)

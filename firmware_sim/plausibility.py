@@ -1,8 +1,7 @@
-"""Whether what the sensors say can be: a position that does not answer the force, a current that does not answer the
-voltage (docs/protocol.md, section 5).
+"""Plausibility of the sensors: position against force, and current against voltage (docs/protocol.md, section 5).
 
-Samples are judged in blocks of 10 ms while a run goes on. A mean over 10 ms is blind to what is too quick to move a
-mass, and to the noise of a converter; a code that stands still for that long cannot come from a live sensor.
+Samples are checked in blocks of 10 ms during a run. A mean over 10 ms is insensitive to components too fast to move a
+mass, and to converter noise; a code that does not change for that long cannot come from a working sensor.
 """
 
 from __future__ import annotations
@@ -19,27 +18,29 @@ from tissueid.wire import Fault
 BLOCK_S = 0.01
 
 FROZEN_BLOCKS = 10
-"""A position code that stands still for 100 ms while the force changes by FROZEN_SWING_N is no position."""
+"""A position code frozen for 100 ms while the force changes by FROZEN_SWING_N is a sensor fault."""
 FROZEN_SWING_N = 0.3
 
 STILL_SWING_N, STILL_M = 3.0, 6.0e-6
-"""A position that keeps within STILL_M for 100 ms while the force swings by STILL_SWING_N: 5e5 N/m, and no tissue,
-rubber or end stop is as stiff as that."""
+"""A position within STILL_M for 100 ms while the force changes by STILL_SWING_N is a sensor fault: 5e5 N/m is stiffer
+than any tissue, rubber or end stop.
+"""
 
 JUMP_M_PER_S = 10.0
-"""No force of the coil brings the probe to half of this speed within its stroke."""
+"""Largest plausible speed: the coil cannot accelerate the probe to half of it within its stroke."""
 
 OPEN_BLOCKS, OPEN_VOLTS, OPEN_SHARE = 2, 2.0, 0.15
-"""Over 20 ms: so many volts asked and measured on the average, and less than this share of the current they ought to
-drive. Back-EMF takes a fifth of it, no more."""
+"""Open coil: over 20 ms the mean of commanded and measured voltage exceeds this, and the current is below this share of
+the expected one. Back-EMF reduces the current by a fifth at most.
+"""
 
 CURRENT_BLOCKS, CURRENT_SWING_V = 5, 1.0
-"""A current code that stands still for 50 ms while the voltage changes by so much is no current."""
+"""A current code frozen for 50 ms while the voltage changes by this much is a sensor fault."""
 
 
 @dataclass(frozen=True)
 class Readings:
-    """A block of n samples as the converters saw it, all of shape (n,): V, V, A, m, and the codes of two of them."""
+    """A block of n samples of the converters, all of shape (n,): V, V, A, m, and the codes of current and position."""
 
     command: NDArray[np.float64]
     voltage: NDArray[np.float64]
@@ -49,7 +50,7 @@ class Readings:
     position_codes: NDArray[np.int16]
 
     def table(self) -> NDArray[np.float64]:
-        """All of them, shape (n, 6)."""
+        """Return all of them, shape (n, 6)."""
         return np.stack(
             [self.command, self.voltage, self.current, self.position, self.current_codes, self.position_codes], axis=1
         ).astype(np.float64)
@@ -57,7 +58,7 @@ class Readings:
 
 @dataclass(frozen=True)
 class _Summary:
-    """10 ms in a few numbers."""
+    """Summary of a block of 10 ms."""
 
     asked_v: float
     measured_v: float
@@ -70,9 +71,9 @@ class _Summary:
 
 
 class Plausibility:
-    """Judges one run. ``begin`` forgets the one before.
+    """Checks one run. ``begin`` resets it for the next.
 
-    ``seen_low_end`` says that the probe may press on the near end of its stroke, where the converter ends too.
+    ``seen_low_end``: the probe may press on the near end of its stroke, where the converter saturates too.
     """
 
     def __init__(self, sample_rate_hz: float, resistance_ohm: float, force_constant_n_per_a: float) -> None:
@@ -83,14 +84,14 @@ class Plausibility:
         self.begin(seen_low_end=False)
 
     def begin(self, *, seen_low_end: bool) -> None:
-        """A run begins."""
+        """Start a run."""
         self._seen_low_end = seen_low_end
         self._pending = np.zeros((0, 6))
         self._last_position_m: float | None = None
         self._history: deque[_Summary] = deque(maxlen=FROZEN_BLOCKS)
 
     def first_fault(self, readings: Readings) -> tuple[int, Fault]:
-        """Where in a block the first thing is that cannot be, and what; NONE when there is none."""
+        """Return index and kind of the first implausible reading in a block; NONE if there is none."""
         jump = self._jump(readings.position)
         offset = -self._pending.shape[0]
         self._pending = np.concatenate((self._pending, readings.table()))
@@ -105,7 +106,7 @@ class Plausibility:
         return (0, Fault.NONE) if jump is None else (jump, Fault.SENSOR)
 
     def _jump(self, position: NDArray[np.float64]) -> int | None:
-        """The first sample that lies further from the one before than the probe can go."""
+        """Return the first sample whose distance from the one before is not possible."""
         if position.size == 0:
             return None
         before = position[0] if self._last_position_m is None else self._last_position_m
@@ -130,7 +131,7 @@ class Plausibility:
         )
 
     def _judge(self) -> Fault:
-        """What the newest blocks say together."""
+        """Return the fault indicated by the newest blocks together."""
         if self._position_is_dead():
             return Fault.SENSOR
         return Fault.OPEN_COIL if self._current_is_dead() else Fault.NONE

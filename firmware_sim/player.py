@@ -1,4 +1,4 @@
-"""What is played, sample by sample: the stimulus, its set-points, the soft start before and the soft release after."""
+"""Playback, sample by sample: soft start, stimulus, set-points and soft release."""
 
 from __future__ import annotations
 
@@ -13,9 +13,9 @@ RELEASE_RAMP_S = 0.05
 
 
 class Player:
-    """One run after another. ``begin`` sets one up, ``command`` says what comes next, ``account`` that it was played.
+    """One run after another. ``begin`` sets up a run, ``command`` returns the next commands, ``account`` advances it.
 
-    ``cursor`` counts the samples of the run, those of the release with them; ``length`` is where the release begins.
+    ``cursor`` counts the samples of the run, including those of the release; ``length`` is where the release begins.
     """
 
     def __init__(self, setpoints: Setpoints, sample_rate_hz: float, step_v: float) -> None:
@@ -25,7 +25,7 @@ class Player:
         self.begin(np.zeros(0), 0)
 
     def begin(self, stimulus_v: NDArray[np.float64], length: int) -> None:
-        """A run of a stimulus, shape (n,), V, that has ``length`` samples with its set-points."""
+        """Set up a run of a stimulus, shape (n,), V, that has ``length`` samples including its set-points."""
         self._stimulus_v = stimulus_v
         self._soft_start.begin(stimulus_v)
         self._setpoints.begin(stimulus_v.size)
@@ -35,25 +35,25 @@ class Player:
 
     @property
     def played(self) -> int:
-        """Samples of the newest run that were played, those of the release not counted."""
+        """Number of played samples of the newest run, without those of the release."""
         return min(self.cursor, self.length)
 
     @property
     def releasing(self) -> bool:
-        """Nothing of the run itself is left to be played."""
+        """Whether all samples of the run itself have been played."""
         return self.cursor >= self.length
 
     @property
     def over(self) -> bool:
-        """The release has come to its end."""
+        """Whether the release has ended."""
         return self.cursor >= self.length + self.ramp_samples
 
     def finish(self) -> None:
-        """The run ends here."""
+        """End the run at the present sample."""
         self.length = self.played
 
     def command(self, count: int) -> tuple[NDArray[np.float64], NDArray[np.uint16]]:
-        """Volts for up to ``count`` samples, and the flags that say where they come from."""
+        """Return volts for up to ``count`` samples, and the flags of their source."""
         if self.releasing:
             done = self.cursor - self.length
             count = min(count, self.ramp_samples - done)
@@ -70,7 +70,7 @@ class Player:
         return volts, flags | np.where(softened, Flag.SOFT_START, 0).astype(np.uint16)
 
     def account(self, command: NDArray[np.float64], flags: NDArray[np.uint16]) -> None:
-        """What was just played moves the run on."""
+        """Advance the run by the samples that were played."""
         if not self.releasing:
             self._present_v = float(command[-1])
         self.cursor += command.size

@@ -1,4 +1,4 @@
-"""Why a figure of a scenario is refused, in plain words."""
+"""Reasons of pydantic for refusing a value, in plain words."""
 
 from __future__ import annotations
 
@@ -8,10 +8,10 @@ from pydantic_core import ErrorDetails
 
 
 def why(first: ErrorDetails, known: Iterable[str] = ()) -> str:
-    """Why the first thing that does not hold does not; ``known`` are the names that may stand in its place."""
+    """Return the reason of the first error; ``known`` are the names that are allowed in its place."""
     if first["type"] == "extra_forbidden":
         there_are = ", ".join(known)
-        return "nothing of that name belongs there" + (f"; there are: {there_are}" if there_are else "")
+        return "the name is unknown" + (f"; there are: {there_are}" if there_are else "")
     words = str(first["msg"]).removeprefix("Value error, ")
     if words == "Field required":
         return "it is missing"

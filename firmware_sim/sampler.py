@@ -1,4 +1,4 @@
-"""One step of the device clock: a command goes out, and what the sensors say comes in and is judged."""
+"""One step of the device clock: play commands, sample the sensors and check the limits."""
 
 from __future__ import annotations
 
@@ -18,9 +18,9 @@ SIGNALS = tuple(name for name in wire.SAMPLE.names or () if name != "flags")
 
 @dataclass(frozen=True)
 class Sampled:
-    """What was played and sampled, n samples of it: ``command_v`` and ``flags`` (n,), ``samples`` (n,) of wire.SAMPLE.
+    """Played commands and samples: ``command_v`` and ``flags`` (n,), ``samples`` (n,) of wire.SAMPLE.
 
-    ``fault`` is the limit that its last sample broke; ``button`` says that the button is pressed.
+    ``fault`` is the limit that the last sample violated; ``button`` is the state of the button.
     """
 
     command_v: NDArray[np.float64]
@@ -39,9 +39,9 @@ def _below_the_limit(
     block: Block,
     limits: ArmedLimits,
 ) -> tuple[NDArray[np.float64], NDArray[np.uint16], Block]:
-    """Lower the commands of a block that has been played one by one, each by what was measured before it.
+    """Reduce the commands of a block sample by sample, based on earlier measurements only, and play the block again.
 
-    A device does so before it plays each sample; here the block is played again from ``before`` with each that changes.
+    A real device does this before it plays each sample; here the block is repeated from ``before`` for each change.
     """
     done = 0
     while True:
@@ -67,10 +67,10 @@ def sampled(
     limits: ArmedLimits | None,
     cursor: int,
 ) -> Sampled:
-    """Play a command, shape (n,), V, that is at ``cursor`` of its run; less of it where a limit is broken.
+    """Play commands, shape (n,), V, from ``cursor`` of their run on; fewer if a limit is violated.
 
-    A command by which the force would go beyond its limit is lowered. Nothing is judged while the coil is off, or
-    without limits.
+    A command whose force would exceed its limit is reduced. Nothing is checked while the coil is off, or without
+    limits.
     """
     before = bench.snapshot()
     block = bench.block(command_v, energised)
@@ -79,7 +79,7 @@ def sampled(
         command_v, flags, block = _below_the_limit(bench, guard, before, command_v, flags, block, limits)
         first, fault = guard.judge(block, limits, cursor)
     if fault and first + 1 < command_v.size:
-        # The trip acts on the very next sample, so what came after it never happened.
+        # The trip acts on the next sample, so later samples of the block are discarded.
         bench.restore(before)
         command_v, flags = command_v[: first + 1], flags[: first + 1]
         block = bench.block(command_v, energised)

@@ -1,4 +1,4 @@
-"""Scenario: which device on which tissue, what it really is, and which faults happen when. Read from a TOML file."""
+"""Scenario of a simulated instrument: device, tissue, true parameters and faults, read from a TOML file."""
 
 from __future__ import annotations
 
@@ -27,9 +27,9 @@ def _between(low: float, high: float) -> object:
 
 
 class Truth(BaseModel):
-    """What the device really is, where that differs from what it announces; each figure of the plant by its name, SI.
+    """True parameters of the device where they differ from the announced ones, by the names of the plant, SI.
 
-    The weight goes with the moving mass unless it is given as well.
+    The weight is that of the moving mass unless it is given as well.
     """
 
     model_config = ConfigDict(frozen=True, extra="forbid")
@@ -52,7 +52,7 @@ class Truth(BaseModel):
     sensor_lag_s: Annotated[float | None, _between(0.05, 30.0)] = None
 
     def over(self, nominal: PlantParameters) -> PlantParameters:
-        """The nominal figures with these laid over them."""
+        """Return the nominal parameters with these replaced."""
         given = self.model_dump(exclude_none=True)
         if "moving_mass_kg" in given:
             given.setdefault("gravity_force_n", given["moving_mass_kg"] * STANDARD_GRAVITY)
@@ -60,7 +60,7 @@ class Truth(BaseModel):
 
 
 class ChannelTruth(BaseModel):
-    """How a channel's real scale differs from the announced one; the offset in the channel's unit."""
+    """Error of a channel's scale against the announced one; the offset in the unit of the channel."""
 
     model_config = ConfigDict(frozen=True, extra="forbid")
 
@@ -69,7 +69,7 @@ class ChannelTruth(BaseModel):
 
 
 class Scenario(BaseModel):
-    """Everything that makes one simulated instrument; the same scenario always plays the same way."""
+    """Definition of one simulated instrument; the same scenario is reproducible."""
 
     model_config = ConfigDict(frozen=True, extra="forbid")
 
@@ -77,22 +77,22 @@ class Scenario(BaseModel):
     preset: str = DEFAULT
     seed: Annotated[int, Field(ge=0, lt=2**32)] = 0
     speed: Annotated[float, Field(gt=0, le=1000)] = 1.0
-    """Device seconds per second; the watchdog's clock is never accelerated."""
+    """Device seconds per second; the clock of the watchdog is never accelerated."""
     serial_number: Annotated[str, Field(pattern=r"^[\x20-\x7e]{1,16}$")] = "SIM-0001"
     sample_rate_hz: Annotated[float, Field(ge=500, le=10_000)] = SAMPLE_RATE_HZ
     protocol: tuple[Annotated[int, Field(ge=0, le=255)], Annotated[int, Field(ge=0, le=255)]] = (1, 1)
     tilt_deg: Annotated[float, _between(-180.0, 180.0)] = 0.0
-    """How far the stroke is turned away from straight down."""
+    """Angle of the stroke from straight down."""
     coil: Literal["ideal", "finite"] = "ideal"
-    """Force constant the same all along the stroke, or falling off towards its ends."""
+    """Force constant constant along the stroke, or decreasing towards its ends."""
     stage: bool | None = None
-    """A motorised stage that brings the fixture under the probe; a desktop device has one by default."""
+    """A motorised stage that positions the fixture; by default only a desktop device has one."""
     truth: Truth = Truth()
     channels: dict[str, ChannelTruth] = Field(default_factory=dict)
     sensor_supply_share: Annotated[float, _between(0.8, 1.2)] = 1.0
-    """The sensors' supply over what it ought to be; the potentiometer's reading goes along."""
+    """Supply voltage of the sensors relative to nominal, which scales the potentiometer's reading."""
     effects: dict[str, dict[str, bool | int | float | str]] = Field(default_factory=dict)
-    """What the plant has besides its own laws: figures by the effect's name."""
+    """Effects added to the plant: parameters by name of the effect."""
     faults: tuple[PlannedFault, ...] = ()
 
     @model_validator(mode="after")
@@ -121,16 +121,16 @@ class Scenario(BaseModel):
 
     @property
     def nominal(self) -> PlantParameters:
-        """What the device believes of itself."""
+        """The announced parameters of the device."""
         return MODELS[self.model].plant
 
     @property
     def real(self) -> PlantParameters:
-        """What the device is, before it is tilted."""
+        """The true parameters of the device, without tilt."""
         return self.truth.over(self.nominal)
 
     def bench(self) -> Bench:
-        """The bench that this scenario describes."""
+        """Return the bench of this scenario."""
         return Bench(
             self.preset,
             seed=self.seed,
@@ -146,7 +146,7 @@ class Scenario(BaseModel):
         )
 
     def identity(self) -> Identity:
-        """What the device says of itself."""
+        """Return the identity of the device in the handshake."""
         return Identity(
             model=MODELS[self.model].title,
             serial_number=self.serial_number,
@@ -158,15 +158,15 @@ class Scenario(BaseModel):
 
 
 MOST_BYTES = 16 * 1024
-"""Of a scenario: the parser of TOML takes memory in proportion to the square of it at the worst, 0.3 GB."""
+"""Largest size of a scenario: in the worst case the TOML parser needs memory proportional to its square, 0.3 GB."""
 
 
 def _text(path: Path) -> str:
-    """The text of a scenario.
+    """Return the text of a scenario.
 
     Raises:
-        OSError: it cannot be read, is no ordinary file (a pipe may never end), or is too large.
-        UnicodeDecodeError: it is no text.
+        OSError: it cannot be read, is not an ordinary file (a pipe may never end), or is too large.
+        UnicodeDecodeError: it is not text.
     """
     if path.exists() and not path.is_file():
         raise OSError(errno.EINVAL, "it is not an ordinary file", str(path))
@@ -178,10 +178,10 @@ def _text(path: Path) -> str:
 
 
 def load_scenario(path: Path | None, **overrides: object) -> Scenario:
-    """A scenario from a file, with options from the command line laid over it.
+    """Return a scenario from a file, with options of the command line taking precedence.
 
     Raises:
-        ValueError: one line that says what is wrong with the file or the options.
+        ValueError: the file or an option is invalid; one line.
     """
     values: dict[str, object] = {}
     if path is not None:

@@ -1,4 +1,4 @@
-"""Serving: the firmware on a pseudo-terminal or a TCP port, in step with the clock."""
+"""Server: runs the firmware on a pseudo-terminal or a TCP port in real time."""
 
 from __future__ import annotations
 
@@ -15,23 +15,23 @@ from firmware_sim.firmware import Firmware
 from firmware_sim.scenario import Scenario
 
 TICK_S = 0.01
-"""Longest time between two looks at the port and the clock."""
+"""Longest time between two checks of port and clock."""
 
 LAG_S = 0.02
-"""A machine that keeps this process from running for longer stops the device's clock: nothing keeps a device from it.
+"""Longest delay of this process, s, that is caught up; for longer delays the device's clock is stopped.
 
-Up to here what is due is played at once, so that a host gets no credit for it.
+A real device is never suspended. Up to this delay, due samples are played at once, so that the host gains no time.
 """
 
 HOST_PATIENCE_S = 0.4
-"""How long a fast clock waits for set-points; the watchdog is not far behind."""
+"""Time that an accelerated clock waits for set-points, s; below the timeout of the watchdog."""
 
 _READ = 65536
 _READS = 16
-"""How often at most a host is read at a time: it may have hung up behind what it sent last."""
+"""Largest number of reads at a time: the host may have disconnected after its last bytes."""
 _BACKLOG_BYTES = 16 * 1024
 _BURST_SAMPLES = 200
-"""A fast clock that its machine cannot keep up with looks at the port this often."""
+"""Samples after which an accelerated clock checks the port if this computer cannot keep up."""
 
 
 class Port(Protocol):
@@ -40,17 +40,17 @@ class Port(Protocol):
     url: str
 
     def exchange(self, outgoing: bytes, timeout_s: float) -> tuple[bytes, int]:
-        """Send what fits of ``outgoing``, give back what came in and how many bytes were sent."""
+        """Send as much as possible of ``outgoing``; return the received bytes and the number of bytes sent."""
 
     def unplug(self) -> None:
-        """Pull the cable."""
+        """Unplug the cable."""
 
     def replug(self) -> None:
-        """Put it back; ``url`` may be another then, as a serial port's name may be."""
+        """Plug the cable in again; ``url`` may change, as the name of a serial port may."""
 
 
 class PseudoTerminal:
-    """A pseudo-terminal: to the host it is a serial port."""
+    """A pseudo-terminal, which the host uses as a serial port."""
 
     def __init__(self) -> None:
         self._master = -1
@@ -62,7 +62,7 @@ class PseudoTerminal:
 
         if self._master >= 0:
             return
-        # The device's own hold on the slave end keeps the terminal alive between hosts.
+        # An open slave end keeps the terminal alive between hosts.
         self._master, self._slave = pty.openpty()
         tty.setraw(self._slave)
         os.set_blocking(self._master, False)
@@ -113,22 +113,24 @@ class TcpPort:
             return b"", len(outgoing)
         writing = [self._host] if self._host is not None and outgoing else []
         ready, writable, _ = select.select(waiting, writing, [], timeout_s)
-        data, sent = b"", len(outgoing)  # where no host is it goes nowhere
+        data, sent = b"", len(outgoing)  # without a host the bytes are discarded
         if self._host is not None:
             data, sent = self._talk(self._host, outgoing if writable else b"")
         if self._listener in ready:
             newcomer, _ = self._listener.accept()
             if self._host is not None:
-                newcomer.close()  # a cable has one other end, and it is taken
+                newcomer.close()  # only one host at a time, as on a cable
             else:
                 newcomer.setblocking(False)
                 newcomer.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
                 self._host = newcomer
-                sent = len(outgoing)  # what was meant for the host before is not for this one
+                sent = len(outgoing)  # pending bytes were meant for the previous host
         return data, sent
 
     def _talk(self, host: socket.socket, outgoing: bytes) -> tuple[bytes, int]:
-        """What has come from a host, and how much was sent to it. One that has hung up may be followed by another."""
+        """Return the bytes received from a host, and the number of bytes sent. A disconnected host may be followed by
+        another.
+        """
         data, sent = b"", 0
         try:
             if outgoing:
@@ -159,10 +161,10 @@ class TcpPort:
 
 
 class Server:
-    """Keeps the firmware in step with the clock, moves its bytes, and lets the planned faults happen.
+    """Runs the firmware in real time, transfers its bytes, and injects the planned faults.
 
-    ``announce`` receives the name of the port when the cable is reconnected. ``stopped_s`` is how long the machine
-    suspended a device that should run in real time.
+    ``announce`` is called with the name of the port when the cable is reconnected. ``stopped_s`` is the total time for
+    which the device's clock was stopped because the computer was too slow.
     """
 
     def __init__(
@@ -187,32 +189,32 @@ class Server:
             now = time.monotonic()
             self._keep_up(now)
             if len(self._outgoing) <= _BACKLOG_BYTES:
-                # A host that does not read leaves the rest to the firmware's own queue, which drops and counts.
+                # If the host does not read, the queue of the firmware drops and counts frames.
                 self._outgoing += self._faults.line.to_host(self._firmware.transmit(now))
-            # The next frame goes out when its last sample is taken: not a tick later.
+            # Wake up when the last sample of the next frame is due.
             wake = self._begin + (self._samples + self._firmware.samples_to_frame) / self._rate
             timeout = min(TICK_S, max(0.0, wake - time.monotonic()))
             data, sent = self._port.exchange(self._outgoing, timeout)
             self._outgoing = self._outgoing[sent:]
             if data:
-                # What was played before these bytes came must not know of them.
+                # Samples due before these bytes arrived are played first.
                 now = time.monotonic()
                 self._keep_up(now)
                 self._firmware.receive(self._faults.line.to_device(data), now)
                 self._look(now)
 
     def unplug(self) -> None:
-        """Pull the cable; what was on its way is gone."""
+        """Unplug the cable; data in transit is lost."""
         self._outgoing = b""
         self._port.unplug()
 
     def replug(self) -> None:
-        """Put the cable back."""
+        """Plug the cable in again."""
         self._port.replug()
         self._announce(self._port.url)
 
     def _keep_up(self, now: float) -> None:
-        """Let the device live until now."""
+        """Advance the device to the present time."""
         due = int((now - self._begin) * self._rate) - self._samples
         if not self._accelerated:
             possible = min(due, max(1, round(LAG_S * self._rate)))
@@ -220,7 +222,7 @@ class Server:
         elif len(self._outgoing) > _BACKLOG_BYTES:
             possible = 0
         else:
-            # A fast clock waits for its host, and for this machine; a real one would not.
+            # An accelerated clock waits for its host and for this computer, unlike a real one.
             possible = min(due, _BURST_SAMPLES, self._known(now))
         self._begin += (due - possible) / self._rate
         if possible > 0:
@@ -230,15 +232,15 @@ class Server:
             self._look(now)
 
     def _look(self, now: float) -> None:
-        """Let happen what is due, and take over what it changed."""
+        """Start due faults, and apply their effect on the clock."""
         self._faults.look(now)
         if (rate := self._nominal_rate * self._faults.clock_rate) != self._rate:
-            # The device's time goes on from where it is, at another pace.
+            # Device time continues from its present value at the new rate.
             self._begin = now - (now - self._begin) * self._rate / rate
             self._rate = rate
 
     def _known(self, now: float) -> int:
-        """Samples that a fast clock may play before it has to wait for set-points."""
+        """Return the samples that an accelerated clock may play before it has to wait for set-points."""
         known = self._firmware.samples_known
         if known:
             self._waiting_since = None

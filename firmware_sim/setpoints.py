@@ -1,6 +1,6 @@
-"""Set-points: a stimulus that the host goes on making while it is played, and what is played when it falls behind.
+"""Set-points: a stimulus that the host generates while it is played, and its replacement when the host is late.
 
-``docs/protocol.md``, section 4.5, specifies it. Nothing here knows of frames, states or clocks: samples are counted.
+Specified in ``docs/protocol.md``, section 4.5. This module only counts samples; it has no frames, states or clocks.
 """
 
 from __future__ import annotations
@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from tissueid.wire import Result
 
 BUFFER_SAMPLES = 8192
-"""How far ahead of the sample being played set-points are kept: 4 s at 2 kHz."""
+"""Capacity of the buffer ahead of the played sample: 4 s at 2 kHz."""
 
 HOLD_RAMP_S = 0.05
 FADE_S = 0.005
@@ -21,15 +21,15 @@ STARVED_S = 0.5
 class Setpoints:
     """The set-points of one run: those from ``first`` to ``end``, counted from the first sample of the stimulus.
 
-    ``agree`` says how many will follow, ``begin`` empties the buffer for a run, ``take`` fills it, ``play`` empties it
-    sample by sample. ``late_blocks`` counts until the next run begins.
+    ``agree`` sets their number, ``begin`` clears the buffer for a run, ``take`` fills it, ``play`` empties it sample by
+    sample. ``late_blocks`` is reset by the next run.
     """
 
     def __init__(self, sample_rate_hz: float) -> None:
         self._hold_ramp = round(HOLD_RAMP_S * sample_rate_hz)
         self._fade = round(FADE_S * sample_rate_hz)
         self._starved = round(STARVED_S * sample_rate_hz)
-        # A ring: sample k lives at k modulo its length, and there is no room for one that far ahead.
+        # Ring buffer: sample k is stored at k modulo its length.
         self._volts = np.zeros(BUFFER_SAMPLES)
         self._known = np.zeros(BUFFER_SAMPLES, dtype=bool)
         self.samples = 0
@@ -37,11 +37,11 @@ class Setpoints:
         self.begin(0)
 
     def agree(self, samples: int, hold_v: float) -> None:
-        """``samples`` set-points will follow the stimulus; where one is missing, go to ``hold_v``."""
+        """Agree on ``samples`` set-points after the stimulus; missing ones are replaced by a ramp to ``hold_v``."""
         self.samples, self.hold_v = samples, hold_v
 
     def begin(self, first: int) -> None:
-        """A new run, whose stimulus has ``first`` samples."""
+        """Start a run whose stimulus has ``first`` samples."""
         self.first, self.end = first, first + self.samples
         self._known[:] = False
         self.late_blocks = 0
@@ -52,11 +52,11 @@ class Setpoints:
 
     @property
     def starved(self) -> bool:
-        """True when the host has been missing for so long that it will not come back."""
+        """Whether set-points have been missing for so long that the run must end."""
         return self._missing >= self._starved
 
     def next_missing(self, cursor: int) -> int:
-        """The first sample from ``cursor`` on that is still wanted; ``end`` when none is."""
+        """Return the first sample from ``cursor`` on that is still missing; ``end`` if there is none."""
         start = max(cursor, self.first)
         stop = min(start + BUFFER_SAMPLES, self.end)
         samples = np.arange(start, stop)
@@ -64,7 +64,9 @@ class Setpoints:
         return int(missing[0]) if missing.size else stop
 
     def take(self, offset: int, volts: NDArray[np.float64], cursor: int) -> Result:
-        """Set-points, shape (k,), V, for the samples from ``offset`` on, while ``cursor`` is the next to be played."""
+        """Store set-points, shape (k,), V, for the samples from ``offset`` on; ``cursor`` is the next sample to be
+        played.
+        """
         end, wanted_from = offset + volts.size, max(cursor, self.first)
         if volts.size == 0 or offset < self.first or end > self.end:
             return Result.BAD_ARGUMENT
@@ -82,10 +84,10 @@ class Setpoints:
         return Result.OK
 
     def play(self, cursor: int, count: int, present_v: float) -> tuple[NDArray[np.float64], NDArray[np.bool_]]:
-        """Volts for the samples from ``cursor`` on, and which of them are not the host's own; both of shape (count,).
+        """Return volts for the samples from ``cursor`` on, and the mask of held samples; both of shape (count,).
 
-        ``present_v`` is the command before. Fewer than ``count`` come back when the last of them is one too many
-        without the host.
+        ``present_v`` is the previous command. Fewer than ``count`` samples are returned if the run is starved at the
+        last one.
         """
         volts, held = np.empty(count), np.zeros(count, dtype=bool)
         for k in range(count):
@@ -104,7 +106,7 @@ class Setpoints:
         return volts, held
 
     def _hold(self, present_v: float) -> float:
-        """One sample without a set-point: on the way to the hold level, or there."""
+        """Return the command of one sample without a set-point: on the ramp to the hold level, or at it."""
         if self._holding == 0:
             self._from = present_v
         self._holding = min(self._holding + 1, self._hold_ramp)
@@ -112,7 +114,7 @@ class Setpoints:
         return self._from + (self.hold_v - self._from) * self._holding / self._hold_ramp
 
     def _resume(self, wanted_v: float) -> tuple[float, bool]:
-        """One sample with a set-point; after a hold the way back to it is faded, so that nothing jumps."""
+        """Return the command of one sample with a set-point; after a hold it is faded in without a jump."""
         if self._holding:
             self._from += (self.hold_v - self._from) * self._holding / self._hold_ramp
             self._holding, self._fading = 0, self._fade

@@ -1,4 +1,4 @@
-"""Soft start: whatever a run begins with, the coil's force grows from nothing."""
+"""Soft start: the force of the coil grows from zero for any stimulus."""
 
 from __future__ import annotations
 
@@ -9,10 +9,10 @@ SOFT_START_S = 0.05
 
 
 class SoftStart:
-    """Keeps the first 50 ms of a run under a quarter of a sine from zero to the most that they ask for.
+    """Limits the first 50 ms of a run to a quarter sine from zero to the largest command in that time.
 
-    A stimulus that rises by itself in that time, straight or by half a cosine as a preload does, lies under it and is
-    played as it is. Of set-points that come so early the most is not known beforehand: each counts as its own.
+    A stimulus that rises gradually in that time, linearly or by half a cosine as a preload does, is not changed. For
+    set-points in that time the largest command is not known beforehand: each is limited relative to itself.
     """
 
     def __init__(self, sample_rate_hz: float, step_v: float) -> None:
@@ -21,16 +21,16 @@ class SoftStart:
         self._peak_v = 0.0
 
     def begin(self, stimulus_v: NDArray[np.float64]) -> None:
-        """A run of that stimulus, shape (n,), V, begins; set-points may follow it."""
+        """Start a run of this stimulus, shape (n,), V; set-points may follow it."""
         self._peak_v = float(np.abs(stimulus_v[: self._samples]).max(initial=0.0))
 
     def play(self, wanted_v: NDArray[np.float64], cursor: int) -> tuple[NDArray[np.float64], NDArray[np.bool_]]:
-        """What is played in place of the commands from sample ``cursor`` on, V, and where it differs; both (n,)."""
+        """Return the limited commands from sample ``cursor`` on, V, and where they differ; both (n,)."""
         if cursor >= self._samples:
             return wanted_v, np.zeros(wanted_v.size, dtype=bool)
         part = np.minimum((cursor + 1.0 + np.arange(wanted_v.size)) / self._samples, 1.0)
         share = np.sin(0.5 * np.pi * part)
         most_v = share * np.maximum(self._peak_v, np.abs(wanted_v))
-        # A step of the converter more is let pass: a rise in rounded steps is still a rise.
+        # One converter step is tolerated, because of rounding.
         softened = np.abs(wanted_v) > most_v + self._step_v
         return np.where(softened, np.clip(wanted_v, -most_v, most_v), wanted_v), softened

@@ -1,8 +1,8 @@
-"""Thermal model of the winding: its temperature without the lag and the faults of a sensor.
+"""Thermal model of the winding, which has neither the lag nor the faults of a sensor.
 
-One heat capacity and one way out, all figures on the hot side of the coil's own (docs/safety.md says by how much). They
-are the desktop coil's; another coil of the same wire has as much copper and surface as it has resistance. It runs from
-reset to reset, whatever the state, and nothing that a host says turns it back.
+One heat capacity and one thermal resistance, both chosen for a higher temperature than the coil's (docs/safety.md gives
+the margins). They are those of the desktop coil; for another coil of the same wire, copper mass and surface are
+proportional to the resistance. The model runs from reset to reset in every state; no request of the host changes it.
 """
 
 from __future__ import annotations
@@ -11,16 +11,16 @@ import numpy as np
 from numpy.typing import NDArray
 
 COIL_OHM = 12.0
-"""The coil's resistance that the next two figures belong to."""
+"""Resistance of the coil to which the next two constants belong."""
 
 HEAT_CAPACITY_J_PER_K = 16.5
 THERMAL_RESISTANCE_K_PER_W = 9.0
 AMBIENT_C = 28.0
 COPPER_PER_K = 0.0039
-"""Copper's resistance grows by this share a kelvin from 20 degC on, and the heat with it."""
+"""Relative increase of copper's resistance per kelvin above 20 degC."""
 
 RESTART_MARGIN_K = 5.0
-"""A reset forgets: the winding may then be warmer than its sensor, which lags behind."""
+"""Margin after a reset, K: the winding may be warmer than its sensor, which lags."""
 
 SENSOR_RANGE_C = (20.0, 150.0)
 """Plausible range of the sensor, degC; a reading outside it is replaced by the nearer end."""
@@ -29,7 +29,7 @@ SENSOR_RANGE_C = (20.0, 150.0)
 class WindingModel:
     """Integrates the heat of the measured current. ``temperature_c`` is NaN until the first samples after a reset.
 
-    ``resistance_ohm`` is the coil's nominal one, by which its length of wire is known.
+    ``resistance_ohm`` is the nominal resistance of the coil, which determines the length of its wire.
     """
 
     def __init__(self, resistance_ohm: float, sample_rate_hz: float) -> None:
@@ -41,7 +41,9 @@ class WindingModel:
         self.temperature_c = float("nan")
 
     def advance(self, current_a: NDArray[np.float64], sensor_c: NDArray[np.float64]) -> None:
-        """The samples of one block, both of shape (n,). The sensor can make the winding warmer, never cooler."""
+        """Advance by the samples of one block, both of shape (n,). The sensor can raise the temperature, never lower
+        it.
+        """
         if current_a.size == 0:
             return
         sensor = float(np.clip(sensor_c.mean(), *SENSOR_RANGE_C))

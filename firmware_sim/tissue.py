@@ -1,4 +1,4 @@
-"""Tissue: the mechanical law that the probe meets, and the extras that skin adds to it."""
+"""Tissue: mechanical law under the probe, with optional extras of skin."""
 
 from __future__ import annotations
 
@@ -23,24 +23,24 @@ _SMALLEST_FREE_MASS_KG = 0.002
 
 @dataclass(frozen=True)
 class Exponential:
-    """coefficient * (exp(rate * depth) + offset): how a parameter follows depth (thesis C.1.4)."""
+    """coefficient * (exp(rate * depth) + offset): dependence of a parameter on depth (thesis C.1.4)."""
 
     coefficient: float
     rate_per_m: float = 0.0
     offset: float = 0.0
 
     def at(self, depth_m: float) -> float:
-        """Value at a depth in metres, in the units of the coefficient."""
+        """Return the value at a depth in metres, in the units of the coefficient."""
         return self.coefficient * (float(np.exp(self.rate_per_m * depth_m)) + self.offset)
 
     def slope_at(self, depth_m: float) -> float:
-        """Derivative by depth, units of the coefficient per metre."""
+        """Return the derivative with respect to depth, units of the coefficient per metre."""
         return self.coefficient * self.rate_per_m * float(np.exp(self.rate_per_m * depth_m))
 
 
 @dataclass(frozen=True)
 class Branch:
-    """One relaxation branch: ``fraction`` of the elastic force, lost with ``time_s``."""
+    """One relaxation branch: ``fraction`` of the elastic force, relaxing with ``time_s``."""
 
     fraction: float
     time_s: float
@@ -48,26 +48,26 @@ class Branch:
 
 @dataclass(frozen=True)
 class Tissue:
-    """What the probe meets, SI, positive into the tissue.
+    """Mechanical law under the probe, SI, positive into the tissue.
 
     Kinds:
 
     - ``linear`` and ``dpn``: M(y) a + B(y) v + K(y) y, added to the moving part (thesis Eq. 3.33, C.1.4); for
-      ``linear`` the three do not follow depth. Extras may be switched on.
+      ``linear`` the three do not depend on depth. Extras are possible.
     - ``wiener``: M z'' + B z' + K z = coil force, y = C1 (1 - exp(-C2 K z)) (thesis Eq. 3.26, 3.31, 3.32). M and B
-      contain the moving part; the back-EMF follows dy/dt.
-    - ``hammerstein``: M y'' + B y' + K y = H1 (1 - exp(-H2 force)). M and B contain the moving part.
+      include the moving part; the back-EMF follows dy/dt.
+    - ``hammerstein``: M y'' + B y' + K y = H1 (1 - exp(-H2 force)). M and B include the moving part.
 
     Extras, all off unless named in ``extras``:
 
-    - ``contact``: the tissue only pushes. A surface left behind follows its own mass, damping, elasticity and
+    - ``contact``: the tissue only pushes. A surface left behind moves by its own mass, damping, elasticity and
       relaxation until the probe meets it again, inelastically.
-    - ``directional_damping``: damping times 1 + ratio tanh(v / speed); ``ratio`` > 0 resists pushing in more.
+    - ``directional_damping``: damping times 1 + ratio tanh(v / speed); ``ratio`` > 0 resists indentation more.
     - ``relaxation``: quasi-linear branches, each adding fraction * (T - T low-passed with time) to T = K(y) y.
     - ``recruited_mass``: mass * (1 - exp(-depth / depth scale)).
 
     Raises:
-        ValueError: an unknown kind or extra, an extra on a kind without extras, or a value that has no meaning.
+        ValueError: an unknown kind or extra, an extra on a kind without extras, or an invalid value.
     """
 
     name: str
@@ -122,20 +122,20 @@ class Tissue:
         return self.mass, self.damping, self.stiffness
 
     def has(self, extra: str) -> bool:
-        """Whether an extra is switched on."""
+        """Return whether an extra is on."""
         _check_names("extra", (extra,), EXTRAS)
         return extra in self.extras
 
     def with_extras(self, extras: Iterable[str]) -> Tissue:
-        """The same tissue with exactly these extras switched on."""
+        """Return the same tissue with exactly these extras on."""
         return replace(self, extras=frozenset(extras))
 
     def active_branches(self) -> tuple[Branch, ...]:
-        """Relaxation branches in force."""
+        """Return the active relaxation branches."""
         return self.branches if "relaxation" in self.extras else ()
 
     def to_array(self) -> NDArray[np.float64]:
-        """Parameters for the compiled loop, shape (kernel.TISSUE_SIZE,)."""
+        """Return the parameters for the compiled loop, shape (kernel.TISSUE_SIZE,)."""
         values = np.zeros(kernel.TISSUE_SIZE)
         values[kernel.KIND] = _KIND_CODES[self.kind]
         values[kernel.REST_SURFACE] = self.surface_m
@@ -171,4 +171,4 @@ FREE_AIR = Tissue(
     stiffness=Exponential(0.0),
     title="Nothing under the probe",
 )
-"""Where there is nothing to touch: the coil falls to its stop."""
+"""Nothing under the probe: the coil falls to its stop."""

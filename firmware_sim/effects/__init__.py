@@ -1,12 +1,12 @@
-"""Effects that the plant may have besides its own laws: one class of bounded figures each, compiled with the plant.
+"""Effects that can be added to the plant: one class of bounded parameters each, compiled with the plant.
 
 In a scenario file::
 
     [effects.dry_friction]
     level = 0.3
 
-All are in forms of the plant's own. ``LISTED`` are those that a diagnosis has a name for, ``UNLISTED`` those that it
-has none for.
+Their equations are independent of those of the twin. ``LISTED`` are effects in the diagnosis's library, ``UNLISTED``
+are not.
 """
 
 from __future__ import annotations
@@ -31,10 +31,10 @@ UNLISTED = tuple(name for name in ROWS if not EFFECTS[name].listed)
 
 
 def read_effects(given: Mapping[str, object]) -> tuple[Effect, ...]:
-    """Effects from a table of names and figures, as a scenario file has them, in the order of the plant.
+    """Return effects from a table of names and parameters, as in a scenario file, in the order of the plant.
 
     Raises:
-        ValueError: one line: an effect that does not exist, or a figure that cannot be used.
+        ValueError: an effect that does not exist, or an invalid parameter; one line.
     """
     found: list[Effect] = []
     for name, figures in given.items():
@@ -43,7 +43,7 @@ def read_effects(given: Mapping[str, object]) -> tuple[Effect, ...]:
         try:
             found.append(EFFECTS[name].model_validate(figures))
         except ValidationError as error:
-            # A misspelt figure is also missing under its right name: the misspelling is what helps.
+            # A misspelt parameter is also reported as missing; the misspelling is the helpful error.
             first = min(error.errors(), key=lambda item: item["type"] != "extra_forbidden")
             where = ".".join(["effects", name, *(str(part) for part in first["loc"])])
             raise ValueError(f"{where} cannot be used: {why(first, EFFECTS[name].model_fields)}") from error
@@ -51,13 +51,13 @@ def read_effects(given: Mapping[str, object]) -> tuple[Effect, ...]:
 
 
 def in_order(effects: Iterable[Effect]) -> tuple[Effect, ...]:
-    """The effects in the order of the plant.
+    """Return the effects in the order of the plant.
 
     Raises:
-        ValueError: one of them is there twice.
+        ValueError: an effect is given twice.
     """
     found = sorted(effects, key=lambda effect: ROWS.index(effect.name))
     for one, other in pairwise(found):
         if one.name == other.name:
-            raise ValueError(f"the effect {one.name} is there twice")
+            raise ValueError(f"the effect {one.name} is given twice")
     return tuple(found)

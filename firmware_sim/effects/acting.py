@@ -1,4 +1,4 @@
-"""The effects of one plant at work: their figures, their memory, and the compiled loop that plays them."""
+"""Active effects of one plant: their parameters, their state, and the compiled loop."""
 
 from __future__ import annotations
 
@@ -12,10 +12,10 @@ from firmware_sim.effects.base import Array, Effect
 
 
 class Acting:
-    """Effects with a memory of their own. ``start_s`` is the session's time when a test starts.
+    """Effects with their state. ``start_s`` is the session time at the start of a test.
 
     Raises:
-        ValueError: an effect is there twice.
+        ValueError: an effect is given twice.
     """
 
     def __init__(self, effects: Iterable[Effect], start_s: float = 0.0) -> None:
@@ -28,22 +28,22 @@ class Acting:
         self.reset()
 
     def __bool__(self) -> bool:
-        """Whether anything acts."""
+        """Return whether any effect is active."""
         return bool(self.effects)
 
     @property
     def needs_depth(self) -> bool:
-        """Whether some effect is written on a tissue's depth."""
+        """Whether any effect depends on the depth in the tissue."""
         return any(effect.stage == "tissue" or effect.name == "physiological_motion" for effect in self.effects)
 
     def reset(self) -> None:
-        """As before the first test."""
+        """Reset the state of all effects."""
         self._memory: Array = np.zeros((len(base.ROWS) + 1, base.MEMORY))
         self._rings: Array = np.zeros((base.RINGS, base.RING_LENGTH))
 
     @property
     def memory(self) -> tuple[Array, Array]:
-        """A copy of what they remember."""
+        """Copy of the state of all effects."""
         return self._memory.copy(), self._rings.copy()
 
     @memory.setter
@@ -53,7 +53,7 @@ class Acting:
     def advance(
         self, commands: Array, state: Array, plant: Array, tissue: Array, interval_s: float, substeps: int
     ) -> tuple[Array, Array]:
-        """Play commands, shape (n,), on a plant's arrays; the columns of ``kernel.advance``, and what converters see.
+        """Simulate commands, shape (n,); return the columns of ``kernel.advance``, and the inputs of the converters.
 
         ``state`` is updated. The second array has shape (n, 3): voltage, current, position.
         """

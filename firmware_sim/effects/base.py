@@ -1,6 +1,6 @@
-"""What every effect has: a name, a stage, a level that means "absent" at zero, bounded figures, and how they are drawn.
+"""Base class of effects: name, stage, level (zero means absent), bounded parameters, and random draws of them.
 
-The compiled loop reads one row of figures an effect and keeps one row of memory for it. The rows are numbered here.
+The compiled loop reads one row of parameters per effect and keeps one row of state for it. The rows are numbered here.
 """
 
 from __future__ import annotations
@@ -50,19 +50,19 @@ Stage = Literal["drive", "coil", "mechanics", "tissue", "sensing", "environment"
     DROPPED_SAMPLES,
     MAINS_HUM,
     PHYSIOLOGICAL_MOTION,
-    # Effects that the diagnosis does not know: it has to leave them unexplained.
+    # Effects that are not in the diagnosis's library, which must report them as unexplained.
     SLEW_RATE,
     DEMAGNETISATION,
     MAGNETIC_SPRING,
     WARMING_BEARING,
     CURRENT_CROSSTALK,
 ) = range(38)
-"""Row of each effect in the arrays of figures and of memory."""
+"""Row of each effect in the arrays of parameters and of state."""
 ROWS = tuple(name.lower() for name, row in list(globals().items()) if name.isupper() and isinstance(row, int))
 """Names of the effects in the order of their rows."""
 
 CLOCK = len(ROWS)
-"""One more row of memory: sub-steps since the start, and the loop's own values from the sub-step before."""
+"""Additional row of state: sub-steps since the start, and values of the previous sub-step."""
 
 WIDTH = 40
 MEMORY = 24
@@ -71,7 +71,7 @@ RINGS, RING_LENGTH = 3, 16384
 
 @dataclass(frozen=True)
 class Drawn:
-    """How a figure is drawn: evenly between two values, or evenly in its logarithm; of either sign where it says so."""
+    """Distribution of a random parameter: uniform or log-uniform between two values, optionally with a random sign."""
 
     low: float
     high: float
@@ -79,7 +79,7 @@ class Drawn:
     either_sign: bool = False
 
     def draw(self, random: np.random.Generator) -> float:
-        """One value."""
+        """Return one random value."""
         if self.logarithmic:
             value = float(np.exp(random.uniform(np.log(self.low), np.log(self.high))))
         else:
@@ -89,7 +89,7 @@ class Drawn:
 
 @dataclass(frozen=True)
 class Circumstances:
-    """What an effect's figures are drawn for: where the tissue lies, how deep the tests go, and what is played, SI."""
+    """Conditions for which an effect's parameters are drawn: surface, depth of the tests, and stimulus, SI."""
 
     surface_m: float = 0.010
     depth_m: float = 0.004
@@ -99,10 +99,10 @@ class Circumstances:
 
 
 class Effect(BaseModel):
-    """An effect's figures. ``level`` is how strong it is, in ``unit``; zero is exactly nothing.
+    """Parameters of an effect. ``level`` is its strength, in ``unit``; zero is exactly no effect.
 
     Raises:
-        pydantic.ValidationError: a figure is out of its bounds.
+        pydantic.ValidationError: a parameter is out of its bounds.
     """
 
     model_config = ConfigDict(frozen=True, extra="forbid")
@@ -111,19 +111,19 @@ class Effect(BaseModel):
     stage: ClassVar[Stage]
     unit: ClassVar[str]
     typical: ClassVar[float]
-    """A level that is plainly seen in a standard test."""
+    """A level that is clearly visible in a standard test."""
     listed: ClassVar[bool] = True
-    """Whether the contract has a name for it."""
+    """Whether the contract lists this effect."""
 
     level: float
 
     @property
     def acts(self) -> bool:
-        """Whether it does anything."""
+        """Whether the level is not zero."""
         return self.level != 0.0
 
     def row(self) -> Array:
-        """Figures for the compiled loop, shape (n,), the level first, then the others as declared."""
+        """Return the parameters for the compiled loop, shape (n,), the level first, then the others as declared."""
         return np.array([self._number(name) for name in type(self).model_fields], dtype=np.float64)
 
     def _number(self, name: str) -> float:
@@ -134,7 +134,7 @@ class Effect(BaseModel):
 
     @classmethod
     def draw(cls, random: np.random.Generator, around: Circumstances) -> Self:
-        """Figures drawn wide, from barely visible to gross."""
+        """Return an effect with widely distributed random parameters, from barely visible to gross."""
         return cls(**cls._drawn(random))
 
     @classmethod
@@ -156,11 +156,11 @@ def _rule(item: FieldInfo) -> Drawn | None:
 
 
 def within(low: float, high: float) -> FieldInfo:
-    """Bounds of a figure, both ends allowed."""
+    """Return the bounds of a parameter, inclusive."""
     found: FieldInfo = Field(ge=low, le=high, allow_inf_nan=False)
     return found
 
 
 def widely(low: float, high: float, *, either_sign: bool = False) -> Drawn:
-    """Drawn evenly in the logarithm."""
+    """Return a log-uniform distribution."""
     return Drawn(low, high, True, either_sign)

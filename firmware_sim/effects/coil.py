@@ -21,7 +21,7 @@ TABLE_FIRST_M, TABLE_SPACING_M = 0.0, 1e-3
 class EddyCurrents(Effect):
     """Iron and bobbin as a ladder of two shorted turns in series with the coil; ``level`` is their inductance, H.
 
-    ``first_ohm`` bridges all of it, ``second_share`` of that bridges the inner two fifths.
+    ``first_ohm`` is parallel to all of it, ``second_share`` of that is parallel to the inner two fifths.
     """
 
     name: ClassVar[str] = "eddy_currents"
@@ -35,9 +35,9 @@ class EddyCurrents(Effect):
 
 
 class CoilHeating(Effect):
-    """Resistance follows the copper: a winding on a body; ``level`` is the winding's K/W against its body.
+    """Resistance of copper that heats up: a winding on a body; ``level`` is the thermal resistance of the winding, K/W.
 
-    The body takes heat up for good, every second ``body_per_s`` of what the winding would reach in the end.
+    The body does not cool; each second it takes up ``body_per_s`` of the final temperature rise of the winding.
     """
 
     name: ClassVar[str] = "coil_heating"
@@ -51,9 +51,9 @@ class CoilHeating(Effect):
 
 
 class InductancePosition(Effect):
-    """Iron that fills the coil as it moves: ``level`` is by how much of itself its inductance grows, all in all.
+    """Inductance that depends on position; ``level`` is its total relative increase.
 
-    The growth is an S over ``width_m`` to either side of the middle, inwards or outwards.
+    The increase is a sigmoid of width ``width_m`` about the middle, with increasing or decreasing position.
     """
 
     name: ClassVar[str] = "inductance_position"
@@ -68,16 +68,16 @@ class InductancePosition(Effect):
 
     @classmethod
     def draw(cls, random: np.random.Generator, around: Circumstances) -> Self:
-        """Growing about where a standard test swings."""
+        """Return parameters with the middle near the range of motion of a standard test."""
         middle = around.surface_m + around.depth_m + random.uniform(-0.0015, 0.0015)
         return cls.model_validate(cls._drawn(random) | {"middle_m": middle})
 
 
 class ForceConstantPosition(Effect):
-    """The field's course along the stroke as a table of 33 values; force and back-EMF alike.
+    """Force constant along the stroke as a table of 33 values; force and back-EMF alike.
 
-    ``level`` is the share that is lost at the far end (``fall``), a width away from the middle (``bell``), or over
-    10 mm (``slope``).
+    ``level`` is the relative loss at the far end (``fall``), one width away from the middle (``bell``), or over 10 mm
+    (``slope``).
     """
 
     name: ClassVar[str] = "force_constant_position"
@@ -92,16 +92,16 @@ class ForceConstantPosition(Effect):
 
     @classmethod
     def draw(cls, random: np.random.Generator, around: Circumstances) -> Self:
-        """Falling about where a standard test swings."""
+        """Return parameters with the decrease near the range of motion of a standard test."""
         middle = around.surface_m + around.depth_m + random.uniform(-0.003, 0.003)
         return cls.model_validate(cls._drawn(random) | {"middle_m": middle})
 
     def row(self) -> Array:
-        """The level and the table."""
+        """Return the level and the table."""
         at = TABLE_FIRST_M + TABLE_SPACING_M * np.arange(TABLE_NODES)
         along = (at - self.middle_m) / self.width_m
         if self.course == "fall":
-            from scipy.special import erf  # slow to import, and seldom asked for
+            from scipy.special import erf  # slow to import and rarely needed
 
             lost = 0.5 * self.level * (1.0 + erf(along))
         elif self.course == "bell":
@@ -112,7 +112,7 @@ class ForceConstantPosition(Effect):
 
 
 class FluxSaturation(Effect):
-    """Iron near saturation: the force constant falls with the size of current and bias by Froehlich, level in 1/A."""
+    """Iron near saturation: the force constant decreases with |current + bias| (Froehlich), level in 1/A."""
 
     name: ClassVar[str] = "flux_saturation"
     stage: ClassVar[Stage] = "coil"
@@ -124,9 +124,10 @@ class FluxSaturation(Effect):
 
 
 class ReluctanceForce(Effect):
-    """The core is drawn towards the iron, with the square of the current; ``level`` in N/A^2 at ``middle_m``.
+    """Attraction of the core to the iron, proportional to the square of the current; ``level`` in N/A^2 at
+    ``middle_m``.
 
-    By the law of a gap that closes over ``gap_m``: stronger further in.
+    The force follows the law of an air gap that closes over ``gap_m``: it increases with position.
     """
 
     name: ClassVar[str] = "reluctance_force"
@@ -140,7 +141,7 @@ class ReluctanceForce(Effect):
 
 
 class Demagnetisation(Effect):
-    """The magnet weakens as the coil works: the share ``level`` of the force constant goes with the heat, J."""
+    """The magnet weakens with use: the share ``level`` of the force constant is lost with the heat, J."""
 
     name: ClassVar[str] = "demagnetisation"
     stage: ClassVar[Stage] = "coil"
@@ -154,7 +155,7 @@ class Demagnetisation(Effect):
 
 @njit
 def table_at(table: Array, position: float) -> float:
-    """A table's value at a position, straight between its nodes, held beyond its ends."""
+    """Return the value of a table at a position, interpolated linearly and constant beyond its ends."""
     along = min(max((position - TABLE_FIRST_M) / TABLE_SPACING_M, 0.0), TABLE_NODES - 1.0)
     k = min(int(along), TABLE_NODES - 2)
     return float(table[k] + (along - k) * (table[k + 1] - table[k]))
@@ -171,7 +172,7 @@ def coil(
     figures: Array,
     memory: Array,
 ) -> float:
-    """Change the coil's figures in ``plant`` for one sub-step; the voltage that is left for R, L and back-EMF, V."""
+    """Update the coil's parameters in ``plant`` for one sub-step; return the voltage across R, L and back-EMF, V."""
     heat = plant[kernel.RESISTANCE] * current * current
     if figures[base.COIL_HEATING, 0] != 0.0:
         row, kept = figures[base.COIL_HEATING], memory[base.COIL_HEATING]
@@ -198,12 +199,12 @@ def coil(
         sense = 1.0 if row[1] == 0.0 else -1.0
         share = 0.5 * (1.0 + tanh(sense * (position - row[2]) / row[3]))
         slope = sense * 2.0 * share * (1.0 - share) / row[3]
-        # The flux is that of the current through an inductance that moves: its rate resists as a resistance does.
+        # The rate of the flux through a moving inductance acts like a resistance.
         plant[kernel.RESISTANCE] += plant[kernel.INDUCTANCE] * row[0] * slope * velocity
         plant[kernel.INDUCTANCE] *= 1.0 + row[0] * share
     if figures[base.EDDY_CURRENTS, 0] != 0.0:
         row, kept = figures[base.EDDY_CURRENTS], memory[base.EDDY_CURRENTS]
-        # Behind the first bridge lie 3/5 of the inductance, and behind the second one the rest; taken implicitly.
+        # 3/5 of the inductance are behind the first resistor and the rest behind the second; implicit integration.
         first, second = step * row[1] / (0.6 * row[0]), step * row[1] * row[2] / (0.6 * row[0])
         inner = 1.5 * second
         before = kept[0]
@@ -211,6 +212,6 @@ def coil(
         kept[0] += first * current + second * kept[1] / (1.0 + inner)
         kept[0] /= 1.0 + first + second / (1.0 + inner)
         kept[1] = (kept[1] + inner * kept[0]) / (1.0 + inner)
-        # At the middle where it is slow against the step, at the end where it follows at once.
+        # Evaluated at mid-step if slow relative to the step, at its end if fast.
         volts += row[1] * (before + (0.5 + first) / (1.0 + first) * (kept[0] - before))
     return volts

@@ -13,7 +13,7 @@ from firmware_sim.effects.base import Array, Circumstances, Drawn, Effect, Stage
 
 
 class Latency(Effect):
-    """The command comes into force later; ``level`` in seconds, any share of a sample."""
+    """Delay of the command; ``level`` in seconds, also fractions of a sample."""
 
     name: ClassVar[str] = "latency"
     stage: ClassVar[Stage] = "drive"
@@ -36,9 +36,10 @@ class AmplifierLag(Effect):
 
 
 class AmplifierClipping(Effect):
-    """The output stops at a limit; ``level`` is its reciprocal, 1/V, so that zero is no limit.
+    """Limit of the output voltage; ``level`` is its reciprocal, 1/V, so that zero means no limit.
 
-    ``share_below`` is the lower limit relative to the upper one. A soft limit bends over volts; a hard one is a corner.
+    ``share_below`` is the lower limit relative to the upper one. A soft limit is reached gradually; a hard one is a
+    corner.
     """
 
     name: ClassVar[str] = "amplifier_clipping"
@@ -53,13 +54,13 @@ class AmplifierClipping(Effect):
 
     @classmethod
     def draw(cls, random: np.random.Generator, around: Circumstances) -> Self:
-        """A limit between 0.3 and 2.2 standard deviations above the mean."""
+        """Return a limit between 0.3 and 2.2 standard deviations above the mean."""
         limit = around.mean_v + around.spread_v * random.uniform(0.3, 2.2)
         return cls.model_validate(cls._drawn(random) | {"level": 1.0 / limit})
 
 
 class AmplifierDeadband(Effect):
-    """Crossover: within ``level`` volts of zero the output has only ``share_left`` of its gain."""
+    """Crossover distortion: within ``level`` volts of zero the output has only ``share_left`` of its gain."""
 
     name: ClassVar[str] = "amplifier_deadband"
     stage: ClassVar[Stage] = "drive"
@@ -71,7 +72,7 @@ class AmplifierDeadband(Effect):
 
 
 class AmplifierDrift(Effect):
-    """Gain or offset wanders from each test's start: an exponential and a random walk on top of it.
+    """Drift of gain or offset from the start of each test: an exponential plus a random walk.
 
     ``level`` is the share of the gain, or of 10 V of offset, that the exponential reaches.
     """
@@ -89,7 +90,7 @@ class AmplifierDrift(Effect):
 
 
 class SlewRate(Effect):
-    """The output changes no faster than a rate; ``level`` is the reciprocal of that rate, s/V."""
+    """Limit of the rate of change of the output; ``level`` is its reciprocal, s/V."""
 
     name: ClassVar[str] = "slew_rate"
     stage: ClassVar[Stage] = "drive"
@@ -102,14 +103,14 @@ class SlewRate(Effect):
 
 @njit
 def phase(pattern: float, k: int) -> float:
-    """An angle, rad, that looks random: the same for the same pattern and number."""
+    """Return a pseudo-random angle, rad, determined by pattern and number."""
     x = sin(pattern * 12.9898 + k * 78.233) * 43758.5453
     return float(2.0 * pi * (x - np.floor(x)))
 
 
 @njit
 def walk(pattern: float, t: float) -> float:
-    """A path like a random walk's, of order 1 after 5 s, at time t, s (its Fourier sum over 80 s)."""
+    """Return a random-walk-like function of time t, s, of order 1 after 5 s (a Fourier sum over 80 s)."""
     value = 0.0
     for k in range(1, 25):
         angle = phase(pattern, k)
@@ -119,7 +120,7 @@ def walk(pattern: float, t: float) -> float:
 
 @njit
 def drive(commanded: float, t: float, step: float, first: bool, figures: Array, memory: Array, rings: Array) -> float:
-    """The coil's voltage for a command times gain, volts, ``t`` seconds after the start of the test."""
+    """Return the coil voltage for command times gain, volts, ``t`` seconds after the start of the test."""
     volts = commanded
     if figures[base.LATENCY, 0] != 0.0:
         volts = delayed(rings[0], memory[base.LATENCY], volts, figures[base.LATENCY, 0] / step, first)
@@ -131,7 +132,7 @@ def drive(commanded: float, t: float, step: float, first: bool, figures: Array, 
         row, kept = figures[base.AMPLIFIER_LAG], memory[base.AMPLIFIER_LAG]
         if first:
             kept[0], kept[1] = volts, 0.0
-        # Two poles, the rate taken implicitly: stable for any step.
+        # Two poles with implicit integration of the rate: stable for any step.
         ratio = step / row[0]
         kept[1] = (kept[1] + ratio * (volts - kept[0]) / row[0]) / (1.0 + 2.0 * row[1] * ratio + ratio * ratio)
         kept[0] += step * kept[1]
@@ -162,7 +163,7 @@ def _clipped(volts: float, row: Array) -> float:
 
 @njit
 def delayed(ring: Array, kept: Array, value: float, delay: float, first: bool) -> float:
-    """What came in ``delay`` calls ago, any share of one, from a ring that remembers; ``kept[0]`` is its place."""
+    """Return the value of ``delay`` calls ago, also fractional, from a ring buffer; ``kept[0]`` is its index."""
     size = ring.shape[0]
     if first:
         ring[:] = value
@@ -177,5 +178,5 @@ def delayed(ring: Array, kept: Array, value: float, delay: float, first: bool) -
 
 @njit
 def smooth_size(value: float, width: float) -> float:
-    """|value| with a round bottom."""
+    """Return a smooth approximation of |value|."""
     return sqrt(value * value + width * width) - width

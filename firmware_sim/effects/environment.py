@@ -1,4 +1,4 @@
-"""Effects from around the instrument: the mains in its wires, and a body that does not keep still."""
+"""Effects of the surroundings: mains hum, and motion of the body."""
 
 from __future__ import annotations
 
@@ -13,9 +13,9 @@ from firmware_sim.effects.drive import phase
 
 
 class MainsHum(Effect):
-    """The mains and its third and fifth harmonics on the measured channels, on each in its own measure.
+    """Mains frequency with third and fifth harmonics on the measured channels, with a separate gain for each.
 
-    ``level`` is the first harmonic's amplitude on the voltage, V; the other channels' are given relative to it.
+    ``level`` is the amplitude of the first harmonic on the voltage, V; those of other channels are relative to it.
     """
 
     name: ClassVar[str] = "mains_hum"
@@ -39,7 +39,7 @@ class MainsHum(Effect):
 
 
 class PhysiologicalMotion(Effect):
-    """Breathing, pulse and tremor move the surface; ``level`` is the height of a breath, m."""
+    """Motion of the surface by breathing, pulse and tremor; ``level`` is the height of a breath, m."""
 
     name: ClassVar[str] = "physiological_motion"
     stage: ClassVar[Stage] = "environment"
@@ -57,7 +57,7 @@ class PhysiologicalMotion(Effect):
 
 @njit
 def hum(t: float, channel: int, row: Array) -> float:
-    """Pick-up at a session's time, s, relative to the channel's own measure times ``level``."""
+    """Return the hum at a session time, s, relative to the gain of the channel."""
     turn = 2.0 * pi * (60.0 if row[1] != 0.0 else 50.0) * (1.0 + row[2]) * t
     angle = phase(row[7], channel)
     value = sin(turn + angle)
@@ -68,8 +68,8 @@ def hum(t: float, channel: int, row: Array) -> float:
 
 @njit
 def surface(t: float, row: Array) -> float:
-    """How far the surface is raised towards the probe at a session's time, m."""
-    # A breath is longer out than in; each heartbeat is a wave and its echo; tremor beats between near frequencies.
+    """Return the displacement of the surface towards the probe at a session time, m."""
+    # Exhalation is longer than inhalation; a heartbeat is a wave with an echo; tremor is a beat of close frequencies.
     breath = 2.0 * pi * row[1] * t + phase(row[6], 1) + 0.3 * sin(2.0 * pi * 0.037 * t)
     raised = (0.5 * (1.0 + sin(breath + 0.6 * cos(breath)))) ** 1.6
     beat = 2.0 * pi * row[3] * t + phase(row[6], 2) + 0.5 * sin(breath) + 0.2 * sin(2.0 * pi * 0.1 * t)

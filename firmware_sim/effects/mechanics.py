@@ -1,4 +1,4 @@
-"""Effects on the moving part that need no tissue."""
+"""Effects on the moving part that do not depend on tissue."""
 
 from __future__ import annotations
 
@@ -18,9 +18,9 @@ _SLIP_LENGTHS = np.array([0.2, 0.5, 1.0, 1.6, 2.5, 4.0])
 
 
 class DryFriction(Effect):
-    """Friction of bristles that bend and slip (LuGre: Canudas de Wit et al. 1995); ``level`` is the sliding force, N.
+    """LuGre friction (Canudas de Wit et al. 1995); ``level`` is the sliding force, N.
 
-    ``breakaway_share`` is how much more holds at rest, ``presliding_m`` the bristles' bend.
+    ``breakaway_share`` is the relative excess of the static force, ``presliding_m`` the presliding displacement.
     """
 
     name: ClassVar[str] = "dry_friction"
@@ -35,9 +35,9 @@ class DryFriction(Effect):
 
 
 class DirectionalFriction(Effect):
-    """Six blocks that stick and slip, each by its own length, and hold more one way than the other.
+    """Six stick-slip elements with different presliding lengths, and with different friction in the two directions.
 
-    ``level`` is the whole sliding force inwards, N; ``outward_share`` that outwards relative to it.
+    ``level`` is the total sliding force in indentation, N; ``outward_share`` that in retraction relative to it.
     """
 
     name: ClassVar[str] = "directional_friction"
@@ -51,7 +51,7 @@ class DirectionalFriction(Effect):
 
     @classmethod
     def draw(cls, random: np.random.Generator, around: Circumstances) -> Self:
-        """Either direction may be the heavier one, by a factor of 1.6 to 10."""
+        """Return random parameters; either direction can have the higher friction, by a factor of 1.6 to 10."""
         heavier = float(np.exp(random.uniform(np.log(1.6), np.log(10.0))))
         values = cls._drawn(random)
         level = float(str(values["level"]))
@@ -61,7 +61,7 @@ class DirectionalFriction(Effect):
 
 
 class QuadraticDrag(Effect):
-    """Drag by a power of speed; ``level`` is its force at 0.1 m/s, N."""
+    """Drag proportional to a power of speed; ``level`` is its force at 0.1 m/s, N."""
 
     name: ClassVar[str] = "quadratic_drag"
     stage: ClassVar[Stage] = "mechanics"
@@ -73,9 +73,9 @@ class QuadraticDrag(Effect):
 
 
 class EndStop(Effect):
-    """A ball against a plate at ``at_m``: Hertz's force, lossy as Hunt and Crossley have it.
+    """Hertzian contact of a ball with a plate at ``at_m``, with damping by Hunt and Crossley.
 
-    ``level`` is the force at 0.1 mm, N; ``side`` says which way it stops.
+    ``level`` is the force at 0.1 mm, N; ``side`` is the direction of motion that it stops.
     """
 
     name: ClassVar[str] = "end_stop"
@@ -90,15 +90,15 @@ class EndStop(Effect):
 
     @classmethod
     def draw(cls, random: np.random.Generator, around: Circumstances) -> Self:
-        """Within the swing of a standard test, 0.3 to 2 standard deviations beyond its mean, at the deep side."""
+        """Return a stop within the motion of a standard test, 0.3 to 2 standard deviations deeper than its mean."""
         at = around.surface_m + around.depth_m + around.swing_m * random.uniform(0.3, 2.0)
         return cls.model_validate(cls._drawn(random) | {"at_m": at, "side": "inward"})
 
 
 class MountResonance(Effect):
-    """The frame swings in two modes on its mount; positions are read against it.
+    """Two vibration modes of the frame on its mount; positions are measured relative to the frame.
 
-    ``level`` is the mobile mass of the coil over that of the first mode: zero is a frame that cannot move.
+    ``level`` is the moving mass of the coil relative to that of the first mode: zero is a rigid frame.
     """
 
     name: ClassVar[str] = "mount_resonance"
@@ -114,7 +114,7 @@ class MountResonance(Effect):
 
 
 class Cogging(Effect):
-    """Teeth along the stroke: a force of a pitch with its second and third harmonic; ``level`` is the first's, N."""
+    """Periodic force along the stroke with second and third harmonics; ``level`` is the amplitude of the first, N."""
 
     name: ClassVar[str] = "cogging"
     stage: ClassVar[Stage] = "mechanics"
@@ -129,9 +129,9 @@ class Cogging(Effect):
 
 
 class MagneticSpring(Effect):
-    """The coil's own iron is held by the magnet: two stable places ``apart_m`` to either side of the middle.
+    """Magnetic attraction with two stable positions, ``apart_m`` to each side of the middle.
 
-    ``level`` is the greatest force between them, N.
+    ``level`` is the largest force between them, N.
     """
 
     name: ClassVar[str] = "magnetic_spring"
@@ -146,13 +146,13 @@ class MagneticSpring(Effect):
 
     @classmethod
     def draw(cls, random: np.random.Generator, around: Circumstances) -> Self:
-        """About where a standard test swings."""
+        """Return parameters near the range of motion of a standard test."""
         middle = around.surface_m + around.depth_m + around.swing_m * random.uniform(-1.0, 1.0)
         return cls.model_validate(cls._drawn(random) | {"middle_m": middle})
 
 
 class WarmingBearing(Effect):
-    """The bearing's grease changes as it is worked: its damping grows or falls by ``level`` over ``work_j``."""
+    """Bearing damping that changes with work: it increases or decreases by ``level`` over ``work_j``."""
 
     name: ClassVar[str] = "warming_bearing"
     stage: ClassVar[Stage] = "mechanics"
@@ -166,7 +166,7 @@ class WarmingBearing(Effect):
 
 @njit
 def mechanics(position: float, velocity: float, bearing: float, step: float, figures: Array, memory: Array) -> float:
-    """Force on the moving part besides that of the plant, N, frame excepted; ``bearing`` is its damping, N s/m."""
+    """Return the additional force on the moving part, N, without the frame; ``bearing`` is the damping, N s/m."""
     force = 0.0
     if figures[base.DRY_FRICTION, 0] != 0.0:
         force -= _bristles(velocity, step, figures[base.DRY_FRICTION], memory[base.DRY_FRICTION])
@@ -191,7 +191,7 @@ def mechanics(position: float, velocity: float, bearing: float, step: float, fig
     if figures[base.MAGNETIC_SPRING, 0] != 0.0:
         row = figures[base.MAGNETIC_SPRING]
         z = (position - row[1]) / row[2]
-        # z - z^3 without its runaway: greatest force 1 between the stable places, and none far off.
+        # z - z^3, bounded: largest force 1 between the stable positions, and none far away.
         force += row[0] * 2.6 * z * (1.0 - z * z) / (1.0 + z * z * z * z)
     if figures[base.WARMING_BEARING, 0] != 0.0:
         row, kept = figures[base.WARMING_BEARING], memory[base.WARMING_BEARING]
@@ -202,7 +202,7 @@ def mechanics(position: float, velocity: float, bearing: float, step: float, fig
 
 @njit
 def _bristles(velocity: float, step: float, row: Array, kept: Array) -> float:
-    # The bend relaxes towards what the speed bends it to: solved exactly for a speed that holds for the step.
+    # Exact solution of the bristle deflection for a constant speed during the step.
     speed = abs(velocity)
     slip = row[0] * (1.0 + row[1] * exp(-((speed / row[2]) ** 2)))
     stiffness = row[0] / row[3]
@@ -214,7 +214,7 @@ def _bristles(velocity: float, step: float, row: Array, kept: Array) -> float:
 
 @njit
 def _slips(moved: float, row: Array, kept: Array) -> float:
-    # Each block's spring is drawn along until its block slips (Maxwell, Prandtl, Ishlinskii).
+    # Each spring is stretched until its element slips (Maxwell, Prandtl, Ishlinskii).
     force = 0.0
     for k in range(SLIPS):
         most = row[0] * _SLIP_SHARES[k]
@@ -226,7 +226,7 @@ def _slips(moved: float, row: Array, kept: Array) -> float:
 
 @njit
 def frame(force: float, step: float, row: Array, kept: Array, moving_mass: float) -> tuple[float, float, float]:
-    """The frame's shift, speed and acceleration after a step under what the coil does to it, N."""
+    """Return displacement, speed and acceleration of the frame after a step under the reaction of the coil, N."""
     first_mass = moving_mass / row[0]
     shift, speed, acceleration = 0.0, 0.0, 0.0
     for k in range(2):
@@ -234,7 +234,7 @@ def frame(force: float, step: float, row: Array, kept: Array, moving_mass: float
         omega = 2.0 * pi * row[1] * (1.0 if k == 0 else row[3])
         pushed = share * force / first_mass
         before = kept[2 * k + 1]
-        # Rate first, then place: keeps the energy of a free swing; the damping is taken implicitly.
+        # Symplectic Euler conserves the energy of free vibration; the damping is implicit.
         kept[2 * k + 1] = (before + step * (pushed - omega * omega * kept[2 * k])) / (1.0 + 2.0 * row[2] * omega * step)
         kept[2 * k] += step * kept[2 * k + 1]
         shift += kept[2 * k]

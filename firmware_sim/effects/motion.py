@@ -1,8 +1,8 @@
-"""The compiled loop of a plant with effects: the plant's own steps, with what each stage adds between them.
+"""Compiled loop of a plant with effects: the plant's own sub-steps with the changes by each stage between them.
 
-Before each sub-step of ``kernel`` the effects change a copy of the plant's figures, the force that acts besides, the
-voltage and the tissue's law, each at the sub-step's middle as position, speed and current promise it. The sub-step
-itself is the plant's own, so that nothing of it exists twice.
+Before each sub-step of ``kernel``, the effects change a copy of the plant's parameters, the additional force, the
+voltage and the tissue's law, evaluated at the extrapolated mid-step position, speed and current. The sub-step itself is
+that of the plant, so that no equation is duplicated.
 """
 
 from __future__ import annotations
@@ -27,7 +27,7 @@ Advance = Callable[[Array, Array, Array, Array, float, int, Array, Array, Array,
 
 
 def _sources() -> int:
-    # numba looks for changes in the file of a cached function alone: this number stands for all that it calls.
+    # numba only checks the file of a cached function for changes: this number includes all files that it calls.
     here = Path(__file__)
     compiled = ("base", "drive", "coil", "mechanics", "tissue", "sensing", "environment")
     files = [Path(str(kernel.__file__)), *(here.with_name(f"{name}.py") for name in compiled)]
@@ -68,8 +68,8 @@ def _build(sources: int) -> Advance:
         mass = plant_figures[kernel.MOVING_MASS]
         if plant_figures[kernel.COIL_OPEN] > 0.0:
             state[kernel.CURRENT] = 0.0
-        # Of the clock's row: 0 sub-steps so far, 1 acceleration, 2 current before, 3 surface at the start and 4 now,
-        # 5 to 7 shift, speed and acceleration of the frame.
+        # Clock row: 0 number of sub-steps, 1 acceleration, 2 previous current, 3 initial and 4 present surface,
+        # 5 to 7 displacement, speed and acceleration of the frame.
         for n in range(commands.shape[0]):
             commanded = plant_figures[kernel.AMPLIFIER_GAIN] * commands[n]
             before = state[kernel.VELOCITY]
@@ -135,7 +135,7 @@ def _build(sources: int) -> Advance:
                         taken_along = 0.0
                         force += memory[base.CONTACT_LOSS, 3]
                     elif state[kernel.TOUCHING] > 0.0:
-                        # The plant's law is written on the speed against the frame; the rest of the speed is made up.
+                        # The plant's law uses the speed relative to the frame: add the motion of frame and surface.
                         force += added - damping * (against - velocity)
                     else:
                         taken_along = 0.0
@@ -184,7 +184,7 @@ def _build(sources: int) -> Advance:
 advance: Advance = _build(_sources())
 """Integrate one block of commands in place, as ``kernel.advance`` does, with effects.
 
-Beyond its arguments: ``seen`` (n, 3) receives voltage, current and position as they reach the converters unfiltered;
-``figures`` and ``memory`` hold a row for each effect, ``rings`` what is kept for delays; ``start`` is the session's
-time at the start of the test, s, by which hum and body move on from test to test.
+Additional arguments: ``seen`` (n, 3) receives voltage, current and position before the anti-alias filters; ``figures``
+and ``memory`` hold a row for each effect, ``rings`` the delay lines; ``start`` is the session time at the start of the
+test, s, which determines the phase of hum and body motion.
 """

@@ -1,4 +1,4 @@
-"""Effects between the motion and the recorded position, or the record as a whole."""
+"""Effects on the recorded position, or on the record as a whole."""
 
 from __future__ import annotations
 
@@ -16,9 +16,9 @@ _LONGEST_TEST_S = 5.0
 
 
 class SensorNonlinearity(Effect):
-    """The reading bends along the stroke (``bent``) or errs with the pitch of a track (``cyclic``).
+    """Nonlinear position reading: curved along the stroke (``bent``) or periodic (``cyclic``).
 
-    ``level`` is the error 5 mm from the middle, m, or the first harmonic's amplitude.
+    ``level`` is the error 5 mm from the middle, m, or the amplitude of the first harmonic.
     """
 
     name: ClassVar[str] = "sensor_nonlinearity"
@@ -36,7 +36,7 @@ class SensorNonlinearity(Effect):
 
     @classmethod
     def draw(cls, random: np.random.Generator, around: Circumstances) -> Self:
-        """A bend is drawn up to 1 mm, a cyclic error in relation to its pitch, so that readings never run backwards."""
+        """Return an error up to 1 mm, or a cyclic one limited relative to its pitch, for monotone readings."""
         values = cls._drawn(random)
         if values["kind"] == "bent":
             level = Drawn(8e-5, 1.2e-3, True, True).draw(random)
@@ -46,7 +46,7 @@ class SensorNonlinearity(Effect):
 
 
 class SensorLag(Effect):
-    """Two poles in the position channel alone; ``level`` is the time constant of their natural frequency, s."""
+    """Two poles in the position channel only; ``level`` is the time constant of their natural frequency, s."""
 
     name: ClassVar[str] = "sensor_lag"
     stage: ClassVar[Stage] = "sensing"
@@ -58,7 +58,7 @@ class SensorLag(Effect):
 
 
 class SensorBacklash(Effect):
-    """Play between probe and sensor; ``level`` is all of it, m."""
+    """Play between probe and sensor; ``level`` is its full width, m."""
 
     name: ClassVar[str] = "sensor_backlash"
     stage: ClassVar[Stage] = "sensing"
@@ -69,9 +69,9 @@ class SensorBacklash(Effect):
 
 
 class ClockSkew(Effect):
-    """Position is timed by a clock of its own: what is recorded is older than it should be, by more and more or less.
+    """Separate clock of the position: its samples are delayed by a time that changes during the test.
 
-    ``level`` is the clock's relative error, positive where it falls behind; ``offset_s`` is how old the first is.
+    ``level`` is the relative error of the clock, positive if it is slow; ``offset_s`` is the initial delay.
     """
 
     name: ClassVar[str] = "clock_skew"
@@ -84,14 +84,14 @@ class ClockSkew(Effect):
 
     @classmethod
     def draw(cls, random: np.random.Generator, around: Circumstances) -> Self:
-        """A clock that runs ahead starts so far behind that it never tells what is yet to come."""
+        """Return random parameters; a fast clock starts with a delay that keeps the reading causal."""
         values = cls._drawn(random)
         offset = random.uniform(0.0, 5e-4) + max(0.0, -float(str(values["level"])) * _LONGEST_TEST_S)
         return cls.model_validate(values | {"offset_s": offset})
 
 
 class Quantization(Effect):
-    """Coarse steps of the position's converter, cut off downwards; ``level`` is the step, m."""
+    """Coarse quantization of the position, rounded down; ``level`` is the step, m."""
 
     name: ClassVar[str] = "quantization"
     stage: ClassVar[Stage] = "sensing"
@@ -101,15 +101,16 @@ class Quantization(Effect):
     level: Annotated[float, within(0.0, 1e-3), widely(1.2e-5, 2e-4)]
 
     def applied(self, position_m: Array) -> Array:
-        """Readings, m, as the coarse converter gives them, in their shape."""
+        """Return quantized readings, m, in their shape."""
         return self.level * np.floor(position_m / self.level) if self.acts else position_m
 
 
 class DroppedSamples(Effect):
-    """Samples are lost without a mark: all later ones move up. ``level`` is how many are lost a second.
+    """Samples lost without a mark, so that all later ones are shifted. ``level`` is the number of lost samples per
+    second.
 
-    ``channels`` says of what: all that is measured, or the position alone. The places at the end that nothing came
-    for hold no number. In the laboratory only, where a record is whole before it is read.
+    ``channels`` selects all measured channels, or the position only. Missing samples at the end are NaN. Only in the
+    laboratory, where a record is complete before it is read.
     """
 
     name: ClassVar[str] = "dropped_samples"
@@ -123,13 +124,13 @@ class DroppedSamples(Effect):
 
     @classmethod
     def draw(cls, random: np.random.Generator, around: Circumstances) -> Self:
-        """One to four at once; in three of four cases from all channels."""
+        """Return losses of one to four samples at once; in three of four cases of all channels."""
         channels = "all" if random.random() < 0.75 else "position"
         most = int(random.integers(1, 5))
         return cls.model_validate(cls._drawn(random) | {"channels": channels, "most_at_once": most})
 
     def kept(self, count: int, sample_rate_hz: float, random: np.random.Generator) -> tuple[int, ...]:
-        """Which of ``count`` samples are left, by number."""
+        """Return the indices of the remaining samples of ``count``."""
         if not self.acts:
             return tuple(range(count))
         seconds = count / sample_rate_hz
@@ -142,7 +143,7 @@ class DroppedSamples(Effect):
 
 
 class CurrentCrosstalk(Effect):
-    """The coil's current leaks into the position's channel; ``level`` in m/A."""
+    """Crosstalk of the coil current into the position channel; ``level`` in m/A."""
 
     name: ClassVar[str] = "current_crosstalk"
     stage: ClassVar[Stage] = "sensing"
@@ -158,7 +159,7 @@ class CurrentCrosstalk(Effect):
 def sense(
     position: float, current: float, t: float, step: float, first: bool, figures: Array, memory: Array, rings: Array
 ) -> float:
-    """What the position's sensor gives at the end of a sub-step, m, ``t`` seconds after the start of the test."""
+    """Return the reading of the position sensor, m, at the end of a sub-step, ``t`` seconds after the start."""
     seen = position
     if figures[base.SENSOR_NONLINEARITY, 0] != 0.0:
         row = figures[base.SENSOR_NONLINEARITY]

@@ -1,4 +1,4 @@
-"""Effects of living tissue. All are written on depth below the surface and leave the plant's own law in place."""
+"""Effects of living tissue. All depend on depth below the surface and are added to the plant's own law."""
 
 from __future__ import annotations
 
@@ -27,10 +27,10 @@ _ADHESION_REACH_M = 5e-5
 
 
 class TissueStiffening(Effect):
-    """Fibres that are taken up one by one, at depths spread lognormally (Lanir 1983), or a layer with a sharp top.
+    """Fibres recruited at lognormally distributed depths (Lanir 1983), or a layer with a sharp top.
 
-    ``level`` is the stiffness that they add once all are taken up, N/m; ``spread`` is the logarithm's standard
-    deviation (``fibres``) or, times ``at_m``, the layer's softness (``layer``).
+    ``level`` is the stiffness of all recruited fibres, N/m; ``spread`` is the standard deviation of the logarithm
+    (``fibres``) or, times ``at_m``, the transition width of the layer (``layer``).
     """
 
     name: ClassVar[str] = "tissue_stiffening"
@@ -45,15 +45,15 @@ class TissueStiffening(Effect):
 
     @classmethod
     def draw(cls, random: np.random.Generator, around: Circumstances) -> Self:
-        """Taken up within the swing of a standard test."""
+        """Return parameters with recruitment within the range of motion of a standard test."""
         at = around.depth_m + around.swing_m * random.uniform(-1.0, 1.5)
         return cls.model_validate(cls._drawn(random) | {"at_m": max(at, 5e-4)})
 
 
 class Viscoelasticity(Effect):
-    """Relaxation by a power law: nine branches from 2 ms to 20 s whose weights go as time^-exponent.
+    """Power-law relaxation: nine branches from 2 ms to 20 s with weights proportional to time^-exponent.
 
-    ``level`` is what all of them add to the elastic force at once, as a share of it.
+    ``level`` is the total instantaneous addition to the elastic force, as a share of it.
     """
 
     name: ClassVar[str] = "viscoelasticity"
@@ -66,7 +66,7 @@ class Viscoelasticity(Effect):
 
 
 class TissueHysteresis(Effect):
-    """Loops that do not follow speed: eight stops of Prandtl and Ishlinskii with lengths about ``length_m``.
+    """Rate-independent hysteresis: eight Prandtl-Ishlinskii elements with lengths about ``length_m``.
 
     ``level`` is the stiffness that all of them add at a reversal, N/m.
     """
@@ -81,7 +81,7 @@ class TissueHysteresis(Effect):
 
 
 class Preconditioning(Effect):
-    """Tissue softens as it is worked and recovers at rest: the share ``level`` of its elasticity goes with the work."""
+    """Softening with work and recovery at rest: the share ``level`` of the elasticity is lost with the work."""
 
     name: ClassVar[str] = "preconditioning"
     stage: ClassVar[Stage] = "tissue"
@@ -94,7 +94,7 @@ class Preconditioning(Effect):
 
 
 class AddedMass(Effect):
-    """Tissue that is taken along as the probe goes deeper, by Hill's curve; ``level`` is all of it, kg."""
+    """Tissue mass that increases with depth by a Hill function; ``level`` is its limit, kg."""
 
     name: ClassVar[str] = "added_mass"
     stage: ClassVar[Stage] = "tissue"
@@ -107,15 +107,15 @@ class AddedMass(Effect):
 
     @classmethod
     def draw(cls, random: np.random.Generator, around: Circumstances) -> Self:
-        """Half of it taken along where a standard test swings."""
+        """Return parameters with half of the mass at the range of motion of a standard test."""
         half = around.depth_m + around.swing_m * random.uniform(-1.0, 1.5)
         return cls.model_validate(cls._drawn(random) | {"half_m": max(half, 5e-4)})
 
 
 class ContactLoss(Effect):
-    """The tissue does not follow a probe that pulls with more than ``adhesion_n``; it comes back and is met again.
+    """Tissue that does not follow a probe pulling with more than ``adhesion_n``; it recovers and makes contact again.
 
-    ``level`` is how slowly: the ratio to its damping on the probe by which the damping grows for each 2 mm of gap.
+    ``level`` is the relative increase of its damping per 2 mm of gap, which slows the recovery.
     """
 
     name: ClassVar[str] = "contact_loss"
@@ -128,13 +128,13 @@ class ContactLoss(Effect):
 
     @classmethod
     def draw(cls, random: np.random.Generator, around: Circumstances) -> Self:
-        """With adhesion or without."""
+        """Return random parameters with or without adhesion."""
         adhesion = 0.0 if random.random() < 0.5 else random.uniform(0.02, 0.3)
         return cls.model_validate(cls._drawn(random) | {"adhesion_n": adhesion})
 
 
 class DirectionalDamping(Effect):
-    """Damping that differs between pushing in and coming out: times 1 + level (2/pi) atan(v / speed)."""
+    """Damping that differs between indentation and retraction: factor 1 + level (2/pi) atan(v / speed)."""
 
     name: ClassVar[str] = "directional_damping"
     stage: ClassVar[Stage] = "tissue"
@@ -146,7 +146,7 @@ class DirectionalDamping(Effect):
 
 
 class Reflex(Effect):
-    """A muscle answers being pushed in faster than a threshold, later, with twitches that add up to ``level``, N."""
+    """Muscle reflex: delayed twitches after indentation faster than a threshold, up to a force of ``level``, N."""
 
     name: ClassVar[str] = "reflex"
     stage: ClassVar[Stage] = "tissue"
@@ -162,7 +162,7 @@ class Reflex(Effect):
 
 @njit
 def fibres(row: Array, depth: float) -> float:
-    """Force of the layer that stiffens, N, at a depth in metres."""
+    """Return the force of the stiffening fibres or layer, N, at a depth in metres."""
     if row[3] == 1.0:
         soft = row[1] * row[2]
         along = (depth - row[1]) / soft
@@ -177,7 +177,7 @@ def fibres(row: Array, depth: float) -> float:
 
 @njit
 def soften(step: float, force: float, velocity: float, law: Array, figures: Array, memory: Array) -> None:
-    """Preconditioning's change of the tissue's figures ``law``, and of itself by the power at the surface."""
+    """Update preconditioning: the tissue's parameters ``law``, and the state by the power at the surface."""
     row, kept = figures[base.PRECONDITIONING], memory[base.PRECONDITIONING]
     law[kernel.STIFFNESS] *= 1.0 - row[0] * kept[0]
     kept[0] += step * (abs(force * velocity) / row[1] * (1.0 - kept[0]) - kept[0] / row[2])
@@ -185,7 +185,7 @@ def soften(step: float, force: float, velocity: float, law: Array, figures: Arra
 
 @njit
 def recruit(depth: float, velocity: float, row: Array, law: Array) -> float:
-    """Add the recruited mass to ``law``; half its slope times speed squared, N, keeps the kinetic energy."""
+    """Add the recruited mass to ``law``; return half its slope times speed squared, N (conserves energy)."""
     if depth <= 0.0:
         return 0.0
     ratio = (depth / row[1]) ** row[2]
@@ -207,7 +207,9 @@ def tissue(
     memory: Array,
     rings: Array,
 ) -> float:
-    """Force of tissue on the probe besides that of the plant's law, N: ``elastic`` N and ``damping`` N s/m are its."""
+    """Return the additional force of tissue on the probe, N; ``elastic`` (N) and ``damping`` (N s/m) are those of the
+    plant's law.
+    """
     force = 0.0
     if figures[base.TISSUE_STIFFENING, 0] != 0.0:
         row = figures[base.TISSUE_STIFFENING]
@@ -241,7 +243,7 @@ def _twitches(depth: float, velocity: float, step: float, first: bool, row: Arra
     kept[1] += (stretching - kept[1]) * (1.0 - exp(-step / _STRETCH_FILTER_S))
     felt = max(0.0, kept[1] - row[2])
     late = delayed(ring, kept, felt, row[1] / step, first)
-    # Two equal lags make a twitch, t exp(-t / time); together they fill up to the greatest force.
+    # Two equal lags give a twitch t exp(-t / time); twitches saturate at the largest force.
     share = 1.0 - exp(-step / row[4])
     kept[2] += (late - kept[2]) * share
     kept[3] += (kept[2] - kept[3]) * share
@@ -250,13 +252,13 @@ def _twitches(depth: float, velocity: float, step: float, first: bool, row: Arra
 
 @njit
 def lifts(depth: float, velocity: float, push: float, step: float, law: Array, row: Array, kept: Array) -> float:
-    """By how much the probe's speed jumps as it meets the tissue that it was off, m/s; 0 where it does not.
+    """Return the jump of the probe's speed when it meets the tissue again, m/s; 0 otherwise.
 
-    ``depth`` and ``velocity`` are the probe's, ``push`` is what the tissue pushes it with while they are together, N,
-    and ``kept`` holds whether it is off, the surface, the surface's speed, with how much it pulls the probe back, N,
-    and the mass of the probe, kg. Left alone the surface goes on by its own mass, damping and stiffness, from where
-    and as fast as it was left, and pulls ever less the wider the gap: nothing jumps as contact is lost, so that a
-    little more or less force does not make another motion.
+    ``depth`` and ``velocity`` are those of the probe, ``push`` is the force of the tissue on it while in contact, N,
+    and ``kept`` holds whether it is off, the depth of the surface, the speed of the surface, the adhesion force, N, and
+    the mass of the probe, kg. The free surface moves by its own mass, damping and stiffness, from its position and
+    speed at separation, with an adhesion that decreases with the gap: the force is continuous at separation, so that
+    the motion does not depend sensitively on it.
     """
     jump = 0.0
     if kept[0] != 0.0:
@@ -270,7 +272,7 @@ def lifts(depth: float, velocity: float, push: float, step: float, law: Array, r
         if depth < kept[1] or velocity < kept[2]:
             kept[3] = row[1] * exp(-max(kept[1] - depth, 0.0) / _ADHESION_REACH_M)
             return jump
-        # Met again, inelastically: they share their momentum.
+        # Inelastic collision: momentum is conserved.
         jump = mass / (kept[4] + mass) * (kept[2] - velocity)
     kept[0] = 0.0 if push >= -row[1] else 1.0
     kept[1], kept[2], kept[3] = depth, velocity + jump, row[1]

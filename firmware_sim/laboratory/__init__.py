@@ -1,10 +1,10 @@
-"""The laboratory: whole tests on the plant with effects, in process, as a rig would have recorded them.
+"""Laboratory: complete tests on the plant with effects, simulated in process, as a rig would record them.
 
-A test starts with the probe at rest at the surface and the first command's current in the coil. The tissue acts on
-both sides of its surface unless ``contact_loss`` says otherwise, and nothing stops the coil but ``end_stop``. Readings
-are taken at the end of each command's hold, unfiltered, with white noise and the converters' steps.
+A test starts with the probe at rest at the surface and the current of the first command in the coil. The tissue acts on
+both sides of its surface unless ``contact_loss`` is active, and only ``end_stop`` limits the stroke. Readings are taken
+at the end of each command's hold, unfiltered, with white noise and quantization.
 
-``python -m firmware_sim.laboratory --help`` draws scenarios and writes their records: see ``drawing``.
+``python -m firmware_sim.laboratory --help`` generates scenarios and writes their records: see ``drawing``.
 """
 
 from __future__ import annotations
@@ -42,13 +42,13 @@ _NOT_ON_A_SPRING = ("physiological_motion",)
 
 @dataclass(frozen=True)
 class BaselineFigures:
-    """What the device, the tissue and the spring really are, and what is played, SI.
+    """True parameters of device, tissue and spring, and of the stimulus, SI.
 
-    The tissue: stiffness K0 exp(gK d) N/m and damping B0 exp(gB d) N s/m at a depth d, and a mass. ``weight_n`` is what
-    of the moving part's weight lies along the stroke, into the tissue.
+    The tissue has the stiffness K0 exp(gK d) N/m and damping B0 exp(gB d) N s/m at a depth d, and a mass. ``weight_n``
+    is the weight of the moving part along the stroke, into the tissue.
 
     Raises:
-        ValueError: a figure is not finite, or one that must be positive is not.
+        ValueError: a parameter is not finite, or not positive where it must be.
     """
 
     resistance_ohm: float = 12.0
@@ -80,7 +80,7 @@ class BaselineFigures:
 
     @property
     def depth_m(self) -> float:
-        """Depth at which the mean command is balanced, m."""
+        """Equilibrium depth under the mean command, m."""
         force = self.force_constant_n_per_a * self.amplifier_gain * self.mean_v / self.resistance_ohm + self.weight_n
         depth = 1e-3
         for _ in range(60):
@@ -90,13 +90,13 @@ class BaselineFigures:
         return depth
 
     def circumstances(self) -> Circumstances:
-        """What effects are drawn for."""
+        """Return the conditions for drawing effects."""
         return Circumstances(self.surface_m, self.depth_m, 5e-4, self.mean_v, self.spread_v)
 
 
 @dataclass(frozen=True)
 class Recording:
-    """A test as recorded: arrays of shape (n,), s, V, V, A, m, degC, and what the probe met first, m."""
+    """A recorded test: arrays of shape (n,), s, V, V, A, m, degC, and the position of the surface, m."""
 
     kind: Kind
     surface_m: float
@@ -108,15 +108,15 @@ class Recording:
     temperature: Array
 
     def stacked(self) -> Array:
-        """All signals in the order of ``SIGNALS``, shape (6, n)."""
+        """Return all signals in the order of ``SIGNALS``, shape (6, n)."""
         return np.stack([getattr(self, name) for name in SIGNALS])
 
 
 class Laboratory:
-    """Records tests of one session, one after the other; the same calls give the same records.
+    """Records the tests of one session in sequence; the same calls give the same records.
 
-    ``effects`` act in every test, those of tissue not on the spring. With ``clean`` there is neither noise nor a
-    converter's step; what an effect does to a reading remains.
+    ``effects`` are active in every test, those of tissue not on the spring. With ``clean`` there is neither noise nor
+    quantization; effects on the readings remain.
     """
 
     def __init__(
@@ -137,10 +137,10 @@ class Laboratory:
         self._session_s = float(np.random.default_rng([seed, 7]).uniform(0.0, 50.0))
 
     def record(self, kind: Kind, command: Array) -> Recording:
-        """Play commands, shape (n,), volts, one a sample at 2 kHz, as a test of this kind.
+        """Record a test of this kind with commands, shape (n,), volts, one per sample at 2 kHz.
 
         Raises:
-            ValueError: no such kind, or the commands are empty, not finite or have more than one dimension.
+            ValueError: there is no such kind, or the commands are empty, not finite or have more than one dimension.
         """
         if kind not in ("quiet", "stochastic", "slow_ramp", "spring"):
             raise ValueError(f"unknown kind of test {kind!r}; known: quiet, stochastic, slow_ramp, spring")
@@ -234,7 +234,7 @@ class Laboratory:
 
 @dataclass(frozen=True)
 class PlannedTest:
-    """A test of a session: its kind, its stimulus' seed, size and mean, V, and which test before it repeats."""
+    """A test of a session: its kind, seed, scale and mean of its stimulus, V, and the test that it repeats."""
 
     kind: Kind
     seed: int
@@ -243,7 +243,7 @@ class PlannedTest:
     repeats: int | None = None
 
     def command(self, session_seed: int) -> Array:
-        """Commands, V, shape (9000,), or (3000,) of a quiet test."""
+        """Return commands, V, shape (9000,), or (3000,) for a quiet test."""
         if self.kind == "quiet":
             return np.zeros(_QUIET_SAMPLES)
         preload = round(PRELOAD_S * SAMPLE_RATE_HZ)
@@ -257,12 +257,12 @@ class PlannedTest:
         return np.clip(played, -GREATEST_COMMAND_V, GREATEST_COMMAND_V)
 
     def stimulus(self) -> dict[str, object]:
-        """What was played, as the session format says it."""
+        """Return the description of the stimulus as in the session format."""
         return {"type": "uniform", "cutoff_hz": CUTOFF_HZ, "offset_v": self.mean_v, "scale_v": self.scale_v}
 
 
 def _low_passed(random: np.random.Generator, count: int) -> Array:
-    # Uniform noise behind eight poles at the cut-off, of mean 0 and standard deviation 1.
+    # Uniform noise, low-passed by eight poles, of mean 0 and standard deviation 1.
     settled = 500
     poles = butter(8, CUTOFF_HZ, fs=SAMPLE_RATE_HZ, output="sos")
     filtered = np.asarray(sosfilt(poles, random.uniform(-1.0, 1.0, settled + count)))[settled:]
@@ -270,7 +270,7 @@ def _low_passed(random: np.random.Generator, count: int) -> Array:
 
 
 def plan(figures: BaselineFigures, *, full: bool) -> tuple[PlannedTest, ...]:
-    """The tests of a session: one stochastic test, or the full series."""
+    """Return the tests of a session: one stochastic test, or the full series."""
     mean, scale = figures.mean_v, figures.spread_v
     standard = PlannedTest("stochastic", 1, mean, scale)
     if not full:

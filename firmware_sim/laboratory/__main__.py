@@ -1,4 +1,4 @@
-"""``python -m firmware_sim.laboratory``: draw scenarios and write their records."""
+"""``python -m firmware_sim.laboratory``: generate scenarios and write their records."""
 
 from firmware_sim.laboratory.drawing import main
 

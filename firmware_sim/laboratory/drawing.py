@@ -1,11 +1,12 @@
-"""Scenarios for a blind check: drawn, recorded in the laboratory, and written with their labels in another file.
+"""Generation of scenarios for a blind check: drawn at random, recorded, and written with their labels in a separate
+file.
 
-A folder receives for each scenario ``scenario-0001.json``, which says what a session says (the instrument's nominal
-figures, and each test's attributes), and ``scenario-0001.f64``, its signals as little-endian 64-bit numbers: test after
-test, signal after signal in the order that the former states. ``labels.json`` holds what is withheld: the effects with
-their figures, and what device and tissue really were. With ``--clean`` there are ``scenario-0001.clean.f64`` (no noise,
-no converters) and ``scenario-0001.base.f64`` (nor any effect) of the same layout; and of a pair
-``scenario-0001.alone-1.f64`` and ``scenario-0001.alone-2.f64``, recorded with one effect alone.
+A folder receives for each scenario ``scenario-0001.json``, with the content of a session (nominal parameters of the
+instrument and the attributes of each test), and ``scenario-0001.f64``, its signals as little-endian 64-bit floats: test
+by test, signal by signal in the stated order. ``labels.json`` holds the withheld labels: effects with their parameters,
+and the true parameters of device and tissue. With ``--clean`` there are ``scenario-0001.clean.f64`` (no noise, no
+quantization) and ``scenario-0001.base.f64`` (also no effect) of the same layout; and for a pair
+``scenario-0001.alone-1.f64`` and ``scenario-0001.alone-2.f64``, recorded with one of the effects.
 """
 
 from __future__ import annotations
@@ -54,7 +55,7 @@ NOMINAL = {
 
 @dataclass(frozen=True)
 class DrawnScenario:
-    """A session to be recorded, and the labels that are withheld from who diagnoses it."""
+    """A session to be recorded, and its labels, which are withheld from the diagnosis."""
 
     seed: tuple[int, ...]
     figures: BaselineFigures
@@ -67,7 +68,7 @@ class DrawnScenario:
         return len(self.tests) > 1
 
     def labels(self) -> dict[str, object]:
-        """Effects with stage and figures, and the baseline's figures; all of it can be written as JSON."""
+        """Return effects with stage and parameters, and the baseline's parameters, for JSON."""
         return {
             "effects": [
                 {"name": e.name, "stage": e.stage, "listed": e.listed, "figures": e.model_dump()} for e in self.effects
@@ -77,7 +78,7 @@ class DrawnScenario:
         }
 
     def record(self, *, effects: Sequence[Effect] | None = None, clean: bool = False) -> tuple[Recording, ...]:
-        """All tests; with other effects, or without noise and converters."""
+        """Return all tests recorded; optionally with other effects, or without noise and quantization."""
         number = int(np.random.SeedSequence(list(self.seed)).generate_state(1)[0])
         acting = self.effects if effects is None else tuple(effects)
         laboratory = Laboratory(acting, number, figures=self.figures, clean=clean)
@@ -85,7 +86,7 @@ class DrawnScenario:
 
 
 def draw_figures(random: np.random.Generator, *, shallow: bool = False) -> BaselineFigures:
-    """A device as well calibrated as they are, and tissue drawn wide, met 2 to 5.5 mm deep by 13 to 18 V.
+    """Return a typically calibrated device and widely distributed tissue, indented 2 to 5.5 mm deep by 13 to 18 V.
 
     A shallow test, 0.7 to 3.5 mm deep by 4 to 9 V, reaches the surface.
     """
@@ -136,10 +137,11 @@ def draw_scenario(
     full: bool = False,
     without: Sequence[str] = (),
 ) -> DrawnScenario:
-    """Return a scenario with a number of effects, drawn uniformly; with ``unknown``, one that no diagnosis knows.
+    """Return a scenario with a number of effects, drawn uniformly; with ``unknown``, one outside the diagnosis's
+    library.
 
     Raises:
-        ValueError: ``without`` names no effect, or leaves fewer than are wanted.
+        ValueError: ``without`` names no effect, or leaves fewer than ``effects``.
     """
     for name in without:
         if name not in EFFECTS:
@@ -150,7 +152,7 @@ def draw_scenario(
     key = (seed,) if isinstance(seed, int) else tuple(seed)
     random = np.random.default_rng(list(key))
     chosen = [names[int(k)] for k in random.choice(len(names), size=effects, replace=False)]
-    # Contact is not lost in the depth; some tests are shallow whatever acts, so that this says nothing.
+    # Contact is only lost in shallow tests; some tests without it are shallow too, so that depth is no label.
     shallow = bool(random.random() < _SHALLOW_SHARE) or "contact_loss" in chosen
     figures = draw_figures(random, shallow=shallow)
     around = figures.circumstances()
@@ -168,7 +170,7 @@ def draw_many(
     unknown_share: float = 0.1,
     without: Sequence[str] = (),
 ) -> tuple[DrawnScenario, ...]:
-    """Scenarios with none, one, two effects or an unknown one, in these shares.
+    """Return scenarios with no, one, two effects or an unknown one, in these shares.
 
     Raises:
         ValueError: a share is not between 0 and 1, the last three exceed 1 together, or as ``draw_scenario``.
@@ -195,7 +197,7 @@ def draw_many(
 
 
 def described(scenario: DrawnScenario, number: int, recordings: Sequence[Recording]) -> dict[str, object]:
-    """What a session says of itself: nothing of it is a label."""
+    """Return the content of the session file, which has no labels."""
     tests: list[dict[str, object]] = []
     offset = 0
     for test, recording in zip(scenario.tests, recordings, strict=True):
@@ -226,10 +228,10 @@ def described(scenario: DrawnScenario, number: int, recordings: Sequence[Recordi
 
 
 def write(scenarios: Sequence[DrawnScenario], folder: Path, *, clean: bool = False) -> str:
-    """Record scenarios into a folder, new or empty, the labels last; the labels file's SHA-256.
+    """Record scenarios into a new or empty folder, the labels last; return the SHA-256 of the labels file.
 
     Raises:
-        ValueError: the folder holds something, or cannot be written to.
+        ValueError: the folder is not empty, or cannot be written to.
     """
     try:
         folder.mkdir(parents=True, exist_ok=True)
@@ -263,13 +265,13 @@ def _text(value: object) -> str:
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
-    """``python -m firmware_sim.laboratory``: draw, record and write scenarios; 2 where that cannot be done."""
+    """Run the command: draw, record and write scenarios; return 2 on failure."""
     parser = argparse.ArgumentParser(
         prog="python -m firmware_sim.laboratory",
         description="Draw scenarios with hidden effects, record them, and write signals and labels to a folder.",
     )
-    parser.add_argument("--seed", type=int, default=0, help="the same seed draws the same scenarios")
-    parser.add_argument("--n", type=int, default=10, help="how many")
+    parser.add_argument("--seed", type=int, default=0, help="random seed; equal seeds give equal scenarios")
+    parser.add_argument("--n", type=int, default=10, help="number of scenarios")
     parser.add_argument("--out", type=Path, required=True, help="a new or empty folder")
     parser.add_argument("--full-share", type=float, default=0.5, help="share with the full series of tests")
     parser.add_argument("--none-share", type=float, default=0.1, help="share without any effect")
@@ -277,7 +279,9 @@ def main(arguments: Sequence[str] | None = None) -> int:
     parser.add_argument("--unknown-share", type=float, default=0.1, help="share with an effect that is not listed")
     parser.add_argument("--without", nargs="+", default=[], metavar="NAME", help="effects that are not drawn")
     parser.add_argument(
-        "--clean", action="store_true", help="also without noise, with and without the effects, and of pairs each alone"
+        "--clean",
+        action="store_true",
+        help="also record without noise, without effects, and pairs with one effect at a time",
     )
     given = parser.parse_args(arguments)
     if given.seed < 0 or not 1 <= given.n <= 100_000:

@@ -1,7 +1,7 @@
-"""Tissues by name: one TOML file each, found by scanning this folder.
+"""Tissue presets: one TOML file each, found by scanning this folder.
 
-Every figure is an inline table with ``value`` and ``source``. A source begins with ``thesis`` and the table, figure or
-section that the figure is traced to, or with ``chosen:`` and why.
+Every parameter is an inline table with ``value`` and ``source``. A source begins with ``thesis`` and the table, figure
+or section, or with ``chosen:`` and the reason.
 """
 
 from __future__ import annotations
@@ -30,15 +30,15 @@ DEFAULT = "left-posterior-forearm"
 
 
 def preset_names() -> tuple[str, ...]:
-    """Names of every preset, sorted."""
+    """Return the names of all presets, sorted."""
     return tuple(sorted(_files()))
 
 
 def load_preset(name: str) -> Tissue:
-    """The tissue of a preset.
+    """Return the tissue of a preset.
 
     Raises:
-        ValueError: no preset has this name (the message lists those that exist), or its file is unsound.
+        ValueError: there is no such preset (the message lists those that exist), or its file is invalid.
     """
     found = _files().get(name)
     if found is None:
@@ -47,10 +47,10 @@ def load_preset(name: str) -> Tissue:
 
 
 def read_preset(path: Path) -> Tissue:
-    """The tissue of a preset file outside this folder, named by its stem.
+    """Return the tissue of a preset file outside this folder, named by its stem.
 
     Raises:
-        ValueError: the file cannot be read or is unsound.
+        ValueError: the file cannot be read or is invalid.
     """
     try:
         text = path.read_text(encoding="utf-8")
@@ -60,10 +60,10 @@ def read_preset(path: Path) -> Tissue:
 
 
 def parse_preset(name: str, text: str) -> Tissue:
-    """The tissue that a preset's text describes.
+    """Return the tissue that a preset's text describes.
 
     Raises:
-        ValueError: broken TOML, an unknown key, a figure without a value or a source, or figures that make no sense.
+        ValueError: invalid TOML, an unknown key, a parameter without value or source, or inconsistent values.
     """
     try:
         tree = tomllib.loads(text)
@@ -99,7 +99,7 @@ def _files() -> dict[str, Traversable]:
 
 
 class _Reader:
-    """Reads the fields of a preset and keeps those that were not read."""
+    """Reader of the fields of a preset that reports unknown fields."""
 
     def __init__(self, name: str, tree: dict[str, Any]) -> None:
         self._name = name
