@@ -384,7 +384,7 @@ def test_effects_that_an_instrument_cannot_have_are_refused():
         Bench("linear-demo", effects=[typical("dropped_samples")])
     with pytest.raises(ValueError, match="linear or dpn, not wiener"):
         Bench("wiener-demo", effects=[typical("reflex")])
-    with pytest.raises(ValueError, match="there twice"):
+    with pytest.raises(ValueError, match="given twice"):
         in_order([typical("cogging"), typical("cogging")])
     with pytest.raises(ValueError, match="no 'magic'"):
         read_effects({"magic": {"level": 1.0}})

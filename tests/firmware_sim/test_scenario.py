@@ -91,7 +91,7 @@ def test_a_weight_goes_with_the_mass_unless_it_is_given():
     [
         ("[truth]\nresistance_ohm = 0.0", "truth.resistance_ohm cannot be used: it must be greater"),
         ("[truth]\nresistance_ohm = nan", "truth.resistance_ohm cannot be used"),
-        ("[truth]\ncolour = 3", "truth.colour cannot be used: nothing of that name belongs there"),
+        ("[truth]\ncolour = 3", "truth.colour cannot be used: the name is unknown"),
         ("[truth]\nstroke_m = 0.040", "truth.stroke_m cannot be used"),
         ("[channels.current]\ngain_error = 2.0", "channels.current.gain_error cannot be used"),
         ("[channels.current]\noffset = inf", "channels.current.offset cannot be used"),
@@ -294,7 +294,7 @@ def test_an_effect_is_hidden_at_its_typical_level_or_at_the_one_named(monkeypatc
     ("text", "words"),
     [
         ("rust", "there is no effect 'rust'; there are: latency"),
-        ("cogging=much", "no level of cogging: a number"),
+        ("cogging=much", "the level of cogging must be a number"),
     ],
 )
 def test_what_cannot_be_hidden_is_refused(text, words, capsys):
