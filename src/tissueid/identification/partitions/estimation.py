@@ -27,7 +27,9 @@ from tissueid.messages import Message
 
 _ITERATIONS = 15
 _TOLERANCE = 1e-3
-_PROBE = 1e-3
+_DERIVATIVE_STEP = 1e-3
+"""Step of the forward differences of the simulated position with respect to the parameters of the contrast."""
+
 _LONGEST_STEP = 0.3
 
 
@@ -75,10 +77,10 @@ def _slopes(simulated: Callable[[Array], Array | None], theta: Array, run: Array
     """Return the derivatives (rows, p) of a simulation (rows,), without their means; None if a simulation fails."""
     columns = []
     for unit in np.eye(theta.size):
-        moved = simulated(theta + _PROBE * unit)
+        moved = simulated(theta + _DERIVATIVE_STEP * unit)
         if moved is None:
             return None
-        columns.append((moved - run) / _PROBE)
+        columns.append((moved - run) / _DERIVATIVE_STEP)
     slopes = np.array(columns).T
     return np.asarray(slopes - slopes.mean(axis=0), dtype=np.float64)
 
