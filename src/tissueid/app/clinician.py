@@ -20,13 +20,13 @@ from tissueid.app.theme import Theme
 from tissueid.app.views.clinician.body_map import BodyMap
 from tissueid.app.views.clinician.comparing import Comparison, Shelf, compare_with
 from tissueid.app.views.clinician.contact import Contact, contact_in_test
-from tissueid.app.views.clinician.finishing import finish, undo
 from tissueid.app.views.clinician.paper import write_paper
 from tissueid.app.views.clinician.sitting import VERDICTS, Repeat, Sitting, Standing, standing, values_of
 from tissueid.device import DeviceDescription
 from tissueid.formatting import ANONYMOUS
 from tissueid.language import _
 from tissueid.messages import Message, translated
+from tissueid.procedures.sitting import accept_sitting, reopen_sitting
 from tissueid.sessions import Test
 from tissueid.sessions.accepted_result import AcceptedResult
 
@@ -156,7 +156,7 @@ class Clinician(QObject):
         context, sitting = self._context, self.sitting
         if sitting is None or context.busy or sitting.accepted or not sitting.counted:
             return
-        work = functools.partial(finish, sitting, sitting.as_result(), context.trail)
+        work = functools.partial(accept_sitting, sitting.acceptance, sitting.as_result(), context.trail)
         context.jobs.do(work, self._finished, self._failed)
 
     def undo(self) -> None:
@@ -164,7 +164,7 @@ class Clinician(QObject):
         context, sitting = self._context, self.sitting
         if sitting is None or context.busy or sitting.result is None:
             return
-        work = functools.partial(undo, sitting, sitting.result, context.trail)
+        work = functools.partial(reopen_sitting, sitting.acceptance, sitting.result, context.trail)
         context.jobs.do(work, self._undone, self._failed)
 
     def write_pdf(self) -> None:

@@ -47,6 +47,7 @@ from tissueid.audit import Role
 from tissueid.errors import TissueIDError
 from tissueid.language import _, set_language
 from tissueid.messages import translated
+from tissueid.procedures.audit_notes import record_role
 from tissueid.sessions import Session, Test
 from tissueid.sessions.quality import quality_of
 
@@ -400,7 +401,7 @@ class MainWindow(QMainWindow):
         self.ui.show_role(now)
         self.pages.set_role(now)
         save_role(self.settings, now)
-        work = functools.partial(self.context.trail.record, "role.changed", old=before, new=now)
+        work = functools.partial(record_role, self.context.trail, before, now)
         self.jobs.do(work, self._logged, self.ui.notice.say_everywhere)
 
     def _logged(self, _: object) -> None:

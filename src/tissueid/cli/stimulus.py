@@ -26,7 +26,8 @@ from tissueid.cli.stimulus_options import (
 from tissueid.cli.stimulus_output import CSV_HEAD, Targets, draw, rows_table
 from tissueid.device import DeviceDescription
 from tissueid.errors import LimitError, UnusableInputError
-from tissueid.instrument import PROFILES, Limits, open_instrument
+from tissueid.instrument import PROFILES, Limits
+from tissueid.procedures.instrument_queries import described_device
 from tissueid.procedures.output_files import write_text
 from tissueid.stimuli import FeedbackKind, OpenLoopKind, Stimulus, StimulusKind, get_stimulus, to_voltage
 from tissueid.stimuli.interchange import InterchangeProgress, InterchangeResult
@@ -66,9 +67,9 @@ def run_stimulus(
 
         show_feedback(chosen, url, limits, targets, out)
     elif isinstance(chosen, Stimulus):
-        show_open_loop(chosen, None, _device(url), limits, targets, out)
+        show_open_loop(chosen, None, described_device(url), limits, targets, out)
     elif isinstance(chosen, OpenLoopKind):
-        device = _device(url)
+        device = described_device(url)
         show_open_loop(*designed(chosen), device, limits, targets, out)
     else:
         raise UnusableInputError(f"the stimulus {what!r} can be neither built nor generated")
@@ -94,17 +95,6 @@ def _list(kind: str | None, json_file: Path | None, out: Console) -> None:
         answer = options_answer(get_stimulus(kind))
     if json_file is not None:
         write_json(json_file, answer)
-
-
-def _device(url: str | None) -> DeviceDescription:
-    """Return the device of a URL, or the desktop device of the thesis."""
-    if url is None:
-        return DeviceDescription()
-    instrument = open_instrument(url)
-    try:
-        return instrument.device
-    finally:
-        instrument.close()
 
 
 def designed(specification: OpenLoopKind) -> tuple[Stimulus, InterchangeResult | None]:

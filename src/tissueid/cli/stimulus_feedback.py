@@ -3,23 +3,20 @@
 from __future__ import annotations
 
 import json
-import tempfile
 from collections.abc import Iterator
-from pathlib import Path
 from typing import Any
 
 from rich.console import Console
 
-from tissueid.acquisition import GuidedTest, SessionRecorder, run_guided_test
-from tissueid.acquisition.guided import check_test
 from tissueid.acquisition.stimulus_file import save_stimulus
-from tissueid.cli.output import progress_bars, write_json
+from tissueid.cli.output import console_control, write_json
 from tissueid.cli.stimulus_output import Targets, draw, rows_table
 from tissueid.cli.test_summary import out_of_reach
 from tissueid.errors import UnusableInputError
 from tissueid.formatting import fixed, grouped
-from tissueid.instrument import Limits, open_instrument
+from tissueid.instrument import Limits
 from tissueid.instrument.discovery import IN_PROCESS
+from tissueid.procedures.simulated_feedback import play_on_tissue
 from tissueid.reports.feedback_figures import FeedbackRun
 from tissueid.reports.feedback_run import REPORT_NOTE, feedback_run
 from tissueid.reports.stimulus_report import feedback_report
@@ -37,14 +34,10 @@ def show_feedback(kind: FeedbackKind, url: str | None, limits: Limits, targets: 
         LimitError: the stimulus could exceed the limits of the instrument, or did.
     """
     url = url or _TISSUE
-    if not url.startswith(IN_PROCESS):
-        raise UnusableInputError(
-            f"a feedback stimulus is designed on {IN_PROCESS}TISSUE; "
-            f"'tissueid test --stimulus {kind.name}' plays it on an instrument"
-        )
     if targets.csv is not None:
         raise UnusableInputError(f"the feedback stimulus {kind.name} has no samples before its test: leave out --csv")
-    test = _simulated(kind, url, limits)
+    with console_control() as control:
+        test = play_on_tissue(kind, url, limits, control)
     run = feedback_run(test, url.removeprefix(IN_PROCESS))
     out.print(rows_table(f"Stimulus {kind.name} on {url}", tuple(_rows(test, run))))
     if targets.plot is not None:
@@ -54,26 +47,6 @@ def show_feedback(kind: FeedbackKind, url: str | None, limits: Limits, targets: 
     targets.print_files(out)
     if targets.json is not None:
         write_json(targets.json, _answer(kind, test, run, url))
-
-
-def _simulated(kind: FeedbackKind, url: str, limits: Limits) -> Test:
-    """Run one test into a temporary session."""
-    instrument = open_instrument(url)
-    guided = GuidedTest(kind, url, limits=limits)
-    label = f"playing {kind.name}"
-    try:
-        check_test(guided, instrument.device)
-        with tempfile.TemporaryDirectory() as folder:
-            recorder = SessionRecorder(Path(folder) / "designed.h5", instrument.device)
-            try:
-                with progress_bars() as show:
-                    run_guided_test(instrument, guided, recorder, progress=lambda step: show(label, step.fraction))
-            except BaseException:
-                recorder.finish_or_discard()
-                raise
-            return recorder.finish().tests[0]
-    finally:
-        instrument.close()
 
 
 def _rows(test: Test, run: FeedbackRun) -> Iterator[tuple[str, str]]:

@@ -35,3 +35,12 @@ def audit_failure(trail: AuditTrail, control: Control, what: str, *, subject: st
         how = "stopped" if isinstance(error, CancelledError | KeyboardInterrupt) else "broken_off"
         audit_note(trail, control, f"{what}.{how}", subject=subject, new=str(error) or type(error).__name__)
         raise
+
+
+def record_role(trail: AuditTrail, before: str, now: str) -> None:
+    """Log that the user changed the role.
+
+    Raises:
+        AuditError: it cannot be logged.
+    """
+    trail.record("role.changed", old=before, new=now)

@@ -7,11 +7,11 @@ from app.benches import WAIT_MS
 from app.views.test_clinician import idle, press, run_test
 from coded import reads
 
-from tissueid.app.views.clinician.finishing import finish
 from tissueid.audit import AuditError
 from tissueid.errors import LinkLostError
 from tissueid.formatting import label_and_unit, plus_minus
 from tissueid.instrument import SimulatedInstrument
+from tissueid.procedures.sitting import accept_sitting
 from tissueid.records import Estimate
 from tissueid.reports import pdf
 from tissueid.sessions.accepted_result import read_result
@@ -189,7 +189,7 @@ def test_a_result_that_cannot_be_stored_is_not_accepted(qtbot, sitting, tmp_path
     def full(folder, result):
         raise OSError(28, "No space left on device")
 
-    monkeypatch.setattr("tissueid.app.views.clinician.finishing.write_result", full)
+    monkeypatch.setattr("tissueid.sessions.accepted_result.write_result", full)
     press(qtbot, window.ui.gate.repeats.accept)
     settle(qtbot, window)
     assert not window.clinician.sitting.accepted
@@ -207,7 +207,7 @@ def test_a_result_that_cannot_be_logged_is_not_stored(qtbot, sitting, tmp_path):
 
     kept = window.clinician.sitting
     with pytest.raises(AuditError):
-        finish(kept, kept.as_result(), Full())
+        accept_sitting(kept.acceptance, kept.as_result(), Full())
     assert list(tmp_path.glob("sitting-*")) == []
 
 

@@ -15,6 +15,7 @@ from tissueid.app.plan import Plan
 from tissueid.formatting import fixed, label_and_unit, number, plus_minus
 from tissueid.language import _, marked
 from tissueid.messages import MISSING, Message, translated
+from tissueid.procedures.sitting import SittingPlan
 from tissueid.records import Estimate
 from tissueid.sessions import Test
 from tissueid.sessions.accepted_result import AcceptedResult, AcceptedTest, AcceptedValue
@@ -144,6 +145,11 @@ class Sitting:
     def folders(self) -> list[Path]:
         """Folders that hold a test of the sitting."""
         return list(dict.fromkeys(repeat.path.parent for repeat in self.repeats))
+
+    @property
+    def acceptance(self) -> SittingPlan:
+        """The plan of its acceptance."""
+        return SittingPlan(key=self.key, folders=tuple(self.folders), tests=len(self.repeats))
 
     @property
     def values(self) -> dict[str, AcceptedValue]:

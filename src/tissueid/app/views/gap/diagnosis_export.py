@@ -8,13 +8,12 @@ from pathlib import Path
 
 from tissueid.app.views.gap.diagnosis_result import DiagnosisResult
 from tissueid.app.words import sentence
-from tissueid.atomic_write import write_private
 from tissueid.audit import AuditTrail
 from tissueid.errors import UnusableInputError
 from tissueid.language import _
 from tissueid.messages import Message, translated
 from tissueid.procedures.gap_plans import AcceptPlan
-from tissueid.procedures.output_files import json_text, unused_path
+from tissueid.procedures.output_files import json_text, unused_path, write_text
 
 _SUFFIX = ".toml"
 
@@ -68,11 +67,11 @@ def write_report(result: DiagnosisResult) -> Path:
     """Write the HTML report next to the session under an unused name; return its path.
 
     Raises:
-        OSError: it cannot be written there.
+        UnusableInputError: it cannot be written there.
     """
     session = result.asked.session
     path = unused_path(session.with_name(f"{session.stem}-gap.html"))
-    write_private(path, result.report)
+    write_text(path, result.report)
     return path
 
 
@@ -80,9 +79,9 @@ def export_json(result: DiagnosisResult, path: Path) -> Path:
     """Write the JSON of ``tissueid gap diagnose --json`` atomically; return its path.
 
     Raises:
-        OSError: it cannot be written.
+        UnusableInputError: it cannot be written.
     """
-    write_private(path, json_text(result.answer))
+    write_text(path, json_text(result.answer))
     return path
 
 
