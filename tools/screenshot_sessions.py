@@ -16,13 +16,15 @@ from firmware_sim.laboratory.drawing import NOMINAL, draw_scenario
 from tissueid.acquisition import SessionRecorder
 from tissueid.app.emergency import BY_KEY, EmergencyStop
 from tissueid.app.live_signals import LiveSignals
-from tissueid.app.measurement_job import measure
-from tissueid.app.plan import Plan, dated_path
+from tissueid.app.live_test import LiveTest
+from tissueid.app.save_path import dated_path
 from tissueid.audit import AuditLog, AuditTrail
 from tissueid.calibration import Calibration, Quantity, write_calibration
 from tissueid.calibration.file import utc_date
 from tissueid.device import DeviceDescription
 from tissueid.instrument import SimulatedInstrument
+from tissueid.procedures.test_plan import TestPlan
+from tissueid.procedures.test_run import run_test
 from tissueid.sessions import Session, Subject, Test, write_session
 
 FOREARM, ANTERIOR, SPRING = "simulated://forearm", "simulated://anterior-forearm", "simulated://spring"
@@ -67,27 +69,28 @@ def record_past(folder: Path, audit: AuditLog, calibrate: object) -> None:
     trail = AuditTrail(audit, "clinician")
     for number, (day, subject, site, url, force_n) in enumerate(PAST):
         set_clock(day, 17 * number)
-        plan = Plan(
+        plan = TestPlan(
             url=url,
             site=site,
-            path=dated_path(folder, SetClock.now()),
-            pseudonym=subject,
+            out=dated_path(folder, SetClock.now()),
+            subject=subject,
             max_force_n=force_n,
             seed=number + 1,
+            live=True,
         )
         _run(plan, EmergencyStop(), trail, calibrate)
-        _date(plan.path)
+        _date(plan.out)
     set_clock(-2, 20)
-    plan = Plan(url=FOREARM, site="left calf", path=dated_path(folder, SetClock.now()), pseudonym="P-004")
+    plan = TestPlan(url=FOREARM, site="left calf", out=dated_path(folder, SetClock.now()), subject="P-004", live=True)
     stop = EmergencyStop()
     _run(plan, stop, trail, calibrate, stop_after=300)
-    _date(plan.path)
+    _date(plan.out)
     set_clock(-1, 45)
     unfinished = SessionRecorder(dated_path(folder, SetClock.now()), opener(FOREARM).device, Subject("P-004"))
     unfinished.abandon()
 
 
-def _run(plan: Plan, stop: EmergencyStop, trail: AuditTrail, calibrate: object, stop_after: int = 0) -> None:
+def _run(plan: TestPlan, stop: EmergencyStop, trail: AuditTrail, calibrate: object, stop_after: int = 0) -> None:
     polls = 0
 
     def wait(_seconds: float) -> None:
@@ -96,7 +99,8 @@ def _run(plan: Plan, stop: EmergencyStop, trail: AuditTrail, calibrate: object, 
         if polls == stop_after:
             stop.press(BY_KEY)
 
-    measure(plan, LiveSignals(), stop, opener, wait, separate_process=False, trail=trail, calibrate=calibrate)  # type: ignore[arg-type]
+    control = LiveTest(LiveSignals(), stop)
+    run_test(plan, control, trail, opener=opener, calibrate=calibrate, pace=wait, separate_process=False)  # type: ignore[arg-type]
 
 
 def _date(path: Path) -> None:

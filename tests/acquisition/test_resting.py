@@ -75,7 +75,7 @@ def test_rest_lasts_by_the_clock_of_the_instrument_and_can_be_cancelled():
 @pytest.fixture
 def desktop(monkeypatch):
     monkeypatch.setattr("support.TICK_S", 0.02)
-    monkeypatch.setattr("tissueid.cli.test.open_instrument", lambda _: connect_scenario(Scenario(seed=3)))
+    monkeypatch.setattr("tissueid.procedures.test_run.open_instrument", lambda _: connect_scenario(Scenario(seed=3)))
 
 
 def run(tmp_path, *arguments):

@@ -92,17 +92,18 @@ def window(open_window):
 def saved(tmp_path_factory):
     """A session with one completed test of 1.5 s."""
     from tissueid.app.live_signals import LiveSignals
-    from tissueid.app.measurement_job import measure
-    from tissueid.app.plan import Plan
+    from tissueid.app.live_test import LiveTest
+    from tissueid.procedures.test_plan import TestPlan
+    from tissueid.procedures.test_run import run_test
 
     path = tmp_path_factory.mktemp("saved") / "saved.h5"
-    plan = Plan(url="simulated://forearm", site="left calf", path=path, seconds=1.5)
-    measure(
+    plan = TestPlan(url="simulated://forearm", site="left calf", out=path, seconds=1.5, live=True)
+    run_test(
         plan,
-        LiveSignals(),
-        EmergencyStop(),
-        lambda _: SimulatedInstrument("baseline", seed=5),
-        lambda _: None,
+        LiveTest(LiveSignals(), EmergencyStop()),
+        None,
+        opener=lambda _: SimulatedInstrument("baseline", seed=5),
+        pace=lambda _: None,
         separate_process=False,
     )
     return path

@@ -18,7 +18,6 @@ from tissueid.app.disabled_reason import show_disabled_reason
 from tissueid.app.elided_label import ElidedLabel
 from tissueid.app.emergency import NO_ANSWER
 from tissueid.app.jobs import Jobs
-from tissueid.app.measurement_job import Outcome
 from tissueid.app.outcome import outcome_text
 from tissueid.app.plotting import PlotCard
 from tissueid.app.readouts import SafetyReadouts
@@ -26,8 +25,9 @@ from tissueid.app.safety import Safety
 from tissueid.app.save_path import check_save_path
 from tissueid.app.views.clinician.contact import Contact
 from tissueid.app.words import sentence
-from tissueid.errors import UnusableInputError
+from tissueid.errors import CancelledError, UnusableInputError
 from tissueid.instrument.limits import PROFILES
+from tissueid.procedures.test_run import TestOutcome
 
 pytestmark = [pytest.mark.qt_log_level_fail("WARNING"), pytest.mark.qt_log_ignore("This plugin does not support")]
 
@@ -143,7 +143,7 @@ def test_a_window_that_hung_says_what_is_kept_and_what_to_do(tmp_path, saved):
     path = tmp_path / "s.h5"
     session = object() if saved else None
     problem = sentence(NO_ANSWER)
-    words, failed = outcome_text(Outcome(path, session, problem, unanswered=True))
+    words, failed = outcome_text(TestOutcome(path, session, error=CancelledError(NO_ANSWER)), unanswered=True)
     assert failed
     assert words.startswith(f"{problem} ")
     assert shows(words, "outcome.saved", path=path) if saved else shows(words, "outcome.nothing_yet")

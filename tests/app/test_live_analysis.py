@@ -10,10 +10,10 @@ from PySide6.QtCore import Qt
 from PySide6.QtWidgets import QLabel
 
 from tissueid.app.live_analysis import LiveAnalysis
-from tissueid.app.plan import Plan
 from tissueid.app.theme import DARK, LIGHT
 from tissueid.identification.live.live_view import METHODS, start_identifier, view
 from tissueid.identification.live.precision import precision
+from tissueid.procedures.test_plan import TestPlan
 
 pytestmark = [pytest.mark.qt_log_level_fail("WARNING"), pytest.mark.qt_log_ignore("This plugin does not support")]
 
@@ -36,9 +36,9 @@ def panel(qtbot, tmp_path):
     panel = LiveAnalysis()
     qtbot.addWidget(panel)
     panel.resize(520, 480)
-    panel.expect(Plan(url="/dev/ttyUSB0", site="left forearm", path=tmp_path / "s.h5"))
+    panel.expect(TestPlan(url="/dev/ttyUSB0", site="left forearm", out=tmp_path / "s.h5"))
     assert panel.simulated.isHidden()
-    panel.expect(Plan(url="simulated://forearm", site="left forearm", path=tmp_path / "s.h5"))
+    panel.expect(TestPlan(url="simulated://forearm", site="left forearm", out=tmp_path / "s.h5"))
     assert not panel.simulated.isHidden()
     return panel
 
@@ -182,7 +182,7 @@ def test_phase_and_nonlinearity_are_seen_at_1280x740_without_scrolling(qtbot, op
 
     qtbot.waitUntil(lambda: 0 < bottom() <= page.viewport().height(), timeout=WAIT_MS)
     window.ui.pages.setCurrentIndex(0)
-    panel.expect(Plan(url="simulated://forearm", site="left forearm", path=saved))
+    panel.expect(TestPlan(url="simulated://forearm", site="left forearm", out=saved))
     qtbot.waitUntil(panel.isVisible, timeout=WAIT_MS)
     panel.show_view(seen())
     for card in (panel.curve, panel.phase):

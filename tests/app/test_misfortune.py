@@ -71,9 +71,9 @@ def mishap(monkeypatch, some_findings):
     def find_at_once(path, session, number):
         return dataclasses.replace(some_findings, path=path, session=session, test=session.test(number))
 
-    monkeypatch.setattr("tissueid.app.measurement_job.SessionRecorder", Recorder)
+    monkeypatch.setattr("tissueid.procedures.test_run.SessionRecorder", Recorder)
     monkeypatch.setattr("tissueid.app.main_window.find", find_at_once)
-    monkeypatch.setattr("tissueid.app.measurement_job.LiveIdentification.step", lambda _: None)
+    monkeypatch.setattr("tissueid.procedures.test_run.LiveIdentification.step", lambda _: None)
     return mishap
 
 

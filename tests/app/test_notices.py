@@ -194,7 +194,7 @@ def test_a_folder_that_cannot_be_written_says_nothing_about_the_instrument(measu
     def refuse(*_, **__):
         raise UnusableInputError("cannot write there")
 
-    window = measure_with(before=lambda: monkeypatch.setattr("tissueid.app.measurement_job.SessionRecorder", refuse))
+    window = measure_with(before=lambda: monkeypatch.setattr("tissueid.procedures.test_run.SessionRecorder", refuse))
     assert shown(window) == "Cannot write there."
     assert reads(window.ui.form.instrument.about.text(), "instruments.ready", what="desktop indenter")
 

@@ -9,16 +9,21 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from tissueid.acquisition import Phase, Progress, journal_path
+from tissueid.acquisition import PRELOAD_S, Phase, Progress, journal_path
 from tissueid.app.emergency import EmergencyStop
+from tissueid.app.form_choices import longest_stimulus_s
 from tissueid.app.live_signals import LiveSignals, decimated
-from tissueid.app.measurement_job import measure
-from tissueid.app.plan import Plan, dated_path, longest_stimulus_s
+from tissueid.app.live_test import LiveTest
+from tissueid.app.outcome import outcome_text
+from tissueid.app.save_path import dated_path
 from tissueid.app.words import in_words, sentence
 from tissueid.device import DeviceDescription
 from tissueid.errors import LimitError, LinkLostError, UnusableInputError
 from tissueid.instrument import PROFILES, SAMPLE, SimulatedInstrument
+from tissueid.procedures.test_plan import TestPlan
+from tissueid.procedures.test_run import run_test
 from tissueid.sessions import read_session
+from tissueid.stimuli.base import with_preload
 
 DEVICE = DeviceDescription()
 
@@ -72,12 +77,13 @@ def test_decimation_breaks_the_line_where_samples_are_lost():
 
 
 def plan(tmp_path, **changes):
-    return Plan(**({"url": "x", "site": "here", "path": tmp_path / "s.h5", "seconds": 1.0} | changes))
+    return TestPlan(**({"url": "x", "site": "here", "out": tmp_path / "s.h5", "seconds": 1.0, "live": True} | changes))
 
 
 def run(chosen, instrument, stop=None, separate_process=False):
-    return measure(
-        chosen, LiveSignals(), stop or EmergencyStop(), lambda _: instrument, lambda _: None, separate_process
+    control = LiveTest(LiveSignals(), stop or EmergencyStop())
+    return run_test(
+        chosen, control, None, opener=lambda _: instrument, pace=lambda _: None, separate_process=separate_process
     )
 
 
@@ -109,14 +115,15 @@ class Spy(SimulatedInstrument):
 
 def test_a_test_from_start_to_file(tmp_path):
     outcome = run(plan(tmp_path), Spy())
-    assert (outcome.problem, outcome.stopped) == ("", False)
+    assert outcome.error is None
+    assert outcome_text(outcome) == ("", False)
     assert read_session(outcome.path).test().status == "completed"
 
 
 def test_a_lost_link_keeps_the_recorded_part(tmp_path):
     instrument = Spy(lost_at=200)
     outcome = run(plan(tmp_path), instrument)
-    assert outcome.problem == "The cable is out."
+    assert outcome_text(outcome)[0].startswith("The cable is out. ")
     assert outcome.session.test().status == "aborted"
     assert instrument.asked[-1] == "close"
 
@@ -124,7 +131,7 @@ def test_a_lost_link_keeps_the_recorded_part(tmp_path):
 def test_a_port_that_cannot_be_closed_costs_no_data(tmp_path):
     outcome = run(plan(tmp_path), Spy(close=True), separate_process=True)
     assert not any(thread.name == "live identification" for thread in threading.enumerate())
-    assert outcome.problem == "Input/output error."
+    assert outcome_text(outcome)[0].startswith("Input/output error. ")
     assert outcome.session.test().status == "completed"
 
 
@@ -133,14 +140,15 @@ def test_a_port_that_cannot_be_closed_costs_no_data(tmp_path):
     [
         ({"max_force_n": 13.0}, LimitError, "the stimulus reaches 13.0 N; the limit is 12 N"),
         ({"seconds": 40.0}, LimitError, "lasts 40.5 s"),
-        ({"min_force_n": 5.0, "max_force_n": 4.0}, UnusableInputError, "least force"),
+        ({"min_force_n": 11.0}, UnusableInputError, "least force"),
+        ({"min_force_n": 5.0, "max_force_n": 4.0}, UnusableInputError, "lowest force"),
     ],
 )
 def test_what_the_limits_forbid_never_energises_the_coil(tmp_path, changes, error, words):
     instrument = Spy()
     with pytest.raises(error, match=words):
         run(plan(tmp_path, **changes), instrument)
-    assert instrument.asked == ["close"]
+    assert "start" not in instrument.asked
     assert list(tmp_path.iterdir()) == []
 
 
@@ -149,7 +157,7 @@ def test_stopped_before_the_beginning(tmp_path):
     stop.press("stopped")
     instrument = Spy()
     outcome = run(plan(tmp_path), instrument, stop)
-    assert outcome.stopped
+    assert outcome.cancelled
     assert outcome.session is None
     assert instrument.asked == ["close"]
     assert list(tmp_path.iterdir()) == []
@@ -162,7 +170,7 @@ def test_a_session_that_cannot_be_written_leaves_its_journal(tmp_path, monkeypat
     monkeypatch.setattr("tissueid.acquisition.recovery.write_session", full)
     outcome = run(plan(tmp_path), Spy())
     assert outcome.session is None
-    assert outcome.problem.startswith("No space left on device. The recording stays in ")
+    assert outcome_text(outcome)[0].startswith("No space left on device. The recording stays in ")
     assert journal_path(outcome.path).exists()
 
 
@@ -179,7 +187,7 @@ def test_dated_files_never_meet(tmp_path):
 def test_the_longest_stimulus_leaves_room_for_the_preload(tmp_path):
     seconds = longest_stimulus_s("clinical")
     limits = PROFILES["clinical"]
-    stimulus = plan(tmp_path, seconds=seconds).stimulus(2000.0)
+    stimulus = with_preload(plan(tmp_path, seconds=seconds).specification(2000.0).build(), PRELOAD_S)
     assert stimulus.seconds == pytest.approx(limits.max_seconds)
 
 

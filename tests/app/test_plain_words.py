@@ -74,7 +74,7 @@ def test_a_name_is_remarked_on_and_taken_all_the_same(open_window, language, wor
     assert form.like_name.isVisible()
     assert words in form.like_name.text()
     assert form.subject.accessibleDescription() == form.like_name.text()
-    assert form.plan().pseudonym == "John Smith"
+    assert form.plan().subject == "John Smith"
     form.subject.setText("P-001")
     assert form.like_name.isHidden()
     assert form.subject.accessibleDescription() == ""

@@ -7,7 +7,7 @@ import pytest
 from app.benches import WAIT_MS
 from app.test_window import idle, press
 
-from tissueid.app.plan import FROM_FILE, MULTISTEP
+from tissueid.app.form_choices import FROM_FILE, MULTISTEP
 from tissueid.cli import main
 from tissueid.instrument import SimulatedInstrument
 from tissueid.sessions import read_session
@@ -41,7 +41,7 @@ def test_every_kind_is_offered_and_its_usual_options_make_a_plan(form):
         form.stimulus.fill(name)
         plan = form.plan()
         plan.check()
-        assert plan.prepared(2000.0) is not None
+        assert plan.specification(2000.0).name == name
         assert form.summary.text()
 
 
@@ -112,7 +112,7 @@ def test_what_is_under_the_probe_is_the_kind_of_the_test(qtbot, open_window):
     assert run(qtbot, window).test().kind == "spring"
     form.stimulus.fill(MULTISTEP)
     assert form.under_probe.isHidden()
-    assert form.plan().under_probe == ""
+    assert form.plan().kind is None
 
 
 def test_in_free_air_no_surface_is_sought(qtbot, open_window, tmp_path):

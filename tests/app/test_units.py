@@ -14,7 +14,6 @@ from PySide6.QtCore import QSettings
 from tissueid import units
 from tissueid.app.calibration_figures import figure_of
 from tissueid.app.live_analysis import LiveAnalysis
-from tissueid.app.plan import Plan
 from tissueid.app.plotting import PlotCard
 from tissueid.app.theme import LIGHT
 from tissueid.app.views.clinician.comparing import Comparison, Sighting
@@ -33,6 +32,7 @@ from tissueid.app.views.researcher.statistics_table import StatisticsTable
 from tissueid.app.views.technician.sweeps_panel import SweepsPanel
 from tissueid.calibration import Quantity
 from tissueid.formatting import figure_text, value_and_rest
+from tissueid.procedures.test_plan import TestPlan
 from tissueid.records import Estimate
 from tissueid.sessions import read_session
 
@@ -193,7 +193,7 @@ def test_a_comparison_changes_the_axis_along_which_its_dots_lie(qtbot):
 
 
 def test_the_mean_of_repeats_is_shown_in_the_units_and_printed_as_always(qtbot, tmp_path, saved):
-    sitting = Sitting(Plan(url="simulated://forearm", site="calf", path=tmp_path / "s.h5"))
+    sitting = Sitting(TestPlan(url="simulated://forearm", site="calf", out=tmp_path / "s.h5"))
     for number, value in enumerate((0.08, 0.09)):
         path = tmp_path / f"{number}.h5"
         sitting.repeats.append(Repeat(path, read_session(saved).test(), "good", {"mass_kg": Estimate(value, 0.001)}))

@@ -333,12 +333,12 @@ def test_an_emptied_place_to_save_is_named_by_date_again(qtbot, window, tmp_path
     field = window.ui.form.path
     field.selectAll()
     qtbot.keyClick(field, Qt.Key.Key_Backspace)
-    assert window.ui.form.plan().path.parent == tmp_path
-    assert window.ui.form.plan().path.suffix == ".h5"
+    assert window.ui.form.plan().out.parent == tmp_path
+    assert window.ui.form.plan().out.suffix == ".h5"
     field.selectAll()
     qtbot.keyClick(field, Qt.Key.Key_Backspace)
     field.editingFinished.emit()
-    assert field.text() == str(window.ui.form.plan().path)
+    assert field.text() == str(window.ui.form.plan().out)
 
 
 def test_an_empty_journal_gives_words(qtbot, open_window, tmp_path):

@@ -138,7 +138,7 @@ def test_devices_lists_the_simulation(capsys):
         (["test", "--device", "simulated://forearm", "--site", "x", "--out", "SESSION"], "never overwritten"),
         (["test", "--device", "simulated://forearm", "--site", "x", "--out", "FOLDER/no/a.h5"], "no folder"),
         ([*A_TEST, "--max-force", "13"], "reaches 13.0 N; the limit is 12 N"),
-        ([*A_TEST, "--limits", "none"], "--limits must be"),
+        ([*A_TEST, "--limits", "none"], "the limits must be one of"),
         ([*A_TEST, "--seconds", "nan"], "seconds"),
         ([*A_TEST, "--seconds", "1e9"], "seconds"),
         (["identify", "SESSION", "--engine", "lms", "--json", "SESSION"], "already exists and has other content"),
@@ -148,7 +148,7 @@ def test_devices_lists_the_simulation(capsys):
         (["report", "SESSION", "--out", "SESSION"], "already exists and has other content"),
         (["report", "SESSION", "--out", "FOLDER"], "is a folder"),
         ([*A_TEST, "--json", "SESSION"], "already exists and has other content"),
-        ([*A_TEST, "--json", "FOLDER/a.h5"], "cannot be the same file"),
+        ([*A_TEST, "--json", "FOLDER/a.h5"], "is named for two outputs"),
         ([*A_TEST, "--seconds", "29.6"], "lasts 30.1 s in all, preload included; the limit is 30 s"),
         ([*A_TEST, "--min-force", "-13"], "reaches 13.0 N; the limit is 12 N"),
         ([*A_TEST, "--subject", " "], "the subject must be one line"),
@@ -156,7 +156,7 @@ def test_devices_lists_the_simulation(capsys):
         (["test", "--device", "simulated://forearm?sed=3", "--site", "x", "--out", "FOLDER/a.h5"], "parameter sed;"),
         (["test", "--device", "socket://127.0.0.1", "--site", "x", "--out", "FOLDER/a.h5"], "socket://HOST:PORT"),
         (["test", "--device", "/dev/null", "--site", "x", "--out", "FOLDER/a.h5"], "not a serial port"),
-        (["test", "--device", "", "--site", "x", "--out", "FOLDER/a.h5"], "the address of the instrument is empty"),
+        (["test", "--device", "", "--site", "x", "--out", "FOLDER/a.h5"], "choose an instrument"),
         (["test", "--device", "simulated://forearm", "--site", "x", "--out", "FOLDER"], "is a folder"),
         (["demo", "--out", "RUBBISH"], "is not a folder"),
         (["demo", "--out", "FOLDER/d", "--preset", "moon"], "no preset 'moon'"),
@@ -229,7 +229,7 @@ def test_an_interrupt_leaves_nothing_behind(monkeypatch, tmp_path, capsys):
     def interrupt(*_args, **_kwargs):
         raise KeyboardInterrupt
 
-    monkeypatch.setattr("tissueid.cli.test.place", interrupt)
+    monkeypatch.setattr("tissueid.procedures.test_run.place", interrupt)
     out = tmp_path / "s.h5"
     assert main(["test", "--device", "simulated://forearm", "--site", "x", "--out", str(out)]) == 130
     assert list(tmp_path.iterdir()) == []

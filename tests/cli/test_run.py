@@ -102,7 +102,7 @@ def test_a_saved_ramp_makes_a_test_of_its_kind(capsys, tmp_path):
 @pytest.mark.parametrize(
     ("options", "says"),
     [
-        (["--kind", "tissue"], "--kind must be spring or free_air"),
+        (["--kind", "tissue"], "the kind must be one of spring, free_air"),
         (["--kind", "spring", "--multistep", "2", "--depth-range", "1:4"], "leave out --kind"),
         (["--kind", "free_air"], "lay the instrument level"),
         (["--stimulus", "slow_ramp", "--max-force", "13"], "the limit is 12 N"),
@@ -256,7 +256,7 @@ def test_what_cannot_be_run_is_said_in_one_line(arguments, words, capsys, tmp_pa
 @pytest.fixture
 def handheld(monkeypatch):
     monkeypatch.setattr(
-        "tissueid.cli.test.open_instrument", lambda _: connect_scenario(Scenario(model="handheld", seed=3))
+        "tissueid.procedures.test_run.open_instrument", lambda _: connect_scenario(Scenario(model="handheld", seed=3))
     )
 
 

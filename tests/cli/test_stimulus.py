@@ -238,7 +238,7 @@ def test_interrupted_while_designing_leaves_nothing(
     def interrupted(*_: object) -> None:
         raise KeyboardInterrupt
 
-    monkeypatch.setattr("tissueid.cli.stimulus._share", interrupted)
+    monkeypatch.setattr("tissueid.procedures.stimulus_design._share", interrupted)
     arguments = ("--seconds", "0.5", "--option", "spectrum=band", "--option", "lags=50", "--option", "tolerance=1e-9")
     assert main(["stimulus", "interchange", *arguments, "--out", str(tmp_path / "a.json")]) == 130
     assert capsys.readouterr().err.strip().splitlines()[-1].startswith("tissueid: interrupted")

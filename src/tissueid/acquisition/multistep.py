@@ -37,7 +37,7 @@ _WELL_ENOUGH_PERCENT = 99.0
 _FITTED_SHARE = 0.75
 """Share of each record that is fitted; the rest is held out."""
 
-_PLACING = Message("test.placing", "placing the probe")
+PLACING = Message("test.placing", "placing the probe")
 
 
 @dataclass(frozen=True)
@@ -141,7 +141,7 @@ def run_multistep(
     device, design = instrument.device, test.design
     check_multistep(test, device)
     if surface_m is None:
-        surface_m = place(instrument, test.limits, progress=lambda p: progress(_PLACING, p), cancelled=cancelled)
+        surface_m = place(instrument, test.limits, progress=lambda p: progress(PLACING, p), cancelled=cancelled)
     origin_m = surface_m.surface_m if isinstance(surface_m, Placement) else surface_m
     records: list[Record] = []
     steps: list[Step] = []

@@ -20,7 +20,6 @@ from tissueid.app.live_calibration import LiveCalibration
 from tissueid.app.navigation_bar import MEASURE
 from tissueid.app.notice import Notice
 from tissueid.app.operator_prompts import CalibrationOutcome, OperatorPrompts
-from tissueid.app.plan import NO_INSTRUMENT
 from tissueid.app.readouts import SafetyReadouts
 from tissueid.app.services import AppServices
 from tissueid.app.signals import SignalPlots
@@ -33,6 +32,7 @@ from tissueid.instrument import Instrument
 from tissueid.language import _
 from tissueid.messages import Message, translated
 from tissueid.procedures.calibration_plans import DynamicSweepPlan, Kind, StaticCalibrationPlan
+from tissueid.procedures.test_plan import NO_INSTRUMENT
 
 
 class CalibrationController(QObject):

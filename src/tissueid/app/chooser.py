@@ -18,7 +18,7 @@ from PySide6.QtWidgets import (
 )
 
 from tissueid.app.calibration_state import CalibrationState
-from tissueid.app.plan import DEFAULT_URL
+from tissueid.app.form_choices import DEFAULT_URL
 from tissueid.formatting import clean
 from tissueid.instrument import FoundInstrument
 from tissueid.instrument.discovery import IN_PROCESS

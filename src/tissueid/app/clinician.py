@@ -15,7 +15,6 @@ from tissueid.app.findings import Findings
 from tissueid.app.layout import Layout
 from tissueid.app.live_signals import Snapshot
 from tissueid.app.navigation_bar import MEASURE
-from tissueid.app.plan import Plan
 from tissueid.app.theme import Theme
 from tissueid.app.views.clinician.body_map import BodyMap
 from tissueid.app.views.clinician.comparing import Comparison, Shelf, compare_with
@@ -27,6 +26,7 @@ from tissueid.formatting import ANONYMOUS
 from tissueid.language import _
 from tissueid.messages import Message, translated
 from tissueid.procedures.sitting import accept_sitting, reopen_sitting
+from tissueid.procedures.test_plan import TestPlan
 from tissueid.sessions import Test
 from tissueid.sessions.accepted_result import AcceptedResult
 
@@ -60,7 +60,7 @@ class Clinician(QObject):
 
     # -- the window tells --------------------------------------------------------------------------------------
 
-    def planned(self, plan: Plan) -> Plan:
+    def planned(self, plan: TestPlan) -> TestPlan:
         """Return the plan of the next test as a repeat of the current or a new sitting."""
         if self.sitting is None or not self.sitting.continues(plan):
             self.sitting = Sitting(plan)
@@ -82,10 +82,10 @@ class Clinician(QObject):
         self._ui.guidance.lamp.quiet(False)
         self._ui.guidance.lamp.show_contact(Contact.UNWATCHED)
 
-    def found(self, findings: Findings, plan: Plan | None) -> None:
+    def found(self, findings: Findings, plan: TestPlan | None) -> None:
         """Handle an analysed test: the newest one of the sitting, or one of an opened file."""
         sitting = self.sitting
-        if sitting is not None and plan is not None and findings.path == plan.path and not sitting.holds(plan.path):
+        if sitting is not None and plan is not None and findings.path == plan.out and not sitting.holds(plan.out):
             verdict = VERDICTS[findings.verdict.level]
             sitting.repeats.append(
                 Repeat(findings.path, findings.test, verdict, values_of(findings.analyses), findings)

@@ -26,8 +26,8 @@ class AppContext:
     """What a page, or an object next to the window, can use of the window.
 
     ``settings`` are stored between two starts. ``role`` returns the current role. ``go`` shows another page by its
-    name. ``open_session`` analyses a file on the page Measure. ``prepare_test`` fills the form of that page (fields of
-    ``Plan`` by name), shows it with a notice; it starts nothing. ``show_file`` opens a document in another program.
+    name. ``open_session`` analyses a file on the page Measure. ``prepare_test`` fills the form of that page (by the
+    names of its fields), shows it with a notice; it starts nothing. ``show_file`` opens a document in another program.
     ``instrument`` returns the address of the instrument chosen on the page Measure. ``calibrate`` shows the page of
     calibrations with a notice; it starts nothing. ``note`` adds a line to the log. ``show_idle`` shows what the window
     shows while nothing goes on. ``testing`` returns whether a coil can be energised, ``closing`` whether the window

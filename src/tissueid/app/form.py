@@ -24,15 +24,18 @@ from PySide6.QtWidgets import (
     QWidget,
 )
 
+from tissueid.acquisition.stimulus_choice import NoiseChoice
 from tissueid.app.chooser import InstrumentChooser
 from tissueid.app.configuring import ConfigurationChooser
+from tissueid.app.form_choices import DISTRIBUTIONS, MULTISTEP, SITES, longest_stimulus_s
 from tissueid.app.number_field import NumberField
-from tissueid.app.plan import DISTRIBUTIONS, MULTISTEP, SITES, Plan, dated_path, longest_stimulus_s
 from tissueid.app.pseudonym import reads_like_name
+from tissueid.app.save_path import dated_path
 from tissueid.app.stimulus_form import StimulusForm
 from tissueid.formatting import ANONYMOUS
 from tissueid.instrument import PROFILES
 from tissueid.language import _, marked
+from tissueid.procedures.test_plan import TestPlan
 from tissueid.stimuli.kinds.noise import Noise
 
 _CALLED = {
@@ -51,7 +54,7 @@ _UNDER_PROBE = {
     "spring": marked("Calibration spring"),
     "free_air": marked("Nothing: free air"),
 }
-_USUAL_FORCE_N = Plan.max_force_n
+_USUAL_FORCE_N = NoiseChoice.max_force_n
 
 _SHORTEST_S = 0.5
 _MOST_SEED = 2**31 - 1
@@ -157,26 +160,32 @@ class PlanForm(QWidget):
         self._apply_limits()
         self.renew_path()
 
-    def plan(self) -> Plan:
-        """Return the plan of the fields. A dated file name gets the current time."""
+    def plan(self) -> TestPlan:
+        """Return the plan of the fields. A dated file name gets the current time.
+
+        Raises:
+            UnusableInputError: a field does not hold a valid value.
+        """
         if not self._own_path:
             self.renew_path()
-        return Plan(
+        has = self.stimulus.has
+        noise = self.stimulus.chosen == Noise.name
+        return TestPlan(
             url=self.instrument.url,
             site=self.site.currentText().strip(),
-            path=Path(self.path.text().strip()),
-            pseudonym=self.subject.text().strip() or ANONYMOUS,
+            out=Path(self.path.text().strip()),
+            subject=self.subject.text().strip() or ANONYMOUS,
             limits=self.limits.currentData(),
             configuration=self.set_up.chosen,
             probe=self.set_up.probe_name,
             external_spring_n_per_m=self.set_up.spring_n_per_m,
-            distribution=self.distribution.currentData(),
-            min_force_n=self.min_force.settled,
-            max_force_n=self.max_force.settled,
-            seconds=self.seconds.settled,
-            seed=self.seed.value(),
+            distribution=self.distribution.currentData() if noise else None,
+            min_force_n=self.min_force.settled if "force_min_n" in has else None,
+            max_force_n=self.max_force.settled if "force_max_n" in has else None,
+            seconds=self.seconds.settled if "seconds" in has else None,
+            seed=self.seed.value() if "seed" in has else None,
             lower_force=not self._own_force,
-            under_probe="" if self.under_probe.isHidden() else self.under_probe.currentData(),
+            kind=None if self.under_probe.isHidden() else self.under_probe.currentData() or None,
             **self.stimulus.values(),
         )
 
@@ -200,7 +209,7 @@ class PlanForm(QWidget):
         self.path.setCursorPosition(len(self.path.text()))
 
     def fill(self, values: Mapping[str, Any]) -> None:
-        """Fill fields by their names in ``Plan``; the others stay.
+        """Fill fields by their names; the others stay.
 
         Raises:
             KeyError: the form has no such field.

@@ -10,9 +10,9 @@ from PySide6.QtWidgets import QFrame, QHBoxLayout, QLabel, QProgressBar, QVBoxLa
 from tissueid.acquisition.playback import Phase
 from tissueid.acquisition.surface_detection import PLACE_S
 from tissueid.app.live_signals import Snapshot
-from tissueid.app.plan import Plan
 from tissueid.app.views.clinician.contact_lamp import ContactLamp
 from tissueid.language import _, marked
+from tissueid.procedures.test_plan import TestPlan
 
 IDLE = marked("Place the probe on the skin and hold the reference surface firmly. Then start the test.")
 CALIBRATION_IDLE = marked(
@@ -94,7 +94,7 @@ class Guidance(QFrame):
             self.instruction.setText(text)
             self.instruction.setAccessibleName(text)
 
-    def follow(self, snapshot: Snapshot, plan: Plan) -> None:
+    def follow(self, snapshot: Snapshot, plan: TestPlan) -> None:
         """Show where a running test stands."""
         phase = snapshot.phase
         if phase is None:

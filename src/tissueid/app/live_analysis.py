@@ -10,7 +10,6 @@ from PySide6.QtCore import Qt
 from PySide6.QtWidgets import QFrame, QHBoxLayout, QLabel, QVBoxLayout, QWidget
 
 from tissueid.app.live_signals import Array
-from tissueid.app.plan import Plan
 from tissueid.app.plotting import PlotCard
 from tissueid.app.small_window import FoldingBox
 from tissueid.app.theme import Theme
@@ -20,6 +19,7 @@ from tissueid.formatting import label_and_unit, value_and_rest
 from tissueid.instrument.discovery import IN_PROCESS
 from tissueid.language import _, marked
 from tissueid.messages import MISSING, Message, Verbatim, translated
+from tissueid.procedures.test_plan import TestPlan
 
 if TYPE_CHECKING:
     from tissueid.acquisition.live import LiveIdentification
@@ -77,11 +77,11 @@ class LiveAnalysis(QWidget):
         self._arrange()
         self.hide()
 
-    def expect(self, plan: Plan) -> None:
+    def expect(self, plan: TestPlan) -> None:
         """Make room for a test that is about to begin."""
         self._build_plots()
         self._shown = None
-        self._planned_s = plan.seconds
+        self._planned_s = plan.stimulus_s
         self.simulated.setVisible(plan.url.startswith(IN_PROCESS))
         for figure in (*self.numbers.values(), self.vaf):
             figure.fill(MISSING, "")

@@ -20,7 +20,7 @@ from tissueid.app.command_palette import CommandPalette
 from tissueid.app.context import AppContext
 from tissueid.app.device_search import DeviceSearch
 from tissueid.app.disabled_reason import show_disabled_reason
-from tissueid.app.emergency import BY_BUTTON, BY_CLOSING, BY_DEFECT, BY_KEY, EmergencyStop
+from tissueid.app.emergency import BY_BUTTON, BY_CLOSING, BY_DEFECT, BY_KEY, NO_ANSWER, EmergencyStop
 from tissueid.app.file_drops import RECORDS, FileDrops, dropped_paths
 from tissueid.app.findings import Findings, whose
 from tissueid.app.jobs import Jobs
@@ -31,7 +31,6 @@ from tissueid.app.navigation_bar import MEASURE
 from tissueid.app.outcome import outcome_text
 from tissueid.app.pages import Pages
 from tissueid.app.panels import Panels
-from tissueid.app.plan import Plan
 from tissueid.app.readouts import NO_TEST
 from tissueid.app.report_opener import Reports
 from tissueid.app.save_path import check_save_path
@@ -46,13 +45,15 @@ from tissueid.atomic_write import private_folder
 from tissueid.audit import Role
 from tissueid.errors import TissueIDError
 from tissueid.language import _, set_language
-from tissueid.messages import translated
-from tissueid.procedures.audit_notes import record_role
+from tissueid.messages import code_of, translated
+from tissueid.procedures.audit_notes import NOT_LOGGED, record_role
+from tissueid.procedures.test_plan import TestPlan
 from tissueid.sessions import Session, Test
 from tissueid.sessions.quality import quality_of
 
 if TYPE_CHECKING:
-    from tissueid.app.measurement_job import Outcome
+    from tissueid.app.live_test import LiveTest
+    from tissueid.procedures.test_run import TestOutcome
     from tissueid.reports.verdict import Verdict
 
 FRAME_MS = 33
@@ -68,7 +69,9 @@ class MainWindow(QMainWindow):
         self._stop = self.services.stop()
         self._keys = StopKeys(self)
         self._live = LiveSignals()
-        self._plan: Plan | None = None
+        self._running: LiveTest | None = None
+        self._notices_shown = 0
+        self._plan: TestPlan | None = None
         self.findings: Findings | None = None
         self._closing = False
         self._theme: Theme | None = None
@@ -146,7 +149,8 @@ class MainWindow(QMainWindow):
 
     def start_test(self) -> None:
         """Start the test of the form."""
-        from tissueid.app.measurement_job import measure
+        from tissueid.app.live_test import LiveTest
+        from tissueid.procedures.test_run import run_test
 
         if self.clinician.watcher.start_after() or self.busy:
             return
@@ -155,10 +159,10 @@ class MainWindow(QMainWindow):
         try:
             plan = form.plan()
             plan.check()
-            if plan.path.parent == self.services.folder:
-                private_folder(plan.path.parent)
+            if plan.out.parent == self.services.folder:
+                private_folder(plan.out.parent)
             wrong = form.path
-            check_save_path(plan.path)
+            check_save_path(plan.out)
         except (TissueIDError, OSError) as error:
             self.ui.notice.say(in_words(error), problem=True, about_form=True)
             if wrong is form.path or not form.site.currentText().strip():
@@ -174,21 +178,22 @@ class MainWindow(QMainWindow):
         self.ui.guidance.show_idle()
         self.ui.guidance.say(_("Connecting to the instrument."))
         self.panels.log.note(
-            _("A test begins: {site}, with {url}, to {path}.").format(site=plan.site, url=plan.url, path=plan.path)
+            _("A test begins: {site}, with {url}, to {path}.").format(site=plan.site, url=plan.url, path=plan.out)
         )
         self.ui.signals.expect(plan)
         self.ui.analysis.expect(plan)
         self.ui.show_part(self.ui.running)
+        self._running = LiveTest(self._live, stop)
+        self._notices_shown = 0
         work = functools.partial(
-            measure,
+            run_test,
             plan,
-            self._live,
-            stop,
+            self._running,
+            self.context.trail,
             opener=self.services.opener,
-            wait=self.services.wait,
-            separate_process=self.services.separate_process,
-            trail=self.context.trail,
             calibrate=self.services.calibrate,
+            pace=self.services.wait or stop.wait,
+            separate_process=self.services.separate_process,
             earlier=self.clinician.earlier,
         )
         why = _("A test is running on Measure: stop it there, or wait.")
@@ -244,6 +249,9 @@ class MainWindow(QMainWindow):
         self._stop.beat()
 
     def _show_frame(self) -> None:
+        if self._running is not None and (new := self._running.notices[self._notices_shown :]):
+            self._notices_shown += len(new)
+            self.ui.notice.say(" ".join(sentence(translated(notice)) for notice in new), page=MEASURE)
         snapshot = self._live.snapshot()
         self.ui.signals.show_live(snapshot)
         self.ui.safety.show_safety(snapshot.safety, free=snapshot.phase is Phase.RELEASE)
@@ -257,11 +265,13 @@ class MainWindow(QMainWindow):
         if self._plan is not None and not self._stop.is_set():
             self.ui.guidance.follow(snapshot, self._plan)
 
-    def _test_ended(self, outcome: Outcome) -> None:
+    def _test_ended(self, outcome: TestOutcome) -> None:
         self._end_frames()
         self.ui.form.renew_path()
         session = outcome.session
-        said, failed = outcome_text(outcome)
+        notices = [] if self._running is None else self._running.notices
+        unlogged = [notice for notice in notices if code_of(notice) == NOT_LOGGED]
+        said, failed = outcome_text(outcome, unanswered=self._stop.reason == NO_ANSWER, unlogged=unlogged)
         if said:
             self.ui.notice.say(said, problem=failed, page=MEASURE)
         if outcome.instrument_failed:
@@ -327,7 +337,7 @@ class MainWindow(QMainWindow):
         self.ui.signals.show_test(findings.test, findings.session.instrument)
         self._show_gate(findings.test, findings.verdict)
         self.ui.result.show_findings(findings)
-        self.ui.form.show_other_test(self._plan is None or self._plan.path != findings.path)
+        self.ui.form.show_other_test(self._plan is None or self._plan.out != findings.path)
         self.clinician.found(findings, self._plan)
         self.ui.show_part(self.ui.result)
         self.ui.pages.tabBar().setFocus()

@@ -1,64 +1,43 @@
-"""Paths of new sessions: checked before a coil is energised."""
+"""Paths of new sessions."""
 
 from __future__ import annotations
 
-import tempfile
+from datetime import datetime
 from pathlib import Path
 
-from tissueid.acquisition import journal_path
+from platformdirs import user_documents_path
+
 from tissueid.errors import UnusableInputError
 from tissueid.messages import Message
+from tissueid.procedures.session_path import check_session_path
 
 SUFFIX = ".h5"
 
 
 def check_save_path(path: Path) -> None:
-    """Check that a new session can be saved to a path. Nothing is written.
+    """Check that a new session can be saved to a path that ends in .h5. Nothing is written.
 
     Raises:
         UnusableInputError: it cannot; the message says why.
     """
-    if not path.name:
-        raise UnusableInputError(Message("save_path.empty", "enter the file of the session"))
-    if path.is_dir():
-        raise UnusableInputError(Message("save_path.folder", "{path} is a folder; name a session file", path=str(path)))
-    if path.suffix.lower() != SUFFIX:
+    if path.name and not path.is_dir() and path.suffix.lower() != SUFFIX:
         raise UnusableInputError(
             Message("save_path.suffix", "the name of a session ends in .h5, {name} does not", name=path.name)
         )
-    if not path.parent.is_dir():
-        raise UnusableInputError(
-            Message(
-                "save_path.no_folder",
-                "there is no folder {folder}: make it, or choose another one",
-                folder=str(path.parent),
-            )
-        )
-    if path.exists():
-        raise UnusableInputError(
-            Message(
-                "save_path.exists",
-                "{path} is there already; files are never overwritten: choose another name",
-                path=str(path),
-            )
-        )
-    if journal_path(path).exists():
-        raise UnusableInputError(
-            Message(
-                "save_path.unfinished",
-                "an unfinished test is left at {path}: recover it on the page Start, or choose another name",
-                path=str(path),
-            )
-        )
-    try:
-        with tempfile.TemporaryFile(dir=path.parent):
-            pass
-    except OSError as error:
-        raise UnusableInputError(
-            Message(
-                "save_path.not_writable",
-                "the folder {folder} cannot be written to ({problem}): choose another one",
-                folder=str(path.parent),
-                problem=error.strerror or str(error),
-            )
-        ) from error
+    check_session_path(path)
+
+
+def default_folder() -> Path:
+    """Return the default folder of sessions."""
+    return user_documents_path() / "TissueID"
+
+
+def dated_path(folder: Path, moment: datetime) -> Path:
+    """Return an unused path of a session, named by date and time, that has no journal either."""
+    name = f"{moment:%Y-%m-%d_%H-%M-%S}"
+    number = 1
+    while True:
+        path = folder / (f"{name}.h5" if number == 1 else f"{name}_{number}.h5")
+        if not path.exists() and not path.with_name(f"{path.name}.journal").exists():
+            return path
+        number += 1

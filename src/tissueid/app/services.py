@@ -13,7 +13,7 @@ from PySide6.QtCore import QSettings, QUrl
 from PySide6.QtGui import QDesktopServices
 
 from tissueid.app.emergency import EmergencyStop
-from tissueid.app.plan import default_folder
+from tissueid.app.save_path import default_folder
 from tissueid.atomic_write import private_folder
 from tissueid.audit import AuditLog, Role, default_path
 from tissueid.calibration.active import calibrated

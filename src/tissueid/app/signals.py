@@ -9,13 +9,13 @@ from PySide6.QtWidgets import QVBoxLayout, QWidget
 from tissueid.acquisition.stimulus_choice import PRELOAD_S
 from tissueid.acquisition.surface_detection import PLACE_S
 from tissueid.app.live_signals import Array, Snapshot, decimated
-from tissueid.app.plan import Plan
 from tissueid.app.plotting import PlotCard
 from tissueid.app.safety import Region, linear_region
 from tissueid.app.theme import Theme
 from tissueid.configuration import has_depth
 from tissueid.device import DeviceDescription
 from tissueid.language import _, marked
+from tissueid.procedures.test_plan import TestPlan
 from tissueid.sessions import Test
 
 MM = 1e3
@@ -56,12 +56,13 @@ class SignalPlots(QWidget):
         """Both plots."""
         return self.force, self.position
 
-    def expect(self, plan: Plan) -> None:
+    def expect(self, plan: TestPlan) -> None:
         """Make room for a test that is about to begin."""
         self.clear()
         self._title(plan.configuration)
         self._show_times(-PLACE_S, plan.total_s, (0.0, PRELOAD_S))
-        self._grow("force", min(-1.0, plan.min_force_n), plan.max_force_n)
+        low_n, high_n = plan.force_range_n
+        self._grow("force", min(-1.0, low_n), high_n)
 
     def show_live(self, snapshot: Snapshot) -> None:
         """Draw what a running test has recorded so far."""

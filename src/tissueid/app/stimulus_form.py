@@ -9,9 +9,11 @@ from pydantic import BaseModel, Field
 from PySide6.QtCore import Qt, Signal
 from PySide6.QtWidgets import QComboBox, QFileDialog, QGridLayout, QHBoxLayout, QLabel, QLineEdit, QPushButton, QWidget
 
+from tissueid.app.form_choices import FROM_FILE, MULTISTEP
 from tissueid.app.option_field import OptionField
-from tissueid.app.plan import FROM_FILE, MULTISTEP
+from tissueid.errors import UnusableInputError
 from tissueid.language import _, marked
+from tissueid.messages import Message
 from tissueid.stimuli import StimulusKind, get_stimulus, stimulus_names
 from tissueid.stimuli.kinds.noise import Noise
 
@@ -109,18 +111,22 @@ class StimulusForm(QWidget):
         return tuple((name, field.value()) for name, field in self._options.items())
 
     def values(self) -> dict[str, Any]:
-        """The fields of ``Plan`` that stand here.
+        """The fields of ``TestPlan`` that stand here.
 
         Raises:
-            UnusableInputError: what was typed does not read as an option.
+            UnusableInputError: what was typed does not read as an option, or no file is chosen.
         """
-        saved = self.file.text().strip()
-        return {
-            "stimulus_kind": self.chosen,
-            "options": self.options(),
-            "stimulus_file": Path(saved) if self.chosen == FROM_FILE and saved else None,
-            "stop_when": tuple(self.stop_when.text().replace(",", " ").split()) if self._stops else (),
-        }
+        if self.chosen == MULTISTEP:
+            chosen = dict(self.options())
+            depths_m = chosen["depth_min_m"], chosen["depth_max_m"]
+            return {"multistep": chosen["steps"], "target": chosen["target"], "depth_range_m": depths_m}
+        values: dict[str, Any] = {"live": True, "stop_when": tuple(self.stop_when.text().replace(",", " ").split())}
+        if self.chosen == FROM_FILE:
+            saved = self.file.text().strip()
+            if not saved:
+                raise UnusableInputError(Message("plan.no_stimulus_file", "choose the file of the saved stimulus"))
+            return values | {"stimulus_file": Path(saved)}
+        return values | {"stimulus": self.chosen, "options": self.options()}
 
     def fill(self, kind: str, options: dict[str, Any] | None = None) -> None:
         """Choose a kind, with options other than its usual ones."""

@@ -24,7 +24,7 @@ _WANTED_SOON = (
     "scipy.stats",
     "numba",
     "tissueid.instrument.simulated",
-    "tissueid.app.measurement_job",
+    "tissueid.procedures.test_run",
     "tissueid.analysis",
     "tissueid.reports.verdict",
     "tissueid.app.identifying",

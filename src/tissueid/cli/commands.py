@@ -19,6 +19,7 @@ from tissueid.procedures.comparison import ComparePlan
 from tissueid.procedures.demo import DemoPlan
 from tissueid.procedures.recovery import RecoveryPlan
 from tissueid.procedures.report import ReportPlan
+from tissueid.procedures.test_plan import TestPlan
 
 app = typer.Typer(
     help="Measure living tissue with a voice coil and nonlinear system identification. Research use only.",
@@ -107,112 +108,12 @@ def devices(
 
 
 @app.command("test")
-def run_test(
-    device: DeviceUrl,
-    site: Annotated[str, typer.Option(metavar="TEXT", help="site on the body, or material")],
-    out: Annotated[Path, typer.Option("--out", metavar="SESSION", help="new session file; never overwritten")],
-    stimulus: Annotated[
-        str | None, typer.Option(metavar="NAME", help="default: noise; 'tissueid stimulus' lists all")
-    ] = None,
-    option: Annotated[
-        list[str] | None,
-        typer.Option("--option", metavar="NAME=VALUE", help="another option of the stimulus; may be repeated"),
-    ] = None,
-    stimulus_file: Annotated[
-        Path | None, typer.Option("--stimulus-file", metavar="FILE", help="stimulus saved by 'tissueid stimulus'")
-    ] = None,
-    distribution: Annotated[
-        str | None, typer.Option(help="distribution of amplitudes, such as gaussian (noise) or uniform")
-    ] = None,
-    min_force: Annotated[
-        float | None, typer.Option(metavar="NEWTON", help="lower end of the force range; noise: 0.5")
-    ] = None,
-    max_force: Annotated[
-        float | None, typer.Option(metavar="NEWTON", help="upper end of the force range; noise: 10.5")
-    ] = None,
-    seconds: Annotated[
-        float | None, typer.Option(metavar="SECONDS", help="length after 0.5 s of preload; noise: 4")
-    ] = None,
-    seed: Annotated[int | None, typer.Option(min=0, max=2**31 - 1, help="seed of the stimulus")] = None,
-    depth_range: Annotated[
-        str | None,
-        typer.Option("--depth-range", metavar="MM:MM", help="intended depths below the surface, such as 1:4"),
-    ] = None,
-    multistep: Annotated[
-        int | None,
-        typer.Option(
-            min=1, max=20, metavar="N", help="up to N tests, each designed from the previous ones for a uniform depth"
-        ),
-    ] = None,
-    target: Annotated[
-        float | None,
-        typer.Option(min=0.0, max=1.0, help="with --multistep: distance from uniform at which to stop; default: 0.05"),
-    ] = None,
-    stop_when: Annotated[
-        list[str] | None,
-        typer.Option(
-            "--stop-when",
-            metavar="NAME=SHARE",
-            help="stop at this relative uncertainty, such as stiffness=0.02",
-        ),
-    ] = None,
-    live: Annotated[bool, typer.Option("--live", help="print the parameters as they converge")] = False,
-    repeats: Annotated[int, typer.Option(min=1, max=100, help="number of runs of the test")] = 1,
-    rest: Annotated[
-        float, typer.Option(min=0, max=600, metavar="SECONDS", help="pause between repeats, to cool the coil")
-    ] = 0.0,
-    limits: Annotated[str, typer.Option(help="clinical (12 N) or research (15 N)")] = "clinical",
-    subject: Annotated[str, typer.Option(metavar="PSEUDONYM", help="pseudonym, never a name")] = "anonymous",
-    configuration: Annotated[
-        str, typer.Option(metavar="NAME", help="indentation, extension or surface")
-    ] = "indentation",
-    probe: Annotated[str | None, typer.Option(metavar="NAME", help="probe tip; an unknown name lists all")] = None,
-    external_spring: Annotated[
-        float,
-        typer.Option(
-            "--external-spring", metavar="N/M", help="stiffness parallel to the tissue, subtracted; for surface"
-        ),
-    ] = 0.0,
-    calibrations: Annotated[
-        Path | None, typer.Option("--calibrations", metavar="DIR", help="folder of calibrations; see 'calibrate list'")
-    ] = None,
-    calibration: Annotated[bool, typer.Option(help="use the newest calibration")] = True,
-    kind: Annotated[str | None, typer.Option(metavar="NAME", help="spring or free_air: a test without tissue")] = None,
-    json_file: JsonFile = None,
-) -> None:
+@plan_command
+def run_test(plan: TestPlan, json_file: JsonFile = None) -> None:
     """Run a guided test: placement, preload, stimulus, release."""
-    from tissueid.cli.stimulus_options import CommonOptions
     from tissueid.cli.test import run_tests
-    from tissueid.cli.test_plan import TestPlan, millimetres
 
-    run_tests(
-        TestPlan(
-            url=device,
-            site=site,
-            out=out,
-            stimulus=stimulus,
-            stimulus_file=stimulus_file,
-            distribution=distribution,
-            common=CommonOptions(min_force=min_force, max_force=max_force, seconds=seconds, seed=seed),
-            options=tuple(option or ()),
-            depth_range_m=None if depth_range is None else millimetres(depth_range),
-            multistep=multistep,
-            target=target,
-            stop_when=tuple(stop_when or ()),
-            live=live,
-            repeats=repeats,
-            rest_s=rest,
-            limits=limits,
-            subject=subject,
-            configuration=configuration,
-            probe=probe,
-            external_spring_n_per_m=external_spring,
-            calibrations=calibrations,
-            calibration=calibration,
-            kind=kind,
-            json_file=json_file,
-        )
-    )
+    run_tests(plan, json_file)
 
 
 @app.command()

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import io
-import math
 from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
@@ -14,14 +13,13 @@ from rich.console import Console
 from tissueid.acquisition.stimulus_choice import PRELOAD_S
 from tissueid.acquisition.stimulus_file import checksum, load_stimulus, save_stimulus
 from tissueid.analysis.design import Design
-from tissueid.cli.output import human_output, message_json, progress_bars, write_json
+from tissueid.cli.output import ConsoleControl, human_output, message_json, progress_bars, write_json
 from tissueid.cli.stimulus_options import (
     CommonOptions,
     kinds_answer,
     kinds_table,
     options_answer,
     options_table,
-    specified,
 )
 from tissueid.cli.stimulus_output import CSV_HEAD, Targets, draw, rows_table
 from tissueid.device import DeviceDescription
@@ -29,9 +27,11 @@ from tissueid.errors import LimitError, UnusableInputError
 from tissueid.instrument import PROFILES, Limits
 from tissueid.procedures.instrument_queries import described_device
 from tissueid.procedures.output_files import write_text
+from tissueid.procedures.plan_options import name_and_value
+from tissueid.procedures.stimulus_design import design_stimulus
+from tissueid.procedures.test_plan import specified
 from tissueid.stimuli import FeedbackKind, OpenLoopKind, Stimulus, StimulusKind, get_stimulus, to_voltage
-from tissueid.stimuli.interchange import InterchangeProgress, InterchangeResult
-from tissueid.stimuli.kinds.interchange import Interchange
+from tissueid.stimuli.interchange import InterchangeResult
 from tissueid.stimuli.stimulus_check import StimulusCheck, assess_stimulus
 
 
@@ -61,7 +61,10 @@ def run_stimulus(
             raise UnusableInputError(f"{what} is a saved stimulus and contains its options: leave out other options")
         chosen: Stimulus | StimulusKind = load_stimulus(Path(what))
     else:
-        chosen = specified(what, common, options)
+        given = common.given()
+        if {"force_min_n", "force_max_n"} & given.keys() and {"voltage_min_v", "voltage_max_v"} & given.keys():
+            raise UnusableInputError("give the range either as force or as voltage")
+        chosen = specified(get_stimulus(what), [name_and_value(option) for option in options], given)
     if isinstance(chosen, FeedbackKind):
         from tissueid.cli.stimulus_feedback import show_feedback
 
@@ -70,7 +73,9 @@ def run_stimulus(
         show_open_loop(chosen, None, described_device(url), limits, targets, out)
     elif isinstance(chosen, OpenLoopKind):
         device = described_device(url)
-        show_open_loop(*designed(chosen), device, limits, targets, out)
+        with progress_bars() as show:
+            built, search = design_stimulus(chosen, ConsoleControl(show))
+        show_open_loop(built, search, device, limits, targets, out)
     else:
         raise UnusableInputError(f"the stimulus {what!r} can be neither built nor generated")
 
@@ -95,40 +100,6 @@ def _list(kind: str | None, json_file: Path | None, out: Console) -> None:
         answer = options_answer(get_stimulus(kind))
     if json_file is not None:
         write_json(json_file, answer)
-
-
-def designed(specification: OpenLoopKind) -> tuple[Stimulus, InterchangeResult | None]:
-    """Build a stimulus with a progress bar; also return the interchange search if there was one.
-
-    Raises:
-        UnusableInputError: the stimulus cannot be built.
-    """
-    specification.check_size()
-    label = f"designing {specification.name}"
-    with progress_bars() as show:
-        show(label, 0.0)
-        if isinstance(specification, Interchange):
-            first: list[InterchangeProgress] = []
-
-            def follow(step: InterchangeProgress) -> None:
-                first[:] = first or [step]
-                show(label, _share(first[0], step))
-
-            search = specification.design(follow)
-            built = specification.stimulus_from(search)
-        else:
-            search, built = None, specification.build()
-        show(label, 1.0)
-    return built, search
-
-
-def _share(first: InterchangeProgress, step: InterchangeProgress) -> float:
-    """Return the completed share of a search: of the decades of error, or of the allowed swaps."""
-    tried = step.tried / step.max_trials
-    if not first.error > step.tolerance:
-        return tried
-    fallen = math.log(first.error / step.error) / math.log(first.error / step.tolerance)
-    return min(max(fallen, tried), 1.0)
 
 
 def show_open_loop(

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import re
 import types
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterator
 from dataclasses import dataclass
 from typing import Any, Literal, Union, get_args, get_origin
 
@@ -13,8 +13,6 @@ from pydantic_core import PydanticUndefined
 from rich.table import Table
 
 from tissueid.cli.output import table
-from tissueid.errors import UnusableInputError
-from tissueid.procedures.plan_options import parse_options
 from tissueid.stimuli import FeedbackKind, StimulusKind, get_stimulus, stimulus_names
 
 _BOUNDS = (("ge", "{} or more"), ("gt", "over {}"), ("le", "up to {}"), ("lt", "under {}"))
@@ -44,33 +42,6 @@ class CommonOptions:
             "seed": ("--seed", self.seed),
         }
         return {field: (name, value) for field, (name, value) in names.items() if value is not None}
-
-
-def specified(
-    kind: str, common: CommonOptions, options: Sequence[str], defaults: Mapping[str, Any] | None = None
-) -> StimulusKind:
-    """Return the specification of a kind from the command line; ``defaults`` apply to options not given.
-
-    Raises:
-        UnusableInputError: the kind or an option is unknown, a value is not valid, or an option is given twice.
-    """
-    declared = get_stimulus(kind)
-    chosen = parse_options(options)
-    force, volts = ({"force_min_n", "force_max_n"}, {"voltage_min_v", "voltage_max_v"})
-    if force & common.given().keys() and volts & common.given().keys():
-        raise UnusableInputError("give the range either as force or as voltage")
-    for field, (name, value) in common.given().items():
-        if field not in declared.model_fields:
-            raise UnusableInputError(
-                f"the stimulus {kind} has no option {name}; 'tissueid stimulus {kind} --options' lists its options"
-            )
-        if field in chosen:
-            raise UnusableInputError(f"{field} is given twice, by {name} and by --option")
-        chosen[field] = value
-    for field, default in (defaults or {}).items():
-        if field in declared.model_fields:
-            chosen.setdefault(field, default)
-    return declared.from_options(chosen)
 
 
 def kinds_answer() -> list[dict[str, Any]]:

@@ -11,6 +11,9 @@ from tissueid.errors import CancelledError
 from tissueid.messages import Message
 from tissueid.procedures.control import Control
 
+NOT_LOGGED = "audit.not_logged"
+"""Code of the notice about what could not be logged."""
+
 
 def audit_note(
     trail: AuditTrail, control: Control, what: str, *, subject: str = "", old: Any = None, new: Any = None

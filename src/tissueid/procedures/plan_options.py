@@ -73,23 +73,26 @@ def bounds_of(field: FieldInfo) -> tuple[float | None, float | None]:
 
 
 def parse_options(options: Sequence[str]) -> dict[str, Any]:
-    """Parse NAME=VALUE pairs. A value is JSON (a number, true, a list with or without brackets) or otherwise text.
+    """Parse NAME=VALUE pairs; the last one of a name counts.
 
     Raises:
         UnusableInputError: a pair has no equals sign or no name.
     """
-    parsed: dict[str, Any] = {}
-    for pair in options:
-        name, equals, value = pair.partition("=")
-        if not equals or not name:
-            raise UnusableInputError(
-                Message(
-                    "option.pair", "an option must be {form}, got {text}", form="NAME=VALUE", text=Verbatim(repr(pair))
-                )
-            )
-        parsed[name] = value
-        for reading in (value, f"[{value}]") if "," in value else (value,):
-            with contextlib.suppress(ValueError):
-                parsed[name] = json.loads(reading)
-                break
-    return parsed
+    return dict(map(name_and_value, options))
+
+
+def name_and_value(text: str) -> tuple[str, Any]:
+    """Read NAME=VALUE. The value is JSON (a number, true, a list with or without brackets) or otherwise text.
+
+    Raises:
+        UnusableInputError: there is no equals sign or no name.
+    """
+    name, equals, value = text.partition("=")
+    if not equals or not name:
+        raise UnusableInputError(
+            Message("option.pair", "an option must be {form}, got {text}", form="NAME=VALUE", text=Verbatim(repr(text)))
+        )
+    for reading in (value, f"[{value}]") if "," in value else (value,):
+        with contextlib.suppress(ValueError):
+            return name, json.loads(reading)
+    return name, value

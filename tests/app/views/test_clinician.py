@@ -8,8 +8,8 @@ from app.benches import WAIT_MS
 from PySide6.QtCore import Qt
 
 from tissueid.acquisition import Phase
+from tissueid.app.form_choices import SITES
 from tissueid.app.live_signals import Snapshot
-from tissueid.app.plan import SITES
 from tissueid.app.safety import Safety
 from tissueid.app.views.clinician.body_map import HEIGHT, SPOTS, WIDTH, outline
 from tissueid.app.views.clinician.contact import Contact, contact_in_test, contact_of_free

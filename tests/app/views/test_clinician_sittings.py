@@ -10,11 +10,11 @@ from app.benches import WAIT_MS
 from app.views.test_clinician import idle, press, run_test, seeded
 from coded import code_of, codes, made, reads
 
-from tissueid.app.plan import Plan
 from tissueid.app.views.clinician.comparing import Comparison, Shelf, Sighting, compare_with
 from tissueid.app.views.clinician.comparison_card import THIS
 from tissueid.app.views.clinician.sitting import Repeat, Sitting, together
 from tissueid.instrument import SimulatedInstrument
+from tissueid.procedures.test_plan import TestPlan
 from tissueid.records import Estimate
 from tissueid.sessions import Subject, read_session, write_session
 
@@ -118,13 +118,13 @@ def test_mean_deviation_and_repeatability():
     # √2 times the quantile of Student's t for as many repeats: 4.303 for three.
     assert said.repeatability == pytest.approx(np.sqrt(2.0) * 4.3027 * said.std, rel=1e-4)
     assert together([1.0]) is None
-    plan = Plan(url="u", site="left calf", path=None, lower_force=True)
+    plan = TestPlan(url="u", site="left calf", out="s.h5", lower_force=True)
     sitting = Sitting(plan, repeats=[repeat(0.08), repeat(0.09, "repeat"), repeat(0.10)])
     assert sitting.together["mass_kg"].mean == pytest.approx(0.09)
     assert sitting.counted == 2
     # An instrument that gives less took the usual force down: that is the same test.
-    assert sitting.continues(dataclasses.replace(plan, max_force_n=7.8))
-    assert not sitting.continues(dataclasses.replace(plan, max_force_n=7.8, lower_force=False))
+    assert sitting.continues(plan.model_copy(update={"max_force_n": 7.8}))
+    assert not sitting.continues(plan.model_copy(update={"max_force_n": 7.8, "lower_force": False}))
 
 
 # -- the instrument's own limits --------------------------------------------------------------------------------------

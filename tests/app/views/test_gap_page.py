@@ -448,13 +448,13 @@ def test_every_candidate_test_is_prepared_on_the_form(qtbot, diagnosed, answers,
     press(qtbot, page.result.next.prepare)
     assert window.ui.page == "measure"
     plan = form.plan()
-    assert (plan.stimulus_kind, plan.under_probe) == (stimulus, under)
+    assert (plan.stimulus, plan.kind) == (stimulus, under or None)
     assert seconds is None or plan.seconds == pytest.approx(seconds)
     assert form.subject.text() == ("" if under else read_session(friction).subject.pseudonym)
     assert {"spring": "calibration spring", "free_air": "free air"}.get(kind, plan.site) == plan.site
     assert ("under the probe" in form.summary.text()) == bool(under)
     assert shows(window.ui.notice.text.text(), "gap.choose_instrument", model="desktop indenter")
-    assert plan.prepared(2000.0) is not None
+    assert plan.specification(2000.0) is not None
 
 
 def test_the_simulated_twin_of_a_session_is_found_by_the_name_it_states(tmp_path):

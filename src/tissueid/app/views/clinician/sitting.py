@@ -5,17 +5,17 @@ from __future__ import annotations
 import math
 import uuid
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import TYPE_CHECKING
 
 import numpy as np
 
-from tissueid.app.plan import Plan
 from tissueid.formatting import fixed, label_and_unit, number, plus_minus
 from tissueid.language import _, marked
 from tissueid.messages import MISSING, Message, translated
 from tissueid.procedures.sitting import SittingPlan
+from tissueid.procedures.test_plan import TestPlan
 from tissueid.records import Estimate
 from tissueid.sessions import Test
 from tissueid.sessions.accepted_result import AcceptedResult, AcceptedTest, AcceptedValue
@@ -108,7 +108,7 @@ def _two_tests(count: int) -> float:
 class Sitting:
     """Tests of one plan, one after another, until they are accepted or the plan changes."""
 
-    plan: Plan
+    plan: TestPlan
     key: str = field(default_factory=lambda: str(uuid.uuid4()))
     repeats: list[Repeat] = field(default_factory=list)
     result: AcceptedResult | None = None
@@ -118,13 +118,13 @@ class Sitting:
         """Whether the sitting was accepted."""
         return self.result is not None
 
-    def continues(self, plan: Plan) -> bool:
+    def continues(self, plan: TestPlan) -> bool:
         """Whether a test by this plan is a repeat of those that are here."""
         return not self.accepted and self.counted < NORM and _without_place(plan) == _without_place(self.plan)
 
-    def planned(self, plan: Plan) -> Plan:
+    def planned(self, plan: TestPlan) -> TestPlan:
         """The plan, marked as the next repeat of this sitting."""
-        return replace(plan, sitting=self.key, repeat=self.counted + 1)
+        return plan.model_copy(update={"sitting": self.key, "repeat": self.counted + 1})
 
     @property
     def counting(self) -> list[Repeat]:
@@ -262,7 +262,7 @@ def _identical(values: Mapping[str, AcceptedValue]) -> list[str]:
     return [_("The repeats are identical: a simulation played the same again. Nothing can be said of their spread.")]
 
 
-def _without_place(plan: Plan) -> Plan:
+def _without_place(plan: TestPlan) -> TestPlan:
     """What makes a plan the same test: not its file, nor how far an instrument took the usual force down."""
     force_n = 0.0 if plan.lower_force else plan.max_force_n
-    return replace(plan, path=Path(), sitting="", repeat=0, max_force_n=force_n)
+    return plan.model_copy(update={"out": Path(), "sitting": "", "repeat": 0, "max_force_n": force_n})

@@ -1,0 +1,452 @@
+"""The plan of a test: its options and their checks before an instrument is opened."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Any, Self
+
+from pydantic import Field
+
+from tissueid.configuration import Configuration
+from tissueid.errors import UnusableInputError
+from tissueid.formatting import ANONYMOUS
+from tissueid.language import marked
+from tissueid.messages import Message, Verbatim
+from tissueid.procedures.plan_options import Option, Plan, name_and_value, option_of
+
+if TYPE_CHECKING:  # each takes long to import
+    from tissueid.identification.live.stopping import StopRule
+    from tissueid.stimuli import StimulusKind
+    from tissueid.stimuli.depth_uniform import DepthDesign
+
+NO_INSTRUMENT = Message("plan.no_instrument", "choose an instrument, or type its address")
+MAX_TEXT = 200
+"""Longest site or pseudonym in characters."""
+LEAST_DEPTH_RANGE_M = 1e-4
+"""Smallest width of a depth range, m."""
+_ANY_RATE_HZ = 2000.0
+"""Sample rate at which options are checked before an instrument is open, Hz."""
+_SPECIFIED = {
+    "force_min_n": "min_force_n",
+    "force_max_n": "max_force_n",
+    "seconds": "seconds",
+    "seed": "seed",
+}
+"""Option of a stimulus: field of the plan."""
+
+
+def depth_range(text: str) -> tuple[float, float]:
+    """Return least and greatest depth, m, from a text in millimetres such as ``1:4``.
+
+    Raises:
+        UnusableInputError: the text is not two increasing numbers.
+    """
+    least, colon, most = text.partition(":")
+    try:
+        depths = float(least) * 1e-3, float(most) * 1e-3
+    except ValueError:
+        depths = 0.0, 0.0
+    if not colon or not depths[0] < depths[1]:
+        raise UnusableInputError(
+            Message(
+                "plan.depth_range",
+                "a range of depth must be LEAST:GREATEST in mm below the surface, such as 1:4, got '{text}'",
+                text=Verbatim(text),
+            )
+        )
+    return depths
+
+
+class TestPlan(Plan):
+    """One or several tests at one place, in one session; ``None`` leaves a value to the stimulus.
+
+    ``options`` are options of the stimulus without a field here, by name. ``stop_when`` are targets in the notation of
+    ``StopRule``. ``kind`` is one of ``FIXTURES``, or None for tissue or a sample. ``limits`` is the name of a profile,
+    ``configuration`` and ``probe`` are those of the session format; without ``probe`` the first probe of the
+    configuration is used. With ``multistep`` each test is designed from the previous ones to cover ``depth_range_m``
+    evenly. ``lower_force`` reduces the highest force to that of the instrument where it is less; without it such a plan
+    is refused. ``sitting`` is the key shared by the tests of one sitting that are in several files, and ``repeat``
+    their number, from 1.
+    """
+
+    __test__ = False  # not a test case for pytest
+
+    url: Annotated[
+        str,
+        Option(
+            "--device", metavar="URL", help="a port, socket://HOST:PORT or simulated://forearm; see 'tissueid devices'"
+        ),
+    ]
+    site: Annotated[str, Option("--site", metavar="TEXT", help="site on the body, or material")]
+    out: Annotated[Path, Option("--out", metavar="SESSION", help="new session file; never overwritten")]
+    stimulus: Annotated[
+        str | None, Option("--stimulus", metavar="NAME", help="default: noise; 'tissueid stimulus' lists all")
+    ] = None
+    options: Annotated[
+        tuple[tuple[str, Any], ...],
+        Option(
+            "--option",
+            metavar="NAME=VALUE",
+            help="another option of the stimulus; may be repeated",
+            read=name_and_value,
+        ),
+    ] = ()
+    stimulus_file: Annotated[
+        Path | None, Option("--stimulus-file", metavar="FILE", help="stimulus saved by 'tissueid stimulus'")
+    ] = None
+    distribution: Annotated[
+        str | None,
+        Option("--distribution", help="distribution of amplitudes, such as gaussian (noise) or uniform"),
+    ] = None
+    min_force_n: Annotated[
+        float | None, Option("--min-force", metavar="NEWTON", help="lower end of the force range; noise: 0.5")
+    ] = None
+    max_force_n: Annotated[
+        float | None, Option("--max-force", metavar="NEWTON", help="upper end of the force range; noise: 10.5")
+    ] = None
+    seconds: Annotated[
+        float | None, Option("--seconds", metavar="SECONDS", help="length after 0.5 s of preload; noise: 4")
+    ] = None
+    seed: Annotated[int | None, Option("--seed", help="seed of the stimulus"), Field(ge=0, le=2**31 - 1)] = None
+    depth_range_m: Annotated[
+        tuple[float, float] | None,
+        Option(
+            "--depth-range",
+            metavar="MM:MM",
+            help="intended depths below the surface, such as 1:4",
+            read=depth_range,
+        ),
+    ] = None
+    multistep: Annotated[
+        int | None,
+        Option(
+            "--multistep",
+            metavar="N",
+            help="up to N tests, each designed from the previous ones for a uniform depth",
+        ),
+        Field(ge=1, le=20),
+    ] = None
+    target: Annotated[
+        float | None,
+        Option("--target", help="with --multistep: distance from uniform at which to stop; default: 0.05"),
+        Field(ge=0.0, le=1.0),
+    ] = None
+    stop_when: Annotated[
+        tuple[str, ...],
+        Option("--stop-when", metavar="NAME=SHARE", help="stop at this relative uncertainty, such as stiffness=0.02"),
+    ] = ()
+    live: Annotated[bool, Option("--live", help="print the parameters as they converge")] = False
+    repeats: Annotated[int, Option("--repeats", help="number of runs of the test"), Field(ge=1, le=100)] = 1
+    rest_s: Annotated[
+        float,
+        Option("--rest", metavar="SECONDS", help="pause between repeats, to cool the coil"),
+        Field(ge=0.0, le=600.0),
+    ] = 0.0
+    limits: Annotated[str, Option("--limits", help="clinical (12 N) or research (15 N)")] = "clinical"
+    subject: Annotated[str, Option("--subject", metavar="PSEUDONYM", help="pseudonym, never a name")] = ANONYMOUS
+    configuration: Annotated[
+        str, Option("--configuration", metavar="NAME", help="indentation, extension or surface")
+    ] = "indentation"
+    probe: Annotated[str | None, Option("--probe", metavar="NAME", help="probe tip; an unknown name lists all")] = None
+    external_spring_n_per_m: Annotated[
+        float,
+        Option("--external-spring", metavar="N/M", help="stiffness parallel to the tissue, subtracted; for surface"),
+    ] = 0.0
+    calibrations: Annotated[
+        Path | None, Option("--calibrations", metavar="DIR", help="folder of calibrations; see 'calibrate list'")
+    ] = None
+    calibration: Annotated[bool, Option(help="use the newest calibration")] = True
+    kind: Annotated[str | None, Option("--kind", metavar="NAME", help="spring or free_air: a test without tissue")] = (
+        None
+    )
+    lower_force: bool = False
+    sitting: str = ""
+    repeat: int = 0
+
+    def check(self) -> None:
+        """Check the plan before an instrument is opened.
+
+        Raises:
+            UnusableInputError: a value is missing, not valid, or does not fit the others.
+        """
+        from tissueid.instrument.limits import PROFILES
+
+        if self.limits not in PROFILES:
+            raise UnusableInputError(
+                Message(
+                    "plan.limits",
+                    "the limits must be one of {known}, got '{name}'",
+                    known=Verbatim(", ".join(PROFILES)),
+                    name=Verbatim(self.limits),
+                )
+            )
+        if not self.url:
+            raise UnusableInputError(NO_INSTRUMENT)
+        if not self.site.strip():
+            raise UnusableInputError(Message("plan.no_site", "fill in the site: where on the body, or which material"))
+        for what, text in ((marked("the site"), self.site), (marked("the subject"), self.subject)):
+            if not text.strip() or len(text) > MAX_TEXT or not text.isprintable():
+                raise UnusableInputError(
+                    Message(
+                        "plan.text",
+                        "{what} must be one line of 1 to {most} printable characters",
+                        what=what,
+                        most=MAX_TEXT,
+                    )
+                )
+        low, high = self.min_force_n, self.max_force_n
+        if low is not None and high is not None and low >= high:
+            raise UnusableInputError(
+                Message(
+                    "plan.force_range",
+                    "the lowest force ({low:g} N) must be below the highest ({high:g} N)",
+                    low=low,
+                    high=high,
+                )
+            )
+        self._check_depths()
+        if self.rest_s > 0.0 and self.repeats == 1:
+            raise UnusableInputError(Message("plan.rest", "the rest is the pause between repeats: it needs --repeats"))
+        self._check_kind()
+        self.stop_rule()
+        if self.multistep is not None:
+            self._check_multistep()
+            self.depth_design(_ANY_RATE_HZ)
+            return
+        if self.target is not None:
+            raise UnusableInputError(Message("plan.target", "--target needs --multistep"))
+        if self.stimulus_file is None:
+            self.specification(_ANY_RATE_HZ)
+        elif self._own_stimulus or any(getattr(self, name) is not None for name in _SPECIFIED.values()):
+            raise UnusableInputError(
+                Message(
+                    "plan.saved_stimulus",
+                    "{path} is a saved stimulus and contains its options: leave out other stimulus options",
+                    path=Verbatim(self.stimulus_file),
+                )
+            )
+
+    def _check_depths(self) -> None:
+        configuration = self.set_up()
+        if self.depth_range_m is None:
+            return
+        if not configuration.has_depth:
+            raise UnusableInputError(
+                Message(
+                    "plan.no_depth",
+                    "a range of depth needs a depth: the configuration {name} has none",
+                    name=Verbatim(configuration.name),
+                )
+            )
+        least_m, most_m = self.depth_range_m
+        if not most_m - least_m >= LEAST_DEPTH_RANGE_M:
+            raise UnusableInputError(
+                Message(
+                    "plan.narrow_depth",
+                    "a range of depth must be at least {width:g} mm wide, got {least:g} to {most:g} mm",
+                    width=1e3 * LEAST_DEPTH_RANGE_M,
+                    least=1e3 * least_m,
+                    most=1e3 * most_m,
+                )
+            )
+
+    def _check_kind(self) -> None:
+        from tissueid.acquisition.stimulus_choice import FIXTURES
+
+        if self.kind is not None and self.kind not in FIXTURES:
+            raise UnusableInputError(
+                Message(
+                    "plan.kind",
+                    "the kind must be one of {known} (tests without tissue), got '{name}'",
+                    known=Verbatim(", ".join(FIXTURES)),
+                    name=Verbatim(self.kind),
+                )
+            )
+        if self.kind is not None and self.multistep is not None:
+            raise UnusableInputError(Message("plan.multistep_tissue", "--multistep needs tissue: leave out --kind"))
+
+    def _check_multistep(self) -> None:
+        if self.stop_when:
+            raise UnusableInputError(
+                Message("plan.no_stop_rule", "a test in steps designs its stimuli itself: it takes no stop rule")
+            )
+        if self._own_stimulus or self.stimulus_file is not None or self.repeats > 1 or self.live:
+            raise UnusableInputError(
+                Message(
+                    "plan.multistep_options",
+                    "--multistep designs its own stimuli: the only stimulus options that it accepts are --depth-range, "
+                    "--min-force, --max-force, --seconds, --seed and --target",
+                )
+            )
+        if self.depth_range_m is None:
+            raise UnusableInputError(
+                Message("plan.multistep_depth", "--multistep needs --depth-range MM:MM below the surface, such as 1:4")
+            )
+
+    @property
+    def _own_stimulus(self) -> bool:
+        return bool(self.stimulus or self.options or self.distribution)
+
+    def set_up(self) -> Configuration:
+        """Return the configuration: direction, probe and external spring.
+
+        Raises:
+            UnusableInputError: configuration, probe and spring do not go together.
+        """
+        return Configuration.of(self.configuration, self.probe, self.external_spring_n_per_m)
+
+    def stop_rule(self) -> StopRule | None:
+        """Return the rule that ends the test early; None for a plan without one.
+
+        Raises:
+            UnusableInputError: a target is not valid.
+        """
+        if not self.stop_when:
+            return None
+        from tissueid.identification.live.stopping import StopRule
+
+        return StopRule.from_words(self.stop_when)
+
+    def specification(self, sample_rate_hz: float) -> StimulusKind:
+        """Return the specification of the stimulus.
+
+        Raises:
+            UnusableInputError: the stimulus or an option is unknown, not valid, or given twice.
+        """
+        from tissueid.acquisition.stimulus_choice import NoiseChoice
+        from tissueid.stimuli import get_stimulus
+        from tissueid.stimuli.kinds.noise import Noise
+
+        noise = self.stimulus in (None, Noise.name)
+        kind = Noise if noise else get_stimulus(str(self.stimulus))  # without a look at the other kinds for noise
+        pairs = list(self.options)
+        if self.distribution is not None:
+            pairs.append(("distribution", self.distribution))
+        if self.depth_range_m is not None and "depth_min_m" in kind.model_fields:
+            pairs += zip(("depth_min_m", "depth_max_m"), self.depth_range_m, strict=True)
+        usual: dict[str, Any] = {"sample_rate": sample_rate_hz}
+        if noise:
+            usual |= NoiseChoice().noise_options(sample_rate_hz)
+            usual.pop("distribution")
+        return specified(kind, pairs, self._given(), usual)
+
+    def depth_design(self, sample_rate_hz: float) -> DepthDesign:
+        """Return the design of a test in steps.
+
+        Raises:
+            UnusableInputError: an option is not valid.
+        """
+        from tissueid.acquisition.stimulus_choice import NoiseChoice
+        from tissueid.stimuli.depth_uniform import DepthDesign
+
+        assert self.depth_range_m is not None
+        usual = NoiseChoice()
+        options: dict[str, Any] = {"force_min_n": usual.min_force_n, "force_max_n": usual.max_force_n}
+        options |= {name: value for name, (_, value) in self._given().items() if name != "seed"}
+        least_m, most_m = self.depth_range_m
+        return DepthDesign.from_options(
+            options | {"depth_min_m": least_m, "depth_max_m": most_m, "sample_rate": sample_rate_hz}
+        )
+
+    def _given(self) -> dict[str, tuple[str, float]]:
+        """Return name on the command line and value of the stimulus options that are given, by option of the kind."""
+        given = {}
+        for name, field in _SPECIFIED.items():
+            option = option_of(type(self).model_fields[field])
+            if option is not None and (value := getattr(self, field)) is not None:
+                given[name] = option.name, value
+        return given
+
+    def within(self, greatest_n: float) -> Self:
+        """Return this plan for an instrument with a maximum force of ``greatest_n``, N: the usual force is lowered."""
+        from tissueid.acquisition.stimulus_choice import NoiseChoice
+        from tissueid.stimuli.kinds.noise import Noise
+
+        wanted, lower = self.max_force_n, self.lower_force
+        usual = self.stimulus_file is None and self.stimulus in (None, Noise.name)
+        if wanted is None and usual and "force_max_n" not in dict(self.options):
+            wanted, lower = NoiseChoice().max_force_n, True
+        if wanted is None or not lower or wanted <= greatest_n:
+            return self
+        return self.model_copy(update={"max_force_n": greatest_n})
+
+    @property
+    def notes(self) -> dict[str, str | float]:
+        """Notes on the sitting that the session stores with the test."""
+        return {"sitting": self.sitting, "repeat": float(self.repeat)} if self.sitting else {}
+
+    @property
+    def force_range_n(self) -> tuple[float, float]:
+        """Expected range of force, N. A saved stimulus has its own."""
+        from tissueid.acquisition.stimulus_choice import NoiseChoice
+
+        usual, low_n, high_n = NoiseChoice(), self.min_force_n, self.max_force_n
+        return usual.min_force_n if low_n is None else low_n, usual.max_force_n if high_n is None else high_n
+
+    @property
+    def stimulus_s(self) -> float:
+        """Expected duration of one stimulus after its preload, s. A saved stimulus has its own."""
+        from tissueid.acquisition.stimulus_choice import NoiseChoice
+
+        return NoiseChoice().seconds if self.seconds is None else self.seconds
+
+    @property
+    def total_s(self) -> float:
+        """Expected duration of one stimulus, or of all of a test in steps, with the preloads, s."""
+        from tissueid.acquisition.stimulus_choice import PRELOAD_S
+
+        return (PRELOAD_S + self.stimulus_s) * (self.multistep or 1)
+
+
+def specified(
+    kind: type[StimulusKind],
+    options: list[tuple[str, Any]],
+    given: Mapping[str, tuple[str, float]],
+    usual: Mapping[str, Any] | None = None,
+) -> StimulusKind:
+    """Return the specification of a kind of stimulus.
+
+    Args:
+        kind: the kind.
+        options: name and value of options.
+        given: options that have a name of their own on the command line: that name, and the value.
+        usual: values of options that are not given, as far as the kind has them.
+
+    Raises:
+        UnusableInputError: an option is unknown, not valid, or given twice.
+    """
+    chosen = dict(options)
+    if len(chosen) < len(options):
+        names = [name for name, _ in options]
+        raise UnusableInputError(
+            Message(
+                "plan.option_twice",
+                "the option {name} of the stimulus is given twice",
+                name=Verbatim(next(name for name in names if names.count(name) > 1)),
+            )
+        )
+    for field, (name, value) in given.items():
+        if field not in kind.model_fields:
+            raise UnusableInputError(
+                Message(
+                    "plan.no_option",
+                    "the stimulus {kind} has no option {name}; 'tissueid stimulus {kind} --options' lists its options",
+                    kind=Verbatim(kind.name),
+                    name=Verbatim(name),
+                )
+            )
+        if field in chosen:
+            raise UnusableInputError(
+                Message(
+                    "plan.option_both",
+                    "{field} is given twice, by {name} and by --option",
+                    field=Verbatim(field),
+                    name=Verbatim(name),
+                )
+            )
+        chosen[field] = value
+    for field, default in (usual or {}).items():
+        if field in kind.model_fields:
+            chosen.setdefault(field, default)
+    return kind.from_options(chosen)
