@@ -7,6 +7,7 @@ import itertools
 from collections.abc import Generator, Iterator
 from pathlib import Path
 
+import hypothesis
 import pytest
 
 from tissueid.app.user_data import ENVIRONMENT as ANALYSES
@@ -18,6 +19,8 @@ from tools.translations import compile_stale
 def pytest_configure() -> None:
     """Compile the translations that were edited since."""
     compile_stale()
+    hypothesis.settings.register_profile("any_speed", deadline=None)  # no test depends on the time that it takes
+    hypothesis.settings.load_profile("any_speed")
 
 
 @pytest.hookimpl(wrapper=True)

@@ -227,9 +227,7 @@ def test_the_message_names_the_damage(path):
 
 
 @given(st.data())
-@settings(
-    max_examples=150, deadline=None, derandomize=True, suppress_health_check=[HealthCheck.function_scoped_fixture]
-)
+@settings(max_examples=150, derandomize=True, suppress_health_check=[HealthCheck.function_scoped_fixture])
 def test_anything_that_is_done_to_a_log_is_found(tmp_path, found, data):
     """Detect every removed and inserted part, unless the bytes are the same or the end was cut off."""
     path = tmp_path / "a.jsonl"

@@ -45,7 +45,7 @@ finite = st.floats(allow_nan=False, allow_infinity=False)
 text = st.text(st.characters(exclude_categories=("Cs", "Cc")), max_size=200)
 
 
-@settings(max_examples=50, deadline=None)
+@settings(max_examples=50)
 @given(value=finite, std=st.none() | st.floats(0, 1e300), note=text, column=st.lists(finite, max_size=5))
 def test_every_number_and_text_comes_back(tmp_path_factory, value, std, note, column):
     path = tmp_path_factory.mktemp("files") / "a.toml"

@@ -373,7 +373,7 @@ BLOCK, BLOCKS, PRELOAD, MOST_N = 50, 10, 40, 4.0
     forces=st.lists(st.sampled_from([0.0, 5.0, -6.0, 11.0, 18.0, -30.0]), min_size=BLOCKS, max_size=BLOCKS),
     hold_v=st.sampled_from([0.0, -6.0, 10.0]),
 )
-@settings(max_examples=60, deadline=None)
+@settings(max_examples=60)
 def test_whatever_the_cable_does_only_what_was_sent_is_played_or_held(deliveries, forces, hold_v):
     """Blocks come in any order, shifted, more than once, too late or not at all, and some push too hard."""
     desk = Desk()

@@ -79,7 +79,7 @@ NAMES = st.one_of(
 NUMBERS = st.floats(allow_subnormal=True)
 
 
-@settings(max_examples=60, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture])
+@settings(max_examples=60, suppress_health_check=[HealthCheck.function_scoped_fixture])
 @given(data=st.data(), kind=st.sampled_from(["csv", "mat"]), rate=st.floats(1e-3, 1e6))
 def test_any_session_comes_back(tmp_path_factory, data, kind, rate):
     n = data.draw(st.integers(1, 8))

@@ -297,7 +297,7 @@ def test_provenance_without_the_name_of_the_file(tmp_path):
     assert "john" not in str(notes)
 
 
-@settings(max_examples=150, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture])
+@settings(max_examples=150, suppress_health_check=[HealthCheck.function_scoped_fixture])
 @given(content=st.binary(max_size=400))
 def test_any_bytes_are_read_or_refused(tmp_path, content):
     path = written(tmp_path, content)
@@ -305,7 +305,7 @@ def test_any_bytes_are_read_or_refused(tmp_path, content):
         assert imported(path, "force=1:N", "position=2:m", rate_hz=10.0).test.samples > 0
 
 
-@settings(max_examples=100, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture])
+@settings(max_examples=100, suppress_health_check=[HealthCheck.function_scoped_fixture])
 @given(
     rows=st.lists(st.tuples(st.floats(-1e9, 1e9), st.floats(-1e9, 1e9)), min_size=2, max_size=20),
     delimiter=st.sampled_from([",", ";", "\t", "|"]),

@@ -167,7 +167,7 @@ def test_no_times_and_no_step(tmp_path):
         imported(tmp_path, content)
 
 
-@settings(max_examples=100, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture])
+@settings(max_examples=100, suppress_health_check=[HealthCheck.function_scoped_fixture])
 @given(data=st.data())
 def test_any_damage_is_read_or_refused(tmp_path, data):
     content = text([*file_header(), *segment_header(), *body()])

@@ -162,7 +162,7 @@ def test_a_session_is_not_imported(tmp_path):
         imported(path)
 
 
-@settings(max_examples=150, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture])
+@settings(max_examples=150, suppress_health_check=[HealthCheck.function_scoped_fixture])
 @given(data=st.data(), compressed=st.booleans(), new=st.booleans())
 def test_any_damage_is_read_or_refused(tmp_path, data, compressed, new):
     content = {"u": U, "y": Y, "s": {"a": U}}

@@ -51,7 +51,7 @@ def test_missing_rows_are_left_empty_and_told(tmp_path):
     assert says(notice.values["where"], "import.after_rows", row=4, others=1)
 
 
-@settings(max_examples=60, deadline=None)
+@settings(max_examples=60)
 @given(data=st.data(), rate=st.sampled_from([10.0, 99.7, 2000.0]), n=st.integers(20, 200))
 def test_any_few_missing_rows_are_found(data, rate, n):
     gone = data.draw(st.sets(st.integers(1, n - 2), max_size=n // 4))
