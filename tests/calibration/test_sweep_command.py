@@ -41,7 +41,7 @@ def device(monkeypatch):
         scenario.append(connect_scenario(scenario[0]))
         return scenario[-1]
 
-    monkeypatch.setattr("tissueid.cli.calibrate_sweep.open_instrument", opened)
+    monkeypatch.setattr("tissueid.procedures.sweep.open_instrument", opened)
     return scenario
 
 

@@ -42,8 +42,8 @@ def spring(monkeypatch):
         assert url == "spring"
         return connect_scenario(scenario)
 
-    for kind in PLANS:
-        monkeypatch.setattr(f"tissueid.cli.calibrate_{kind}.open_instrument", opened)
+    for module in ("static_calibration", "sweep"):
+        monkeypatch.setattr(f"tissueid.procedures.{module}.open_instrument", opened)
     return opened
 
 

@@ -5,9 +5,10 @@ from __future__ import annotations
 from datetime import UTC, datetime
 from pathlib import Path
 
-from tissueid.calibration import Calibration, calibration_folder, read_calibration, stored_calibrations
+from tissueid.calibration.file import Calibration, read_calibration
 from tissueid.calibration.labels import headline_of, notes_of, readable
 from tissueid.calibration.status import Age, age_of
+from tissueid.calibration.store import calibration_folder, stored_calibrations
 from tissueid.cli.output import check_json, human_output, message_json, table, write_json
 from tissueid.procedures.calibration_files import write_calibration_report
 from tissueid.procedures.output_files import HTML, check_new, check_output

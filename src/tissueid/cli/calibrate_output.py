@@ -13,8 +13,8 @@ from rich.live import Live
 from rich.markup import escape
 from rich.text import Text
 
-from tissueid.calibration import calibration_folder, is_filed
 from tissueid.calibration.labels import headline_of
+from tissueid.calibration.store import calibration_folder, is_filed
 from tissueid.cli.output import ConsoleControl, check_json, console, progress_bars
 from tissueid.errors import UnusableInputError
 from tissueid.procedures.calibration_files import CalibrationResult

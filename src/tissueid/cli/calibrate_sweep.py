@@ -13,7 +13,6 @@ from tissueid.cli.audit_records import audit_trail
 from tissueid.cli.calibrate_output import answer, check_outputs, check_result, print_verdict, terminal_control
 from tissueid.cli.output import human_output, table, write_json
 from tissueid.formatting import fixed, plus_minus
-from tissueid.instrument import open_instrument
 from tissueid.procedures.calibration_plans import DynamicSweepPlan
 from tissueid.procedures.sweep import run_sweep
 from tissueid.records import Estimate
@@ -28,7 +27,7 @@ def print_sweep(plan: DynamicSweepPlan, json_file: Path | None) -> None:
     check_outputs(plan, json_file)
     begin = time.perf_counter()
     with terminal_control() as control:
-        result = run_sweep(plan, control, audit_trail("technician"), open_instrument)
+        result = run_sweep(plan, control, audit_trail("technician"))
     out = human_output(json_file)
     if result.sweep is not None:
         _print_profile(out, result.sweep, result.calibration.serial_number)

@@ -5,10 +5,11 @@ from __future__ import annotations
 import contextlib
 from pathlib import Path
 
-from tissueid.acquisition import JournalError, Step
+from tissueid.acquisition.journal import JournalError
 from tissueid.acquisition.live import LiveIdentification
+from tissueid.acquisition.multistep import Step
 from tissueid.acquisition.playback import Progress
-from tissueid.calibration import in_words, warnings_of
+from tissueid.calibration.active import in_words, warnings_of
 from tissueid.cli.audit_records import audit_trail
 from tissueid.cli.output import ConsoleControl, check_json, console, human_output, progress_bars, write_json
 from tissueid.cli.quality import recorded_findings

@@ -8,7 +8,7 @@ from typing import Any
 
 from rich.table import Table
 
-from tissueid.acquisition import Step
+from tissueid.acquisition.multistep import Step
 from tissueid.acquisition.quality import quality_of
 from tissueid.cli.output import table
 from tissueid.errors import UnusableInputError

@@ -9,7 +9,7 @@ from tissueid.audit import AuditTrail
 from tissueid.calibration.static import calibrate_static
 from tissueid.device import DeviceDescription
 from tissueid.errors import UnusableInputError
-from tissueid.instrument import Instrument
+from tissueid.instrument import Instrument, open_instrument
 from tissueid.messages import Message
 from tissueid.procedures.audit_notes import audit_failure
 from tissueid.procedures.calibration_files import CalibrationResult, calibration_path, check_files, keep
@@ -21,7 +21,7 @@ def run_static_calibration(
     plan: StaticCalibrationPlan,
     control: Control,
     trail: AuditTrail,
-    opener: Callable[[str], Instrument],
+    opener: Callable[[str], Instrument] | None = None,
     now: Callable[[], datetime] = datetime.now,
 ) -> CalibrationResult:
     """Calibrate an instrument and save the calibration, also a failed one. The coil is released in every case.
@@ -30,7 +30,7 @@ def run_static_calibration(
         plan: of the calibration and its files.
         control: progress, cancellation, and instructions to a person.
         trail: gets the audit entries.
-        opener: opens the instrument at an address.
+        opener: opens the instrument at an address; by default ``open_instrument``.
         now: local time, for the name of a new file.
 
     Raises:
@@ -46,7 +46,7 @@ def run_static_calibration(
                 "--weight and --orientations need a person at a terminal, and there is no terminal",
             )
         )
-    instrument = opener(plan.device or "")
+    instrument = (opener or open_instrument)(plan.device or "")
     try:
         control.check()
         serial_number = instrument.device.serial_number

@@ -19,7 +19,7 @@ from tissueid.calibration.sweep_analysis import analyse_sweep
 from tissueid.calibration.sweep_file import as_calibration
 from tissueid.device import DeviceDescription
 from tissueid.errors import UnusableInputError
-from tissueid.instrument import Instrument
+from tissueid.instrument import Instrument, open_instrument
 from tissueid.messages import Message, Quantity, Verbatim
 from tissueid.procedures.audit_notes import audit_failure
 from tissueid.procedures.calibration_files import CalibrationResult, calibration_path, check_files, keep
@@ -50,7 +50,7 @@ def run_sweep(
     plan: DynamicSweepPlan,
     control: Control,
     trail: AuditTrail,
-    opener: Callable[[str], Instrument],
+    opener: Callable[[str], Instrument] | None = None,
     now: Callable[[], datetime] = datetime.now,
 ) -> CalibrationResult:
     """Run a sweep or read a saved one, analyse it and save the calibration, also a failed one.
@@ -61,7 +61,7 @@ def run_sweep(
         plan: of the sweep and its files.
         control: progress, cancellation, and instructions to a person.
         trail: gets the audit entries.
-        opener: opens the instrument at an address.
+        opener: opens the instrument at an address; by default ``open_instrument``.
         now: local time, for the name of a new file.
 
     Raises:
@@ -141,11 +141,11 @@ def _record(
     plan: DynamicSweepPlan,
     control: Control,
     trail: AuditTrail,
-    opener: Callable[[str], Instrument],
+    opener: Callable[[str], Instrument] | None,
     now: Callable[[], datetime],
 ) -> _Recorded:
     """Run a sweep and save its recording."""
-    instrument = opener(plan.device or "")
+    instrument = (opener or open_instrument)(plan.device or "")
     try:
         control.check()
         device = instrument.device
