@@ -1,7 +1,7 @@
 """Live identification in a separate process, so that its computations never delay the polling loop.
 
 A thread would share the interpreter's lock with that loop; on a busy machine the heartbeat would stop while the thread
-that holds the lock is preempted (docs/decisions/0002-one-heartbeat-one-loop.md). The process receives force and
+that holds the lock is preempted (docs/decisions/0002-heartbeat-from-the-sample-loop.md). The process receives force and
 position through its standard input and returns updates through its standard output.
 """
 
