@@ -14,6 +14,7 @@ from PySide6.QtGui import QWheelEvent
 from PySide6.QtWidgets import QGraphicsView, QPushButton, QWidget
 
 from tissueid.acquisition import journal_path
+from tissueid.acquisition.contact import Contact
 from tissueid.app.disabled_reason import show_disabled_reason
 from tissueid.app.elided_label import ElidedLabel
 from tissueid.app.emergency import NO_ANSWER
@@ -23,7 +24,6 @@ from tissueid.app.plotting import PlotCard
 from tissueid.app.readouts import SafetyReadouts
 from tissueid.app.safety import Safety
 from tissueid.app.save_path import check_save_path
-from tissueid.app.views.clinician.contact import Contact
 from tissueid.app.words import sentence
 from tissueid.errors import CancelledError, UnusableInputError
 from tissueid.instrument.limits import PROFILES

@@ -216,7 +216,7 @@ def test_another_distribution_than_even_is_judged_by_itself(capsys, tmp_path):
             ["--stimulus", "rtig", "--option", "sample_rate=1000"],
             "sample rate of 1000 Hz",
         ),
-        (["--option", "cutoff_hz=1500"], "needs more than 3000 samples a second"),
+        (["--option", "cutoff_hz=1500"], "needs a sample rate above 3000 Hz"),
         (["--depth-range", "4"], "such as 1:4, got '4'"),
         (["--depth-range", "4:1"], "such as 1:4, got '4:1'"),
         (["--depth-range", "a:b"], "such as 1:4, got 'a:b'"),

@@ -38,13 +38,9 @@ FORBIDDEN = {
 AUDIT_METHODS = {"record", "note", "submit"}
 EXCEPTIONS = {
     "app/calibration_controller.py: opens an instrument": "for the procedure, so that the live plot sees its samples",
-    "app/instruments.py: opens an instrument": "a query without a test: it reads how each instrument is calibrated",
     "app/services.py: AuditLog": "the audit log of the window, which tests replace; its entries are written elsewhere",
     "app/services.py: find_instruments": "the search for instruments, which tests replace",
     "app/services.py: open_instrument": "passed to the procedures; tests replace it",
-    "app/views/clinician/watching.py: opens an instrument": "shows the contact before a test; the coil stays free",
-    "app/views/technician/checkup.py: opens an instrument": "listens to an instrument; the coil stays free",
-    "app/views/technician/checkup.py: SerialInstrument": "distinguishes a real instrument; nothing is opened by it",
     "cli/audit_records.py: AuditLog": "the audit log of a command; its entries are written by procedures",
     "cli/devices.py: find_instruments": "a query without a test: it lists what answers and closes it",
 }

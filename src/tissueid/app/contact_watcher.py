@@ -7,16 +7,16 @@ import threading
 
 from PySide6.QtCore import QObject, QTimer, Signal
 
+from tissueid.acquisition.contact import Contact
 from tissueid.app.calibration_state import calibration_state
 from tissueid.app.context import AppContext
 from tissueid.app.form import PlanForm
 from tissueid.app.navigation_bar import MEASURE
 from tissueid.app.notice import Notice
 from tissueid.app.readouts import SafetyReadouts
-from tissueid.app.views.clinician.contact import Contact
 from tissueid.app.views.clinician.contact_lamp import ContactLamp
-from tissueid.app.views.clinician.watching import Sight, Watched, watch
 from tissueid.language import _, marked
+from tissueid.procedures.contact_watch import ContactWatch, WatchEnd, watch_contact
 
 _LOOK_MS = 80
 NOT_ON_SKIN = marked("The button was pressed, but the probe does not stand on the skin: nothing was started.")
@@ -40,7 +40,7 @@ class Watcher(QObject):
         super().__init__(parent)
         self._context, self._lamp = context, lamp
         self._form, self._safety, self._notice = form, safety, notice
-        self._sight: Sight | None = None
+        self._sight: ContactWatch | None = None
         self._stop = threading.Event()
         self._url = ""
         self._start_next = False
@@ -88,11 +88,11 @@ class Watcher(QObject):
         services = self._context.services
         self._url = self._form.instrument.url
         self._stop = threading.Event()
-        self._sight = sight = Sight()
+        self._sight = sight = ContactWatch()
         self._lamp.arm.setChecked(False)
         self._lamp.show_contact(Contact.FINDING)
         self._looks.start()
-        work = functools.partial(watch, self._url, sight, self._stop, services.opener, services.calibrate)
+        work = functools.partial(watch_contact, self._url, sight, self._stop, services.opener, services.calibrate)
         why = _("Contact is being watched on Measure: stop watching there first.")
         self._context.jobs.do(work, self._ended, self._failed, why=why)
 
@@ -116,7 +116,7 @@ class Watcher(QObject):
         elif self._sight is not None:
             self._sight.armed.clear()
 
-    def _ended(self, watched: Watched) -> None:
+    def _ended(self, watched: WatchEnd) -> None:
         self._look()
         self._close()
         self._start_next = self._start_next or watched.pressed

@@ -2,15 +2,15 @@
 
 from __future__ import annotations
 
-import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
 
 from tissueid.app.calibration_state import CalibrationState, calibration_state
 from tissueid.formatting import clean
-from tissueid.instrument import RESEARCH, FoundInstrument, Instrument
+from tissueid.instrument import FoundInstrument, Instrument
 from tissueid.instrument.discovery import IN_PROCESS
 from tissueid.messages import Message, Verbatim, translated
+from tissueid.procedures.instrument_queries import survey_instruments
 
 _MOST_NAMED = 4
 
@@ -44,12 +44,6 @@ class Survey:
         )
 
 
-def greatest_force_n(instrument: Instrument) -> float:
-    """Return the maximum force of an instrument, N in whole tenths, by its amplifier and its own limits."""
-    own = math.floor(10.0 * instrument.narrowed(RESEARCH).max_force_n) / 10.0
-    return min(instrument.device.greatest_force_n, own)
-
-
 def survey(
     finder: Callable[..., list[FoundInstrument]],
     opener: Callable[[str], Instrument],
@@ -60,18 +54,6 @@ def survey(
     Raises:
         TissueIDError, OSError: the ports cannot be listed.
     """
-    calibrations: dict[str, CalibrationState] = {}
-    forces_n: dict[str, float] = {}
-
-    def open_and_ask(url: str) -> Instrument:
-        instrument = opener(url)
-        try:
-            calibrate(instrument)
-            forces_n[url] = greatest_force_n(instrument)
-        except BaseException:
-            instrument.close()
-            raise
-        calibrations[url] = calibration_state(instrument.device)
-        return instrument
-
-    return Survey(finder(probe=True, opener=open_and_ask), calibrations, forces_n)
+    asked = survey_instruments(finder, opener, calibrate)
+    calibrations = {url: calibration_state(device) for url, device in asked.devices.items()}
+    return Survey(asked.found, calibrations, dict(asked.forces_n))

@@ -7,7 +7,6 @@ from pathlib import Path
 
 from tissueid.acquisition.journal import JournalError
 from tissueid.acquisition.live import LiveIdentification
-from tissueid.acquisition.multistep import Step
 from tissueid.acquisition.playback import Progress
 from tissueid.calibration.active import in_words, warnings_of
 from tissueid.cli.audit_records import audit_trail
@@ -22,7 +21,7 @@ from tissueid.identification.live.stopping import StopRule
 from tissueid.instrument import Instrument, Limits
 from tissueid.procedures.output_files import check_different
 from tissueid.procedures.test_plan import TestPlan
-from tissueid.procedures.test_run import TestControl, TestOutcome, run_test
+from tissueid.procedures.test_run import TestControl, TestOutcome, TestStep, run_test
 from tissueid.sessions import Session
 
 _UNITS = {"mass": ("g", 1e3), "damping": ("N·s/m", 1.0), "stiffness": ("N/m", 1.0)}
@@ -64,7 +63,7 @@ def _show(plan: TestPlan, outcome: TestOutcome, json_file: Path | None) -> None:
         console.print(str(trouble), markup=False, soft_wrap=True)  # the error of the test is printed last
 
 
-def _answer(plan: TestPlan, session: Session, steps: tuple[Step, ...], json_file: Path | None) -> None:
+def _answer(plan: TestPlan, session: Session, steps: tuple[TestStep, ...], json_file: Path | None) -> None:
     """Write the JSON output if it was requested.
 
     Raises:

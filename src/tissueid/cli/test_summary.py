@@ -8,12 +8,12 @@ from typing import Any
 
 from rich.table import Table
 
-from tissueid.acquisition.multistep import Step
 from tissueid.acquisition.quality import quality_of
 from tissueid.cli.output import table
 from tissueid.errors import UnusableInputError
 from tissueid.formatting import fixed, grouped
 from tissueid.messages import MISSING
+from tissueid.procedures.test_run import TestStep
 from tissueid.sessions import Test
 from tissueid.stimuli.base import GUIDED
 from tissueid.stimuli.depth_uniform import distance_from_uniform
@@ -21,7 +21,7 @@ from tissueid.stimuli.depth_uniform import distance_from_uniform
 DepthRange = tuple[float, float]
 
 
-def answer_of(test: Test, asked: DepthRange | None, step: Step | None) -> dict[str, Any]:
+def answer_of(test: Test, asked: DepthRange | None, step: TestStep | None) -> dict[str, Any]:
     """Return one test for JSON; values that do not apply to its kind of stimulus are None."""
     depths = depth_range_of(test, asked)
     answer: dict[str, Any] = {

@@ -42,6 +42,10 @@ if TYPE_CHECKING:
     from tissueid.instrument.simulated import Wait
 
 
+TestStep = Step
+"""One test of a test in steps, and how it was designed."""
+
+
 class TestControl(Control):
     """What a test reports beyond its progress. All is called from the thread of the procedure."""
 

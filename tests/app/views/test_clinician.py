@@ -8,15 +8,16 @@ from app.benches import WAIT_MS
 from PySide6.QtCore import Qt
 
 from tissueid.acquisition import Phase
+from tissueid.acquisition.contact import Contact, contact_of_free
 from tissueid.app.form_choices import SITES
 from tissueid.app.live_signals import Snapshot
 from tissueid.app.safety import Safety
 from tissueid.app.views.clinician.body_map import HEIGHT, SPOTS, WIDTH, outline
-from tissueid.app.views.clinician.contact import Contact, contact_in_test, contact_of_free
-from tissueid.app.views.clinician.watching import Sight, watch
+from tissueid.app.views.clinician.contact import contact_in_test
 from tissueid.device import DeviceDescription
 from tissueid.errors import LinkLostError
 from tissueid.instrument import CLINICAL, SAMPLE, SimulatedInstrument
+from tissueid.procedures.contact_watch import ContactWatch, watch_contact
 from tissueid.wire import Flag
 
 pytestmark = [pytest.mark.qt_log_level_fail("WARNING"), pytest.mark.qt_log_ignore("This plugin does not support")]
@@ -235,11 +236,11 @@ class Scripted:
     ids=["pressed", "not armed", "never let go", "down before", "off the skin"],
 )
 def test_the_button_starts_only_where_the_window_says_so(script, armed, pressed, refused):
-    stop, sight = threading.Event(), Sight()
+    stop, sight = threading.Event(), ContactWatch()
     if armed:
         sight.armed.set()
     instrument = Scripted(script, stop)
-    ended = watch("port", sight, stop, lambda _: instrument, lambda _: None)
+    ended = watch_contact("port", sight, stop, lambda _: instrument, lambda _: None)
     assert (ended.pressed, sight.refused, sight.has_button) == (pressed, refused, True)
     assert instrument.closed
 

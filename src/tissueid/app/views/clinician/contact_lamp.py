@@ -6,7 +6,7 @@ from PySide6.QtCore import Qt
 from PySide6.QtGui import QAccessible, QAccessibleEvent
 from PySide6.QtWidgets import QCheckBox, QHBoxLayout, QLabel, QPushButton, QWidget
 
-from tissueid.app.views.clinician.contact import Contact
+from tissueid.acquisition.contact import Contact
 from tissueid.language import _
 
 

@@ -8,28 +8,22 @@ from pathlib import Path
 
 import numpy as np
 
-from tissueid.app.calibration_state import CalibrationState, calibration_state
+from tissueid.app.calibration_state import calibration_state
 from tissueid.app.views.technician.events import Event, read_events
 from tissueid.app.views.technician.log_reading import LogPage, read_log
 from tissueid.app.words import sentence
 from tissueid.calibration.store import Stored, calibration_folder, stored_calibrations
-from tissueid.device import DeviceDescription
 from tissueid.errors import CancelledError, TissueIDError
 from tissueid.formatting import fixed, grouped
-from tissueid.instrument import PROFILES, Instrument, Limits, SerialInstrument
-from tissueid.instrument.replies import describe_faults
 from tissueid.instrument.thermal import PLAUSIBLE_C
 from tissueid.language import _, marked
 from tissueid.messages import Message, translated
+from tissueid.procedures.instrument_queries import Checkup
 from tissueid.sessions import read_outline, read_test
 from tissueid.sessions.model import IMPORTED
 
-LISTEN_S = 1.0
-"""Duration over which samples are read, s."""
 RECENT_FILES, RECENT_BYTES = 20, 2 * 1024 * 1024
 """Number of sessions and bytes of the audit log that are searched for the newest test."""
-_POLL_S = 0.1
-_MOST_POLLS = 400
 DAMAGED_SHARE = 0.01
 """Largest share of damaged frames; the host can handle more, but such a cable gets worse."""
 LOST_SHARE = 0.01
@@ -38,36 +32,6 @@ RESTING_A = 0.3
 """A free coil carries no current: beyond this the current channel is off, by as much as a calibration may say."""
 
 Cancelled = Callable[[], None]
-
-
-@dataclass(frozen=True)
-class Link:
-    """Statistics of the link while the instrument was open; ``round_trip_s`` None if not measured."""
-
-    frames: int
-    damaged: int
-    repeated: int
-    round_trip_s: float | None
-
-
-@dataclass(frozen=True)
-class Checkup:
-    """What an instrument answered: its ``nominal`` figures, and as ``device`` those by the calibration in force.
-
-    ``link`` is None where there is no cable; NaN is what no sensor said.
-    """
-
-    url: str
-    nominal: DeviceDescription
-    device: DeviceDescription
-    calibration: CalibrationState
-    limits: dict[str, Limits]
-    samples: int
-    lost: int
-    temperature_c: float
-    resting_a: float
-    faults: str
-    link: Link | None
 
 
 @dataclass(frozen=True)
@@ -112,68 +76,6 @@ NOT_ASKED = Light(
     marked("The instrument has not been asked yet"),
     (marked("Press “Ask the instrument”. It is opened, listened to for a second and closed; the coil stays free."),),
 )
-
-
-def ask(
-    url: str,
-    opener: Callable[[str], Instrument],
-    calibrate: Callable[[Instrument], object],
-    cancelled: Cancelled,
-) -> Checkup:
-    """Open an instrument, put its calibration in force, listen to it, and close it. The coil stays free throughout.
-
-    Raises:
-        TissueIDError, OSError: it does not answer, or not as it should.
-    """
-    instrument = opener(url)
-    try:
-        cancelled()
-        calibrate(instrument)
-        device = instrument.device
-        wanted = round(LISTEN_S * device.sample_rate_hz)
-        samples = lost = 0
-        temperatures: list[float] = []
-        currents: list[float] = []
-        for _ in range(_MOST_POLLS):
-            cancelled()
-            block = instrument.poll(_POLL_S)
-            samples += block.size
-            received = np.isfinite(block["position"])
-            lost += int(np.count_nonzero(~received))
-            for kept, name in ((temperatures, "temperature"), (currents, "current")):
-                values = block[name][np.isfinite(block[name])]
-                if values.size:
-                    kept.append(float(values.mean()))
-            if samples >= wanted:
-                break
-        return Checkup(
-            url,
-            instrument.nominal,
-            device,
-            calibration_state(device),
-            {name: instrument.narrowed(limits) for name, limits in PROFILES.items()},
-            samples,
-            lost,
-            float(np.mean(temperatures)) if temperatures else np.nan,
-            float(np.mean(currents)) if currents else np.nan,
-            _faults(instrument),
-            _link(instrument),
-        )
-    finally:
-        instrument.close()
-
-
-def _faults(instrument: Instrument) -> str:
-    """Return the faults that remain after they were cleared at opening; empty if there are none."""
-    status = instrument.status if isinstance(instrument, SerialInstrument) else None
-    return describe_faults(status.faults) if status is not None and status.faults else ""
-
-
-def _link(instrument: Instrument) -> Link | None:
-    if not isinstance(instrument, SerialInstrument):
-        return None
-    frames = instrument.statistics
-    return Link(frames.accepted, frames.refused, instrument.repeated_requests, instrument.round_trip_s)
 
 
 def light(checkup: Checkup | None, problem: str, fault: Event | None) -> Light:
@@ -256,9 +158,10 @@ def _concerns(checkup: Checkup) -> tuple[list[str], list[str]]:
         check.append(
             _("{repeated} requests had to be sent again: check the cable.").format(repeated=grouped(link.repeated))
         )
-    if checkup.calibration.level != "good":
-        check.append(sentence(_(checkup.calibration.words)))
-    check += [line for line in checkup.calibration.warnings if line not in check]
+    calibration = calibration_state(checkup.device)
+    if calibration.level != "good":
+        check.append(sentence(_(calibration.words)))
+    check += [line for line in calibration.warnings if line not in check]
     return poor, check
 
 

@@ -10,16 +10,18 @@ from PySide6.QtCore import QPointF, Qt
 from PySide6.QtGui import QColor, QPainter, QPaintEvent, QPen
 from PySide6.QtWidgets import QFrame, QHBoxLayout, QPushButton, QVBoxLayout, QWidget
 
+from tissueid.app.calibration_state import calibration_state
 from tissueid.app.context import AppContext
 from tissueid.app.jobs import PageJob
 from tissueid.app.plotting import PlotCard
 from tissueid.app.theme import Theme, faint
-from tissueid.app.views.technician.checkup import Background, Checkup, LastTest, Light, Link, ask, background, light
+from tissueid.app.views.technician.checkup import Background, LastTest, Light, background, light
 from tissueid.app.views.technician.events import moment
 from tissueid.app.views.technician.tab import FactsCard, Tab, mark_level, plain_label, tip
 from tissueid.calibration.file import Calibration
 from tissueid.formatting import clean, figure_text, fixed, grouped, number
 from tissueid.language import _, marked
+from tissueid.procedures.instrument_queries import Checkup, Link, run_checkup
 from tissueid.units import unit_of
 
 _LEVELS = ("poor", "check", "good")
@@ -162,7 +164,7 @@ class HealthTab(Tab):
             self.context.say(_("Choose an instrument on the page Measure first."), problem=True)
             return
         services = self.context.services
-        work = functools.partial(ask, url, services.opener, services.calibrate)
+        work = functools.partial(run_checkup, url, services.opener, services.calibrate)
         self.page_job.start(_("Asking {url}…").format(url=clean(url)[:60]), work, self._answered, self._unanswered)
 
     def _answered(self, checkup: Checkup) -> None:
@@ -289,7 +291,7 @@ def _calibration(checkup: Checkup | None, known: Background) -> dict[str, str]:
         return {_("State"): _("not asked")} | facts
     device = checkup.device
     held = device.calibration
-    facts = {_("State"): _(checkup.calibration.words)} | facts
+    facts = {_("State"): _(calibration_state(checkup.device).words)} | facts
     for name, label in (("static", _("Static")), ("sweep", _("Sweep"))):
         if held.get(f"{name}_file"):
             facts[label] = f"{clean(str(held[f'{name}_file']))[:60]}, {clean(str(held.get(f'{name}_date', '')))[:10]}"

@@ -10,10 +10,10 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from tissueid.app.instruments import greatest_force_n
-from tissueid.app.views.clinician.contact import RECENT_S, Contact, contact_of_free
+from tissueid.acquisition.contact import RECENT_S, Contact, contact_of_free
 from tissueid.device import DeviceDescription
 from tissueid.instrument import SAMPLE, Instrument
+from tissueid.procedures.instrument_queries import greatest_force_n
 from tissueid.wire import Flag
 
 LONGEST_S = 180.0
@@ -21,10 +21,10 @@ LONGEST_S = 180.0
 _POLL_S = 0.05
 
 
-class Sight:
-    """What the watch sees, between the thread that polls and the window that looks.
+class ContactWatch:
+    """State of a contact watch, shared by the thread that polls and the window.
 
-    ``armed`` is set by the window: only then does the button on the instrument count, once it was seen up.
+    ``armed`` is set by the window: only then does the button on the instrument count, once it was seen released.
     """
 
     def __init__(self) -> None:
@@ -49,20 +49,20 @@ class Sight:
 
 
 @dataclass(frozen=True)
-class Watched:
-    """How a watch ended: ``pressed`` where the button was pressed and let go of while that meant to start."""
+class WatchEnd:
+    """How a watch ended: ``pressed`` where the button was pressed and released while it was armed."""
 
     pressed: bool = False
     too_long: bool = False
 
 
-def watch(
+def watch_contact(
     url: str,
-    sight: Sight,
+    state: ContactWatch,
     stop: threading.Event,
     opener: Callable[[str], Instrument],
     calibrate: Callable[[Instrument], object],
-) -> Watched:
+) -> WatchEnd:
     """Read the instrument until ``stop``; the coil stays free throughout.
 
     Raises:
@@ -75,9 +75,9 @@ def watch(
         calibrate(instrument)
         device = instrument.device
         simulated = isinstance(instrument, SimulatedInstrument)
-        sight.has_button = not simulated
-        sight.greatest_force_n = greatest_force_n(instrument)
-        sight.device = device
+        state.has_button = not simulated
+        state.greatest_force_n = greatest_force_n(instrument)
+        state.device = device
         recent: NDArray[np.void] = np.zeros(0, SAMPLE)
         button = _Button()
         seen = 0
@@ -87,29 +87,29 @@ def watch(
                 stop.wait(samples.size / device.sample_rate_hz)
             seen += samples.size
             recent = np.concatenate([recent, samples])[-round(RECENT_S * device.sample_rate_hz) :]
-            sight.contact = contact_of_free(recent, device)
+            state.contact = contact_of_free(recent, device)
             received = samples["flags"][np.isfinite(samples["position"])]
-            if button.pressed_in(received, armed=sight.armed.is_set()):
-                # Where the probe is off the skin a press is more likely a slip than a wish.
-                if sight.contact in (Contact.ON, Contact.UNTOLD):
-                    return Watched(pressed=True)
-                sight.refused = True
+            if button.pressed_in(received, armed=state.armed.is_set()):
+                # A press with the probe off the skin is more likely an accident.
+                if state.contact in (Contact.ON, Contact.UNTOLD):
+                    return WatchEnd(pressed=True)
+                state.refused = True
             if seen > LONGEST_S * device.sample_rate_hz:
-                return Watched(too_long=True)
-        return Watched()
+                return WatchEnd(too_long=True)
+        return WatchEnd()
     finally:
         instrument.close()
 
 
 class _Button:
-    """Tells a press and its release from a button that was down before it meant something."""
+    """Distinguishes a press and its release from a button that was down before it was armed."""
 
     def __init__(self) -> None:
         self._was_up = False
         self._down = False
 
     def pressed_in(self, flags: NDArray[np.uint16], *, armed: bool) -> bool:
-        """Whether it was pressed and let go of; flags of the newest samples, shape (k,)."""
+        """Return whether it was pressed and released; flags of the newest samples, shape (k,)."""
         if not armed:
             self._was_up = self._down = False
             return False
