@@ -47,7 +47,7 @@ class Measured:
         """Heading and table of a topic as Markdown, between marks by which they are found again."""
         said = importlib.import_module(f"{self.package}.{topic}").__doc__ or topic
         lines = [f"<!-- measured: {topic} -->", f"### {said.splitlines()[0].rstrip('.')}", ""]
-        lines += ["| | asked | measured |", "| --- | --- | --- |"]
+        lines += ["| | target | measured |", "| --- | --- | --- |"]
         lines += [f"| {c.what} | {c.asked} | {c.measured}{'' if c.kept else ' (**not reached**)'} |" for c in claims]
         return "\n".join([*lines, f"<!-- end of {topic} -->"])
 

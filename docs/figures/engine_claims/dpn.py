@@ -1,4 +1,4 @@
-"""What the engine of Eq. 3.33 promises: curves, bands, held-out simulation on the rig and on known systems."""
+"""Dynamic-parameter nonlinearity (Eq. 3.33): curves, bands, held-out simulation on the rig and on known systems."""
 
 from __future__ import annotations
 
@@ -35,7 +35,7 @@ def _curves() -> Iterator[Claim]:
         "exponential B and K, constant M, 2 kHz": (simulated_dpn.SKIN, False),
         "M grows too, 2 kHz": (simulated_dpn.GROWING, False),
         "the constants of C.1.4, 2 kHz": (simulated_dpn.THESIS, False),
-        "the constants of C.1.4, held at 500 Hz": (simulated_dpn.THESIS, True),
+        "the constants of C.1.4, zero-order hold at 500 Hz": (simulated_dpn.THESIS, True),
     }
     for name, (tissue, slow) in known.items():
         worst = np.zeros(3)
@@ -45,7 +45,7 @@ def _curves() -> Iterator[Claim]:
             truth, found = _truth(tissue, record), _found(model, record)
             worst = np.maximum(worst, np.max(np.abs(found[:, 0] / truth - 1.0), axis=1))
         yield Claim(
-            f"DPN, {name}, 40 dB: worst error of M, B, K over the central 90 % of depths in 3 runs",
+            f"DPN, {name}, 40 dB: largest error of M, B, K over the central 90 % of depths in 3 runs",
             "2 %",
             ", ".join(f"{100.0 * error:.2f} %" for error in worst),
             bool(np.all(worst < 0.02)),
@@ -67,7 +67,7 @@ def _bands() -> Iterator[Claim]:
         # The depths of one run err together: with so few runs the share itself is known to some five points only.
         margin = 2.0 * np.sqrt(0.94 * 0.06 / RUNS)
         yield Claim(
-            f"DPN, {name}: 95 % bands of M, B, K that hold the truth ({RUNS} runs; 200 in the soak tests)",
+            f"DPN, {name}: coverage of the 95 % bands of M, B, K ({RUNS} runs; 200 in the soak tests)",
             "90 to 98 %",
             ", ".join(f"{100.0 * each:.0f} %" for each in share),
             bool(np.all((share > 0.90 - margin) & (share < 0.98 + margin))),
@@ -80,8 +80,8 @@ def _linear() -> Claim:
         degrees = Dpn().fit(simulated_dpn.record(simulated_dpn.PLAIN, 62, run)).degrees
         false += any(degrees[name] > 0 for name in ("mass", "damping", "stiffness"))
     return Claim(
-        f"DPN on a linear system: records out of {RUNS} in which a curve is said to depend on depth",
-        "none but by chance",
+        f"DPN on a linear system: false detections of depth dependence in {RUNS} records",
+        "none",
         f"{false}",
         false <= 1,
     )
@@ -117,7 +117,7 @@ def _rig() -> Iterator[Claim]:
     yield Claim(
         f"DPN on the independent rig: median held-out free-run VAF over {len(held_out)} sessions",
         "90 to 97 %",
-        f"{median:.2f} % (a quarter of the sessions under {quarter:.1f} %, the worst {min(held_out):.1f} %)",
+        f"{median:.2f} % (lower quartile {quarter:.1f} %, the worst {min(held_out):.1f} %)",
         bool(median > 97.0),
     )
     yield Claim(

@@ -1,4 +1,4 @@
-"""What the online engines promise: the least-squares answer, intervals that hold, and what adapting is worth."""
+"""Online engines: agreement with least squares, coverage of intervals, benefit of adaptation."""
 
 from __future__ import annotations
 
@@ -55,7 +55,9 @@ def _last_bit() -> Claim:
         errors = [one.update(u, y) for u, y in zip(record.input.tolist(), record.output.tolist(), strict=True)]
         equal &= np.array_equal(errors, many.batch(record.input, record.output), equal_nan=True)
         equal &= np.array_equal(one.impulse_response, many.impulse_response)
-    return Claim("RLS and ALS sample by sample against a batch", "same bits", "same" if equal else "different", equal)
+    return Claim(
+        "RLS and ALS: single updates against a batch", "bitwise equal", "same" if equal else "different", equal
+    )
 
 
 def _coverage(forgetting: float) -> Claim:
@@ -73,7 +75,7 @@ def _coverage(forgetting: float) -> Claim:
         held.append(np.abs(model.impulse_response / 1000.0 - truth) < 1.96 * model.impulse_response_std / 1000.0)
     share = 100.0 * float(np.mean(held))
     return Claim(
-        f"RLS, forgetting {forgetting:g}, coloured noise: 95 % intervals of the lags that hold ({RUNS} runs)",
+        f"RLS, forgetting {forgetting:g}, coloured noise: coverage of the 95 % intervals of the lags ({RUNS} runs)",
         "92 to 97 %",
         f"{share:.1f} %",
         92.0 <= share <= 97.0,
@@ -87,7 +89,7 @@ def _unstable() -> Claim:
     except UnusableInputError as error:
         told = str(error)
     kept = told.startswith("unstable ALS step") and "\n" not in told
-    return Claim("an unstable ALS step", "refused in one line", "refused" if kept else told or "not refused", kept)
+    return Claim("an unstable ALS step", "rejected with a message", "refused" if kept else told or "not refused", kept)
 
 
 def _feedback() -> Claim:
@@ -106,7 +108,7 @@ def _feedback() -> Claim:
         z = Wiener(nonlinearity="polynomial", degree=degree).fit(record).linear_output(force)
         worst = min(worst, float(np.corrcoef(z[500:], load[500:])[0, 1]))
     return Claim(
-        "Wiener, g a square, a cubic or a quartic that turns back: correlation of the linear output with the true one",
+        "Wiener, g a non-monotone square, cubic or quartic: correlation of the linear output with the true one",
         "0.999",
         f"{worst:.4f} or more",
         worst >= 0.999,
@@ -133,7 +135,7 @@ def _rig() -> Iterator[Claim]:
         recursive > line - 0.5,
     )
     yield Claim(
-        "ALS on the rig: average response held out, free run (predictions while adapting, which are none)",
+        "ALS on the rig: average response held out, free run (predictions during adaptation, not a free run)",
         f"within a point of LMS: {line:.1f} %",
         f"{adaptive:.1f} % ({float(np.median(tracking)):.1f} %)",
         adaptive > line - 1.0,

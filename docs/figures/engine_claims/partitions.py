@@ -55,7 +55,7 @@ def _figure_5_2() -> Iterable[Claim]:
         kept = not asked or all(np.all(mean < 5.0) for mean in means.values())
         yield Claim(
             f'depth, stepped Wiener system of Fig. 5.2, `offset="{offset}"`: error of M, B, K by points, %',
-            "under 5 from 500 points on" if asked else "no promise",
+            "under 5 from 500 points on" if asked else "no target",
             told,
             kept,
         )
@@ -120,9 +120,9 @@ def _direction() -> Iterable[Claim]:
                 shares.append((inwards - outwards) / (inwards + outwards))
         share = 100.0 * np.array(shares)
         yield Claim(
-            f"direction: damping {100 * turn:g} % above its mean on the way in, as much below on the way out"
+            f"direction: damping {100 * turn:g} % above its mean in indentation, as much below in retraction"
             if turn
-            else "direction: damping alike both ways",
+            else "direction: equal damping in both directions",
             "within 3 points",
             f"{share.mean():.1f} % ({share.min():.1f} to {share.max():.1f})",
             bool(np.all(np.abs(share - 100.0 * turn) < 3.0)),

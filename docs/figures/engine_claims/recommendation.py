@@ -1,4 +1,4 @@
-"""Which description is recommended for records whose system is known."""
+"""Recommended model for records of known systems."""
 
 from __future__ import annotations
 

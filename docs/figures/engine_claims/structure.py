@@ -1,4 +1,4 @@
-"""Block structures: recovered, and called by their names."""
+"""Block structures: accuracy and identification of the structure."""
 
 from __future__ import annotations
 
@@ -47,7 +47,7 @@ def _recovered(system: str) -> Claim:
     limit = 100.0 * (1.0 - np.var(simulated.record.output[cut:] - clean) / np.var(simulated.record.output[cut:]))
     return Claim(
         what=f"`hammerstein`, {system.split()[1]}: error of f (largest, of its range) and h; held-out VAF",
-        asked="a few %; at the noise",
+        asked="a few %; noise limit",
         measured=f"{curve:.2f} %, {kernel:.1f} %; {held_out:.2f} % (noise: {limit:.2f} %)",
         kept=curve < 3.0 and kernel < 3.0 and held_out > limit - 0.05,
     )
@@ -66,7 +66,7 @@ def _cascade_recovered(system: str) -> Claim:
     limit = 100.0 * (1.0 - np.var(output - simulated.clean[cut:]) / np.var(output))
     return Claim(
         what=f"`cascade`, {system}: error of the second-order block; held-out VAF",
-        asked="a few %; at the noise",
+        asked="a few %; noise limit",
         measured=f"{kernel:.1f} %; {held_out:.2f} % (noise: {limit:.2f} %)",
         kept=kernel < 5.0 and held_out > limit - 0.05,
     )
@@ -81,7 +81,7 @@ def _named(system: str) -> Claim:
         said[model.structure if confident else "no name"] += 1
     right = "no name" if system == "dpn" else simulated_blocks.true_name(system)
     return Claim(
-        what=f"`cascade`, {system}: what {SEEDS} records of {SAMPLES / simulated_blocks.RATE:g} s at 30 dB are called",
+        what=f"`cascade`, {system}: {SEEDS} records of {SAMPLES / simulated_blocks.RATE:g} s at 30 dB: structure named",
         asked=right,
         measured=", ".join(f"{name} {count}" for name, count in said.most_common()),
         kept=said[right] >= 0.9 * SEEDS,
@@ -97,7 +97,7 @@ def _kernels_named() -> Claim:
     kept = all(name in odd.get(system, (simulated_blocks.true_name(system),)) for system, name in said.items())
     return Claim(
         what="`kernel_structure` on the kernels of `volterra`; kernels up to the second order cannot show NLN",
-        asked="each its own; dpn neither",
+        asked="the true structure; dpn neither",
         measured="; ".join(f"{system}: {name}" for system, name in said.items()),
         kept=kept,
     )
@@ -126,7 +126,7 @@ def _on_the_rig() -> Iterator[Claim]:
         kept=bool(np.isfinite(cascade_vaf)),
     )
     yield Claim(
-        what="rig: sessions called by the name of a block structure",
+        what="rig: sessions for which a block structure is named",
         asked="reported",
         measured=f"{sum(confident for _, confident in found)} of {len(found)}",
         kept=True,

@@ -1,4 +1,4 @@
-"""Validation: the size and power of the residual tests, prediction, distortion, repeats and bootstrap."""
+"""Validation: size and power of the residual tests, prediction, distortion, repeats and bootstrap."""
 
 from __future__ import annotations
 
@@ -99,9 +99,9 @@ def _distortion() -> list[Claim]:
         ]
         claimed.append(
             Claim(
-                f"even and odd distortion of a known system, three periods of {phases} realisation(s)",
+                f"error of even and odd distortion of a known system, three periods of {phases} realisation(s)",
                 "within 1 dB",
-                f"{off[0]:+.2f} and {off[1]:+.2f} dB off",
+                f"{off[0]:+.2f} and {off[1]:+.2f} dB",
                 max(abs(value) for value in off) <= 1.0,
             )
         )
@@ -141,8 +141,8 @@ def _repeats() -> list[Claim]:
     reached = validate(Lms().fit(first, slice(0, cut)), first, slice(cut, None)).vaf_percent
     return [
         Claim(
-            "rig-002, held out: what no model can pass, and what lms reaches",
-            "a ceiling above every model",
+            "rig-002, held out: VAF limit from repeats, and VAF of lms",
+            "limit above the VAF of every model",
             f"{found.vaf_percent.value:.3f} % (noise {1e6 * found.noise_rms.value:.1f} um), lms {reached:.1f} %",
             found.vaf_percent.value > reached,
         )
@@ -156,7 +156,7 @@ def _bootstrap() -> Claim:
     bands = bootstrap(engine, record, None, lambda model: model.impulse_response, 40)  # type: ignore[attr-defined]
     ratio = float(np.mean(bands.std / engine.fit(record).impulse_response_std))
     return Claim(
-        "95 % bootstrap bands of a kernel, coloured noise; their deviation over the analytic one of lms",
+        "coverage of 95 % bootstrap bands of a kernel, coloured noise; ratio of their standard deviation to the analytic one of lms",
         "90 to 98 %; 0.9 to 1.1",
         f"{held:.1f} %; {ratio:.2f}",
         90.0 <= held <= 98.0 and 0.9 <= ratio <= 1.1,

@@ -1,4 +1,4 @@
-"""Volterra kernels: what known systems leave in them (Chen 2010, 4.2), and held-out simulation on the rig."""
+"""Volterra kernels of known systems (Chen 2010, 4.2), and held-out simulation on the rig."""
 
 from __future__ import annotations
 
@@ -66,8 +66,8 @@ def cascades() -> Iterator[Claim]:
     share, second = diagonal_percent(model.kernel2), alike(np.diag(model.kernel2), -h)
     yield Claim(
         "Volterra, Hammerstein system with an exponential",
-        "h2 on the diagonal alone",
-        f"{share:.1f} % of h2 on the diagonal, cosine of that with minus the dynamics {second:.3f}, "
+        "h2 on the diagonal only",
+        f"{share:.1f} % of h2 on the diagonal, its cosine with minus the dynamics {second:.3f}, "
         f"VAF {model.report.vaf_percent:.2f} %",
         share > 95.0 and second > 0.99,
     )
@@ -76,8 +76,8 @@ def cascades() -> Iterator[Claim]:
     linear, second = linear_percent(model, u), alike(model.kernel2, np.outer(h, h))
     yield Claim(
         "Volterra, Wiener system with a square",
-        "h1 about zero, VAF 100 %",
-        f"h1 makes {linear:.2f} % of the output, cosine of h2 with the dynamics twice {second:.6f}, "
+        "h1 near zero, VAF 100 %",
+        f"h1 contributes {linear:.2f} % of the output, cosine of h2 with the product of the dynamics {second:.6f}, "
         f"VAF {model.report.vaf_percent:.4f} %",
         linear < 1.0 and second > 0.9999 and model.report.vaf_percent > 99.999,
     )
@@ -86,8 +86,8 @@ def cascades() -> Iterator[Claim]:
     linear, share = linear_percent(model, u), diagonal_percent(model.kernel2)
     yield Claim(
         "Volterra, Hammerstein system with a square",
-        "h1 about zero, h2 on the diagonal alone",
-        f"h1 makes {linear:.2f} % of the output, {share:.2f} % of h2 on the diagonal, "
+        "h1 near zero, h2 on the diagonal only",
+        f"h1 contributes {linear:.2f} % of the output, {share:.2f} % of h2 on the diagonal, "
         f"VAF {model.report.vaf_percent:.4f} %",
         linear < 1.0 and share > 99.9,
     )
@@ -119,9 +119,9 @@ def dynamic_parameters() -> Iterator[Claim]:
     negative = all(one[2] for one in found)
     yield Claim(
         "Volterra, DPN system, against the h1 x h1 of a Wiener system with the same h1",
-        "h2 negative, its centre lobe narrower, side lobes of the other sign",
+        "h2 negative, its main lobe narrower, side lobes of opposite sign",
         f"{'negative' if negative else 'not always negative'}; across the diagonal {narrow:.0f} % narrower, though it "
-        f"peaks {later:.1f} times as late; lobes of {lobes:.0f} % of the peak on the diagonal, where h1 x h1 has none; "
+        f"peaks {later:.1f} times as late; lobes of {lobes:.0f} % of the peak on the diagonal, h1 x h1 has none; "
         f"VAF {vaf:.2f} % (median of {len(SEEDS)})",
         bool(negative and narrow > 0.0 and lobes > 10.0),
     )

@@ -1,4 +1,4 @@
-"""Volterra kernels with a prior, on Laguerre functions and by the dual route: smoothness, fit, cost and bands."""
+"""Regularised Volterra kernels (Gaussian prior, Laguerre functions, kernel regression): smoothness, accuracy, cost and bands."""
 
 from __future__ import annotations
 
@@ -124,9 +124,9 @@ def told(name: str, found: list[Outcome]) -> Claim:
     lost = max(one.held_out[0] - one.held_out[2] for one in found)
     return Claim(
         f"second-order kernel, exact, filtered as in 4.3.2, regularised, both: {name}",
-        f"regularised at least as smooth as filtered, and at most {LOST_POINTS:g} points of held-out VAF lost",
-        f"roughness {listed(rough, 4)}; held-out VAF {listed(vaf, 2)} %; most that the regularised lost on the exact "
-        f"{lost:+.2f} points; {np.median([one.spent for one in found]):.0f} effective of 903 parameters, "
+        f"regularised at least as smooth as filtered, with a loss of held-out VAF of at most {LOST_POINTS:g} points",
+        f"roughness {listed(rough, 4)}; held-out VAF {listed(vaf, 2)} %; largest loss of the "
+        f"regularised against the exact {lost:+.2f} points; {np.median([one.spent for one in found]):.0f} effective of 903 parameters, "
         f"{np.median([one.seconds for one in found]):.1f} s of one core",
         bool(rough[2] <= rough[1] and lost < LOST_POINTS),
     )
@@ -147,7 +147,7 @@ def wiener(runs: int) -> Iterator[Claim]:
     yield told("Wiener systems, 200 Hz, 30 dB (the true h2 is rougher than the filtered one)", found)
     yield Claim(
         "the same: cosine of h2 with the true one",
-        "regularised nearer than filtered",
+        "regularised closer than filtered",
         f"{listed(near, 3)}; roughness of the true one {roughness(truth):.4f}",
         bool(near[2] > near[1]),
     )
@@ -217,7 +217,7 @@ def expansion(name: str, records: list[Record]) -> Claim:
         spent.append(found.n_parameters)
     return Claim(
         f"Laguerre expansion of second order: {name}",
-        "fewer than 150 parameters in place of 903",
+        "fewer than 150 parameters instead of 903",
         f"{np.median(spent):.0f} parameters, held-out VAF {np.median(scores):.2f} %",
         bool(max(spent) < 150),
     )
@@ -250,7 +250,8 @@ def bands() -> Iterator[Claim]:
                 inside.setdefault(name, []).append(held)
         shares = {name: 100.0 * np.mean(held, axis=0) for name, held in inside.items()}
         yield Claim(
-            f"95 % bands of h1 and h2 that hold, noise at 20 dB {'with' if colour else 'without'} colour ({RUNS} runs)",
+            f"coverage of the 95 % bands of h1 and h2, noise at 20 dB {'with' if colour else 'without'} colour "
+            f"({RUNS} runs)",
             "at least 90 % of lags",
             "; ".join(f"{name} {share[0]:.0f}, {share[1]:.0f} %" for name, share in shares.items()),
             bool(min(share.min() for share in shares.values()) >= 90.0),
