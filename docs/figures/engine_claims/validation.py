@@ -156,7 +156,8 @@ def _bootstrap() -> Claim:
     bands = bootstrap(engine, record, None, lambda model: model.impulse_response, 40)  # type: ignore[attr-defined]
     ratio = float(np.mean(bands.std / engine.fit(record).impulse_response_std))
     return Claim(
-        "coverage of 95 % bootstrap bands of a kernel, coloured noise; ratio of their standard deviation to the analytic one of lms",
+        "coverage of 95 % bootstrap bands of a kernel, coloured noise; ratio of their standard deviation to the "
+        "analytic one of lms",
         "90 to 98 %; 0.9 to 1.1",
         f"{held:.1f} %; {ratio:.2f}",
         90.0 <= held <= 98.0 and 0.9 <= ratio <= 1.1,

@@ -1,4 +1,4 @@
-"""Regularised Volterra kernels (Gaussian prior, Laguerre functions, kernel regression): smoothness, accuracy, cost and bands."""
+"""Regularised Volterra kernels (prior, Laguerre functions, kernel regression): smoothness, accuracy, cost and bands."""
 
 from __future__ import annotations
 
@@ -44,12 +44,12 @@ _CHILD = """
 import json, resource, sys, time
 import numpy as np
 from identification.simulated_kernels import polynomial
-from tissueid.identification.volterra.kernel_regression import dual_kernels, simulate_third
+from tissueid.identification.volterra.kernel_regression import regression_kernels, simulate_third
 n, lags, order = (int(word) for word in sys.argv[1:])
 known = polynomial(60, n=n + lags - 1, lags=lags, cube=2.0 if order == 3 else 0.0, cutoff_hz=500.0, snr_db=30.0,
                    slowness=lags / 30.0)
 begin = time.process_time()
-found = dual_kernels(known.x, known.y, known.used, lags, 1, order)
+found = regression_kernels(known.x, known.y, known.used, lags, 1, order)
 fit = time.process_time() - begin
 begin = time.process_time()
 if order == 3:
@@ -126,7 +126,8 @@ def told(name: str, found: list[Outcome]) -> Claim:
         f"second-order kernel, exact, filtered as in 4.3.2, regularised, both: {name}",
         f"regularised at least as smooth as filtered, with a loss of held-out VAF of at most {LOST_POINTS:g} points",
         f"roughness {listed(rough, 4)}; held-out VAF {listed(vaf, 2)} %; largest loss of the "
-        f"regularised against the exact {lost:+.2f} points; {np.median([one.spent for one in found]):.0f} effective of 903 parameters, "
+        f"regularised against the exact {lost:+.2f} points; "
+        f"{np.median([one.spent for one in found]):.0f} effective of 903 parameters, "
         f"{np.median([one.seconds for one in found]):.1f} s of one core",
         bool(rough[2] <= rough[1] and lost < LOST_POINTS),
     )
@@ -167,7 +168,7 @@ def sitting() -> Record:
 
 
 def cost(n: int, lags: int, order: int) -> dict[str, object]:
-    """Seconds of one core, peak memory and errors of the dual route, in a process of its own."""
+    """Seconds of one core, peak memory and errors of kernel regression, in a separate process."""
     environment = os.environ | {"OPENBLAS_NUM_THREADS": "1", "PYTHONPATH": os.pathsep.join(sys.path)}
     child = subprocess.run(
         [sys.executable, "-c", _CHILD, str(n), str(lags), str(order)],
@@ -239,7 +240,7 @@ def bands() -> Iterator[Claim]:
             laguerre = laguerre_kernels(known.x, known.y, known.used, lags, 1, 2)
             for name, first, first_std, second, second_std in (
                 ("regularised", mean.first, std.first, mean.second, std.second),
-                ("dual", dual.kernel1, dual.kernel1_std, dual.kernel2, dual.kernel2_std),
+                ("kernel regression", dual.kernel1, dual.kernel1_std, dual.kernel2, dual.kernel2_std),
                 ("Laguerre", laguerre.kernel1, laguerre.kernel1_std, laguerre.kernel2, laguerre.kernel2_std),
             ):
                 assert second is not None
