@@ -6,11 +6,11 @@ from datetime import UTC, datetime, timedelta
 from pathlib import Path
 
 import pytest
-from coded import message, says, shows
+from coded import made, message, says, shows
 
 from tissueid.calibration import keep_calibration, read_calibration, write_calibration
 from tissueid.calibration.file import utc_date
-from tissueid.calibration.labels import problems_of
+from tissueid.calibration.labels import label_of, problems_of
 from tissueid.calibration.store import VARIABLE
 from tissueid.cli import main
 
@@ -75,7 +75,7 @@ def test_show_tells_it(kept, capsys):
     assert main(["calibrate", "show", str(kept / "a.toml"), "--report", str(kept / "again.html")]) == 0
     out = capsys.readouterr().out
     assert "Coil resistance" in out
-    assert "passed: ready for use" in out
+    assert shows(out, "calibration.verdict.passed")
     assert "<svg" in (kept / "again.html").read_text()
     assert main(["calibrate", "show", str(kept / "a.toml"), "--json", "-"]) == 0
     assert json.loads(capsys.readouterr().out)["kind"] == "static"
@@ -120,13 +120,14 @@ def test_an_empty_folder_is_said(tmp_path, capsys):
 def test_refusals_say_what_to_give(tmp_path, capsys):
     out = ["--out", tmp_path / "a.toml"]
     static = ["calibrate", "static", "--device", SPRING]
-    assert "there is no step 'x'" in complaint(capsys, *static, *out, "--steps", "x")
+    assert shows(complaint(capsys, *static, *out, "--steps", "x"), "calibration.step", step="x")
     assert "--push-only" in complaint(capsys, *static, *out, "--steps", "electrical")
-    assert "need a person at a terminal" in complaint(capsys, *static, *out, "--weight", 50)
+    assert shows(complaint(capsys, *static, *out, "--weight", 50), "calibration.no_terminal")
     assert "--in-place runs without a person" in complaint(capsys, *static, *out, "--in-place", "--gauge", 5)
     for other in ("--json", "--report"):
-        assert "named for two outputs" in complaint(capsys, *static, *out, other, tmp_path / "." / "a.toml")
-    assert "must be 0 to 200 mm" in complaint(capsys, *static, *out, "--gauge", 0, "--gauge", 5, "--gauge", "nan")
+        assert shows(complaint(capsys, *static, *out, other, tmp_path / "." / "a.toml"), "file.twice")
+    gauges = ("--gauge", 0, "--gauge", 5, "--gauge", "nan")
+    assert shows(complaint(capsys, *static, *out, *gauges), "calibration.gauge_height", limit=200.0)
     assert "no folder" in complaint(capsys, *static, "--out", tmp_path / "b" / "a.toml")
     (tmp_path / "notes.toml").write_text("title = 'mine'\n")
     assert "not overwritten" in complaint(capsys, *static, "--out", tmp_path / "notes.toml")
@@ -140,9 +141,8 @@ def test_a_failed_calibration_is_kept_and_says_so(tmp_path, capsys):
     assert main(arguments) == 2
     told = capsys.readouterr()
     assert "never used" in told.out
-    assert told.err.strip().splitlines()[-1] == (
-        f"tissueid: the static calibration failed; it is saved in {tmp_path / 'a.toml'}"
-    )
+    kept = made("calibration.failed_kept", kind="static", path=str(tmp_path / "a.toml"))
+    assert told.err.strip().splitlines()[-1] == f"tissueid: {kept}"
     found = read_calibration(tmp_path / "a.toml")
     assert found.verdict == "failed"
     assert says(problems_of(found)[0], "calibration.off_nominal", percent=20.0)
@@ -155,7 +155,8 @@ def test_a_failed_calibration_goes_beside_one_that_passed(kept, tmp_path, capsys
     assert shows(complaint(capsys, *failing), "calibration.exists")
     for kept_in in (failed, tmp_path / "a.failed_2.toml"):
         assert main([*failing, "--overwrite"]) == 2
-        assert f"saved in {kept_in}; {out}, which passed, is unchanged" in capsys.readouterr().err.splitlines()[-1]
+        last = capsys.readouterr().err.splitlines()[-1]
+        assert shows(last, "calibration.failed_beside", path=str(kept_in), passed=str(out))
     assert out.read_bytes() == (kept / "a.toml").read_bytes()
     assert read_calibration(failed).verdict == "failed"
     assert json.loads(answer.read_text())["file"] == str(kept_in)
@@ -176,8 +177,8 @@ def test_a_failed_one_never_takes_the_place_of_any_that_passed(kept, tmp_path):
 def test_values_are_printed_in_display_units(kept, capsys):
     assert main(["calibrate", "show", str(kept / "a.toml")]) == 0
     lines = {line.strip().split("  ")[0]: line.split()[-1] for line in capsys.readouterr().out.splitlines() if line}
-    assert lines["Position reading per ampere"] == "mm/A"
-    assert lines["Relative uncertainty of force, including the reference"] == "%"
+    assert lines[label_of("spring_slope_m_per_a")] == "mm/A"
+    assert lines[label_of("calibration_relative_uncertainty")] == "%"
 
 
 class Terminal(io.StringIO):
@@ -193,8 +194,8 @@ def test_a_person_at_the_terminal_is_told_what_to_do(tmp_path, monkeypatch, caps
     arguments = [*STATIC, "--steps", "acceleration", "--orientations", "2", "--out", str(tmp_path / "a.toml")]
     assert main(arguments) == 2
     told = " ".join(capsys.readouterr().err.split())
-    assert "Turn the instrument over" in told
-    assert "Turn the instrument back" in told
+    assert shows(told, "calibration.ask.over")
+    assert shows(told, "calibration.ask.back")
     # The simulation stays as it is: it was not turned over, which shows.
     gain = message(problems_of(read_calibration(tmp_path / "a.toml")), "calibration.accelerometer").values["gain"]
     assert gain == pytest.approx(0.0, abs=0.005)

@@ -9,6 +9,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from coded import made
 from identification import simulated
 from outside_data import RIG
 from reports.synthetic_sitting import make_session, make_test
@@ -17,6 +18,7 @@ from tissueid.cli import main
 from tissueid.device import DeviceDescription
 from tissueid.identification import engine_names
 from tissueid.identification.engines.lms import Lms
+from tissueid.identification.model_family import Family
 from tissueid.sessions import Session, Test, write_session
 
 BLIND = sorted(RIG.glob("*.h5"))
@@ -51,7 +53,11 @@ def complaint(capsys: pytest.CaptureFixture[str], *arguments: object) -> str:
 
 def test_the_answer_holds_all_engines(session_file: Path, capsys: pytest.CaptureFixture[str]):
     found = answer(capsys, "compare", session_file, *QUICK)
-    assert (found["test"], found["tests"], found["validated_on"]) == (1, [1], "the last 25 % of test 1")
+    assert (found["test"], found["tests"], found["validated_on"]) == (
+        1,
+        [1],
+        made("split.part_of_test", which="last", percent=25.0, number=1),
+    )
     assert [row["engine"] for row in found["engines"]] == ["lms", "spectral", "wiener"]
     for row in found["engines"]:
         assert row["refused"] is None
@@ -64,7 +70,7 @@ def test_the_answer_holds_all_engines(session_file: Path, capsys: pytest.Capture
     assert found["memory_sweep"] == []
     recommended = found["recommendation"]
     assert recommended["engine"] == "wiener"  # the system is a line and a bend
-    assert recommended["family"] == "linear blocks and static nonlinearities"
+    assert recommended["family"] == Family.STATIC
     assert recommended["choices"]["memory"]["value"] <= 0.125
     assert {s["engine"] for s in recommended["standings"]} == {"lms", "spectral", "wiener"}
 
@@ -118,7 +124,7 @@ def test_an_engine_that_refuses_costs_no_other(session_file: Path, capsys: pytes
 def test_several_tests_are_fitted_together(session_file: Path, capsys: pytest.CaptureFixture[str]):
     found = answer(capsys, "compare", session_file, "--engines", "lms", "--test", 1, "--also", 2, "--also", 3)
     assert found["tests"] == [1, 2, 3]
-    assert found["validated_on"] == "the last 25 % of each of the tests 1, 2 and 3"
+    assert found["validated_on"] == made("split.part_of_tests", which="last", percent=25.0, numbers="1, 2 and 3")
     one = answer(capsys, "identify", session_file, "--engine", "lms", "--test", 2, "--also", 1, "--validate", 3)
     assert (one["test"], one["tests"], one["validated_on"]) == (2, [2, 1], "test 3")
     assert one["n_samples"] == 4500 - 2 * 124

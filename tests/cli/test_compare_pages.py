@@ -7,6 +7,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from coded import shows
 from reports.page_check import checked
 from reports.synthetic_sitting import make_session, make_test
 
@@ -43,9 +44,8 @@ def test_pictures_of_an_earlier_comparison_stay_and_are_named(
     for _ in range(2):  # what it wrote itself is not left over
         assert main(["compare", str(session_file), *arguments]) == 0
         said = " ".join(capsys.readouterr().out.split())
-        assert (
-            "5 other pictures in that folder are not of this comparison: dpn-0.svg, dpn-1.svg, dpn-2.svg, dpn-3.svg, …"
-        ) in said
+        listed = "dpn-0.svg, dpn-1.svg, dpn-2.svg, dpn-3.svg, …"
+        assert shows(said, "compare.other_pictures", count="5", names=listed)
     assert all((folder / name).read_text(encoding="utf-8") == "mine" for name in (*names, "letter.txt"))
 
 
@@ -70,8 +70,8 @@ def test_a_report_does_without_an_engine_that_cannot_use_the_test(session_file: 
     assert main(["report", str(tmp_path / "gappy.h5"), "--out", str(page), "--engines", "lms,spectral"]) == 0
     assert "without spectral: " in capsys.readouterr().out
     text = " ".join(page.read_text(encoding="utf-8").split())
-    assert "engine could not use it: " in text
-    assert "Spectral could not use it: " in text
+    assert shows(text, "report.engine_failed", engine="Spectral")
+    assert shows(text, "report.could_not_use", engine="Spectral")
     assert main(["report", str(tmp_path / "gappy.h5"), "--out", str(page), "--engines", "spectral"]) == 2
     assert main(["report", str(tmp_path / "gappy.h5"), "--out", str(page), "--engines", "lms,nosuch"]) == 2
 
@@ -81,4 +81,4 @@ def test_report_of_other_engines(session_file: Path, tmp_path: Path) -> None:
     assert main(["report", str(session_file), "--out", str(page), "--engines", "lms,hammerstein"]) == 0
     text = checked(page.read_text(encoding="utf-8")).text
     assert "Structure: a curve, then linear dynamics (Hammerstein)" in text
-    assert "the Wiener engine was not run" in text
+    assert shows(text, "report.engine_not_run", engine="Wiener")

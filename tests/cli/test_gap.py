@@ -12,6 +12,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from coded import shows
 from gap_records import DEVICE, changed, recorded
 from golden.golden_page import check_golden_page
 
@@ -259,8 +260,8 @@ def test_a_check_that_was_interrupted_goes_on(tmp_path: Path, capsys, monkeypatc
 
     monkeypatch.setattr(BlindScenario, "diagnosed", diagnosed)
     assert main([*blind, "--n", "2", "--seed", "9", "--full-share", "0"]) == 130
-    assert "continue by the same command with --resume" in capsys.readouterr().err.replace("\n", " ")
-    assert "was begun with --n 2, not 3" in refused(capsys, *blind, "--resume", "--n", 3)
+    assert shows(capsys.readouterr().err, "blind.interrupted")
+    assert shows(refused(capsys, *blind, "--resume", "--n", 3), "blind.other_option", option="--n", held=2.0, asked=3.0)
     assert main([*blind, "--resume", "--seed", "9", "--out", str(page), "--json", str(out)]) == 0
     assert answered == ["scenario-0001", "interrupted", "scenario-0002"]
     found = json.loads(out.read_text())
@@ -270,9 +271,9 @@ def test_a_check_that_was_interrupted_goes_on(tmp_path: Path, capsys, monkeypatc
     capsys.readouterr()
     (kept / "scenario-0002.json").unlink()
     assert main([*blind, "--resume"]) == 2
-    assert f"the scenarios in {kept} do not match its labels" in capsys.readouterr().err.replace("\n", " ")
+    assert shows(capsys.readouterr().err, "blind.other_labels", folder=str(kept))
     (kept / "labels.json").write_text("{}")
-    assert "altered while sealed" in refused(capsys, *blind, "--resume")
+    assert shows(refused(capsys, *blind, "--resume"), "blind.altered")
 
 
 def test_a_check_cannot_go_on_where_there_is_none(tmp_path: Path, capsys: pytest.CaptureFixture[str]):

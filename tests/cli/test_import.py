@@ -6,6 +6,7 @@ import math
 import h5py
 import numpy as np
 import pytest
+from coded import shows
 from outside_data import REAL
 
 from tissueid.cli import main
@@ -97,17 +98,20 @@ def test_bare_input_and_output(table, tmp_path, capsys):
         "output",
         "Pa",
     )
-    assert "no signal 'voltage'; it has: input, output" in complaint(
-        capsys, "identify", out, "--engine", "lms", "--input", "voltage"
+    assert shows(
+        complaint(capsys, "identify", out, "--engine", "lms", "--input", "voltage"),
+        "session.no_signal",
+        signal="voltage",
+        signals="input, output",
     )
 
 
 def test_what_is_doubtful_is_said(table, tmp_path, capsys):
     assert main(["import", str(table), "--out", str(tmp_path / "s.h5"), *MAP[:2], "--map", "position=disp:m"]) == 0
     printed = capsys.readouterr().out
-    assert "time is 'time', in s" in printed
+    assert shows(printed, "import.time_found", column="time", unit="s")
     assert main(["import", str(table), "--out", str(tmp_path / "t.h5"), "--map", "force=force:mN", *MAP[2:]]) == 0
-    assert "which is implausible: is it in mN? It would fit N" in capsys.readouterr().out
+    assert shows(capsys.readouterr().out, "import.implausible", unit="mN", others="N")
 
 
 def test_a_column_s_name_is_no_markup(tmp_path, capsys):
@@ -189,8 +193,8 @@ def test_export_refuses_in_one_line(table, tmp_path, capsys):
     assert "no format 'xls'" in complaint(
         capsys, "export", tmp_path / "s.h5", "--out", tmp_path / "x", "--format", "xls"
     )
-    assert "new or an empty folder" in complaint(
-        capsys, "export", tmp_path / "s.h5", "--out", tmp_path, "--format", "csv"
+    assert shows(
+        complaint(capsys, "export", tmp_path / "s.h5", "--out", tmp_path, "--format", "csv"), "export.folder_exists"
     )
 
 

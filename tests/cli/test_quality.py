@@ -5,10 +5,11 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from coded import made, shows
 
 from tissueid.cli import main
 from tissueid.sessions import read_session, write_session
-from tissueid.sessions.quality import Quality, QualityFinding
+from tissueid.sessions.quality import HEADLINES, Quality, QualityFinding
 
 
 @pytest.fixture(scope="module")
@@ -51,7 +52,7 @@ def test_a_saved_session_is_judged_anew(session, tmp_path, capsys):
     assert main(["quality", str(path), "--json", str(answer)]) == 0
     printed = capsys.readouterr().out
     assert "test 1: Good test" in printed
-    assert "note: The instrument was not calibrated" in printed
+    assert f"note: {made('quality.calibration_none')}" in " ".join(printed.split())
     tests = json.loads(answer.read_text())["tests"]
     assert [(test["test"], test["verdict"], test["verdict_when_recorded"]) for test in tests] == [
         (1, "good", "good"),
@@ -71,7 +72,7 @@ def test_what_is_judged_anew_is_the_recording_and_not_the_note(session, tmp_path
     write_session(tmp_path / "stuck.h5", replace(saved, tests=(spoilt,)))
     answer = tmp_path / "q.json"
     assert main(["quality", str(tmp_path / "stuck.h5"), "--json", str(answer)]) == 0
-    assert "REPEAT: The position reading did not change for" in capsys.readouterr().out
+    assert shows(capsys.readouterr().out.partition("REPEAT: ")[2], "quality.sensor_stuck", signal="position")
     test = json.loads(answer.read_text())["tests"][0]
     assert (test["verdict"], test["verdict_when_recorded"]) == ("repeat", "good")
 
@@ -79,22 +80,23 @@ def test_what_is_judged_anew_is_the_recording_and_not_the_note(session, tmp_path
 def test_engines_warn_of_a_test_that_was_to_be_repeated(session, tmp_path, capsys):
     path, _ = session
     saved = read_session(path)
-    bad = Quality((QualityFinding("sensor_stuck", "repeat", "The reading stood still.", "Repeat it."),))
+    stuck = "The reading stood still."
+    bad = Quality((QualityFinding("sensor_stuck", "repeat", stuck, "Repeat it."),))
     tests = (replace(saved.test(1), notes=saved.test(1).notes | bad.as_notes()), saved.test(2))
     write_session(tmp_path / "bad.h5", replace(saved, tests=tests))
     answer = tmp_path / "a.json"
     for command in (["identify", "--engine", "lms"], ["compare", "--engines", "lms,spectral"]):
         arguments = [command[0], str(tmp_path / "bad.h5"), *command[1:], "--test"]
         assert main([*arguments, "1", "--json", str(answer)]) == 0
-        assert "advised to repeat test 1: The reading stood still." in capsys.readouterr().out.replace("\n", " ")
+        assert shows(capsys.readouterr().out, "quality.advised_repeat", test=1, finding=stuck)
         assert len(json.loads(answer.read_text())["quality_warnings"]) == 1
         assert main([*arguments, "2"]) == 0
-        assert "asked to repeat" not in capsys.readouterr().out
+        assert "advised to repeat" not in capsys.readouterr().out
     page = tmp_path / "r.html"
     assert main(["report", str(tmp_path / "bad.h5"), "--out", str(page)]) == 0
     text = page.read_text()
-    assert "Recording: Do the test again" in text
-    assert text.count("Do the test again") == 2  # the headline, and what the gate said
+    assert f"Recording: {HEADLINES['repeat']}" in text
+    assert text.count(HEADLINES["repeat"]) == 2  # the headline, and what the gate said
 
 
 def test_refusals_are_one_line(session, tmp_path, capsys):

@@ -3,6 +3,7 @@
 from dataclasses import replace
 
 import pytest
+from coded import coded, shows
 from reports.synthetic_sitting import make_session, make_test
 
 from tissueid.cli import main
@@ -30,9 +31,9 @@ def test_a_report_of_the_same_session_may_be_written_again(tmp_path):
     check_report(page, session)
     page.write_text(HEAD.format(OWN), encoding="utf-8")
     check_report(page, session)
-    with pytest.raises(UnusableInputError, match="not a report of this session"):
+    with pytest.raises(UnusableInputError, check=coded("file.other_report", path=str(page))):
         check_report(page, replace(session, session_id="another"))
-    with pytest.raises(UnusableInputError, match="not a report of this session"):
+    with pytest.raises(UnusableInputError, check=coded("file.other_report", path=str(page))):
         check_report(page, replace(session, session_id=""))
 
 
@@ -55,7 +56,7 @@ def test_a_report_of_another_session_is_not_replaced(
     words = [word for word in command if not word.startswith("--") and not word.endswith(".html")]
     options = list(command[len(words) :])
     assert main([*words, str(session_file), *options, str(kept)]) == 2
-    assert "not a report of this session" in " ".join(capsys.readouterr().err.split())
+    assert shows(capsys.readouterr().err, "file.other_report")
     assert kept.read_text(encoding="utf-8") == content
     assert sorted(path.name for path in tmp_path.iterdir()) == sorted(["s.h5", name])
 

@@ -7,6 +7,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from coded import shows
 from firmware_sim_process import firmware_process
 from golden.golden_page import check_golden_page
 from support import connect_scenario
@@ -165,7 +166,9 @@ def test_steps_towards_an_even_depth(capsys, tmp_path):
     assert answers[-1]["designed_by"] in ("wiener", "dpn")
     assert answers[-1]["depth_min_m"] > 0.5e-3  # the weight of the coil alone goes deeper
     assert session.tests[-1].notes["multistep"] == len(answers)
-    assert f"designed for {1e3 * answers[-1]['depth_min_m']:.2f} to 4.50 mm of the requested 0.50 to 4.50 mm" in told
+    assert shows(
+        told, "test.designed_for", low=1e3 * answers[-1]["depth_min_m"], high=4.5, asked_low=0.5, asked_high=4.5
+    )
 
 
 def test_it_stops_when_it_is_good_enough(capsys, tmp_path):
@@ -188,7 +191,7 @@ def test_what_is_never_good_enough_runs_its_length(capsys, tmp_path):
 def test_depths_out_of_reach_are_told(capsys, tmp_path):
     options = ["--stimulus", "rtig", "--depth-range", "20:30", "--seconds", 1]
     _, _, told = run(capsys, tmp_path, *options)
-    assert "reaches none of the requested 20.00 to 30.00 mm" in told
+    assert shows(told, "test.reaches_none", asked_low=20.0, asked_high=30.0)
 
 
 def test_another_distribution_than_even_is_judged_by_itself(capsys, tmp_path):
@@ -263,7 +266,7 @@ def handheld(monkeypatch):
 def test_on_the_handheld_the_default_force_is_what_it_can_give(handheld, capsys, tmp_path):
     _, session, told = run(capsys, tmp_path, "--seconds", 1)
     volts = session.test().signals["command"]
-    assert "the highest force is 7.8 N instead of 10.5 N" in told
+    assert shows(told, "test.force_limited", force=7.8, usual=10.5)
     assert session.test().stimulus["stimulus"]["force_max_n"] == 7.8
     assert 0.97 * 48.0 < volts.max() <= 48.0
 
@@ -272,7 +275,7 @@ def test_more_than_it_can_give_is_refused_with_what_it_can(handheld, capsys, tmp
     line = [argument.replace("FOLDER", str(tmp_path)) for argument in [*A_TEST, "--max-force", "10.5"]]
     assert main(line) == 2
     said = capsys.readouterr().err
-    assert "reaches 10.5 N; the limit is 7.8 N: reduce the force range" in said
+    assert shows(said, "test.stimulus_force", force=10.5, limit=7.8)
     assert not list(tmp_path.iterdir())
 
 

@@ -11,8 +11,9 @@ import time
 from contextlib import contextmanager
 
 import pytest
+from coded import coded
 
-from tissueid.cli.stop_key import HINT, StopKey, stop_key
+from tissueid.cli.stop_key import BY_KEY, HINT, StopKey, stop_key
 from tissueid.errors import CancelledError
 from tissueid.sessions import read_session
 
@@ -174,5 +175,5 @@ def test_without_a_terminal_no_key_is_read(monkeypatch):
 def test_what_a_pressed_key_says():
     key = StopKey()
     key.press()
-    with pytest.raises(CancelledError, match="stopped by key; the coil is released and what was recorded is kept"):
+    with pytest.raises(CancelledError, check=coded("stop.kept", cause=BY_KEY)):
         key.check()

@@ -2,7 +2,8 @@
 
 import numpy as np
 import pytest
-from coded import coded
+from coded import coded, shows
+from coded import made as message_of
 from golden.golden_page import check_golden_page, lines_of_html
 from reports.in_german import english_in, in_german, shown, texts_of
 from reports.page_check import checked
@@ -88,7 +89,9 @@ def made(repeats: int = 0, verdict: str = "passed", **without: bool) -> Calibrat
 
 def test_the_page_is_whole_and_says_what_was_found():
     page = checked(sweep_report(made()).html())
-    assert "Linear from 2.0 to 25.1 mm. Calibration passed" in page.text
+    assert shows(
+        page.text, "calibration.sweep.headline", low=2.0, high=25.1, verdict=message_of("calibration.verdict.passed")
+    )
     assert "they agree & <well>" in page.text
     assert "<desktop> indenter, D-7" in page.text
     for heading in ("The coil by position", "Force constant along the stroke", "Bode diagrams by position"):

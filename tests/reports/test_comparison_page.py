@@ -6,6 +6,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 from coded import coded, says
+from coded import made as message_of
 from golden.golden_page import check_golden_page, lines_of_html
 from matplotlib.figure import Figure
 from reports.in_german import english_in, in_german, shown
@@ -82,7 +83,7 @@ def test_page_has_recommendation_table_and_every_engine(report: ComparisonReport
         "Recorded signals",
         "Impulse response by depth",
         "Kernels by depth",
-        "limit set by repeats",
+        message_of("compare.ceiling"),
     ):
         assert heading.lower() in text.lower(), heading
     assert page.named("nav")
@@ -133,10 +134,10 @@ def test_memory_sweep_is_drawn(session: Session) -> None:
 def test_scores_hold_the_line_of_repeats(report: ComparisonReport) -> None:
     figure = scores_figure(report.found)
     _, labels = figure.axes[0].get_legend_handles_labels()
-    assert "limit set by repeats" in labels
+    assert message_of("compare.ceiling") in labels
     assert "held out, scheduled" in labels
     _, without = scores_figure(replace(report.found, ceiling=None)).axes[0].get_legend_handles_labels()
-    assert "limit set by repeats" not in without
+    assert message_of("compare.ceiling") not in without
 
 
 @pytest.mark.usefixtures("undrawn")
@@ -158,9 +159,10 @@ def test_the_page_of_a_comparison_says_nothing_in_english(session: Session, repo
 
 
 def test_absent_picture_is_one_line() -> None:
-    block = absent("k", "Heading", "there is nothing").block
+    why = "there is nothing"
+    block = absent("k", "Heading", why).block
     assert block.svg == ""
-    assert block.missing == "Left out: there is nothing."
+    assert block.missing == f"Left out: {why}."
 
 
 @pytest.mark.usefixtures("distortion_alone_drawn")

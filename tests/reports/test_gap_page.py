@@ -133,10 +133,10 @@ def test_words_are_explained_and_stages_are_called_alike():
     text = checked(gap_html(as_effect())).text
     assert "floors" not in text
     assert "announced" not in text
-    assert "predicted on the data used for the choice" in text
+    assert shows(text, "report.gap.predicted")
     assert "as a multiple of the noise" in text
     assert "moving part (mechanics)" in text
-    assert "These are not the shares of the stages" in text
+    assert shows(text, "report.gap.not_shares")
     assert "quiet test" not in text, "there was none"
 
 

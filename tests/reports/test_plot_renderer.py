@@ -13,6 +13,7 @@ from tissueid.errors import UnusableInputError
 from tissueid.messages import Message
 from tissueid.reports.plot_renderer import PAGE, Look, draw_plot, draw_plots, draw_relief
 
+NO_FORCE = Message("plot.test", "no {what} was recorded", what="force")
 X = np.linspace(1.0, 10.0, 50)
 LAG, RESPONSE = Axis("Lag", "ms"), Axis("", "mm/(N·s)")
 
@@ -90,12 +91,12 @@ def test_plots_over_one_abscissa_share_it():
 
 def test_where_there_is_nothing_it_says_why():
     def refuse():
-        raise UnusableInputError(Message("plot.test", "no {what} was recorded", what="force"))
+        raise UnusableInputError(NO_FORCE)
 
     plot = plot_or_reason("t", LAG, RESPONSE, refuse)
-    assert plot.missing == Message("plot.test", "no {what} was recorded", what="force")
+    assert plot.missing == NO_FORCE
     axes, _ = draw(plot)
-    assert "No force was recorded" in [text.get_text() for text in axes.texts]
+    assert f"N{NO_FORCE[1:]}" in [text.get_text() for text in axes.texts]
     assert not axes.axison
 
 

@@ -12,7 +12,7 @@ from pathlib import Path
 import matplotlib as mpl
 import numpy as np
 import pytest
-from coded import coded, shows
+from coded import coded, made, shows
 from golden.golden_page import check_golden_page, lines_of_html
 from jinja2 import UndefinedError
 from reports.page_check import checked
@@ -31,12 +31,13 @@ from tissueid.reports.signal_figures import signals_figure
 from tissueid.reports.style import to_svg
 from tissueid.reports.tables import parameter_table, readable_date, score_table, settings_tables
 from tissueid.reports.validation_figures import prediction_figure, readable_stretch
-from tissueid.reports.verdict import NOT_JUDGED, judge, key_numbers
+from tissueid.reports.verdict import FROM_ELSEWHERE, NOT_JUDGED, judge, key_numbers
 from tissueid.sessions import Session, Subject
-from tissueid.sessions.quality import Quality
+from tissueid.sessions.quality import HEADLINES, Quality
 
 Analyses = dict[int, dict[str, Analysis]]
 
+WARNING = "mind the gap"
 COMPARISON = Comparison(
     0.0148,
     (
@@ -139,24 +140,22 @@ def test_verdict_follows_the_facts(session: Session, analyses: Analyses) -> None
     assert code_of(judge(test, with_scores(95.0, 75.0)).reasons[0]) == "verdict.worse_held_out"
     for status in ("aborted", "recovered"):
         ended = judge(replace(test, status=status), found)
-        assert (ended.level, ended.headline, len(ended.reasons)) == ("poor", "Do the test again", 1)
+        assert (ended.level, ended.headline, len(ended.reasons)) == ("poor", HEADLINES["repeat"], 1)
     imported = replace(test, notes=test.notes | {"source_format": "csv"})
-    assert judge(imported, with_scores(38.0, 31.0)).headline == "Do not rely on this measurement"
+    assert judge(imported, with_scores(38.0, 31.0)).headline == FROM_ELSEWHERE
     for name, level in (("lms", "check"), ("wiener", "good")):
-        warned = replace(found[name], model=found[name].model.with_report(warnings=("mind the gap",)))
+        warned = replace(found[name], model=found[name].model.with_report(warnings=(WARNING,)))
         assert judge(test, found | {name: warned}).level == level
-        reasons = ("LMS: mind the gap.",) if level == "check" else ()
+        reasons = (f"LMS: {WARNING}.",) if level == "check" else ()
         assert judge(test, found | {name: warned}).reasons == reasons
 
 
 @pytest.mark.usefixtures("undrawn")
 def test_warnings_are_listed_once_with_their_engines(session: Session, analyses: Analyses) -> None:
-    warned = {
-        name: replace(a, model=a.model.with_report(warnings=("mind the gap",))) for name, a in analyses[1].items()
-    }
+    warned = {name: replace(a, model=a.model.with_report(warnings=(WARNING,))) for name, a in analyses[1].items()}
     text = checked(report_html(session, {1: warned})).text
-    assert "LMS, Spectral, Wiener: mind the gap" in text
-    assert "Read this before you use the test" in text
+    assert f"LMS, Spectral, Wiener: {WARNING}" in text
+    assert HEADLINES["look"] in text
 
 
 def test_hostile_strings_stay_text() -> None:
@@ -225,10 +224,10 @@ def test_force_and_position_alone_are_enough() -> None:
     )
     session = make_session(test, subject=Subject(""))
     found = checked(report_html(session, {1: analyse_all(session, ("lms", "spectral"))}))
-    assert "The voltage was not recorded" in found.text
-    assert "The session does not describe the stimulus" in found.text
+    assert shows(found.text, "record.no_voltage")
+    assert shows(found.text, "report.no_stimulus")
     assert len(found.named("svg")) == len(FIGURES) - 2
-    assert found.text.count("the Wiener engine was not run") == 2
+    assert found.text.count(made("report.engine_not_run", engine="Wiener")) == 2
 
 
 def test_a_test_along_the_tissue_has_no_surface_below_which_it_goes(
@@ -270,13 +269,13 @@ def test_lost_samples_are_counted_and_left_out() -> None:
     assert shows(found.text, "record.lost_samples")
     assert "■ not received" in found.text
     assert shows(found.text, "verdict.samples_lost", lost=75, samples=2300, percent="3.3")
-    assert "the Wiener engine was not run" in found.text
+    assert shows(found.text, "report.engine_not_run", engine="Wiener")
 
 
 def test_very_short_test_says_what_is_missing() -> None:
     session = make_session(make_test(seconds=0.06))
     found = checked(report_html(session, {1: {"lms": analyse(session, "lms", {"memory": 0.005})}}))
-    assert "the Spectral engine was not run" in found.text
+    assert shows(found.text, "report.engine_not_run", engine="Spectral")
     assert "too short" in found.text
     assert "too few samples" in found.text
 
@@ -296,7 +295,7 @@ def test_other_signals_and_forms() -> None:
         )
     )
     assert str(SINGLE_PASS) in found.text
-    assert "the LMS engine was not run" in found.text
+    assert shows(found.text, "report.engine_not_run", engine="LMS")
     assert "mm/V" in found.text
 
 

@@ -8,7 +8,7 @@ from typing import Any
 
 import numpy as np
 import pytest
-from coded import coded
+from coded import coded, made
 from golden.golden_page import check_golden_page, lines_of_html
 from matplotlib.figure import Figure
 from reports.in_german import english_in, in_german, shown, texts_of
@@ -124,7 +124,7 @@ def test_lines_of_a_multisine_are_sorted_by_what_they_are_for():
 def test_volts_are_drawn_as_volts():
     figures = drawn(design("noise", distribution="binary", voltage_min_v=2.0, voltage_max_v=12.0))
     assert {"Voltage (V)", "Force at rest (N)"} <= {a.get_ylabel() for a in _every_axis(figures["time-series"])}
-    assert figures["power"].axes[0].get_ylabel() == "Voltage, power density (V²/Hz)"
+    assert figures["power"].axes[0].get_ylabel() == made("stimulus.power_density", signal="Voltage", unit="V")
 
 
 @pytest.mark.parametrize(

@@ -17,6 +17,7 @@ from tissueid.calibration.labels import headline_of
 from tissueid.calibration.store import calibration_folder, is_filed
 from tissueid.cli.output import ConsoleControl, check_json, console, progress_bars
 from tissueid.errors import UnusableInputError
+from tissueid.messages import Message
 from tissueid.procedures.calibration_files import CalibrationResult
 from tissueid.procedures.calibration_plans import CalibrationPlan
 from tissueid.procedures.output_files import check_different
@@ -124,7 +125,19 @@ def check_result(result: CalibrationResult, out: Path | None) -> None:
         raise result.report_error
     if result.calibration.verdict == "passed":
         return
-    unchanged = "" if out in (None, result.path) else f"; {out}, which passed, is unchanged"
+    kind, path = result.calibration.kind, str(result.path)
+    if out in (None, result.path):
+        raise UnusableInputError(
+            Message(
+                "calibration.failed_kept", "the {kind} calibration failed; it is saved in {path}", kind=kind, path=path
+            )
+        )
     raise UnusableInputError(
-        f"the {result.calibration.kind} calibration failed; it is saved in {result.path}{unchanged}"
+        Message(
+            "calibration.failed_beside",
+            "the {kind} calibration failed; it is saved in {path}; {passed}, which passed, is unchanged",
+            kind=kind,
+            path=path,
+            passed=str(out),
+        )
     )

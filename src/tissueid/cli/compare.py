@@ -16,7 +16,7 @@ from tissueid.cli.quality import repeat_warnings
 from tissueid.errors import UnusableInputError
 from tissueid.formatting import fixed, grouped
 from tissueid.identification.recommendation import Recommendation
-from tissueid.messages import MISSING
+from tissueid.messages import MISSING, Message
 from tissueid.procedures.comparison import ComparePlan, run_comparison
 from tissueid.sessions import Session
 
@@ -56,7 +56,12 @@ def _unrelated_pictures(folder: Path, drawn: Sequence[Path]) -> str:
     if not others:
         return ""
     names = ", ".join(others[:_MOST_NAMES]) + (", …" if len(others) > _MOST_NAMES else "")
-    return f"{grouped(len(others))} other pictures in that folder are not of this comparison: {names}"
+    return Message(
+        "compare.other_pictures",
+        "{count} other pictures in that folder are not of this comparison: {names}",
+        count=grouped(len(others)),
+        names=names,
+    )
 
 
 def _distortion(session: Session, found: EngineComparison) -> str:

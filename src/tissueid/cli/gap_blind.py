@@ -21,7 +21,7 @@ from tissueid.gap.answer_store import FOLDER, CheckInProgress, begin_check, chec
 from tissueid.gap.blind_check import BlindCheck, answers, full_library, with_labels
 from tissueid.gap.blind_scoring import FULL, SINGLE, Answered, Score, score_of
 from tissueid.gap.scenarios import scenario_names, seal, unseal
-from tissueid.messages import MISSING
+from tissueid.messages import MISSING, Message
 from tissueid.procedures.output_files import check_different, check_output
 
 LABORATORY = "firmware_sim.laboratory"
@@ -73,7 +73,11 @@ def run_blind_check(plan: BlindPlan) -> None:
 def _interrupted(keep: Path | None) -> str:
     if keep is None or not (keep / FOLDER).is_dir():
         return "cancelled; nothing was written"
-    return f"cancelled; the answers so far are kept in {keep}: continue by the same command with --resume"
+    return Message(
+        "blind.interrupted",
+        "cancelled; the answers so far are kept in {folder}: continue by the same command with --resume",
+        folder=str(keep),
+    )
 
 
 def _begin(plan: BlindPlan, folder: Path) -> CheckInProgress:
@@ -97,14 +101,25 @@ def _begin(plan: BlindPlan, folder: Path) -> CheckInProgress:
         ("--full-share", plan.full_share, begun.full_share),
     ):
         if asked is not None and asked != held:
-            raise UnusableInputError(f"the check in {folder} was begun with {name} {held:g}, not {asked:g}")
+            raise UnusableInputError(
+                Message(
+                    "blind.other_option",
+                    "the check in {folder} was begun with {option} {held:g}, not {asked:g}",
+                    folder=str(folder),
+                    option=name,
+                    held=held,
+                    asked=asked,
+                )
+            )
     _check_seal(folder, begun)
     return begun
 
 
 def _check_seal(folder: Path, begun: CheckInProgress) -> None:
     if seal(folder) != begun.seal:
-        raise UnusableInputError("the labels were altered while sealed: the check is not scored")
+        raise UnusableInputError(
+            Message("blind.altered", "the labels were altered while sealed: the check is not scored")
+        )
 
 
 def _check(plan: BlindPlan, folder: Path) -> None:
@@ -119,7 +134,13 @@ def _check(plan: BlindPlan, folder: Path) -> None:
         _check_seal(folder, begun)
         labels = unseal(folder)
         if labels.keys() != set(names):
-            raise UnusableInputError(f"the scenarios in {folder} do not match its labels: the check is not scored")
+            raise UnusableInputError(
+                Message(
+                    "blind.other_labels",
+                    "the scenarios in {folder} do not match its labels: the check is not scored",
+                    folder=str(folder),
+                )
+            )
         cases = with_labels(found, labels)
         again: list[Answered] = []
         if plan.take_out:

@@ -7,6 +7,7 @@ from pathlib import Path
 
 from tissueid.acquisition.quality import Quality, judge_session, quality_of
 from tissueid.cli.output import check_json, human_output, table, write_json
+from tissueid.messages import Message
 from tissueid.sessions import Session, Test, read_session
 
 _MARKS = {"note": "note", "look": "look", "repeat": "REPEAT"}
@@ -70,4 +71,9 @@ def repeat_warnings(session: Session, numbers: Iterable[int]) -> Iterator[str]:
         quality = quality_of(test)
         if test.number in set(numbers) and quality is not None and quality.verdict == "repeat":
             worst = quality.findings[0]
-            yield f"warning: the quality check advised to repeat test {test.number}: {worst.words}"
+            yield Message(
+                "quality.advised_repeat",
+                "warning: the quality check advised to repeat test {test}: {finding}",
+                test=test.number,
+                finding=worst.words,
+            )

@@ -11,6 +11,7 @@ from contextlib import contextmanager
 
 from tissueid.cli.output import console
 from tissueid.errors import CancelledError
+from tissueid.messages import Message
 
 BY_KEY = "stopped by key"
 STOPS = b" \r\n\x1bqQ"
@@ -35,7 +36,9 @@ class StopKey:
             CancelledError: a stop key was pressed.
         """
         if self._pressed.is_set():
-            raise CancelledError(f"{BY_KEY}; the coil is released and what was recorded is kept")
+            raise CancelledError(
+                Message("stop.kept", "{cause}; the coil is released and what was recorded is kept", cause=BY_KEY)
+            )
         return False
 
 

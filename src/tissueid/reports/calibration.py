@@ -68,10 +68,14 @@ def sweep_report(calibration: Calibration) -> StimulusReport:
             *calibration_facts(calibration),
             (_("Positions"), number(float(len(tables["sweep"]["position_m"])))),
         ),
-        headline=_("Linear from {low} to {high} mm. Calibration {verdict}").format(
-            low=fixed(1e3 * region.min_m, 1),
-            high=fixed(1e3 * region.max_m, 1),
-            verdict=translated(verdict_of(calibration)),
+        headline=translated(
+            Message(
+                "calibration.sweep.headline",
+                "Linear from {low:.1f} to {high:.1f} mm. Calibration {verdict}",
+                low=1e3 * region.min_m,
+                high=1e3 * region.max_m,
+                verdict=verdict_of(calibration),
+            )
         ),
         level="good" if calibration.verdict == "passed" else "poor",
         concerns=tuple(translated(line) for line in problems_of(calibration) + notes_of(calibration)),

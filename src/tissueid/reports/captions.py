@@ -46,7 +46,7 @@ def signals(test: Test) -> str:
         )
     ]
     if "voltage" not in test.signals and "command" not in test.signals:
-        text.append(_("The voltage was not recorded."))
+        text.append(translated(Message("record.no_voltage", "The voltage was not recorded.")))
     lost = int(lost_samples(test).sum())
     received = _("All {samples} samples were received.")
     if lost:

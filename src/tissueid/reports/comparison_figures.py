@@ -18,7 +18,7 @@ from tissueid.identification.base import Model
 from tissueid.identification.depth_profile import DepthProfile
 from tissueid.identification.validation.distortion import Distortion
 from tissueid.language import _
-from tissueid.messages import Message
+from tissueid.messages import Message, translated
 from tissueid.records import Record
 from tissueid.reports.diagnostics import Array, held_out_prediction
 from tissueid.reports.panels import diagonal, markers, running_mean
@@ -86,7 +86,12 @@ def scores_figure(found: EngineComparison) -> Figure:
     everything = np.concatenate([fitted, unseen, scheduled])
     if found.ceiling is not None:
         best = found.ceiling.vaf_percent
-        left.axvline(best.value, color=GREEN, linestyle=DASHES[1], label=_("limit set by repeats"))
+        left.axvline(
+            best.value,
+            color=GREEN,
+            linestyle=DASHES[1],
+            label=translated(Message("compare.ceiling", "limit set by repeats")),
+        )
         if best.std is not None:
             half = CONFIDENCE * best.std
             left.axvspan(best.value - half, min(best.value + half, 100.0), color=GREEN, alpha=0.15)

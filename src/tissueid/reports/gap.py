@@ -122,8 +122,12 @@ def _numbers(found: Diagnosis) -> Iterator[tuple[str, str, str]]:
     yield _("Noise alone"), _share(gap.floor), _("what the sensors' noise alone leaves")
     if found.verdict != "no_gap" and np.isfinite(gap.closed):
         note = f"95 %: {_interval(gap.closed_ci)}" if _interval(gap.closed_ci) else _("of what noise does not explain")
-        chosen_by = _("; {percent} predicted on the data used for the choice").format(
-            percent=_percent(gap.predicted_closed)
+        chosen_by = translated(
+            Message(
+                "report.gap.predicted",
+                "; {percent} predicted on the data used for the choice",
+                percent=_percent(gap.predicted_closed),
+            )
         )
         yield _("Closed"), _percent(gap.closed), note + (chosen_by if np.isfinite(gap.predicted_closed) else "")
 

@@ -12,7 +12,7 @@ from tissueid.formatting import clean, fixed, number
 from tissueid.gap.blind_check import BlindCheck
 from tissueid.gap.blind_scoring import Measured, Rate, Score
 from tissueid.language import _
-from tissueid.messages import MISSING, translated
+from tissueid.messages import MISSING, Message, translated
 from tissueid.reports.blocks import FigureGroup
 from tissueid.reports.gap_blind_panels import blind_panels
 from tissueid.reports.html import RESEARCH_LINE, template, write_text_atomically
@@ -66,7 +66,7 @@ def headline_of(check: BlindCheck) -> tuple[str, Level]:
     items = [item for _, _, score in check.scores.values() for item in _items(score)]
     judged = [item.kept for item in items if item.kept is not None]
     if not judged:
-        return _("No case could be judged"), "check"
+        return translated(Message("blind.none_judged", "No case could be judged")), "check"
     text = _("{reached} of {count} targets were reached").format(reached=sum(judged), count=len(judged))
     return text, "good" if all(judged) else "poor"
 

@@ -12,7 +12,7 @@ from tissueid.gap.diagnosis import Diagnosis, parameters_of
 from tissueid.gap.scoring import Candidate
 from tissueid.gap.twin_export import twin_of
 from tissueid.language import _, marked
-from tissueid.messages import translated
+from tissueid.messages import Message, translated
 from tissueid.reports.tables import Table
 from tissueid.twin.catalogue import effect
 from tissueid.twin.effect import STAGE_NAMES, STAGES
@@ -72,13 +72,14 @@ def tables_of(found: Diagnosis, called: Callable[[str], str]) -> Iterator[Table]
                 "The simulation as a whole leaves only noise. An error here is no gap: it is what noise of the "
                 "measured signals makes of one stage by itself."
             )
-        note = _(
+        note = Message(
+            "report.gap.not_shares",
             "How far one signal is missed when everything upstream of it is as measured; 1 × noise is what "
             "noise alone leaves. These are not the shares of the stages: an error counts there only by its logarithm, "
             "only above the noise, and for the stage whose kind of force explains it, so motion on tissue may speak "
-            "against the moving part."
+            "against the moving part.",
         )
-        yield Table(_("Errors by question"), (), errors, " ".join(filter(None, [whole, note])))
+        yield Table(_("Errors by question"), (), errors, " ".join(filter(None, [whole, translated(note)])))
 
 
 def _parameters(best: Candidate, name: str, words: str) -> Table | None:

@@ -8,8 +8,8 @@ from dataclasses import dataclass
 from tissueid.analysis import Analysis
 from tissueid.identification import engine_label, report_engines
 from tissueid.identification.engines.wiener import WienerModel
-from tissueid.language import _, marked
-from tissueid.messages import translated
+from tissueid.language import _
+from tissueid.messages import Message, Verbatim, translated
 from tissueid.reports import captions
 from tissueid.reports.blocks import FigureGroup, Picture, absent, picture, report_text
 from tissueid.reports.configured import captions_for_configuration, spring_line, surface_of
@@ -22,8 +22,6 @@ from tissueid.reports.validation_figures import prediction_figure, residuals_fig
 from tissueid.reports.verdict import KeyNumber, Verdict, judge, key_numbers, linear_engine, visited
 from tissueid.sessions import Session, Test
 from tissueid.sessions.quality import Quality, quality_of
-
-_NOT_RUN = marked("the {engine} engine was not run on this test")
 
 
 @dataclass(frozen=True)
@@ -77,7 +75,14 @@ def test_page(
         warnings=(
             *_warnings(analyses),
             *(
-                _("{engine} could not use it: {why}").format(engine=engine_label(name), why=translated(why))
+                translated(
+                    Message(
+                        "report.could_not_use",
+                        "{engine} could not use it: {why}",
+                        engine=Verbatim(engine_label(name)),
+                        why=why,
+                    )
+                )
                 for name, why in refused.items()
             ),
         ),
@@ -160,9 +165,13 @@ def _of_engines(material: Material, key: str, group: Group, *, short: bool = Fal
         there = any(isinstance(a.model, one.model) for a in material.analyses.values())
         if one.group == group and one.standard and not there and (one.short or not short):
             why = material.refused.get(one.standard)
-            reason = _("the {engine} engine could not use it: {why}") if why else _NOT_RUN
-            reason = _(reason).format(engine=engine_label(one.standard), why=translated(why or ""))
-            places.append((one.place, absent(f"{key}-{one.key}", _(one.heading), reason, wide=one.wide)))
+            engine = Verbatim(engine_label(one.standard))
+            reason = Message("report.engine_not_run", "the {engine} engine was not run on this test", engine=engine)
+            if why:
+                reason = Message(
+                    "report.engine_failed", "the {engine} engine could not use it: {why}", engine=engine, why=why
+                )
+            places.append((one.place, absent(f"{key}-{one.key}", _(one.heading), translated(reason), wide=one.wide)))
     for _place, drawn in sorted(places, key=lambda item: item[0]):
         yield drawn
 

@@ -14,7 +14,7 @@ from tissueid.device import DeviceDescription
 from tissueid.errors import UnusableInputError
 from tissueid.formatting import superscript
 from tissueid.language import _
-from tissueid.messages import Message
+from tissueid.messages import Message, Verbatim, translated
 from tissueid.reports.diagnostics import Array, power_spectrum
 from tissueid.reports.panels import markers
 from tissueid.reports.style import (
@@ -173,7 +173,11 @@ def draw_power(
             color=MUTED,
             fontsize=8.0,
         )
-    axes.set_ylabel(_("{signal}, power density ({unit}²/Hz)").format(signal=name, unit=unit))
+    axes.set_ylabel(
+        translated(
+            Message("stimulus.power_density", "{signal}, power density ({unit}²/Hz)", signal=Verbatim(name), unit=unit)
+        )
+    )
     axes.legend(loc="lower left")
 
 

@@ -31,7 +31,7 @@ from tissueid.formatting import (
 from tissueid.identification import engine_label
 from tissueid.identification.base import FitReport
 from tissueid.language import _, marked
-from tissueid.messages import MISSING, translated
+from tissueid.messages import MISSING, Message, translated
 from tissueid.records import Estimate
 from tissueid.reports.configured import spring_line
 from tissueid.reports.signal_figures import lost_samples
@@ -228,7 +228,13 @@ def settings_tables(session: Session, test: Test, analyses: Mapping[str, Analysi
     tables = [
         Table(_("Session"), (), tuple(sitting)),
         Table(_("Test"), (), _test_rows(test)),
-        Table(_("Stimulus"), (), _named_rows(test.stimulus, _("The session does not describe the stimulus."))),
+        Table(
+            _("Stimulus"),
+            (),
+            _named_rows(
+                test.stimulus, translated(Message("report.no_stimulus", "The session does not describe the stimulus."))
+            ),
+        ),
         Table(_("Instrument"), (), _instrument_rows(session.instrument)),
         Table(
             _("Calibration in force"),

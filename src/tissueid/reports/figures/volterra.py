@@ -14,7 +14,7 @@ from tissueid.errors import UnusableInputError
 from tissueid.formatting import axis_label, fixed, number, with_unit
 from tissueid.identification.volterra.model import VolterraModel
 from tissueid.language import _, marked
-from tissueid.messages import Message
+from tissueid.messages import Message, translated
 from tissueid.reports import captions
 from tissueid.reports.diagnostics import Array
 from tissueid.reports.figures.registry import Drawn, Subject, figure
@@ -234,5 +234,5 @@ def _cumulated(model: VolterraModel, u: Array) -> list[tuple[str, Array]]:
         shown.append((_("and diagonal of the second"), np.sum(diagonal_only.contributions(u), axis=0)))
         shown.append((_("and all of the second"), sums[2]))
     if model.kernel3 is not None:
-        shown.append((_("and the third order"), sums[3]))
+        shown.append((translated(Message("volterra.third_order", "and the third order")), sums[3]))
     return shown
