@@ -266,7 +266,7 @@ def handheld(monkeypatch):
 def test_on_the_handheld_the_default_force_is_what_it_can_give(handheld, capsys, tmp_path):
     _, session, told = run(capsys, tmp_path, "--seconds", 1)
     volts = session.test().signals["command"]
-    assert shows(told, "test.force_limited", force=7.8, usual=10.5)
+    assert shows(told, "test.force_lowered", force=7.8, usual=10.5)
     assert session.test().stimulus["stimulus"]["force_max_n"] == 7.8
     assert 0.97 * 48.0 < volts.max() <= 48.0
 
