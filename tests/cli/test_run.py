@@ -1,7 +1,6 @@
 """``tissueid test`` with any stimulus, in steps, and until it is good enough: answers, tables, and refusals."""
 
 import json
-import re
 import sys
 from dataclasses import replace
 
@@ -185,7 +184,7 @@ def test_what_is_never_good_enough_runs_its_length(capsys, tmp_path):
     (answer,), _, told = run(capsys, tmp_path, "--stop-when", "mass=1e-9", "--seconds", 2)
     assert answer["samples"] == 5000
     assert answer["ended_early_s"] is None
-    assert re.search(r"mass has an uncertainty of \d\.\d % \(target 0\.0 %\)", told)
+    assert shows(told, "test.parameter_uncertain", name="mass", target=0.0)
 
 
 def test_depths_out_of_reach_are_told(capsys, tmp_path):

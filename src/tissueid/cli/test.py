@@ -19,6 +19,7 @@ from tissueid.formatting import fixed, plus_minus
 from tissueid.identification.live.live_view import LiveView
 from tissueid.identification.live.stopping import StopRule
 from tissueid.instrument import Instrument, Limits
+from tissueid.messages import Message, joined
 from tissueid.procedures.output_files import check_different
 from tissueid.procedures.test_plan import TestPlan
 from tissueid.procedures.test_run import TestControl, TestOutcome, TestStep, run_test
@@ -145,13 +146,24 @@ class _TerminalControl(ConsoleControl, TestControl):
 
 def _not_enough(rule: StopRule, view: LiveView | None) -> str:
     """Return how well the parameters of a stop rule are known at the end of a test that it did not end."""
-    words = []
+    known = []
     for name, target in rule.targets.items():
         found = None if view is None else view.parameters.get(name)
-        spread = None if found is None or not found.std else found.std / abs(found.value)
-        known = "is not known" if spread is None else f"has an uncertainty of {fixed(100.0 * spread, 1)} %"
-        words.append(f"{name} {known} (target {fixed(100.0 * target, 1)} %)")
-    return f"the test was too short for the requested uncertainty: {', '.join(words)}"
+        values = {"name": name, "target": 100.0 * target}
+        if found is None or not found.std:
+            known.append(Message("test.parameter_unknown", "{name} is not known (target {target:.1f} %)", **values))
+            continue
+        known.append(
+            Message(
+                "test.parameter_uncertain",
+                "{name} has an uncertainty of {percent:.1f} % (target {target:.1f} %)",
+                percent=100.0 * found.std / abs(found.value),
+                **values,
+            )
+        )
+    return Message(
+        "test.too_short", "the test was too short for the requested uncertainty: {known}", known=joined(known)
+    )
 
 
 def view_line(view: LiveView) -> str:

@@ -12,7 +12,7 @@ from tissueid.acquisition.quality import quality_of
 from tissueid.cli.output import table
 from tissueid.errors import UnusableInputError
 from tissueid.formatting import fixed, grouped
-from tissueid.messages import MISSING
+from tissueid.messages import MISSING, Message
 from tissueid.procedures.test_run import TestStep
 from tissueid.sessions import Test
 from tissueid.stimuli.base import GUIDED
@@ -107,8 +107,15 @@ def out_of_reach(test: Test) -> str:
     asked, designed = ((notes[f"{name}_min_m"], notes[f"{name}_max_m"]) for name in ("depth_asked", "depth"))
     if asked == designed:
         return ""
-    spans = [f"{fixed(1e3 * float(low), 2)} to {fixed(1e3 * float(high), 2)} mm" for low, high in (designed, asked)]
-    return f"designed for {spans[0]} of the requested {spans[1]}: this range of force does not cover more"
+    return Message(
+        "test.designed_for",
+        "designed for {low:.2f} to {high:.2f} mm of the requested {asked_low:.2f} to {asked_high:.2f} mm: this range "
+        "of force does not cover more",
+        low=1e3 * float(designed[0]),
+        high=1e3 * float(designed[1]),
+        asked_low=1e3 * float(asked[0]),
+        asked_high=1e3 * float(asked[1]),
+    )
 
 
 def _short_of(asked: DepthRange | None, reachable: Sequence[float]) -> str:
@@ -118,11 +125,21 @@ def _short_of(asked: DepthRange | None, reachable: Sequence[float]) -> str:
     least, most = max(asked[0], reachable[0]), min(asked[1], reachable[1])
     if most - least >= 0.99 * (asked[1] - asked[0]):
         return ""
-    wanted = f"{fixed(1e3 * asked[0], 2)} to {fixed(1e3 * asked[1], 2)} mm"
+    wanted = {"asked_low": 1e3 * asked[0], "asked_high": 1e3 * asked[1]}
     if most <= least:
-        return f"this range of force reaches none of the requested {wanted}: choose other depths"
-    return (
-        f"of the requested {wanted}, this range of force reaches {fixed(1e3 * least, 2)} to {fixed(1e3 * most, 2)} mm"
+        return Message(
+            "test.reaches_none",
+            "this range of force reaches none of the requested {asked_low:.2f} to {asked_high:.2f} mm: choose other "
+            "depths",
+            **wanted,
+        )
+    return Message(
+        "test.reaches_part",
+        "of the requested {asked_low:.2f} to {asked_high:.2f} mm, this range of force reaches {low:.2f} to "
+        "{high:.2f} mm",
+        low=1e3 * least,
+        high=1e3 * most,
+        **wanted,
     )
 
 
