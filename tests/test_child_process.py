@@ -16,8 +16,8 @@ import tissueid
 from tissueid.acquisition.live_estimator import LiveSettings
 from tissueid.acquisition.live_process import LiveProcess
 from tissueid.child_process import run
-from tissueid.cli.gap_blind import _record
 from tissueid.gap.workers import executor
+from tissueid.procedures.blind_check import record_scenarios
 from tissueid.procedures.control import Control
 from tissueid.procedures.demo import firmware_process
 from tissueid.procedures.separate_process import run_in_process
@@ -121,7 +121,7 @@ def test_the_demos_instrument_runs_nothing_of_the_folder(hostile: Path):
 
 
 def test_the_laboratory_of_the_blind_check_runs_nothing_of_the_folder(hostile: Path, tmp_path: Path):
-    _record(tmp_path / "sealed", 1, 1, 0.0)
+    record_scenarios(tmp_path / "sealed", 1, 1, 0.0)
     assert list((tmp_path / "sealed").iterdir())
     assert ran_in(hostile) == ""
 

@@ -208,7 +208,7 @@ def _recorded_here(monkeypatch: pytest.MonkeyPatch) -> None:
             status = record(list(command[2:]))
         return subprocess.CompletedProcess(command, status, "", said.getvalue())
 
-    monkeypatch.setattr("tissueid.cli.gap_blind.run", run)
+    monkeypatch.setattr("tissueid.procedures.blind_check.run", run)
 
 
 @pytest.mark.usefixtures("_recorded_here")
@@ -219,7 +219,7 @@ def test_nothing_is_scored_when_labels_change_under_the_seal(
         (folder / "labels.json").write_text("{}")
         return {}
 
-    monkeypatch.setattr("tissueid.cli.gap_blind.answers", cheat)
+    monkeypatch.setattr("tissueid.gap.blind_check.answers", cheat)
     arguments = ["--n", "1", "--full-share", "0", "--workers", "1", "--json", str(tmp_path / "score.json")]
     assert main(["gap", "blind-check", *arguments]) == 2
     assert "altered while sealed" in capsys.readouterr().err

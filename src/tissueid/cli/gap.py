@@ -8,13 +8,11 @@ from typing import Annotated
 import typer
 
 from tissueid.cli.plan_command import plan_command
+from tissueid.procedures.blind_check import BlindCheckPlan
 from tissueid.procedures.gap_plans import AcceptPlan, DiagnosisPlan, FolderPlan
 
 gap = typer.Typer(help="Diagnose the gap between simulation and recording.", no_args_is_help=True)
 
-Workers = Annotated[
-    int | None, typer.Option(min=1, max=64, metavar="N", help="number of processes; default: one per core")
-]
 JsonFile = Annotated[Path | None, typer.Option("--json", metavar="FILE", help="write the result as JSON; - prints it")]
 
 
@@ -70,34 +68,12 @@ def effects_command(json_file: JsonFile = None) -> None:
 
 
 @gap.command("blind-check")
-def blind_check_command(
-    n: Annotated[
-        int | None, typer.Option("--n", min=1, max=5000, metavar="N", help="number of scenarios; default: 40")
-    ] = None,
-    seed: Annotated[
-        int | None, typer.Option("--seed", min=0, help="seed of the scenarios, default 1; unknown to the diagnosis")
-    ] = None,
-    full_share: Annotated[
-        float | None,
-        typer.Option(
-            "--full-share", min=0.0, max=1.0, help="share of full sessions, default 0.3; the others are single tests"
-        ),
-    ] = None,
-    take_out: Annotated[bool, typer.Option("--take-out", help="repeat without the true effect in the library")] = False,
-    keep: Annotated[
-        Path | None, typer.Option(metavar="DIR", help="keep recordings, labels and answers in this folder")
-    ] = None,
-    resume: Annotated[
-        bool, typer.Option("--resume", help="continue the interrupted check in the folder of --keep")
-    ] = False,
-    out: Annotated[Path | None, typer.Option("--out", metavar="PAGE", help="write the report, one HTML page")] = None,
-    workers: Workers = None,
-    json_file: JsonFile = None,
-) -> None:
+@plan_command
+def blind_check_command(plan: BlindCheckPlan, json_file: JsonFile = None) -> None:
     """Score the diagnosis on scenarios with sealed labels.
 
     The scenarios are simulated. The labels stay sealed until all scenarios are diagnosed.
     """
-    from tissueid.cli.gap_blind import BlindPlan, run_blind_check
+    from tissueid.cli.gap_blind import check_blind
 
-    run_blind_check(BlindPlan(n, seed, full_share, workers, take_out, keep, resume, out, json_file))
+    check_blind(plan, json_file)
