@@ -14,7 +14,7 @@ import secrets
 import shutil
 import stat
 import sys
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from pathlib import Path
 from typing import IO
@@ -151,6 +151,14 @@ def write_private(path: Path, text: str) -> None:
     """
     with atomic_file(path) as partial:
         partial.write_text(text, encoding="utf-8")
+
+
+def unused_path(path: Path, *, separator: str = "-", taken: Callable[[Path], bool] = os.path.lexists) -> Path:
+    """Return ``path`` if it is not taken, else the first of ``name-2.ext``, ``name-3.ext``, ... that is not."""
+    free, number = path, 2
+    while taken(free):
+        free, number = path.with_name(f"{path.stem}{separator}{number}{path.suffix}"), number + 1
+    return free
 
 
 def remove_leftovers(path: Path) -> None:

@@ -15,11 +15,10 @@ from tissueid.app.context import AppContext
 from tissueid.app.job_control import JobControl
 from tissueid.app.pages import Pages
 from tissueid.app.words import sentence
-from tissueid.atomic_write import private_folder
+from tissueid.atomic_write import private_folder, unused_path
 from tissueid.formatting import clean
 from tissueid.language import _, plural
 from tissueid.messages import translated
-from tissueid.procedures.output_files import unused_path
 
 if TYPE_CHECKING:  # imports are seldom: the window starts without their readers
     from tissueid.app.import_dialog import ImportDialog, Preview

@@ -11,9 +11,9 @@ from tissueid.app.context import AppContext
 from tissueid.app.findings import Findings
 from tissueid.app.guidance import Guidance
 from tissueid.app.notice import Notice
+from tissueid.atomic_write import unused_path
 from tissueid.language import _
 from tissueid.messages import Message, Verbatim, translated
-from tissueid.procedures.output_files import unused_path
 from tissueid.procedures.report import write_page
 
 

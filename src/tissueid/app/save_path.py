@@ -7,6 +7,7 @@ from pathlib import Path
 
 from platformdirs import user_documents_path
 
+from tissueid.atomic_write import unused_path
 from tissueid.errors import UnusableInputError
 from tissueid.messages import Message
 from tissueid.procedures.session_path import check_session_path
@@ -34,10 +35,8 @@ def default_folder() -> Path:
 
 def dated_path(folder: Path, moment: datetime) -> Path:
     """Return an unused path of a session, named by date and time, that has no journal either."""
-    name = f"{moment:%Y-%m-%d_%H-%M-%S}"
-    number = 1
-    while True:
-        path = folder / (f"{name}.h5" if number == 1 else f"{name}_{number}.h5")
-        if not path.exists() and not path.with_name(f"{path.name}.journal").exists():
-            return path
-        number += 1
+    return unused_path(
+        folder / f"{moment:%Y-%m-%d_%H-%M-%S}{SUFFIX}",
+        separator="_",
+        taken=lambda path: path.exists() or path.with_name(f"{path.name}.journal").exists(),
+    )

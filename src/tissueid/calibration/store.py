@@ -10,6 +10,7 @@ from pathlib import Path
 
 import platformdirs
 
+from tissueid.atomic_write import unused_path
 from tissueid.calibration.file import Calibration, read_calibration
 from tissueid.errors import UnusableInputError
 from tissueid.messages import Message
@@ -84,12 +85,12 @@ def made_folder(given: Path | None = None) -> Path:
 def free_name(folder: Path, serial_number: str, kind: str, moment: datetime) -> Path:
     """Return a path for a new calibration, named by instrument, kind and time, where no file is yet."""
     name = f"{re.sub(r'[^A-Za-z0-9-]+', '-', serial_number).strip('-') or 'unknown'}-{kind}-{moment:%Y-%m-%d_%H-%M-%S}"
-    number = 1
-    while True:
-        path = folder / (f"{name}.toml" if number == 1 else f"{name}_{number}.toml")
-        if not any(path.with_suffix(suffix).exists() for suffix in (".toml", ".html", ".h5")):
-            return path
-        number += 1
+    suffixes = (".toml", ".html", ".h5")
+    return unused_path(
+        folder / f"{name}.toml",
+        separator="_",
+        taken=lambda path: any(path.with_suffix(suffix).exists() for suffix in suffixes),
+    )
 
 
 def is_filed(path: Path) -> bool:

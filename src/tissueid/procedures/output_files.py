@@ -98,14 +98,6 @@ def check_different(*targets: Path | None) -> None:
         )
 
 
-def unused_path(path: Path) -> Path:
-    """Return ``path`` if there is no such file, else the first unused one of ``name-2.ext``, ``name-3.ext``, ..."""
-    free, number = path, 2
-    while free.exists() or free.is_symlink():
-        free, number = path.with_name(f"{path.stem}-{number}{path.suffix}"), number + 1
-    return free
-
-
 def finite(value: Any) -> Any:
     """Return a value for JSON: numbers that are not finite become None, keys texts, numpy's numbers Python's."""
     if isinstance(value, dict):

@@ -8,10 +8,10 @@ from pathlib import Path
 from tissueid.app.findings import Findings
 from tissueid.app.views.clinician.comparing import Comparison
 from tissueid.app.views.clinician.sitting import HEADS, QUANTITIES, VALUE_HEAD, Standing
+from tissueid.atomic_write import unused_path
 from tissueid.formatting import label_and_unit, plus_minus
 from tissueid.language import _, marked
 from tissueid.messages import MISSING
-from tissueid.procedures.output_files import unused_path
 from tissueid.procedures.report import write_pdf
 from tissueid.records import Estimate
 from tissueid.units import display_unit

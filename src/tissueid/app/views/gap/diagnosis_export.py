@@ -8,12 +8,13 @@ from pathlib import Path
 
 from tissueid.app.views.gap.diagnosis_result import DiagnosisResult
 from tissueid.app.words import sentence
+from tissueid.atomic_write import unused_path
 from tissueid.audit import AuditTrail
 from tissueid.errors import UnusableInputError
 from tissueid.language import _
 from tissueid.messages import Message, translated
 from tissueid.procedures.gap_plans import AcceptPlan
-from tissueid.procedures.output_files import json_text, unused_path, write_text
+from tissueid.procedures.output_files import json_text, write_text
 
 _SUFFIX = ".toml"
 

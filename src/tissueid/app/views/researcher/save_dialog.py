@@ -21,7 +21,7 @@ import csv
 import re
 from typing import TYPE_CHECKING, Literal, cast
 
-from tissueid.atomic_write import atomic_file
+from tissueid.atomic_write import atomic_file, unused_path
 from tissueid.errors import UnusableInputError
 from tissueid.messages import Listing, Message
 
@@ -77,10 +77,7 @@ def write_figure(path: Path, draw: Callable[[], Figure]) -> Path:
 def free_name(folder: Path, title: str, ending: str) -> str:
     """Return an unused file name in ``folder``, made from a title."""
     stem = _AWKWARD.sub("-", title).strip("-._")[:_LONGEST].rstrip("-._") or "tissueid"
-    name, number = f"{stem}{ending}", 2
-    while (folder / name).exists():
-        name, number = f"{stem}-{number}{ending}", number + 1
-    return name
+    return unused_path(folder / f"{stem}{ending}").name
 
 
 _TABLES = {".csv": marked("Comma-separated values (*.csv)")}
