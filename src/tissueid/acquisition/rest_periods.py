@@ -108,13 +108,16 @@ def predict_heating(
     return HeatingForecast(ends(rest_s), limit_c, needed)
 
 
-def temperature_c(instrument: Instrument) -> float:
+def temperature_c(instrument: Instrument, cancelled: Callable[[], bool] = never) -> float:
     """Return the temperature of the coil's sensor, degC; NaN if it gives no plausible value.
 
     Raises:
+        CancelledError: ``cancelled`` returned True.
         InstrumentError: as ``poll``.
     """
     for _ in range(_POLLS):
+        if cancelled():
+            raise CancelledError(CANCELLED_BETWEEN)
         values = instrument.poll(POLL_S)["temperature"]
         values = values[(values >= PLAUSIBLE_C[0]) & (values <= PLAUSIBLE_C[1])]
         if values.size:

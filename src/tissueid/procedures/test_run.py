@@ -247,7 +247,7 @@ class _Run:
         instrument, plan = self._instrument, self._plan
         if isinstance(instrument, SimulatedInstrument) or not isinstance(test.stimulus, Stimulus):
             return
-        begin_c = temperature_c(instrument)
+        begin_c = temperature_c(instrument, self._control.check)
         if math.isnan(begin_c):
             return
         forecast = predict_heating(
