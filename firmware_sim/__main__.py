@@ -19,7 +19,7 @@ from firmware_sim.effects import EFFECTS
 from firmware_sim.firmware import Firmware
 from firmware_sim.presets import preset_names
 from firmware_sim.scenario import Scenario, load_scenario
-from firmware_sim.serve import Port, PseudoTerminal, Server, TcpPort
+from firmware_sim.server import Port, PseudoTerminal, Server, TcpPort
 
 _EXAMPLE = """a scenario with an effect for a diagnosis to find; format: docs/simulated-instrument.md:
   preset = "left-posterior-forearm"

@@ -71,7 +71,7 @@ class Cable(Protocol):
 
 
 @dataclass
-class Happening:
+class ActiveFault:
     """An active fault with the device and cable that it affects. ``undo`` ends it.
 
     ``identity`` is that of the device without faults.
@@ -98,44 +98,44 @@ class FaultKind:
     """
 
     what: str
-    begin: Callable[[Happening], None]
+    begin: Callable[[ActiveFault], None]
     seconds: float | None = None
     share: float = 0.0
 
 
-def _on_the_line(it: Happening) -> None:
+def _on_the_line(it: ActiveFault) -> None:
     share = FAULT_KINDS[it.fault.kind].share if it.fault.share is None else it.fault.share
     it.undo = it.line.begin(it.fault.kind, share, it.fault.pieces, it.fault.direction)
 
 
-def _stall(it: Happening) -> None:
+def _stall(it: ActiveFault) -> None:
     seconds = FAULT_KINDS["stall"].seconds if it.fault.seconds is None else it.fault.seconds
     it.firmware.stall(it.now_s + (seconds or 0.0))
 
 
-def _brown_out(it: Happening) -> None:
+def _brown_out(it: ActiveFault) -> None:
     bench = it.firmware.bench
     bench.supply_share = SAGGED_SUPPLY  # the firmware detects it
     it.undo = lambda: setattr(bench, "supply_share", 1.0)
 
 
-def _stuck(it: Happening) -> None:
+def _stuck(it: ActiveFault) -> None:
     stuck, channel = it.firmware.bench.stuck, it.fault.channel
     stuck.add(channel)
     it.undo = lambda: stuck.discard(channel)
 
 
-def _open_coil(it: Happening) -> None:
+def _open_coil(it: ActiveFault) -> None:
     bench = it.firmware.bench
     bench.coil_open = True
     it.undo = lambda: setattr(bench, "coil_open", False)
 
 
-def _drift(it: Happening) -> None:
+def _drift(it: ActiveFault) -> None:
     it.clock_error, it.clock_drift_per_s = it.fault.clock_error, it.fault.clock_drift_per_s
 
 
-def _other_version(it: Happening) -> None:
+def _other_version(it: ActiveFault) -> None:
     firmware, before = it.firmware, it.identity
 
     def restart_as(identity: Identity) -> None:
@@ -146,13 +146,13 @@ def _other_version(it: Happening) -> None:
     it.undo = lambda: restart_as(before)
 
 
-def _unplug(it: Happening) -> None:
+def _unplug(it: ActiveFault) -> None:
     it.line.cut()
     it.cable.unplug()
     it.undo = it.cable.replug
 
 
-def _button(it: Happening) -> None:
+def _button(it: ActiveFault) -> None:
     bench = it.firmware.bench
     bench.button = True
     it.undo = lambda: setattr(bench, "button", False)
@@ -182,7 +182,7 @@ class FaultInjector:
     """Injects faults into a firmware and its cable: planned ones at their time, others on request.
 
     Bytes pass through ``line`` in both directions; ``clock_rate`` is the relative speed of the device's clock. Device
-    time is counted in samples, so that a plan has the same effect on any computer. ``lasting`` are the active faults,
+    time is counted in samples, so that a plan has the same effect on any computer. ``active`` are the active faults,
     ``happened`` counts all.
     """
 
@@ -190,7 +190,7 @@ class FaultInjector:
         self, firmware: Firmware, cable: Cable, planned: Iterable[PlannedFault] = (), *, seed: int = 0
     ) -> None:
         self.line = LineFaults(seed)
-        self.lasting: list[Happening] = []
+        self.active: list[ActiveFault] = []
         self.happened = 0
         self._firmware, self._identity = firmware, firmware.identity
         self._cable = cable
@@ -203,19 +203,19 @@ class FaultInjector:
     @property
     def clock_rate(self) -> float:
         """Device seconds per second."""
-        error = sum(item.clock_error for item in self.lasting)
+        error = sum(item.clock_error for item in self.active)
         return 1.0 + min(max(error, -FURTHEST_CLOCK), FURTHEST_CLOCK)
 
     def advance(self, samples: int, now_s: float) -> None:
         """Account for ``samples`` device samples; ``now_s`` is the clock of the watchdog."""
         self._samples += samples
-        for item in self.lasting:
+        for item in self.active:
             item.clock_error += item.clock_drift_per_s * samples / self._firmware.sample_rate_hz
-        for item in [item for item in self.lasting if item.ends_s is not None and item.ends_s <= self._seconds()]:
+        for item in [item for item in self.active if item.ends_s is not None and item.ends_s <= self._seconds()]:
             self.end(item)
-        self.look(now_s)
+        self.start_due(now_s)
 
-    def look(self, now_s: float) -> None:
+    def start_due(self, now_s: float) -> None:
         """Start faults that are due; must be called whenever the state of the firmware may have changed."""
         state = self._firmware.state if self._firmware.streaming else None
         if state is not self._state:
@@ -226,27 +226,27 @@ class FaultInjector:
             self._planned.remove(fault)
             self.begin(fault, now_s)
 
-    def begin(self, fault: PlannedFault, now_s: float) -> Happening:
+    def begin(self, fault: PlannedFault, now_s: float) -> ActiveFault:
         """Start a fault now, regardless of its timing."""
         kind = FAULT_KINDS[fault.kind]
         seconds = kind.seconds if fault.seconds is None else fault.seconds
         ends = None if seconds is None else self._seconds() + seconds
-        it = Happening(fault, self._firmware, self._cable, self.line, self._identity, now_s, ends)
+        it = ActiveFault(fault, self._firmware, self._cable, self.line, self._identity, now_s, ends)
         kind.begin(it)
         self.happened += 1
-        self.lasting.append(it)
+        self.active.append(it)
         return it
 
-    def end(self, it: Happening) -> None:
+    def end(self, it: ActiveFault) -> None:
         """End an active fault."""
-        self.lasting.remove(it)
+        self.active.remove(it)
         it.undo()
 
     def clear(self) -> None:
         """End all active faults and remove the planned ones."""
         self._planned.clear()
         self._firmware.stall(0.0)
-        for it in self.lasting[::-1]:
+        for it in self.active[::-1]:
             self.end(it)
 
     def _seconds(self) -> float:

@@ -10,16 +10,16 @@ from math import isnan
 import numpy as np
 from numpy.typing import NDArray
 
-from firmware_sim.answered import Answered
 from firmware_sim.bench import Bench
 from firmware_sim.guard import Guard
 from firmware_sim.identity import Identity
 from firmware_sim.limits import MAX_RUN_S, ArmedLimits
-from firmware_sim.memory import Answer, StimulusMemory
 from firmware_sim.outbox import Outbox
 from firmware_sim.player import Player
+from firmware_sim.response_cache import ResponseCache
 from firmware_sim.sampler import SIGNALS, sampled
 from firmware_sim.setpoints import Setpoints
+from firmware_sim.stimulus_memory import Answer, StimulusMemory
 from tissueid import wire
 from tissueid.wire import Fault, Frame, MessageType, Result, State
 
@@ -72,7 +72,7 @@ class Firmware:
         self.sample_index = 0
         self._decoder = wire.FrameDecoder()
         self._outbox = Outbox(self.sample_rate_hz)
-        self._answered = Answered()
+        self._answered = ResponseCache()
         self._greeted = False
         self._last_frame_s = self._last_heartbeat_s = 0.0
         self._samples = np.zeros(0, wire.SAMPLE)

@@ -42,7 +42,7 @@ class Guard:
         self._lifted = False
         self._plausibility.begin(seen_low_end=armed.min_position_m <= 0.0)
 
-    def lowered(self, command_v: NDArray[np.float64], block: Block, armed: ArmedLimits) -> NDArray[np.float64]:
+    def with_reduced_force(self, command_v: NDArray[np.float64], block: Block, armed: ArmedLimits) -> NDArray[np.float64]:
         """Return commands, shape (n,), V, reduced where the force would exceed its limit; ``block`` is their result.
 
         The current follows the voltage within a sample (L/R is 0.08 ms), minus the back-EMF: F = k (V - k v) / R. A
@@ -77,14 +77,14 @@ class Guard:
                 self._channels,
                 self._coil,
                 first - self._release_samples,  # the release is in addition to the agreed samples
-                self._off_the_end(readings.position, armed, first),
+                self._near_limit_applies(readings.position, armed, first),
             ),
         ]
         if self.winding.temperature_c > armed.max_temperature_c:
             found.append((0, Fault.OVER_TEMPERATURE))
         return min((item for item in found if item[1]), key=lambda item: item[0], default=(0, Fault.NONE))
 
-    def _off_the_end(self, position: NDArray[np.float64], armed: ArmedLimits, first: int) -> NDArray[np.bool_]:
+    def _near_limit_applies(self, position: NDArray[np.float64], armed: ArmedLimits, first: int) -> NDArray[np.bool_]:
         """Return the mask (n,) of samples for which the near limit applies: after the probe was inside it, or had time
         to be.
         """
@@ -93,7 +93,7 @@ class Guard:
         self._lifted = bool(off[-1]) if off.size else self._lifted
         return np.asarray(off)
 
-    def live_on(self, block: Block) -> None:
+    def update(self, block: Block) -> None:
         """Update temperature and positions with a block, played or not."""
         self._newest_m = np.concatenate((self._newest_m, self._read(block, "position")))[-3:]
         self.winding.advance(self._read(block, "current"), self._read(block, "temperature"))

@@ -22,7 +22,7 @@ FURTHEST = 3
 OTHER_VERSION = 2
 
 
-class _Trouble:
+class _LineFault:
     """One fault of one direction of the line, which affects the share ``share`` of the pieces."""
 
     def __init__(self, kind: str, share: float, pieces: Pieces, random: np.random.Generator) -> None:
@@ -41,7 +41,7 @@ class _Trouble:
             touched = self._random.random() < self._share
             self.touched += touched
             out += self._touch(self, piece) if touched else piece
-            if not (touched and self._touch is _Trouble.hold):
+            if not (touched and self._touch is _LineFault.hold):
                 out += self._overtaken()
         return bytes(out)
 
@@ -93,12 +93,12 @@ class _Trouble:
             data = data[size:]
 
 
-_TOUCH: dict[str, Callable[[_Trouble, bytes], bytes]] = {
-    "bit_flips": _Trouble.flip,
-    "drops": _Trouble.drop,
-    "duplicates": _Trouble.repeat,
-    "reordering": _Trouble.hold,
-    "wrong_version_frames": _Trouble.relabel,
+_TOUCH: dict[str, Callable[[_LineFault, bytes], bytes]] = {
+    "bit_flips": _LineFault.flip,
+    "drops": _LineFault.drop,
+    "duplicates": _LineFault.repeat,
+    "reordering": _LineFault.hold,
+    "wrong_version_frames": _LineFault.relabel,
 }
 
 LINE_KINDS = frozenset(_TOUCH)
@@ -110,7 +110,7 @@ class LineFaults:
 
     def __init__(self, seed: int = 0) -> None:
         self._random = np.random.default_rng([seed, 0x11E5])
-        self._troubles: dict[Way, list[_Trouble]] = {way: [] for way in get_args(Way)}
+        self._troubles: dict[Way, list[_LineFault]] = {way: [] for way in get_args(Way)}
         self._left: dict[Way, bytes] = dict.fromkeys(get_args(Way), b"")
         self._touched_before = 0
 
@@ -128,7 +128,7 @@ class LineFaults:
             KeyError: there is no such kind.
         """
         ways: tuple[Way, ...] = get_args(Way) if direction == "both" else (direction,)
-        begun = [(way, _Trouble(kind, share, pieces, self._random.spawn(1)[0])) for way in ways]
+        begun = [(way, _LineFault(kind, share, pieces, self._random.spawn(1)[0])) for way in ways]
         for way, trouble in begun:
             self._troubles[way].append(trouble)
 

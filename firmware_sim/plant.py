@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 
 from firmware_sim import kernel
 from firmware_sim.coil import IDEAL, CoilProfile
-from firmware_sim.effects.acting import Acting
+from firmware_sim.effects.active_effects import ActiveEffects
 from firmware_sim.effects.base import Effect
 from firmware_sim.tissue import Tissue
 
@@ -125,7 +125,7 @@ class Plant:
         self.substeps = substeps
         self._interval_s = 1.0 / sample_rate_hz
         self._plant = np.concatenate([parameters.to_array(), [0.0], coil.to_array()])
-        self._acting = Acting(effects)
+        self._acting = ActiveEffects(effects)
         self.tissue = tissue
         self.state: NDArray[np.float64] = np.zeros(kernel.STATE_SIZE)
         self.rest()

@@ -30,7 +30,7 @@ class Sampled:
     button: bool
 
 
-def _below_the_limit(
+def _with_reduced_command(
     bench: Bench,
     guard: Guard,
     before: Snapshot,
@@ -45,13 +45,13 @@ def _below_the_limit(
     """
     done = 0
     while True:
-        lowered = guard.lowered(command_v, block, limits)
-        changed = np.flatnonzero(lowered[done:] != command_v[done:])
+        reduced = guard.with_reduced_force(command_v, block, limits)
+        changed = np.flatnonzero(reduced[done:] != command_v[done:])
         if not changed.size:
             return command_v, flags, block
         k = done + int(changed[0])
         command_v, flags, done = command_v.copy(), flags.copy(), k + 1
-        command_v[k] = lowered[k]
+        command_v[k] = reduced[k]
         flags[k] |= Flag.LIMITED
         bench.restore(before)
         block = bench.block(command_v, energised=True)
@@ -76,14 +76,14 @@ def sampled(
     block = bench.block(command_v, energised)
     first, fault = 0, Fault.NONE
     if limits is not None and energised:
-        command_v, flags, block = _below_the_limit(bench, guard, before, command_v, flags, block, limits)
+        command_v, flags, block = _with_reduced_command(bench, guard, before, command_v, flags, block, limits)
         first, fault = guard.judge(block, limits, cursor)
     if fault and first + 1 < command_v.size:
         # The trip acts on the next sample, so later samples of the block are discarded.
         bench.restore(before)
         command_v, flags = command_v[: first + 1], flags[: first + 1]
         block = bench.block(command_v, energised)
-    guard.live_on(block)
+    guard.update(block)
     samples = np.zeros(command_v.size, wire.SAMPLE)
     for column, name in enumerate(SIGNALS):
         samples[name] = block.codes[:, column]

@@ -12,21 +12,21 @@ from pydantic import BaseModel, ConfigDict, Field, ValidationError, model_valida
 
 from firmware_sim.bench import Bench
 from firmware_sim.converters import CHANNELS, ChannelError
+from firmware_sim.device_models import MODELS
 from firmware_sim.effects import read_effects
 from firmware_sim.effects.base import Effect
 from firmware_sim.faults import PlannedFault
 from firmware_sim.identity import Identity
-from firmware_sim.models import MODELS
 from firmware_sim.plant import SAMPLE_RATE_HZ, STANDARD_GRAVITY, PlantParameters
 from firmware_sim.presets import DEFAULT, preset_names
-from firmware_sim.refusal import why
+from firmware_sim.validation_reason import validation_reason
 
 
 def _between(low: float, high: float) -> object:
     return Field(ge=low, le=high, allow_inf_nan=False)
 
 
-class Truth(BaseModel):
+class TrueParameters(BaseModel):
     """True parameters of the device where they differ from the announced ones, by the names of the plant, SI.
 
     The weight is that of the moving mass unless it is given as well.
@@ -59,7 +59,7 @@ class Truth(BaseModel):
         return replace(nominal, **given)
 
 
-class ChannelTruth(BaseModel):
+class TrueChannel(BaseModel):
     """Error of a channel's scale against the announced one; the offset in the unit of the channel."""
 
     model_config = ConfigDict(frozen=True, extra="forbid")
@@ -87,8 +87,8 @@ class Scenario(BaseModel):
     """Force constant constant along the stroke, or decreasing towards its ends."""
     stage: bool | None = None
     """A motorised stage that positions the fixture; by default only a desktop device has one."""
-    truth: Truth = Truth()
-    channels: dict[str, ChannelTruth] = Field(default_factory=dict)
+    truth: TrueParameters = TrueParameters()
+    channels: dict[str, TrueChannel] = Field(default_factory=dict)
     sensor_supply_share: Annotated[float, _between(0.8, 1.2)] = 1.0
     """Supply voltage of the sensors relative to nominal, which scales the potentiometer's reading."""
     effects: dict[str, dict[str, bool | int | float | str]] = Field(default_factory=dict)
@@ -199,7 +199,9 @@ def load_scenario(path: Path | None, **overrides: object) -> Scenario:
         first = error.errors()[0]
         where = ".".join(str(part) for part in first["loc"])
         known = Scenario.model_fields if len(first["loc"]) == 1 else ()
-        raise ValueError(f"the scenario's {where or 'figures'} cannot be used: {why(first, known)}") from error
+        raise ValueError(
+            f"the scenario's {where or 'figures'} cannot be used: {validation_reason(first, known)}"
+        ) from error
     if scenario.preset not in preset_names():
         raise ValueError(f"no preset {scenario.preset!r}; there are: {', '.join(preset_names())}")
     return scenario

@@ -9,7 +9,7 @@ from typing import Any
 from coded import coded, says
 
 from firmware_sim.effects import LISTED
-from firmware_sim.laboratory.drawing import NOMINAL, DrawnScenario, draw_scenario
+from firmware_sim.laboratory.scenario_generation import NOMINAL, DrawnScenario, draw_scenario
 from tissueid.device import DeviceDescription
 from tissueid.gap.dataset import Dataset
 from tissueid.gap.preparation import prepare

@@ -12,7 +12,7 @@ import numpy as np
 from screenshot_scene import SetClock, set_clock
 
 from firmware_sim.effects import LISTED
-from firmware_sim.laboratory.drawing import NOMINAL, draw_scenario
+from firmware_sim.laboratory.scenario_generation import NOMINAL, draw_scenario
 from tissueid.acquisition import SessionRecorder
 from tissueid.app.emergency import BY_KEY, EmergencyStop
 from tissueid.app.live_signals import LiveSignals

@@ -17,8 +17,8 @@ import numpy as np
 
 from firmware_sim.bench import Bench
 from firmware_sim.coil import finite_coil, profile_values
+from firmware_sim.device_models import MODELS
 from firmware_sim.local_values import local_values
-from firmware_sim.models import MODELS
 from firmware_sim.plant import SAMPLE_RATE_HZ, SUBSTEPS, Plant, PlantParameters
 from firmware_sim.presets import load_preset, preset_names
 from firmware_sim.tissue import Tissue

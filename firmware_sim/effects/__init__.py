@@ -18,7 +18,7 @@ from pydantic import ValidationError
 
 from firmware_sim.effects import coil, drive, environment, mechanics, sensing, tissue
 from firmware_sim.effects.base import ROWS, Effect
-from firmware_sim.refusal import why
+from firmware_sim.validation_reason import validation_reason
 
 EFFECTS: Mapping[str, type[Effect]] = {
     kind.name: kind
@@ -46,7 +46,9 @@ def read_effects(given: Mapping[str, object]) -> tuple[Effect, ...]:
             # A misspelt parameter is also reported as missing; the misspelling is the helpful error.
             first = min(error.errors(), key=lambda item: item["type"] != "extra_forbidden")
             where = ".".join(["effects", name, *(str(part) for part in first["loc"])])
-            raise ValueError(f"{where} cannot be used: {why(first, EFFECTS[name].model_fields)}") from error
+            raise ValueError(
+                f"{where} cannot be used: {validation_reason(first, EFFECTS[name].model_fields)}"
+            ) from error
     return in_order(found)
 
 

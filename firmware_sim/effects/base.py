@@ -70,7 +70,7 @@ RINGS, RING_LENGTH = 3, 16384
 
 
 @dataclass(frozen=True)
-class Drawn:
+class ParameterRange:
     """Distribution of a random parameter: uniform or log-uniform between two values, optionally with a random sign."""
 
     low: float
@@ -88,7 +88,7 @@ class Drawn:
 
 
 @dataclass(frozen=True)
-class Circumstances:
+class DrawConditions:
     """Conditions for which an effect's parameters are drawn: surface, depth of the tests, and stimulus, SI."""
 
     surface_m: float = 0.010
@@ -133,7 +133,7 @@ class Effect(BaseModel):
         return float(value)
 
     @classmethod
-    def draw(cls, random: np.random.Generator, around: Circumstances) -> Self:
+    def draw(cls, random: np.random.Generator, around: DrawConditions) -> Self:
         """Return an effect with widely distributed random parameters, from barely visible to gross."""
         return cls(**cls._drawn(random))
 
@@ -151,16 +151,16 @@ class Effect(BaseModel):
         return values
 
 
-def _rule(item: FieldInfo) -> Drawn | None:
-    return next((extra for extra in item.metadata if isinstance(extra, Drawn)), None)
+def _rule(item: FieldInfo) -> ParameterRange | None:
+    return next((extra for extra in item.metadata if isinstance(extra, ParameterRange)), None)
 
 
-def within(low: float, high: float) -> FieldInfo:
+def bounds(low: float, high: float) -> FieldInfo:
     """Return the bounds of a parameter, inclusive."""
     found: FieldInfo = Field(ge=low, le=high, allow_inf_nan=False)
     return found
 
 
-def widely(low: float, high: float, *, either_sign: bool = False) -> Drawn:
+def log_uniform(low: float, high: float, *, either_sign: bool = False) -> ParameterRange:
     """Return a log-uniform distribution."""
-    return Drawn(low, high, True, either_sign)
+    return ParameterRange(low, high, True, either_sign)

@@ -10,7 +10,7 @@ from numba import njit
 
 from firmware_sim import kernel
 from firmware_sim.effects import base
-from firmware_sim.effects.base import Array, Circumstances, Drawn, Effect, Stage, widely, within
+from firmware_sim.effects.base import Array, DrawConditions, Effect, ParameterRange, Stage, bounds, log_uniform
 from firmware_sim.effects.drive import smooth_size
 
 COPPER_PER_K = 3.93e-3
@@ -29,9 +29,9 @@ class EddyCurrents(Effect):
     unit: ClassVar[str] = "H"
     typical: ClassVar[float] = 2e-3
 
-    level: Annotated[float, within(0.0, 0.05), widely(3e-4, 8e-3)]
-    first_ohm: Annotated[float, within(0.1, 100.0), widely(1.0, 10.0)] = 4.0
-    second_share: Annotated[float, within(0.05, 5.0), widely(0.15, 1.0)] = 0.4
+    level: Annotated[float, bounds(0.0, 0.05), log_uniform(3e-4, 8e-3)]
+    first_ohm: Annotated[float, bounds(0.1, 100.0), log_uniform(1.0, 10.0)] = 4.0
+    second_share: Annotated[float, bounds(0.05, 5.0), log_uniform(0.15, 1.0)] = 0.4
 
 
 class CoilHeating(Effect):
@@ -45,9 +45,9 @@ class CoilHeating(Effect):
     unit: ClassVar[str] = "K/W"
     typical: ClassVar[float] = 2.0
 
-    level: Annotated[float, within(0.0, 50.0), widely(0.15, 8.0)]
-    time_s: Annotated[float, within(0.02, 100.0), widely(0.4, 4.0)] = 1.5
-    body_per_s: Annotated[float, within(0.0, 1.0), Drawn(0.0, 0.03)] = 0.01
+    level: Annotated[float, bounds(0.0, 50.0), log_uniform(0.15, 8.0)]
+    time_s: Annotated[float, bounds(0.02, 100.0), log_uniform(0.4, 4.0)] = 1.5
+    body_per_s: Annotated[float, bounds(0.0, 1.0), ParameterRange(0.0, 0.03)] = 0.01
 
 
 class InductancePosition(Effect):
@@ -61,13 +61,13 @@ class InductancePosition(Effect):
     unit: ClassVar[str] = "1"
     typical: ClassVar[float] = 2.0
 
-    level: Annotated[float, within(0.0, 10.0), widely(0.5, 5.0)]
+    level: Annotated[float, bounds(0.0, 10.0), log_uniform(0.5, 5.0)]
     sense: Literal["inward", "outward"] = "inward"
-    middle_m: Annotated[float, within(-0.01, 0.05)] = 0.0135
-    width_m: Annotated[float, within(0.0005, 0.1), widely(0.001, 0.005)] = 0.002
+    middle_m: Annotated[float, bounds(-0.01, 0.05)] = 0.0135
+    width_m: Annotated[float, bounds(0.0005, 0.1), log_uniform(0.001, 0.005)] = 0.002
 
     @classmethod
-    def draw(cls, random: np.random.Generator, around: Circumstances) -> Self:
+    def draw(cls, random: np.random.Generator, around: DrawConditions) -> Self:
         """Return parameters with the middle near the range of motion of a standard test."""
         middle = around.surface_m + around.depth_m + random.uniform(-0.0015, 0.0015)
         return cls.model_validate(cls._drawn(random) | {"middle_m": middle})
@@ -85,13 +85,13 @@ class ForceConstantPosition(Effect):
     unit: ClassVar[str] = "1"
     typical: ClassVar[float] = 0.3
 
-    level: Annotated[float, within(0.0, 0.9), widely(0.12, 0.8)]
+    level: Annotated[float, bounds(0.0, 0.9), log_uniform(0.12, 0.8)]
     course: Literal["fall", "bell", "slope"] = "fall"
-    middle_m: Annotated[float, within(-0.01, 0.05)] = 0.013
-    width_m: Annotated[float, within(0.001, 0.1), widely(0.002, 0.008)] = 0.004
+    middle_m: Annotated[float, bounds(-0.01, 0.05)] = 0.013
+    width_m: Annotated[float, bounds(0.001, 0.1), log_uniform(0.002, 0.008)] = 0.004
 
     @classmethod
-    def draw(cls, random: np.random.Generator, around: Circumstances) -> Self:
+    def draw(cls, random: np.random.Generator, around: DrawConditions) -> Self:
         """Return parameters with the decrease near the range of motion of a standard test."""
         middle = around.surface_m + around.depth_m + random.uniform(-0.003, 0.003)
         return cls.model_validate(cls._drawn(random) | {"middle_m": middle})
@@ -119,8 +119,8 @@ class FluxSaturation(Effect):
     unit: ClassVar[str] = "1/A"
     typical: ClassVar[float] = 0.15
 
-    level: Annotated[float, within(0.0, 5.0), widely(0.008, 0.4)]
-    bias_a: Annotated[float, within(-10.0, 10.0), Drawn(-1.5, 1.5)] = 0.4
+    level: Annotated[float, bounds(0.0, 5.0), log_uniform(0.008, 0.4)]
+    bias_a: Annotated[float, bounds(-10.0, 10.0), ParameterRange(-1.5, 1.5)] = 0.4
 
 
 class ReluctanceForce(Effect):
@@ -135,9 +135,9 @@ class ReluctanceForce(Effect):
     unit: ClassVar[str] = "N/A^2"
     typical: ClassVar[float] = 0.15
 
-    level: Annotated[float, within(-3.0, 3.0), widely(0.01, 0.4, either_sign=True)]
-    gap_m: Annotated[float, within(0.002, 1.0), widely(0.01, 0.06)] = 0.02
-    middle_m: Annotated[float, within(-0.01, 0.05), Drawn(0.010, 0.016)] = 0.013
+    level: Annotated[float, bounds(-3.0, 3.0), log_uniform(0.01, 0.4, either_sign=True)]
+    gap_m: Annotated[float, bounds(0.002, 1.0), log_uniform(0.01, 0.06)] = 0.02
+    middle_m: Annotated[float, bounds(-0.01, 0.05), ParameterRange(0.010, 0.016)] = 0.013
 
 
 class Demagnetisation(Effect):
@@ -149,8 +149,8 @@ class Demagnetisation(Effect):
     typical: ClassVar[float] = 0.15
     listed: ClassVar[bool] = False
 
-    level: Annotated[float, within(0.0, 0.9), widely(0.01, 0.3)]
-    work_j: Annotated[float, within(0.1, 1e4), widely(20.0, 120.0)] = 60.0
+    level: Annotated[float, bounds(0.0, 0.9), log_uniform(0.01, 0.3)]
+    work_j: Annotated[float, bounds(0.1, 1e4), log_uniform(20.0, 120.0)] = 60.0
 
 
 @njit

@@ -9,7 +9,7 @@ import numpy as np
 from numba import njit
 
 from firmware_sim.effects import base
-from firmware_sim.effects.base import Array, Circumstances, Drawn, Effect, Stage, widely, within
+from firmware_sim.effects.base import Array, DrawConditions, Effect, ParameterRange, Stage, bounds, log_uniform
 
 
 class Latency(Effect):
@@ -20,7 +20,7 @@ class Latency(Effect):
     unit: ClassVar[str] = "s"
     typical: ClassVar[float] = 1e-3
 
-    level: Annotated[float, within(0.0, 0.02), widely(1.5e-4, 4e-3)]
+    level: Annotated[float, bounds(0.0, 0.02), log_uniform(1.5e-4, 4e-3)]
 
 
 class AmplifierLag(Effect):
@@ -31,8 +31,8 @@ class AmplifierLag(Effect):
     unit: ClassVar[str] = "s"
     typical: ClassVar[float] = 4e-4
 
-    level: Annotated[float, within(0.0, 0.01), widely(4e-5, 1e-3)]
-    damping_ratio: Annotated[float, within(0.3, 3.0), Drawn(0.65, 1.6)] = 1.0
+    level: Annotated[float, bounds(0.0, 0.01), log_uniform(4e-5, 1e-3)]
+    damping_ratio: Annotated[float, bounds(0.3, 3.0), ParameterRange(0.65, 1.6)] = 1.0
 
 
 class AmplifierClipping(Effect):
@@ -47,13 +47,13 @@ class AmplifierClipping(Effect):
     unit: ClassVar[str] = "1/V"
     typical: ClassVar[float] = 1.0 / 24.0
 
-    level: Annotated[float, within(0.0, 1.0)]
+    level: Annotated[float, bounds(0.0, 1.0)]
     kind: Literal["hard", "soft"] = "hard"
-    share_below: Annotated[float, within(0.1, 10.0), Drawn(0.6, 1.4)] = 1.0
-    sharpness: Annotated[float, within(2.0, 30.0), widely(4.0, 16.0)] = 8.0
+    share_below: Annotated[float, bounds(0.1, 10.0), ParameterRange(0.6, 1.4)] = 1.0
+    sharpness: Annotated[float, bounds(2.0, 30.0), log_uniform(4.0, 16.0)] = 8.0
 
     @classmethod
-    def draw(cls, random: np.random.Generator, around: Circumstances) -> Self:
+    def draw(cls, random: np.random.Generator, around: DrawConditions) -> Self:
         """Return a limit between 0.3 and 2.2 standard deviations above the mean."""
         limit = around.mean_v + around.spread_v * random.uniform(0.3, 2.2)
         return cls.model_validate(cls._drawn(random) | {"level": 1.0 / limit})
@@ -67,8 +67,8 @@ class AmplifierDeadband(Effect):
     unit: ClassVar[str] = "V"
     typical: ClassVar[float] = 2.0
 
-    level: Annotated[float, within(0.0, 10.0), widely(0.2, 5.0)]
-    share_left: Annotated[float, within(0.0, 0.95), Drawn(0.0, 0.3)] = 0.0
+    level: Annotated[float, bounds(0.0, 10.0), log_uniform(0.2, 5.0)]
+    share_left: Annotated[float, bounds(0.0, 0.95), ParameterRange(0.0, 0.3)] = 0.0
 
 
 class AmplifierDrift(Effect):
@@ -82,11 +82,11 @@ class AmplifierDrift(Effect):
     unit: ClassVar[str] = "1"
     typical: ClassVar[float] = 0.05
 
-    level: Annotated[float, within(-0.8, 0.8), widely(0.01, 0.25, either_sign=True)]
+    level: Annotated[float, bounds(-0.8, 0.8), log_uniform(0.01, 0.25, either_sign=True)]
     of: Literal["gain", "offset"] = "gain"
-    time_s: Annotated[float, within(0.05, 100.0), widely(0.5, 6.0)] = 2.0
-    walk_share: Annotated[float, within(0.0, 1.0), Drawn(0.0, 0.3)] = 0.1
-    pattern: Annotated[int, within(0, 10_000)] = 1
+    time_s: Annotated[float, bounds(0.05, 100.0), log_uniform(0.5, 6.0)] = 2.0
+    walk_share: Annotated[float, bounds(0.0, 1.0), ParameterRange(0.0, 0.3)] = 0.1
+    pattern: Annotated[int, bounds(0, 10_000)] = 1
 
 
 class SlewRate(Effect):
@@ -98,7 +98,7 @@ class SlewRate(Effect):
     typical: ClassVar[float] = 1.0 / 12_000.0
     listed: ClassVar[bool] = False
 
-    level: Annotated[float, within(0.0, 1e-2), widely(3e-5, 2e-4)]
+    level: Annotated[float, bounds(0.0, 1e-2), log_uniform(3e-5, 2e-4)]
 
 
 @njit

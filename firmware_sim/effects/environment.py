@@ -8,7 +8,7 @@ from typing import Annotated, ClassVar
 import numpy as np
 from numba import njit
 
-from firmware_sim.effects.base import Array, Drawn, Effect, Stage, widely, within
+from firmware_sim.effects.base import Array, Effect, ParameterRange, Stage, bounds, log_uniform
 from firmware_sim.effects.drive import phase
 
 
@@ -23,14 +23,14 @@ class MainsHum(Effect):
     unit: ClassVar[str] = "V"
     typical: ClassVar[float] = 0.1
 
-    level: Annotated[float, within(0.0, 10.0), widely(0.02, 0.8)]
+    level: Annotated[float, bounds(0.0, 10.0), log_uniform(0.02, 0.8)]
     sixty: bool = False
-    frequency_error: Annotated[float, within(-0.01, 0.01), Drawn(-0.002, 0.002)] = 0.0
-    third_share: Annotated[float, within(0.0, 1.0), Drawn(0.05, 0.5)] = 0.3
-    fifth_share: Annotated[float, within(0.0, 1.0), Drawn(0.0, 0.3)] = 0.15
-    current_a_per_v: Annotated[float, within(0.0, 10.0), widely(0.02, 0.5)] = 0.1
-    position_m_per_v: Annotated[float, within(0.0, 0.01), widely(3e-5, 1e-3)] = 1e-4
-    pattern: Annotated[int, within(0, 10_000)] = 1
+    frequency_error: Annotated[float, bounds(-0.01, 0.01), ParameterRange(-0.002, 0.002)] = 0.0
+    third_share: Annotated[float, bounds(0.0, 1.0), ParameterRange(0.05, 0.5)] = 0.3
+    fifth_share: Annotated[float, bounds(0.0, 1.0), ParameterRange(0.0, 0.3)] = 0.15
+    current_a_per_v: Annotated[float, bounds(0.0, 10.0), log_uniform(0.02, 0.5)] = 0.1
+    position_m_per_v: Annotated[float, bounds(0.0, 0.01), log_uniform(3e-5, 1e-3)] = 1e-4
+    pattern: Annotated[int, bounds(0, 10_000)] = 1
 
     @classmethod
     def _drawn(cls, random: np.random.Generator) -> dict[str, object]:
@@ -46,13 +46,13 @@ class PhysiologicalMotion(Effect):
     unit: ClassVar[str] = "m"
     typical: ClassVar[float] = 3e-4
 
-    level: Annotated[float, within(0.0, 0.01), widely(1.2e-5, 6e-4)]
-    breathing_hz: Annotated[float, within(0.05, 2.0), Drawn(0.15, 0.4)] = 0.25
-    pulse_share: Annotated[float, within(0.0, 2.0), Drawn(0.03, 0.3)] = 0.12
-    pulse_hz: Annotated[float, within(0.4, 4.0), Drawn(0.9, 1.7)] = 1.2
-    tremor_share: Annotated[float, within(0.0, 2.0), Drawn(0.0, 0.08)] = 0.03
-    tremor_hz: Annotated[float, within(3.0, 20.0), Drawn(8.0, 12.0)] = 9.5
-    pattern: Annotated[int, within(0, 10_000)] = 1
+    level: Annotated[float, bounds(0.0, 0.01), log_uniform(1.2e-5, 6e-4)]
+    breathing_hz: Annotated[float, bounds(0.05, 2.0), ParameterRange(0.15, 0.4)] = 0.25
+    pulse_share: Annotated[float, bounds(0.0, 2.0), ParameterRange(0.03, 0.3)] = 0.12
+    pulse_hz: Annotated[float, bounds(0.4, 4.0), ParameterRange(0.9, 1.7)] = 1.2
+    tremor_share: Annotated[float, bounds(0.0, 2.0), ParameterRange(0.0, 0.08)] = 0.03
+    tremor_hz: Annotated[float, bounds(3.0, 20.0), ParameterRange(8.0, 12.0)] = 9.5
+    pattern: Annotated[int, bounds(0, 10_000)] = 1
 
 
 @njit

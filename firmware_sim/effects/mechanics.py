@@ -9,7 +9,7 @@ import numpy as np
 from numba import njit
 
 from firmware_sim.effects import base
-from firmware_sim.effects.base import Array, Circumstances, Drawn, Effect, Stage, widely, within
+from firmware_sim.effects.base import Array, DrawConditions, Effect, ParameterRange, Stage, bounds, log_uniform
 from firmware_sim.effects.drive import phase
 
 SLIPS = 6
@@ -28,10 +28,10 @@ class DryFriction(Effect):
     unit: ClassVar[str] = "N"
     typical: ClassVar[float] = 0.3
 
-    level: Annotated[float, within(0.0, 5.0), widely(0.03, 1.2)]
-    breakaway_share: Annotated[float, within(0.0, 2.0), Drawn(0.0, 0.7)] = 0.3
-    stribeck_m_per_s: Annotated[float, within(1e-4, 1.0), widely(0.002, 0.02)] = 0.006
-    presliding_m: Annotated[float, within(2e-6, 1e-3), widely(3e-6, 3e-5)] = 8e-6
+    level: Annotated[float, bounds(0.0, 5.0), log_uniform(0.03, 1.2)]
+    breakaway_share: Annotated[float, bounds(0.0, 2.0), ParameterRange(0.0, 0.7)] = 0.3
+    stribeck_m_per_s: Annotated[float, bounds(1e-4, 1.0), log_uniform(0.002, 0.02)] = 0.006
+    presliding_m: Annotated[float, bounds(2e-6, 1e-3), log_uniform(3e-6, 3e-5)] = 8e-6
 
 
 class DirectionalFriction(Effect):
@@ -45,12 +45,12 @@ class DirectionalFriction(Effect):
     unit: ClassVar[str] = "N"
     typical: ClassVar[float] = 0.4
 
-    level: Annotated[float, within(0.0, 5.0), widely(0.06, 1.5)]
-    outward_share: Annotated[float, within(0.0, 10.0)] = 0.3
-    presliding_m: Annotated[float, within(2e-6, 1e-3), widely(4e-6, 3e-5)] = 1e-5
+    level: Annotated[float, bounds(0.0, 5.0), log_uniform(0.06, 1.5)]
+    outward_share: Annotated[float, bounds(0.0, 10.0)] = 0.3
+    presliding_m: Annotated[float, bounds(2e-6, 1e-3), log_uniform(4e-6, 3e-5)] = 1e-5
 
     @classmethod
-    def draw(cls, random: np.random.Generator, around: Circumstances) -> Self:
+    def draw(cls, random: np.random.Generator, around: DrawConditions) -> Self:
         """Return random parameters; either direction can have the higher friction, by a factor of 1.6 to 10."""
         heavier = float(np.exp(random.uniform(np.log(1.6), np.log(10.0))))
         values = cls._drawn(random)
@@ -68,8 +68,8 @@ class QuadraticDrag(Effect):
     unit: ClassVar[str] = "N"
     typical: ClassVar[float] = 0.4
 
-    level: Annotated[float, within(0.0, 20.0), widely(0.05, 2.0)]
-    exponent: Annotated[float, within(1.2, 4.0), Drawn(1.7, 2.6)] = 2.0
+    level: Annotated[float, bounds(0.0, 20.0), log_uniform(0.05, 2.0)]
+    exponent: Annotated[float, bounds(1.2, 4.0), ParameterRange(1.7, 2.6)] = 2.0
 
 
 class EndStop(Effect):
@@ -83,13 +83,13 @@ class EndStop(Effect):
     unit: ClassVar[str] = "N"
     typical: ClassVar[float] = 4.0
 
-    level: Annotated[float, within(0.0, 20.0), widely(0.8, 12.0)]
-    at_m: Annotated[float, within(-0.01, 0.05)] = 0.0145
+    level: Annotated[float, bounds(0.0, 20.0), log_uniform(0.8, 12.0)]
+    at_m: Annotated[float, bounds(-0.01, 0.05)] = 0.0145
     side: Literal["inward", "outward"] = "inward"
-    loss_s_per_m: Annotated[float, within(0.0, 50.0), Drawn(0.5, 8.0)] = 3.0
+    loss_s_per_m: Annotated[float, bounds(0.0, 50.0), ParameterRange(0.5, 8.0)] = 3.0
 
     @classmethod
-    def draw(cls, random: np.random.Generator, around: Circumstances) -> Self:
+    def draw(cls, random: np.random.Generator, around: DrawConditions) -> Self:
         """Return a stop within the motion of a standard test, 0.3 to 2 standard deviations deeper than its mean."""
         at = around.surface_m + around.depth_m + around.swing_m * random.uniform(0.3, 2.0)
         return cls.model_validate(cls._drawn(random) | {"at_m": at, "side": "inward"})
@@ -106,11 +106,11 @@ class MountResonance(Effect):
     unit: ClassVar[str] = "1"
     typical: ClassVar[float] = 0.1
 
-    level: Annotated[float, within(0.0, 1.0), widely(0.01, 0.25)]
-    frequency_hz: Annotated[float, within(3.0, 300.0), widely(15.0, 90.0)] = 35.0
-    damping_ratio: Annotated[float, within(0.001, 1.0), widely(0.02, 0.2)] = 0.05
-    second_frequency_ratio: Annotated[float, within(1.1, 10.0), Drawn(1.8, 4.0)] = 2.6
-    second_share: Annotated[float, within(0.0, 1.0), Drawn(0.0, 0.3)] = 0.15
+    level: Annotated[float, bounds(0.0, 1.0), log_uniform(0.01, 0.25)]
+    frequency_hz: Annotated[float, bounds(3.0, 300.0), log_uniform(15.0, 90.0)] = 35.0
+    damping_ratio: Annotated[float, bounds(0.001, 1.0), log_uniform(0.02, 0.2)] = 0.05
+    second_frequency_ratio: Annotated[float, bounds(1.1, 10.0), ParameterRange(1.8, 4.0)] = 2.6
+    second_share: Annotated[float, bounds(0.0, 1.0), ParameterRange(0.0, 0.3)] = 0.15
 
 
 class Cogging(Effect):
@@ -121,11 +121,11 @@ class Cogging(Effect):
     unit: ClassVar[str] = "N"
     typical: ClassVar[float] = 0.3
 
-    level: Annotated[float, within(0.0, 10.0), widely(0.02, 0.7)]
-    pitch_m: Annotated[float, within(1e-4, 0.03), widely(0.0005, 0.004)] = 0.0015
-    second_share: Annotated[float, within(0.0, 1.0), Drawn(0.0, 0.4)] = 0.2
-    third_share: Annotated[float, within(0.0, 1.0), Drawn(0.0, 0.2)] = 0.1
-    pattern: Annotated[int, within(0, 10_000)] = 1
+    level: Annotated[float, bounds(0.0, 10.0), log_uniform(0.02, 0.7)]
+    pitch_m: Annotated[float, bounds(1e-4, 0.03), log_uniform(0.0005, 0.004)] = 0.0015
+    second_share: Annotated[float, bounds(0.0, 1.0), ParameterRange(0.0, 0.4)] = 0.2
+    third_share: Annotated[float, bounds(0.0, 1.0), ParameterRange(0.0, 0.2)] = 0.1
+    pattern: Annotated[int, bounds(0, 10_000)] = 1
 
 
 class MagneticSpring(Effect):
@@ -140,12 +140,12 @@ class MagneticSpring(Effect):
     typical: ClassVar[float] = 0.5
     listed: ClassVar[bool] = False
 
-    level: Annotated[float, within(0.0, 10.0), widely(0.1, 1.2)]
-    middle_m: Annotated[float, within(-0.01, 0.05)] = 0.014
-    apart_m: Annotated[float, within(2e-4, 0.02), widely(0.0004, 0.0012)] = 0.0008
+    level: Annotated[float, bounds(0.0, 10.0), log_uniform(0.1, 1.2)]
+    middle_m: Annotated[float, bounds(-0.01, 0.05)] = 0.014
+    apart_m: Annotated[float, bounds(2e-4, 0.02), log_uniform(0.0004, 0.0012)] = 0.0008
 
     @classmethod
-    def draw(cls, random: np.random.Generator, around: Circumstances) -> Self:
+    def draw(cls, random: np.random.Generator, around: DrawConditions) -> Self:
         """Return parameters near the range of motion of a standard test."""
         middle = around.surface_m + around.depth_m + around.swing_m * random.uniform(-1.0, 1.0)
         return cls.model_validate(cls._drawn(random) | {"middle_m": middle})
@@ -160,8 +160,8 @@ class WarmingBearing(Effect):
     typical: ClassVar[float] = -0.6
     listed: ClassVar[bool] = False
 
-    level: Annotated[float, within(-0.95, 5.0), Drawn(0.4, 0.95, either_sign=True)]
-    work_j: Annotated[float, within(1e-4, 10.0), widely(0.003, 0.03)] = 0.015
+    level: Annotated[float, bounds(-0.95, 5.0), ParameterRange(0.4, 0.95, either_sign=True)]
+    work_j: Annotated[float, bounds(1e-4, 10.0), log_uniform(0.003, 0.03)] = 0.015
 
 
 @njit

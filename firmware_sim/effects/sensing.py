@@ -9,7 +9,7 @@ import numpy as np
 from numba import njit
 
 from firmware_sim.effects import base
-from firmware_sim.effects.base import Array, Circumstances, Drawn, Effect, Stage, widely, within
+from firmware_sim.effects.base import Array, DrawConditions, Effect, ParameterRange, Stage, bounds, log_uniform
 from firmware_sim.effects.drive import delayed, phase
 
 _LONGEST_TEST_S = 5.0
@@ -26,22 +26,22 @@ class SensorNonlinearity(Effect):
     unit: ClassVar[str] = "m"
     typical: ClassVar[float] = 5e-5
 
-    level: Annotated[float, within(-2e-3, 2e-3)]
+    level: Annotated[float, bounds(-2e-3, 2e-3)]
     kind: Literal["bent", "cyclic"] = "cyclic"
-    middle_m: Annotated[float, within(-0.01, 0.05), Drawn(0.006, 0.018)] = 0.012
-    cubic_share: Annotated[float, within(-2.0, 2.0), Drawn(-1.0, 1.0)] = 0.3
-    pitch_m: Annotated[float, within(1e-4, 0.03), widely(0.0004, 0.003)] = 0.001
-    second_share: Annotated[float, within(0.0, 1.0), Drawn(0.0, 0.5)] = 0.2
-    pattern: Annotated[int, within(0, 10_000)] = 1
+    middle_m: Annotated[float, bounds(-0.01, 0.05), ParameterRange(0.006, 0.018)] = 0.012
+    cubic_share: Annotated[float, bounds(-2.0, 2.0), ParameterRange(-1.0, 1.0)] = 0.3
+    pitch_m: Annotated[float, bounds(1e-4, 0.03), log_uniform(0.0004, 0.003)] = 0.001
+    second_share: Annotated[float, bounds(0.0, 1.0), ParameterRange(0.0, 0.5)] = 0.2
+    pattern: Annotated[int, bounds(0, 10_000)] = 1
 
     @classmethod
-    def draw(cls, random: np.random.Generator, around: Circumstances) -> Self:
+    def draw(cls, random: np.random.Generator, around: DrawConditions) -> Self:
         """Return an error up to 1 mm, or a cyclic one limited relative to its pitch, for monotone readings."""
         values = cls._drawn(random)
         if values["kind"] == "bent":
-            level = Drawn(8e-5, 1.2e-3, True, True).draw(random)
+            level = ParameterRange(8e-5, 1.2e-3, True, True).draw(random)
         else:
-            level = float(str(values["pitch_m"])) / (2.0 * pi) * Drawn(0.03, 0.6, True).draw(random)
+            level = float(str(values["pitch_m"])) / (2.0 * pi) * ParameterRange(0.03, 0.6, True).draw(random)
         return cls.model_validate(values | {"level": level})
 
 
@@ -53,8 +53,8 @@ class SensorLag(Effect):
     unit: ClassVar[str] = "s"
     typical: ClassVar[float] = 1e-3
 
-    level: Annotated[float, within(0.0, 0.05), widely(1.2e-4, 4e-3)]
-    damping_ratio: Annotated[float, within(0.3, 3.0), Drawn(0.7, 1.5)] = 1.0
+    level: Annotated[float, bounds(0.0, 0.05), log_uniform(1.2e-4, 4e-3)]
+    damping_ratio: Annotated[float, bounds(0.3, 3.0), ParameterRange(0.7, 1.5)] = 1.0
 
 
 class SensorBacklash(Effect):
@@ -65,7 +65,7 @@ class SensorBacklash(Effect):
     unit: ClassVar[str] = "m"
     typical: ClassVar[float] = 6e-5
 
-    level: Annotated[float, within(0.0, 2e-3), widely(1e-5, 3e-4)]
+    level: Annotated[float, bounds(0.0, 2e-3), log_uniform(1e-5, 3e-4)]
 
 
 class ClockSkew(Effect):
@@ -79,11 +79,11 @@ class ClockSkew(Effect):
     unit: ClassVar[str] = "1"
     typical: ClassVar[float] = 4e-4
 
-    level: Annotated[float, within(-5e-3, 5e-3), widely(3e-5, 1e-3, either_sign=True)]
-    offset_s: Annotated[float, within(0.0, 0.05)] = 0.0
+    level: Annotated[float, bounds(-5e-3, 5e-3), log_uniform(3e-5, 1e-3, either_sign=True)]
+    offset_s: Annotated[float, bounds(0.0, 0.05)] = 0.0
 
     @classmethod
-    def draw(cls, random: np.random.Generator, around: Circumstances) -> Self:
+    def draw(cls, random: np.random.Generator, around: DrawConditions) -> Self:
         """Return random parameters; a fast clock starts with a delay that keeps the reading causal."""
         values = cls._drawn(random)
         offset = random.uniform(0.0, 5e-4) + max(0.0, -float(str(values["level"])) * _LONGEST_TEST_S)
@@ -98,7 +98,7 @@ class Quantization(Effect):
     unit: ClassVar[str] = "m"
     typical: ClassVar[float] = 4e-5
 
-    level: Annotated[float, within(0.0, 1e-3), widely(1.2e-5, 2e-4)]
+    level: Annotated[float, bounds(0.0, 1e-3), log_uniform(1.2e-5, 2e-4)]
 
     def applied(self, position_m: Array) -> Array:
         """Return quantized readings, m, in their shape."""
@@ -118,12 +118,12 @@ class DroppedSamples(Effect):
     unit: ClassVar[str] = "1/s"
     typical: ClassVar[float] = 2.0
 
-    level: Annotated[float, within(0.0, 20.0), widely(0.5, 3.0)]
+    level: Annotated[float, bounds(0.0, 20.0), log_uniform(0.5, 3.0)]
     channels: Literal["all", "position"] = "all"
-    most_at_once: Annotated[int, within(1, 20)] = 3
+    most_at_once: Annotated[int, bounds(1, 20)] = 3
 
     @classmethod
-    def draw(cls, random: np.random.Generator, around: Circumstances) -> Self:
+    def draw(cls, random: np.random.Generator, around: DrawConditions) -> Self:
         """Return losses of one to four samples at once; in three of four cases of all channels."""
         channels = "all" if random.random() < 0.75 else "position"
         most = int(random.integers(1, 5))
@@ -151,8 +151,8 @@ class CurrentCrosstalk(Effect):
     typical: ClassVar[float] = 3e-5
     listed: ClassVar[bool] = False
 
-    level: Annotated[float, within(-1e-3, 1e-3), widely(8e-6, 2e-4, either_sign=True)]
-    lag_s: Annotated[float, within(0.0, 0.1), widely(2e-4, 4e-3)] = 1e-3
+    level: Annotated[float, bounds(-1e-3, 1e-3), log_uniform(8e-6, 2e-4, either_sign=True)]
+    lag_s: Annotated[float, bounds(0.0, 0.1), log_uniform(2e-4, 4e-3)] = 1e-3
 
 
 @njit

@@ -10,7 +10,7 @@ from numba import njit
 
 from firmware_sim import kernel
 from firmware_sim.effects import base
-from firmware_sim.effects.base import Array, Circumstances, Drawn, Effect, Stage, widely, within
+from firmware_sim.effects.base import Array, DrawConditions, Effect, ParameterRange, Stage, bounds, log_uniform
 from firmware_sim.effects.drive import delayed
 from firmware_sim.kernel import _exponential, elastic_force, tissue_mass
 
@@ -38,13 +38,13 @@ class TissueStiffening(Effect):
     unit: ClassVar[str] = "N/m"
     typical: ClassVar[float] = 1500.0
 
-    level: Annotated[float, within(0.0, 50_000.0), widely(150.0, 8000.0)]
-    at_m: Annotated[float, within(1e-4, 0.03)] = 0.004
-    spread: Annotated[float, within(0.005, 2.0), widely(0.02, 0.2)] = 0.06
+    level: Annotated[float, bounds(0.0, 50_000.0), log_uniform(150.0, 8000.0)]
+    at_m: Annotated[float, bounds(1e-4, 0.03)] = 0.004
+    spread: Annotated[float, bounds(0.005, 2.0), log_uniform(0.02, 0.2)] = 0.06
     kind: Literal["fibres", "layer"] = "fibres"
 
     @classmethod
-    def draw(cls, random: np.random.Generator, around: Circumstances) -> Self:
+    def draw(cls, random: np.random.Generator, around: DrawConditions) -> Self:
         """Return parameters with recruitment within the range of motion of a standard test."""
         at = around.depth_m + around.swing_m * random.uniform(-1.0, 1.5)
         return cls.model_validate(cls._drawn(random) | {"at_m": max(at, 5e-4)})
@@ -61,8 +61,8 @@ class Viscoelasticity(Effect):
     unit: ClassVar[str] = "1"
     typical: ClassVar[float] = 0.4
 
-    level: Annotated[float, within(0.0, 10.0), widely(0.08, 2.0)]
-    exponent: Annotated[float, within(-0.5, 1.5), Drawn(0.0, 0.35)] = 0.15
+    level: Annotated[float, bounds(0.0, 10.0), log_uniform(0.08, 2.0)]
+    exponent: Annotated[float, bounds(-0.5, 1.5), ParameterRange(0.0, 0.35)] = 0.15
 
 
 class TissueHysteresis(Effect):
@@ -76,8 +76,8 @@ class TissueHysteresis(Effect):
     unit: ClassVar[str] = "N/m"
     typical: ClassVar[float] = 500.0
 
-    level: Annotated[float, within(0.0, 20_000.0), widely(80.0, 3000.0)]
-    length_m: Annotated[float, within(1e-5, 0.01), widely(8e-5, 6e-4)] = 2e-4
+    level: Annotated[float, bounds(0.0, 20_000.0), log_uniform(80.0, 3000.0)]
+    length_m: Annotated[float, bounds(1e-5, 0.01), log_uniform(8e-5, 6e-4)] = 2e-4
 
 
 class Preconditioning(Effect):
@@ -88,9 +88,9 @@ class Preconditioning(Effect):
     unit: ClassVar[str] = "1"
     typical: ClassVar[float] = 0.2
 
-    level: Annotated[float, within(-0.9, 0.9), widely(0.005, 0.35)]
-    work_j: Annotated[float, within(1e-4, 100.0), widely(0.02, 0.3)] = 0.1
-    recovery_s: Annotated[float, within(0.1, 1e4), widely(5.0, 60.0)] = 20.0
+    level: Annotated[float, bounds(-0.9, 0.9), log_uniform(0.005, 0.35)]
+    work_j: Annotated[float, bounds(1e-4, 100.0), log_uniform(0.02, 0.3)] = 0.1
+    recovery_s: Annotated[float, bounds(0.1, 1e4), log_uniform(5.0, 60.0)] = 20.0
 
 
 class AddedMass(Effect):
@@ -101,12 +101,12 @@ class AddedMass(Effect):
     unit: ClassVar[str] = "kg"
     typical: ClassVar[float] = 0.06
 
-    level: Annotated[float, within(0.0, 1.0), widely(0.01, 0.25)]
-    half_m: Annotated[float, within(1e-4, 0.03)] = 0.004
-    exponent: Annotated[float, within(1.0, 8.0), Drawn(1.5, 5.0)] = 3.0
+    level: Annotated[float, bounds(0.0, 1.0), log_uniform(0.01, 0.25)]
+    half_m: Annotated[float, bounds(1e-4, 0.03)] = 0.004
+    exponent: Annotated[float, bounds(1.0, 8.0), ParameterRange(1.5, 5.0)] = 3.0
 
     @classmethod
-    def draw(cls, random: np.random.Generator, around: Circumstances) -> Self:
+    def draw(cls, random: np.random.Generator, around: DrawConditions) -> Self:
         """Return parameters with half of the mass at the range of motion of a standard test."""
         half = around.depth_m + around.swing_m * random.uniform(-1.0, 1.5)
         return cls.model_validate(cls._drawn(random) | {"half_m": max(half, 5e-4)})
@@ -123,11 +123,11 @@ class ContactLoss(Effect):
     unit: ClassVar[str] = "1"
     typical: ClassVar[float] = 1.0
 
-    level: Annotated[float, within(0.0, 100.0), widely(0.4, 8.0)]
-    adhesion_n: Annotated[float, within(0.0, 5.0)] = 0.0
+    level: Annotated[float, bounds(0.0, 100.0), log_uniform(0.4, 8.0)]
+    adhesion_n: Annotated[float, bounds(0.0, 5.0)] = 0.0
 
     @classmethod
-    def draw(cls, random: np.random.Generator, around: Circumstances) -> Self:
+    def draw(cls, random: np.random.Generator, around: DrawConditions) -> Self:
         """Return random parameters with or without adhesion."""
         adhesion = 0.0 if random.random() < 0.5 else random.uniform(0.02, 0.3)
         return cls.model_validate(cls._drawn(random) | {"adhesion_n": adhesion})
@@ -141,8 +141,8 @@ class DirectionalDamping(Effect):
     unit: ClassVar[str] = "1"
     typical: ClassVar[float] = 0.5
 
-    level: Annotated[float, within(-0.99, 0.99), widely(0.05, 0.9, either_sign=True)]
-    speed_m_per_s: Annotated[float, within(1e-4, 1.0), widely(0.001, 0.02)] = 0.005
+    level: Annotated[float, bounds(-0.99, 0.99), log_uniform(0.05, 0.9, either_sign=True)]
+    speed_m_per_s: Annotated[float, bounds(1e-4, 1.0), log_uniform(0.001, 0.02)] = 0.005
 
 
 class Reflex(Effect):
@@ -153,11 +153,11 @@ class Reflex(Effect):
     unit: ClassVar[str] = "N"
     typical: ClassVar[float] = 0.6
 
-    level: Annotated[float, within(0.0, 10.0), widely(0.1, 1.5)]
-    delay_s: Annotated[float, within(0.005, 0.2), Drawn(0.025, 0.12)] = 0.05
-    threshold_m_per_s: Annotated[float, within(0.0, 1.0), Drawn(0.0, 0.03)] = 0.01
-    sensitivity_s_per_m: Annotated[float, within(0.1, 1e4), widely(15.0, 80.0)] = 40.0
-    twitch_s: Annotated[float, within(0.002, 1.0), widely(0.008, 0.03)] = 0.015
+    level: Annotated[float, bounds(0.0, 10.0), log_uniform(0.1, 1.5)]
+    delay_s: Annotated[float, bounds(0.005, 0.2), ParameterRange(0.025, 0.12)] = 0.05
+    threshold_m_per_s: Annotated[float, bounds(0.0, 1.0), ParameterRange(0.0, 0.03)] = 0.01
+    sensitivity_s_per_m: Annotated[float, bounds(0.1, 1e4), log_uniform(15.0, 80.0)] = 40.0
+    twitch_s: Annotated[float, bounds(0.002, 1.0), log_uniform(0.008, 0.03)] = 0.015
 
 
 @njit

@@ -18,8 +18,8 @@ from numpy.typing import NDArray
 from scipy.signal import butter, sosfilt
 
 from firmware_sim import kernel
-from firmware_sim.effects.acting import Acting
-from firmware_sim.effects.base import Circumstances, Effect
+from firmware_sim.effects.active_effects import ActiveEffects
+from firmware_sim.effects.base import DrawConditions, Effect
 from firmware_sim.effects.sensing import DroppedSamples, Quantization
 from firmware_sim.plant import SAMPLE_RATE_HZ, PlantParameters
 from firmware_sim.tissue import Exponential, Tissue
@@ -41,7 +41,7 @@ _NOT_ON_A_SPRING = ("physiological_motion",)
 
 
 @dataclass(frozen=True)
-class BaselineFigures:
+class BaselineParameters:
     """True parameters of device, tissue and spring, and of the stimulus, SI.
 
     The tissue has the stiffness K0 exp(gK d) N/m and damping B0 exp(gB d) N s/m at a depth d, and a mass. ``weight_n``
@@ -89,9 +89,9 @@ class BaselineFigures:
             depth -= float((law * depth - force) / (law * (1.0 + rise)))
         return depth
 
-    def circumstances(self) -> Circumstances:
+    def circumstances(self) -> DrawConditions:
         """Return the conditions for drawing effects."""
-        return Circumstances(self.surface_m, self.depth_m, 5e-4, self.mean_v, self.spread_v)
+        return DrawConditions(self.surface_m, self.depth_m, 5e-4, self.mean_v, self.spread_v)
 
 
 @dataclass(frozen=True)
@@ -124,12 +124,12 @@ class Laboratory:
         effects: Iterable[Effect] = (),
         seed: int = 0,
         *,
-        figures: BaselineFigures | None = None,
+        figures: BaselineParameters | None = None,
         clean: bool = False,
         substeps: int = SUBSTEPS,
     ) -> None:
-        self.figures = figures or BaselineFigures()
-        self.effects = Acting(effects).effects
+        self.figures = figures or BaselineParameters()
+        self.effects = ActiveEffects(effects).effects
         self.clean = clean
         self._seed = seed
         self._substeps = substeps
@@ -158,7 +158,7 @@ class Laboratory:
         state[kernel.POSITION] = state[kernel.SURFACE] = tissue.surface_m
         state[kernel.TEMPERATURE] = state[kernel.SENSOR] = AMBIENT_DEGC
         state[kernel.TOUCHING] = 1.0
-        acting = Acting(self._at_work(kind), self._session_s)
+        acting = ActiveEffects(self._at_work(kind), self._session_s)
         figures = np.concatenate([plant, np.zeros(4)])
         interval = 1.0 / SAMPLE_RATE_HZ
         _, seen = acting.advance(volts, state, figures, tissue.to_array(), interval, self._substeps)
@@ -269,7 +269,7 @@ def _low_passed(random: np.random.Generator, count: int) -> Array:
     return np.asarray((filtered - filtered.mean()) / filtered.std())
 
 
-def plan(figures: BaselineFigures, *, full: bool) -> tuple[PlannedTest, ...]:
+def plan(figures: BaselineParameters, *, full: bool) -> tuple[PlannedTest, ...]:
     """Return the tests of a session: one stochastic test, or the full series."""
     mean, scale = figures.mean_v, figures.spread_v
     standard = PlannedTest("stochastic", 1, mean, scale)

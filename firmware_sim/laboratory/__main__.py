@@ -1,5 +1,5 @@
 """``python -m firmware_sim.laboratory``: generate scenarios and write their records."""
 
-from firmware_sim.laboratory.drawing import main
+from firmware_sim.laboratory.scenario_generation import main
 
 raise SystemExit(main())

@@ -9,10 +9,10 @@ from safety.rigs import last_energised, without_firmware, without_host
 from support import LoopbackLink
 
 from firmware_sim.bench import Bench
+from firmware_sim.device_models import MODELS
 from firmware_sim.firmware import Firmware
 from firmware_sim.kernel import POSITION
 from firmware_sim.limits import LIFT_S
-from firmware_sim.models import MODELS
 from firmware_sim.tissue import FREE_AIR
 from tissueid.acquisition import GuidedTest, NoiseChoice, SessionRecorder, run_guided_test
 from tissueid.acquisition.quality import quality_of

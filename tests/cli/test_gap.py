@@ -16,7 +16,7 @@ from coded import shows
 from gap_records import DEVICE, changed, recorded
 from golden.golden_page import check_golden_page
 
-from firmware_sim.laboratory.drawing import main as record
+from firmware_sim.laboratory.scenario_generation import main as record
 from tissueid.cli import main
 from tissueid.gap.blind_check import BlindScenario
 from tissueid.sessions import Session, write_session

@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 from support import SAMPLES_PER_TICK, TICK_S, LoopbackLink
 
 from firmware_sim.bench import Bench, Block
-from firmware_sim.faults import FaultInjector, Happening, PlannedFault
+from firmware_sim.faults import ActiveFault, FaultInjector, PlannedFault
 from firmware_sim.firmware import Firmware
 from tissueid import wire
 from tissueid.acquisition import SessionRecorder, recover
@@ -145,7 +145,7 @@ class FaultyLink(LoopbackLink):
             self.sent[frame.type] += 1
             if frame.type == MessageType.ARM:
                 self.firmware.bench.agreed = wire.unpack(wire.ARM, frame.payload)[0]
-        self.faults.look(self.now)
+        self.faults.start_due(self.now)
         self._look()
 
     def unplug(self) -> None:
@@ -237,7 +237,7 @@ class Desk:
         recorder.firmware, recorder.given = self.firmware, {}
         return recorder
 
-    def befall(self, fault: PlannedFault) -> Happening:
+    def befall(self, fault: PlannedFault) -> ActiveFault:
         """A fault, now."""
         self.begun = self.bench.samples
         return self.link.faults.begin(fault, self.link.now)

@@ -191,7 +191,7 @@ def test_all_is_over_when_it_is_cleared():
     assert not desk.bench.stuck
     assert (desk.bench.coil_open, desk.bench.button, desk.bench.supply_share) == (False, False, 1.0)
     assert desk.firmware.identity == identity
-    assert desk.link.faults.lasting == []
+    assert desk.link.faults.active == []
     assert desk.open().device.serial_number == "SIM-0001"
 
 

@@ -8,9 +8,9 @@ import pytest
 from firmware_sim import kernel
 from firmware_sim.bench import Bench
 from firmware_sim.effects import EFFECTS, LISTED, UNLISTED, in_order, mechanics, read_effects, tissue
-from firmware_sim.effects.acting import Acting
-from firmware_sim.effects.base import MEMORY, RING_LENGTH, RINGS, ROWS, WIDTH, Circumstances
-from firmware_sim.laboratory import BaselineFigures, Laboratory
+from firmware_sim.effects.active_effects import ActiveEffects
+from firmware_sim.effects.base import MEMORY, RING_LENGTH, RINGS, ROWS, WIDTH, DrawConditions
+from firmware_sim.laboratory import BaselineParameters, Laboratory
 from firmware_sim.plant import Plant, PlantParameters
 from firmware_sim.presets import load_preset
 from firmware_sim.scenario import load_scenario
@@ -18,8 +18,8 @@ from tissueid.twin.catalogue import all_effects
 
 pytestmark = pytest.mark.timeout(600)  # the first test compiles the loop, on a busy machine for minutes
 
-FIGURES = BaselineFigures()
-SHALLOW = BaselineFigures(mean_v=4.0, surface_m=0.010)
+FIGURES = BaselineParameters()
+SHALLOW = BaselineParameters(mean_v=4.0, surface_m=0.010)
 WHERE = {
     "end_stop": {"at_m": 0.0135},
     "magnetic_spring": {"middle_m": 0.0130},
@@ -67,7 +67,7 @@ def test_the_listed_effects_are_those_that_the_twin_declares_for_the_laboratory(
 def test_nothing_acts_at_zero(name):
     absent = EFFECTS[name](level=0.0)
     assert not absent.acts
-    assert not Acting([absent])
+    assert not ActiveEffects([absent])
     assert Laboratory([absent]).effects == ()
 
 
@@ -77,7 +77,7 @@ def test_the_loop_without_an_effect_is_the_plants_own():
     commands = played(4.0, 0.1)
     trace = plant.advance(commands)
     again = Plant(PlantParameters(), load_preset("left-posterior-forearm"))
-    out, _ = Acting([]).advance(commands, state, again._plant, again._tissue, 1 / 2000, again.substeps)
+    out, _ = ActiveEffects([]).advance(commands, state, again._plant, again._tissue, 1 / 2000, again.substeps)
     for k, column in enumerate(trace.dtype.names):
         np.testing.assert_array_equal(out[:, k], trace[column])
 
@@ -159,7 +159,7 @@ def test_the_field_brakes_as_it_pushes():
     weak = EFFECTS["force_constant_position"](level=0.6, course="slope", middle_m=0.045, width_m=0.01)
     assert weak.row()[1:] == pytest.approx(1.6)  # ten millimetres and more before the middle of the slope
     strong = recorded([weak])
-    like = recorded((), figures=BaselineFigures(force_constant_n_per_a=1.6 * 3.0))
+    like = recorded((), figures=BaselineParameters(force_constant_n_per_a=1.6 * 3.0))
     np.testing.assert_allclose(strong.position, like.position, atol=1e-9)
     np.testing.assert_allclose(strong.current, like.current, atol=1e-6)
 
@@ -332,7 +332,7 @@ def test_finer_steps_change_nothing_that_is_seen(name):
 
 @pytest.mark.parametrize("name", ROWS)
 def test_whatever_is_drawn_can_be_played(name):
-    around = Circumstances(FIGURES.surface_m, FIGURES.depth_m, 5e-4, FIGURES.mean_v, FIGURES.spread_v)
+    around = DrawConditions(FIGURES.surface_m, FIGURES.depth_m, 5e-4, FIGURES.mean_v, FIGURES.spread_v)
     for seed in range(40):
         drawn = EFFECTS[name].draw(np.random.default_rng(seed), around)
         assert drawn.acts
@@ -414,7 +414,7 @@ def test_effects_cost_little_and_nothing_where_there_are_none(monkeypatch):
         return time.process_time() - start
 
     assert taken(Bench("left-posterior-forearm", effects=[typical(n) for n in ("dry_friction", "latency")])) < 1.0
-    monkeypatch.setattr(Acting, "advance", lambda *_: pytest.fail("the loop with effects was played"))
+    monkeypatch.setattr(ActiveEffects, "advance", lambda *_: pytest.fail("the loop with effects was played"))
     assert taken(Bench("left-posterior-forearm", effects=[EFFECTS["cogging"](level=0.0)])) < 1.0
 
 

@@ -9,12 +9,12 @@ import pytest
 from scipy.integrate import solve_ivp
 
 from firmware_sim.effects import EFFECTS, LISTED, UNLISTED
-from firmware_sim.laboratory import SIGNALS, BaselineFigures, Laboratory, PlannedTest, plan
-from firmware_sim.laboratory.drawing import NOMINAL, draw_many, draw_scenario, main
+from firmware_sim.laboratory import SIGNALS, BaselineParameters, Laboratory, PlannedTest, plan
+from firmware_sim.laboratory.scenario_generation import NOMINAL, draw_many, draw_scenario, main
 
 pytestmark = pytest.mark.timeout(600)  # the first test compiles the loop, on a busy machine for minutes
 
-FIGURES = BaselineFigures(weight_n=0.4, tissue_mass_kg=0.02)
+FIGURES = BaselineParameters(weight_n=0.4, tissue_mass_kg=0.02)
 
 
 def integrated(command, spring=False):
@@ -63,9 +63,9 @@ def test_a_test_starts_at_rest_at_the_surface_under_its_first_command():
 
 
 def test_nothing_stops_the_coil_and_tissue_pulls_too():
-    pulled = Laboratory((), figures=BaselineFigures(weight_n=-0.5)).record("quiet", np.zeros(3000))
+    pulled = Laboratory((), figures=BaselineParameters(weight_n=-0.5)).record("quiet", np.zeros(3000))
     assert pulled.position[-1] < -0.003  # beyond the stroke's beginning
-    held = Laboratory((), figures=BaselineFigures(weight_n=-0.2)).record("quiet", np.zeros(3000))
+    held = Laboratory((), figures=BaselineParameters(weight_n=-0.2)).record("quiet", np.zeros(3000))
     assert 0.008 < held.position[-1] < held.surface_m
 
 
@@ -110,7 +110,7 @@ def test_nonsense_is_not_recorded(kind, command, words):
 @pytest.mark.parametrize("figures", [{"moving_mass_kg": 0.0}, {"weight_n": np.nan}, {"damping_n_s_per_m": -1.0}])
 def test_figures_that_no_device_has_are_refused(figures):
     with pytest.raises(ValueError, match=next(iter(figures))):
-        BaselineFigures(**figures)
+        BaselineParameters(**figures)
 
 
 def test_a_full_session_has_the_rigs_tests():

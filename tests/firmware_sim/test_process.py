@@ -15,7 +15,7 @@ from firmware_sim.bench import Bench
 from firmware_sim.faults import PlannedFault
 from firmware_sim.firmware import Firmware
 from firmware_sim.scenario import Scenario
-from firmware_sim.serve import Server, TcpPort
+from firmware_sim.server import Server, TcpPort
 from tissueid import wire
 from tissueid.errors import FirmwareFaultError, InstrumentError, LinkLostError, ProtocolVersionError
 from tissueid.instrument import CLINICAL, SerialInstrument, SerialLink
@@ -137,7 +137,7 @@ def test_a_line_that_loses_and_damages_costs_samples_and_no_test(tmp_path):
 
 def test_a_drifting_clock_changes_the_device_s_pace_and_nothing_else(monkeypatch):
     port = TimedPort()
-    monkeypatch.setattr("firmware_sim.serve.time.monotonic", lambda: port.now)
+    monkeypatch.setattr("firmware_sim.server.time.monotonic", lambda: port.now)
     firmware = Firmware(Bench("linear-demo"))
     plan = PlannedFault(kind="drifting_clock", in_state="idle", clock_error=0.02, seconds=2.0)
     server = Server(firmware, port, Scenario(faults=(plan,)))
@@ -160,7 +160,7 @@ class DeafPort:
 
 def test_a_host_that_does_not_read_loses_frames_and_fills_no_memory(monkeypatch):
     clock = iter(np.arange(0.0, 1000.0, 0.005))
-    monkeypatch.setattr("firmware_sim.serve.time.monotonic", lambda: next(clock))
+    monkeypatch.setattr("firmware_sim.server.time.monotonic", lambda: next(clock))
     firmware = Firmware(Bench())
     firmware.streaming = True
     server = Server(firmware, DeafPort(), Scenario())
@@ -197,7 +197,7 @@ class TimedPort:
 
 def test_frames_leave_when_they_are_whole_and_requests_act_when_they_come(monkeypatch):
     port = TimedPort()
-    monkeypatch.setattr("firmware_sim.serve.time.monotonic", lambda: port.now)
+    monkeypatch.setattr("firmware_sim.server.time.monotonic", lambda: port.now)
     firmware = Firmware(Bench("linear-demo"))
     Server(firmware, port, Scenario()).run(until=lambda: port.now > 1.0)
     data = [(at, frame) for at, frame in port.heard if frame.type == wire.MessageType.DATA]
@@ -215,7 +215,7 @@ def test_frames_leave_when_they_are_whole_and_requests_act_when_they_come(monkey
 
 def test_a_machine_that_is_too_busy_stops_the_clock_and_says_so(monkeypatch):
     port = TimedPort()
-    monkeypatch.setattr("firmware_sim.serve.time.monotonic", lambda: port.now)
+    monkeypatch.setattr("firmware_sim.server.time.monotonic", lambda: port.now)
     firmware = Firmware(Bench("linear-demo"))
     server = Server(firmware, port, Scenario())
     server.run(until=lambda: port.now > 0.5)

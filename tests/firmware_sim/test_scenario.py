@@ -13,11 +13,11 @@ from support import connect_scenario
 
 from firmware_sim import __main__ as command
 from firmware_sim.__main__ import main
+from firmware_sim.device_models import DESKTOP, HANDHELD
 from firmware_sim.effects import EFFECTS
-from firmware_sim.models import DESKTOP, HANDHELD
 from firmware_sim.plant import SUBSTEPS, Plant, PlantParameters
 from firmware_sim.presets import load_preset
-from firmware_sim.scenario import Scenario, Truth, load_scenario
+from firmware_sim.scenario import Scenario, TrueParameters, load_scenario
 from tissueid import device
 from tissueid.errors import LimitError
 from tissueid.instrument import CLINICAL, Limits, SerialInstrument, SerialLink
@@ -74,16 +74,16 @@ def test_the_true_figures_are_not_announced(tmp_path):
 
 
 def test_every_figure_of_the_plant_can_be_overridden():
-    assert set(Truth.model_fields) == {item.name for item in fields(PlantParameters)}
-    for name in Truth.model_fields:
+    assert set(TrueParameters.model_fields) == {item.name for item in fields(PlantParameters)}
+    for name in TrueParameters.model_fields:
         value = 0.9 * getattr(PlantParameters(), name)
-        assert getattr(Truth(**{name: value}).over(PlantParameters()), name) == value
+        assert getattr(TrueParameters(**{name: value}).over(PlantParameters()), name) == value
 
 
 def test_a_weight_goes_with_the_mass_unless_it_is_given():
-    heavier = Truth(moving_mass_kg=0.062).over(PlantParameters())
+    heavier = TrueParameters(moving_mass_kg=0.062).over(PlantParameters())
     assert heavier.gravity_force_n == pytest.approx(0.062 * GRAVITY)
-    assert Truth(moving_mass_kg=0.062, gravity_force_n=0.5).over(PlantParameters()).gravity_force_n == 0.5
+    assert TrueParameters(moving_mass_kg=0.062, gravity_force_n=0.5).over(PlantParameters()).gravity_force_n == 0.5
 
 
 @pytest.mark.parametrize(

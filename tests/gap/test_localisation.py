@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from firmware_sim.effects import LISTED
-from firmware_sim.laboratory.drawing import NOMINAL, draw_scenario
+from firmware_sim.laboratory.scenario_generation import NOMINAL, draw_scenario
 from tissueid.device import DeviceDescription
 from tissueid.gap.disturbances import lost_samples, mains_lines, quiet_motion
 from tissueid.gap.error_regions import Profile

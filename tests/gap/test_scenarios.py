@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 from gap_records import DEVICE, scenario
 
-from firmware_sim.laboratory.drawing import draw_scenario, write
+from firmware_sim.laboratory.scenario_generation import draw_scenario, write
 from tissueid.errors import UnusableInputError
 from tissueid.gap.blind_scoring import Label
 from tissueid.gap.scenarios import LABELS, alone_sessions, read_scenario, scenario_names, seal, unseal

@@ -6,8 +6,8 @@ from coded import coded, says
 from support import LoopbackLink
 
 from firmware_sim.bench import Bench
+from firmware_sim.device_models import MODELS
 from firmware_sim.firmware import Firmware
-from firmware_sim.models import MODELS
 from tissueid import wire
 from tissueid.errors import InstrumentError
 from tissueid.instrument import SerialInstrument

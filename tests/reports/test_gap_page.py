@@ -13,7 +13,7 @@ from reports.in_german import SAME, in_both, in_each_language, shown
 from reports.page_check import checked
 
 from firmware_sim.effects import LISTED
-from firmware_sim.laboratory.drawing import NOMINAL, draw_scenario
+from firmware_sim.laboratory.scenario_generation import NOMINAL, draw_scenario
 from tissueid.device import DeviceDescription
 from tissueid.gap.diagnosis import Diagnosis, NextExperiment, diagnose
 from tissueid.gap.preparation import prepare

@@ -6,10 +6,10 @@ from safety.rigs import RATE, without_host
 from support import LoopbackLink
 
 from firmware_sim.bench import Bench
+from firmware_sim.device_models import MODELS
 from firmware_sim.firmware import Firmware
 from firmware_sim.guard import Guard
 from firmware_sim.identity import Identity
-from firmware_sim.models import MODELS
 from tissueid.errors import TissueIDError
 from tissueid.instrument import Limits, SerialInstrument
 from tissueid.wire import Fault, Flag

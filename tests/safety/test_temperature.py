@@ -8,9 +8,9 @@ from coded import coded, holding, says
 from safety.rigs import RATE, WIDE, rig, true_winding_c, volts, without_firmware, without_host
 from support import LoopbackLink
 
-from firmware_sim import models
 from firmware_sim.bench import Bench
 from firmware_sim.converters import CHANNELS
+from firmware_sim.device_models import MODELS
 from firmware_sim.firmware import Firmware
 from firmware_sim.identity import Identity
 from firmware_sim.presets import preset_names
@@ -66,7 +66,7 @@ def test_the_calculation_lies_on_the_hot_side_and_not_far(side, device, amperes,
 
 def with_a_dead_sensor(name, room_c, watchdog_s):
     """A driver on a device by its name, in a room of that temperature; its sensor says 23 degC from the beginning."""
-    model = models.MODELS[name]
+    model = MODELS[name]
     truth = replace(model.plant, ambient_degc=room_c)
     bench = Bench("linear-demo", seed=1, parameters=truth, nominal=model.plant, frame_mass_kg=model.frame_mass_kg)
     bench.stuck.add("temperature")
@@ -112,7 +112,7 @@ def test_the_calculation_lets_ordinary_tests_pass(device, preset):
 
     Five of them on the desktop device. The handheld has half of its force for an ampere, and warms four times as much.
     """
-    model = models.MODELS[device]
+    model = MODELS[device]
     bench = Bench(preset, seed=2, parameters=model.plant)
     force_n = ORDINARY.values * min(1.0, model.max_force_n / ORDINARY.values.max())
     codes = bench.block(force_n * model.plant.resistance_ohm / model.plant.force_constant_n_per_a, energised=True).codes

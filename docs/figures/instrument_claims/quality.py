@@ -15,8 +15,8 @@ from engine_claims.base import Claim
 from support import LoopbackLink
 
 from firmware_sim.bench import Bench
+from firmware_sim.device_models import MODELS
 from firmware_sim.firmware import Firmware
-from firmware_sim.models import MODELS
 from firmware_sim.presets import load_preset, preset_names
 from tissueid.acquisition import GuidedTest, NoiseChoice, SessionRecorder, run_guided_test
 from tissueid.acquisition.quality import judge

@@ -7,7 +7,7 @@ from collections.abc import Iterable
 from pydantic_core import ErrorDetails
 
 
-def why(first: ErrorDetails, known: Iterable[str] = ()) -> str:
+def validation_reason(first: ErrorDetails, known: Iterable[str] = ()) -> str:
     """Return the reason of the first error; ``known`` are the names that are allowed in its place."""
     if first["type"] == "extra_forbidden":
         there_are = ", ".join(known)

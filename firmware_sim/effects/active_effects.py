@@ -11,7 +11,7 @@ from firmware_sim.effects import base, in_order, motion
 from firmware_sim.effects.base import Array, Effect
 
 
-class Acting:
+class ActiveEffects:
     """Effects with their state. ``start_s`` is the session time at the start of a test.
 
     Raises:

@@ -27,7 +27,7 @@ from firmware_sim.laboratory import (
     PRELOAD_S,
     SIGNALS,
     SPRING_SURFACE_M,
-    BaselineFigures,
+    BaselineParameters,
     Laboratory,
     PlannedTest,
     Recording,
@@ -58,7 +58,7 @@ class DrawnScenario:
     """A session to be recorded, and its labels, which are withheld from the diagnosis."""
 
     seed: tuple[int, ...]
-    figures: BaselineFigures
+    figures: BaselineParameters
     effects: tuple[Effect, ...]
     tests: tuple[PlannedTest, ...]
 
@@ -85,7 +85,7 @@ class DrawnScenario:
         return tuple(laboratory.record(test.kind, test.command(number)) for test in self.tests)
 
 
-def draw_figures(random: np.random.Generator, *, shallow: bool = False) -> BaselineFigures:
+def draw_baseline(random: np.random.Generator, *, shallow: bool = False) -> BaselineParameters:
     """Return a typically calibrated device and widely distributed tissue, indented 2 to 5.5 mm deep by 13 to 18 V.
 
     A shallow test, 0.7 to 3.5 mm deep by 4 to 9 V, reaches the surface.
@@ -107,7 +107,7 @@ def draw_figures(random: np.random.Generator, *, shallow: bool = False) -> Basel
         mean = force / force_constant * resistance / gain
         if (4.0 <= mean <= 9.0) if shallow else (13.0 <= mean <= 18.0):
             break
-    return BaselineFigures(
+    return BaselineParameters(
         resistance_ohm=resistance,
         inductance_h=near(1e-3),
         force_constant_n_per_a=force_constant,
@@ -154,7 +154,7 @@ def draw_scenario(
     chosen = [names[int(k)] for k in random.choice(len(names), size=effects, replace=False)]
     # Contact is only lost in shallow tests; some tests without it are shallow too, so that depth is no label.
     shallow = bool(random.random() < _SHALLOW_SHARE) or "contact_loss" in chosen
-    figures = draw_figures(random, shallow=shallow)
+    figures = draw_baseline(random, shallow=shallow)
     around = figures.circumstances()
     drawn = in_order(EFFECTS[name].draw(random, around) for name in chosen)
     return DrawnScenario(key, figures, drawn, plan(figures, full=full))

@@ -11,7 +11,7 @@ MOST_ANSWERS = 64
 """Largest number of cached responses; a host repeats only its newest requests."""
 
 
-class Answered:
+class ResponseCache:
     """The newest responses, by type and sequence number of the request."""
 
     def __init__(self) -> None:

@@ -233,7 +233,7 @@ class Server:
 
     def _look(self, now: float) -> None:
         """Start due faults, and apply their effect on the clock."""
-        self._faults.look(now)
+        self._faults.start_due(now)
         if (rate := self._nominal_rate * self._faults.clock_rate) != self._rate:
             # Device time continues from its present value at the new rate.
             self._begin = now - (now - self._begin) * self._rate / rate
