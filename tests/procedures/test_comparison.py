@@ -1,4 +1,4 @@
-"""The command line and the window compare engines alike."""
+"""The command line and the window fit and compare engines alike."""
 
 from __future__ import annotations
 
@@ -47,6 +47,24 @@ def test_the_same_scores_and_recommendation(session_file: Path, tmp_path: Path):
     assert recommended == [command["recommendation"]["engine"]]
     assert control.fraction is not None
     assert control.fraction > 0.9
+
+
+def test_the_same_fit_with_the_same_options(session_file: Path, tmp_path: Path):
+    answer = tmp_path / "answer.json"
+    fit = ["identify", str(session_file), "--engine", "wiener", "--option", "degree=3", "--memory", "0.05"]
+    assert main([*fit, "--json", str(answer)]) == 0
+    command = json.loads(answer.read_text(encoding="utf-8"))
+    task = AnalysisTask(
+        engines=("wiener",),
+        options={"degree": 3, "memory": 0.05},
+        tests=(TestRef(path=str(session_file), number=1),),
+    )
+    window = run(task, JobControl(), AnalysisHistory(tmp_path / "history.jsonl"), "2026-01-01T00:00:00Z")
+    (outcome,) = window.outcomes
+    assert outcome.report is not None
+    shown = outcome.report.as_dict()
+    assert [shown[name] for name in SCORES] == [command[name] for name in SCORES]
+    assert shown["parameters"] == command["parameters"]
 
 
 def test_a_cancelled_comparison_writes_nothing(session_file: Path, tmp_path: Path):

@@ -17,6 +17,7 @@ from tissueid.cli.plan_command import plan_command
 from tissueid.cli.twin_commands import twin
 from tissueid.procedures.comparison import ComparePlan
 from tissueid.procedures.demo import DemoPlan
+from tissueid.procedures.identification import IdentificationPlan
 from tissueid.procedures.recovery import RecoveryPlan
 from tissueid.procedures.report import ReportPlan
 from tissueid.procedures.test_plan import TestPlan
@@ -41,21 +42,6 @@ DeviceUrl = Annotated[
         "--device", metavar="URL", help="a port, socket://HOST:PORT or simulated://forearm; see 'tissueid devices'"
     ),
 ]
-Engine = Annotated[
-    str | None,
-    typer.Option("--engine", metavar="NAME", help="required, such as lms or wiener; without it, lists all engines"),
-]
-OneTest = Annotated[
-    int | None, typer.Option("--test", metavar="N", help="test to fit; default: the first stochastic test")
-]
-MoreTests = Annotated[
-    list[int] | None, typer.Option("--also", metavar="N", help="another test to fit jointly; may be repeated")
-]
-Validate = Annotated[
-    int | None, typer.Option(metavar="N", help="test for validation; default: the last quarter of the test is held out")
-]
-Input = Annotated[str, typer.Option("--input", metavar="SIGNAL", help="input signal")]
-Output = Annotated[str, typer.Option("--output", metavar="SIGNAL", help="output signal")]
 
 
 def _version(requested: bool) -> None:
@@ -190,28 +176,15 @@ def stimulus(
 
 
 @app.command()
-def identify(
-    session: Annotated[Path, typer.Argument(metavar="SESSION", help="session file")],
-    engine: Engine = None,
-    test: OneTest = None,
-    also: MoreTests = None,
-    validate: Validate = None,
-    input_name: Input = "force",
-    output_name: Output = "position",
-    memory: Annotated[float | None, typer.Option(metavar="SECONDS", help="memory length")] = None,
-    option: Annotated[
-        list[str] | None,
-        typer.Option("--option", metavar="NAME=VALUE", help="another option of the engine; may be repeated"),
-    ] = None,
-    json_file: JsonFile = None,
-) -> None:
+@plan_command
+def identify(plan: IdentificationPlan, json_file: JsonFile = None) -> None:
     """Fit one engine to one saved test, and validate it.
 
     The validation uses held-out data.
     """
-    from tissueid.cli.identify import run_identify
+    from tissueid.cli.identify import print_identification
 
-    run_identify(session, engine, test, also or [], validate, input_name, output_name, memory, option or [], json_file)
+    print_identification(plan, json_file)
 
 
 @app.command()

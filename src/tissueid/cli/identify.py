@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
@@ -10,80 +9,42 @@ import numpy as np
 from rich.console import Console
 from rich.table import Table
 
-from tissueid.analysis import Analysis, analyse
+from tissueid.analysis import Analysis
 from tissueid.cli.output import check_json, human_output, messages_json, table, write_json
 from tissueid.cli.quality import repeat_warnings
 from tissueid.configuration import travel_word
-from tissueid.errors import UnusableInputError
 from tissueid.formatting import fixed, label_and_unit, plus_minus
 from tissueid.identification.depth_profile import DepthProfile
-from tissueid.identification.registry import engine_names
-from tissueid.identification.validation.residual_tests import ResidualTests, residual_tests
-from tissueid.procedures.plan_options import parse_options
+from tissueid.identification.validation.residual_tests import ResidualTests
+from tissueid.procedures.control import Control
+from tissueid.procedures.identification import IdentificationPlan, run_identification
 from tissueid.records import Estimate
-from tissueid.sessions import read_session
 from tissueid.units import display_unit
 
 _MOST_DEPTHS = 16
 """Largest number of rows of the table against depth; the JSON contains all."""
 
 
-def run_identify(
-    path: Path,
-    engine: str | None,
-    test: int | None,
-    also: Sequence[int],
-    validate: int | None,
-    input_name: str,
-    output_name: str,
-    memory: float | None,
-    options: Sequence[str],
-    json_file: Path | None,
-) -> None:
+def print_identification(plan: IdentificationPlan, json_file: Path | None) -> None:
     """Fit and validate one engine, print the result and write the JSON.
 
     Raises:
         UnusableInputError: no engine is named, or the session, an option or the output file cannot be used.
     """
-    if engine is None:
-        raise UnusableInputError(f"--engine is required: one of {', '.join(engine_names())}")
     check_json(json_file)
-    chosen = parse_options(options)
-    if memory is not None:
-        if "memory" in chosen:
-            raise UnusableInputError("the memory is given twice, by --memory and by --option")
-        chosen["memory"] = memory
-    session = read_session(path)
-    analysis = analyse(
-        session,
-        engine,
-        chosen,
-        test=test,
-        also=also,
-        validate=validate,
-        input_name=input_name,
-        output_name=output_name,
-    )
-    tests = _residual_tests(analysis)
+    identified = run_identification(plan, Control())
+    analysis, tests = identified.analysis, identified.residual_tests
     out = human_output(json_file)
     print_analysis(analysis, out)
     for finding in () if tests is None else tests.findings:
         out.print(f"on {analysis.validated_on}, {finding}", markup=False)
-    warned = list(repeat_warnings(session, analysis.tests))
+    warned = list(repeat_warnings(identified.session, analysis.tests))
     for line in warned:
         out.print(line, markup=False)
     if json_file is not None:
         write_json(
             json_file, analysis.as_answer() | {"residual_tests": _tests_answer(tests), "quality_warnings": warned}
         )
-
-
-def _residual_tests(analysis: Analysis) -> ResidualTests | None:
-    """Return the tests of the held-out residual; None if too little is held out."""
-    try:
-        return residual_tests(analysis.model, analysis.held_out_record, analysis.held_out)
-    except UnusableInputError:
-        return None
 
 
 def _tests_answer(tests: ResidualTests | None) -> dict[str, Any] | None:

@@ -11,8 +11,9 @@ from typing import TYPE_CHECKING, Annotated, Any
 from tissueid.errors import UnusableInputError
 from tissueid.messages import Message, Verbatim
 from tissueid.procedures.control import Control
+from tissueid.procedures.identification import FitPlan
 from tissueid.procedures.output_files import HTML, check_output, check_report, unwritable
-from tissueid.procedures.plan_options import Option, Plan, parse_options
+from tissueid.procedures.plan_options import Option, parse_options
 
 if TYPE_CHECKING:  # each takes long to import
     from tissueid.analysis import EngineComparison
@@ -20,30 +21,13 @@ if TYPE_CHECKING:  # each takes long to import
     from tissueid.sessions import Session
 
 
-class ComparePlan(Plan):
+class ComparePlan(FitPlan):
     """Tests, engines with their options, and the files to write."""
 
-    session: Annotated[Path, Option(argument=True, metavar="SESSION", help="session file")]
     engines: Annotated[
         tuple[str, ...] | None,
         Option("--engines", metavar="A,B,...", separator=",", help="engines to compare; default: all"),
     ] = None
-    test: Annotated[
-        int | None, Option("--test", metavar="N", help="test to fit; default: the first stochastic test")
-    ] = None
-    also: Annotated[
-        tuple[int, ...], Option("--also", metavar="N", help="another test to fit jointly; may be repeated")
-    ] = ()
-    validation_test: Annotated[
-        int | None,
-        Option(
-            "--validate",
-            metavar="N",
-            help="test for validation; default: the last quarter of the test is held out",
-        ),
-    ] = None
-    input_name: Annotated[str, Option("--input", metavar="SIGNAL", help="input signal")] = "force"
-    output_name: Annotated[str, Option("--output", metavar="SIGNAL", help="output signal")] = "position"
     memory_s: Annotated[
         float | None, Option("--memory", metavar="SECONDS", help="memory length of all engines that have one")
     ] = None

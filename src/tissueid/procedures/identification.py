@@ -1,0 +1,107 @@
+"""Fit of one engine to saved tests, with the tests of its residual."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated
+
+from tissueid.errors import UnusableInputError
+from tissueid.messages import Message, Verbatim, joined
+from tissueid.procedures.control import Control
+from tissueid.procedures.plan_options import Option, Plan, parse_options
+
+if TYPE_CHECKING:  # each takes long to import
+    from tissueid.analysis import Analysis
+    from tissueid.identification.validation.residual_tests import ResidualTests
+    from tissueid.sessions import Session
+
+
+class FitPlan(Plan):
+    """The tests that are fitted, the test for validation, and the signals."""
+
+    session: Annotated[Path, Option(argument=True, metavar="SESSION", help="session file")]
+    test: Annotated[
+        int | None, Option("--test", metavar="N", help="test to fit; default: the first stochastic test")
+    ] = None
+    also: Annotated[
+        tuple[int, ...], Option("--also", metavar="N", help="another test to fit jointly; may be repeated")
+    ] = ()
+    validation_test: Annotated[
+        int | None,
+        Option(
+            "--validate",
+            metavar="N",
+            help="test for validation; default: the last quarter of the test is held out",
+        ),
+    ] = None
+    input_name: Annotated[str, Option("--input", metavar="SIGNAL", help="input signal")] = "force"
+    output_name: Annotated[str, Option("--output", metavar="SIGNAL", help="output signal")] = "position"
+
+
+class IdentificationPlan(FitPlan):
+    """An engine with its options, and the tests that it is fitted to."""
+
+    engine: Annotated[
+        str | None,
+        Option("--engine", metavar="NAME", help="required, such as lms or wiener; without it, lists all engines"),
+    ] = None
+    memory_s: Annotated[float | None, Option("--memory", metavar="SECONDS", help="memory length")] = None
+    options: Annotated[
+        tuple[str, ...],
+        Option("--option", metavar="NAME=VALUE", help="another option of the engine; may be repeated"),
+    ] = ()
+
+
+@dataclass(frozen=True)
+class IdentifiedTests:
+    """An analysis with its session, and the tests of the held-out residual; None if too little is held out."""
+
+    session: Session
+    analysis: Analysis
+    residual_tests: ResidualTests | None
+
+
+def run_identification(plan: IdentificationPlan, control: Control) -> IdentifiedTests:
+    """Fit the engine of a plan and validate it.
+
+    Raises:
+        UnusableInputError: no engine is named, or the session, a test or an option cannot be used.
+    """
+    from tissueid.analysis import analyse
+    from tissueid.identification.registry import engine_names
+    from tissueid.identification.validation.residual_tests import residual_tests
+    from tissueid.sessions import read_session
+
+    if plan.engine is None:
+        raise UnusableInputError(
+            Message(
+                "identify.no_engine",
+                "--engine is required: one of {names}",
+                names=joined(map(Verbatim, engine_names())),
+            )
+        )
+    options = parse_options(plan.options)
+    if plan.memory_s is not None:
+        if "memory" in options:
+            raise UnusableInputError(
+                Message("identify.memory_twice", "the memory is given twice, by --memory and by --option")
+            )
+        options["memory"] = plan.memory_s
+    session = read_session(plan.session)
+    control.check()
+    analysis = analyse(
+        session,
+        plan.engine,
+        options,
+        test=plan.test,
+        also=plan.also,
+        validate=plan.validation_test,
+        input_name=plan.input_name,
+        output_name=plan.output_name,
+    )
+    try:
+        tests = residual_tests(analysis.model, analysis.held_out_record, analysis.held_out)
+    except UnusableInputError:
+        tests = None
+    return IdentifiedTests(session, analysis, tests)
