@@ -42,7 +42,9 @@ class Guard:
         self._lifted = False
         self._plausibility.begin(seen_low_end=armed.min_position_m <= 0.0)
 
-    def with_reduced_force(self, command_v: NDArray[np.float64], block: Block, armed: ArmedLimits) -> NDArray[np.float64]:
+    def with_reduced_force(
+        self, command_v: NDArray[np.float64], block: Block, armed: ArmedLimits
+    ) -> NDArray[np.float64]:
         """Return commands, shape (n,), V, reduced where the force would exceed its limit; ``block`` is their result.
 
         The current follows the voltage within a sample (L/R is 0.08 ms), minus the back-EMF: F = k (V - k v) / R. A
