@@ -24,11 +24,12 @@ from tissueid.reports.gap_chain import draw_chain
 from tissueid.reports.panel_sheet import Panel, missing_panel
 from tissueid.reports.plot_renderer import draw_plot
 from tissueid.reports.style import BLUE, DASHES, GREEN, INK, MUTED, ORANGE, SHADE, frequency_axis, log_axis
+from tissueid.sessions import SIGNAL_UNITS
 from tissueid.twin.effect import STAGE_NAMES
+from tissueid.units import fine_unit
 
 FloatArray = NDArray[np.float64]
 
-_UNITS = {"voltage": ("V", 1.0), "current": ("mA", 1e3), "position": ("µm", 1e6)}
 _SIGNALS = {
     "voltage": (marked("Voltage (V)"), 1.0),
     "current": (marked("Current (A)"), 1.0),
@@ -191,7 +192,7 @@ def _more_profiles(regions: ErrorRegions, of: str) -> Iterator[Panel]:
 def draw_spectrum(figure: FigureBase, found: Spectrum, bands_hz: tuple[tuple[float, float], ...]) -> None:
     """Amplitude densities of a residual and its parts."""
     axes = figure.subplots(1, 1)
-    unit, scale = _UNITS[found.channel]
+    unit, scale = fine_unit(SIGNAL_UNITS[found.channel])
     for low, high in bands_hz:
         axes.axvspan(low, high, color=SHADE, zorder=0)
     lines = (
@@ -295,7 +296,7 @@ def draw_overlay(figure: FigureBase, found: Diagnosis) -> None:
     after = found.best if found.best is not None and found.verdict != "no_gap" else None
     for (above, below), name in zip(grid.T, channels, strict=True):
         label, scale = _SIGNALS[name]
-        unit, fine = _UNITS[name]
+        unit, fine = fine_unit(SIGNAL_UNITS[name])
         recorded = test.signals[name][shown]
         above.plot(time, scale * recorded, color=INK, linestyle="none", marker=".", markersize=2.2, label=_("recorded"))
         for candidate, words, colour, dashes in (

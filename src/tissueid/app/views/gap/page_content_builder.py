@@ -38,12 +38,11 @@ from tissueid.language import marked
 from tissueid.messages import Listing, Message, sentences
 from tissueid.records import Estimate
 from tissueid.reports.gap_panels import largest_held_out_error, simulated_signal
-from tissueid.sessions import Session
+from tissueid.sessions import SIGNAL_UNITS, Session
 from tissueid.twin.catalogue import all_effects
 from tissueid.twin.effect import STAGES, Stage
+from tissueid.units import display_unit, fine_unit
 
-_UNITS = {"voltage": ("V", 1.0, "mV", 1e3), "current": ("A", 1.0, "mA", 1e3), "position": ("mm", 1e3, "µm", 1e6)}
-"""Signal: display unit and factor from SI, then those of its residual."""
 _PROFILES = (("depth_m", 1e3), ("velocity_m_s", 1e3), ("time_s", 1.0))
 _LEAST_ERROR = 0.01
 
@@ -137,7 +136,7 @@ def _no_evidence(found: Diagnosis, stage: Stage) -> str:
 
 
 def _spectrum(found: Spectrum, bands_hz: tuple[tuple[float, float], ...]) -> SpectrumContent:
-    _unit, _scale, unit, scale = _UNITS[found.channel]
+    unit, scale = fine_unit(SIGNAL_UNITS[found.channel])
     least = 0.1 * scale * float(np.sqrt(found.noise[0]))
     lines = {}
     for name in ("recorded", "residual", "linear", "even", "odd", "noise"):
@@ -255,7 +254,8 @@ def _overlays(found: Diagnosis) -> tuple[Overlay, ...]:
     best = found.best if found.verdict != "no_gap" else None
     overlays = []
     for name in sorted(found.dataset.channels, key=lambda name: name != worst):
-        unit, scale, fine_unit, fine = _UNITS[name]
+        unit, scale = display_unit(SIGNAL_UNITS[name])
+        left_unit, fine = fine_unit(SIGNAL_UNITS[name])
         recorded = test.signals[name][shown]
         before = simulated_signal(found.found.baseline, test, name)[shown]
         after = None if best is None else simulated_signal(best, test, name)[shown]
@@ -263,7 +263,7 @@ def _overlays(found: Diagnosis) -> tuple[Overlay, ...]:
             Overlay(
                 name,
                 unit,
-                fine_unit,
+                left_unit,
                 time,
                 scale * recorded,
                 scale * before,
