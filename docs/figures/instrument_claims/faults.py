@@ -1,4 +1,4 @@
-"""Faults that are lived through, streaming without loss, and what acquisition costs the host."""
+"""Tolerated faults, streaming without loss, and processor time of the host."""
 
 from __future__ import annotations
 
@@ -44,8 +44,8 @@ def _matrix() -> Claim:
         if ORDEALS[name].words is not None:
             longest_s = max(longest_s, found.energised_s)
     return Claim(
-        f"{len(REPRESENTATIVE)} cells of the fault matrix (docs/safety.md has all): cells that fail; the longest that "
-        "the coil was energised after a fault that ends a test; the longest wait of the host",
+        f"{len(REPRESENTATIVE)} cells of the fault matrix (docs/safety.md has all): failed cells; longest time that "
+        "the coil was energised after a fault that ends a test; longest wait of the host",
         "0; 2 s",
         f"{len(problems)}; {1e3 * longest_s:.0f} ms; {waited_s:.2f} s",
         not problems and waited_s <= 2.0,
@@ -62,7 +62,7 @@ def _schedules() -> Iterator[Claim]:
     completed, waited_s = sum(item.completed for item in reports), max(item.wait_s for item in reports)
     yield Claim(
         f"{SCHEDULES} random schedules of {SCHEDULE_S:g} s (`make soak`: 500 of 30 s), {faults} faults, {completed} "
-        f"tests completed, {broken} broken off: broken rules; the longest wait of the host",
+        f"tests completed, {broken} aborted: violated rules; longest wait of the host",
         "0; 2 s",
         f"{len(problems)}; {waited_s:.2f} s",
         not problems and waited_s <= 2.0,
@@ -78,7 +78,7 @@ def _streaming() -> Claim:
     grown = held[-1].bytes - held[len(held) // 5].bytes
     return Claim(
         f"{STREAM_S / 60:g} minutes of tests back to back over TCP with a fast clock (`make soak`: an hour): samples "
-        "lost; growth of the program",
+        "lost; growth of the program's memory",
         "0; flat",
         f"0; {grown / 1e6:+.1f} MB",
         grown < 4e6,

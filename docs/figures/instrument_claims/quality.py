@@ -1,4 +1,4 @@
-"""The quality gate on simulated tests, good ones and spoilt ones; and gravity at several tilts."""
+"""Quality gate on good and faulty simulated tests; gravity at several tilts."""
 
 from __future__ import annotations
 
@@ -238,21 +238,21 @@ def _unusual(desk: Desk) -> Spoilt:
 
 
 SPOILERS: dict[str, tuple[set[str], Callable[[Desk], Spoilt]]] = {
-    "the probe lifts off (−6 to 11.5 N)": ({"probe_lifted"}, _lifting),
+    "the probe loses contact (−6 to 11.5 N)": ({"probe_lifted"}, _lifting),
     "the reference surface jumps by 0.3 mm": ({"reference_moved"}, partial(_jump, metres=0.3e-3)),
     "the reference surface jumps by 0.3 mm during the preload": ({"reference_moved"}, _jump_in_preload),
     "the reference surface drifts by 0.8 mm": ({"reference_moved"}, _drift),
-    "the supply gives 55 %": ({"saturated", "drive_weak"}, _weak_supply),
+    "the supply voltage is 55 %": ({"saturated", "drive_weak"}, _weak_supply),
     "the position sensor sticks half-way": ({"sensor_stuck"}, _stuck),
     "the coil's wire is broken": ({"coil_open"}, _open),
     "noise of 15 % of the motion": ({"noisy_position"}, _noisy),
     "mains of 6 % at 50 Hz": ({"mains"}, partial(_mains, hertz=50.0)),
     "mains of 6 % at 60 Hz": ({"mains"}, partial(_mains, hertz=60.0)),
-    "150 ms lost": ({"samples_lost"}, _lost),
+    "150 ms of samples lost": ({"samples_lost"}, _lost),
     "a knock of 8 m/s² for 5 ms": ({"shock"}, _knocked),
-    "turned by 23° since it was placed": ({"orientation_changed"}, _turned),
+    "turned by 23° since placement": ({"orientation_changed"}, _turned),
     "3 mm beyond the calibrated region": ({"outside_linear_region"}, _outside),
-    "the tissue gave way by 0.25 mm since the first test": ({"settling"}, _settling),
+    "the tissue yields by 0.25 mm after the first test": ({"settling"}, _settling),
     "the tissue stiffens by 60 % after two tests": ({"unusual", "settling"}, _unusual),
 }
 
@@ -297,22 +297,20 @@ def claims() -> Iterator[Claim]:
     worst = max(found.values(), default=0) / judged
     named = ", ".join(f"{code} {count}" for code, count in found.most_common()) or "none"
     yield Claim(
-        f"false alarms of each finding on {judged} good tests of {len(TISSUES)} tissues, {SEEDS} seeds",
+        f"highest rate of false alarms of a finding, on {judged} good tests of {len(TISSUES)} tissues, {SEEDS} seeds",
         f"under {100 * FALSE_ALARMS:g} %",
         f"{100 * worst:.1f} % ({named})",
         worst <= FALSE_ALARMS,
     )
-    yield Claim(
-        "processor time to judge a test of 4.5 s, the longest", "50 ms", f"{1e3 * longest:.0f} ms", longest < 0.05
-    )
+    yield Claim("longest processor time to judge a test of 4.5 s", "50 ms", f"{1e3 * longest:.0f} ms", longest < 0.05)
     for what, made, hits in detection():
-        yield Claim(f"found: {what}", f"{100 * FOUND:g} %", f"{hits} of {made}", made > 0 and hits >= FOUND * made)
+        yield Claim(f"detected: {what}", f"{100 * FOUND:g} %", f"{hits} of {made}", made > 0 and hits >= FOUND * made)
     for model in MODELS:
         rows = {tilt: tilted(model, tilt) for tilt in TILTS_DEG}
         surfaces = [row[0] for row in rows.values()]
         off = max(abs(row[1] - tilt) for tilt, row in rows.items())
         yield Claim(
-            f"{model}, {', '.join(f'{tilt:g}' for tilt in TILTS_DEG)}° from straight down: spread of the surface; "
+            f"{model}, {', '.join(f'{tilt:g}' for tilt in TILTS_DEG)}° from pointing straight down: spread of the surface; "
             "error of the tilt; verdicts",
             "0.05 mm; 2°; good",
             f"{1e3 * np.ptp(surfaces):.3f} mm; {off:.1f}°; {', '.join(sorted({row[3] for row in rows.values()}))}",

@@ -1,4 +1,4 @@
-"""Records that can be relied on: a disk that fails at any moment, the audit log, and the memory of a long sitting."""
+"""Reliability of records: disk failure at any moment, audit log, memory of a long sitting."""
 
 from __future__ import annotations
 
@@ -95,7 +95,7 @@ def _disk(folder: Path) -> Iterator[Claim]:
         lost == 0,
     )
     yield Claim(
-        "from the failure to the release of the coil, by the device's clock, at the longest",
+        "longest time from the failure to the release of the coil, device time",
         f"{1e3 * RELEASED_S:.0f} ms",
         f"{1e3 * slowest:.0f} ms",
         slowest <= RELEASED_S,
@@ -112,7 +112,7 @@ def _audit(folder: Path) -> Iterator[Claim]:
         took.append(time.perf_counter() - begin)
     damages, found = _damages(b"".join(log.path.read_bytes().splitlines(keepends=True)[:4]))
     yield Claim(
-        "audit log of four lines: each byte changed, removed, put in; lines removed, swapped, copied in: found",
+        "audit log of four lines: each byte changed, removed, inserted; lines removed, swapped, copied: detected",
         "all",
         f"{found} of {damages}",
         found == damages,
@@ -128,7 +128,7 @@ def _audit(folder: Path) -> Iterator[Claim]:
     whole = verify(log.path).whole
     seconds = time.process_time() - begin
     yield Claim(
-        f"{LINES:,} lines ({log.path.stat().st_size / 1e6:.0f} MB) verified; a line added and synced (median)",
+        f"{LINES:,} lines ({log.path.stat().st_size / 1e6:.0f} MB) verified; one line appended and synced (median)",
         f"{VERIFIED_S:.0f} s",
         f"{seconds:.1f} s of one core; {1e3 * median(took):.1f} ms",
         whole and seconds <= VERIFIED_S,

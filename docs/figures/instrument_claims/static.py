@@ -1,4 +1,4 @@
-"""Static calibration of instruments that are not what they say of themselves."""
+"""Static calibration of instruments that differ from their nominal values."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ BAR = 0.005
 NAMES = {
     "coil_resistance_ohm": "coil resistance",
     "force_constant_n_per_a": "force constant",
-    "voltage_gain": "voltage for a volt of command",
+    "voltage_gain": "measured volts per commanded volt",
     "position_gain": "position scale",
 }
 
@@ -31,7 +31,7 @@ def claims() -> Iterator[Claim]:
         seconds.append(instrument._link.now)
     passed = sum(found.verdict == "passed" for found in runs)
     yield Claim(
-        f"{SEEDS} runs pass; the time that one takes on the instrument's clock",
+        f"{SEEDS} runs passed; duration of one run on the instrument's clock",
         f"{SEEDS}",
         f"{passed}; {max(seconds):.0f} s",
         passed == SEEDS,
@@ -45,7 +45,8 @@ def claims() -> Iterator[Claim]:
         error = np.abs(values / truths[name] - 1.0)
         covered = int(np.sum(np.abs(values - truths[name]) < 1.96 * stds))
         yield Claim(
-            f"{words}: worst error; standard deviation of {SEEDS} runs; deviation reported; 95 % intervals that hold",
+            f"{words}: worst error; standard deviation of {SEEDS} runs; reported standard deviation; 95 % intervals "
+            "that contain the true value",
             "0.5 %",
             f"{100 * error.max():.3f} %; {100 * values.std(ddof=1) / abs(values.mean()):.3f} %; "
             f"{100 * stds.mean() / abs(values.mean()):.3f} %; {covered} of {SEEDS}",

@@ -93,8 +93,10 @@ def _run(scenario: dict[str, object], plan: SweepPlan, seed: int) -> _Run:
 
 def claims() -> Iterator[Claim]:
     """Whole sweeps through firmware and cable, repeats, deviations, and what disagreement is put down to."""
-    yield from _whole("the device as it says it is", NOMINAL)
-    yield from _whole("2.93 N/A, 12.31 ohm, 1.1 mH, 62.5 g, 3.9 N s/m and 10 mA of offset, none of it known", OTHER)
+    yield from _whole("device with its nominal values", NOMINAL)
+    yield from _whole(
+        "2.93 N/A, 12.31 ohm, 1.1 mH, 62.5 g, 3.9 N s/m and 10 mA of offset, all unknown to the calibration", OTHER
+    )
     yield from _repeatability()
     yield from _deviations()
     yield from _timing()
@@ -105,7 +107,8 @@ def _whole(what: str, scenario: dict[str, object]) -> Iterator[Claim]:
     run = _run(scenario, SweepPlan(), seed=1)
     low, high = run.ends_mm
     yield Claim(
-        f"one sweep, 15 positions of 4 s, {what}: largest error of the force constant; ends of the region",
+        f"one sweep, 15 positions of 4 s, {what}: largest error of the force constant; errors of the ends "
+        "of the region",
         "3 %; 1 mm",
         f"{100 * run.worst:.2f} %; {low:+.2f} and {high:+.2f} mm",
         run.worst <= 0.03 and max(abs(low), abs(high)) <= 1.0,
@@ -115,7 +118,8 @@ def _whole(what: str, scenario: dict[str, object]) -> Iterator[Claim]:
     mass = result.moving_mass_kg.value / truth.moving_mass_kg - 1.0
     inductance = result.flux.inductance_h.value / truth.inductance_h - 1.0
     yield Claim(
-        "the same: resistance, moving mass and inductance off by; time of the device, of the analysis",
+        "the same: errors of resistance, moving mass and inductance; duration of the sweep in device time, of the "
+        "analysis",
         "0.5 %; 3 %; 10 %",
         f"{100 * resistance:+.2f} %; {100 * mass:+.1f} %; {100 * inductance:+.1f} %; {run.device_s:.0f} s, "
         f"{run.analysis_s:.1f} s",
@@ -137,7 +141,7 @@ def _repeatability() -> Iterator[Claim]:
     )
     worst, farthest = max(run.worst for run in runs), float(np.abs(ends).max())
     yield Claim(
-        "the same: worst error of the force constant over all of them; of an end",
+        "the same: worst error of the force constant in all sweeps; of an end of the region",
         "3 %; 1 mm",
         f"{100 * worst:.2f} %; {farthest:.2f} mm",
         worst <= 0.03 and farthest <= 1.0,
@@ -164,8 +168,9 @@ def _deviations() -> Iterator[Claim]:
     shares = {name: float(np.mean(hits)) for name, hits in within.items()}
     # Of 20 draws of a 95 % interval fewer than 17 are within with a chance of 1.6 %.
     yield Claim(
-        f"95 % intervals over {SEEDS} sweeps of another plant: force constant by flux and spring, mass, damping",
-        "85 % or more within",
+        f"95 % intervals over {SEEDS} sweeps of another simulated instrument: force constant by flux and spring, "
+        "mass, damping",
+        "85 % or more contain the true value",
         "; ".join(f"{100 * share:.0f} %" for share in shares.values()),
         min(shares.values()) >= 0.85,
     )
@@ -185,7 +190,7 @@ def _timing() -> Iterator[Claim]:
     mine = [point.mass_kg.value * float(rig.k(point.position_m)) / 3.0 for point in result.points]
     off = float(np.mean(mine)) / rig.mass - 1.0
     yield Claim(
-        "mass at each position, on average, with the mean current of each interval; with the readings as they are",
+        "mean error of the mass at each position, with the mean current of each interval; with uncorrected readings",
         "0.2 %",
         f"{100 * off:+.2f} %; {100 * (float(np.mean(raw)) / rig.mass - 1.0):+.2f} %",
         abs(off) <= 0.002,
@@ -199,7 +204,7 @@ def _causes() -> Iterator[Claim]:
         for cause, rig in SCALES.items()
     }
     yield Claim(
-        "a scale that is off by 3 % (position by 2 %), the spring known to 0.3 %: what is named as the cause",
+        "a scale with an error of 3 % (position: 2 %), the spring known to 0.3 %: named cause",
         ", ".join(found),
         ", ".join(str(cause) for cause in found.values()),
         all(cause == named for cause, named in found.items()),
