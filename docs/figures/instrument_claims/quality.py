@@ -310,8 +310,8 @@ def claims() -> Iterator[Claim]:
         surfaces = [row[0] for row in rows.values()]
         off = max(abs(row[1] - tilt) for tilt, row in rows.items())
         yield Claim(
-            f"{model}, {', '.join(f'{tilt:g}' for tilt in TILTS_DEG)}° from pointing straight down: spread of the surface; "
-            "error of the tilt; verdicts",
+            f"{model}, {', '.join(f'{tilt:g}' for tilt in TILTS_DEG)}° from pointing straight down: spread of the "
+            "surface; error of the tilt; verdicts",
             "0.05 mm; 2°; good",
             f"{1e3 * np.ptp(surfaces):.3f} mm; {off:.1f}°; {', '.join(sorted({row[3] for row in rows.values()}))}",
             bool(np.ptp(surfaces) < 0.05e-3 and off < 2.0 and all(row[3] == "good" for row in rows.values())),
