@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import ast
 import re
-from collections.abc import Callable, Iterable, Iterator
+from collections.abc import Callable, Iterable
 from functools import cache
 from pathlib import Path
 from string import Formatter
@@ -13,7 +13,7 @@ from typing import Any
 from tissueid import messages
 from tissueid.errors import TissueIDError
 from tissueid.language import ENGLISH, _, current_language, set_language
-from tissueid.messages import Listing, Message, code_of, translated
+from tissueid.messages import Message, code_of, messages_in, translated
 
 
 class _Check:
@@ -98,18 +98,10 @@ def holding(code: str, /, **values: Any) -> Callable[[BaseException], bool]:
 
 def part_of(text: Any, code: str) -> Message:
     """Return the message with this code: the text itself or one among its values; fail where there is none."""
-    parts = list(_parts(text))
+    parts = list(messages_in(text))
     found = next((part for part in parts if part.code == code), None)
     assert found is not None, f"{code} is not among {[part.code for part in parts]}"
     return found
-
-
-def _parts(value: Any) -> Iterator[Message]:
-    if isinstance(value, Message):
-        yield value
-    items = value.items if isinstance(value, Listing) else value.values.values() if isinstance(value, Message) else ()
-    for item in items:
-        yield from _parts(item)
 
 
 @cache

@@ -32,7 +32,7 @@ TESTS = 2
 ATTRIBUTES = dict(kind="stochastic", site="forearm", sample_rate_hz=2000.0)
 
 
-def with_preload(seconds: float = SECONDS) -> GuidedTest:
+def guided(seconds: float = SECONDS) -> GuidedTest:
     force = 3.0 * np.minimum(1.0, np.arange(round(2000 * seconds)) / 100.0)
     return GuidedTest(Stimulus(force, 2000.0, {"type": "hold"}, 0, 1.4, preload_s=0.1), "forearm")
 
@@ -113,7 +113,7 @@ class Sitting:
                 self.keep_in_step()
 
             for _ in range(tests):
-                run_guided_test(self.instrument, with_preload(seconds), recorder, surface_m=0.01, progress=watch)
+                run_guided_test(self.instrument, guided(seconds), recorder, surface_m=0.01, progress=watch)
         except JournalError as error:
             self.error = error
             self.released = not self.firmware.energised

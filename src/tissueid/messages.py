@@ -16,7 +16,7 @@ from __future__ import annotations
 
 import math
 import re
-from collections.abc import Callable, Iterable, Mapping
+from collections.abc import Callable, Iterable, Iterator, Mapping
 from dataclasses import dataclass
 from typing import Any, Self
 
@@ -131,6 +131,20 @@ def joined(parts: Iterable[str], between: str = ", ", last: str | None = None) -
 def code_of(text: str) -> str:
     """Return the code of a message; "" for a text that is none."""
     return text.code if isinstance(text, Message) else ""
+
+
+def messages_in(text: Any) -> Iterator[Message]:
+    """Yield a message and the messages among its values, the message itself first."""
+    if isinstance(text, Message):
+        yield text
+    parts = text.items if isinstance(text, Listing) else text.values.values() if isinstance(text, Message) else ()
+    for part in parts:
+        yield from messages_in(part)
+
+
+def codes_in(text: str) -> frozenset[str]:
+    """Return the codes of a message and of the messages among its values; empty for a text that is none."""
+    return frozenset(message.code for message in messages_in(text))
 
 
 def stored(text: str) -> dict[str, Any] | None:

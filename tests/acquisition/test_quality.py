@@ -9,15 +9,14 @@ from functools import partial
 import numpy as np
 import pytest
 from acquisition.simulated_tests import DEVICE, RATE, Desk, move, with_signal
-from coded import says
+from coded import made, says
 from support import connect
 
 from tissueid.acquisition import GuidedTest, NoiseChoice, SessionRecorder, run_guided_test
 from tissueid.acquisition.quality import Quality, QualityFinding, QualityGate, gate, judge, judge_session, quality_of
 from tissueid.acquisition.quality.texts import AIR, SPRING, TISSUE
 from tissueid.device import DeviceDescription
-from tissueid.instrument.replies import describe_faults
-from tissueid.instrument.sample_monitor import BY_CURRENT
+from tissueid.instrument.replies import released_by_faults
 from tissueid.language import set_language
 from tissueid.messages import Message, translated
 from tissueid.sessions import Session, Test, read_session
@@ -74,9 +73,15 @@ def test_a_test_that_ends_within_its_preload_reports_its_length(good):
     assert "preload_short" not in findings
 
 
-@pytest.mark.parametrize("reason", [describe_faults(Fault.OVER_TEMPERATURE), f"the coil is at 80 °C {BY_CURRENT}"])
+@pytest.mark.parametrize(
+    "reason",
+    [
+        released_by_faults(Fault.OVER_TEMPERATURE).message,
+        made("limit.winding_temperature", temperature=80.5, limit=80.0),
+    ],
+)
 def test_a_test_ended_by_the_calculated_temperature_is_reported(good, reason):
-    notes = good.notes | {"reason": f"the instrument released the coil: {reason}", "limit_max_temperature_c": 80.0}
+    notes = good.notes | reason_notes(reason) | {"limit_max_temperature_c": 80.0}
     ended = replace(with_signal(good, "temperature", np.full(good.samples, 60.0)), status="aborted", notes=notes)
     assert says(found(ended)["coil_warm"].words, "quality.coil_warm.calculated", limit=80.0, read=60.0)
     by_sensor = with_signal(ended, "temperature", np.full(good.samples, 81.0))

@@ -8,6 +8,7 @@ import pytest
 from coded import coded, holding
 from failing_disk import (
     ATTRIBUTES,
+    FULL,
     Disk,
     a_sitting,
     batch,
@@ -57,7 +58,7 @@ def test_how_a_test_ended_is_logged_without_names_of_files(tmp_path):
     refused = FirmwareFaultError("it refuses")
     recorder.prepare(1000, site="forearm")
     recorder.not_begun(refused, str(refused))
-    recorder.finish_or_discard(JournalError(f"cannot write {recorder.path}: No space left on device"))
+    recorder.finish_or_discard(JournalError(f"cannot write {recorder.path}: {FULL}"))
     lines = last_lines(log.path, 100)
     assert [line.what for line in lines[2:]] == [
         "test.begun",
@@ -67,10 +68,10 @@ def test_how_a_test_ended_is_logged_without_names_of_files(tmp_path):
         "session.broken_off",
         "session.written",
     ]
-    assert "button" in lines[3].new["reason"]
+    assert lines[3].new["codes"] == ["fault.button", "instrument.released", "remedy.release_button"]
     assert lines[3].new["samples"] > 0
     assert lines[5].new["samples"] == 0
-    assert lines[6].new == "cannot write the session: No space left on device"
+    assert lines[6].new == f"cannot write the session: {FULL}"
 
 
 class Late:
@@ -153,12 +154,12 @@ def test_a_log_that_fails_during_a_test_does_not_break_it_off(tmp_path, monkeypa
         disk.fails_at = disk.calls + 1
 
     run_guided_test(instrument, guided(), recorder, surface_m=0.01, progress=fail)
-    with pytest.raises(AuditError, check=coded("audit.unwritable", why="No space left on device")):
+    with pytest.raises(AuditError, check=coded("audit.unwritable", why=FULL)):
         run_guided_test(instrument, guided(), recorder, surface_m=0.01)
     assert not instrument._link.firmware.energised
     session = recorder.finish()
     assert [test.status for test in session.tests] == ["completed"]
-    assert "No space left on device" in recorder.trail.problem
+    assert FULL in recorder.trail.problem
     assert verify(log.path).whole
 
 

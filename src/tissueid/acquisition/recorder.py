@@ -34,8 +34,9 @@ from tissueid.device import DeviceDescription
 from tissueid.errors import CancelledError, FirmwareFaultError, SessionExistsError, SessionFormatError
 from tissueid.instrument import CLINICAL, SAMPLE, SIGNALS, Limits, Run
 from tissueid.language import marked
-from tissueid.messages import Action, Message
+from tissueid.messages import Action, Message, codes_in
 from tissueid.sessions import MAX_NUMBERS, Session, Subject, read_own_session
+from tissueid.sessions.model import reason_of
 
 WAITING_S = 30.0
 """Seconds of samples that may wait for the disk; then the test ends."""
@@ -226,7 +227,7 @@ class SessionRecorder:
         if samples is not None:
             entry["samples"] = samples
         self._journal.leave(encode_json(Entry.TEST_END, entry))
-        self._log_end(self.tests_begun, _ending(status, cause), self._run_samples, str(notes.get("reason", "")))
+        self._log_end(self.tests_begun, _ending(status, cause), self._run_samples, reason_of(notes))
 
     def not_begun(self, cause: BaseException, reason: str, preparation: Preparation | None = None) -> None:
         """Log that the prepared test did not begin. Never raises and never waits.
@@ -383,9 +384,11 @@ class SessionRecorder:
 
     def _log_end(self, number: int, what: str, samples: int, reason: str) -> None:
         if self.trail is not None:
-            new: dict[str, str | int] = {"samples": samples}
+            new: dict[str, str | int | list[str]] = {"samples": samples}
             if reason:
                 new["reason"] = self._without_names(reason)
+            if codes := codes_in(reason):
+                new["codes"] = sorted(codes)
             self.trail.note(what, subject=self._test(number), new=new)
 
     def _without_names(self, words: str) -> str:

@@ -18,9 +18,6 @@ _NO_TEMPERATURE = Message(
     "the temperature sensor of the coil gives no usable reading: check its plug and cable",
 )
 
-BY_CURRENT = "by its current"
-"""Part of the message ``limit.winding_temperature``; the quality gate recognises it in the stored reason of a test."""
-
 
 class SampleMonitor:
     """One for each opening of an instrument, so that the calculated temperature carries over from test to test.

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import uuid
+from collections.abc import Mapping
 from dataclasses import dataclass, field
 from datetime import UTC, datetime
 from typing import Any
@@ -63,6 +64,17 @@ def reason_notes(reason: str) -> dict[str, str | float]:
     return notes
 
 
+def reason_of(notes: Mapping[str, object]) -> str:
+    """Return why a test ended early: a message if its code and values are stored; "" if no reason is stored."""
+    text = notes.get("reason")
+    if not isinstance(text, str):
+        return ""
+    try:
+        return message_from(json_value(str(notes.get(_REASON_MESSAGE)).encode()), text)
+    except ValueError:
+        return text
+
+
 @dataclass(frozen=True)
 class Subject:
     """The person who was measured: a pseudonym, never a name, and demographic values of the study."""
@@ -97,14 +109,8 @@ class Test:
 
     @property
     def reason(self) -> str:
-        """Why the test ended early: a message if its code and values are stored; "" if no reason is stored."""
-        text = self.notes.get("reason")
-        if not isinstance(text, str):
-            return ""
-        try:
-            return message_from(json_value(str(self.notes.get(_REASON_MESSAGE)).encode()), text)
-        except ValueError:
-            return text
+        """Why the test ended early, by ``reason_of``."""
+        return reason_of(self.notes)
 
     def unit(self, name: str) -> str:
         """Return the SI unit of a signal; "" if it has none or it is unknown."""

@@ -23,9 +23,15 @@ from coded import begins, shows
 from PySide6.QtCore import Qt
 from PySide6.QtWidgets import QAbstractButton, QLabel
 
+from tissueid.app.emergency import BY_KEY
+from tissueid.app.words import sentence
 from tissueid.audit import AuditLog
 from tissueid.calibration import write_calibration
+from tissueid.instrument.replies import FAULT_TEXTS, released_by_faults
+from tissueid.messages import codes_in
 from tissueid.sessions import read_session, write_session
+from tissueid.sessions.model import reason_notes
+from tissueid.wire import Fault
 
 pytestmark = [pytest.mark.qt_log_level_fail("WARNING"), pytest.mark.qt_log_ignore("This plugin does not support")]
 
@@ -38,15 +44,20 @@ def mishaps(tmp_path, saved, audit_file):
     """A session with a fault that is in the log too, one that was stopped, one completed, and rubbish."""
     session = read_session(saved)
     log = AuditLog(audit_file)
-    hot = "the instrument released the coil: the coil is too hot: let it cool for some minutes"
+    hot = released_by_faults(Fault.OVER_TEMPERATURE).message
     for name, status, what, reason in (
         ("hot", "aborted", "test.fault", hot),
-        ("stopped", "aborted", "test.stopped", "stopped by a key"),
+        ("stopped", "aborted", "test.stopped", BY_KEY),
         ("whole", "completed", "test.completed", ""),
     ):
-        test = dataclasses.replace(session.tests[0], status=status, notes={"reason": reason} if reason else {})
+        test = dataclasses.replace(session.tests[0], status=status, notes=reason_notes(reason) if reason else {})
         write_session(tmp_path / f"{name}.h5", dataclasses.replace(session, session_id=name, tests=(test,)))
-        log.record("clinician", what, subject=f"{name} test 1", new={"samples": 10, "reason": reason})
+        log.record(
+            "clinician",
+            what,
+            subject=f"{name} test 1",
+            new={"samples": 10, "reason": reason, "codes": sorted(codes_in(reason))},
+        )
     (tmp_path / "rubbish.h5").write_bytes(b"\x89HDF\r\n\x1a\n" + bytes(range(256)) * 3)
     return tmp_path
 
@@ -56,7 +67,7 @@ def test_faults_are_listed_once_with_what_to_do_and_their_session_is_opened(qtbo
     faults = view.faults
     assert sorted(column(faults.model, 1)) == ["Fault", "Unreadable file"]
     select(faults.list, column(faults.model, 1).index("Fault"))
-    assert faults.advice.text() == "What to do: Let it cool for some minutes."
+    assert faults.advice.text() == f"What to do: {sentence(FAULT_TEXTS[Fault.OVER_TEMPERATURE].remedy)}"
     assert str(mishaps / "hot.h5") == faults.where.text()
     assert faults.open.isEnabled()
     faults.kind.setFocus()

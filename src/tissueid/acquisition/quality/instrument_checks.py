@@ -8,13 +8,10 @@ import numpy as np
 
 from tissueid.acquisition.quality.prepared_test import PreparedTest, longest
 from tissueid.device import CALIBRATE_STATIC, CALIBRATE_SWEEP
-from tissueid.instrument.replies import describe_faults
-from tissueid.instrument.sample_monitor import BY_CURRENT
 from tissueid.language import marked
-from tissueid.messages import Listing, Message
+from tissueid.messages import Listing, Message, codes_in
 from tissueid.sessions.model import IMPORTED
 from tissueid.sessions.quality import QualityFinding, Severity
-from tissueid.wire import Fault
 
 LOST_SHARE, LOST_REPEAT_SHARE = 0.01, 0.10
 """Shares of samples that were not received, above which a test is doubtful or should be repeated."""
@@ -50,6 +47,8 @@ WARM_C, HOT_C = 50.0, 65.0
 """Coil temperatures, degC, that are noted, and that make a test doubtful."""
 WARMED_K = 15.0
 """Rise of the coil temperature within a test, K, that is noted."""
+_TOO_HOT = {"fault.over_temperature", "limit.winding_temperature"}
+"""Codes in the reason of a test that was stopped because of the coil's temperature."""
 _COPPER_PER_K = 0.0039
 """Relative change of the resistance of copper, 1/K."""
 
@@ -400,10 +399,7 @@ def warm(prepared: PreparedTest) -> Iterator[QualityFinding]:
 
 def _too_hot(prepared: PreparedTest) -> bool:
     """Return whether the test was stopped because of the coil's temperature, by the instrument or by the host."""
-    reason = prepared.test.notes.get("reason")
-    if prepared.test.status != "aborted" or not isinstance(reason, str):
-        return False
-    return describe_faults(Fault.OVER_TEMPERATURE) in reason or BY_CURRENT in reason
+    return prepared.test.status == "aborted" and not _TOO_HOT.isdisjoint(codes_in(prepared.test.reason))
 
 
 def calibrated(prepared: PreparedTest) -> Iterator[QualityFinding]:

@@ -2,12 +2,11 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable
+from collections.abc import Callable, Collection, Iterable
 from dataclasses import dataclass, replace
 from datetime import UTC, datetime
 from pathlib import Path
 
-from tissueid.app.emergency import BY_BUTTON, BY_KEY
 from tissueid.app.views.technician.log_reading import LogPage
 from tissueid.app.words import sentence
 from tissueid.audit import Line
@@ -15,7 +14,7 @@ from tissueid.errors import TissueIDError
 from tissueid.formatting import clean, plain_text
 from tissueid.instrument.replies import FAULT_TEXTS
 from tissueid.language import _, marked
-from tissueid.messages import translated
+from tissueid.messages import codes_in, translated
 from tissueid.sessions import read_outline
 
 MOST_FILES = 2000
@@ -44,8 +43,10 @@ _LOGGED = {
     "calibration.stopped": STOPPED,
 }
 _ENDS_OF_TESTS = ("test.fault", "test.aborted", "test.stopped")
-_BY_A_PERSON = (BY_BUTTON, BY_KEY)
-"""Beginnings of the reason of a test that was stopped by a person."""
+_BY_A_PERSON = frozenset({"stop.button", "stop.key"})
+"""Codes in the reason of a test that was stopped by a person."""
+_RELEASED = "instrument.released"
+"""Code in the reason of a test that the instrument ended because of a fault."""
 _BY_STATUS = {"completed": COMPLETED, "aborted": BROKEN, "recovered": RECOVERED}
 _BY_KIND = {
     STOPPED: marked("Nothing to mend: a person stopped it. What was recorded is kept."),
@@ -55,14 +56,15 @@ _BY_KIND = {
     FAILED: marked("See its problems under Calibrations, mend them, and calibrate again."),
     UNREADABLE: marked("Fetch a copy of the file from where it was kept, or take it away."),
 }
-_ADVICE = (
-    ("the force reached", marked("Choose a weaker stimulus, and see that nothing pulls at the probe.")),
-    ("end of its stroke", marked("Place the probe nearer to the middle of its stroke.")),
-    ("restarted by itself", marked("Check the power supply and its plug; connect again.")),
-    ("sent no usable samples", marked("Check the cable and the power, and connect again.")),
-    ("went silent", marked("Check the cable and the power, and connect again.")),
-    ("the connection to", marked("Check the cable, and connect again.")),
-)
+_ADVICE = {text.condition.code: text.remedy for text in FAULT_TEXTS.values()} | {
+    "limit.force": marked("Choose a weaker stimulus, and see that nothing pulls at the probe."),
+    "limit.position": marked("Place the probe nearer to the middle of its stroke."),
+    "instrument.restarted": marked("Check the power supply and its plug; connect again."),
+    "link.unusable": marked("Check the cable and the power, and connect again."),
+    "link.silent": marked("Check the cable and the power, and connect again."),
+    "link.broken": marked("Check the cable, and connect again."),
+}
+"""What to do by a code in the reason of a test."""
 
 
 @dataclass(frozen=True)
@@ -149,7 +151,7 @@ def _of_line(line: Line) -> Event | None:
     if kind is None:
         return None
     subject = _short(line.subject)
-    return Event(moment(line.time), kind, subject, _said(reason), advice(kind, str(reason)))
+    return Event(moment(line.time), kind, subject, _said(reason), advice(kind, str(reason), _texts(new.get("codes"))))
 
 
 def _of_session(path: Path) -> Iterable[tuple[str, Event]]:
@@ -165,15 +167,16 @@ def _of_session(path: Path) -> Iterable[tuple[str, Event]]:
         test = item.test
         reason = test.reason
         kind = _BY_STATUS[test.status]
-        if kind is BROKEN and "released the coil" in reason:
+        codes = codes_in(reason)
+        if kind is BROKEN and _RELEASED in codes:
             kind = FAULT
-        elif kind is BROKEN and reason.casefold().startswith(_BY_A_PERSON):
+        elif kind is BROKEN and not _BY_A_PERSON.isdisjoint(codes):
             kind = STOPPED
         site = f", {clean(test.site)[:60]}" if test.site else ""
         subject = _("Test {number}{site}").format(number=test.number, site=site)
         yield (
             f"{head.session_id} test {test.number}",
-            Event(moment(head.created), kind, subject, _said(translated(reason)), advice(kind, reason), path),
+            Event(moment(head.created), kind, subject, _said(translated(reason)), advice(kind, reason, codes), path),
         )
 
 
@@ -188,21 +191,22 @@ def _changed(path: Path) -> float:
         return 0.0
 
 
-def advice(kind: str, reason: str) -> str:
-    """Return the advice for an end of this kind and reason; that of the error message if there is one."""
+def advice(kind: str, reason: str, codes: Collection[str]) -> str:
+    """Return the advice for an end of this kind and reason, which has ``codes``; without a known one, its own."""
     if kind in _BY_KIND:
         return _(_BY_KIND[kind])
     if kind == COMPLETED:
         return ""
-    lowered = reason.casefold()
-    for text in FAULT_TEXTS.values():
-        if text.condition in lowered:
-            return sentence(translated(text.remedy))
-    for sign, words in _ADVICE:
-        if sign in lowered:
-            return _(words)
+    for code, words in _ADVICE.items():
+        if code in codes:
+            return sentence(translated(words))
     _cause, colon, remedy = reason.rpartition(": ")
     return sentence(clean(remedy)[:_LONGEST]) if colon else _("Measure again; if it happens again, ask the instrument.")
+
+
+def _texts(value: object) -> list[str]:
+    """Return the texts of a list from the log; empty if it is no list."""
+    return [item for item in value if isinstance(item, str)] if isinstance(value, list) else []
 
 
 def moment(time: object) -> str:
