@@ -2,12 +2,12 @@
 
 from __future__ import annotations
 
-import threading
 from collections.abc import Callable
 from typing import Any
 
 from PySide6.QtCore import QObject, QThread, Signal
 
+from tissueid.app.job_control import JobControl
 from tissueid.app.words import in_words
 from tissueid.errors import CancelledError
 from tissueid.language import _
@@ -107,7 +107,7 @@ class PageJob(QObject):
     def __init__(self, jobs: Jobs, parent: QObject) -> None:
         super().__init__(parent)
         self._jobs = jobs
-        self._stop = threading.Event()
+        self._control = JobControl()
         self._done: Callable[[Any], None] | None = None
         self._failed: Callable[[str], None] | None = None
         self.words = ""
@@ -120,7 +120,7 @@ class PageJob(QObject):
     def start(
         self,
         words: str,
-        work: Callable[[Callable[[], None]], Any],
+        work: Callable[[Callable[[], object]], Any],
         done: Callable[[Any], None],
         failed: Callable[[str], None],
     ) -> bool:
@@ -131,16 +131,12 @@ class PageJob(QObject):
         """
         if self._jobs or self.running:
             return False
-        self._stop = stop = threading.Event()
+        self._control = control = JobControl()
         self._done, self._failed, self.words = done, failed, words
-
-        def check() -> None:
-            if stop.is_set():
-                raise CancelledError("it was cancelled")
 
         def run() -> Any:
             try:
-                return work(check)
+                return work(control.check)
             except CancelledError:
                 return _Cancelled()
 
@@ -151,11 +147,11 @@ class PageJob(QObject):
 
     def cancel(self) -> None:
         """Cancel the job; it ends at the next call of its check."""
-        self._stop.set()
+        self._control.cancel()
 
     def _succeeded(self, result: Any) -> None:
         done, failed = self._over()
-        if isinstance(result, _Cancelled) or self._stop.is_set():
+        if isinstance(result, _Cancelled) or self._control.cancelled():
             # A job that finished before it noticed the cancellation counts as cancelled.
             failed("")
         else:

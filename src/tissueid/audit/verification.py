@@ -108,7 +108,7 @@ def verify(
     heads: dict[str, str] | None = None,
     *,
     after: Sequence[Path] = (),
-    cancelled: Callable[[], None] = lambda: None,
+    cancelled: Callable[[], object] = lambda: None,
 ) -> Verification:
     """Verify a log from its first line.
 
@@ -144,7 +144,7 @@ def verify(
     )
 
 
-def _hashes_of(logs: Sequence[Path], cancelled: Callable[[], None]) -> set[str]:
+def _hashes_of(logs: Sequence[Path], cancelled: Callable[[], object]) -> set[str]:
     """Return the hashes of all lines of some logs.
 
     Raises:
@@ -221,7 +221,7 @@ def _missing(number: int | None, walk: _Walk, where: str) -> Broken:
 class _Walk:
     """One pass through a log, up to the first damage."""
 
-    def __init__(self, path: Path, cancelled: Callable[[], None]) -> None:
+    def __init__(self, path: Path, cancelled: Callable[[], object]) -> None:
         self._cancelled = cancelled
         self.last: Line | None = None
         self.hashes: set[str] = set()

@@ -42,7 +42,7 @@ class Read:
     acts: tuple[str, ...]
 
 
-def read(path: Path, cancelled: Callable[[], None]) -> Read:
+def read(path: Path, cancelled: Callable[[], object]) -> Read:
     """Read the log for the table.
 
     Raises:
@@ -54,7 +54,7 @@ def read(path: Path, cancelled: Callable[[], None]) -> Read:
     return Read(page, texts, tuple(acts[:_MOST_ACTS]))
 
 
-def check(path: Path, cancelled: Callable[[], None]) -> Verification:
+def check(path: Path, cancelled: Callable[[], object]) -> Verification:
     """Verify the log.
 
     Raises:

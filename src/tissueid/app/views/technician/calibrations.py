@@ -36,7 +36,7 @@ _MOST_WHY = 4
 _SPLIT = "instrument/calibrations/split"
 
 
-def read_stored(folder: Path | None, cancelled: Callable[[], None]) -> tuple[Stored, ...]:
+def read_stored(folder: Path | None, cancelled: Callable[[], object]) -> tuple[Stored, ...]:
     """The calibrations of the folder in force, or of a given one.
 
     Raises:

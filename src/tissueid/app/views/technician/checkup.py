@@ -31,7 +31,7 @@ WARM_C = 50.0
 RESTING_A = 0.3
 """A free coil carries no current: beyond this the current channel is off, by as much as a calibration may say."""
 
-Cancelled = Callable[[], None]
+Cancelled = Callable[[], object]
 
 
 @dataclass(frozen=True)

@@ -105,7 +105,7 @@ class Events:
         return newest if newest is not None and newest.kind == FAULT else None
 
 
-def read_events(files: list[Path], log: LogPage, cancelled: Callable[[], None]) -> Events:
+def read_events(files: list[Path], log: LogPage, cancelled: Callable[[], object]) -> Events:
     """All that the log and the newest of these sessions, newest first, tell; each end once.
 
     Raises:

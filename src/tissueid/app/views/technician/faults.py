@@ -23,7 +23,7 @@ _CONCERNS, _ALL = marked("Needs a look"), marked("All ends of tests")
 _FILTER, _SEARCH = "instrument/faults/filter", "instrument/faults/search"
 
 
-def gather(folder: Path, log: Path, cancelled: Callable[[], None]) -> Events:
+def gather(folder: Path, log: Path, cancelled: Callable[[], object]) -> Events:
     """The events of a folder of sessions and of an audit log.
 
     Raises:

@@ -34,7 +34,7 @@ class LogPage:
     remarks: tuple[str, ...] = ()
 
 
-def read_log(path: Path, cancelled: Callable[[], None], most_bytes: int = MOST_BYTES) -> LogPage:
+def read_log(path: Path, cancelled: Callable[[], object], most_bytes: int = MOST_BYTES) -> LogPage:
     """Return the newest lines within a number of bytes. Lines with a wrong hash are counted and left out.
 
     Raises:
@@ -100,7 +100,7 @@ def haystack(line: Line) -> str:
     return " ".join(str(part) for part in parts if part is not None).casefold()
 
 
-def write_csv(path: Path, log: Path, lines: Sequence[Line], cancelled: Callable[[], None]) -> int:
+def write_csv(path: Path, log: Path, lines: Sequence[Line], cancelled: Callable[[], object]) -> int:
     """Write lines of ``log``, as they are given, for a spreadsheet, whole or not at all; returns their number.
 
     What a spreadsheet would take for a formula gets an apostrophe before it.

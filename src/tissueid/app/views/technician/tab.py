@@ -38,7 +38,7 @@ class Tab(QWidget):
     def begin(
         self,
         words: str,
-        work: Callable[[Callable[[], None]], object],
+        work: Callable[[Callable[[], object]], object],
         done: Callable[[object], None],
     ) -> bool:
         """Start a job whose error is shown as a notice."""
