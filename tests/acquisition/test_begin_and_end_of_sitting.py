@@ -18,7 +18,7 @@ from failing_disk import (
     a_sitting,
     batch,
     check_one_line,
-    with_preload,
+    guided,
 )
 from support import connect
 
@@ -120,7 +120,7 @@ def test_another_failure_is_not_hidden_by_that_of_the_disk(tmp_path, monkeypatch
 
     recorder = SessionRecorder(sitting.path, sitting.instrument.device)
     with pytest.raises(LinkLostError):
-        run_guided_test(sitting.instrument, with_preload(), recorder, surface_m=0.01, progress=unplug)
+        run_guided_test(sitting.instrument, guided(), recorder, surface_m=0.01, progress=unplug)
     with pytest.raises(JournalError):
         recorder.finish_or_discard()
 
@@ -149,7 +149,7 @@ def test_a_full_disk_is_reported_before_the_coil_is_energised(tmp_path, monkeypa
     with pytest.raises(JournalError, check=coded("disk.full", folder=str(tmp_path), free=32.1)) as raised:
         run_guided_test(
             instrument,
-            with_preload(),
+            guided(),
             recorder,
             surface_m=0.01,
             progress=lambda _: energised.append(instrument._link.firmware.energised),
