@@ -29,7 +29,7 @@ from tissueid.app.views.gap.view import GapView
 from tissueid.app.views.researcher.view import ResearchView
 from tissueid.app.views.technician.view import InstrumentView
 from tissueid.audit import AuditLog
-from tissueid.calibration import calibrated
+from tissueid.calibration import activate_calibration
 from tissueid.instrument import FoundInstrument
 
 SIZE, WIDE = (1280, 800), (1440, 900)
@@ -55,7 +55,7 @@ def main() -> None:
 def _take_all(application: QApplication) -> None:
     sessions, audit = Path("Documents/TissueID"), AuditLog(Path("data/audit.jsonl"))
     calibrations = keep_calibrations(Path("calibrations"))
-    calibrate = functools.partial(calibrated, folder=calibrations)
+    calibrate = functools.partial(activate_calibration, folder=calibrations)
     record_past(sessions, audit, calibrate)
     record_laboratory(sessions / "2026-01-12_bearing.h5")
     set_clock()

@@ -17,7 +17,7 @@ from PySide6.QtCore import QCoreApplication, QEvent, QSettings
 from tissueid.app.emergency import EmergencyStop
 from tissueid.app.main_window import MainWindow
 from tissueid.app.services import AppServices
-from tissueid.calibration.active import calibrated
+from tissueid.calibration.active import activate_calibration
 from tissueid.instrument import SimulatedInstrument
 from tissueid.language import ENGLISH, set_language
 
@@ -54,7 +54,7 @@ def open_window(qtbot, tmp_path, bench, clock, calibrations, monkeypatch):
         services = {"opener": bench.open, "finder": found, "folder": tmp_path, "wait": lambda _: None}
         services["separate_process"] = False
         services["stop"] = lambda: EmergencyStop(clock.read)
-        services["calibrate"] = functools.partial(calibrated, folder=calibrations)
+        services["calibrate"] = functools.partial(activate_calibration, folder=calibrations)
         services["show_file"] = lambda _: True
         services["first_page"] = "measure"
         services["language"] = "en"

@@ -40,7 +40,7 @@ from tissueid.app.services import AppServices
 from tissueid.app.small_window import FoldingBox
 from tissueid.app.views.gap.diagnosis_run import result_of
 from tissueid.calibration import Calibration, Quantity
-from tissueid.calibration.active import calibrated
+from tissueid.calibration.active import activate_calibration
 from tissueid.gap import diagnose, prepare
 from tissueid.gap.workers import SerialExecutor
 from tissueid.instrument import SimulatedInstrument
@@ -253,7 +253,7 @@ def opened(tmp_path_factory, saved):
                 wait=gate.wait if state == "testing" else lambda _: None,
                 separate_process=False,
                 stop=lambda: EmergencyStop(Clock().read),  # no window has to keep up with these tests
-                calibrate=functools.partial(calibrated, folder=folder),
+                calibrate=functools.partial(activate_calibration, folder=folder),
                 calibrations=folder,
                 show_file=lambda _: True,
                 first_page="measure",

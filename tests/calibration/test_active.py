@@ -15,17 +15,17 @@ from tissueid.acquisition.guided import play
 from tissueid.calibration import (
     StaticPlan,
     Stored,
+    activate_calibration,
+    apply_calibrations,
     calibrate_static,
-    calibrated,
     calibration_folder,
-    in_words,
-    put_in_force,
+    calibration_summary,
     stored_calibrations,
     write_calibration,
 )
 from tissueid.calibration.active import NOT_CALIBRATED, corrections, warnings_of
 from tissueid.calibration.layers import NO_REGION
-from tissueid.calibration.status import judged
+from tissueid.calibration.status import status_for_device
 from tissueid.calibration.store import VARIABLE
 from tissueid.errors import InstrumentError, LimitError, UnusableInputError
 from tissueid.instrument import Correction, Limits, SimulatedInstrument
@@ -33,7 +33,7 @@ from tissueid.messages import Message, code_of
 
 
 def test_calibrated_figures_lie_over_the_nominal_ones():
-    device = put_in_force(DEVICE, [made(), made(5, "sweep")], NOW)
+    device = apply_calibrations(DEVICE, [made(), made(5, "sweep")], NOW)
     assert device.coil_resistance_ohm == 12.3
     assert device.force_constant_n_per_a == 2.9
     assert device.moving_mass_kg == 0.066
@@ -49,14 +49,14 @@ def test_calibrated_figures_lie_over_the_nominal_ones():
 
 
 def test_without_any_the_nominal_figures_stay_and_say_so():
-    device = put_in_force(DEVICE, [], NOW)
+    device = apply_calibrations(DEVICE, [], NOW)
     assert device is DEVICE
     assert corrections(device) == {}
 
 
 def test_the_newest_that_passed_is_used():
     stored = [made(40), made(20), made(3, verdict="failed", problems=("too noisy",)), made(9, "sweep")]
-    device = put_in_force(DEVICE, stored, NOW)
+    device = apply_calibrations(DEVICE, stored, NOW)
     assert device.calibration["static_file"] == "static-20.toml"
     (warning,) = warnings_of(device)
     assert says(warning, "calibration.about", file="static-3.toml")
@@ -80,10 +80,10 @@ def test_the_newest_that_passed_is_used():
     ],
 )
 def test_each_has_its_status_and_reason(item, state, code):
-    found, reason = judged(item, DEVICE, NOW)
+    found, reason = status_for_device(item, DEVICE, NOW)
     assert found == state
     assert code_of(reason) == code
-    device = put_in_force(DEVICE, [item], NOW)
+    device = apply_calibrations(DEVICE, [item], NOW)
     assert (device.calibration.get("state", "none") != "none") == (state in ("valid", "stale"))
     if state == "stale":
         assert device.calibration["state"] == "stale"
@@ -93,14 +93,14 @@ def test_each_has_its_status_and_reason(item, state, code):
 
 
 def test_a_static_calibration_and_a_sweep_that_disagree_are_flagged():
-    device = put_in_force(DEVICE, [made(), made(5, "sweep", figures={"force_constant_n_per_a": 3.1})], NOW)
+    device = apply_calibrations(DEVICE, [made(), made(5, "sweep", figures={"force_constant_n_per_a": 3.1})], NOW)
     assert device.force_constant_n_per_a == 2.9
     assert says(message(warnings_of(device), "calibration.disagree"), "calibration.disagree", static=2.9, sweep=3.1)
 
 
 def test_it_is_told_in_a_line():
     instrument = SimulatedInstrument("spring")
-    assert calibrated(instrument, wanted=False, now=NOW).words == NOT_CALIBRATED
+    assert activate_calibration(instrument, wanted=False, now=NOW).words == NOT_CALIBRATED
 
 
 @pytest.mark.parametrize(
@@ -117,7 +117,7 @@ def test_it_is_told_in_a_line():
     ],
 )
 def test_the_line_says_what_force_goes_by(items, words):
-    found = in_words(put_in_force(DEVICE, items, NOW), NOW)
+    found = calibration_summary(apply_calibrations(DEVICE, items, NOW), NOW)
     assert found == words
     assert is_german(found)
 
@@ -154,7 +154,7 @@ def test_under_a_calibration_force_is_measured_right(tmp_path):
     steps = ("electrical", "force", "position", "range")
     found = calibrate_static(instrument, StaticPlan(steps=steps)).calibration
     write_calibration(tmp_path / "a.toml", found)
-    in_force = calibrated(instrument, tmp_path)
+    in_force = activate_calibration(instrument, tmp_path)
     assert in_force.state == "valid"
     assert says(in_force.words, "calibration.summary.no_region")
     assert in_force.warnings == (NO_REGION,)
@@ -220,12 +220,12 @@ def test_calibrating_starts_from_the_nominal_figures():
 @pytest.mark.parametrize("date", ["no date", "2026-13-01", "0001-01-01T00:00:00+14:00", ""])
 def test_a_date_that_is_none_does_without_an_age(date):
     device = replace(DEVICE, calibration={"state": "valid", "static_date": date})
-    assert in_words(device, NOW)
-    assert " days ago" not in in_words(device, NOW) or date.startswith("0001")
+    assert calibration_summary(device, NOW)
+    assert " days ago" not in calibration_summary(device, NOW) or date.startswith("0001")
 
 
 def test_warnings_keep_their_codes_in_a_session(tmp_path):
-    device = put_in_force(DEVICE, [made(100)], NOW)
+    device = apply_calibrations(DEVICE, [made(100)], NOW)
     stored = replace(device, calibration=json.loads(json.dumps(device.calibration)))
     assert warnings_of(stored) == warnings_of(device)
     assert codes(warnings_of(stored)) == ["calibration.about", "calibration.no_region"]

@@ -9,10 +9,10 @@ from coded import coded, codes, is_german, says
 
 from tissueid.calibration import Calibration, Quantity
 from tissueid.calibration.comparison import (
-    along,
     compare_sweeps,
-    drift_in_words,
+    drift_text,
     linear_region,
+    profile_of,
     residuals,
     trend,
 )
@@ -105,7 +105,7 @@ def test_ends_of_the_linear_region_are_compared_in_millimetres():
     ends = {item.name: item for item in found.differences}
     assert math.isnan(ends["linear_region_min_m"].relative)
     assert ends["linear_region_min_m"].absolute == pytest.approx(1.2e-3)
-    said = drift_in_words(ends["linear_region_max_m"], "2026-03-01")
+    said = drift_text(ends["linear_region_max_m"], "2026-03-01")
     assert says(said, "drift.lower", quantity="End of the linear region")
     assert said.values["difference"].value == pytest.approx(2.0)
     assert str(said.values["significance"].values["uncertainty"]) == "0.14 mm"
@@ -117,7 +117,7 @@ def test_what_has_no_deviation_is_not_judged():
     found = compare_sweeps(sweep(0), sweep(1, quantities=sweep().quantities | heavier))
     mass = next(item for item in found.differences if item.name == "moving_mass_kg")
     assert mass.verdict == "unknown"
-    said = drift_in_words(mass, "2026-03-01")
+    said = drift_text(mass, "2026-03-01")
     assert str(said.values["difference"]) == "10.0 %"
     assert said.values["significance"].code == "drift.unknown"
 
@@ -145,17 +145,17 @@ def test_only_sweeps_are_compared():
 
 
 def test_profiles_rise_with_the_position_and_leave_out_what_cannot_be():
-    mass = along(sweep(), "mass")
+    mass = profile_of(sweep(), "mass")
     assert np.all(np.diff(mass.position_m) > 0)
     assert mass.value == pytest.approx(0.06 + mass.position_m)
     assert mass.std is None
-    assert along(sweep(), "damping") is None
+    assert profile_of(sweep(), "damping") is None
     absurd = {
         "force_constant": {"position_m": PLACES, "value_n_per_a": (1e300, *sweep().tables["sweep"]["mass_kg"][1:])}
     }
-    assert along(sweep(tables=absurd), "force_constant").value.size == len(PLACES) - 1
+    assert profile_of(sweep(tables=absurd), "force_constant").value.size == len(PLACES) - 1
     one = {"force_constant": {"position_m": (0.01,), "value_n_per_a": (3.0,)}}
-    assert along(sweep(tables=one), "force_constant") is None
+    assert profile_of(sweep(tables=one), "force_constant") is None
     assert linear_region(sweep(low=0.02, high=0.01)) is None
 
 

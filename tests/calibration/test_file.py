@@ -11,7 +11,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from tissueid.calibration import Calibration, Quantity, read_calibration, write_calibration
-from tissueid.calibration.file import MOST_BYTES, as_text, utc_date
+from tissueid.calibration.file import MAX_BYTES, to_toml, utc_date
 from tissueid.calibration.labels import notes_of, problems_of
 from tissueid.errors import UnusableInputError
 from tissueid.messages import Message, code_of
@@ -60,7 +60,7 @@ def test_every_number_and_text_comes_back(tmp_path_factory, value, std, note, co
 
 def test_comments_are_allowed(tmp_path):
     path = tmp_path / "a.toml"
-    path.write_text("# by hand\n" + as_text(calibration()).replace("value = 12.31", "value = 12.31 # cold"))
+    path.write_text("# by hand\n" + to_toml(calibration()).replace("value = 12.31", "value = 12.31 # cold"))
     assert read_calibration(path) == calibration()
 
 
@@ -84,7 +84,7 @@ def test_comments_are_allowed(tmp_path):
 )
 def test_a_wrong_field_is_named(tmp_path, old, new, field, reason):
     path = tmp_path / "a.toml"
-    whole = as_text(calibration())
+    whole = to_toml(calibration())
     assert old in whole
     path.write_text(whole.replace(old, new, 1))
     with pytest.raises(UnusableInputError, check=coded("calibration.field", path=str(path), field=field)) as caught:
@@ -98,7 +98,7 @@ def test_a_wrong_field_is_named(tmp_path, old, new, field, reason):
 )
 def test_other_toml_is_not_a_calibration(tmp_path, old, new):
     path = tmp_path / "a.toml"
-    path.write_text(as_text(calibration()).replace(old, new, 1))
+    path.write_text(to_toml(calibration()).replace(old, new, 1))
     with pytest.raises(UnusableInputError, check=coded("calibration.not_one", path=str(path))):
         read_calibration(path)
 
@@ -111,7 +111,7 @@ def test_files_that_are_none_are_refused(tmp_path):
     os.mkfifo(tmp_path / "pipe")
     with pytest.raises(UnusableInputError, check=coded("calibration.not_a_file")):
         read_calibration(tmp_path / "pipe")
-    (tmp_path / "large.toml").write_bytes(b"#" * (MOST_BYTES + 1))
+    (tmp_path / "large.toml").write_bytes(b"#" * (MAX_BYTES + 1))
     with pytest.raises(UnusableInputError, check=coded("calibration.too_large", limit=1024)):
         read_calibration(tmp_path / "large.toml")
     (tmp_path / "binary.toml").write_bytes(b"\x89PNG\xff")
@@ -171,5 +171,5 @@ def test_problems_and_notes_are_restored_as_messages(tmp_path):
 @pytest.mark.parametrize("hostile", ["1", '"text"', "[1, [2]]", "[{code = 1, template = 2, values = 3}]"])
 def test_damaged_messages_are_left_out(tmp_path, hostile):
     path = tmp_path / "a.toml"
-    path.write_text(f"messages = {hostile}\n" + as_text(calibration()))
+    path.write_text(f"messages = {hostile}\n" + to_toml(calibration()))
     assert read_calibration(path).messages == ()

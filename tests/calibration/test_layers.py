@@ -12,12 +12,12 @@ from support import LoopbackLink
 from firmware_sim.bench import Bench
 from firmware_sim.firmware import Firmware
 from tissueid import wire
-from tissueid.calibration import StaticPlan, calibrate_static, put_in_force, write_calibration
-from tissueid.calibration.active import calibrated, corrections, go_by_static, warnings_of
+from tissueid.calibration import StaticPlan, apply_calibrations, calibrate_static, write_calibration
+from tissueid.calibration.active import activate_calibration, corrections, use_static_calibration, warnings_of
 from tissueid.calibration.file import Quantity, utc_date
 from tissueid.calibration.labels import problems_of
 from tissueid.calibration.layers import NO_REGION
-from tissueid.calibration.plausibility import implausible
+from tissueid.calibration.plausibility import first_implausible
 from tissueid.errors import InstrumentError
 from tissueid.instrument import Correction, SerialInstrument, SimulatedInstrument
 from tissueid.instrument.handshake import parse_hello
@@ -47,7 +47,7 @@ def full(days_ago=20.0, **changes):
 
 
 def test_every_figure_is_laid_over_and_every_channel_corrected():
-    device = put_in_force(DEVICE, [full(), made(5, "sweep")], NOW)
+    device = apply_calibrations(DEVICE, [full(), made(5, "sweep")], NOW)
     assert device.amplifier_gain == 0.99
     assert device.calibration_relative_uncertainty == 0.013
     assert corrections(device) == {
@@ -68,7 +68,7 @@ def test_every_figure_is_laid_over_and_every_channel_corrected():
     ],
 )
 def test_a_calibration_of_a_few_steps_does_not_undo_a_complete_one(figures, names):
-    device = put_in_force(DEVICE, [full(20), partial(3, **figures)], NOW)
+    device = apply_calibrations(DEVICE, [full(20), partial(3, **figures)], NOW)
     known = device.calibration
     assert device.coil_resistance_ohm == 12.3
     assert device.force_constant_n_per_a == figures.get("force_constant_n_per_a", 2.9)
@@ -85,22 +85,22 @@ def test_a_calibration_of_a_few_steps_does_not_undo_a_complete_one(figures, name
 
 
 def test_the_deviation_of_a_figure_is_of_the_same_calibration():
-    device = put_in_force(DEVICE, [full(20), partial(3, coil_resistance_ohm=12.1)], NOW)
+    device = apply_calibrations(DEVICE, [full(20), partial(3, coil_resistance_ohm=12.1)], NOW)
     assert device.calibration["coil_resistance_ohm"] == 12.1
     assert "coil_resistance_ohm_std" not in device.calibration
 
 
 def test_a_missing_figure_gives_a_warning():
-    device = put_in_force(DEVICE, [partial(3, coil_resistance_ohm=12.1)], NOW)
+    device = apply_calibrations(DEVICE, [partial(3, coil_resistance_ohm=12.1)], NOW)
     assert device.force_constant_n_per_a == DEVICE.force_constant_n_per_a
     warning = message(warnings_of(device), "calibration.nominal_used")
     assert warning.values["names"].items == ("Force constant", "Zero of the current channel")
 
 
 def test_needed_figures_of_a_stale_one_make_it_stale_and_others_do_not():
-    device = put_in_force(DEVICE, [full(200), partial(3, temperature_offset_c=0.5)], NOW)
+    device = apply_calibrations(DEVICE, [full(200), partial(3, temperature_offset_c=0.5)], NOW)
     assert device.calibration["state"] == "stale"
-    device = put_in_force(DEVICE, [full(200), made(3)], NOW)
+    device = apply_calibrations(DEVICE, [full(200), made(3)], NOW)
     assert device.calibration["state"] == "valid"
     assert device.calibration["static_file"] == "static-3.toml"
     assert device.calibration["temperature_offset_c"] == 1.5
@@ -113,11 +113,11 @@ def test_different_calibrations_of_one_date_give_a_warning():
     one, other = made(3), made(3, figures={"coil_resistance_ohm": 12.6})
     one, other = replace(one, path=one.path.with_name("a.toml")), replace(other, path=other.path.with_name("b.toml"))
     for stored in ([one, other], [other, one]):
-        device = put_in_force(DEVICE, stored, NOW)
+        device = apply_calibrations(DEVICE, stored, NOW)
         assert device.coil_resistance_ohm == 12.6
         assert says(warnings_of(device)[0], "calibration.same_time", used="b.toml", other="a.toml")
     copy = replace(one, path=one.path.with_name("b.toml"))
-    assert warnings_of(put_in_force(DEVICE, [one, copy], NOW)) == (NO_REGION,)
+    assert warnings_of(apply_calibrations(DEVICE, [one, copy], NOW)) == (NO_REGION,)
 
 
 def swept(static=None, **conditions):
@@ -130,17 +130,17 @@ def swept(static=None, **conditions):
 def test_a_sweep_under_another_position_scale_gives_a_warning():
     old, new = full(), made(2, figures=CHANNELS | {"position_offset_m": 500e-6})
     scale = {"position_gain": 1.01, "position_offset_m": 150e-6}
-    assert warnings_of(put_in_force(DEVICE, [old, swept(old, **scale)], NOW)) == ()
-    assert warnings_of(put_in_force(DEVICE, [old, swept(old)], NOW)) == ()
-    device = put_in_force(DEVICE, [old, new, swept(old, **scale)], NOW)
+    assert warnings_of(apply_calibrations(DEVICE, [old, swept(old, **scale)], NOW)) == ()
+    assert warnings_of(apply_calibrations(DEVICE, [old, swept(old)], NOW)) == ()
+    device = apply_calibrations(DEVICE, [old, new, swept(old, **scale)], NOW)
     shifted = message(warnings_of(device), "calibration.region_shifted")
     assert shifted.values["static"] == "static-20.toml"
     assert shifted.values["shift"].value == pytest.approx(0.35, abs=0.005)
     nearly = made(2, figures=CHANNELS | {"position_offset_m": 200e-6})
-    assert warnings_of(put_in_force(DEVICE, [old, nearly, swept(old, **scale)], NOW)) == ()
-    device = put_in_force(DEVICE, [old, new, swept(old)], NOW)
+    assert warnings_of(apply_calibrations(DEVICE, [old, nearly, swept(old, **scale)], NOW)) == ()
+    device = apply_calibrations(DEVICE, [old, new, swept(old)], NOW)
     assert "calibration.region_unsure" in codes(warnings_of(device))
-    device = put_in_force(DEVICE, [new, swept()], NOW)
+    device = apply_calibrations(DEVICE, [new, swept()], NOW)
     assert message(warnings_of(device), "calibration.region_shifted").values["static"] == "no static calibration"
 
 
@@ -148,7 +148,7 @@ def test_a_sweep_carries_the_static_calibration_that_corrected_it(tmp_path):
     instrument = SimulatedInstrument("spring")
     item = full(3, serial_number=instrument.nominal.serial_number, model=instrument.nominal.model)
     write_calibration(tmp_path / "s.toml", item.calibration)
-    conditions = go_by_static(instrument, tmp_path, NOW)
+    conditions = use_static_calibration(instrument, tmp_path, NOW)
     assert conditions == {
         "static_file": "s.toml",
         "static_date": item.calibration.date,
@@ -167,7 +167,7 @@ def test_a_sweep_carries_the_static_calibration_that_corrected_it(tmp_path):
 
 def test_without_a_static_calibration_a_sweep_carries_none(tmp_path):
     instrument = SimulatedInstrument("spring")
-    assert go_by_static(instrument, tmp_path, NOW) == {}
+    assert use_static_calibration(instrument, tmp_path, NOW) == {}
     assert instrument.device == instrument.nominal
 
 
@@ -198,14 +198,17 @@ def test_without_a_static_calibration_a_sweep_carries_none(tmp_path):
     ],
 )
 def test_each_bound_is_sharp(name, within, beyond):
-    assert implausible(partial(3, **{name: within}).calibration, DEVICE) == ""
-    assert implausible(partial(3, **{name: beyond}).calibration, DEVICE)
+    assert first_implausible(partial(3, **{name: within}).calibration, DEVICE) == ""
+    assert first_implausible(partial(3, **{name: beyond}).calibration, DEVICE)
 
 
 def test_ends_must_be_in_order():
     found = partial(3, linear_region_min_m=0.020, linear_region_max_m=0.010).calibration
     assert says(
-        implausible(found, DEVICE), "calibration.implausible.range", low=Shown(20.0, "mm", 1), high=Shown(10.0, "mm", 1)
+        first_implausible(found, DEVICE),
+        "calibration.implausible.range",
+        low=Shown(20.0, "mm", 1),
+        high=Shown(10.0, "mm", 1),
     )
 
 
@@ -213,7 +216,7 @@ def test_ends_must_be_in_order():
 def test_nothing_is_near_a_nominal_figure_that_is_none(nominal):
     device = replace(DEVICE, bearing_damping_n_s_per_m=nominal, moving_mass_kg=nominal)
     for name, value in (("moving_mass_kg", 0.06), ("bearing_damping_n_s_per_m", 3.5)):
-        assert implausible(partial(3, **{name: value}).calibration, device).values["name"] == name
+        assert first_implausible(partial(3, **{name: value}).calibration, device).values["name"] == name
 
 
 def hello():
@@ -260,5 +263,5 @@ def test_the_force_step_alone_keeps_the_zero_it_was_found_with(tmp_path):
     assert "coil_resistance_ohm" not in found.quantities
     write_calibration(tmp_path / "a.toml", found)
     assert utc_date(NOW) == found.date
-    in_force = calibrated(instrument, tmp_path, now=NOW)
+    in_force = activate_calibration(instrument, tmp_path, now=NOW)
     assert corrections(in_force.device)["current"].offset == found.quantities["current_offset_a"].value

@@ -11,7 +11,7 @@ from firmware_sim.plant import STANDARD_GRAVITY, PlantParameters
 from tissueid.calibration import StaticPlan, calibrate_static, read_calibration, write_calibration
 from tissueid.calibration.coil import Spring
 from tissueid.calibration.file import Quantity
-from tissueid.calibration.findings import Findings, repeated
+from tissueid.calibration.findings import Findings, mean_of_repeats
 from tissueid.calibration.labels import problems_of
 from tissueid.calibration.line_fit import straight_line
 from tissueid.calibration.sensors import mains, position_findings
@@ -171,7 +171,7 @@ def test_repeats_are_averaged_and_their_spread_is_kept():
 def test_a_repeat_that_fails_fails_all():
     one = Findings({"coil_resistance_ohm": Quantity(value=12.0, std=0.1)})
     other = Findings({"coil_resistance_ohm": Quantity(value=12.4, std=0.1)}, problems=("hot",))
-    both = repeated([one, other])
+    both = mean_of_repeats([one, other])
     assert both.problems == ("hot",)
     assert both.quantities["coil_resistance_ohm"].value == pytest.approx(12.2)
     assert both.quantities["coil_resistance_ohm"].std == pytest.approx(0.2)  # they scatter by more than they say

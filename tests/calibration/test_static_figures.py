@@ -8,7 +8,7 @@ from coded import coded, codes, message, says
 
 from tissueid.calibration.coil import Spring, electrical_findings, force_by_spring, force_by_weights
 from tissueid.calibration.file import Quantity
-from tissueid.calibration.findings import Findings, quantity, repeated
+from tissueid.calibration.findings import Findings, mean_of_repeats, quantity
 from tissueid.calibration.sensors import (
     acceleration_findings,
     position_findings,
@@ -302,19 +302,19 @@ def test_an_inverted_stroke_fails_the_calibration_without_an_error():
 def test_repeats_make_only_what_is_random_smaller():
     random = np.random.default_rng(7)
     runs = [force_by_spring(held(random), DEVICE, Spring(1000.0, 0.02), None, 0.0) for _ in range(10)]
-    both = repeated(runs)
+    both = mean_of_repeats(runs)
     assert both.quantities["spring_n_per_m"].std == pytest.approx(20.0)
     assert both.quantities["force_constant_n_per_a"].std == pytest.approx(0.030, rel=0.01)
     assert both.quantities["spring_slope_m_per_a"].std < 0.5 * runs[0].quantities["spring_slope_m_per_a"].std
     scaled = [force_by_spring(held(random), DEVICE, Spring(), Estimate(1.0, 0.01), 0.0) for _ in range(4)]
-    assert repeated(scaled).quantities["force_constant_n_per_a"].std == pytest.approx(0.015, rel=0.01)
+    assert mean_of_repeats(scaled).quantities["force_constant_n_per_a"].std == pytest.approx(0.015, rel=0.01)
 
 
 def test_a_later_step_replaces_the_common_uncertainty():
     one = Findings({"a": Quantity(value=1.0, std=0.5)}, shared={"a": 0.5})
     both = one + Findings({"a": Quantity(value=2.0, std=0.1)})
     assert both.shared == {}
-    assert repeated([both] * 4).quantities["a"].std == pytest.approx(0.05)
+    assert mean_of_repeats([both] * 4).quantities["a"].std == pytest.approx(0.05)
 
 
 @pytest.mark.parametrize("heights", [(0.0, 0.01, float("nan")), (0.0, 0.01, float("inf")), (0.0, 0.01, -0.01)])

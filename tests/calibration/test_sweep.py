@@ -14,9 +14,9 @@ from support import connect_scenario
 from firmware_sim.coil import profile_values
 from firmware_sim.scenario import Scenario
 from tissueid.acquisition import SessionRecorder
-from tissueid.calibration import put_in_force, read_calibration, write_calibration
+from tissueid.calibration import apply_calibrations, read_calibration, write_calibration
 from tissueid.calibration import sweep as procedure
-from tissueid.calibration.manual_positioning import wait_until_there
+from tissueid.calibration.manual_positioning import wait_for_position
 from tissueid.calibration.store import Stored
 from tissueid.calibration.sweep import Sweep, SweepPlan, sweep_tests
 from tissueid.calibration.sweep_analysis import analyse_sweep
@@ -119,7 +119,7 @@ def test_the_calibration_survives_its_file_and_comes_in_force(swept, tmp_path):
     write_calibration(path, made)
     assert read_calibration(path) == made
     assert {"sweep", "force_constant", "response"} <= set(made.tables)
-    known = put_in_force(device, [Stored(path, made, "")], datetime(2026, 3, 2, tzinfo=UTC))
+    known = apply_calibrations(device, [Stored(path, made, "")], datetime(2026, 3, 2, tzinfo=UTC))
     assert known.force_constant_n_per_a == pytest.approx(2.93, rel=0.015)
     assert known.moving_mass_kg == pytest.approx(0.0625, rel=0.03)
     assert known.calibration["linear_region_min_m"] == pytest.approx(4.2e-3, abs=1e-3)
@@ -133,7 +133,7 @@ def test_an_end_that_is_hit_is_tried_again_at_half_and_then_left_out(tmp_path, m
         asked.append(room_m)
         return 44.0 if len(asked) == 1 else 4.0
 
-    monkeypatch.setattr(procedure, "strength", too_strong)
+    monkeypatch.setattr(procedure, "noise_amplitude", too_strong)
     rehearsed = Rehearsed(tmp_path, replace(SHORT, from_m=0.0015, to_m=0.0055))
     tests = rehearsed.tests()
     assert [test.mean_position_m for test in tests] == pytest.approx([0.0055], abs=3e-4)
@@ -171,10 +171,10 @@ def test_a_person_is_waited_for_until_the_probe_stands_still_at_the_place(tmp_pa
     link, said = instrument._link, []
 
     def tell(standing):
-        said.append(standing.there)
+        said.append(standing.in_place)
         link.firmware.bench.place_fixture(0.012 if link.now < 2.0 else 0.0155)
 
-    wait_until_there(instrument, 0.016, tell)
+    wait_for_position(instrument, 0.016, tell)
     assert link.now > 2.9
     assert said[0] is False
     assert said[-1] is True
@@ -183,7 +183,7 @@ def test_a_person_is_waited_for_until_the_probe_stands_still_at_the_place(tmp_pa
 def test_a_person_may_give_up(tmp_path):
     instrument = connect_scenario(SPRING)
     with pytest.raises(CancelledError, check=coded("cancelled.coil_free")):
-        wait_until_there(instrument, 0.030, cancelled=lambda: instrument._link.now > 1.0)
+        wait_for_position(instrument, 0.030, cancelled=lambda: instrument._link.now > 1.0)
 
 
 def test_a_cancelled_sweep_keeps_what_was_measured(tmp_path):

@@ -13,7 +13,7 @@ from tissueid.calibration.force_balance import fit_balance
 from tissueid.calibration.force_constant_profile import linear_region
 from tissueid.calibration.labels import problems_of
 from tissueid.calibration.spline_basis import SplineBasis
-from tissueid.calibration.sweep_analysis import SweptSpring, analyse_sweep
+from tissueid.calibration.sweep_analysis import SpringMass, analyse_sweep
 from tissueid.calibration.sweep_file import as_calibration
 from tissueid.calibration.sweep_test import SweepTest
 from tissueid.device import DeviceDescription
@@ -28,7 +28,7 @@ TRUE = Rig(resistance=12.4, inductance=1.15e-3, force_constant=2.87, mass=0.0712
 """A device that is not what it says of itself."""
 PLACES = 1e-3 * np.array([2, 4, 6, 10, 14, 18, 22, 25, 27, 29])
 FEW = 1e-3 * np.array([8, 12, 16, 20, 24])
-GOOD_SPRING = SweptSpring(1000.0, 0.003)
+GOOD_SPRING = SpringMass(1000.0, 0.003)
 
 
 @cache
@@ -213,7 +213,7 @@ def test_a_coil_far_from_nominal_is_not_put_in_force():
 @pytest.mark.parametrize(
     ("rig", "spring", "code", "value"),
     [
-        (Rig(), SweptSpring(1000.0, 0.003, 0.200), "sweep.implausible", None),
+        (Rig(), SpringMass(1000.0, 0.003, 0.200), "sweep.implausible", None),
         (Rig(inductance=2e-3), GOOD_SPRING, "sweep.implausible", 0.002),
         (Rig(damping=8.0), GOOD_SPRING, "sweep.implausible", 8.0),
         (Rig(resistance=18.0), GOOD_SPRING, "sweep.resistance", 18.0),

@@ -11,7 +11,7 @@ from support import connect_scenario
 
 from firmware_sim.scenario import Scenario
 from tissueid.calibration import read_calibration
-from tissueid.calibration.manual_positioning import Standing
+from tissueid.calibration.manual_positioning import ProbePosition
 from tissueid.calibration.sweep import Sweep
 from tissueid.cli import main
 from tissueid.device import DeviceDescription
@@ -93,9 +93,9 @@ def test_without_a_stage_a_person_on_a_terminal_moves_the_spring(device, tmp_pat
     def there(instrument, place_m, tell, cancelled):
         asked.append(place_m)
         instrument._link.firmware.bench.place_fixture(place_m - 0.6e-3)
-        tell(Standing(place_m - 1.4e-3, False))
+        tell(ProbePosition(place_m - 1.4e-3, False))
 
-    monkeypatch.setattr("tissueid.procedures.sweep.wait_until_there", there)
+    monkeypatch.setattr("tissueid.procedures.sweep.wait_for_position", there)
     for stream in ("stdin", "stderr"):
         monkeypatch.setattr(f"sys.{stream}.isatty", lambda: True, raising=False)
     out = tmp_path / "sweep.toml"

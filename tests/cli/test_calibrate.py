@@ -8,7 +8,7 @@ from pathlib import Path
 import pytest
 from coded import made, message, says, shows
 
-from tissueid.calibration import keep_calibration, read_calibration, write_calibration
+from tissueid.calibration import read_calibration, save_calibration, write_calibration
 from tissueid.calibration.file import utc_date
 from tissueid.calibration.labels import label_of, problems_of
 from tissueid.calibration.store import VARIABLE
@@ -168,9 +168,9 @@ def test_a_failed_one_never_takes_the_place_of_any_that_passed(kept, tmp_path):
     for name in ("a.toml", "a.failed.toml"):
         write_calibration(tmp_path / name, passed)
     failed = passed.model_copy(update={"verdict": "failed", "problems": ("too noisy",)})
-    assert keep_calibration(tmp_path / "a.toml", failed) == tmp_path / "a.failed_2.toml"
-    assert keep_calibration(tmp_path / "a.toml", passed) == tmp_path / "a_2.toml"
-    assert keep_calibration(tmp_path / "a.toml", passed, overwrite=True) == tmp_path / "a.toml"
+    assert save_calibration(tmp_path / "a.toml", failed) == tmp_path / "a.failed_2.toml"
+    assert save_calibration(tmp_path / "a.toml", passed) == tmp_path / "a_2.toml"
+    assert save_calibration(tmp_path / "a.toml", passed, overwrite=True) == tmp_path / "a.toml"
     assert read_calibration(tmp_path / "a.failed.toml").verdict == "passed"
 
 

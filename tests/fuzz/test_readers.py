@@ -22,7 +22,7 @@ from known_calibrations import made
 from sessions import hostile
 
 from tissueid.acquisition.stimulus_file import load_stimulus, save_stimulus
-from tissueid.calibration.file import as_text, read_calibration
+from tissueid.calibration.file import read_calibration, to_toml
 from tissueid.errors import TissueIDError
 from tissueid.instrument.twin_file import Source as TwinSource
 from tissueid.instrument.twin_file import content_of, read_twin, write_twin
@@ -99,7 +99,7 @@ def _calibration(folder: Path) -> Path:
     column = {"depth_m": (0.001, 0.002), "value_n_per_a": (2.9, 3.0)}
     made_of = made(0.0, conditions={"by": "x", "room_c": 20.5}, tables={"force_constant": column})
     assert made_of.calibration is not None
-    path.write_text(as_text(made_of.calibration), encoding="utf-8")
+    path.write_text(to_toml(made_of.calibration), encoding="utf-8")
     return path
 
 

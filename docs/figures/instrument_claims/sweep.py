@@ -21,7 +21,7 @@ from tissueid.calibration.flux import fit_flux
 from tissueid.calibration.force_balance import fit_balance
 from tissueid.calibration.spline_basis import SplineBasis
 from tissueid.calibration.sweep import Sweep, SweepPlan, sweep_tests
-from tissueid.calibration.sweep_analysis import SweepResult, SweptSpring, analyse_sweep
+from tissueid.calibration.sweep_analysis import SpringMass, SweepResult, analyse_sweep
 from tissueid.device import DeviceDescription
 from tissueid.identification.engines.lms import Lms
 from tissueid.records import Record
@@ -198,7 +198,7 @@ def _timing() -> Iterator[Claim]:
 
 
 def _causes() -> Iterator[Claim]:
-    spring = SweptSpring(1000.0, 0.003)
+    spring = SpringMass(1000.0, 0.003)
     found = {
         cause: analyse_sweep(swept(rig, FEW, 3.0, 2), DeviceDescription(), spring).agreement.cause
         for cause, rig in SCALES.items()

@@ -25,8 +25,8 @@ from tissueid.app.services import AppServices
 from tissueid.app.signals import SignalPlots
 from tissueid.app.words import in_words, sentence
 from tissueid.audit import AuditTrail
-from tissueid.calibration.active import put_in_force
-from tissueid.calibration.store import made_folder, stored_calibrations
+from tissueid.calibration.active import apply_calibrations
+from tissueid.calibration.store import create_calibration_folder, stored_calibrations
 from tissueid.errors import TissueIDError, UnusableInputError
 from tissueid.instrument import Instrument
 from tissueid.language import _
@@ -97,7 +97,7 @@ class CalibrationController(QObject):
         """
         if not self._instruments.url:
             raise UnusableInputError(NO_INSTRUMENT)
-        folder = self._context.services.calibrations or made_folder()
+        folder = self._context.services.calibrations or create_calibration_folder()
         if kind == "sweep":
             return DynamicSweepPlan(device=self._instruments.url, folder=folder, all_files=True)
         return StaticCalibrationPlan(
@@ -181,5 +181,5 @@ def calibrate(
             ),
         )
     stored = stored_calibrations(plan.folder)
-    state = calibration_state(put_in_force(result.nominal, stored, datetime.now(UTC)))
+    state = calibration_state(apply_calibrations(result.nominal, stored, datetime.now(UTC)))
     return CalibrationOutcome(result.calibration, result.path, result.report, remarks, state)

@@ -16,7 +16,7 @@ from tissueid.app.emergency import EmergencyStop
 from tissueid.app.save_path import default_folder
 from tissueid.atomic_write import private_folder
 from tissueid.audit import AuditLog, Role, default_path
-from tissueid.calibration.active import calibrated
+from tissueid.calibration.active import activate_calibration
 from tissueid.instrument import FoundInstrument, Instrument, find_instruments, open_instrument
 
 if TYPE_CHECKING:
@@ -51,7 +51,7 @@ class AppServices:
     now: Callable[[], datetime] = datetime.now
     show_file: Callable[[Path], bool] = _show_file
     stop: Callable[[], EmergencyStop] = EmergencyStop
-    calibrate: Callable[[Instrument], object] = calibrated
+    calibrate: Callable[[Instrument], object] = activate_calibration
     calibrations: Path | None = None
     role: Role | None = None
     first_page: str = ""

@@ -1,4 +1,4 @@
-"""Calibrations of the instrument: where its figures come from, and which are in force."""
+"""Calibrations of an instrument: procedures, files, comparison, and selection of the active calibration."""
 
 from __future__ import annotations
 
@@ -7,17 +7,23 @@ from typing import TYPE_CHECKING
 from tissueid.lazy_import import lazy_attributes
 
 if TYPE_CHECKING:
-    from tissueid.calibration.active import InForce, calibrated, in_words, put_in_force, warnings_of
+    from tissueid.calibration.active import (
+        ActiveCalibration,
+        activate_calibration,
+        apply_calibrations,
+        calibration_summary,
+        warnings_of,
+    )
     from tissueid.calibration.coil_check import ElectricalCheck, check_coil
-    from tissueid.calibration.file import Calibration, Quantity, keep_calibration, read_calibration, write_calibration
+    from tissueid.calibration.file import Calibration, Quantity, read_calibration, save_calibration, write_calibration
     from tissueid.calibration.static import StaticCalibration, calibrate_static
     from tissueid.calibration.static_procedure import StaticPlan
     from tissueid.calibration.store import (
         Stored,
         calibration_folder,
+        create_calibration_folder,
         free_name,
-        is_filed,
-        made_folder,
+        is_in_calibration_folder,
         stored_calibrations,
     )
 else:
@@ -25,33 +31,46 @@ else:
         __name__,
         {
             "coil_check": ("ElectricalCheck", "check_coil"),
-            "file": ("Calibration", "Quantity", "keep_calibration", "read_calibration", "write_calibration"),
-            "active": ("InForce", "calibrated", "in_words", "put_in_force", "warnings_of"),
+            "file": ("Calibration", "Quantity", "save_calibration", "read_calibration", "write_calibration"),
+            "active": (
+                "ActiveCalibration",
+                "activate_calibration",
+                "calibration_summary",
+                "apply_calibrations",
+                "warnings_of",
+            ),
             "static_procedure": ("StaticPlan",),
             "static": ("StaticCalibration", "calibrate_static"),
-            "store": ("Stored", "calibration_folder", "free_name", "is_filed", "made_folder", "stored_calibrations"),
+            "store": (
+                "Stored",
+                "calibration_folder",
+                "free_name",
+                "is_in_calibration_folder",
+                "create_calibration_folder",
+                "stored_calibrations",
+            ),
         },
     )
 
 __all__ = [
+    "ActiveCalibration",
     "Calibration",
     "ElectricalCheck",
-    "InForce",
     "Quantity",
     "StaticCalibration",
     "StaticPlan",
     "Stored",
+    "activate_calibration",
+    "apply_calibrations",
     "calibrate_static",
-    "calibrated",
     "calibration_folder",
+    "calibration_summary",
     "check_coil",
+    "create_calibration_folder",
     "free_name",
-    "in_words",
-    "is_filed",
-    "keep_calibration",
-    "made_folder",
-    "put_in_force",
+    "is_in_calibration_folder",
     "read_calibration",
+    "save_calibration",
     "stored_calibrations",
     "warnings_of",
     "write_calibration",

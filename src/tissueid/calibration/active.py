@@ -1,4 +1,4 @@
-"""The active calibration of an instrument: the newest usable one replaces the nominal figures."""
+"""Active calibration of an instrument: the newest usable calibration replaces the nominal values."""
 
 from __future__ import annotations
 
@@ -7,8 +7,15 @@ from dataclasses import dataclass, replace
 from datetime import UTC, datetime
 from pathlib import Path
 
-from tissueid.calibration.layers import NO_REGION, POSITION, Used, laid_over, number_of, warning_about
-from tissueid.calibration.status import judged
+from tissueid.calibration.layers import (
+    NO_REGION,
+    POSITION_QUANTITIES,
+    UsedCalibration,
+    file_warning,
+    merge_calibrations,
+    number_or_default,
+)
+from tissueid.calibration.status import status_for_device
 from tissueid.calibration.store import Stored, calibration_folder, stored_calibrations
 from tissueid.device import DeviceDescription, warning_entries
 from tissueid.instrument import Correction, Instrument
@@ -21,21 +28,23 @@ _CHANNELS = {
     "temperature": (None, "temperature_offset_c"),
     "acceleration_x": ("acceleration_gain", "acceleration_offset_m_s2"),
 }
-"""Gain and offset of each recorded channel. Force constant and resistance include the gains of current and voltage."""
-_NOT_FOR_A_SWEEP = (
+"""Quantities for gain and offset of each recorded channel. Force constant and resistance include the gains of current
+and voltage.
+"""
+_EXCLUDED_FROM_SWEEP = (
     "force_constant_n_per_a",
     "force_constant_n_per_a_std",
     "calibration_relative_uncertainty",
     "warnings",
     "warning_messages",
 )
-"""Figures that are not active during a sweep, which must not know the force constant that it measures."""
+"""Quantities that are not applied during a sweep, because the sweep measures the force constant independently."""
 NOT_CALIBRATED = Message("calibration.none", "not calibrated: the nominal figures are used")
 
 
 @dataclass(frozen=True)
-class InForce:
-    """The active calibration: the device with its figures, a summary and warnings."""
+class ActiveCalibration:
+    """Active calibration: the calibrated device description, a summary and warnings."""
 
     device: DeviceDescription
     words: str
@@ -47,12 +56,12 @@ class InForce:
         return str(self.device.calibration.get("state", "none"))
 
 
-def calibrated(
+def activate_calibration(
     instrument: Instrument, folder: Path | None = None, *, wanted: bool = True, now: datetime | None = None
-) -> InForce:
+) -> ActiveCalibration:
     """Activate the newest calibrations of an instrument from a folder (``calibration_folder``).
 
-    With ``wanted`` false, or without any calibration, the nominal figures are used.
+    With ``wanted`` false, or without any calibration, the nominal values are used.
 
     Raises:
         UnusableInputError: the folder cannot be read.
@@ -60,17 +69,18 @@ def calibrated(
     """
     now = now or datetime.now(UTC)
     stored = stored_calibrations(calibration_folder(folder)) if wanted else ()
-    device = put_in_force(instrument.nominal, stored, now)
+    device = apply_calibrations(instrument.nominal, stored, now)
     instrument.use_calibration(device, corrections(device))
-    return InForce(device, in_words(device, now), warnings_of(device))
+    return ActiveCalibration(device, calibration_summary(device, now), warnings_of(device))
 
 
-def go_by_static(
+def use_static_calibration(
     instrument: Instrument, folder: Path | None = None, now: datetime | None = None
 ) -> dict[str, float | str]:
-    """Activate the static calibration alone, for a sweep, which must not use the results of an earlier sweep.
+    """Activate only the static calibration, for a sweep, which must not depend on an earlier sweep.
 
-    Return file, date and position scale of that calibration, as conditions of the sweep; empty where there is none.
+    Returns:
+        File, date and position scale of that calibration, as conditions of the sweep; empty without one.
 
     Raises:
         UnusableInputError: the folder cannot be read.
@@ -82,8 +92,8 @@ def go_by_static(
         for item in stored_calibrations(calibration_folder(folder))
         if item.calibration is not None and item.calibration.kind == "static"
     ]
-    known = put_in_force(nominal, stored, now or datetime.now(UTC))
-    kept = {name: value for name, value in known.calibration.items() if not name.endswith(_NOT_FOR_A_SWEEP)}
+    known = apply_calibrations(nominal, stored, now or datetime.now(UTC))
+    kept = {name: value for name, value in known.calibration.items() if not name.endswith(_EXCLUDED_FROM_SWEEP)}
     if warnings := [line for line in warnings_of(known) if line != NO_REGION]:
         kept |= warning_entries(warnings)
     device = replace(nominal, coil_resistance_ohm=known.coil_resistance_ohm, calibration=kept)
@@ -92,23 +102,23 @@ def go_by_static(
 
 
 def static_conditions(device: DeviceDescription) -> dict[str, float | str]:
-    """Return file, date and position scale of the static calibration that a device carries."""
+    """Return file, date and position scale of the static calibration in a device description."""
     known = device.calibration
-    return {name: known[name] for name in ("static_file", "static_date", *POSITION) if name in known}
+    return {name: known[name] for name in ("static_file", "static_date", *POSITION_QUANTITIES) if name in known}
 
 
-def put_in_force(nominal: DeviceDescription, stored: Sequence[Stored], now: datetime) -> DeviceDescription:
-    """Return the device with calibrated figures; ``calibration`` holds their files, dates and warnings.
+def apply_calibrations(nominal: DeviceDescription, stored: Sequence[Stored], now: datetime) -> DeviceDescription:
+    """Return the device description with calibrated values; ``calibration`` holds files, dates and warnings.
 
-    The newest usable sweep is taken. Each figure of static calibrations is that of the newest one that contains it,
-    valid ones before stale ones, so that a calibration of a few steps does not undo a complete one. Refused
+    Uses the newest usable sweep. Each quantity of static calibrations is taken from the newest calibration that
+    contains it, valid before stale, so that a partial calibration does not discard a complete one. Rejected
     calibrations of this device give a warning. Without any calibration the device is returned unchanged.
     """
-    used: dict[str, list[Used]] = {"static": [], "sweep": []}
+    used: dict[str, list[UsedCalibration]] = {"static": [], "sweep": []}
     warnings: list[str] = []
     refused = False
     for item in sorted(stored, key=lambda item: (item.made, item.path.name), reverse=True):
-        state, reason = judged(item, nominal, now)
+        state, reason = status_for_device(item, nominal, now)
         calibration = item.calibration
         if state == "damaged":
             warnings.append(reason)
@@ -125,29 +135,29 @@ def put_in_force(nominal: DeviceDescription, stored: Sequence[Stored], now: date
                         other=item.path.name,
                     )
                 )
-            before.append(Used(item.path.name, calibration, state, reason))
+            before.append(UsedCalibration(item.path.name, calibration, state, reason))
         elif not before:
             refused = refused or calibration.kind == "static"
-            warnings.append(warning_about(item.path.name, reason))
-    found = laid_over(nominal, used["static"], used["sweep"][:1], warnings)
+            warnings.append(file_warning(item.path.name, reason))
+    found = merge_calibrations(nominal, used["static"], used["sweep"][:1], warnings)
     if refused and not used["static"] and used["sweep"]:
         found = replace(found, calibration=found.calibration | {"static_state": "refused"})
     return found
 
 
 def corrections(device: DeviceDescription) -> dict[str, Correction]:
-    """Return the correction of each recorded channel by the calibration that a device carries."""
+    """Return the correction of each recorded channel from the calibration in a device description."""
     known = device.calibration
     found: dict[str, Correction] = {}
     for channel, (gain, offset) in _CHANNELS.items():
-        correction = Correction(number_of(known, gain, 1.0), number_of(known, offset, 0.0))
+        correction = Correction(number_or_default(known, gain, 1.0), number_or_default(known, offset, 0.0))
         if correction != Correction():
             found[channel] = correction
     return found
 
 
 def warnings_of(device: DeviceDescription) -> tuple[str, ...]:
-    """Return the warnings about the calibration that a device carries."""
+    """Return the warnings about the calibration in a device description."""
     return device.calibration_warnings
 
 
@@ -163,17 +173,17 @@ def _age(date: str, now: datetime) -> Message:
     return Message("age.days", "{days} days ago", days=whole)
 
 
-def in_words(device: DeviceDescription, now: datetime | None = None) -> Message:
-    """Return a summary of the calibration that a device carries.
+def calibration_summary(device: DeviceDescription, now: datetime | None = None) -> Message:
+    """Return a summary of the calibration in a device description.
 
-    For example "calibrated 12 days ago, linear 4.0 to 27.5 mm". Where only a sweep is active the summary says so,
-    and what the force is based on.
+    Example: "calibrated 12 days ago, linear 4.0 to 27.5 mm". With only a sweep active, the summary names the
+    source of the force constant.
     """
     known = device.calibration
     dates = [str(known[name]) for name in ("static_date", "sweep_date") if known.get(name)]
     if not dates:
         return NOT_CALIBRATED
-    words = _basis(device, _age(min(dates), now or datetime.now(UTC)))
+    words = _force_source(device, _age(min(dates), now or datetime.now(UTC)))
     if known.get("state") == "stale":
         words = Message("calibration.summary.stale", "calibration is stale: {words}", words=words)
     low, high = known.get("linear_region_min_m"), known.get("linear_region_max_m")
@@ -188,7 +198,7 @@ def in_words(device: DeviceDescription, now: datetime | None = None) -> Message:
     return Message("calibration.summary.no_region", "{words}, linear region not known", words=words)
 
 
-def _basis(device: DeviceDescription, age: Message) -> Message:
+def _force_source(device: DeviceDescription, age: Message) -> Message:
     known = device.calibration
     if known.get("static_date"):
         return Message("calibration.summary.static", "calibrated {age}", age=age)

@@ -18,16 +18,16 @@ from tissueid.language import marked
 from tissueid.messages import Message, Quantity
 from tissueid.records import Estimate
 
-MOST_BENT = 0.01
-"""Largest distance of a point from its line, as a share of the span of the points."""
-MOST_HYSTERESIS = 0.01
-"""Largest hysteresis, as a share of the swing."""
-MOST_OUTLIERS = 0.25
-"""Largest share of outliers of a line."""
-MOST_LEAK_A = 0.01
+MAX_NONLINEARITY = 0.01
+"""Largest deviation of a point from its line, relative to the span of the points."""
+MAX_HYSTERESIS = 0.01
+"""Largest hysteresis, relative to the swing."""
+MAX_OUTLIERS = 0.25
+"""Largest share of outliers in a line fit."""
+MAX_LEAK_A = 0.01
 """Largest current at 0 V, A."""
 UNKNOWN_GAIN = 0.01
-"""Relative standard deviation of the position scale where it was not calibrated."""
+"""Relative standard deviation of the position scale without calibration."""
 _CURRENT_LINE = marked("current against voltage")
 _GAIN_LINE = marked("voltage against the command")
 _SPRING_LINE = marked("position against current")
@@ -44,7 +44,7 @@ class Spring:
     relative_std: float = 0.02
 
     def check(self) -> None:
-        """Raise for a spring that no calibration can use.
+        """Raise for a spring that is not usable for calibration.
 
         Raises:
             UnusableInputError: the stiffness or its uncertainty is out of range.
@@ -56,10 +56,10 @@ class Spring:
 
 
 def electrical_findings(levels: Levels, rest: NDArray[np.void], device: DeviceDescription) -> Findings:
-    """Return resistance, zeros of both channels and voltage gain, from current against voltage against command.
+    """Return resistance, channel offsets and voltage gain, from current against voltage against command.
 
-    All are in the units of the channels, whose gains are not known. ``rest`` are samples with the coil free, which
-    give the zeros of voltage and current.
+    All are in the units of the uncalibrated channels. ``rest`` are samples with the coil free, which give the offsets
+    of voltage and current.
 
     Raises:
         UnusableInputError: no current flows.
@@ -71,13 +71,13 @@ def electrical_findings(levels: Levels, rest: NDArray[np.void], device: DeviceDe
     gain = straight_line(levels.command_v, levels.voltage_v, levels.noise["voltage"])
     leak = line.intercept.value - zeros["current"].value
     problems = [
-        *_bent(line, levels.current_a, _CURRENT_LINE),
-        *_bent(gain, levels.voltage_v, _GAIN_LINE),
-        *_short(gain, levels),
-        *_implausible(_RESISTANCE, resistance.value, device.coil_resistance_ohm, "Ω"),
-        *_implausible(_VOLTAGE, gain.slope.value, device.amplifier_gain, "V"),
+        *_line_problems(line, levels.current_a, _CURRENT_LINE),
+        *_line_problems(gain, levels.voltage_v, _GAIN_LINE),
+        *_clipping_problem(gain, levels),
+        *_nominal_problem(_RESISTANCE, resistance.value, device.coil_resistance_ohm, "Ω"),
+        *_nominal_problem(_VOLTAGE, gain.slope.value, device.amplifier_gain, "V"),
     ]
-    if abs(leak) > MOST_LEAK_A:
+    if abs(leak) > MAX_LEAK_A:
         problems.append(
             Message(
                 "calibration.leak",
@@ -104,7 +104,7 @@ def electrical_findings(levels: Levels, rest: NDArray[np.void], device: DeviceDe
             }
         },
         problems=tuple(problems),
-        notes=(*_outliers(line, _CURRENT_LINE), *_outliers(gain, _GAIN_LINE)),
+        notes=(*_outlier_notes(line, _CURRENT_LINE), *_outlier_notes(gain, _GAIN_LINE)),
     )
 
 
@@ -112,7 +112,7 @@ def resistance_of(line: Line, device: DeviceDescription) -> Estimate:
     """Return the coil resistance, ohm, from the line of current against voltage.
 
     Raises:
-        UnusableInputError: no current flows, or it is inverted.
+        UnusableInputError: no current flows, or its sign is inverted.
     """
     conductance = line.slope
     if conductance.value * device.coil_resistance_ohm < -0.1:
@@ -130,7 +130,7 @@ def resistance_of(line: Line, device: DeviceDescription) -> Estimate:
 
 
 def spring_line(levels: Levels, zero_a: float) -> Line:
-    """Fit position readings, m, over current without its zero, A.
+    """Fit position readings, m, against offset-corrected current.
 
     Raises:
         UnusableInputError: the levels do not lie on a line.
@@ -147,19 +147,19 @@ def force_by_spring(
     *,
     known: bool = True,
 ) -> Findings:
-    """Return the force constant from the line of position over current against a spring, N per reading of an ampere.
+    """Return the force constant, N per ampere reading, from the line of position against current with a spring.
 
     The slope of the line is gain * force constant / stiffness, with the gain of the position channel. The hysteresis is
-    the difference of equal levels that were reached from both sides. The standard deviation of the force constant is
-    that of the measurement; ``calibration_relative_uncertainty`` includes the uncertainty of the spring.
+    the difference between equal levels reached from above and from below. The standard deviation of the force constant
+    covers the measurement; ``calibration_relative_uncertainty`` includes the uncertainty of the spring.
 
     Args:
         levels: readings of the voltage steps.
-        device: nominal figures.
+        device: nominal values.
         spring: known spring.
-        position_gain: gain of the position channel; None where it was not calibrated.
-        zero_a: zero of the current channel, A.
-        known: false where the spring only holds the probe; the force constant is then not checked.
+        position_gain: gain of the position channel; None if not calibrated.
+        zero_a: offset of the current channel, A.
+        known: False if the spring only holds the probe; the force constant is then not checked.
 
     Raises:
         UnusableInputError: the levels do not lie on a line.
@@ -173,10 +173,10 @@ def force_by_spring(
     hysteresis = _hysteresis(levels)
     swing = float(np.ptp(levels.position_m))
     problems = [
-        *_bent(line, levels.position_m, _SPRING_LINE),
-        *(_implausible(_FORCE, value, device.force_constant_n_per_a, "N/A") if known else ()),
+        *_line_problems(line, levels.position_m, _SPRING_LINE),
+        *(_nominal_problem(_FORCE, value, device.force_constant_n_per_a, "N/A") if known else ()),
     ]
-    if hysteresis > MOST_HYSTERESIS * swing:
+    if hysteresis > MAX_HYSTERESIS * swing:
         problems.append(
             Message(
                 "calibration.hysteresis",
@@ -207,7 +207,7 @@ def force_by_spring(
             }
         },
         problems=tuple(problems),
-        notes=tuple(_outliers(line, _SPRING_LINE)),
+        notes=tuple(_outlier_notes(line, _SPRING_LINE)),
         shared={
             "force_constant_n_per_a": 0.0 if position_gain is not None else abs(value) * scale,
             "spring_n_per_m": spring.relative_std * spring.stiffness_n_per_m,
@@ -220,15 +220,15 @@ def force_by_weights(
 ) -> Findings:
     """Return the force constant from known weights on the probe.
 
-    A weight shifts the line of position over current; the current that shifts it back carries the weight. The result
-    depends neither on the stiffness of the spring nor on the position scale.
+    A weight shifts the line of position against current; the current that compensates the shift balances the weight.
+    The result depends neither on the stiffness of the spring nor on the position scale.
 
     Args:
         series: readings of the voltage steps for each weight; the first without a weight.
         weights_kg: mass of each; the first is 0.
-        device: nominal figures.
+        device: nominal values.
         along: cosine of the angle between the stroke and the vertical.
-        zero_a: zero of the current channel, A.
+        zero_a: offset of the current channel, A.
 
     Raises:
         UnusableInputError: the levels do not lie on a line, or the stroke is too far from vertical.
@@ -246,8 +246,8 @@ def force_by_weights(
     off = newtons - constant * carried
     scatter = float(np.sqrt(off @ off / max(1, carried.size - 2)))
     relative = max(scatter / abs(constant), noise) / float(np.linalg.norm(carried)) if constant else 1.0
-    problems = _implausible(_FORCE, constant, device.force_constant_n_per_a, "N/A")
-    if np.abs(off).max() > MOST_BENT * np.ptp(newtons):
+    problems = _nominal_problem(_FORCE, constant, device.force_constant_n_per_a, "N/A")
+    if np.abs(off).max() > MAX_NONLINEARITY * np.ptp(newtons):
         problems.append(
             Message(
                 "calibration.weights_line",
@@ -273,7 +273,7 @@ def force_by_weights(
 
 
 def _hysteresis(levels: Levels) -> float:
-    """Return the largest difference of two levels at the same command, m, which were reached from different sides."""
+    """Return the largest difference, m, between levels at the same command, which are reached from both sides."""
     apart = [0.0]
     for volts in np.unique(levels.command_v):
         same: NDArray[np.float64] = levels.position_m[levels.command_v == volts]
@@ -281,11 +281,11 @@ def _hysteresis(levels: Levels) -> float:
     return max(apart)
 
 
-def _bent(line: Line, values: NDArray[np.float64], what: str) -> list[str]:
-    """Return problems of a line: curvature and too many outliers."""
+def _line_problems(line: Line, values: NDArray[np.float64], what: str) -> list[str]:
+    """Return the problems of a line fit: nonlinearity and too many outliers."""
     share = line.worst / float(np.ptp(values)) if np.ptp(values) else 0.0
     found: list[str] = []
-    if share > MOST_BENT:
+    if share > MAX_NONLINEARITY:
         found.append(
             Message(
                 "calibration.bent",
@@ -294,7 +294,7 @@ def _bent(line: Line, values: NDArray[np.float64], what: str) -> list[str]:
                 share=Quantity(100.0 * share, "%", 1),
             )
         )
-    if np.mean(line.outliers) > MOST_OUTLIERS:
+    if np.mean(line.outliers) > MAX_OUTLIERS:
         found.append(
             Message(
                 "calibration.outliers",
@@ -307,12 +307,12 @@ def _bent(line: Line, values: NDArray[np.float64], what: str) -> list[str]:
     return found
 
 
-def _short(gain: Line, levels: Levels) -> list[str]:
-    """Return the problem that the voltage is clipped at the largest command of either sign, if it is."""
+def _clipping_problem(gain: Line, levels: Levels) -> list[str]:
+    """Return a problem if the voltage is clipped at the largest command of either sign."""
     for number in (int(np.argmax(levels.command_v)), int(np.argmin(levels.command_v))):
         command, voltage = levels.command_v[number], levels.voltage_v[number]
         promised = gain.at(float(command))
-        if abs(command) > 0 and np.sign(command) * (promised - voltage) > MOST_BENT * abs(promised):
+        if abs(command) > 0 and np.sign(command) * (promised - voltage) > MAX_NONLINEARITY * abs(promised):
             return [
                 Message(
                     "calibration.clipped",
@@ -325,7 +325,7 @@ def _short(gain: Line, levels: Levels) -> list[str]:
     return []
 
 
-def _outliers(line: Line, what: str) -> list[str]:
+def _outlier_notes(line: Line, what: str) -> list[str]:
     count = int(np.count_nonzero(line.outliers))
     if not count:
         return []
@@ -340,7 +340,7 @@ def _outliers(line: Line, what: str) -> list[str]:
     ]
 
 
-def _implausible(what: str, value: float, nominal: float, unit: str) -> list[str]:
+def _nominal_problem(what: str, value: float, nominal: float, unit: str) -> list[str]:
     if abs(value / nominal - 1.0) <= IMPLAUSIBLE:
         return []
     return [

@@ -1,4 +1,4 @@
-"""Quick electrical check of the coil, gentle enough for skin: the first step of thesis 2.4.1, not a calibration."""
+"""Quick electrical check of the coil, gentle enough on skin: the first step of thesis 2.4.1, not a calibration."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ HOLD_S = 0.3
 
 @dataclass(frozen=True)
 class ElectricalCheck:
-    """Resistance, zero of the current channel, and noise at rest."""
+    """Result of the check: coil resistance, offset of the current channel, and noise at rest."""
 
     coil_resistance_ohm: Estimate
     current_offset_a: Estimate
@@ -52,9 +52,9 @@ def check_coil(
     progress: Callable[[float], None] = lambda _: None,
     cancelled: Callable[[], bool] = lambda: False,
 ) -> ElectricalCheck:
-    """Hold five voltages, fit a line to current over measured voltage, and compare its slope to the resistance.
+    """Hold five voltages, fit current against measured voltage, and compare the resistance with the nominal one.
 
-    The check passes when the resistance lies within the relative ``tolerance`` of the nominal one.
+    The check passes if the resistance lies within the relative ``tolerance`` of the nominal value.
 
     Raises:
         UnusableInputError: a level has no samples, or the current does not follow the voltage (open coil).

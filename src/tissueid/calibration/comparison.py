@@ -27,11 +27,11 @@ from tissueid.records import Estimate
 
 Array = NDArray[np.float64]
 Verdict = Literal["noise", "uncertainty", "beyond", "unknown"]
-"""Of a difference: within the noise, beyond it but within the uncertainty, beyond both, or uncertainty unknown."""
+"""Significance of a difference: within the noise, within the uncertainty, beyond both, or uncertainty unknown."""
 
-DEVIATIONS = 2.0
-"""Standard deviations of a significant difference: exceeded by chance once in twenty times."""
-COMPARED = (
+SIGNIFICANT_STD = 2.0
+"""Standard deviations of a significant difference: a false positive rate of 5 %."""
+COMPARED_QUANTITIES = (
     "force_constant_n_per_a",
     "moving_mass_kg",
     "bearing_damping_n_s_per_m",
@@ -42,30 +42,30 @@ COMPARED = (
     "spring_over_flux",
     "least_vaf_percent",
 )
-"""Quantities of a sweep that are compared, in this order."""
-PLACES = ("linear_region_min_m", "linear_region_max_m", "least_vaf_percent")
-"""Quantities with an absolute, not a relative, difference."""
-_ALONG = {
+"""Quantities of a sweep that are compared, in order of display."""
+ABSOLUTE_QUANTITIES = ("linear_region_min_m", "linear_region_max_m", "least_vaf_percent")
+"""Quantities whose difference is reported as absolute instead of relative."""
+_PROFILES = {
     "force_constant": ("force_constant", "value_n_per_a", "std_n_per_a"),
     "mass": ("sweep", "mass_kg", "mass_std_kg"),
     "damping": ("sweep", "damping_n_s_per_m", "damping_std_n_s_per_m"),
     "stiffness": ("sweep", "stiffness_n_per_m", "stiffness_std_n_per_m"),
     "vaf": ("sweep", "vaf_percent", ""),
 }
-ALONG = tuple(_ALONG)
+PROFILE_NAMES = tuple(_PROFILES)
 """Names of the profiles of a sweep along the stroke."""
 _RESIDUALS = (
     ("electrical", "voltage_v", "residual_a", marked("Residual of current over voltage"), "V", "A"),
     ("force", "current_a", "residual_m", marked("Residual of position over current"), "A", "m"),
     ("position", "position_m", "residual_m", marked("Residual of the position reading"), "m", "m"),
 )
-_GREATEST = 1e9
-"""Largest value that is shown, SI; a file may contain anything."""
+_MAX_VALUE = 1e9
+"""Largest value that is displayed, SI; files may contain anything."""
 _GRID = 101
-"""Positions at which two profiles are compared."""
+"""Number of positions at which two profiles are compared."""
 _YEAR_S = 365.25 * 86400.0
-LEAST_TREND = 3
-"""Least number of dates of a trend."""
+MIN_TREND_DATES = 3
+"""Minimum number of dates for a trend."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -83,7 +83,7 @@ class Profile:
 
 @dataclass(frozen=True)
 class Difference:
-    """Difference of one quantity. ``noise`` and ``uncertainty`` are standard deviations of ``absolute`` or None."""
+    """Difference of one quantity. ``noise`` and ``uncertainty`` are standard deviations of ``absolute``, or None."""
 
     name: str
     before: Quantity
@@ -93,13 +93,13 @@ class Difference:
 
     @property
     def absolute(self) -> float:
-        """Value now minus value before, SI."""
+        """Current minus earlier value, SI."""
         return self.now.value - self.before.value
 
     @property
     def relative(self) -> float:
-        """Difference relative to the value before; NaN for quantities of ``PLACES``."""
-        if self.name in PLACES or self.before.value == 0.0:
+        """Difference relative to the earlier value; NaN for ``ABSOLUTE_QUANTITIES``."""
+        if self.name in ABSOLUTE_QUANTITIES or self.before.value == 0.0:
             return math.nan
         return self.absolute / abs(self.before.value)
 
@@ -107,19 +107,19 @@ class Difference:
     def verdict(self) -> Verdict:
         """Significance of the difference."""
         size = abs(self.absolute)
-        if self.noise is not None and size <= DEVIATIONS * self.noise:
+        if self.noise is not None and size <= SIGNIFICANT_STD * self.noise:
             return "noise"
         if self.uncertainty is None:
             return "unknown"
-        return "uncertainty" if size <= DEVIATIONS * self.uncertainty else "beyond"
+        return "uncertainty" if size <= SIGNIFICANT_STD * self.uncertainty else "beyond"
 
 
 @dataclass(frozen=True, eq=False)
 class Comparison:
-    """Two sweeps, the earlier one first.
+    """Comparison of two sweeps, the earlier one first.
 
-    ``profile`` is the mean relative difference of the force constant over the ``common_m`` linear region, ``largest``
-    the largest, at ``largest_at_m``; NaN where the regions do not overlap.
+    ``profile`` is the mean relative difference of the force constant over the common linear region ``common_m``,
+    ``largest`` the largest, at ``largest_at_m``; NaN without overlap of the regions.
     """
 
     before: Calibration
@@ -133,22 +133,24 @@ class Comparison:
 
     @property
     def words(self) -> Message:
-        """Change of the force constant in a sentence."""
+        """Change of the force constant as a sentence."""
         found = next((item for item in self.differences if item.name == "force_constant_n_per_a"), None)
         if found is None:
             return Message("drift.no_force_constant", "One of the two sweeps contains no force constant.")
-        return drift_in_words(found, self.before.date[:10])
+        return drift_text(found, self.before.date[:10])
 
 
-def drift_in_words(found: Difference, date: str) -> Message:
+def drift_text(found: Difference, date: str) -> Message:
     """Return a difference as a sentence: its size, the earlier date, and its significance."""
     if math.isnan(found.relative):
         scale, unit = (1e3, "mm") if found.before.unit == "m" else (1.0, found.before.unit)
         size, decimals = scale * abs(found.absolute), 2
-        known = None if found.uncertainty is None else scale * DEVIATIONS * found.uncertainty
+        known = None if found.uncertainty is None else scale * SIGNIFICANT_STD * found.uncertainty
     else:
         size, unit = 100.0 * abs(found.relative), "%"
-        known = None if found.uncertainty is None else 100.0 * DEVIATIONS * found.uncertainty / abs(found.before.value)
+        known = (
+            None if found.uncertainty is None else 100.0 * SIGNIFICANT_STD * found.uncertainty / abs(found.before.value)
+        )
         decimals = 2 if known is not None and fixed(size, 1) == fixed(known, 1) else 1
     label = label_of(found.name)
     if not any(digit in fixed(size, decimals) for digit in "123456789"):
@@ -175,23 +177,23 @@ def _significance(verdict: Verdict, known: ShownQuantity) -> Message:
     return Message("drift.unknown", "with unknown uncertainty")
 
 
-def along(calibration: Calibration, name: str) -> Profile | None:
-    """Return a profile of ``ALONG``; None where the calibration does not contain it."""
-    table, values, stds = _ALONG[name]
+def profile_of(calibration: Calibration, name: str) -> Profile | None:
+    """Return one of the profiles in ``PROFILE_NAMES``; None if the calibration does not contain it."""
+    table, values, stds = _PROFILES[name]
     columns = calibration.tables.get(table, {})
     if not columns.get("position_m") or values not in columns:
         return None
     place, value = np.array(columns["position_m"]), np.array(columns[values])
     std = np.abs(np.array(columns[stds])) if stds in columns else None
-    kept = (np.abs(place) < _GREATEST) & (np.abs(value) < _GREATEST)
+    kept = (np.abs(place) < _MAX_VALUE) & (np.abs(value) < _MAX_VALUE)
     order = np.flatnonzero(kept)[np.argsort(place[kept], kind="stable")]
     if order.size < 2:
         return None
-    return Profile(place[order], value[order], None if std is None else np.minimum(std[order], _GREATEST))
+    return Profile(place[order], value[order], None if std is None else np.minimum(std[order], _MAX_VALUE))
 
 
 def linear_region(calibration: Calibration) -> tuple[float, float] | None:
-    """Return the linear region, m; None where the calibration does not contain it."""
+    """Return the linear region, m; None if the calibration does not contain one."""
     low, high = (calibration.quantities.get(f"linear_region_{end}_m") for end in ("min", "max"))
     if low is None or high is None or not -1.0 < low.value < high.value < 1.0:
         return None
@@ -211,15 +213,15 @@ def compare_sweeps(first: Calibration, second: Calibration) -> Comparison:
     before, now = sorted((first, second), key=lambda item: item.made)
     found = tuple(
         _difference(name, before, now)
-        for name in COMPARED
-        if name in before.quantities and name in now.quantities and _readable(before, now, name)
+        for name in COMPARED_QUANTITIES
+        if name in before.quantities and name in now.quantities and _is_comparable(before, now, name)
     )
-    common, mean, largest, where = _along_difference(before, now)
+    common, mean, largest, where = _profile_difference(before, now)
     return Comparison(before, now, found, common, mean, largest, where, tuple(_remarks(before, now)))
 
 
-def _readable(before: Calibration, now: Calibration, name: str) -> bool:
-    return max(abs(before.quantities[name].value), abs(now.quantities[name].value)) < _GREATEST
+def _is_comparable(before: Calibration, now: Calibration, name: str) -> bool:
+    return max(abs(before.quantities[name].value), abs(now.quantities[name].value)) < _MAX_VALUE
 
 
 def _difference(name: str, before: Calibration, now: Calibration) -> Difference:
@@ -229,14 +231,14 @@ def _difference(name: str, before: Calibration, now: Calibration) -> Difference:
 
 
 def _noise(name: str, before: Calibration, now: Calibration) -> float | None:
-    """Return the standard deviation of the difference of two sweeps by noise alone; None where it is not known."""
-    own = [_own_noise(name, calibration) for calibration in (before, now)]
+    """Return the standard deviation of the difference of two sweeps due to noise; None if unknown."""
+    own = [_calibration_noise(name, calibration) for calibration in (before, now)]
     return None if own[0] is None or own[1] is None else math.hypot(own[0], own[1])
 
 
-def _own_noise(name: str, calibration: Calibration) -> float | None:
-    """Return the standard deviation by noise, from the repeats of a sweep, else from that of each position."""
-    runs = [run for run in calibration.tables.get("repeats", {}).get(name, ()) if abs(run) < _GREATEST]
+def _calibration_noise(name: str, calibration: Calibration) -> float | None:
+    """Return the standard deviation due to noise, from the repeats of a sweep, or else from that at each position."""
+    runs = [run for run in calibration.tables.get("repeats", {}).get(name, ()) if abs(run) < _MAX_VALUE]
     if len(runs) > 1:
         return float(np.std(runs, ddof=1) / math.sqrt(len(runs)))
     if name != "force_constant_n_per_a":
@@ -247,15 +249,19 @@ def _own_noise(name: str, calibration: Calibration) -> float | None:
     region = linear_region(calibration)
     if region is not None and places.size == stds.size:
         stds = stds[(places >= region[0]) & (places <= region[1])]
-    stds = stds[np.abs(stds) < _GREATEST]
+    stds = stds[np.abs(stds) < _MAX_VALUE]
     return float(np.linalg.norm(stds) / stds.size) if stds.size and np.any(stds > 0.0) else None
 
 
-def _along_difference(before: Calibration, now: Calibration) -> tuple[tuple[float, float] | None, float, float, float]:
-    """Return the common linear region, and mean, largest and position of the relative difference of force constants."""
+def _profile_difference(
+    before: Calibration, now: Calibration
+) -> tuple[tuple[float, float] | None, float, float, float]:
+    """Return the common linear region, and mean, maximum and its position of the relative difference of force
+    constants.
+    """
     nothing = (None, math.nan, math.nan, math.nan)
     regions = linear_region(before), linear_region(now)
-    one, other = along(before, "force_constant"), along(now, "force_constant")
+    one, other = profile_of(before, "force_constant"), profile_of(now, "force_constant")
     if regions[0] is None or regions[1] is None:
         return nothing
     common = max(regions[0][0], regions[1][0]), min(regions[0][1], regions[1][1])
@@ -314,7 +320,7 @@ def residuals(calibration: Calibration) -> tuple[Residuals, ...]:
         columns = calibration.tables.get(table, {})
         x, y = np.array(columns.get(across, ())), np.array(columns.get(off, ()))
         if x.size and x.size == y.size:
-            kept = (np.abs(x) < _GREATEST) & (np.abs(y) < _GREATEST)
+            kept = (np.abs(x) < _MAX_VALUE) & (np.abs(y) < _MAX_VALUE)
             found.append(Residuals(label, x[kept], y[kept], x_unit, y_unit))
     return tuple(found)
 
@@ -342,13 +348,15 @@ class Trend:
                 "trend.too_few",
                 "{quantity}: a trend needs calibrations of at least {least} different days.",
                 quantity=label,
-                least=LEAST_TREND,
+                least=MIN_TREND_DATES,
             )
         mean = float(np.mean(self.value))
         slope, std = self.per_year.value, self.per_year.std or 0.0
         scale, unit = (100.0 / abs(mean), "%") if mean else (1.0, self.unit)
         values: dict[str, str | ShownQuantity] = {"quantity": label, "std": ShownQuantity(scale * std, unit, 1)}
-        if abs(slope) <= DEVIATIONS * std or not any(digit in fixed(scale * abs(slope), 1) for digit in "123456789"):
+        if abs(slope) <= SIGNIFICANT_STD * std or not any(
+            digit in fixed(scale * abs(slope), 1) for digit in "123456789"
+        ):
             return Message(
                 "trend.none", "{quantity}: no trend ({slope:.1f} ± {std} per year).", slope=scale * slope, **values
             )
@@ -362,32 +370,34 @@ class Trend:
 
 
 def trend(calibrations: Sequence[Calibration], name: str) -> Trend:
-    """Return a quantity of several calibrations over their dates, with its slope by least squares.
+    """Return the values of a quantity in several calibrations over their dates, with a least-squares slope.
 
     Raises:
-        UnusableInputError: no calibration contains it.
+        UnusableInputError: no calibration contains the quantity.
     """
-    held = [item for item in calibrations if name in item.quantities and abs(item.quantities[name].value) < _GREATEST]
-    if not held:
+    containing = [
+        item for item in calibrations if name in item.quantities and abs(item.quantities[name].value) < _MAX_VALUE
+    ]
+    if not containing:
         raise UnusableInputError(
             Message("trend.no_quantity", "no calibration contains {quantity}", quantity=label_of(name))
         )
-    held.sort(key=lambda item: item.made)
-    value = np.array([item.quantities[name].value for item in held])
-    stds = [item.quantities[name].std for item in held]
+    containing.sort(key=lambda item: item.made)
+    value = np.array([item.quantities[name].value for item in containing])
+    stds = [item.quantities[name].std for item in containing]
     return Trend(
         name,
-        held[-1].quantities[name].unit,
-        tuple(item.made for item in held),
+        containing[-1].quantities[name].unit,
+        tuple(item.made for item in containing),
         value,
         np.array([math.nan if std is None else std for std in stds]),
-        _slope(held, value),
+        _slope(containing, value),
     )
 
 
-def _slope(held: Sequence[Calibration], value: Array) -> Estimate | None:
-    years = np.array([(item.made - held[0].made).total_seconds() / _YEAR_S for item in held])
-    if len({item.date[:10] for item in held}) < LEAST_TREND:
+def _slope(containing: Sequence[Calibration], value: Array) -> Estimate | None:
+    years = np.array([(item.made - containing[0].made).total_seconds() / _YEAR_S for item in containing])
+    if len({item.date[:10] for item in containing}) < MIN_TREND_DATES:
         return None
     centred = years - years.mean()
     spread = float(centred @ centred)

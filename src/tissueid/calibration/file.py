@@ -1,4 +1,4 @@
-"""Calibration files: TOML with the quantities measured on one device, their uncertainties, and the conditions."""
+"""Calibration files: TOML with the measured quantities of one device, their uncertainties, and the conditions."""
 
 from __future__ import annotations
 
@@ -17,19 +17,19 @@ from tissueid.option_errors import validation_reason
 from tissueid.untrusted_input import toml_table
 
 FORMAT: Literal["tissueid-calibration"] = "tissueid-calibration"
-MOST_BYTES = 1024 * 1024
-"""Largest calibration file, bytes."""
-MOST_ROWS = 10_000
-"""Largest number of rows of a table."""
-_MOST_MESSAGES = 200
-"""Largest number of messages that a file keeps."""
+MAX_BYTES = 1024 * 1024
+"""Maximum size of a calibration file, bytes."""
+MAX_ROWS = 10_000
+"""Maximum number of rows of a table."""
+_MAX_MESSAGES = 200
+"""Maximum number of messages in a file."""
 
 Finite = Annotated[float, Field(strict=True, allow_inf_nan=False)]
 Name = Annotated[str, Field(pattern=r"^[a-z][a-z0-9_]{0,63}$")]
 Line = Annotated[str, Field(max_length=200, pattern=r"^[^\x00-\x1f\x7f]*$")]
 """Text of one line."""
 Sentence = Annotated[str, Field(max_length=500, pattern=r"^[^\x00-\x1f\x7f]*$")]
-Column = Annotated[tuple[Finite, ...], Field(max_length=MOST_ROWS)]
+Column = Annotated[tuple[Finite, ...], Field(max_length=MAX_ROWS)]
 
 
 class Quantity(BaseModel):
@@ -43,12 +43,12 @@ class Quantity(BaseModel):
 
 
 class Calibration(BaseModel):
-    """One calibration of one device.
+    """Calibration of one device.
 
-    ``quantities`` are single figures by name (``coil_resistance_ohm``, ``force_constant_n_per_a``,
+    ``quantities`` are single values by name (``coil_resistance_ohm``, ``force_constant_n_per_a``,
     ``linear_region_min_m``, ...); ``tables`` are columns of equal length by name (``force_constant``: ``position_m``,
-    ``value_n_per_a``, ``std_n_per_a``). ``problems`` says why a verdict is ``failed``. ``messages`` holds problems and
-    notes again, as code, template and values (``Message.as_dict``), for translation.
+    ``value_n_per_a``, ``std_n_per_a``). ``problems`` are the reasons for a ``failed`` verdict. ``messages`` holds
+    problems and notes a second time, as code, template and values (``Message.as_dict``), for translation.
     """
 
     model_config = ConfigDict(frozen=True, extra="forbid")
@@ -72,14 +72,14 @@ class Calibration(BaseModel):
 
     @field_validator("messages", mode="before")
     @classmethod
-    def _restorable(cls, given: object) -> tuple[dict[str, Any], ...]:
+    def _valid_messages(cls, given: object) -> tuple[dict[str, Any], ...]:
         """Keep the entries that are messages and can be stored as TOML."""
-        found = [message_from(item) for item in given[:_MOST_MESSAGES]] if isinstance(given, list | tuple) else []
+        found = [message_from(item) for item in given[:_MAX_MESSAGES]] if isinstance(given, list | tuple) else []
         return stored_messages(found)
 
     @field_validator("date")
     @classmethod
-    def _is_a_time(cls, text: str) -> str:
+    def _check_date(cls, text: str) -> str:
         try:
             time = datetime.fromisoformat(text)
         except ValueError:
@@ -90,7 +90,7 @@ class Calibration(BaseModel):
 
     @field_validator("tables")
     @classmethod
-    def _columns_agree(cls, tables: dict[str, dict[str, Column]]) -> dict[str, dict[str, Column]]:
+    def _check_columns(cls, tables: dict[str, dict[str, Column]]) -> dict[str, dict[str, Column]]:
         for name, columns in tables.items():
             if len({len(column) for column in columns.values()}) > 1:
                 raise ValueError(f"the columns of {name} differ in length")
@@ -109,9 +109,9 @@ class Calibration(BaseModel):
 
 
 def stored_messages(texts: Sequence[str]) -> tuple[dict[str, Any], ...]:
-    """Return the messages among texts as dictionaries that TOML can hold; those with values missing are left out."""
+    """Return the messages among texts as dictionaries for TOML; messages with None among their values are left out."""
     stored = [text.as_dict() for text in texts if isinstance(text, Message)]
-    return tuple(item for item in stored if not _has_none(item))[:_MOST_MESSAGES]
+    return tuple(item for item in stored if not _has_none(item))[:_MAX_MESSAGES]
 
 
 def _has_none(value: object) -> bool:
@@ -126,16 +126,16 @@ def utc_date(now: datetime | None = None) -> str:
 
 
 def read_calibration(path: Path) -> Calibration:
-    """Read a calibration file, whose content is not trusted.
+    """Read a calibration file; the content is validated.
 
     Raises:
-        UnusableInputError: the file is missing, too large, not TOML, or not a calibration; names the wrong field.
+        UnusableInputError: the file is missing, too large, not TOML, or not a calibration; names the invalid field.
     """
     if path.exists() and not path.is_file():
         raise UnusableInputError(Message("calibration.not_a_file", "{path} is not a file", path=str(path)))
     try:
         with path.open("rb") as file:
-            data = file.read(MOST_BYTES + 1)
+            data = file.read(MAX_BYTES + 1)
     except OSError as error:
         raise UnusableInputError(
             Message(
@@ -144,7 +144,9 @@ def read_calibration(path: Path) -> Calibration:
         ) from error
     content = _parsed(path, data)
     if content.get("format") != FORMAT:
-        raise _no_calibration(path, Message("calibration.wrong_format", "its format is not '{format}'", format=FORMAT))
+        raise _not_a_calibration(
+            path, Message("calibration.wrong_format", "its format is not '{format}'", format=FORMAT)
+        )
     try:
         return Calibration.model_validate(content)
     except ValidationError as error:
@@ -162,34 +164,34 @@ def read_calibration(path: Path) -> Calibration:
 
 
 def _parsed(path: Path, data: bytes) -> dict[str, object]:
-    if len(data) > MOST_BYTES:
+    if len(data) > MAX_BYTES:
         raise UnusableInputError(
             Message(
                 "calibration.too_large",
                 "{path} is too large for a calibration: the limit is {limit} KiB",
                 path=str(path),
-                limit=MOST_BYTES // 1024,
+                limit=MAX_BYTES // 1024,
             )
         )
     try:
         return toml_table(data)
     except UnicodeDecodeError as error:
-        raise _no_calibration(path, Message("calibration.not_text", "it is not a text file")) from error
+        raise _not_a_calibration(path, Message("calibration.not_text", "it is not a text file")) from error
     except ValueError as error:
-        raise _no_calibration(path, str(error).splitlines()[0][:200]) from error
+        raise _not_a_calibration(path, str(error).splitlines()[0][:200]) from error
 
 
-def _no_calibration(path: Path, why: str) -> UnusableInputError:
+def _not_a_calibration(path: Path, why: str) -> UnusableInputError:
     return UnusableInputError(
         Message("calibration.not_one", "{path} is not a calibration: {reason}", path=str(path), reason=why)
     )
 
 
 def check_writable(path: Path) -> None:
-    """Raise where a calibration cannot be written to ``path``; for use before any work is done.
+    """Raise if a calibration cannot be written to ``path``; called before any measurement.
 
     Raises:
-        UnusableInputError: ``path`` is a folder, its folder is missing, or another kind of file is there.
+        UnusableInputError: ``path`` is a folder, its folder is missing, or another kind of file exists there.
     """
     if path.is_dir():
         raise UnusableInputError(Message("file.is_folder", "{path} is a folder; name a file", path=str(path)))
@@ -198,7 +200,7 @@ def check_writable(path: Path) -> None:
     if path.exists():
         try:
             with path.open("rb") as file:
-                content = _parsed(path, file.read(MOST_BYTES + 1))
+                content = _parsed(path, file.read(MAX_BYTES + 1))
         except (OSError, UnusableInputError):
             content = {}
         if content.get("format") != FORMAT:
@@ -222,7 +224,7 @@ def write_calibration(path: Path, calibration: Calibration, *, new: bool = False
         check_writable(path)
     try:
         with atomic_file(path, synced=True, new=new, shared=True) as partial:
-            partial.write_text(as_text(calibration), encoding="utf-8")
+            partial.write_text(to_toml(calibration), encoding="utf-8")
     except FileExistsError:
         raise
     except OSError as error:
@@ -231,16 +233,15 @@ def write_calibration(path: Path, calibration: Calibration, *, new: bool = False
         ) from error
 
 
-def keep_calibration(path: Path, calibration: Calibration, *, overwrite: bool = False) -> Path:
-    """Write a calibration and return its path. Without ``overwrite`` no file is replaced.
+def save_calibration(path: Path, calibration: Calibration, *, overwrite: bool = False) -> Path:
+    """Write a calibration and return its path. A failed calibration never overwrites a passed one.
 
-    A failed calibration never replaces one that passed: it is written to ``<stem>.failed.toml``. If a file must not be
-    replaced, ``_2`` and so on is appended to the name.
+    It is then written to ``<stem>.failed.toml``, ``<stem>.failed_2.toml`` and so on.
 
     Raises:
-        UnusableInputError: as ``write_calibration``.
+        UnusableInputError: see ``write_calibration``.
     """
-    failed = calibration.verdict == "failed" and _passed(path)
+    failed = calibration.verdict == "failed" and _has_passed(path)
     if overwrite and not failed:
         write_calibration(path, calibration)
         return path
@@ -255,15 +256,15 @@ def keep_calibration(path: Path, calibration: Calibration, *, overwrite: bool = 
             return target
 
 
-def _passed(path: Path) -> bool:
+def _has_passed(path: Path) -> bool:
     try:
         return read_calibration(path).verdict == "passed"
     except UnusableInputError:
         return False
 
 
-def as_text(calibration: Calibration) -> str:
-    """Return a calibration as TOML, with a comment for the reader."""
+def to_toml(calibration: Calibration) -> str:
+    """Return a calibration as TOML with a header comment."""
     head = (
         f"# {calibration.kind.capitalize()} calibration of {calibration.model}, {calibration.serial_number}.\n"
         "# SI units; std is one standard deviation. 'tissueid calibrate show FILE' prints it as a table.\n\n"

@@ -29,7 +29,7 @@ class Findings:
     shared: dict[str, float] = field(default_factory=dict)
 
     def value(self, name: str) -> float:
-        """Return the value of a quantity of an earlier step.
+        """Return the value of a quantity from an earlier step.
 
         Raises:
             UnusableInputError: no step has measured it.
@@ -51,9 +51,9 @@ class Findings:
 
 
 def quantity(estimate: Estimate | float, unit: str, std: float | None = None) -> Quantity:
-    """Return a quantity of a calibration file. A standard deviation that is not finite is left out.
+    """Return a quantity of a calibration file. A standard deviation that is not finite is omitted.
 
-    Standard deviations that were scaled by a negative value, from an inverted channel, are made positive.
+    Standard deviations of an inverted channel, scaled by a negative value, are made positive.
     """
     found = estimate if isinstance(estimate, Estimate) else Estimate(estimate, std)
     known = None if found.std is None or not np.isfinite(found.std) else abs(float(found.std))
@@ -61,16 +61,16 @@ def quantity(estimate: Estimate | float, unit: str, std: float | None = None) ->
 
 
 def column(values: ArrayLike) -> tuple[float, ...]:
-    """Return a column of a table, to seven digits."""
+    """Return a column of a table, rounded to seven digits."""
     return tuple(float(f"{value:.7g}") for value in np.asarray(values, np.float64))
 
 
-def repeated(runs: Sequence[Findings]) -> Findings:
+def mean_of_repeats(runs: Sequence[Findings]) -> Findings:
     """Return the mean of several runs of the same steps.
 
     The random part of the standard deviation of a mean is the larger of the runs' own estimate and their scatter,
-    divided by the root of their number; the part common to all runs stays as it is. A problem of one run is a problem
-    of all. The table ``repeats`` holds the quantities of each run; other tables are those of the first run.
+    divided by the square root of their number; the part shared by all runs is not reduced. A problem of one run is a
+    problem of the result. The table ``repeats`` holds the quantities of each run; other tables are from the first run.
     """
     first = runs[0]
     if len(runs) == 1:

@@ -1,13 +1,13 @@
-"""The electrical half of a sweep: resistance, inductance and force constant, independent of the spring.
+"""Electrical half of a sweep: resistance, inductance and force constant, independent of the spring.
 
 The voltage across the coil is R i + L di/dt + k(x) dx/dt; k(x) is the slope of the flux linkage Phi(x). Commands are
-held between samples. Voltage and position, which are almost free of noise, are the regressors; the current, which is
-noisy, is the output. So the least squares are linear and without errors in the variables,
+held between samples. Voltage and position, which have little noise, are the regressors; the noisy current is the
+output. The least squares problem is therefore linear, without errors in the variables:
 
     i[n] = sum_m a[m] v[n - m] + i0 - (1 / R) d/dt Phi(x) at t[n] - L / R,      1 / R = sum_m a[m].
 
 The a[m] are the increments of the step response of coil and anti-alias filter, which give the inductance. Each test has
-its own zero of the current channel and its own resistance, because the coil warms; k(x) is common.
+its own current offset and resistance, because the coil warms up; k(x) is common to all tests.
 """
 
 from __future__ import annotations
@@ -18,7 +18,7 @@ from dataclasses import dataclass
 import numpy as np
 from scipy import optimize
 
-from tissueid.calibration.spline_basis import Array, SplineBasis, covariance_of, solved
+from tissueid.calibration.spline_basis import Array, SplineBasis, solution_covariance, solve_least_squares
 from tissueid.calibration.sweep_test import SweepTest
 from tissueid.errors import UnusableInputError
 from tissueid.messages import Message
@@ -27,7 +27,7 @@ from tissueid.records import Estimate
 ANTI_ALIAS_HZ = 2000.0
 """Cut-off of the first-order filters before all converters, Hz (Chen 2010, 2.3)."""
 ANTI_ALIAS_TOLERANCE = 0.05
-"""Relative standard deviation of that cut-off: capacitors of 5 %."""
+"""Relative standard deviation of that cutoff: capacitors of 5 %."""
 FILTER_S = 1.0 / (2.0 * np.pi * ANTI_ALIAS_HZ)
 """Time constant of the filters, s."""
 _LAG_S = (5e-6, 1e-3)
@@ -35,27 +35,27 @@ _LAG_S = (5e-6, 1e-3)
 
 
 @dataclass(frozen=True)
-class Lag:
-    """L / R, s, with its standard deviation by noise alone, and including the tolerance of the filters."""
+class TimeConstant:
+    """L / R, s, with its standard deviation due to noise, and including the tolerance of the filters."""
 
     seconds: float
     noise_s: float
     std_s: float
 
 
-def unfiltered(readings: Array, rate: float) -> Array:
-    """Return the voltage held over each interval, shape (n,), from filtered readings at their ends.
+def without_filter(readings: Array, rate: float) -> Array:
+    """Return the voltage held over each interval, shape (n,), from low-pass filtered readings at the interval ends.
 
-    NaN where the reading or the one before it was not received.
+    NaN where the reading or the previous one was not received.
     """
     left = float(np.exp(-1.0 / (rate * FILTER_S)))  # of a step, after one interval
     before = np.concatenate([[np.nan], readings[:-1]])
     return np.asarray((readings - left * before) / (1.0 - left))
 
 
-def find_lag(answers: Sequence[Array], rate: float) -> Lag:
-    """Return L / R from the mean step response of the current of all tests, (lags,) each."""
-    steps = np.array([answer / answer.sum() for answer in answers])  # (tests, lags)
+def fit_time_constant(responses: Sequence[Array], rate: float) -> TimeConstant:
+    """Fit L / R to the mean step response of the current over all tests, (lags,) each."""
+    steps = np.array([answer / answer.sum() for answer in responses])  # (tests, lags)
     mean, lags = steps.mean(axis=0), steps.shape[1]
 
     def found(filter_s: float) -> float:
@@ -69,18 +69,18 @@ def find_lag(answers: Sequence[Array], rate: float) -> Lag:
     scatter = steps.std(axis=0, ddof=1) / np.sqrt(len(steps)) if len(steps) > 1 else np.zeros(lags)
     noise = float(np.linalg.norm(scatter * slope) / (slope @ slope))
     by_filter = found(FILTER_S * (1.0 + ANTI_ALIAS_TOLERANCE)) - seconds
-    return Lag(seconds, noise, float(np.hypot(noise, by_filter)))
+    return TimeConstant(seconds, noise, float(np.hypot(noise, by_filter)))
 
 
 def _increments(lag_s: float, filter_s: float, lags: int, rate: float) -> Array:
     """Return the increment of the filtered current in each interval after a step, shape (lags,), with the sum 1."""
-    ends = step_answer(np.arange(lags + 1) / rate, lag_s, filter_s)
+    ends = step_response(np.arange(lags + 1) / rate, lag_s, filter_s)
     increments = np.diff(ends)
     return np.asarray(increments / increments.sum())
 
 
-def step_answer(time_s: Array, lag_s: float, filter_s: float) -> Array:
-    """Return the response of two lags in series to a unit step at 0 s."""
+def step_response(time_s: Array, lag_s: float, filter_s: float) -> Array:
+    """Return the response of two first-order lags in series to a unit step at 0 s."""
     if abs(lag_s - filter_s) < 1e-3 * filter_s:
         lag_s = filter_s * 1.001
     return np.asarray(
@@ -89,14 +89,15 @@ def step_answer(time_s: Array, lag_s: float, filter_s: float) -> Array:
 
 
 def held_equivalent(lag_s: float, filter_s: float, lags: int, rate: float) -> Array:
-    """Return weights (lags + 2,) of the voltages from one sample ahead to ``lags`` back for an equivalent current.
+    """Return weights (lags + 2,) of the voltages, from one sample ahead to ``lags`` back, for an equivalent held
+    current.
 
-    Held over each interval, that current acts on a slow system as the real one does, which changes within the interval:
-    it has the same mean over the interval, and the same first moment by the two neighbours.
+    Held over each interval, it acts on a slow system like the real current, which changes within the interval: it has
+    the same mean over the interval and, with the two neighbours, the same first moment.
     """
     nodes, weights = np.polynomial.legendre.leggauss(12)
     time = (np.arange(lags + 1)[:, None] + 0.5 + 0.5 * nodes) / rate  # (intervals, nodes)
-    risen = step_answer(time, lag_s, filter_s)
+    risen = step_response(time, lag_s, filter_s)
     mean, moment = 0.5 * risen @ weights, 0.5 * risen @ (0.5 * nodes * weights)
     moment = np.concatenate([[0.0, 0.0], moment, [0.0]])  # from one interval before the neighbour of the step
     level = np.concatenate([[0.0], mean]) + 0.5 * (moment[:-2] - moment[2:])
@@ -104,32 +105,32 @@ def held_equivalent(lag_s: float, filter_s: float, lags: int, rate: float) -> Ar
 
 
 STENCIL_S = 0.5e-3
-"""Spacing of the positions for a derivative, s: a compromise of noise and resolution."""
-_MEMORY_S = 1.5e-3
+"""Spacing of the positions for a derivative, s: a compromise between noise and resolution."""
+_RESPONSE_S = 1.5e-3
 """Duration of the step response of the current, s."""
 _ROUNDS = 3
 """Alternations between force constant and step response."""
-_LEAST_CONDUCTANCE = 1e-4
-"""Least conductance of a coil that is not broken, A/V."""
-_LEAST_ROWS = 400
-"""Least number of samples of a test whose neighbours were received as well."""
+_MIN_CONDUCTANCE = 1e-4
+"""Minimum conductance of an intact coil, A/V."""
+_MIN_ROWS = 400
+"""Minimum number of samples of a test whose neighbours were also received."""
 
 
 @dataclass(frozen=True, eq=False)
 class FluxFit:
-    """Result of the electrical equation.
+    """Result of the electrical fit.
 
     ``coefficients`` (p,) of the basis are the force constant, N/A, with ``covariance`` (p, p). ``resistance_ohm`` has
-    one value for each test. Readings belong to the end of the interval in which a command was held; ``mean_currents``
-    are, for each test, the readings (n,) converted to the mean over that interval, and ``modelled_currents`` the same
-    currents by the equation, without noise.
+    one value per test. Readings belong to the end of the interval in which a command was held; ``mean_currents`` are,
+    for each test, the readings (n,) converted to the mean over that interval, and ``modelled_currents`` the noise-free
+    currents of the fitted equation.
     """
 
     basis: SplineBasis
     coefficients: Array
     covariance: Array
     resistance_ohm: tuple[Estimate, ...]
-    lag: Lag
+    lag: TimeConstant
     inductance_h: Estimate
     noise_a: float
     mean_currents: tuple[Array, ...]
@@ -137,14 +138,14 @@ class FluxFit:
 
 
 @dataclass(frozen=True, eq=False)
-class _Part:
+class _RegressionPart:
     """One test in the regression: complete rows, the output, and both kinds of regressors."""
 
     rows: Array
     current: Array
     drive: Array  # (rows, lags + 1): voltages and one for the offset
     velocity: Array  # (rows, splines): d/dt of each spline's integral at t[n]
-    bend: Array  # (rows, splines): its second derivative
+    acceleration: Array  # (rows, splines): its second derivative
 
 
 def fit_flux(tests: Sequence[SweepTest], basis: SplineBasis) -> FluxFit:
@@ -153,29 +154,31 @@ def fit_flux(tests: Sequence[SweepTest], basis: SplineBasis) -> FluxFit:
     Raises:
         UnusableInputError: too many samples are missing, or the current does not follow the voltage.
     """
-    parts = [_part(test, basis) for test in tests]
-    lag, resistance = Lag(0.0, 0.0, 0.0), np.array([_resistance(part, part.current) for part in parts])
+    parts = [_regression_part(test, basis) for test in tests]
+    lag, resistance = TimeConstant(0.0, 0.0, 0.0), np.array([_resistance(part, part.current) for part in parts])
     coefficients = np.zeros(basis.size)
     for _ in range(_ROUNDS):
-        coefficients = solved(*_separated(parts, resistance, lag.seconds), basis)[0]
+        coefficients = solve_least_squares(*_without_drive(parts, resistance, lag.seconds), basis)[0]
         rests = [
-            part.current + (part.velocity - lag.seconds * part.bend) @ coefficients / r
+            part.current + (part.velocity - lag.seconds * part.acceleration) @ coefficients / r
             for part, r in zip(parts, resistance, strict=True)
         ]
-        answers = [_answer(part, rest) for part, rest in zip(parts, rests, strict=True)]
-        resistance = np.array([_ohms(answer) for answer in answers])
-        lag = find_lag([answer[:-1] for answer in answers], tests[0].sample_rate_hz)
-    design, target = _separated(parts, resistance, lag.seconds)
-    coefficients, inverse = solved(design, target, basis)
+        responses = [_drive_response(part, rest) for part, rest in zip(parts, rests, strict=True)]
+        resistance = np.array([_resistance_from_response(answer) for answer in responses])
+        lag = fit_time_constant([answer[:-1] for answer in responses], tests[0].sample_rate_hz)
+    design, target = _without_drive(parts, resistance, lag.seconds)
+    coefficients, inverse = solve_least_squares(design, target, basis)
     residual = target - design @ coefficients
     noise = float(np.std(residual))
-    spread = [_spread(part, coefficients, lag.seconds, noise, r) for part, r in zip(parts, resistance, strict=True)]
+    spread = [
+        _resistance_std(part, coefficients, lag.seconds, noise, r) for part, r in zip(parts, resistance, strict=True)
+    ]
     currents = [_currents(test, basis, coefficients, r, lag.seconds) for test, r in zip(tests, resistance, strict=True)]
     mean_resistance = float(np.mean(resistance))
     return FluxFit(
         basis=basis,
         coefficients=coefficients,
-        covariance=covariance_of((design @ inverse) * residual[:, None], residual, tests[0].sample_rate_hz),
+        covariance=solution_covariance((design @ inverse) * residual[:, None], residual, tests[0].sample_rate_hz),
         resistance_ohm=tuple(Estimate(float(r), float(s)) for r, s in zip(resistance, spread, strict=True)),
         lag=lag,
         inductance_h=Estimate(lag.seconds * mean_resistance, lag.std_s * mean_resistance),
@@ -185,20 +188,20 @@ def fit_flux(tests: Sequence[SweepTest], basis: SplineBasis) -> FluxFit:
     )
 
 
-def _part(test: SweepTest, basis: SplineBasis) -> _Part:
+def _regression_part(test: SweepTest, basis: SplineBasis) -> _RegressionPart:
     rate = test.sample_rate_hz
-    lags = max(3, round(_MEMORY_S * rate))
-    held = unfiltered(test.voltage, rate)
+    lags = max(3, round(_RESPONSE_S * rate))
+    held = without_filter(test.voltage, rate)
     voltages = [_shifted(held, lag) for lag in range(lags)]
-    velocity, bend = _derivatives(basis.integrals(test.position), rate)
+    velocity, acceleration = _derivatives(basis.integrals(test.position), rate)
     drive = np.stack([*voltages, np.ones(test.voltage.size)], axis=1)
     whole = np.isfinite(drive).all(axis=1) & np.isfinite(velocity).all(axis=1) & np.isfinite(test.current)
     rows = np.flatnonzero(whole)
-    if rows.size < _LEAST_ROWS:
+    if rows.size < _MIN_ROWS:
         raise UnusableInputError(
             Message("sweep.many_lost", "too many samples of a test were lost: check the cable and repeat the sweep")
         )
-    return _Part(rows.astype(np.float64), test.current[rows], drive[rows], velocity[rows], bend[rows])
+    return _RegressionPart(rows.astype(np.float64), test.current[rows], drive[rows], velocity[rows], acceleration[rows])
 
 
 def _shifted(values: Array, lag: int) -> Array:
@@ -220,14 +223,14 @@ def _derivatives(values: Array, rate: float) -> tuple[Array, Array]:
     return first, second
 
 
-def _answer(part: _Part, current: Array) -> Array:
+def _drive_response(part: _RegressionPart, current: Array) -> Array:
     """Return the response of the current to present and past voltages, A/V, and the offset, A: shape (lags + 1,)."""
     return np.asarray(np.linalg.lstsq(part.drive, current, rcond=1e-12)[0])
 
 
-def _spread(part: _Part, coefficients: Array, lag: float, noise: float, resistance: float) -> float:
-    """Return the standard deviation of the resistance of a test, ohm, with the motion as a further regressor."""
-    moving = (part.velocity - lag * part.bend) @ coefficients
+def _resistance_std(part: _RegressionPart, coefficients: Array, lag: float, noise: float, resistance: float) -> float:
+    """Return the standard deviation of the resistance of a test, ohm, with motion as an additional regressor."""
+    moving = (part.velocity - lag * part.acceleration) @ coefficients
     inverse = np.linalg.pinv(_gram(np.column_stack([part.drive, moving])))
     voltages = part.drive.shape[1] - 1
     return float(noise * resistance**2 * np.sqrt(inverse[:voltages, :voltages].sum()))
@@ -237,18 +240,18 @@ def _gram(columns: Array) -> Array:
     return np.asarray(columns.T @ columns)
 
 
-def _resistance(part: _Part, current: Array) -> float:
-    return _ohms(_answer(part, current))
+def _resistance(part: _RegressionPart, current: Array) -> float:
+    return _resistance_from_response(_drive_response(part, current))
 
 
-def _ohms(answer: Array) -> float:
-    """Return the resistance for a response (lags + 1,), the last element of which is the offset.
+def _resistance_from_response(answer: Array) -> float:
+    """Return the resistance from a response (lags + 1,), whose last element is the offset.
 
     Raises:
         UnusableInputError: the current is inverted or does not follow the voltage.
     """
     conductance = float(answer[:-1].sum())
-    if not conductance > _LEAST_CONDUCTANCE:
+    if not conductance > _MIN_CONDUCTANCE:
         raise UnusableInputError(
             Message(
                 "sweep.conductance",
@@ -260,14 +263,15 @@ def _ohms(answer: Array) -> float:
     return 1.0 / conductance
 
 
-def _separated(parts: Sequence[_Part], resistance: Array, lag: float) -> tuple[Array, Array]:
+def _without_drive(parts: Sequence[_RegressionPart], resistance: Array, lag: float) -> tuple[Array, Array]:
     """Return the effect of motion on the current by spline, and the current, both orthogonal to the voltages.
 
-    The solution for the splines is unchanged (Frisch and Waugh), without the responses of all tests as unknowns.
+    The coefficients of the splines are unchanged (Frisch-Waugh theorem), without the responses of all tests as
+    unknowns.
     """
     columns, explained = [], []
     for part, r in zip(parts, resistance, strict=True):
-        moving = -(part.velocity - lag * part.bend) / r
+        moving = -(part.velocity - lag * part.acceleration) / r
         orthogonal, _ = np.linalg.qr(part.drive)
         columns.append(moving - orthogonal @ (orthogonal.T @ moving))
         explained.append(part.current - orthogonal @ (orthogonal.T @ part.current))
@@ -277,19 +281,19 @@ def _separated(parts: Sequence[_Part], resistance: Array, lag: float) -> tuple[A
 def _currents(
     test: SweepTest, basis: SplineBasis, coefficients: Array, resistance: float, lag: float
 ) -> tuple[Array, Array]:
-    """Return the mean current over the interval before each reading, shape (n,): by the reading, and by the equation.
+    """Return the mean current over the interval before each reading, shape (n,): measured, and modelled.
 
-    The response to the held voltage is known exactly at the end of an interval and as its mean; that to the motion is
-    smooth.
+    The response to the held voltage is known exactly at the end of an interval and as its mean; the response to the
+    motion is smooth.
     """
     rate = test.sample_rate_hz
-    lags = max(3, round(_MEMORY_S * rate))
-    at_end = np.diff(step_answer(np.arange(lags + 1) / rate, lag, FILTER_S))
+    lags = max(3, round(_RESPONSE_S * rate))
+    at_end = np.diff(step_response(np.arange(lags + 1) / rate, lag, FILTER_S))
     held = held_equivalent(lag, FILTER_S, lags, rate)
-    voltages = np.stack([_shifted(unfiltered(test.voltage, rate), m) for m in range(-1, lags + 1)], axis=1)
-    velocity, bend = (part @ coefficients for part in _derivatives(basis.integrals(test.position), rate))
+    voltages = np.stack([_shifted(without_filter(test.voltage, rate), m) for m in range(-1, lags + 1)], axis=1)
+    velocity, acceleration = (part @ coefficients for part in _derivatives(basis.integrals(test.position), rate))
     half = 0.5 / rate
-    mean = test.current + (voltages @ held - voltages[:, 1:-1] @ at_end + half * bend) / resistance
-    modelled = (voltages @ held - velocity + (lag + half) * bend) / resistance
+    mean = test.current + (voltages @ held - voltages[:, 1:-1] @ at_end + half * acceleration) / resistance
+    modelled = (voltages @ held - velocity + (lag + half) * acceleration) / resistance
     offset = float(np.nanmean(mean - modelled))
     return mean, modelled + offset

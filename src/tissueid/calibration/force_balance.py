@@ -1,8 +1,8 @@
-"""The mechanical half of a sweep: force constant along the stroke, mass and damping, against the calibration spring.
+"""Mechanical half of a sweep: force constant along the stroke, mass and damping, relative to the calibration spring.
 
-M x'' + B x' + K (x - x_s) - m g = k(x) i holds in all tests with the same M, B and k(x); K is that of the spring. Both
-sides are convolved with a smooth window, so that the window is differentiated in place of the recorded position
-(modulating functions, Shinbrot 1957). The result is linear in M, B, k(x) and an offset for each test.
+M x'' + B x' + K (x - x_s) - m g = k(x) i holds in all tests with the same M, B and k(x); K is the stiffness of the
+spring. Both sides are convolved with a smooth window, so that the window is differentiated instead of the recorded
+position (modulating functions, Shinbrot 1957). The problem is linear in M, B, k(x) and an offset per test.
 """
 
 from __future__ import annotations
@@ -14,7 +14,7 @@ import numpy as np
 from scipy import special
 
 from tissueid.calibration.flux import FluxFit
-from tissueid.calibration.spline_basis import Array, SplineBasis, covariance_of, solved
+from tissueid.calibration.spline_basis import Array, SplineBasis, solution_covariance, solve_least_squares
 from tissueid.calibration.sweep_test import SweepTest
 from tissueid.records import Estimate
 
@@ -60,15 +60,15 @@ def fit_balance(tests: Sequence[SweepTest], flux: FluxFit, stiffness_n_per_m: fl
         target = stiffness_n_per_m * _convolved(about, window)
         whole = np.isfinite(design).all(axis=1) & np.isfinite(target) & np.isfinite(clean).all(axis=1)
         part = np.flatnonzero(whole)[::every]
-        # Without means: rest position of the spring and weight are offsets of each test.
+        # Remove means: rest position of the spring and weight are offsets of each test.
         rows.append(tuple(a[part] - a[part].mean(axis=0) for a in (design, clean, target)))
     design, clean, target = (np.concatenate(parts) for parts in zip(*rows, strict=True))
     scale = np.sqrt(np.mean(design**2, axis=0))
     scale[:size] = 1.0
-    solution, inverse = solved(design / scale, target, basis, clean / scale)
+    solution, inverse = solve_least_squares(design / scale, target, basis, clean / scale)
     residual = target - (design / scale) @ solution
     influence = (clean / scale) @ inverse * residual[:, None]
-    covariance = covariance_of(influence, residual, rate / every) / np.outer(scale, scale)
+    covariance = solution_covariance(influence, residual, rate / every) / np.outer(scale, scale)
     solution, std = solution / scale, np.sqrt(np.diag(covariance))
     # A delay of the force by the error of L / R changes damping by K times, and mass by B times that error.
     std[size:] = np.hypot(std[size:], flux.lag.noise_s * np.array([abs(solution[size + 1]), stiffness_n_per_m]))

@@ -1,4 +1,4 @@
-"""Force constant along the stroke from both halves of a sweep, and the linear region of the coil."""
+"""Force constant along the stroke, combined from both halves of a sweep, and the linear region of the coil."""
 
 from __future__ import annotations
 
@@ -17,20 +17,20 @@ from tissueid.messages import Message
 from tissueid.records import Estimate
 
 LINEAR_SHARE = 0.05
-"""Largest relative distance of the force constant from its plateau in the linear region."""
-LEAST_VAF_PERCENT = 90.0
-"""Least VAF of a position in the linear region; the thesis has 95 to 98 % (Table 2.1)."""
+"""Largest relative deviation of the force constant from its plateau in the linear region."""
+MIN_VAF_PERCENT = 90.0
+"""Minimum VAF at a position of the linear region; the thesis has 95 to 98 % (Table 2.1)."""
 FINE_M = 5e-5
 """Spacing of the positions at which the edges of the region are searched, m."""
 _DRAWS = 400
-"""Random profiles for the standard deviations of the edges."""
+"""Number of random profiles for the standard deviations of the edges."""
 _EDGE_M = 1e-4
 """Tolerance of the ends of the middle half of the stroke, m."""
 
 
 @dataclass(frozen=True, eq=False)
 class ForceConstant:
-    """Force constant, N/A, as coefficients (p,) of a basis with their covariance (p, p)."""
+    """Force constant, N/A, as spline coefficients (p,) with their covariance (p, p)."""
 
     basis: SplineBasis
     coefficients: Array
@@ -55,7 +55,7 @@ class ForceConstant:
 class LinearRegion:
     """Range of measured positions with a force constant within 5 % of its plateau.
 
-    ``open_below`` and ``open_above``: the region ends with the sweep and may extend further.
+    ``open_below`` and ``open_above``: the sweep ends inside the region, which may extend further.
     """
 
     min_m: Estimate
@@ -70,14 +70,14 @@ class LinearRegion:
         return self.max_m.value - self.min_m.value
 
 
-def combined(flux: FluxFit, balance: BalanceFit, electrical_std: float, spring_std: float) -> ForceConstant:
-    """Return the weighted mean of both profiles, by their noise and the uncertainty of their scales.
+def combine_profiles(flux: FluxFit, balance: BalanceFit, electrical_std: float, spring_std: float) -> ForceConstant:
+    """Return the weighted mean of both profiles, by their noise and scale uncertainties.
 
     Args:
         flux: electrical half.
         balance: mechanical half.
-        electrical_std: relative standard deviation of the scale of voltage over speed.
-        spring_std: relative standard deviation of the stiffness of the spring.
+        electrical_std: relative standard deviation of the ratio of voltage and velocity scales.
+        spring_std: relative standard deviation of the spring stiffness.
     """
     electrical = ForceConstant(flux.basis, flux.coefficients, flux.covariance).with_scale(electrical_std)
     spring = ForceConstant(balance.basis, balance.coefficients, balance.covariance).with_scale(spring_std)
@@ -124,7 +124,7 @@ def _measured(points: Sequence[SpringPoint], stroke_m: float) -> tuple[float, fl
     """Return first and last position, m, between which a linear model explains every position."""
     ordered = sorted(points, key=lambda point: point.position_m)
     places = np.array([point.position_m for point in ordered])
-    sound = np.array([point.vaf_percent >= LEAST_VAF_PERCENT for point in ordered])
+    sound = np.array([point.vaf_percent >= MIN_VAF_PERCENT for point in ordered])
     centre = int(np.argmin(np.abs(places - 0.5 * stroke_m)))
     if not sound[centre]:
         raise UnusableInputError(

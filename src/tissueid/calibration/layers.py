@@ -1,4 +1,4 @@
-"""Merge of several calibrations with the nominal figures of a device: the source of each figure, and warnings."""
+"""Merging of several calibrations with the nominal values of a device: source of each quantity, and warnings."""
 
 from __future__ import annotations
 
@@ -16,20 +16,20 @@ from tissueid.device import CALIBRATE_STATIC, CALIBRATE_SWEEP, DeviceDescription
 from tissueid.language import marked
 from tissueid.messages import Listing, Message, Quantity
 
-POSITION = ("position_gain", "position_offset_m")
+POSITION_QUANTITIES = ("position_gain", "position_offset_m")
 """Quantities of the position scale."""
-DISAGREE = 0.03
-"""Relative difference of the force constants of static calibration and sweep beyond which a warning is given."""
-NEEDED = ("coil_resistance_ohm", "force_constant_n_per_a", "current_offset_a")
-"""Quantities that a static calibration needs for force in newtons."""
-MOST_SHIFT_M = 0.1e-3
+MAX_DISAGREEMENT = 0.03
+"""Relative difference between the force constants of static calibration and sweep above which a warning is given."""
+REQUIRED_QUANTITIES = ("coil_resistance_ohm", "force_constant_n_per_a", "current_offset_a")
+"""Quantities of a static calibration that are required for force in newtons."""
+MAX_SHIFT_M = 0.1e-3
 """Largest change of the position scale after a sweep without a warning about its linear region, m."""
 NO_REGION = Message("calibration.no_region", "the linear region is not known: run {action}", action=CALIBRATE_SWEEP)
 
 
 @dataclass(frozen=True)
-class Used:
-    """A usable calibration; ``words`` says why it is stale."""
+class UsedCalibration:
+    """Usable calibration; ``words`` is the reason why it is stale."""
 
     file: str
     calibration: Calibration
@@ -46,40 +46,43 @@ class Used:
         return self.calibration.quantities != other.quantities
 
 
-def number_of(known: Mapping[str, float | str], name: str | None, default: float) -> float:
-    """Return the finite number under a name; ``default`` where there is none."""
+def number_or_default(known: Mapping[str, float | str], name: str | None, default: float) -> float:
+    """Return the finite number stored under a name, or ``default``."""
     value = default if name is None else known.get(name, default)
     return float(value) if isinstance(value, int | float) and np.isfinite(value) else default
 
 
-def laid_over(
-    nominal: DeviceDescription, statics: Sequence[Used], sweeps: Sequence[Used], warnings: list[str]
+def merge_calibrations(
+    nominal: DeviceDescription,
+    statics: Sequence[UsedCalibration],
+    sweeps: Sequence[UsedCalibration],
+    warnings: list[str],
 ) -> DeviceDescription:
-    """Return the device with calibrated figures: of static calibrations, else of a sweep, else nominal.
+    """Return the device description with values from static calibrations, else from a sweep, else nominal.
 
     Args:
         nominal: description by the device itself.
         statics: usable static calibrations, newest first.
         sweeps: the sweep to use, or none.
-        warnings: warnings so far; others are appended.
+        warnings: list to which warnings are appended.
     """
     if not statics and not sweeps:
         refused: dict[str, float | str] = {"state": "none", "verdict": "none", **warning_entries(warnings)}
         return replace(nominal, calibration=refused) if warnings else nominal
     known: dict[str, float | str] = {"state": "valid", "verdict": "passed"}
     found = _sources(statics)
-    base = _base(statics, found)
+    base = _main_calibration(statics, found)
     for item in sweeps:
         known |= {"sweep_file": item.file, "sweep_date": item.calibration.date}
-        for name in _figures(item.calibration):
+        for name in _effective_quantities(item.calibration):
             found.setdefault(name, item)
     if base is not None:
         known |= {"static_file": base.file, "static_date": base.calibration.date}
-        warnings += _patchwork(base, found)
+        warnings += _completion_warnings(base, found)
     for item in (*([base] if base is not None else []), *sweeps):
         if item.state == "stale":
             known["state"] = "stale"
-            warnings.append(warning_about(item.file, item.words))
+            warnings.append(file_warning(item.file, item.words))
     for name, item in found.items():
         figure = item.calibration.quantities[name]
         known[name] = figure.value
@@ -87,7 +90,7 @@ def laid_over(
             known[f"nominal_{name}"] = getattr(nominal, name)
             if figure.std is not None:
                 known[f"{name}_std"] = figure.std
-    warnings += _disagreements(found, sweeps, known)
+    warnings += _disagreement_warnings(found, sweeps, known)
     if "linear_region_min_m" not in known:
         warnings.append(NO_REGION)
     if base is None:
@@ -96,27 +99,29 @@ def laid_over(
         )
     if warnings:
         known |= warning_entries(warnings)
-    uncertainty = number_of(known, "calibration_relative_uncertainty", nominal.calibration_relative_uncertainty)
+    uncertainty = number_or_default(known, "calibration_relative_uncertainty", nominal.calibration_relative_uncertainty)
     return replace(
         nominal,
-        coil_resistance_ohm=number_of(known, "coil_resistance_ohm", nominal.coil_resistance_ohm),
-        coil_inductance_h=number_of(known, "coil_inductance_h", nominal.coil_inductance_h),
-        force_constant_n_per_a=number_of(known, "force_constant_n_per_a", nominal.force_constant_n_per_a),
-        moving_mass_kg=number_of(known, "moving_mass_kg", nominal.moving_mass_kg),
-        bearing_damping_n_s_per_m=number_of(known, "bearing_damping_n_s_per_m", nominal.bearing_damping_n_s_per_m),
-        amplifier_gain=number_of(known, "voltage_gain", nominal.amplifier_gain),
+        coil_resistance_ohm=number_or_default(known, "coil_resistance_ohm", nominal.coil_resistance_ohm),
+        coil_inductance_h=number_or_default(known, "coil_inductance_h", nominal.coil_inductance_h),
+        force_constant_n_per_a=number_or_default(known, "force_constant_n_per_a", nominal.force_constant_n_per_a),
+        moving_mass_kg=number_or_default(known, "moving_mass_kg", nominal.moving_mass_kg),
+        bearing_damping_n_s_per_m=number_or_default(
+            known, "bearing_damping_n_s_per_m", nominal.bearing_damping_n_s_per_m
+        ),
+        amplifier_gain=number_or_default(known, "voltage_gain", nominal.amplifier_gain),
         calibration_relative_uncertainty=uncertainty,
         calibration=known,
     )
 
 
-def warning_about(file: str, words: str) -> Message:
+def file_warning(file: str, words: str) -> Message:
     """Return a warning about a calibration file."""
     return Message("calibration.about", "{file}: {warning}", file=file, warning=words)
 
 
-def _figures(calibration: Calibration) -> tuple[str, ...]:
-    """Return the names of the quantities that take effect on the device."""
+def _effective_quantities(calibration: Calibration) -> tuple[str, ...]:
+    """Return the names of the quantities of a calibration that are applied to the device."""
     return tuple(
         name
         for name in calibration.quantities
@@ -124,23 +129,25 @@ def _figures(calibration: Calibration) -> tuple[str, ...]:
     )
 
 
-def _sources(statics: Sequence[Used]) -> dict[str, Used]:
-    """Return the source of each figure: the newest valid calibration that contains it, else the newest stale one."""
-    found: dict[str, Used] = {}
+def _sources(statics: Sequence[UsedCalibration]) -> dict[str, UsedCalibration]:
+    """Return the source of each quantity: the newest valid calibration that contains it, else the newest stale one."""
+    found: dict[str, UsedCalibration] = {}
     for item in sorted(statics, key=lambda item: item.state == "stale"):
-        for name in _figures(item.calibration):
+        for name in _effective_quantities(item.calibration):
             found.setdefault(name, item)
     return found
 
 
-def _base(statics: Sequence[Used], found: Mapping[str, Used]) -> Used | None:
-    """Return the static calibration that others only complete: the oldest source of a figure of ``NEEDED``."""
-    giving = [found[name] for name in NEEDED if name in found]
+def _main_calibration(
+    statics: Sequence[UsedCalibration], found: Mapping[str, UsedCalibration]
+) -> UsedCalibration | None:
+    """Return the main static calibration: the oldest source of a quantity in ``REQUIRED_QUANTITIES``."""
+    giving = [found[name] for name in REQUIRED_QUANTITIES if name in found]
     return min(giving, key=lambda item: item.made) if giving else next(iter(statics), None)
 
 
-def _patchwork(base: Used, found: Mapping[str, Used]) -> list[str]:
-    """Return warnings about figures that come from several static calibrations, or from none."""
+def _completion_warnings(base: UsedCalibration, found: Mapping[str, UsedCalibration]) -> list[str]:
+    """Return warnings about quantities that come from other static calibrations than the main one, or from none."""
     lines: list[str] = []
     files = {item.file: item for item in found.values() if item.calibration.kind == "static"}
     if len(files) > 1:
@@ -163,7 +170,7 @@ def _patchwork(base: Used, found: Mapping[str, Used]) -> list[str]:
                 lines.append(
                     Message("calibration.completed", "{file} is not complete. Taken from {other}: {names}", **values)
                 )
-    if missing := [label_of(name) for name in NEEDED if name not in found]:
+    if missing := [label_of(name) for name in REQUIRED_QUANTITIES if name not in found]:
         lines.append(
             Message(
                 "calibration.nominal_used",
@@ -175,15 +182,17 @@ def _patchwork(base: Used, found: Mapping[str, Used]) -> list[str]:
     return lines
 
 
-def _disagreements(found: Mapping[str, Used], sweeps: Sequence[Used], known: Mapping[str, float | str]) -> list[str]:
-    """Return warnings about a sweep that disagrees with the static calibration in force, or was made under another."""
+def _disagreement_warnings(
+    found: Mapping[str, UsedCalibration], sweeps: Sequence[UsedCalibration], known: Mapping[str, float | str]
+) -> list[str]:
+    """Return warnings about a sweep that disagrees with the active static calibration, or was made with another."""
     lines: list[str] = []
     for item in sweeps:
         swept = item.calibration.quantities.get("force_constant_n_per_a")
         static = found.get("force_constant_n_per_a")
         if swept is not None and static is not None and static is not item:
             value = static.calibration.quantities["force_constant_n_per_a"].value
-            if abs(swept.value / value - 1.0) > DISAGREE:
+            if abs(swept.value / value - 1.0) > MAX_DISAGREEMENT:
                 lines.append(
                     Message(
                         "calibration.disagree",
@@ -195,7 +204,7 @@ def _disagreements(found: Mapping[str, Used], sweeps: Sequence[Used], known: Map
                 )
         made_under = item.calibration.conditions
         off_m = _shift_m(made_under, known)
-        if off_m > MOST_SHIFT_M:
+        if off_m > MAX_SHIFT_M:
             lines.append(
                 Message(
                     "calibration.region_shifted",
@@ -220,17 +229,23 @@ def _disagreements(found: Mapping[str, Used], sweeps: Sequence[Used], known: Map
 
 
 def _shift_m(made_under: Mapping[str, float | str], known: Mapping[str, float | str]) -> float:
-    """Return the shift of the ends of a linear region since the sweep, m; NaN where it is not known."""
+    """Return the shift of the ends of a linear region since the sweep, m; NaN if unknown."""
     dates = made_under.get("static_date"), known.get("static_date")
-    if dates[0] is not None and dates[0] != dates[1] and not any(name in made_under for name in POSITION):
+    if dates[0] is not None and dates[0] != dates[1] and not any(name in made_under for name in POSITION_QUANTITIES):
         return float("nan")
-    if dates[0] is not None and dates[0] == dates[1] and not any(name in made_under for name in POSITION):
+    if dates[0] is not None and dates[0] == dates[1] and not any(name in made_under for name in POSITION_QUANTITIES):
         return 0.0
-    ends = [number_of(known, f"linear_region_{end}_m", np.nan) for end in ("min", "max")]
+    ends = [number_or_default(known, f"linear_region_{end}_m", np.nan) for end in ("min", "max")]
     readings = np.array([end for end in ends if np.isfinite(end)])
     if not readings.size:
         return 0.0
-    readings = readings * number_of(made_under, POSITION[0], 1.0) + number_of(made_under, POSITION[1], 0.0)
-    now = (readings - number_of(known, POSITION[1], 0.0)) / number_of(known, POSITION[0], 1.0)
-    before = (readings - number_of(made_under, POSITION[1], 0.0)) / number_of(made_under, POSITION[0], 1.0)
+    readings = readings * number_or_default(made_under, POSITION_QUANTITIES[0], 1.0) + number_or_default(
+        made_under, POSITION_QUANTITIES[1], 0.0
+    )
+    now = (readings - number_or_default(known, POSITION_QUANTITIES[1], 0.0)) / number_or_default(
+        known, POSITION_QUANTITIES[0], 1.0
+    )
+    before = (readings - number_or_default(made_under, POSITION_QUANTITIES[1], 0.0)) / number_or_default(
+        made_under, POSITION_QUANTITIES[0], 1.0
+    )
     return float(np.abs(now - before).max())

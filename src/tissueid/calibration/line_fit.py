@@ -1,4 +1,4 @@
-"""Robust fit of a straight line: outliers are found and left out."""
+"""Robust straight-line fit with outlier rejection."""
 
 from __future__ import annotations
 
@@ -29,25 +29,24 @@ class Line:
 
     @property
     def scatter(self) -> float:
-        """Standard deviation of the fitted points about the line."""
+        """Standard deviation of the inliers about the line."""
         return float(np.std(self.residuals[~self.outliers]))
 
     @property
     def worst(self) -> float:
-        """Largest distance of a fitted point from the line."""
+        """Largest deviation of an inlier from the line."""
         return float(np.abs(self.residuals[~self.outliers]).max())
 
     def at(self, x: float) -> float:
-        """Return the line at ``x``."""
+        """Return the value of the line at ``x``."""
         return self.intercept.value + self.slope.value * x
 
 
 def straight_line(x: NDArray[np.float64], y: NDArray[np.float64], noise: float = 0.0) -> Line:
     """Fit a line to points (x, y), shape (n,) each; ``noise`` is the known standard deviation of y.
 
-    The median of all slopes (Theil 1950, Sen 1968) finds the line that most points agree on; least squares through
-    the points near it gives slope, intercept and their standard deviations. Up to a quarter of the points may be
-    outliers.
+    The Theil-Sen estimator (Theil 1950, Sen 1968) identifies the inliers; least squares through them gives slope,
+    intercept and their standard deviations. Up to a quarter of the points may be outliers.
 
     Raises:
         UnusableInputError: fewer than three points, or all at one x.

@@ -1,4 +1,4 @@
-"""Manual positioning of the calibration spring: wait until the probe stands still at the wanted position."""
+"""Manual positioning of the calibration spring: waits until the probe is at rest at the requested position."""
 
 from __future__ import annotations
 
@@ -12,33 +12,33 @@ from tissueid.errors import CancelledError
 from tissueid.instrument import Instrument
 from tissueid.messages import Message
 
-NEAR_M = 0.5e-3
-"""Tolerance of the position, m: the measured position is used, so it need not be exact."""
+POSITION_TOLERANCE_M = 0.5e-3
+"""Tolerance of the position, m; later steps use the measured position."""
 STILL_M = 20e-6
-"""Standard deviation of the position, m, below which the probe stands still."""
+"""Standard deviation of the position, m, below which the probe counts as at rest."""
 STILL_S = 1.0
-"""Time for which the probe must stand still, s."""
+"""Time for which the probe must be at rest, s."""
 
 
 @dataclass(frozen=True)
-class Standing:
-    """Position of the probe, and whether it is within the tolerance of the wanted position."""
+class ProbePosition:
+    """Current position of the probe, and whether it is within the tolerance."""
 
     position_m: float
-    there: bool
+    in_place: bool
 
 
-def wait_until_there(
+def wait_for_position(
     instrument: Instrument,
     place_m: float,
-    tell: Callable[[Standing], None] = lambda _: None,
+    tell: Callable[[ProbePosition], None] = lambda _: None,
     cancelled: Callable[[], bool] = never,
 ) -> None:
-    """Wait until the probe has stood still at a position for ``STILL_S``; call ``tell`` for each reading.
+    """Wait until the probe has been at rest at a position for ``STILL_S``; call ``tell`` for each reading.
 
     Raises:
-        CancelledError: ``cancelled`` returned true.
-        InstrumentError: as ``poll`` says.
+        CancelledError: ``cancelled`` returned True.
+        InstrumentError: see ``poll``.
     """
     wanted = round(STILL_S * instrument.device.sample_rate_hz)
     recent = np.zeros(0)
@@ -49,7 +49,7 @@ def wait_until_there(
         recent = np.concatenate([recent, read[np.isfinite(read)]])[-wanted:]
         if not recent.size:
             continue
-        standing = Standing(float(recent[-1]), bool(abs(float(recent[-1]) - place_m) <= NEAR_M))
+        standing = ProbePosition(float(recent[-1]), bool(abs(float(recent[-1]) - place_m) <= POSITION_TOLERANCE_M))
         tell(standing)
-        if standing.there and recent.size == wanted and float(recent.std()) <= STILL_M:
+        if standing.in_place and recent.size == wanted and float(recent.std()) <= STILL_M:
             return

@@ -1,4 +1,4 @@
-"""Plausibility of a calibration: how far its quantities may lie from the nominal ones of the device."""
+"""Plausibility of a calibration: allowed deviation of its quantities from the nominal values."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ from tissueid.language import marked
 from tissueid.messages import Message, Quantity
 
 IMPLAUSIBLE = 0.20
-"""Relative distance from the nominal value beyond which a calibrated value is refused."""
+"""Relative deviation from the nominal value above which a calibrated value is rejected."""
 DEVICE_TOLERANCES = {
     "coil_resistance_ohm": IMPLAUSIBLE,
     "force_constant_n_per_a": IMPLAUSIBLE,
@@ -17,7 +17,7 @@ DEVICE_TOLERANCES = {
     "coil_inductance_h": 0.5,
     "bearing_damping_n_s_per_m": 0.5,
 }
-"""Device figures that a calibration measures, and the largest relative distance of each from its nominal value."""
+"""Calibrated device properties and the largest relative deviation of each from its nominal value."""
 BOUNDS = {
     "current_offset_a": (-0.3, 0.3),
     "voltage_offset_v": (-1.0, 1.0),
@@ -29,18 +29,18 @@ BOUNDS = {
     "acceleration_offset_m_s2": (-2.0, 2.0),
     "calibration_relative_uncertainty": (0.0, 0.5),
 }
-"""Lower and upper bound of every other quantity that is used, SI."""
+"""Lower and upper bound of every other quantity that is applied, SI."""
 _STROKE_MARGIN_M = 2e-3
 """Largest distance of an end of the stroke, or of the linear region, outside the nominal stroke, m."""
 _RANGES = {"linear_region": marked("linear region"), "stroke": marked("stroke")}
 
 
-def implausible(calibration: Calibration, nominal: DeviceDescription) -> str:
-    """Return the first thing that cannot be true of a calibration of this device; "" where there is none."""
+def first_implausible(calibration: Calibration, nominal: DeviceDescription) -> str:
+    """Return the first implausible quantity of a calibration of this device as a message; "" without one."""
     for name, tolerance in DEVICE_TOLERANCES.items():
         if (found := calibration.quantities.get(name)) is not None:
             usual = getattr(nominal, name)
-            if not abs(found.value - usual) <= tolerance * abs(usual):  # so that nothing is near a nominal NaN
+            if not abs(found.value - usual) <= tolerance * abs(usual):  # false for a nominal NaN
                 return Message(
                     "calibration.implausible.nominal",
                     "{label} is {value:.4g}, more than {percent:.0f} % from the nominal {nominal:.4g}",

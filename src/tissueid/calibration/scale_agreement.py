@@ -31,13 +31,13 @@ from tissueid.messages import Message, Quantity
 from tissueid.records import Estimate
 
 ELECTRICAL_STD = 0.005
-"""Relative standard deviation of the ratio of voltage and position scale, by default."""
-_DOUBT = 3.0
-"""Standard deviations beyond which two values disagree."""
-_SHAPE_DOUBT = 1e-4
-"""Probability below which two profiles differ in shape."""
-_LEAST_STAGES = 4
-"""Least number of stage positions for a comparison with the position channel."""
+"""Default relative standard deviation of the ratio of voltage and position scales."""
+_DISAGREEMENT_STD = 3.0
+"""Standard deviations above which two values disagree."""
+_SHAPE_P_VALUE = 1e-4
+"""p-value below which two profiles differ in shape."""
+_MIN_STAGES = 4
+"""Minimum number of stage positions for a comparison with the position channel."""
 
 Cause = Literal["current", "position", "voltage", "spring", "unknown"]
 
@@ -46,9 +46,9 @@ Cause = Literal["current", "position", "voltage", "spring", "unknown"]
 class Agreement:
     """Ratio of the force constants by spring and by flux linkage, and further ratios that depend on the scales.
 
-    ``resistance`` is measured over expected; ``stage`` is metres read over metres moved, None without a motorised
-    stage. ``expected_std`` is the uncertainty of the first ratio by spring and channels. ``cause`` is None where they
-    agree. ``same_shape`` is false where the two profiles differ by more than a factor.
+    ``resistance`` is measured over expected; ``stage`` is metres read per metre moved, None without a motorised stage.
+    ``expected_std`` is the uncertainty of the first ratio from spring and channels. ``cause`` is None if they agree.
+    ``same_shape`` is False if the two profiles differ by more than a factor.
     """
 
     ratio: Estimate
@@ -145,22 +145,22 @@ def compare(
     resistance = Estimate(float(resistances.mean()), float(resistances.std(ddof=1)) if resistances.size > 1 else None)
     stage = _stage(points)
     expected = float(np.hypot(electrical_std, spring_std))
-    off = abs(ratio.value - 1.0) > _DOUBT * float(np.hypot(expected, ratio.std or 0.0))
+    off = abs(ratio.value - 1.0) > _DISAGREEMENT_STD * float(np.hypot(expected, ratio.std or 0.0))
     cause = _cause(ratio.value, resistance.value, stage) if off else None
-    return Agreement(ratio, expected, resistance, stage, chance > _SHAPE_DOUBT, cause)
+    return Agreement(ratio, expected, resistance, stage, chance > _SHAPE_P_VALUE, cause)
 
 
 def _stage(points: Sequence[SpringPoint]) -> Estimate | None:
-    """Return metres read per metre of stage travel; None where the stage did not move."""
+    """Return metres read per metre of stage travel; None if the stage did not move."""
     moved = [(point.stage_m, point.rest_m) for point in points if np.isfinite(point.stage_m + point.rest_m)]
-    if len({stage for stage, _ in moved}) < _LEAST_STAGES:
+    if len({stage for stage, _ in moved}) < _MIN_STAGES:
         return None
     line = stats.linregress(*np.array(moved).T)
     return Estimate(float(line.slope), float(line.stderr))
 
 
 def _cause(ratio: float, resistance: float, stage: Estimate | None) -> Cause:
-    """Return the single scale that explains all ratios best."""
+    """Return the single scale error that explains all ratios best."""
     if min(ratio, resistance, 1.0 if stage is None else stage.value) <= 0.0:
         return "unknown"  # a channel is inverted, which no scale explains
     size = abs(np.log(ratio))

@@ -1,4 +1,6 @@
-"""Static calibration of position sensor, thermometer and accelerometer; drift, noise and mains of all channels."""
+"""Static calibration of position sensor, thermometer and accelerometer; drift, noise and mains interference of all
+channels.
+"""
 
 from __future__ import annotations
 
@@ -20,36 +22,36 @@ from tissueid.records import Estimate
 MAINS_HZ = (50.0, 60.0, 100.0, 120.0)
 """Frequencies of mains interference, Hz."""
 _MAINS_CHANCE = 1e-6
-"""Probability that noise alone is taken for mains, for each channel and frequency."""
+"""False positive rate of the mains detection, for each channel and frequency."""
 
-MOST_NONLINEAR = 0.01
-"""Largest distance of a position from the line, as a share of the span."""
-_LEAST_GAIN = 0.1
-"""Least gain of a position sensor that responds."""
-MOST_TEMPERATURE_JUMP_C = 2.0
+MAX_NONLINEAR = 0.01
+"""Largest deviation of a position from the line, relative to the span."""
+_MIN_GAIN = 0.1
+"""Minimum gain of a working position sensor."""
+MAX_TEMPERATURE_JUMP_C = 2.0
 """Largest step of the thermometer within a tenth of a second, °C."""
 _HEATING_SEEN_J = 20.0
-"""Heat beyond which the thermometer must respond, J."""
-_LEAST_RISE_C_PER_J = 0.005
-"""Least rise of the thermometer, °C per joule."""
-_MOST_TEMPERATURE_OFFSET_C = 10.0
+"""Heat above which the thermometer must respond, J."""
+_MIN_RISE_C_PER_J = 0.005
+"""Minimum rise of the thermometer, °C per joule."""
+_MAX_TEMPERATURE_OFFSET_C = 10.0
 """Largest difference of the thermometer from room temperature, °C."""
-MOST_ACCELERATION_ERROR = 0.15
+MAX_ACCELERATION_ERROR = 0.15
 """Largest relative error of the accelerometer."""
-MOST_SUPPLY_DRIFT = 0.005
+MAX_SUPPLY_DRIFT = 0.005
 """Largest relative drift of resistance and voltage, and drift of the current's zero, A, in addition to four standard
 deviations."""
-MOST_POSITION_DRIFT_M = 20e-6
+MAX_POSITION_DRIFT_M = 20e-6
 """Largest drift of the position at rest, m, in addition to four standard deviations."""
 NOISE_BOUNDS = {"voltage": 0.05, "current": 0.10, "position": 20e-6, "temperature": 1.0, "acceleration_x": 1.0}
-"""Largest noise per sample of each channel, SI: about five to twenty times the usual."""
+"""Maximum noise per sample of each channel, SI: about five to twenty times the usual noise."""
 _UNITS = {"voltage": "V", "current": "A", "position": "m", "temperature": "degC", "acceleration_x": "m/s^2"}
 _SHOWN = {"degC": "°C", "m/s^2": "m/s²"}
 _SUFFIX = {"voltage": "v", "current": "a", "position": "m", "temperature": "c", "acceleration_x": "m_s2"}
 
 
 def position_line(truth_m: NDArray[np.float64], rests: Sequence[NDArray[np.void]]) -> Line:
-    """Fit readings at rest, samples for each position, over known positions (n,), m.
+    """Fit readings at rest, one set of samples per position, against known positions (n,), m.
 
     Raises:
         UnusableInputError: fewer than three positions, no line, or a sensor that does not respond.
@@ -57,7 +59,7 @@ def position_line(truth_m: NDArray[np.float64], rests: Sequence[NDArray[np.void]
     readings = np.array([mean(rest, "position") for rest in rests])
     noise = max(noise_of_mean(rest, "position") for rest in rests)
     line = straight_line(truth_m, readings, noise)
-    if abs(line.slope.value) < _LEAST_GAIN:
+    if abs(line.slope.value) < _MIN_GAIN:
         raise UnusableInputError(
             Message(
                 "calibration.position_stuck",
@@ -72,12 +74,12 @@ def position_findings(truth_m: NDArray[np.float64], line: Line, offset_m: Estima
 
     Args:
         truth_m: known positions (n,), m.
-        line: of the readings there.
-        offset_m: reading at position zero; None where only distances between positions were known.
+        line: fit of the readings.
+        offset_m: reading at position zero; None if only distances between positions are known.
     """
     span = float(np.ptp(truth_m)) * line.slope.value
     problems = []
-    if line.worst > MOST_NONLINEAR * abs(span):
+    if line.worst > MAX_NONLINEAR * abs(span):
         problems.append(
             Message(
                 "calibration.nonlinear",
@@ -126,17 +128,17 @@ def position_findings(truth_m: NDArray[np.float64], line: Line, offset_m: Estima
 
 
 def temperature_findings(rest: NDArray[np.void], levels: Levels, ambient_c: float | None) -> Findings:
-    """Return zero and rise of the thermometer, and its problems.
+    """Return offset and rise of the thermometer, and its problems.
 
     Args:
         rest: samples before the coil was used.
         levels: readings of the voltage steps, which heat the coil.
-        ambient_c: room temperature, °C; None where it is not known.
+        ambient_c: room temperature, °C; None if unknown.
     """
     reading = mean(rest, "temperature")
     rise = levels.last_temperature_c - levels.first_temperature_c
     problems = []
-    if levels.heat_j > _HEATING_SEEN_J and not rise > _LEAST_RISE_C_PER_J * levels.heat_j:
+    if levels.heat_j > _HEATING_SEEN_J and not rise > _MIN_RISE_C_PER_J * levels.heat_j:
         problems.append(
             Message(
                 "calibration.thermometer_stuck",
@@ -147,7 +149,7 @@ def temperature_findings(rest: NDArray[np.void], levels: Levels, ambient_c: floa
             )
         )
     jump = _largest_jump(rest["temperature"], levels)
-    if jump > MOST_TEMPERATURE_JUMP_C:
+    if jump > MAX_TEMPERATURE_JUMP_C:
         problems.append(
             Message(
                 "calibration.thermometer_jumps",
@@ -169,7 +171,7 @@ def temperature_findings(rest: NDArray[np.void], levels: Levels, ambient_c: floa
         notes = ()
         offset = reading - ambient_c
         quantities["temperature_offset_c"] = quantity(Estimate(offset, noise_of_mean(rest, "temperature")), "degC")
-        if abs(offset) > _MOST_TEMPERATURE_OFFSET_C:
+        if abs(offset) > _MAX_TEMPERATURE_OFFSET_C:
             problems.append(
                 Message(
                     "calibration.thermometer_off",
@@ -192,11 +194,11 @@ def _largest_jump(temperature: NDArray[np.float64], levels: Levels) -> float:
 
 
 def acceleration_findings(rest: NDArray[np.void], turned: NDArray[np.void] | None) -> Findings:
-    """Return gain and zero of the accelerometer along the stroke, compared to gravity.
+    """Return gain and offset of the accelerometer along the stroke, relative to gravity.
 
     Args:
         rest: samples at rest.
-        turned: samples at rest upside down, which give gain and zero; None: the zero is taken to be right.
+        turned: samples at rest upside down, which give gain and offset; without them the offset is assumed to be zero.
     """
     along, across = mean(rest, "acceleration_x"), mean(rest, "acceleration_y")
     noise = noise_of_mean(rest, "acceleration_x")
@@ -217,7 +219,7 @@ def acceleration_findings(rest: NDArray[np.void], turned: NDArray[np.void] | Non
         gain = abs(0.5 * (along - other) / (GRAVITY_M_S2 * (abs(cosine) or 1.0)))
         std, offset = noise / GRAVITY_M_S2, far.value
         quantities["acceleration_offset_m_s2"] = quantity(far, "m/s^2")
-    if abs(gain - 1.0) > MOST_ACCELERATION_ERROR:
+    if abs(gain - 1.0) > MAX_ACCELERATION_ERROR:
         problems.append(
             Message(
                 "calibration.accelerometer",
@@ -241,22 +243,22 @@ def supply_findings(
     *,
     same_place: bool = True,
 ) -> Findings:
-    """Return drift from the first to the last electrical step, and noise and mains of the channels.
+    """Return the drift from the first to the last electrical step, and noise and mains interference of the channels.
 
     Args:
         first: first electrical step.
         last: last electrical step.
-        rest: samples at rest before the first.
-        again: samples at rest before the last.
-        device: nominal figures.
-        same_place: false where the spring was put back by hand in between; the position drift is then left out.
+        rest: samples at rest before the first step.
+        again: samples at rest before the last step.
+        device: nominal values.
+        same_place: False if the spring was replaced by hand in between; the position drift is then omitted.
     """
     quantities, problems, notes = {}, [], []
     if same_place:
         moved = mean(again, "position") - mean(rest, "position")
         moved_std = float(np.hypot(noise_of_mean(rest, "position"), noise_of_mean(again, "position")))
         quantities["supply_position_drift_m"] = quantity(moved, "m", moved_std)
-        if abs(moved) > MOST_POSITION_DRIFT_M + 4.0 * moved_std:
+        if abs(moved) > MAX_POSITION_DRIFT_M + 4.0 * moved_std:
             problems.append(
                 Message(
                     "calibration.position_drift",
@@ -275,7 +277,7 @@ def supply_findings(
         std = float(np.hypot(before.std or 0.0, after.std or 0.0)) / scale
         unit = "A" if name == "current_offset_a" else ""
         quantities[f"supply_{what}_drift"] = quantity(Estimate(drift, std), unit)
-        if abs(drift) > MOST_SUPPLY_DRIFT + 4.0 * std:
+        if abs(drift) > MAX_SUPPLY_DRIFT + 4.0 * std:
             size = Quantity(1e3 * drift, "mA", 1) if unit else Quantity(100.0 * drift, "%", 2)
             problems.append(
                 Message(
@@ -316,9 +318,9 @@ def supply_findings(
 
 
 def mains(values: NDArray[np.float64], rate_hz: float) -> tuple[float, float]:
-    """Return frequency, Hz, and amplitude of the strongest mains line in values (n,); 0 and 0 without a mains line.
+    """Return frequency, Hz, and amplitude of the strongest mains line in values (n,); zeros without a significant line.
 
-    The power at the line is compared to the power at neighbouring frequencies, 1.5 to 6 Hz away.
+    The power at the line is compared with the power at neighbouring frequencies, 1.5 to 6 Hz away.
     """
     time = np.arange(values.size) / rate_hz
     values = (values - values.mean()) * np.hanning(values.size)
@@ -330,7 +332,7 @@ def mains(values: NDArray[np.float64], rate_hz: float) -> tuple[float, float]:
     for hertz in MAINS_HZ:
         neighbours = [power(hertz + off) for distance in (1.5, 3.0, 4.5, 6.0) for off in (distance, -distance)]
         floor = float(np.mean(neighbours))
-        # Power of noise over its mean from 8 others, 2 degrees of freedom each, follows F(2, 16).
+        # For noise, the power over the mean of 8 others, with 2 degrees of freedom each, follows F(2, 16).
         if floor > 0 and (1.0 + power(hertz) / floor / len(neighbours)) ** -len(neighbours) < _MAINS_CHANCE:
             amplitude = 2.0 * float(np.sqrt(power(hertz))) / (0.5 * values.size)
             if amplitude > best[1]:

@@ -13,10 +13,10 @@ from tissueid.identification.effective_samples import dependence_samples, long_r
 
 Array = NDArray[np.float64]
 
-LEAST_SPACING_M = 2.0e-3
-"""Least spacing of knots, m: the field of a magnet changes over about the width of its gap."""
+MIN_SPACING_M = 2.0e-3
+"""Minimum spacing of knots, m: the magnetic field changes over about the width of the air gap."""
 RIDGE = 1e-7
-"""Weight of the smoothness penalty relative to the data: it only takes effect where there is no data."""
+"""Weight of the smoothness penalty relative to the data; effective only where there are no data."""
 _DEGREE = 3
 
 
@@ -28,10 +28,12 @@ class SplineBasis:
 
     @classmethod
     def covering(cls, visited_m: Sequence[Array], spacing_m: float) -> SplineBasis:
-        """Return the basis over all visited positions, m, with knots about ``spacing_m`` apart but never too close."""
+        """Return the basis over all visited positions, m, with knots about ``spacing_m`` apart, at least
+        ``MIN_SPACING_M``.
+        """
         low = min(float(np.nanmin(part)) for part in visited_m)
         high = max(float(np.nanmax(part)) for part in visited_m)
-        pieces = max(1, int(np.ceil((high - low) / max(spacing_m, LEAST_SPACING_M) - 1e-9)))
+        pieces = max(1, int(np.ceil((high - low) / max(spacing_m, MIN_SPACING_M) - 1e-9)))
         inner = np.linspace(low, high, pieces + 1)
         return cls(np.concatenate([[low] * _DEGREE, inner, [high] * _DEGREE]))
 
@@ -63,14 +65,17 @@ class SplineBasis:
         return np.asarray(differences.T @ differences, dtype=np.float64)
 
 
-def solved(design: Array, target: Array, basis: SplineBasis, instruments: Array | None = None) -> tuple[Array, Array]:
+def solve_least_squares(
+    design: Array, target: Array, basis: SplineBasis, instruments: Array | None = None
+) -> tuple[Array, Array]:
     """Return the least-squares solution (p,) and the inverse of its normal matrix (p, p).
 
     Args:
-        design: regressors (n, p); the first are the splines of the basis, which are kept smooth where there is no data.
+        design: regressors (n, p); the first are the splines of the basis, which are regularised where there are no
+            data.
         target: output (n,).
         basis: of the splines.
-        instruments: regressors (n, p) without noise, as instrumental variables against bias towards zero.
+        instruments: noise-free regressors (n, p) as instrumental variables, which avoids attenuation bias.
     """
     clean = design if instruments is None else instruments
     gram = clean.T @ design
@@ -79,6 +84,8 @@ def solved(design: Array, target: Array, basis: SplineBasis, instruments: Array 
     return np.asarray(inverse @ (clean.T @ target)), np.asarray(inverse.T)
 
 
-def covariance_of(influence: Array, residual: Array, rate: float) -> Array:
-    """Return the covariance (p, p) of a solution from the influence (n, p) of its rows; residuals may be correlated."""
+def solution_covariance(influence: Array, residual: Array, rate: float) -> Array:
+    """Return the covariance (p, p) of a solution from the influence (n, p) of its rows, for
+    autocorrelated residuals.
+    """
     return long_run_covariance(influence, dependence_samples(residual, rate))

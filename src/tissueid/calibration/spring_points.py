@@ -27,7 +27,7 @@ _FREQUENCIES = 41
 
 @dataclass(frozen=True, eq=False)
 class SpringPoint:
-    """One position: apparent mass, damping and stiffness with the force constant of the device.
+    """Result at one position: apparent mass, damping and stiffness with the force constant of the device.
 
     ``vaf_percent`` is that of the impulse response, ``vaf_parametric_percent`` that of the second-order system.
     ``response_m_per_n`` (41,) is the measured compliance at ``frequency_hz`` (41,), from the impulse response.
@@ -56,22 +56,22 @@ class SpringPoint:
 def held_record(held: Array, position: Array, sample_rate_hz: float, unit: str) -> Record:
     """Return a record of the input held over the interval before each reading (n,), and of the position (n,), m.
 
-    Higher sample rates are reduced to ``RATE_HZ`` by averages of the input: the spring does not respond faster.
+    Higher sample rates are reduced to ``RATE_HZ`` by averaging the input: the spring does not respond faster.
 
     Raises:
-        UnusableInputError: nothing was received.
+        UnusableInputError: no samples were received.
     """
     every = max(1, round(sample_rate_hz / RATE_HZ))
     count = position.size // every
     means = held[: count * every].reshape(count, every).mean(axis=1)
     last = position[: count * every].reshape(count, every)[:, -1]
-    held_from = np.append(means[1:], np.nan)  # a record has what is held from each reading on
+    held_from = np.append(means[1:], np.nan)  # a record stores the value held from each reading on
     known = np.flatnonzero(np.isfinite(held_from) & np.isfinite(last))
     if not known.size:
         raise UnusableInputError(
             Message("sweep.all_lost", "all samples were lost: check the cable and repeat the sweep")
         )
-    whole = slice(int(known[0]), int(known[-1]) + 1)  # without the ends, where neighbours are missing
+    whole = slice(int(known[0]), int(known[-1]) + 1)  # drop the ends, which lack a neighbour
     return Record(held_from[whole], last[whole], sample_rate_hz / every, "held", "position", unit, "m")
 
 
@@ -83,18 +83,18 @@ def _positive_std(found: Estimate) -> Estimate:
 def identify_point(test: SweepTest, mean_current: Array, device: DeviceDescription) -> SpringPoint:
     """Identify one test; ``mean_current`` (n,) is the mean over the interval before each reading.
 
-    A reading of the current belongs to the end of the interval in which a command was held; used directly it makes the
-    mass some per cent too low. So the mean current of each interval is held over it.
+    A current reading belongs to the end of the interval in which a command was held; used directly, it biases the mass
+    low by some per cent. The mean current of each interval is therefore held over it.
 
     Raises:
-        UnusableInputError: nothing moved, or too little was recorded.
+        UnusableInputError: nothing moved, or the record is too short.
     """
     record = held_record(device.force_constant_n_per_a * mean_current, test.position, test.sample_rate_hz, "N")
     rate = record.sample_rate_hz
     model = Lms(memory=MEMORY_S, hold="zero-order").fit(record)
     found = model.report.parameters
     frequency = np.geomspace(LOWEST_HZ, HIGHEST_HZ, _FREQUENCIES)
-    # Response to a force, without the effect of holding it over each interval.
+    # Frequency response to a force, compensated for the zero-order hold.
     turned = np.exp(-2j * np.pi * frequency[:, None] * (model.lag_s - 0.5 / rate))  # (frequencies, lags)
     turned /= np.sinc(frequency / rate)[:, None]
     return SpringPoint(

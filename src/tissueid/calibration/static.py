@@ -12,9 +12,9 @@ from datetime import UTC, datetime
 
 from tissueid import __version__
 from tissueid.calibration.file import Calibration, stored_messages, utc_date
-from tissueid.calibration.findings import repeated
+from tissueid.calibration.findings import mean_of_repeats
 from tissueid.calibration.labels import stored_text
-from tissueid.calibration.plausibility import implausible
+from tissueid.calibration.plausibility import first_implausible
 from tissueid.calibration.static_procedure import Ask, Procedure, Show, StaticPlan
 from tissueid.instrument import Instrument
 from tissueid.messages import Message
@@ -38,15 +38,15 @@ def calibrate_static(
     cancelled: Callable[[], bool] = lambda: False,
     now: datetime | None = None,
 ) -> StaticCalibration:
-    """Calibrate an instrument, starting from its nominal figures; the active calibration is deactivated.
+    """Calibrate an instrument, starting from its nominal values; the active calibration is deactivated.
 
     Args:
         instrument: opened, with the calibration spring under the probe or a motorised stage.
         plan: steps and references; all steps by default.
-        ask: shows a person what to do next and returns when it is done; None where no person is present. Needed
+        ask: shows an instruction to the operator and returns when it is done; None without an operator. Required
             without a motorised stage.
         progress: receives the name of the current step and its completed share.
-        cancelled: polled throughout; true cancels the calibration.
+        cancelled: polled throughout; True cancels the calibration.
         now: date of the calibration.
 
     Raises:
@@ -58,7 +58,7 @@ def calibrate_static(
     procedure = Procedure(instrument, plan, ask, progress, cancelled)
     procedure.drain_release()
     instrument.use_calibration(instrument.nominal, {})
-    found = repeated([procedure.run(run) for run in range(1, plan.repeats + 1)])
+    found = mean_of_repeats([procedure.run(run) for run in range(1, plan.repeats + 1)])
     device = instrument.device
     conditions: dict[str, float | str] = {"repeats": float(plan.repeats), "steps": ", ".join(plan.steps)}
     if plan.ambient_c is not None:
@@ -85,7 +85,7 @@ def calibrate_static(
         tables=found.tables,
         messages=stored_messages((*problems, *found.notes)),
     )
-    if calibration.verdict == "passed" and (strange := implausible(calibration, instrument.nominal)):
+    if calibration.verdict == "passed" and (strange := first_implausible(calibration, instrument.nominal)):
         problem = Message(
             "calibration.implausible",
             "{reason}: this is not plausible; check the fixture and the wiring",

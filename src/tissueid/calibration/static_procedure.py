@@ -1,4 +1,4 @@
-"""Steps of a static calibration, and the instructions to the person who sets up the fixture for each."""
+"""Steps of a static calibration, and the instructions to the operator who sets up the fixture for each."""
 
 from __future__ import annotations
 
@@ -19,8 +19,8 @@ from tissueid.calibration.sensors import (
     supply_findings,
     temperature_findings,
 )
-from tissueid.calibration.step_levels import Levels, at_rest, hold_levels, mean
-from tissueid.calibration.stroke import Crossing, carrying_current, move_gently, range_findings
+from tissueid.calibration.step_levels import Levels, hold_levels, mean, rest_samples
+from tissueid.calibration.stroke import Crossing, balancing_current, cross_stroke, range_findings
 from tissueid.device import GRAVITY_M_S2
 from tissueid.errors import FirmwareFaultError, LimitError, UnusableInputError
 from tissueid.instrument import CLINICAL, Instrument, Limits
@@ -30,8 +30,8 @@ from tissueid.records import Estimate
 from tissueid.wire import Fault
 
 LEVELS_V = (0.0, 4.0, 8.0, 12.0, 8.0, 4.0, 0.0, -4.0, -8.0, -12.0, -8.0, -4.0, 0.0)
-"""Voltages of both signs, V, at most 3 N. Each level but the outermost is reached from below and from above."""
-PUSHED_V = (0.0, 3.0, 6.0, 9.0, 12.0, 9.0, 6.0, 3.0, 0.0)
+"""Voltages of both signs, V, at most 3 N. Each level except the outermost is reached from below and from above."""
+PUSH_LEVELS_V = (0.0, 3.0, 6.0, 9.0, 12.0, 9.0, 6.0, 3.0, 0.0)
 """Voltages, V, for a spring that is not fixed to the probe."""
 HOLD_S = 0.45
 """Time at each voltage, s."""
@@ -44,37 +44,37 @@ PLACE_S = 0.4
 PLACES = 9
 """Positions along the stroke with a motorised stage."""
 WEIGHT_STD = 0.1
-"""Relative standard deviation of the nominal weight of the moving part, where it was not measured."""
+"""Relative standard deviation of the nominal weight of the moving part if it was not measured."""
 STEPS = ("electrical", "force", "position", "range", "temperature", "acceleration", "supply")
-_MOST_GRAVITY = 10.5
-"""Largest gravity, m/s², that the accelerometer is believed to measure."""
-_MOST_GAUGE_M = 0.2
+_MAX_GRAVITY = 10.5
+"""Largest gravity, m/s², accepted from the accelerometer."""
+_MAX_GAUGE_M = 0.2
 """Largest height of a gauge block, m."""
 _RELEASED_S = 0.05
 """Time after a run until its release ramp is over, s."""
-_ROOM_M = 4.0e-3
-"""Least distance of the probe from the ends of the stroke, m: more than its travel at the largest voltage."""
+_MIN_CLEARANCE_M = 4.0e-3
+"""Minimum distance of the probe from the ends of the stroke, m: more than its travel at the largest voltage."""
 
 Show = Callable[[str, float], None]
 Ask = Callable[[str], None]
-"""Shows an instruction to a person and returns when it is done."""
+"""Function that shows an instruction to the operator and returns when it is done."""
 
-SPRING_WORDS = Message(
+SPRING_INSTRUCTION = Message(
     "calibration.ask.spring",
     "Put the calibration spring under the probe and fix it there, so that the probe stands in mid-stroke.",
 )
-FREE_WORDS = Message(
+FREE_INSTRUCTION = Message(
     "calibration.ask.free",
     "Take everything away from under the probe: it will move from end to end, with 2 N at most.",
 )
-BARE_WORDS = Message("calibration.ask.bare", "Take the weight off the probe.")
-OVER_WORDS = Message(
+BARE_INSTRUCTION = Message("calibration.ask.bare", "Take the weight off the probe.")
+TURN_OVER_INSTRUCTION = Message(
     "calibration.ask.over", "Turn the instrument over, so that the probe points the other way, and hold it still."
 )
-BACK_WORDS = Message("calibration.ask.back", "Turn the instrument back to its previous orientation.")
+TURN_BACK_INSTRUCTION = Message("calibration.ask.back", "Turn the instrument back to its previous orientation.")
 
 
-def gauge_words(height_m: float) -> Message:
+def gauge_instruction(height_m: float) -> Message:
     """Return the instruction for a gauge block."""
     return Message(
         "calibration.ask.gauge",
@@ -83,7 +83,7 @@ def gauge_words(height_m: float) -> Message:
     )
 
 
-def weight_words(mass_kg: float) -> Message:
+def weight_instruction(mass_kg: float) -> Message:
     """Return the instruction for a weight."""
     return Message(
         "calibration.ask.weight",
@@ -104,11 +104,11 @@ class StaticPlan:
     """Steps and references of a static calibration.
 
     ``gauges_m`` are heights of gauge blocks, for instruments without a stage. With ``in_place`` the spring is already
-    under the probe and nothing is asked: steps that need a person are left out. With ``push_only`` the probe is not
-    fixed to the spring and only pushes it. With ``turn_over`` the accelerometer is also read upside down.
+    under the probe and no instructions are shown: steps that need an operator are skipped. With ``push_only`` the probe
+    only pushes the spring and is not fixed to it. With ``turn_over`` the accelerometer is also read upside down.
 
     Raises:
-        UnusableInputError: a step is unknown, or a value is out of its range.
+        UnusableInputError: a step is unknown, or a value is out of range.
     """
 
     steps: tuple[str, ...] = STEPS
@@ -141,12 +141,12 @@ class StaticPlan:
             raise UnusableInputError(Message("calibration.weights", "give at most 20 weights of 1 to 300 g"))
         if self.gauges_m and (len(set(self.gauges_m)) < 3 or len(self.gauges_m) > 50):
             raise UnusableInputError(Message("calibration.gauges", "give gauge blocks of 3 to 50 different heights"))
-        if not all(0.0 <= height <= _MOST_GAUGE_M for height in self.gauges_m):
+        if not all(0.0 <= height <= _MAX_GAUGE_M for height in self.gauges_m):
             raise UnusableInputError(
                 Message(
                     "calibration.gauge_height",
                     "the height of a gauge block must be 0 to {limit:g} mm",
-                    limit=1e3 * _MOST_GAUGE_M,
+                    limit=1e3 * _MAX_GAUGE_M,
                 )
             )
         if self.ambient_c is not None and not -10.0 <= self.ambient_c <= 50.0:
@@ -154,7 +154,7 @@ class StaticPlan:
 
 
 class Procedure:
-    """Runs the steps on one instrument. ``has_stage`` is true until the instrument reports that it has none."""
+    """Executes the steps on one instrument. ``has_stage`` is true until the instrument reports that it has none."""
 
     def __init__(
         self, instrument: Instrument, plan: StaticPlan, ask: Ask | None, show: Show, cancelled: Callable[[], bool]
@@ -169,7 +169,7 @@ class Procedure:
         self._run = 1
 
     def run(self, number: int) -> Findings:
-        """Run all wanted and possible steps once; ``number`` counts the repeats from 1.
+        """Execute all requested and possible steps once; ``number`` counts the repeats from 1.
 
         Raises:
             UnusableInputError: something is missing, samples were lost, or a channel does not respond.
@@ -185,17 +185,17 @@ class Procedure:
         zero_a = electrical.value("current_offset_a")
         if "temperature" in wanted:
             found += temperature_findings(rest, levels, plan.ambient_c)
-        turned = self._turned() if "acceleration" in wanted and plan.turn_over else None
+        turned = self._turned_samples() if "acceleration" in wanted and plan.turn_over else None
         acceleration = acceleration_findings(rest, turned)
         gravity = acceleration.value("gravity_along_stroke_m_s2")
         if "acceleration" in wanted:
             found += acceleration
-        if abs(gravity) > _MOST_GRAVITY:
+        if abs(gravity) > _MAX_GRAVITY:
             gravity = GRAVITY_M_S2
-        weighed = [levels, *self._weighed()] if "force" in wanted and plan.weights_kg else []
-        places, line = self._places() if "position" in wanted else (np.zeros(0), None)
+        weighed = [levels, *self._weight_levels()] if "force" in wanted and plan.weights_kg else []
+        places, line = self._position_readings() if "position" in wanted else (np.zeros(0), None)
         crossings = self._crossings(gravity) if "range" in wanted else ()
-        found += self._skipped(line, crossings)
+        found += self._skipped_notes(line, crossings)
         slope = spring_line(levels, zero_a).slope.value
         offset = None
         gain = None if line is None else line.slope
@@ -208,7 +208,9 @@ class Procedure:
             along = gravity / GRAVITY_M_S2
             force += force_by_weights(weighed, (0.0, *plan.weights_kg), self._device, along, zero_a)
         if "force" in wanted:
-            zero = Findings({"current_offset_a": electrical.quantities["current_offset_a"]})  # k was found with it
+            zero = Findings(
+                {"current_offset_a": electrical.quantities["current_offset_a"]}
+            )  # the force constant was measured with it
             found += force + zero
         if crossings:
             found += range_findings(
@@ -234,11 +236,11 @@ class Procedure:
     # -- what the steps need ------------------------------------------------------------------------------
 
     def drain_release(self) -> None:
-        """Read on until the release ramp of the previous run is over."""
-        at_rest(self._instrument, _RELEASED_S, cancelled=self._cancelled)
+        """Poll until the release ramp of the previous run is over."""
+        rest_samples(self._instrument, _RELEASED_S, cancelled=self._cancelled)
 
     def _move(self, position_m: float | None, words: str) -> None:
-        """Move the fixture by the stage, or ask a person to.
+        """Move the fixture by the stage, or ask the operator to.
 
         Raises:
             UnusableInputError: there is neither.
@@ -270,28 +272,28 @@ class Procedure:
         self._show(step, fraction)
 
     def _place_spring(self) -> None:
-        """Have the spring under the probe, in mid-stroke.
+        """Place the spring under the probe in mid-stroke.
 
         Raises:
-            UnusableInputError: the probe stands where the spring has no room.
+            UnusableInputError: the probe is too close to an end of the stroke.
         """
         stroke = self._device.stroke_m
-        self._move(0.5 * stroke, SPRING_WORDS)
-        stands = mean(at_rest(self._instrument, 0.1, cancelled=self._cancelled), "position")
-        if not _ROOM_M < stands < stroke - _ROOM_M:
+        self._move(0.5 * stroke, SPRING_INSTRUCTION)
+        stands = mean(rest_samples(self._instrument, 0.1, cancelled=self._cancelled), "position")
+        if not _MIN_CLEARANCE_M < stands < stroke - _MIN_CLEARANCE_M:
             raise UnusableInputError(
                 Message(
                     "calibration.spring_place",
                     "the probe stands at {position}: put the spring so that it stands between {low:g} and {high:g} mm, "
                     "best in mid-stroke",
                     position=Quantity(1e3 * stands, "mm", 1),
-                    low=1e3 * _ROOM_M,
-                    high=1e3 * (stroke - _ROOM_M),
+                    low=1e3 * _MIN_CLEARANCE_M,
+                    high=1e3 * (stroke - _MIN_CLEARANCE_M),
                 )
             )
 
     def _rest(self, step: Message) -> NDArray[np.void]:
-        return at_rest(
+        return rest_samples(
             self._instrument,
             REST_S,
             progress=lambda fraction: self._show_step(step, fraction),
@@ -302,7 +304,7 @@ class Procedure:
         try:
             return hold_levels(
                 self._instrument,
-                np.array(PUSHED_V if self._plan.push_only else LEVELS_V),
+                np.array(PUSH_LEVELS_V if self._plan.push_only else LEVELS_V),
                 self._plan.limits,
                 hold_s=HOLD_S,
                 rise_s=RISE_S,
@@ -322,29 +324,29 @@ class Procedure:
                 )
             ) from error
 
-    def _turned(self) -> NDArray[np.void]:
-        self._ask_person(OVER_WORDS)
+    def _turned_samples(self) -> NDArray[np.void]:
+        self._ask_person(TURN_OVER_INSTRUCTION)
         turned = self._rest(Message("calibration.step.turned", "turned over"))
-        self._ask_person(BACK_WORDS)
+        self._ask_person(TURN_BACK_INSTRUCTION)
         return turned
 
-    def _weighed(self) -> list[Levels]:
+    def _weight_levels(self) -> list[Levels]:
         series = []
         for mass in self._plan.weights_kg:
-            self._ask_person(weight_words(mass))
+            self._ask_person(weight_instruction(mass))
             series.append(self._levels(Message("calibration.step.weight", "{mass:g} g on the probe", mass=1e3 * mass)))
-        self._ask_person(BARE_WORDS)
+        self._ask_person(BARE_INSTRUCTION)
         return series
 
-    def _places(self) -> tuple[NDArray[np.float64], Line | None]:
-        """Return known positions (n,), m, rising with the reading, and the line of the readings there."""
+    def _position_readings(self) -> tuple[NDArray[np.float64], Line | None]:
+        """Return known positions (n,), m, rising with the reading, and the line fit of the readings."""
         stroke, gauges = self._device.stroke_m, self._plan.gauges_m
         if self.has_stage:
             truth = np.linspace(0.1, 0.9, PLACES) * stroke
             rests = [self._rest_at(number, place, "") for number, place in enumerate(truth)]
         elif gauges and not self._plan.in_place:
             truth = -np.array(gauges)
-            rests = [self._rest_at(number, None, gauge_words(height)) for number, height in enumerate(gauges)]
+            rests = [self._rest_at(number, None, gauge_instruction(height)) for number, height in enumerate(gauges)]
         else:
             return np.zeros(0), None
         return truth, position_line(truth, rests)
@@ -352,16 +354,16 @@ class Procedure:
     def _rest_at(self, number: int, place_m: float | None, words: str) -> NDArray[np.void]:
         self._move(place_m, words)
         places = len(self._plan.gauges_m) if words else PLACES
-        samples = at_rest(self._instrument, PLACE_S, cancelled=self._cancelled)
+        samples = rest_samples(self._instrument, PLACE_S, cancelled=self._cancelled)
         self._show_step(Message("calibration.step.position", "position along the stroke"), (number + 1) / places)
         return samples
 
     def _crossings(self, gravity: float) -> tuple[Crossing, ...]:
         if self._plan.in_place and not self.has_stage:
             return ()
-        self._move(None, FREE_WORDS)
+        self._move(None, FREE_INSTRUCTION)
         try:
-            return move_gently(
+            return cross_stroke(
                 self._instrument,
                 gravity,
                 progress=lambda fraction: self._show_step(
@@ -381,7 +383,7 @@ class Procedure:
     def _offset(
         self, line: Line, crossings: Sequence[Crossing], slope_m_per_a: float, gravity: float, zero_a: float
     ) -> tuple[Estimate | None, float]:
-        """Return the reading at position zero, without the weight of the coil, which lengthens the spring.
+        """Return the reading at position zero, corrected for the extension of the spring by the weight of the coil.
 
         The second value is the part of its standard deviation that is common to all repeats, m.
         """
@@ -389,7 +391,7 @@ class Procedure:
         if not self.has_stage:
             return None, shared
         if crossings:
-            carrying = carrying_current(tuple(crossings))
+            carrying = balancing_current(tuple(crossings))
             current, current_std = carrying.value - zero_a, carrying.std or 0.0
         else:
             current = -self._device.moving_mass_kg * gravity / self._device.force_constant_n_per_a
@@ -398,8 +400,8 @@ class Procedure:
         std = float(np.hypot(line.intercept.std or 0.0, slope_m_per_a * current_std))
         return Estimate(line.intercept.value + slope_m_per_a * current, std), shared
 
-    def _skipped(self, line: Line | None, crossings: Sequence[Crossing]) -> Findings:
-        """Return notes on the steps that were wanted but not possible."""
+    def _skipped_notes(self, line: Line | None, crossings: Sequence[Crossing]) -> Findings:
+        """Return notes on the requested steps that were not possible."""
         notes = []
         if "position" in self._plan.steps and line is None:
             notes.append(

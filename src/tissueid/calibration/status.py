@@ -1,4 +1,4 @@
-"""Status of a calibration: usable, stale, or refused for its device, its verdict, its quantities or its date."""
+"""Status of a calibration: usable, stale, or rejected because of its device, verdict, quantities or date."""
 
 from __future__ import annotations
 
@@ -8,45 +8,45 @@ from typing import Literal
 
 from tissueid.calibration.file import Calibration
 from tissueid.calibration.labels import problems_of
-from tissueid.calibration.plausibility import implausible
+from tissueid.calibration.plausibility import first_implausible
 from tissueid.calibration.store import Stored
 from tissueid.device import DeviceDescription
 from tissueid.messages import Message, Verbatim
 
 State = Literal["valid", "stale", "foreign", "failed", "implausible", "damaged"]
-"""State of one calibration: ``valid`` and ``stale`` ones are used, the latter with a warning; others are refused."""
+"""State of one calibration: ``valid`` and ``stale`` ones are used, the latter with a warning; others are rejected."""
 
 _CLOCK_DAYS = 1.0
-"""Largest lead of the clock of the computer that calibrated, days."""
+"""Largest clock lead of the calibrating computer, days."""
 
 
 @dataclass(frozen=True)
-class Age:
-    """State of a calibration as far as it is known without its device."""
+class FileStatus:
+    """State of a calibration file without reference to a device."""
 
     state: State
     words: str
 
     @property
     def usable(self) -> bool:
-        """Whether its device would use the calibration."""
+        """Whether the calibrated device would use it."""
         return self.state in ("valid", "stale")
 
 
-def age_of(item: Stored, now: datetime) -> Age:
-    """Return the state of a calibration without its device: readability, verdict and age."""
+def file_status(item: Stored, now: datetime) -> FileStatus:
+    """Return the state of a calibration from readability, verdict and age alone."""
     calibration = item.calibration
     if calibration is None:
-        return Age("damaged", Message("calibration.damaged", "cannot be used: {problem}", problem=item.problem))
+        return FileStatus("damaged", Message("calibration.damaged", "cannot be used: {problem}", problem=item.problem))
     state, reason = _state_by_age(calibration, now)
     if state == "valid":
         left = calibration.valid_days - calibration.age_days(now)
-        return Age(state, Message("calibration.days_left", "passed, valid for {days:.0f} more days", days=left))
-    return Age(state, reason)
+        return FileStatus(state, Message("calibration.days_left", "passed, valid for {days:.0f} more days", days=left))
+    return FileStatus(state, reason)
 
 
-def judged(item: Stored, nominal: DeviceDescription, now: datetime) -> tuple[State, str]:
-    """Return the state of a calibration for a device, and the reason; "" where it is valid."""
+def status_for_device(item: Stored, nominal: DeviceDescription, now: datetime) -> tuple[State, str]:
+    """Return the state of a calibration for a device, and the reason; "" if valid."""
     calibration = item.calibration
     if calibration is None:
         return "damaged", item.problem
@@ -64,7 +64,7 @@ def judged(item: Stored, nominal: DeviceDescription, now: datetime) -> tuple[Sta
             found=Verbatim(calibration.model),
             expected=Verbatim(nominal.model),
         )
-    if strange := implausible(calibration, nominal) if calibration.verdict == "passed" else "":
+    if strange := first_implausible(calibration, nominal) if calibration.verdict == "passed" else "":
         return "implausible", strange
     return _state_by_age(calibration, now)
 

@@ -1,4 +1,4 @@
-"""Averaged readings of an instrument at rest and under steady voltages."""
+"""Averaged readings of an instrument at rest and at constant voltages."""
 
 from __future__ import annotations
 
@@ -15,16 +15,16 @@ from tissueid.messages import Message
 
 POLL_S = 0.05
 """Longest wait for samples, s."""
-SETTLED = 0.4
-"""Share of each level, at its end, that is averaged: coil and spring are at rest by then."""
-_LEAST_SAMPLES = 10
+SETTLED_SHARE = 0.4
+"""Final share of each level that is averaged: coil and spring are at rest by then."""
+_MIN_SAMPLES = 10
 """Least number of samples of a mean."""
 _STALE_S = 0.2
-"""Samples that are skipped first, s: they may date from before the fixture was moved."""
+"""Samples that are skipped first, s: they may have been taken before the fixture was moved."""
 _MEASURED = ("voltage", "current", "position")
 _AVERAGED = ("command", *_MEASURED)
 
-Share = Callable[[float], None]
+OnProgress = Callable[[float], None]
 Cancelled = Callable[[], bool]
 
 
@@ -45,7 +45,7 @@ class Levels:
     first_temperature_c: float
     last_temperature_c: float
     heat_j: float
-    """Heat put into the coil, J: measured voltage times current."""
+    """Heat dissipated in the coil, J: measured voltage times current."""
 
 
 def hold_levels(
@@ -55,7 +55,7 @@ def hold_levels(
     *,
     hold_s: float,
     rise_s: float = 0.0,
-    progress: Share = lambda _: None,
+    progress: OnProgress = lambda _: None,
     cancelled: Cancelled = lambda: False,
 ) -> Levels:
     """Hold voltages, shape (levels,), for ``hold_s`` each, and return the mean readings of each level.
@@ -74,17 +74,17 @@ def hold_levels(
         blocks.append(samples)
         progress(fraction)
 
-    command = _softly(np.asarray(levels_v, np.float64), hold, round(rise_s * rate))
+    command = _smoothed_steps(np.asarray(levels_v, np.float64), hold, round(rise_s * rate))
     run = play(instrument, command, limits, on_samples=take, cancelled=cancelled)
     samples = np.concatenate(blocks)
     place = samples["index"].astype(np.int64) - run.first_index
-    level, settled = place // hold, place % hold >= hold * (1 - SETTLED)
+    level, settled = place // hold, place % hold >= hold * (1 - SETTLED_SHARE)
     received = np.all([np.isfinite(samples[name]) for name in _MEASURED], axis=0)
     means = np.zeros((len(_AVERAGED), len(levels_v)))  # (channels, levels)
     variances = np.zeros_like(means)
     for number in range(len(levels_v)):
         chosen = samples[settled & received & (level == number)]
-        if chosen.size < _LEAST_SAMPLES:
+        if chosen.size < _MIN_SAMPLES:
             raise UnusableInputError(
                 Message(
                     "calibration.samples_lost.voltage",
@@ -111,7 +111,7 @@ def hold_levels(
     )
 
 
-def _softly(levels_v: NDArray[np.float64], hold: int, rise: int) -> NDArray[np.float64]:
+def _smoothed_steps(levels_v: NDArray[np.float64], hold: int, rise: int) -> NDArray[np.float64]:
     """Return the command, shape (levels * hold,), V, with raised cosines of ``rise`` samples between the levels."""
     command = np.repeat(levels_v, hold)
     if rise:
@@ -123,19 +123,19 @@ def _softly(levels_v: NDArray[np.float64], hold: int, rise: int) -> NDArray[np.f
     return command
 
 
-def at_rest(
+def rest_samples(
     instrument: Instrument,
     seconds: float,
     *,
-    progress: Share = lambda _: None,
+    progress: OnProgress = lambda _: None,
     cancelled: Cancelled = lambda: False,
 ) -> NDArray[np.void]:
     """Return the samples received while the coil is free and nothing moves, shape (n,), of dtype SAMPLE.
 
     Raises:
         UnusableInputError: more than half of the samples were lost.
-        CancelledError: ``cancelled`` returned true.
-        InstrumentError: as ``poll`` says.
+        CancelledError: ``cancelled`` returned True.
+        InstrumentError: see ``poll``.
     """
     wanted = round(seconds * instrument.device.sample_rate_hz)
     skip = round(_STALE_S * instrument.device.sample_rate_hz)

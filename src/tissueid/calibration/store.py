@@ -16,14 +16,14 @@ from tissueid.errors import UnusableInputError
 from tissueid.messages import Message
 
 VARIABLE = "TISSUEID_CALIBRATIONS"
-"""Environment variable that names another folder than the user's own."""
-_MOST_FILES = 5000
-"""Largest number of files in the folder."""
+"""Environment variable that names a calibration folder other than the user's own."""
+_MAX_FILES = 5000
+"""Maximum number of files in the folder."""
 
 
 @dataclass(frozen=True)
 class Stored:
-    """A calibration and its file. ``problem`` says why it cannot be read where ``calibration`` is None."""
+    """Calibration and its file. ``problem`` is the reason why ``calibration`` is None."""
 
     path: Path
     calibration: Calibration | None
@@ -31,15 +31,15 @@ class Stored:
 
     @property
     def made(self) -> datetime:
-        """Date of the calibration; the earliest date possible where it cannot be read."""
+        """Date of the calibration; the earliest possible date if it cannot be read."""
         return self.calibration.made if self.calibration else datetime.min.replace(tzinfo=UTC)
 
 
 def calibration_folder(given: Path | None = None) -> Path | None:
-    """Return the calibration folder: ``given``, else the one in the environment variable, else the user's own.
+    """Return the calibration folder: ``given``, else from the environment variable, else the user's own.
 
-    The current folder is never used: the active calibration must not depend on where a program starts. None where
-    there is no folder yet, because no instrument was calibrated on this account.
+    The current folder is never used: the active calibration must not depend on where a program is started. None if the
+    folder does not exist yet, because no instrument was calibrated on this account.
 
     Raises:
         UnusableInputError: the given or named folder does not exist.
@@ -52,22 +52,22 @@ def calibration_folder(given: Path | None = None) -> Path | None:
                 Message("calibration.no_folder", "there is no calibration folder {folder}", folder=str(chosen))
             )
         return chosen
-    own = own_folder()
+    own = user_calibration_folder()
     return own if own.is_dir() else None
 
 
-def own_folder() -> Path:
+def user_calibration_folder() -> Path:
     """Return the calibration folder in the user's data folder; it need not exist."""
     return platformdirs.user_data_path("tissueid") / "calibration_data"
 
 
-def made_folder(given: Path | None = None) -> Path:
-    """Return ``calibration_folder(given)``, created if there is none yet.
+def create_calibration_folder(given: Path | None = None) -> Path:
+    """Return ``calibration_folder(given)``, and create it if it does not exist yet.
 
     Raises:
         UnusableInputError: the given or named folder does not exist, or the user's own cannot be created.
     """
-    folder = calibration_folder(given) or own_folder()
+    folder = calibration_folder(given) or user_calibration_folder()
     try:
         folder.mkdir(mode=0o700, parents=True, exist_ok=True)
     except OSError as error:
@@ -83,7 +83,7 @@ def made_folder(given: Path | None = None) -> Path:
 
 
 def free_name(folder: Path, serial_number: str, kind: str, moment: datetime) -> Path:
-    """Return a path for a new calibration, named by instrument, kind and time, where no file is yet."""
+    """Return an unused path for a new calibration, named by instrument, kind and time."""
     name = f"{re.sub(r'[^A-Za-z0-9-]+', '-', serial_number).strip('-') or 'unknown'}-{kind}-{moment:%Y-%m-%d_%H-%M-%S}"
     suffixes = (".toml", ".html", ".h5")
     return unused_path(
@@ -93,8 +93,8 @@ def free_name(folder: Path, serial_number: str, kind: str, moment: datetime) -> 
     )
 
 
-def is_filed(path: Path) -> bool:
-    """Return whether ``path`` lies in the calibration folder, where every test finds it."""
+def is_in_calibration_folder(path: Path) -> bool:
+    """Return whether ``path`` is in the calibration folder, where tests look for calibrations."""
     try:
         folder = calibration_folder()
     except UnusableInputError:
@@ -103,7 +103,7 @@ def is_filed(path: Path) -> bool:
 
 
 def stored_calibrations(folder: Path | None) -> tuple[Stored, ...]:
-    """Return all TOML files of a folder, newest first; files that cannot be read have the reason as ``problem``.
+    """Return all TOML files of a folder, newest first; unreadable files have the reason as ``problem``.
 
     Raises:
         UnusableInputError: the folder cannot be read or has too many files.
@@ -121,14 +121,14 @@ def stored_calibrations(folder: Path | None) -> tuple[Stored, ...]:
                 reason=str(error.strerror),
             )
         ) from error
-    if len(files) > _MOST_FILES:
+    if len(files) > _MAX_FILES:
         raise UnusableInputError(
             Message(
                 "calibration.too_many",
                 "{folder} contains {count} calibrations; the limit is {limit}: move old ones to another folder",
                 folder=str(folder),
                 count=len(files),
-                limit=_MOST_FILES,
+                limit=_MAX_FILES,
             )
         )
     found = [_stored(path) for path in files]

@@ -1,4 +1,4 @@
-"""Range of motion: ends of the stroke and weight of the moving part, from gentle motion in free air."""
+"""Range of motion: ends of the stroke and weight of the moving part, from slow crossings in free air."""
 
 from __future__ import annotations
 
@@ -9,19 +9,19 @@ from numpy.typing import NDArray
 
 from tissueid.acquisition import play
 from tissueid.calibration.findings import Findings, column, quantity
-from tissueid.calibration.step_levels import Cancelled, Share
+from tissueid.calibration.step_levels import Cancelled, OnProgress
 from tissueid.device import DeviceDescription
 from tissueid.errors import UnusableInputError
 from tissueid.instrument import Instrument, Limits
 from tissueid.messages import Message, Quantity
 from tissueid.records import Estimate
 
-GENTLE_N = 2.0
-"""Largest force in free air, N: the probe may touch the ends of its stroke only gently."""
-BEYOND_M = 1.0e-3
+MAX_FREE_FORCE_N = 2.0
+"""Maximum force in free air, N, which limits the impact at the ends of the stroke."""
+STROKE_TOLERANCE_M = 1.0e-3
 """Distance of the position limits outside the nominal stroke, m."""
-PUSHES_N = (0.2, 0.4, 0.8)
-"""Forces in addition to the weight, N, tried in turn until the probe moves from end to end."""
+PUSH_FORCES_N = (0.2, 0.4, 0.8)
+"""Forces in addition to the weight, N, tried in order until the probe moves from end to end."""
 CROSSING_S = 1.8
 """Time for one crossing of the stroke, s."""
 RISE_S = 0.1
@@ -29,18 +29,18 @@ RISE_S = 0.1
 _ROUNDS = 2
 """Crossings in each direction."""
 _AT_END_S = 0.3
-"""Final part of a crossing, s, in which the probe must stand still."""
+"""Final part of a crossing, s, in which the probe must be at rest."""
 _STILL_M = 30e-6
 """Largest range of the position of a probe at rest, m."""
-_LEAST_STROKE = 0.5
-"""Least length of a crossing, as a share of the nominal stroke."""
-MOST_OFF = 0.06
+_MIN_STROKE = 0.5
+"""Minimum length of a crossing, relative to the nominal stroke."""
+MAX_STROKE_ERROR = 0.06
 """Largest relative difference of the stroke from the nominal one."""
 
 
 @dataclass(frozen=True)
 class Crossing:
-    """One crossing of the stroke: speed, m/s, and current, A, in its middle, and its end position, m."""
+    """One crossing of the stroke: speed, m/s, and current, A, at mid-stroke, and end position, m."""
 
     speed_m_per_s: float
     current_a: float
@@ -48,12 +48,12 @@ class Crossing:
     end_m: float
 
 
-def move_gently(
-    instrument: Instrument, gravity_m_s2: float, *, progress: Share = lambda _: None, cancelled: Cancelled
+def cross_stroke(
+    instrument: Instrument, gravity_m_s2: float, *, progress: OnProgress = lambda _: None, cancelled: Cancelled
 ) -> tuple[Crossing, ...]:
-    """Move the probe from end to end and back, twice, with as little force as possible; nothing is under it.
+    """Move the probe from end to end and back, twice, with the lowest sufficient force and nothing under it.
 
-    ``gravity_m_s2`` is gravity along the stroke, positive where it pulls the probe out.
+    ``gravity_m_s2`` is gravity along the stroke, positive if it pulls the probe out.
 
     Raises:
         UnusableInputError: the probe does not move freely.
@@ -61,9 +61,13 @@ def move_gently(
     """
     device = instrument.device
     weight = device.moving_mass_kg * gravity_m_s2
-    limits = Limits(max_force_n=GENTLE_N, min_position_m=-BEYOND_M, max_position_m=device.stroke_m + BEYOND_M)
-    for push in PUSHES_N:
-        if abs(weight) + push > GENTLE_N:
+    limits = Limits(
+        max_force_n=MAX_FREE_FORCE_N,
+        min_position_m=-STROKE_TOLERANCE_M,
+        max_position_m=device.stroke_m + STROKE_TOLERANCE_M,
+    )
+    for push in PUSH_FORCES_N:
+        if abs(weight) + push > MAX_FREE_FORCE_N:
             break
         forces = np.array([push - weight, *([-push - weight, push - weight] * _ROUNDS)])
         hold = round(CROSSING_S * device.sample_rate_hz)
@@ -91,13 +95,13 @@ def move_gently(
         Message(
             "calibration.stuck",
             "the probe does not move from end to end with {force:g} N: check that nothing is under it and nothing rubs",
-            force=GENTLE_N,
+            force=MAX_FREE_FORCE_N,
         )
     )
 
 
 def _crossing(samples: NDArray[np.void], device: DeviceDescription) -> Crossing | None:
-    """Return the crossing in these samples; None where the probe did not move from end to end."""
+    """Return the crossing in these samples; None if the probe did not move from end to end."""
     position = samples["position"]
     received = np.isfinite(position) & np.isfinite(samples["current"])
     late = position[-round(_AT_END_S * device.sample_rate_hz) :]
@@ -105,7 +109,7 @@ def _crossing(samples: NDArray[np.void], device: DeviceDescription) -> Crossing 
     if late.size < 10 or np.ptp(late) > _STILL_M:
         return None
     start, end = float(position[received][0]), float(late.mean())
-    if abs(end - start) < _LEAST_STROKE * device.stroke_m:
+    if abs(end - start) < _MIN_STROKE * device.stroke_m:
         return None
     share = (position - start) / (end - start)
     middle = received & (share > 0.25) & (share < 0.75)
@@ -117,11 +121,11 @@ def _crossing(samples: NDArray[np.void], device: DeviceDescription) -> Crossing 
     return Crossing(speed, float(current.mean()), float(current.std() / np.sqrt(current.size)), end)
 
 
-def carrying_current(crossings: tuple[Crossing, ...]) -> Estimate:
+def balancing_current(crossings: tuple[Crossing, ...]) -> Estimate:
     """Return the current, A, that balances the weight of the moving part.
 
-    Friction is equal in both directions, which are about equally fast: the currents of both, brought to equal speed,
-    are symmetric about the balancing current.
+    Friction is equal in both directions, and the speeds are similar: scaled to equal speed, the currents of both
+    directions are symmetric about the balancing current.
     """
     speed = np.array([crossing.speed_m_per_s for crossing in crossings])
     current = np.array([crossing.current_a for crossing in crossings])
@@ -145,11 +149,11 @@ def range_findings(
     """Return the ends of the stroke on the corrected position scale, and the weight of the moving part."""
     ends = np.array([(crossing.end_m - position_offset.value) / position_gain for crossing in crossings])
     low, high = ends[0::2], ends[1::2]
-    carrying = carrying_current(crossings)
+    carrying = balancing_current(crossings)
     unsure = (position_offset.std or 0.0) / position_gain
     length = float(high.mean() - low.mean())
     problems = []
-    if abs(length / device.stroke_m - 1.0) > MOST_OFF:
+    if abs(length / device.stroke_m - 1.0) > MAX_STROKE_ERROR:
         problems.append(
             Message(
                 "calibration.stroke",

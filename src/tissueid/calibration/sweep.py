@@ -1,8 +1,8 @@
-"""The dynamic sweep: a stochastic test on the calibration spring at positions along the stroke (Chen 2010, 2.4.1).
+"""Dynamic sweep: a stochastic test on the calibration spring at positions along the stroke (Chen 2010, 2.4.1).
 
-A gentle test at each position predicts the swing of the probe, and with it the largest excitation that keeps the probe
-away from the ends of its stroke. The mean load is zero: with a mean current, the slope of the force constant would act
-as an additional spring.
+A gentle test at each position predicts the swing of the probe, and thus the largest excitation that keeps it away from
+the ends of the stroke. The mean load is zero: with a mean current, the slope of the force constant would act as an
+additional spring.
 """
 
 from __future__ import annotations
@@ -16,8 +16,8 @@ import numpy as np
 from tissueid.acquisition import GuidedTest, Progress, SessionRecorder, run_guided_test
 from tissueid.acquisition.playback import never
 from tissueid.acquisition.surface_detection import Orientation, Placement, find_orientation
-from tissueid.calibration.step_levels import at_rest, mean
-from tissueid.calibration.sweep_amplitude import LEAST_SWING_M, gentle_answer, noise, room, strength
+from tissueid.calibration.step_levels import mean, rest_samples
+from tissueid.calibration.sweep_amplitude import MIN_SWING_M, gentle_test_model, max_swing, noise, noise_amplitude
 from tissueid.calibration.sweep_test import SweepTest
 from tissueid.device import GRAVITY_M_S2
 from tissueid.errors import CancelledError, FirmwareFaultError, LimitError, TissueIDError, UnusableInputError
@@ -36,26 +36,26 @@ _REST_S = 0.2
 _NEAR_M = 0.3e-3
 """Tolerance of the position that a motorised stage reaches, m."""
 _AT_END_M = 0.3e-3
-"""Distance from a position limit, m, within which the probe has reached it."""
-_MOST_SAG_M = 3.0e-3
-"""Largest extension of the spring by the weight of the coil, m."""
-_MOST_POSITIONS = 200
+"""Distance from a position limit, m, at which the probe counts as having reached it."""
+_MAX_SAG_M = 3.0e-3
+"""Maximum extension of the spring by the weight of the coil, m."""
+_MAX_POSITIONS = 200
 """Largest number of positions of a sweep."""
-_HALVED = 0.5
-"""Share of the amplitude of the second try."""
+_RETRY_SHARE = 0.5
+"""Amplitude of the second attempt relative to the first."""
 
-Bring = Callable[[float], None]
-"""Asks a person to move the spring until the probe stands at a position, m, and returns when it does."""
+MoveSpring = Callable[[float], None]
+"""Function that asks the operator to move the spring to a position, m, and returns when it is reached."""
 
 
 @dataclass(frozen=True, kw_only=True)
 class SweepPlan:
     """Positions, duration and amplitude of a sweep.
 
-    ``swing_m`` is the largest swing to either side, m; it is smaller near the ends of the stroke.
+    ``swing_m`` is the largest amplitude to either side, m; it is reduced near the ends of the stroke.
 
     Raises:
-        UnusableInputError: a value is out of its range.
+        UnusableInputError: a value is out of range.
     """
 
     from_m: float = 0.002
@@ -76,21 +76,21 @@ class SweepPlan:
             )
         if not 0.5e-3 <= self.step_m <= 5.0e-3:
             raise UnusableInputError(Message("sweep.step", "the step of a sweep must be 0.5 to 5 mm"))
-        if (self.to_m - self.from_m) / self.step_m > _MOST_POSITIONS:
+        if (self.to_m - self.from_m) / self.step_m > _MAX_POSITIONS:
             raise UnusableInputError(
                 Message(
                     "sweep.positions",
                     "a sweep may have at most {limit} positions: widen the step",
-                    limit=_MOST_POSITIONS,
+                    limit=_MAX_POSITIONS,
                 )
             )
         if not 1.0 <= self.seconds <= 20.0:
             raise UnusableInputError(Message("sweep.seconds", "each test of a sweep must last 1 to 20 s"))
         if not 1 <= self.repeats <= 100:
             raise UnusableInputError(Message("sweep.repeats", "the number of repeats of a sweep must be 1 to 100"))
-        if not LEAST_SWING_M <= self.swing_m <= 5.0e-3:
+        if not MIN_SWING_M <= self.swing_m <= 5.0e-3:
             raise UnusableInputError(
-                Message("sweep.swing", "the swing of a sweep must be {least:g} to 5 mm", least=1e3 * LEAST_SWING_M)
+                Message("sweep.swing", "the swing of a sweep must be {least:g} to 5 mm", least=1e3 * MIN_SWING_M)
             )
 
     @property
@@ -102,11 +102,10 @@ class SweepPlan:
 
 
 class Sweep:
-    """A sweep on one instrument, recorded into one session.
+    """Sweep on one instrument, recorded into one session.
 
-    ``remarks`` lists the positions that were left out, with the reason. ``has_stage`` is true until the instrument
-    reports that it has no stage. ``stage_m`` is the position of the stage; None where it was not moved or is back in
-    mid-stroke.
+    ``remarks`` lists the skipped positions with the reason. ``has_stage`` is true until the instrument reports that it
+    has no stage. ``stage_m`` is the position of the stage; None if it was not moved or is back in mid-stroke.
     """
 
     def __init__(
@@ -115,7 +114,7 @@ class Sweep:
         plan: SweepPlan,
         recorder: SessionRecorder,
         *,
-        bring: Bring | None = None,
+        bring: MoveSpring | None = None,
         progress: Callable[[float], None] = lambda _: None,
         cancelled: Callable[[], bool] = never,
     ) -> None:
@@ -136,11 +135,11 @@ class Sweep:
     def run(self) -> None:
         """Measure at all positions, upwards and, in the next repeat, downwards.
 
-        A motorised stage then returns to mid-stroke, also after a failure. After a cancellation nothing moves, and
-        ``stage_m`` is the position of the stage.
+        Afterwards, also after a failure, a motorised stage returns to mid-stroke. After a cancellation nothing moves,
+        and ``stage_m`` is the position of the stage.
 
         Raises:
-            UnusableInputError: there is neither a motorised stage nor a person to move the spring.
+            UnusableInputError: there is neither a motorised stage nor an operator to move the spring.
             CancelledError, LimitError, InstrumentError, JournalError: the coil is released; completed tests are kept.
         """
         try:
@@ -149,11 +148,11 @@ class Sweep:
             raise
         except Exception:
             with contextlib.suppress(TissueIDError):  # the first error is raised
-                self._go_back()
+                self._return_stage()
             raise
-        self._go_back()
+        self._return_stage()
 
-    def _go_back(self) -> None:
+    def _return_stage(self) -> None:
         """Move the stage to mid-stroke if it was moved."""
         if self.stage_m is None:
             return
@@ -173,12 +172,12 @@ class Sweep:
                 self._progress((done + 1) / total)
 
     def _measure(self, place_m: float, done: int, repeat: int, total: int) -> None:
-        """Measure at one position, or add a remark on why it was left out."""
+        """Measure at one position, or add a remark on why it was skipped."""
         at = Quantity(1e3 * place_m, "mm", 1)
         self._seen = (np.inf, -np.inf)
-        stage_m = self._go_to(place_m)
-        rest_m = mean(at_rest(self._instrument, _REST_S, cancelled=self._cancelled), "position")
-        if room(rest_m, self._plan.limits) < LEAST_SWING_M:
+        stage_m = self._move_to(place_m)
+        rest_m = mean(rest_samples(self._instrument, _REST_S, cancelled=self._cancelled), "position")
+        if max_swing(rest_m, self._plan.limits) < MIN_SWING_M:
             self._leave_out(
                 at,
                 Message(
@@ -190,11 +189,11 @@ class Sweep:
             return
 
         def shown(share: float, item: Progress) -> None:
-            self._watch(item)
+            self._update_range(item)
             self._progress((done + share * item.fraction) / total)
 
         try:
-            about_m, answer = gentle_answer(
+            about_m, answer = gentle_test_model(
                 self._instrument,
                 self._plan.limits,
                 self._plan.seed + done,
@@ -205,17 +204,17 @@ class Sweep:
             self._leave_out(at, error.message)
             return
         except (LimitError, FirmwareFaultError) as error:
-            self._end_was_hit(error)
+            self._clear_end_fault(error)
             self._leave_out(at, Message("sweep.gentle_end", "the gentle test reached an end of the stroke"))
             return
-        swing = min(self._plan.swing_m, room(about_m, self._plan.limits))
-        if swing < LEAST_SWING_M:
+        swing = min(self._plan.swing_m, max_swing(about_m, self._plan.limits))
+        if swing < MIN_SWING_M:
             self._leave_out(at, Message("sweep.no_room", "there is too little room for a swing"))
             return
         rate, seed = self._device.sample_rate_hz, self._plan.seed + done
         unit = noise(1.0, self._plan.seconds, seed, rate)
-        volts = strength(answer, unit, swing, self._device, self._plan.limits)
-        for share in (1.0, _HALVED):
+        volts = noise_amplitude(answer, unit, swing, self._device, self._plan.limits)
+        for share in (1.0, _RETRY_SHARE):
             notes: dict[str, str | float] = {"wanted_m": place_m, "sweep": float(repeat), "volts": share * volts}
             test = GuidedTest(
                 with_preload(noise(share * volts, self._plan.seconds, seed, rate), PRELOAD_S),
@@ -234,7 +233,7 @@ class Sweep:
                     cancelled=self._cancelled,
                 )
             except (LimitError, FirmwareFaultError) as error:
-                self._end_was_hit(error)
+                self._clear_end_fault(error)
                 continue
             return
         self._leave_out(
@@ -244,8 +243,8 @@ class Sweep:
     def _leave_out(self, at: Quantity, why: str) -> None:
         self.remarks.append(Message("sweep.left_out", "{position} was left out: {reason}", position=at, reason=why))
 
-    def _go_to(self, place_m: float) -> float | None:
-        """Bring the probe to a position; return that of the stage, None where a person moved the spring."""
+    def _move_to(self, place_m: float) -> float | None:
+        """Move the probe to a position; return that of the stage, None if the operator moved the spring."""
         self._orientation()  # reads on until the release ramp of the previous run is over
         if not self.has_stage:
             self._ask(place_m)
@@ -258,17 +257,17 @@ class Sweep:
                 return None
             self.stage_m = stage_m
             self._instrument.poll(0.0)  # discard the samples from while the stage was moving
-            stands = mean(at_rest(self._instrument, _REST_S, cancelled=self._cancelled), "position")
-            if abs(stands - place_m) <= _NEAR_M or abs(stands - stage_m) > _MOST_SAG_M:
+            stands = mean(rest_samples(self._instrument, _REST_S, cancelled=self._cancelled), "position")
+            if abs(stands - place_m) <= _NEAR_M or abs(stands - stage_m) > _MAX_SAG_M:
                 break
             self._sag_m = stands - stage_m
         return stage_m
 
     def _ask(self, place_m: float) -> None:
-        """Ask a person to move the spring.
+        """Ask the operator to move the spring.
 
         Raises:
-            UnusableInputError: no person is present.
+            UnusableInputError: there is no operator.
         """
         if self._bring is None:
             raise UnusableInputError(
@@ -283,7 +282,7 @@ class Sweep:
     def _orientation(self) -> Orientation:
         return find_orientation(self._instrument, self._cancelled)
 
-    def _watch(self, item: Progress) -> None:
+    def _update_range(self, item: Progress) -> None:
         """Update the range of positions of this run."""
         position = item.samples["position"]
         position = position[np.isfinite(position)]
@@ -291,7 +290,7 @@ class Sweep:
             low, high = self._seen
             self._seen = min(low, float(position.min())), max(high, float(position.max()))
 
-    def _end_was_hit(self, error: LimitError | FirmwareFaultError) -> None:
+    def _clear_end_fault(self, error: LimitError | FirmwareFaultError) -> None:
         """Clear the fault of a run that ended at an end of the stroke.
 
         Raises:
@@ -312,7 +311,7 @@ def sweep_tests(session: Session) -> list[SweepTest]:
     """Return the completed tests of a sweep in a session.
 
     Raises:
-        UnusableInputError: there is none.
+        UnusableInputError: there are none.
     """
     found = [SweepTest.of_session(test) for test in session.tests if test.kind == KIND and test.status == "completed"]
     if not found:

@@ -20,19 +20,19 @@ from tissueid.stimuli import Stimulus
 from tissueid.stimuli.kinds.noise import Noise
 
 GENTLE_V = 3.0
-"""Largest voltage of the gentle test, V: a swing of some tenths of a millimetre."""
+"""Maximum voltage of the gentle test, V: a swing of some tenths of a millimetre."""
 GENTLE_S = 1.0
 """Duration of the gentle test, s."""
 REST_S = 0.1
 """Time at 0 V before the gentle test, s: longer than the soft start of the device."""
-END_MARGIN_M = 0.5e-3
-"""Distance of the swing from the limits of the stroke, m: the error of a linear prediction."""
-LEAST_SWING_M = 0.3e-3
-"""Least swing to either side of a position that is measured, m."""
-CAUTION = 0.9
-"""Share of the room, of the force limit and of the amplifier range that is used."""
-_LEAST_VAF = 0.5
-"""Least variance accounted for by a linear model of the gentle test, relative."""
+STROKE_MARGIN_M = 0.5e-3
+"""Distance of the swing from the stroke limits, m: the error of a linear prediction."""
+MIN_SWING_M = 0.3e-3
+"""Minimum swing to either side at a position that is measured, m."""
+USED_SHARE = 0.9
+"""Share of the available swing, force limit and amplifier range that is used."""
+_MIN_VAF = 0.5
+"""Minimum relative variance accounted for by a linear model of the gentle test."""
 
 
 def noise(volts: float, seconds: float, seed: int, sample_rate_hz: float) -> Stimulus:
@@ -41,7 +41,7 @@ def noise(volts: float, seconds: float, seed: int, sample_rate_hz: float) -> Sti
     return Noise(**ends, seconds=seconds, seed=seed, sample_rate=sample_rate_hz).build()
 
 
-def gentle_answer(
+def gentle_test_model(
     instrument: Instrument,
     limits: Limits,
     seed: int,
@@ -51,7 +51,7 @@ def gentle_answer(
     """Run a gentle test; return the mean position, m, and a second-order model from voltage to position.
 
     Raises:
-        UnusableInputError: the probe does not respond: the spring is not fixed, or something holds the coil.
+        UnusableInputError: the probe does not respond: the spring is not fixed, or the coil is blocked.
         CancelledError, LimitError, InstrumentError: the coil is released.
     """
     rate = instrument.device.sample_rate_hz
@@ -70,7 +70,7 @@ def gentle_answer(
     volts[place], position[place] = samples["voltage"], samples["position"]
     record = held_record(volts[quiet:], position[quiet:], rate, "V")
     model = run_while_polling(instrument, lambda: Lms(memory=MEMORY_S, hold="zero-order").fit(record), cancelled)
-    if not model.second_order.vaf_percent >= 100.0 * _LEAST_VAF:
+    if not model.second_order.vaf_percent >= 100.0 * _MIN_VAF:
         raise UnusableInputError(
             Message(
                 "sweep.no_response",
@@ -80,19 +80,19 @@ def gentle_answer(
     return float(np.nanmean(position)), model.second_order
 
 
-def strength(
+def noise_amplitude(
     answer: SecondOrderFit, stimulus: Stimulus, room_m: float, device: DeviceDescription, limits: Limits
 ) -> float:
-    """Return the factor, V, for a stimulus of one volt with which the probe swings by at most ``room_m``."""
+    """Return the factor, V, for a stimulus of one volt at which the probe swings by at most ``room_m``."""
     every = max(1, round(stimulus.sample_rate_hz / RATE_HZ))
     held = stimulus.values[: stimulus.values.size // every * every].reshape(-1, every).mean(axis=1)
     peak = float(np.max(np.abs(answer.simulate(held))))
     strongest = min(
         limits.max_force_n * device.voltage_for_force(1.0), device.amplifier_limit_v / device.amplifier_gain
     )
-    return CAUTION * min(room_m / peak, strongest)
+    return USED_SHARE * min(room_m / peak, strongest)
 
 
-def room(position_m: float, limits: Limits) -> float:
-    """Return the largest swing to either side of a position, m; negative too near an end of the stroke."""
-    return min(position_m - limits.min_position_m, limits.max_position_m - position_m) - END_MARGIN_M
+def max_swing(position_m: float, limits: Limits) -> float:
+    """Return the largest swing to either side of a position, m; negative if too close to an end of the stroke."""
+    return min(position_m - limits.min_position_m, limits.max_position_m - position_m) - STROKE_MARGIN_M

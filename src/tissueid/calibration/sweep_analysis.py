@@ -12,10 +12,10 @@ from tissueid.calibration.file import Calibration, Quantity, utc_date
 from tissueid.calibration.findings import quantity
 from tissueid.calibration.flux import FluxFit, fit_flux
 from tissueid.calibration.force_balance import BalanceFit, fit_balance
-from tissueid.calibration.force_constant_profile import ForceConstant, LinearRegion, combined, linear_region
-from tissueid.calibration.plausibility import IMPLAUSIBLE, implausible
+from tissueid.calibration.force_constant_profile import ForceConstant, LinearRegion, combine_profiles, linear_region
+from tissueid.calibration.plausibility import IMPLAUSIBLE, first_implausible
 from tissueid.calibration.scale_agreement import ELECTRICAL_STD, Agreement, compare
-from tissueid.calibration.spline_basis import LEAST_SPACING_M, SplineBasis
+from tissueid.calibration.spline_basis import MIN_SPACING_M, SplineBasis
 from tissueid.calibration.spring_points import SpringPoint, identify_point
 from tissueid.calibration.sweep_test import SweepTest
 from tissueid.device import DeviceDescription
@@ -25,14 +25,14 @@ from tissueid.messages import Message
 from tissueid.messages import Quantity as ShownQuantity
 from tissueid.records import Estimate
 
-LEAST_POSITIONS = 5
-"""Least number of positions of a sweep."""
-LEAST_WIDTH_M = 0.010
-"""Least width of a linear region that tests on tissue can use, m."""
+MIN_POSITIONS = 5
+"""Minimum number of positions of a sweep."""
+MIN_WIDTH_M = 0.010
+"""Minimum width of a linear region that is usable for tests on tissue, m."""
 SPRING_LOSS_N_S_PER_M = 0.1
 """Possible damping of a steel spring, N s/m, which cannot be separated from that of the bearing."""
-_APART_M = 5e-4
-"""Least distance of two positions, m; nearer tests are repeats at one position."""
+_MIN_SPACING_M = 5e-4
+"""Minimum distance of two positions, m; closer tests are repeats at one position."""
 _NAMES = {"model": marked("model"), "serial_number": marked("serial number")}
 _POSITIVE = (
     "coil_resistance_ohm",
@@ -42,19 +42,19 @@ _POSITIVE = (
     "bearing_damping_n_s_per_m",
     "stroke_m",
 )
-"""Figures of a device to which those of the sweep are compared."""
+"""Device properties with which the sweep is compared; all must be positive."""
 
 
 @dataclass(frozen=True)
-class SweptSpring(Spring):
-    """The calibration spring with its mass, a third of which moves with the coil."""
+class SpringMass(Spring):
+    """Mass of the calibration spring, a third of which moves with the coil."""
 
     mass_kg: float = 0.018
     mass_std_kg: float = 0.003
 
     @property
     def moving_kg(self) -> Estimate:
-        """Share of the spring in the moving mass, kg."""
+        """Part of the spring mass in the moving mass, kg."""
         return Estimate(self.mass_kg / 3.0, self.mass_std_kg / 3.0)
 
 
@@ -62,12 +62,12 @@ class SweptSpring(Spring):
 class SweepResult:
     """Result of a sweep.
 
-    ``points`` are in the order of their positions. ``moving_mass_kg`` excludes the share of the spring. ``repeats`` has
-    the result of each repeat alone, where that is sufficient for an analysis.
+    ``points`` are in the order of their positions. ``moving_mass_kg`` excludes the moving part of the spring.
+    ``repeats`` has the result of each repeat alone, if sufficient for an analysis.
     """
 
     device: DeviceDescription
-    spring: SweptSpring
+    spring: SpringMass
     points: tuple[SpringPoint, ...]
     flux: FluxFit
     balance: BalanceFit
@@ -99,7 +99,7 @@ class SweepResult:
 def analyse_sweep(
     tests: Sequence[SweepTest],
     device: DeviceDescription,
-    spring: SweptSpring | None = None,
+    spring: SpringMass | None = None,
     *,
     electrical_std: float = ELECTRICAL_STD,
     remarks: Sequence[str] = (),
@@ -108,15 +108,15 @@ def analyse_sweep(
 
     Args:
         tests: at all positions, of all repeats.
-        device: that was swept.
+        device: device of the sweep.
         spring: calibration spring; that of the device by default.
-        electrical_std: relative standard deviation of the scale of voltage over position.
-        remarks: on the measurement, such as positions that were left out. Repeats that are insufficient for an analysis
-            of their own are added.
+        electrical_std: relative standard deviation of the ratio of voltage and position scales.
+        remarks: on the measurement, such as skipped positions. Repeats that are insufficient for an analysis of their
+            own are added.
 
     Raises:
         UnusableInputError: too few positions, or not over the middle half of the stroke; different sample rates; an
-            impossible figure of the device; or tests that do not determine the coil.
+            implausible device property; or tests that do not determine the coil.
     """
     _check(device)
     if len(rates := sorted({test.sample_rate_hz for test in tests})) > 1:
@@ -143,40 +143,40 @@ def analyse_sweep(
 def _analysed(
     tests: Sequence[SweepTest],
     device: DeviceDescription,
-    spring: SweptSpring | None,
+    spring: SpringMass | None,
     electrical_std: float,
     remarks: Sequence[str],
 ) -> SweepResult:
-    spring = spring or SweptSpring(device.calibration_spring_n_per_m, device.calibration_relative_uncertainty)
+    spring = spring or SpringMass(device.calibration_spring_n_per_m, device.calibration_relative_uncertainty)
     tests = sorted(tests, key=lambda test: test.mean_position_m)
     places = _places(tests)
-    if len(places) < LEAST_POSITIONS:
+    if len(places) < MIN_POSITIONS:
         raise UnusableInputError(
             Message(
                 "sweep.too_few",
                 "a sweep needs at least {least} positions, but {count} could be measured: read the notes on the "
                 "others, "
                 "and repeat the sweep",
-                least=LEAST_POSITIONS,
+                least=MIN_POSITIONS,
                 count=len(places),
             )
         )
-    spacing = max(LEAST_SPACING_M, float(np.median(np.diff(places))))
+    spacing = max(MIN_SPACING_M, float(np.median(np.diff(places))))
     basis = SplineBasis.covering([test.position for test in tests], spacing)
     flux = fit_flux(tests, basis)
     balance = fit_balance(tests, flux, spring.stiffness_n_per_m)
     points = tuple(
         identify_point(test, current, device) for test, current in zip(tests, flux.mean_currents, strict=True)
     )
-    profile = combined(flux, balance, electrical_std, spring.relative_std)
+    profile = combine_profiles(flux, balance, electrical_std, spring.relative_std)
     region = linear_region(profile, points, device.stroke_m)
     agreement = compare(flux, balance, points, device, electrical_std, spring.relative_std)
-    # The balance is for a spring of exactly that stiffness; the combined force constant rescales mass and damping.
+    # The balance assumes the exact spring stiffness; the combined force constant rescales mass and damping.
     within = np.linspace(region.min_m.value, region.max_m.value, 101)
     share = float(np.mean(profile.at(within)) / np.mean(basis.values(within) @ balance.coefficients))
     scale_std = (region.plateau_n_per_a.std or 0.0) / abs(region.plateau_n_per_a.value)
-    mass = _scaled(balance.mass_kg, share, scale_std)
-    damping = _scaled(balance.damping_n_s_per_m, share, scale_std)
+    mass = _with_relative_std(balance.mass_kg, share, scale_std)
+    damping = _with_relative_std(balance.damping_n_s_per_m, share, scale_std)
     own = spring.moving_kg
     result = SweepResult(
         device=device,
@@ -197,10 +197,10 @@ def _analysed(
 
 
 def _check(device: DeviceDescription) -> None:
-    """Raise for a device to which a sweep cannot be compared, or whose calibration could not be stored.
+    """Raise for a device whose sweep could not be analysed or stored.
 
     Raises:
-        UnusableInputError: names the wrong figure.
+        UnusableInputError: names the invalid property.
     """
     for name in ("model", "serial_number"):
         text = getattr(device, name)
@@ -228,7 +228,7 @@ def _check(device: DeviceDescription) -> None:
 
 
 def _nominal(device: DeviceDescription) -> DeviceDescription:
-    """Return the device with its nominal figures in place of calibrated ones."""
+    """Return the device with its nominal instead of calibrated values."""
 
     def nominal(name: str) -> float:
         value = device.calibration.get(f"nominal_{name}", getattr(device, name))
@@ -245,9 +245,9 @@ def _nominal(device: DeviceDescription) -> DeviceDescription:
 
 
 def _repeats(
-    tests: Sequence[SweepTest], device: DeviceDescription, spring: SweptSpring, electrical_std: float
+    tests: Sequence[SweepTest], device: DeviceDescription, spring: SpringMass, electrical_std: float
 ) -> tuple[tuple[SweepResult, ...], tuple[str, ...]]:
-    """Return the result of each repeat alone, and remarks on those that are insufficient."""
+    """Return the result of each repeat alone, and remarks on insufficient repeats."""
     results, weak = [], []
     runs = sorted({test.sweep for test in tests})
     for run in runs if len(runs) > 1 else ():
@@ -268,7 +268,7 @@ def _repeats(
 
 
 def quantities_of(result: SweepResult) -> dict[str, Quantity]:
-    """Return the quantities of the calibration of a sweep."""
+    """Return the quantities of a sweep as stored in its calibration."""
     region, agreement = result.region, result.agreement
     resistances = np.array([found.value for found in result.flux.resistance_ohm])
     found = {
@@ -292,18 +292,18 @@ def _places(tests: Sequence[SweepTest]) -> list[float]:
     """Return the mean positions of tests in rising order, m; repeats at one position count once."""
     places: list[float] = []
     for test in tests:
-        if not places or test.mean_position_m - places[-1] > _APART_M:
+        if not places or test.mean_position_m - places[-1] > _MIN_SPACING_M:
             places.append(test.mean_position_m)
     return places
 
 
-def _scaled(found: Estimate, share: float, relative_std: float) -> Estimate:
+def _with_relative_std(found: Estimate, share: float, relative_std: float) -> Estimate:
     value = share * found.value
     return Estimate(value, float(np.hypot(share * (found.std or 0.0), relative_std * value)))
 
 
 def _problems(result: SweepResult) -> tuple[str, ...]:
-    """Return the reasons against using the sweep."""
+    """Return the reasons for rejecting the sweep."""
     problems: list[str] = []
     nominal = _nominal(result.device).force_constant_n_per_a
     plateau = result.region.plateau_n_per_a.value
@@ -318,13 +318,13 @@ def _problems(result: SweepResult) -> tuple[str, ...]:
                 nominal=nominal,
             )
         )
-    if result.region.width_m < LEAST_WIDTH_M:
+    if result.region.width_m < MIN_WIDTH_M:
         problems.append(
             Message(
                 "sweep.narrow",
                 "the linear region is only {width} wide; at least {least} are needed",
                 width=ShownQuantity(1e3 * result.region.width_m, "mm", 1),
-                least=ShownQuantity(1e3 * LEAST_WIDTH_M, "mm"),
+                least=ShownQuantity(1e3 * MIN_WIDTH_M, "mm"),
             )
         )
     share = result.agreement.resistance.value
@@ -353,7 +353,7 @@ def _problems(result: SweepResult) -> tuple[str, ...]:
     if result.agreement.cause is not None:
         problems.append(result.agreement.words)
     others = {name: found for name, found in quantities_of(result).items() if name != "force_constant_n_per_a"}
-    if strange := implausible(_draft(result.device, others), _nominal(result.device)):
+    if strange := first_implausible(_quantities_only(result.device, others), _nominal(result.device)):
         problems.append(
             Message(
                 "sweep.implausible",
@@ -364,8 +364,8 @@ def _problems(result: SweepResult) -> tuple[str, ...]:
     return tuple(problems)
 
 
-def _draft(device: DeviceDescription, quantities: dict[str, Quantity]) -> Calibration:
-    """Return a calibration that consists of quantities alone, for the check of their plausibility."""
+def _quantities_only(device: DeviceDescription, quantities: dict[str, Quantity]) -> Calibration:
+    """Return a calibration with quantities only, for the plausibility check."""
     return Calibration(
         kind="sweep",
         model=device.model,

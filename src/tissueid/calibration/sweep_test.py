@@ -1,4 +1,4 @@
-"""One test of a sweep: readings while the coil shook the calibration spring about one position."""
+"""One test of a sweep: readings of a stochastic test on the calibration spring at one position."""
 
 from __future__ import annotations
 
@@ -14,25 +14,25 @@ from tissueid.sessions import Test
 
 Array = NDArray[np.float64]
 
-LEAST_S, MOST_S = 0.5, 60.0
+MIN_SECONDS, MAX_SECONDS = 0.5, 60.0
 """Shortest and longest test, s."""
-LOWEST_RATE_HZ, HIGHEST_RATE_HZ = 1000.0, 20_000.0
+MIN_RATE_HZ, MAX_RATE_HZ = 1000.0, 20_000.0
 """Sample rates, Hz: lower ones do not resolve coil and filter, higher ones only need more memory."""
-_LARGEST = {"voltage": 1e3, "current": 1e2, "position": 0.2}
-"""Largest readings that an instrument gives, V, A and m."""
-_MOST_SWEEPS = 100
-"""Largest number of repeats of a sweep."""
+_MAX_READING = {"voltage": 1e3, "current": 1e2, "position": 0.2}
+"""Largest plausible readings, V, A and m."""
+_MAX_SWEEPS = 100
+"""Maximum number of repeats of a sweep."""
 
 
 @dataclass(frozen=True, eq=False)
 class SweepTest:
     """Readings (n,) of voltage, V, current, A, and position, m; NaN where a sample was not received.
 
-    ``stage_m`` is the position of a motorised stage, NaN without one; ``rest_m`` that of the probe there with the coil
-    free; ``sweep`` counts the repeats of the whole sweep from 0. Infinity is taken for NaN.
+    ``stage_m`` is the position of a motorised stage, NaN without one; ``rest_m`` the position of the probe there with
+    the coil free; ``sweep`` counts the repeats of the whole sweep from 0. Infinite values are replaced by NaN.
 
     Raises:
-        UnusableInputError: readings that are impossible, constant or mostly missing.
+        UnusableInputError: readings that are implausible, constant or mostly missing.
     """
 
     voltage: Array
@@ -44,17 +44,17 @@ class SweepTest:
     sweep: int = 0
 
     def __post_init__(self) -> None:
-        if not LOWEST_RATE_HZ <= self.sample_rate_hz <= HIGHEST_RATE_HZ:
+        if not MIN_RATE_HZ <= self.sample_rate_hz <= MAX_RATE_HZ:
             raise UnusableInputError(
                 Message(
                     "sweep.sample_rate",
                     "the sample rate of a sweep must be {lowest:g} to {highest:g} Hz, not {rate:g} Hz",
-                    lowest=LOWEST_RATE_HZ,
-                    highest=HIGHEST_RATE_HZ,
+                    lowest=MIN_RATE_HZ,
+                    highest=MAX_RATE_HZ,
                     rate=self.sample_rate_hz,
                 )
             )
-        for name, largest in _LARGEST.items():
+        for name, largest in _MAX_READING.items():
             values = np.asarray(getattr(self, name), dtype=np.float64)
             values = np.where(np.isinf(values), np.nan, values)
             if values.shape != (self.position.size,):
@@ -72,13 +72,13 @@ class SweepTest:
                     )
                 )
             object.__setattr__(self, name, values)
-        if not LEAST_S <= self.position.size / self.sample_rate_hz <= MOST_S:
+        if not MIN_SECONDS <= self.position.size / self.sample_rate_hz <= MAX_SECONDS:
             raise UnusableInputError(
                 Message(
                     "sweep.length",
                     "a test of a sweep must last {least:g} to {most:g} s, not {seconds:.3g} s",
-                    least=LEAST_S,
-                    most=MOST_S,
+                    least=MIN_SECONDS,
+                    most=MAX_SECONDS,
                     seconds=self.position.size / self.sample_rate_hz,
                 )
             )
@@ -87,7 +87,7 @@ class SweepTest:
             raise UnusableInputError(
                 Message("sweep.lost", "most samples of a test were lost: check the cable and repeat the sweep")
             )
-        for name in _LARGEST:
+        for name in _MAX_READING:
             if not np.ptp(getattr(self, name)[received]) > 0.0:
                 raise UnusableInputError(
                     Message("sweep.constant", "the {channel} does not change during a test", channel=CHANNELS[name])
@@ -98,21 +98,21 @@ class SweepTest:
         """Return a test of a session without its preload.
 
         Raises:
-            UnusableInputError: a signal is missing or impossible; names the test.
+            UnusableInputError: a signal is missing or implausible; names the test.
         """
         preload = test.preload_s * test.sample_rate_hz
         first = round(min(preload, test.samples)) if preload > 0.0 else 0
-        if missing := [name for name in _LARGEST if name not in test.signals]:
+        if missing := [name for name in _MAX_READING if name not in test.signals]:
             raise _of_test(
                 test,
                 Message("sweep.no_channel", "it has no {channel}, which a sweep needs", channel=CHANNELS[missing[0]]),
             )
         stage, sweep = test.notes.get("stage_m"), test.notes.get("sweep", 0.0)
-        if not (isinstance(sweep, float | int) and 0 <= sweep < _MOST_SWEEPS and sweep == int(sweep)):
+        if not (isinstance(sweep, float | int) and 0 <= sweep < _MAX_SWEEPS and sweep == int(sweep)):
             raise _of_test(test, Message("sweep.number", "its number of the sweep, {sweep}, is not valid", sweep=sweep))
         try:
             return cls(
-                **{name: test.signals[name][first:] for name in _LARGEST},
+                **{name: test.signals[name][first:] for name in _MAX_READING},
                 sample_rate_hz=test.sample_rate_hz,
                 stage_m=float(stage) if isinstance(stage, float | int) and abs(stage) <= 1.0 else float("nan"),
                 rest_m=test.surface_position_m,
@@ -128,7 +128,7 @@ class SweepTest:
 
     @property
     def swing_m(self) -> float:
-        """Root mean square of the position about its mean, m."""
+        """RMS of the position about its mean, m."""
         return float(np.nanstd(self.position))
 
 

@@ -9,9 +9,9 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from tissueid.audit import AuditTrail
-from tissueid.calibration.file import Calibration, check_writable, keep_calibration
+from tissueid.calibration.file import Calibration, check_writable, save_calibration
 from tissueid.calibration.labels import notes_of
-from tissueid.calibration.store import free_name, made_folder
+from tissueid.calibration.store import create_calibration_folder, free_name
 from tissueid.device import DeviceDescription
 from tissueid.errors import UnusableInputError
 from tissueid.messages import Message
@@ -56,7 +56,7 @@ def check_files(plan: CalibrationPlan) -> None:
     """
     check_different(*plan.outputs)
     if plan.out is None:
-        made_folder(plan.folder)
+        create_calibration_folder(plan.folder)
     else:
         check_writable(plan.out)
         if plan.out.exists() and not plan.overwrite:
@@ -74,7 +74,7 @@ def check_files(plan: CalibrationPlan) -> None:
 
 def calibration_path(plan: CalibrationPlan, serial_number: str, now: Callable[[], datetime]) -> Path:
     """Return the file of the calibration: the named one, or a new one in the calibration folder."""
-    return plan.out or free_name(made_folder(plan.folder), serial_number, plan.kind, now())
+    return plan.out or free_name(create_calibration_folder(plan.folder), serial_number, plan.kind, now())
 
 
 def keep(
@@ -98,7 +98,7 @@ def keep(
     if trail.head:
         with_head = calibration.conditions | {"audit_head": trail.head}
         calibration = calibration.model_copy(update={"conditions": with_head})
-    path = keep_calibration(path, calibration, overwrite=plan.overwrite)
+    path = save_calibration(path, calibration, overwrite=plan.overwrite)
     made = {"kind": plan.kind, "file": path.name, "verdict": calibration.verdict}
     audit_note(trail, control, "calibration.made", subject=calibration.serial_number, new=made)
     report = path.with_suffix(".html") if plan.all_files else plan.report

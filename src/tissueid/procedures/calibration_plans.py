@@ -14,7 +14,7 @@ from tissueid.procedures.plan_options import Option, Plan
 if TYPE_CHECKING:
     from tissueid.calibration.static_procedure import StaticPlan
     from tissueid.calibration.sweep import SweepPlan
-    from tissueid.calibration.sweep_analysis import SweptSpring
+    from tissueid.calibration.sweep_analysis import SpringMass
     from tissueid.device import DeviceDescription
 
 Kind = Literal["static", "sweep"]
@@ -175,15 +175,15 @@ class DynamicSweepPlan(CalibrationPlan):
             seed=self.seed,
         )
 
-    def spring(self, device: DeviceDescription) -> SweptSpring:
+    def spring(self, device: DeviceDescription) -> SpringMass:
         """Return the calibration spring.
 
         Raises:
             UnusableInputError: a value is out of bounds.
         """
-        from tissueid.calibration.sweep_analysis import SweptSpring
+        from tissueid.calibration.sweep_analysis import SpringMass
 
-        spring = SweptSpring(*self._stiffness(device), self.spring_kg)
+        spring = SpringMass(*self._stiffness(device), self.spring_kg)
         spring.check()
         if not 0.0 <= self.spring_kg <= _MOST_SPRING_KG:
             raise UnusableInputError(

@@ -12,8 +12,8 @@ from pathlib import Path
 
 from tissueid.acquisition import SessionRecorder
 from tissueid.audit import AuditTrail
-from tissueid.calibration.active import go_by_static, static_conditions
-from tissueid.calibration.manual_positioning import Standing, wait_until_there
+from tissueid.calibration.active import static_conditions, use_static_calibration
+from tissueid.calibration.manual_positioning import ProbePosition, wait_for_position
 from tissueid.calibration.sweep import Sweep, sweep_tests
 from tissueid.calibration.sweep_analysis import analyse_sweep
 from tissueid.calibration.sweep_file import as_calibration
@@ -150,7 +150,7 @@ def _record(
         control.check()
         device = instrument.device
         path = calibration_path(plan, device.serial_number, now)
-        conditions = go_by_static(instrument, plan.folder)
+        conditions = use_static_calibration(instrument, plan.folder)
         trail.record("calibration.begun", subject=device.serial_number, new=plan.kind)
         wanted = path.with_suffix(".h5") if plan.all_files else plan.session
         with (
@@ -222,9 +222,9 @@ def _bring(instrument: Instrument, position_m: float, control: Control) -> None:
         )
     )
 
-    def show(standing: Standing) -> None:
+    def show(standing: ProbePosition) -> None:
         position_mm, off_mm = 1e3 * standing.position_m, 1e3 * (standing.position_m - position_m)
-        if standing.there:
+        if standing.in_place:
             step = Message("calibration.probe_there", "The probe stands at {position:.2f} mm.", position=position_mm)
         elif off_mm < 0:
             step = Message(
@@ -242,5 +242,5 @@ def _bring(instrument: Instrument, position_m: float, control: Control) -> None:
             )
         control.progress(None, step)
 
-    wait_until_there(instrument, position_m, show, control.check)
+    wait_for_position(instrument, position_m, show, control.check)
     control.instruct("")

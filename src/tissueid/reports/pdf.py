@@ -15,7 +15,7 @@ from matplotlib.figure import Figure
 
 from tissueid.analysis import Analysis
 from tissueid.atomic_write import atomic_file
-from tissueid.calibration.active import in_words
+from tissueid.calibration.active import calibration_summary
 from tissueid.device import SIMULATED_LINE
 from tissueid.errors import UnusableInputError
 from tissueid.formatting import clean, subject_text
@@ -201,7 +201,7 @@ def _heading(paper: _PageWriter, session: Session, test: Test) -> None:
         (_("Subject"), subject_text(session.subject.pseudonym)),
         (_("Date"), readable_date(session.created)),
         (_("Instrument"), f"{device.model}, {device.serial_number}"),
-        (_("Calibration"), report_text(in_words(device))),
+        (_("Calibration"), report_text(calibration_summary(device))),
         (_("Test"), settings),
         (_("Session"), session.session_id),
     )

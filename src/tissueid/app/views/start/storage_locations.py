@@ -7,7 +7,7 @@ from PySide6.QtCore import QSettings
 
 from tissueid.app.services import AppServices
 from tissueid.app.words import in_words
-from tissueid.calibration.store import calibration_folder, own_folder
+from tissueid.calibration.store import calibration_folder, user_calibration_folder
 from tissueid.errors import TissueIDError
 from tissueid.language import _
 
@@ -15,7 +15,7 @@ from tissueid.language import _
 def storage_locations(services: AppServices, settings: QSettings) -> list[tuple[str, str]]:
     """Return the label and location of each kind of stored data."""
     try:
-        calibrations = str(services.calibrations or calibration_folder() or own_folder())
+        calibrations = str(services.calibrations or calibration_folder() or user_calibration_folder())
     except TissueIDError as error:
         calibrations = in_words(error)
     return [

@@ -8,8 +8,8 @@ from datetime import datetime
 from pathlib import Path
 
 from tissueid.app.words import sentence
-from tissueid.calibration.active import put_in_force
-from tissueid.calibration.status import age_of, judged
+from tissueid.calibration.active import apply_calibrations
+from tissueid.calibration.status import file_status, status_for_device
 from tissueid.calibration.store import Stored
 from tissueid.device import DeviceDescription
 from tissueid.formatting import clean
@@ -44,7 +44,7 @@ def rows_of(stored: Sequence[Stored], nominal: DeviceDescription | None, now: da
     """Rows in the order of ``stored``. ``nominal`` is what was asked; without it each is judged by its age alone."""
     if nominal is None:
         return tuple(_row(item, None, frozenset(), frozenset(), now) for item in stored)
-    known = put_in_force(nominal, stored, now).calibration
+    known = apply_calibrations(nominal, stored, now).calibration
     named = frozenset(str(known[name]) for name in ("static_file", "sweep_file") if name in known)
     sources = frozenset(_sources(stored, nominal, now))
     return tuple(_row(item, nominal, named, sources, now) for item in stored)
@@ -68,10 +68,10 @@ def _row(
     age = _("in the future") if days < -1.0 else _("today") if days < 1.0 else _("{days:.0f} days").format(days=days)
     date = calibration.date[:10]
     if nominal is None:
-        found = age_of(item, now)
+        found = file_status(item, now)
         force, level = _said(translated(found.words)), "" if found.state == "valid" else "check"
     else:
-        state, why = judged(item, nominal, now)
+        state, why = status_for_device(item, nominal, now)
         reason = translated(why)
         usable = state in ("valid", "stale")
         if usable and item.path.name in named:
@@ -93,7 +93,7 @@ def _row(
 
 def _sources(stored: Sequence[Stored], nominal: DeviceDescription, now: datetime) -> set[Path]:
     """The static calibrations of which a figure is in force: the newest good one that holds it, else a stale one."""
-    usable = [(judged(item, nominal, now)[0], item) for item in stored]
+    usable = [(status_for_device(item, nominal, now)[0], item) for item in stored]
     statics = [
         (state == "stale", item, item.calibration)
         for state, item in usable
@@ -104,7 +104,7 @@ def _sources(stored: Sequence[Stored], nominal: DeviceDescription, now: datetime
     for _stale, item, calibration in statics:
         for name in calibration.quantities:
             source.setdefault(name, item.path)
-    known = put_in_force(nominal, stored, now).calibration
+    known = apply_calibrations(nominal, stored, now).calibration
     return {path for name, path in source.items() if name in known}
 
 

@@ -16,12 +16,12 @@ from tissueid.app.theme import Theme
 from tissueid.app.views.technician.pieces import PiecesModel, table_of
 from tissueid.app.views.technician.tab import mark_level, plain_label
 from tissueid.calibration.comparison import (
-    DEVIATIONS,
+    SIGNIFICANT_STD,
     Comparison,
     Difference,
-    along,
     compare_sweeps,
     linear_region,
+    profile_of,
 )
 from tissueid.calibration.file import Calibration, Quantity
 from tissueid.calibration.labels import label_of
@@ -68,7 +68,7 @@ class AlongCard(PlotCard):
         tops: list[np.ndarray] = []
         places: list[np.ndarray] = []
         for number, sweep in enumerate(sweeps[:MOST]):
-            profile = along(sweep, self._name)
+            profile = profile_of(sweep, self._name)
             if profile is None:
                 continue
             x, y = _MM * profile.position_m, self._scale * profile.value
@@ -278,7 +278,7 @@ def _cell(row: Difference | tuple[str, Quantity], column: int) -> str:
 
 def _sizes(row: Difference, scale: float) -> tuple[str, str]:
     """A difference and what it is not known better than, as shares where the figure has a scale."""
-    known = None if row.uncertainty is None else DEVIATIONS * row.uncertainty
+    known = None if row.uncertainty is None else SIGNIFICANT_STD * row.uncertainty
     if np.isfinite(row.relative):
         share = None if known is None else 100.0 * known / abs(row.before.value)
         return f"{fixed(100.0 * row.relative, 1)} %", MISSING if share is None else f"{fixed(share, 1)} %"
