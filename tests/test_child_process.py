@@ -127,7 +127,7 @@ def test_the_laboratory_of_the_blind_check_runs_nothing_of_the_folder(hostile: P
 
 
 def test_live_identification_runs_nothing_of_the_folder(hostile: Path, monkeypatch: pytest.MonkeyPatch):
-    monkeypatch.setattr("tissueid.acquisition.live_process.LAST_LOOK_S", 300.0)  # a busy machine starts it late
+    monkeypatch.setattr("tissueid.acquisition.live_process.FINAL_ESTIMATE_S", 300.0)  # a busy machine starts it late
     process = LiveProcess(LiveSettings(sample_rate_hz=2000.0))
     process.close()
     assert process.update.problem == ""

@@ -72,7 +72,7 @@ def _take_all(application: QApplication) -> None:
         separate_process=False,
         now=SetClock.now,
         show_file=lambda _: True,
-        stop=lambda: EmergencyStop(patience_s=LONGEST_S),  # a machine that is busy is no reason to stop a picture
+        stop=lambda: EmergencyStop(disk_timeout_s=LONGEST_S),  # a machine that is busy is no reason to stop a picture
         settings=lambda: QSettings("config/window.ini", QSettings.Format.IniFormat),
     )
     window = MainWindow(services)

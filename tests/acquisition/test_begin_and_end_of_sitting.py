@@ -167,7 +167,7 @@ def test_what_is_wanted_is_more_than_is_taken(tmp_path, monkeypatch):
     """The worst case: signals that no compression makes smaller."""
     asked = []
     monkeypatch.setattr(shutil, "disk_usage", lambda _: Usage(0, 0, 10**12))
-    monkeypatch.setattr(recording, "ROOM_LEFT", 0)
+    monkeypatch.setattr(recording, "MIN_FREE_BYTES", 0)
     recorder = SessionRecorder(tmp_path / "s.h5", DeviceDescription())
     noise = np.random.default_rng(1).standard_normal(20_000)
     samples = batch(0, 20_000)

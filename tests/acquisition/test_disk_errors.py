@@ -114,7 +114,7 @@ def test_what_could_not_be_synced_is_never_acknowledged_later(tmp_path, monkeypa
             journal.sync()
         with pytest.raises(JournalError):
             journal.append(b"entry")
-        journal.leave(b"entry")
+        journal.append_unchecked(b"entry")
         journal.close()
     assert journal.synced == 2
 
@@ -147,7 +147,7 @@ def test_a_disk_that_takes_seconds_for_a_write_does_not_stop_the_heartbeat(tmp_p
 
 
 def test_a_disk_that_stands_still_ends_the_test_before_memory_does(tmp_path, monkeypatch):
-    monkeypatch.setattr(recording, "WAITING_S", 1.0)
+    monkeypatch.setattr(recording, "MAX_UNWRITTEN_S", 1.0)
     sitting = Sitting(tmp_path, in_step=False)
     disk = Standstill(monkeypatch, journal_path(sitting.path))
     sitting.run(1, seconds=6.0)

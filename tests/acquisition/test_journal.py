@@ -12,7 +12,7 @@ from coded import coded, says, shows
 
 from tissueid.acquisition import JournalError, SessionRecorder, journal_entries, journal_path, recover
 from tissueid.acquisition.journal import MAGIC, Damage, Entry, Journal, encode_entry, encode_json, read_entries
-from tissueid.acquisition.recovery import session_from_entries, session_into
+from tissueid.acquisition.recovery import session_from_entries, write_journal_session
 from tissueid.audit import last_lines
 from tissueid.cli import main
 from tissueid.device import DeviceDescription
@@ -228,7 +228,7 @@ def test_a_journal_that_lost_its_end_is_not_called_written(tmp_path):
     journal = journal_path(tmp_path / "s.h5")
     os.truncate(journal, entries_of(journal)[-3][1])
     with pytest.raises(JournalError, check=coded("recovery.damaged", received=40, samples=50)):
-        session_into(tmp_path / "s.h5", journal, recorder.samples_appended)
+        write_journal_session(tmp_path / "s.h5", journal, recorder.samples_appended)
     assert [path.name for path in tmp_path.iterdir()] == ["s.h5.journal"]
 
 

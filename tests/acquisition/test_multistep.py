@@ -8,7 +8,7 @@ from coded import coded, says
 from support import connect
 
 from tissueid.acquisition import MultistepTest, SessionRecorder, check_multistep, run_multistep
-from tissueid.acquisition.multistep import describe_system
+from tissueid.acquisition.multistep import fit_best_model
 from tissueid.device import DeviceDescription
 from tissueid.errors import CancelledError, LimitError, LinkLostError, UnusableInputError
 from tissueid.instrument import SimulatedInstrument
@@ -157,11 +157,11 @@ def test_the_engine_that_foretells_best_is_taken():
         x += step * v
         if k % 20 == 19:
             position[k // 20] = x
-    found = describe_system([Record(force, position, RATE)])
+    found = fit_best_model([Record(force, position, RATE)])
     assert found.engine == "dpn"
     assert found.vaf_held_out_percent > 99.0
 
 
 def test_a_record_that_carries_no_fit_is_refused():
     with pytest.raises(UnusableInputError, check=coded("multistep.no_fit")):
-        describe_system([Record(np.ones(4000), np.ones(4000), RATE)])
+        fit_best_model([Record(np.ones(4000), np.ones(4000), RATE)])

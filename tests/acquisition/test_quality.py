@@ -349,7 +349,7 @@ def test_tissue_that_settles():
     finding = found(desk.run(), (first,))["settling"]
     assert says(finding.words, "quality.settling", direction="deeper", earlier="the first test at this site")
     assert finding.words.values["size"] == pytest.approx(0.2, abs=0.005)
-    assert finding.advice == TISSUE.to_settle
+    assert finding.advice == TISSUE.settling_advice
     move(desk.bench, 0.1e-3)
     third = desk.run()
     assert "settling" in found(third, desk.tests[:2])
@@ -447,7 +447,7 @@ def test_a_coil_that_opens_in_mid_test_is_open(good):
 
 
 def test_a_gate_remembers_no_more_than_it_should(good, monkeypatch):
-    monkeypatch.setattr(gate, "MOST_SAMPLES", 2 * good.samples)
+    monkeypatch.setattr(gate, "MAX_SAMPLES", 2 * good.samples)
     keeper = QualityGate(DEVICE)
     for number in range(1, 6):
         keeper.judge(replace(good, number=number))

@@ -28,8 +28,8 @@ def swung(tissue, low_n, high_n):
 
 def test_lost_contact_with_a_spring_has_its_own_advice():
     finding = found(swung("left-posterior-forearm", -6.0, 6.0))["probe_lifted"]
-    assert finding.words.template == SPRING.unpressed
-    assert finding.advice == SPRING.to_press
+    assert finding.words.template == SPRING.no_contact_force
+    assert finding.advice == SPRING.contact_advice
 
 
 def test_a_spring_that_is_fixed_to_the_probe_is_pulled_and_not_lost():

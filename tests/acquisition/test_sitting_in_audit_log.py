@@ -57,7 +57,7 @@ def test_how_a_test_ended_is_logged_without_names_of_files(tmp_path):
         run_guided_test(instrument, guided(), recorder, surface_m=0.01, progress=press)
     refused = FirmwareFaultError("it refuses")
     recorder.prepare(1000, site="forearm")
-    recorder.not_begun(refused, str(refused))
+    recorder.log_not_begun(refused, str(refused))
     recorder.finish_or_discard(JournalError(f"cannot write {recorder.path}: {FULL}"))
     lines = last_lines(log.path, 100)
     assert [line.what for line in lines[2:]] == [

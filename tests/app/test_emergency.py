@@ -296,7 +296,7 @@ def test_what_could_not_be_saved_or_logged_is_said_beside_the_stop(qtbot, open_w
     window = open_window(wait=gate.wait)
     begin(qtbot, window, gate)
     press(qtbot, window.ui.stop)
-    monkeypatch.setattr("tissueid.acquisition.recorder.session_into", full)
+    monkeypatch.setattr("tissueid.acquisition.recorder.write_journal_session", full)
     monkeypatch.setattr(AuditLog, "record", full)
     gate.opened.set()
     qtbot.waitUntil(lambda: idle(window), timeout=WAIT_MS)

@@ -1,4 +1,4 @@
-"""Running a test: the journal that survives a dead host, the guided procedure, recovery."""
+"""Running a test: crash-safe journal, guided procedure, live estimates, quality gate and recovery."""
 
 from __future__ import annotations
 

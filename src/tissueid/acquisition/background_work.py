@@ -1,4 +1,4 @@
-"""Run work that takes seconds while the connection to the instrument is kept alive."""
+"""Execution of slow work in a thread while the connection to the instrument is kept alive."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from tissueid.errors import CancelledError
 from tissueid.instrument import Instrument, SimulatedInstrument
 
 _REST_S = 0.02
-"""Seconds between two polls; a pseudo-terminal buffers a tenth of a second of samples."""
+"""Time between two polls, s; a pseudo-terminal buffers a tenth of a second of samples."""
 
 _Result = TypeVar("_Result")
 
@@ -22,12 +22,12 @@ def run_while_polling(
 ) -> _Result:
     """Run ``work`` in a thread, poll the instrument meanwhile, and return the result of ``work``.
 
-    An instrument whose host does not read takes the host for dead. A simulation in this process only advances by polls,
-    and a poll more or less would change the noise of the following test: it is left alone.
+    The watchdog of a real instrument needs the polls. An in-process simulation is not polled: it only advances by
+    polls, and their number would change the noise of the following test.
 
     Raises:
-        CancelledError: ``cancelled`` returned True; the work continues unattended.
-        InstrumentError: as ``poll``; also whatever the work raises.
+        CancelledError: ``cancelled`` returned True; the thread is not stopped, its result is discarded.
+        InstrumentError: see ``poll``; also any exception of ``work``.
     """
     if isinstance(instrument, SimulatedInstrument):
         return work()

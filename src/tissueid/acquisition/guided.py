@@ -1,4 +1,4 @@
-"""The guided test: place the probe, hold the mean load, play the stimulus, release (thesis 2.4.2, 7.1.1)."""
+"""Guided test: place the probe, hold the mean load, play the stimulus, release (thesis 2.4.2, 7.1.1)."""
 
 from __future__ import annotations
 
@@ -10,11 +10,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from tissueid.acquisition.background_work import run_while_polling
-from tissueid.acquisition.playback import Phase, Progress, ignore, never, play
+from tissueid.acquisition.playback import Phase, Progress, ignore_progress, never_stop, play
 from tissueid.acquisition.quality import Quality
 from tissueid.acquisition.recorder import Preparation, SessionRecorder
 from tissueid.acquisition.recovery import OpenTest
-from tissueid.acquisition.set_points import SetPoints, preload, rehearse, set_point_count
+from tissueid.acquisition.set_points import SetPoints, preload_stimulus, rehearse, set_point_count
 from tissueid.acquisition.stimulus_choice import PRELOAD_S
 from tissueid.acquisition.surface_detection import PLACE_S, Placement, find_orientation, find_surface, place
 from tissueid.configuration import Configuration
@@ -52,7 +52,7 @@ __all__ = [
 ]
 
 _ACCELEROMETER_END_M_S2 = 2.0 * GRAVITY_M_S2
-"""Range of the accelerometer, m/s^2; the reaction of the coil can drive that of a handheld beyond it."""
+"""Range of the accelerometer, m/s^2; the reaction of the coil can exceed it in a handheld device."""
 
 
 @dataclass(frozen=True)
@@ -74,25 +74,25 @@ class GuidedTest:
 
     @property
     def opening(self) -> Stimulus:
-        """The part that is loaded before the test: the whole stimulus, or the preload of a feedback stimulus.
+        """Part that is loaded before the test: the whole stimulus, or the preload of a feedback stimulus.
 
         Raises:
             UnusableInputError: the preload is shorter than its rise.
         """
         if isinstance(self.stimulus, FeedbackKind):
-            return preload(self.stimulus, self.preload_s)
+            return preload_stimulus(self.stimulus, self.preload_s)
         return self.stimulus
 
 
-def _precise_enough() -> str:
+def _default_stop_reason() -> str:
     return _PRECISE
 
 
 _PRECISE = Message("test.precise", "the estimates were precise enough")
 
 
-def _cause(error: BaseException) -> str:
-    """Return why a test was stopped."""
+def _stop_reason(error: BaseException) -> str:
+    """Return the reason why a test was stopped."""
     if isinstance(error, KeyboardInterrupt):
         return Message("test.interrupted", "interrupted")
     if isinstance(error, TissueIDError):
@@ -108,10 +108,10 @@ def _cause(error: BaseException) -> str:
 def check_test(test: GuidedTest, device: DeviceDescription) -> NDArray[np.float64]:
     """Return the command of a test, shape (n,), V, after checking that it can be played.
 
-    For a feedback stimulus the command is the preload; its whole force range is checked, and it is rehearsed.
+    For a feedback stimulus the command is the preload; its full force range is checked, and it is rehearsed.
 
     Raises:
-        LimitError: too strong, too long, or beyond the amplifier.
+        LimitError: the stimulus exceeds a limit or the amplifier range.
         UnusableInputError: the sample rate differs from the device's, or the source leaves its range.
     """
     opening, kind = test.opening, test.stimulus
@@ -133,7 +133,7 @@ def check_test(test: GuidedTest, device: DeviceDescription) -> NDArray[np.float6
 
 
 def _command(values: Array, unit: Unit, device: DeviceDescription, limits: Limits) -> NDArray[np.float64]:
-    """Return the command, V, shape (n,), for values (n,); a force limit is reported in the unit of the values.
+    """Return the command, V, shape (n,), for values (n,); force limit errors are reported in the unit of the values.
 
     Raises:
         LimitError: the values exceed a limit.
@@ -227,7 +227,7 @@ class _Recording:
         self._progress(Progress(phase, fraction, samples))
 
     def end(self, run: Run, why: Callable[[], str]) -> None:
-        """Close a test that was played to its end, or until it was precise enough."""
+        """Close a test that was completed, or ended early because the estimates were precise enough."""
         assert self.planned is not None
         early: dict[str, str | float] = {}
         if run.samples < self.planned.samples:
@@ -238,11 +238,11 @@ class _Recording:
         self._progress(Progress(Phase.RELEASE, 1.0, np.zeros(0, SAMPLE)))
 
     def abort(self, error: BaseException) -> None:
-        """Close a test that failed; without a beginning there is nothing to close."""
+        """Close a test that failed; does nothing if the test did not begin."""
         if self.planned is not None:
-            self._close("aborted", self.planned, reason_notes(_cause(error)), error)
+            self._close("aborted", self.planned, reason_notes(_stop_reason(error)), error)
         else:
-            self._recorder.not_begun(error, _cause(error), self._preparation)
+            self._recorder.log_not_begun(error, _stop_reason(error), self._preparation)
 
     def _close(self, status: str, run: Run, notes: dict[str, str | float], cause: BaseException | None = None) -> None:
         for gap in self._instrument.gaps[self._gaps_before :]:
@@ -263,7 +263,7 @@ class _Recording:
     def _figures(self) -> dict[str, str | float]:
         """Return the mean force on the tissue, including the weight, and the number of saturated samples."""
         samples = np.concatenate([*(self._open.blocks if self._open else ()), np.zeros(0, SAMPLE)])
-        samples = samples[self.preload_samples :]  # during the preload the probe may come from the end of its stroke
+        samples = samples[self.preload_samples :]  # during the preload the probe may start at the end of its stroke
         if not samples.size:
             return {}
         device = self._instrument.device
@@ -293,7 +293,7 @@ class _Recording:
             try:
                 return run_while_polling(self._instrument, lambda: gate.judge(test))
             except InstrumentError:
-                pass  # all of the run was received; the next user of the instrument gets the error
+                pass  # the whole run was received; the error is raised at the next use of the instrument
         return gate.judge(test)
 
 
@@ -303,19 +303,19 @@ def run_guided_test(
     recorder: SessionRecorder,
     *,
     surface_m: float | Placement | None = None,
-    progress: Callable[[Progress], None] = ignore,
-    cancelled: Callable[[], bool] = never,
-    enough: Callable[[], bool] = never,
-    why: Callable[[], str] = _precise_enough,
+    progress: Callable[[Progress], None] = ignore_progress,
+    cancelled: Callable[[], bool] = never_stop,
+    enough: Callable[[], bool] = never_stop,
+    why: Callable[[], str] = _default_stop_reason,
     clock: Callable[[], float] = time.perf_counter,
 ) -> int:
     """Run and record one guided test; return its number.
 
-    A test that fails is closed as aborted with its samples so far, and the error is raised. A test that ends after its
-    preload because ``enough`` returned True is completed; its notes hold when and ``why`` it ended. ``surface_m`` is
-    the surface position or the result of ``place``; without it the probe is placed first, and with a bare position the
-    orientation is measured now. ``clock`` times the generation of a feedback stimulus. The quality gate judges the
-    test before it is closed; its notes hold the result.
+    A failed test is closed as aborted with the samples so far, and the error is raised. A test that ends after its
+    preload because ``enough`` returned True is completed; its notes hold the time and the reason ``why``. ``surface_m``
+    is the surface position or the result of ``place``; without it the probe is placed first, and with a bare position
+    the orientation is measured now. ``clock`` measures the computing time of a feedback stimulus. The quality gate
+    judges the test before it is closed; the notes hold the result.
 
     Raises:
         CancelledError, LimitError, InstrumentError, JournalError, AuditError, UnusableInputError.

@@ -1,8 +1,7 @@
-"""The journal: an append-only file of checksummed entries that holds a sitting until its session is written.
+"""Journal: append-only file of checksummed entries that stores a sitting until its session file is written.
 
-An HDF5 file that is open for writing is lost if its host dies at the wrong moment. A journal is not: a truncated last
-entry fails its checksum, and all other entries remain readable, even after a place that the disk damaged
-(docs/decisions/0003-journal.md).
+An HDF5 file that is open for writing can be lost if the host crashes. A journal survives: a truncated last entry fails
+its checksum, and all other entries remain readable, even after a damaged region (docs/decisions/0003-journal.md).
 """
 
 from __future__ import annotations
@@ -37,45 +36,50 @@ __all__ = [
 ]
 
 SYNC_S = 1.0
-"""Longest time, s, from an entry to its sync to the disk."""
+"""Maximum time, s, from an entry to its sync to the disk."""
 MAX_WAITING = 64 * 1024 * 1024
-"""Most bytes that may wait for the disk; a recorder allows less."""
-PATIENCE_S = 30.0
-"""Seconds that the end of a sitting waits for a disk that does not respond. The coil is free meanwhile."""
-_LOOK_S = 0.05
-"""Seconds between two checks that the writing thread is alive."""
+"""Maximum number of unwritten bytes; a recorder uses a lower limit."""
+DISK_TIMEOUT_S = 30.0
+"""Timeout, s, for a disk that does not respond at the end of a sitting. The coil is free meanwhile."""
+_CHECK_S = 0.05
+"""Interval, s, of the checks that the writer thread is alive."""
 RECOVER = Action("session.recover", "tissueid recover", RECOVER_PLACE)
 
 
 class JournalError(TissueIDError):
-    """The journal cannot be written: the disk is full or failed. The test is stopped; synced entries are kept."""
+    """Error when writing the journal: disk full or failed. The test is stopped; synced entries are kept."""
 
 
 @dataclass
 class _Flush:
-    """A request to the writing thread: sync all earlier entries, end if ``last``, then set ``done``."""
+    """Request to the writer thread: sync all earlier entries, end if ``last``, then set ``done``."""
 
     last: bool = False
     done: threading.Event = field(default_factory=threading.Event)
 
 
 class Journal:
-    """A journal that is being written, by a thread, so that a slow disk does not delay the heartbeat.
+    """Journal open for writing. A separate thread writes, so that a slow disk does not delay the heartbeat.
 
-    The first failure is final: nothing is written after it, because the disk is no longer reliable. At most
-    ``max_waiting`` bytes wait for the disk. ``sync`` and ``close`` wait at most ``patience_s``.
+    After the first failure nothing more is written, because the disk is no longer reliable. At most ``max_waiting``
+    bytes may be unwritten. ``sync`` and ``close`` wait at most ``disk_timeout_s``.
 
     Raises:
         JournalError: the file exists or cannot be created.
     """
 
     def __init__(
-        self, path: Path, *, sync_s: float = SYNC_S, max_waiting: int = MAX_WAITING, patience_s: float = PATIENCE_S
+        self,
+        path: Path,
+        *,
+        sync_s: float = SYNC_S,
+        max_waiting: int = MAX_WAITING,
+        disk_timeout_s: float = DISK_TIMEOUT_S,
     ) -> None:
         self.path = path
         self._sync_s = sync_s
         self._max_waiting = max_waiting
-        self._patience_s = patience_s
+        self._patience_s = disk_timeout_s
         try:
             self._file: IO[bytes] = os.fdopen(create_private(path), "wb", buffering=0)
         except FileExistsError as error:
@@ -117,10 +121,10 @@ class Journal:
         self._thread.start()
 
     def append(self, entry: bytes) -> int:
-        """Queue an entry; return its number, to be compared with ``synced``.
+        """Queue an entry; return its number, for comparison with ``synced``.
 
         Raises:
-            JournalError: an earlier write failed, or too many bytes wait to be written.
+            JournalError: an earlier write failed, or too many bytes are unwritten.
         """
         self.check()
         if self._appended_bytes - self._written_bytes > self._max_waiting:
@@ -133,10 +137,10 @@ class Journal:
                     action=RECOVER,
                 )
             )
-        return self.leave(entry)
+        return self.append_unchecked(entry)
 
-    def leave(self, entry: bytes) -> int:
-        """Queue an entry without any check: for the end of a test, which must not fail because of its recording."""
+    def append_unchecked(self, entry: bytes) -> int:
+        """Queue an entry without checks: for the end of a test, which must not fail because of the recording."""
         self._appended += 1
         self._appended_bytes += len(entry)
         self._queue.put(entry)
@@ -144,11 +148,11 @@ class Journal:
 
     @property
     def synced(self) -> int:
-        """Number of entries that are on the disk."""
+        """Number of entries that are synced to the disk."""
         return self._synced
 
     def check(self) -> None:
-        """Raise the error of the writing thread, if there is one.
+        """Raise the error of the writer thread, if any.
 
         Raises:
             JournalError: an entry could not be written.
@@ -186,7 +190,7 @@ class Journal:
         self.check()
 
     def close(self) -> None:
-        """Write the queued entries, sync, and close; ``check`` raises errors of writing.
+        """Write the queued entries, sync, and close; ``check`` raises write errors.
 
         Raises:
             JournalError: the disk does not respond in time; the file is closed when it does.
@@ -206,7 +210,7 @@ class Journal:
 
     def _await(self, request: _Flush) -> None:
         until = time.monotonic() + self._patience_s
-        while not request.done.wait(max(0.0, min(_LOOK_S, until - time.monotonic()))):
+        while not request.done.wait(max(0.0, min(_CHECK_S, until - time.monotonic()))):
             if not self._thread.is_alive() and not request.done.is_set():
                 self.check()
                 raise JournalError(
@@ -219,9 +223,9 @@ class Journal:
                     )
                 )
             if time.monotonic() >= until:
-                raise self._no_answer()
+                raise self._timeout_error()
 
-    def _no_answer(self) -> JournalError:
+    def _timeout_error(self) -> JournalError:
         return JournalError(
             Message(
                 "journal.no_answer",
@@ -277,9 +281,9 @@ class Journal:
         request.done.set()
 
     def _fail(self, error: BaseException) -> None:
-        """Keep the first error; if the file has no name any more, nothing in it counts as synced."""
+        """Store the first error; if the file was removed, nothing counts as synced."""
         self._error = self._error or error
-        if not self._is_anywhere():
+        if not self._has_name():
             self._synced = 0
 
     def _next(self, sync_at: float | None) -> bytes | _Flush | None:
@@ -306,8 +310,8 @@ class Journal:
         if not os.path.samestat(os.fstat(self._file.fileno()), self.path.stat()):
             raise FileNotFoundError(errno.ENOENT, os.strerror(errno.ENOENT), str(self.path))
 
-    def _is_anywhere(self) -> bool:
-        """Return whether the file still has a name, without which its content is lost."""
+    def _has_name(self) -> bool:
+        """Return whether the file still has a name; without one its content is lost."""
         try:
             return os.fstat(self._file.fileno()).st_nlink > 0
         except (OSError, ValueError):
@@ -321,7 +325,7 @@ def _remove(path: Path) -> None:
 
 
 def lock(file: IO[bytes]) -> None:
-    """Lock the file until it is closed, so that no other process recovers a journal that is being written.
+    """Lock the file until it is closed, so that no other process recovers a journal in use.
 
     Raises:
         JournalError: another process has locked it.

@@ -1,4 +1,4 @@
-"""Validated content of the JSON entries of a journal: a valid checksum does not mean valid content."""
+"""Validation models for the JSON entries of a journal: a valid checksum does not imply valid content."""
 
 from __future__ import annotations
 
@@ -13,9 +13,9 @@ from tissueid.instrument import SAMPLE
 from tissueid.sessions import MAX_TESTS
 
 MAX_RUN_SAMPLES = 20_000_000
-"""Most samples of a run."""
+"""Maximum number of samples of a run."""
 MAX_JSON = 4 * 1024 * 1024
-"""Most bytes of a JSON entry: four times the longest text in a session."""
+"""Maximum size of a JSON entry, bytes: four times the longest text in a session."""
 _MAX_TEXT = 1_000_000
 _MAX_NAME = 1_000
 
@@ -88,7 +88,7 @@ class AttributesContent(_Content):
 
 
 class TestContent(_Content):
-    """Head of a test; with ``again``, its repetition during the test."""
+    """Header of a test; ``again`` marks a repetition during the test."""
 
     __test__ = False
 
@@ -133,7 +133,7 @@ _Model = TypeVar("_Model", bound=BaseModel)
 
 
 def content_of(model: type[_Model], payload: bytes, damage: Damage) -> _Model | None:
-    """Return the content of an entry; count an invalid one as damage and return None."""
+    """Return the validated content of an entry; count an invalid one as damage and return None."""
     try:
         if len(payload) > MAX_JSON:
             raise ValueError("longer than any entry that this software writes")

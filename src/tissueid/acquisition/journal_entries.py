@@ -1,4 +1,4 @@
-"""Entries of a journal (kind, length, payload, checksum): encode them, and find them in a damaged file."""
+"""Journal entries (kind, length, payload, checksum): encoding, and search in a damaged file."""
 
 from __future__ import annotations
 
@@ -25,7 +25,7 @@ _HEADS = re.compile(rb"(?=[\x01-\x06].{3}[\x00-\x04])", re.DOTALL)
 """Pattern of the start of an entry: a known kind and a length (little-endian) up to MAX_ENTRY."""
 _PIECE = 1 << 20
 MAX_CHECKED = 1 << 30
-"""Most bytes whose checksum is computed in search of the next entry after a damage: about a second."""
+"""Maximum number of bytes checked in the search for the next entry after a damage: about a second."""
 
 
 class Entry(IntEnum):
@@ -52,28 +52,28 @@ def encode_json(kind: Entry, value: dict[str, Any]) -> bytes:
 
 @dataclass
 class Damage:
-    """Damaged or invalid places of a journal. A truncated last entry is not counted."""
+    """Damaged or invalid regions of a journal. A truncated last entry is not counted."""
 
     places: int = 0
     bytes: int = 0
     left_out: list[str] = field(default_factory=list)
-    """Messages about tests that are left out because too few samples can be read."""
+    """Messages about tests that are omitted because too few samples can be read."""
 
     def add(self, count: int) -> None:
-        """Count a damaged place of ``count`` bytes."""
+        """Count a damaged region of ``count`` bytes."""
         self.places += 1
         self.bytes += count
 
     def leave_out(self, words: str) -> None:
-        """Count a test that is left out."""
+        """Add a message about an omitted test."""
         self.places += 1
         self.left_out.append(words)
 
 
 def read_entries(path: Path, damage: Damage | None = None) -> Iterator[tuple[Entry, bytes]]:
-    """Yield the intact entries of a journal in order, including those after a damaged place.
+    """Yield the intact entries of a journal in order, including those after a damaged region.
 
-    Skipped places are counted in ``damage``; a truncated last entry is ignored.
+    Skipped regions are counted in ``damage``; a truncated last entry is ignored.
 
     Raises:
         UnusableInputError: the file is not a journal.
@@ -105,7 +105,7 @@ def read_entries(path: Path, damage: Damage | None = None) -> Iterator[tuple[Ent
 
 
 def _entry_at(file: IO[bytes], place: int, end: int) -> tuple[int, bytes] | None:
-    """Return kind and payload of the entry at ``place``; None if there is no intact entry."""
+    """Return kind and payload of the entry at ``place``; None without an intact entry."""
     file.seek(place)
     head = file.read(_ENTRY.size)
     if len(head) < _ENTRY.size:
@@ -120,7 +120,7 @@ def _entry_at(file: IO[bytes], place: int, end: int) -> tuple[int, bytes] | None
 
 
 def _next_entry(file: IO[bytes], place: int, end: int, budget: int) -> tuple[int, int]:
-    """Return the place of the next intact entry, or the end, and the remaining budget of bytes to check."""
+    """Return the offset of the next intact entry, or the end, and the remaining budget of bytes to check."""
     while place < end:
         file.seek(place)
         piece = file.read(_PIECE + _ENTRY.size - 1)
@@ -141,7 +141,7 @@ def _next_entry(file: IO[bytes], place: int, end: int, budget: int) -> tuple[int
 
 
 def _cut_off(file: IO[bytes], place: int, end: int) -> bool:
-    """Return whether the last bytes may be an unfinished entry or unused space."""
+    """Return whether the last bytes may be a truncated entry or unused space."""
     file.seek(place)
     head = file.read(_ENTRY.size)
     if len(head) < _ENTRY.size:

@@ -1,7 +1,6 @@
-"""Identification during a test: the polling loop passes its samples on and never waits for a result.
+"""Live identification during a test: the polling loop passes samples on without waiting for results.
 
-No sample is lost: an estimate that is late uses all samples so far. Errors are stored in ``problem`` and never end a
-test.
+No sample is skipped: a late estimate uses all samples so far. Errors are stored in ``problem`` and never end a test.
 """
 
 from __future__ import annotations
@@ -21,7 +20,7 @@ from tissueid.instrument import force
 class LiveIdentification:
     """Identification of a running test. Call ``feed`` from the polling loop and ``latest`` from any thread.
 
-    Create it before the probe is placed: the process needs a second or two to start. Samples until then are kept.
+    Create it before the probe is placed: the process takes a second or two to start. Samples until then are buffered.
 
     Args:
         device: gives the sample rate and the force constant.
@@ -30,13 +29,13 @@ class LiveIdentification:
         memory: length of the impulse response, s.
         window_s: length of the sliding window, s; all samples if None.
         stop: rule that ends the test when the estimates are precise enough; never if None.
-        separate_process: estimate in a separate process. Without it, estimates are made by calls of ``step``.
+        separate_process: estimate in a separate process. Otherwise estimates are made by calls of ``step``.
         external_spring_n_per_m: stiffness of a spring parallel to the tissue, which is subtracted from the reported
-            stiffness. The stop rule uses the sum of both, which is what the test determines.
+            stiffness. The stop rule uses the sum of both, which the test determines.
 
     Raises:
         UnusableInputError: invalid settings of the method.
-        pydantic.ValidationError: a number out of its bounds.
+        pydantic.ValidationError: a number is out of bounds.
     """
 
     def __init__(
@@ -96,7 +95,7 @@ class LiveIdentification:
         return self._shown[1]
 
     def enough(self) -> bool:
-        """Return whether the stop rule has been met so far."""
+        """Return whether the stop rule is met."""
         return bool(self._estimator.update.enough)
 
     @property
@@ -115,7 +114,7 @@ class LiveIdentification:
         return self._estimator.update.busy_s
 
     def close(self) -> None:
-        """Make a last estimate from all samples, and end. May be called again."""
+        """Make a final estimate from all samples, and end. May be called more than once."""
         if isinstance(self._estimator, LiveEstimator):
             self._estimator.step(last=True)
         else:

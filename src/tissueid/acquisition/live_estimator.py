@@ -1,4 +1,4 @@
-"""Estimates of a running test, one for every quarter of a second of samples."""
+"""Estimates of a running test, one for every quarter second of samples."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ from tissueid.records import Record
 
 Array = NDArray[np.float64]
 
-_FIRST_ROOM_S = 32.0
+_INITIAL_BUFFER_S = 32.0
 """Initial size of the buffer, s: the longest test of a profile."""
 
 _REHEARSAL_S = 1.0
@@ -36,13 +36,13 @@ class LiveSettings(BaseModel):
     method: Method = Field("sliding", description="Method of the impulse response")
     memory: float = Field(0.125, gt=0.0, le=10.0, description="Length of the impulse response, s")
     window_s: float | None = Field(RECENT_S, gt=0.0, description="Length of the sliding window, s")
-    look_every_s: float = Field(0.25, ge=0.05, le=5.0, description="Interval of the estimates, s")
+    estimate_every_s: float = Field(0.25, ge=0.05, le=5.0, description="Interval of the estimates, s")
     stop: StopRule | None = Field(None, description="Stop rule, with an interval of its own")
 
     @property
-    def look_every(self) -> int:
-        """Samples from one estimate to the next."""
-        every_s = self.look_every_s if self.stop is None else self.stop.look_every_s
+    def estimate_every(self) -> int:
+        """Number of samples between two estimates."""
+        every_s = self.estimate_every_s if self.stop is None else self.stop.look_every_s
         return max(1, round(every_s * self.sample_rate_hz))
 
     def start(self) -> LiveIdentifier:
@@ -81,7 +81,7 @@ def problem_of(error: Exception) -> str:
 
 
 class LiveEstimator:
-    """Estimates of one test.
+    """Estimator of one test.
 
     Raises:
         UnusableInputError: invalid settings of the method.
@@ -90,7 +90,7 @@ class LiveEstimator:
     def __init__(self, settings: LiveSettings) -> None:
         self._settings = settings
         self._identifier = settings.start()
-        self._store = np.empty((2, round(_FIRST_ROOM_S * settings.sample_rate_hz)))  # force and position
+        self._store = np.empty((2, round(_INITIAL_BUFFER_S * settings.sample_rate_hz)))  # force and position
         self._taken = self._looked = 0
         self._looks: list[Precision] = []
         self._busy_s = 0.0
@@ -110,9 +110,9 @@ class LiveEstimator:
     def step(self, *, last: bool = False) -> bool:
         """Make an estimate if one is due, or from all samples if ``last``; return whether ``update`` is new.
 
-        Estimates are due at fixed lengths of the record. If several are due, only the newest is made.
+        Estimates are due at fixed record lengths. If several are due, only the newest is made.
         """
-        every = self._settings.look_every
+        every = self._settings.estimate_every
         due = self._taken // every * every
         goal = self._taken if last else due
         if self.update.problem or self._ended or goal < (1 if last else self._looked + 1):
@@ -121,7 +121,7 @@ class LiveEstimator:
         begin = time.thread_time()
         seen, enough, problem = self.update.view, self.update.enough, ""
         try:
-            seen = self._look(goal)
+            seen = self._estimate(goal)
             rule = self._settings.stop
             if rule is not None and not enough and not last and rule.enough(self._looks):
                 enough = rule.in_words(self._looks[-1])
@@ -133,20 +133,20 @@ class LiveEstimator:
         return True
 
     def rehearse(self) -> None:
-        """Make an estimate from noise, so that nothing is compiled or loaded at the first one."""
+        """Make an estimate from noise, so that all code is compiled and loaded before the first real one."""
         rate = self._settings.sample_rate_hz
         noise = np.random.Generator(np.random.PCG64(0)).standard_normal((2, round(_REHEARSAL_S * rate)))
         identifier = self._settings.start()
         identifier.batch(noise[0], noise[1])
-        with contextlib.suppress(UnusableInputError):  # a memory too long for so short a record
+        with contextlib.suppress(UnusableInputError):  # the memory is too long for this short record
             view(identifier, [precision(Record(noise[0], np.cumsum(noise[0]), rate), self._settings.memory)])
 
-    def _look(self, goal: int) -> LiveView:
+    def _estimate(self, goal: int) -> LiveView:
         """Update identifier and parameters to the first ``goal`` samples."""
         force, position = self._store[:, self._looked : goal]
         self._identifier.batch(force, position)
         record = Record(self._store[0, :goal], self._store[1, :goal], self._settings.sample_rate_hz)
-        with contextlib.suppress(UnusableInputError):  # too short a record yet, which the view shows
+        with contextlib.suppress(UnusableInputError):  # the record is still too short; the view shows it
             look = precision(record, self._settings.memory)
             if self._looks and self._looks[-1].seconds == look.seconds:
                 self._looks.pop()

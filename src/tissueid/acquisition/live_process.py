@@ -1,8 +1,8 @@
-"""Live identification in a separate process, so that its computations never delay the polling loop.
+"""Live identification in a separate process, so that its computations do not delay the polling loop.
 
-A thread would share the interpreter's lock with that loop; on a busy machine the heartbeat would stop while the thread
-that holds the lock is preempted (docs/decisions/0002-heartbeat-from-the-sample-loop.md). The process receives force and
-position through its standard input and returns updates through its standard output.
+A thread would share the interpreter lock with that loop; on a busy machine the heartbeat would stop while the thread
+holding the lock is preempted (docs/decisions/0002-heartbeat-from-the-sample-loop.md). The process receives force and position
+on its standard input and returns updates on its standard output.
 """
 
 from __future__ import annotations
@@ -25,11 +25,11 @@ from tissueid.acquisition.live_estimator import Array, LiveEstimator, LiveSettin
 from tissueid.child_process import start
 from tissueid.messages import Message
 
-MOST_SHARE = 0.2
-"""Largest share of a core; slower estimates are made less often."""
+MAX_CPU_SHARE = 0.2
+"""Maximum share of a core; slower estimates are made less often."""
 
-LAST_LOOK_S = 10.0
-"""Longest wait for the last estimate, s."""
+FINAL_ESTIMATE_S = 10.0
+"""Timeout of the final estimate, s."""
 
 _COUNT = struct.Struct("<q")
 _CLOSING = -1
@@ -38,7 +38,7 @@ _COMMAND = "from tissueid.acquisition.live_process import serve; serve()"
 
 
 class LiveProcess:
-    """Interface of the polling loop to the process. No call waits except ``close``.
+    """Interface of the polling loop to the process. Only ``close`` waits.
 
     Raises:
         UnusableInputError: invalid settings of the method.
@@ -87,14 +87,14 @@ class LiveProcess:
         self._waiting.put(_COUNT.pack(force.size) + force.tobytes() + position.tobytes())
 
     def close(self) -> None:
-        """Wait for a last estimate from all samples, and end the process. May be called again."""
+        """Wait for a final estimate from all samples, and end the process. May be called more than once."""
         if self._closing or self._process is None:
             return
         self._closing = True
         self._waiting.put(_COUNT.pack(_CLOSING))
         self._waiting.put(None)
         try:
-            self._process.wait(LAST_LOOK_S)
+            self._process.wait(FINAL_ESTIMATE_S)
         except subprocess.TimeoutExpired:
             self._process.kill()
             self._process.wait()
@@ -103,7 +103,7 @@ class LiveProcess:
             thread.join()
 
     def _send_blocks(self, stream: IO[bytes]) -> None:
-        """Send waiting blocks; a full pipe blocks only this thread."""
+        """Send queued blocks; a full pipe blocks only this thread."""
         with contextlib.suppress(OSError), stream:  # the other thread reports an ended process
             while (block := self._waiting.get()) is not None:
                 stream.write(block)
@@ -128,7 +128,7 @@ class LiveProcess:
 
 
 def serve() -> None:
-    """Run the process: make estimates until the input ends. An error is sent as the last update."""
+    """Entry point of the process: make estimates until the input ends. An error is sent as the last update."""
     incoming, outgoing = sys.stdin.buffer, sys.stdout.buffer
     sys.stdout = sys.stderr  # other output must not mix with the updates
     try:
@@ -158,7 +158,7 @@ def _estimate(incoming: IO[bytes], outgoing: IO[bytes]) -> None:
         busy_s = estimator.update.busy_s
         if time.monotonic() >= resting_until and estimator.step():
             _publish(outgoing, estimator.update)
-            resting_until = time.monotonic() + (estimator.update.busy_s - busy_s) * (1.0 / MOST_SHARE - 1.0)
+            resting_until = time.monotonic() + (estimator.update.busy_s - busy_s) * (1.0 / MAX_CPU_SHARE - 1.0)
     if estimator.step(last=True):
         _publish(outgoing, estimator.update)
 

@@ -1,4 +1,4 @@
-"""The multistep test: identify, redesign the stimulus for a uniform depth, and repeat (thesis 6.3)."""
+"""Multistep test: identify, redesign the stimulus for a uniform depth, and repeat (thesis 6.3)."""
 
 from __future__ import annotations
 
@@ -31,8 +31,8 @@ from tissueid.stimuli.kinds.noise import Noise
 _ENGINES = ("wiener", "dpn")
 """Engines in the order in which they are tried, fastest first."""
 
-_WELL_ENOUGH_PERCENT = 99.0
-"""Held-out VAF, %, from which no slower engine is tried."""
+_SUFFICIENT_VAF_PERCENT = 99.0
+"""Held-out VAF, %, above which no slower engine is tried."""
 
 _FITTED_SHARE = 0.75
 """Share of each record that is fitted; the rest is held out."""
@@ -42,11 +42,11 @@ PLACING = Message("test.placing", "placing the probe")
 
 @dataclass(frozen=True)
 class Step:
-    """One test of a multistep run.
+    """Result of one test of a multistep run.
 
     ``distance`` is the measured Kolmogorov distance of the depth from a uniform distribution over ``depth_min_m`` to
-    ``depth_max_m``, the requested range or its part within reach of the forces. For the first test ``predicted`` and
-    ``engine`` are None.
+    ``depth_max_m``, the requested range or its reachable part. For the first test ``predicted`` and ``engine`` are
+    None.
     """
 
     number: int
@@ -59,8 +59,8 @@ class Step:
 
 
 @dataclass(frozen=True)
-class Described:
-    """A model fitted to all tests so far, and its score on held-out data."""
+class FittedModel:
+    """Model fitted to all tests so far, and its score on held-out data."""
 
     engine: str
     model: Model
@@ -69,7 +69,7 @@ class Described:
 
 @dataclass(frozen=True)
 class MultistepTest:
-    """Specification of a multistep run: at most ``steps`` tests, fewer if the distance falls to ``target``."""
+    """Specification of a multistep run: at most ``steps`` tests, fewer when the distance falls to ``target``."""
 
     design: DepthDesign
     site: str
@@ -131,12 +131,12 @@ def run_multistep(
 ) -> tuple[Step, ...]:
     """Run and record the tests; return the steps. Each test has notes about its design.
 
-    ``progress`` receives a label of the test and its progress. Between tests the coil is free and the connection to
-    the instrument is kept alive.
+    ``progress`` receives a label of the test and its progress. Between tests the coil is free and the connection to the
+    instrument is kept alive.
 
     Raises:
-        UnusableInputError: no part of the depth range is within reach, or no engine could be fitted.
-        CancelledError, LimitError, InstrumentError, JournalError: as for one test.
+        UnusableInputError: no part of the depth range is reachable, or no engine could be fitted.
+        CancelledError, LimitError, InstrumentError, JournalError: see ``run_guided_test``.
     """
     device, design = instrument.device, test.design
     check_multistep(test, device)
@@ -145,11 +145,11 @@ def run_multistep(
     origin_m = surface_m.surface_m if isinstance(surface_m, Placement) else surface_m
     records: list[Record] = []
     steps: list[Step] = []
-    described: Described | None = None
-    redesigned: DepthUniformNoise | None = None
+    fitted: FittedModel | None = None
+    designed: DepthUniformNoise | None = None
     while True:
-        notes = _notes(design, len(steps) + 1, described, redesigned)
-        noise = design.first(test.seed) if redesigned is None else redesigned.stimulus
+        notes = _notes(design, len(steps) + 1, fitted, designed)
+        noise = design.first(test.seed) if designed is None else designed.stimulus
         label = Message("multistep.step", "step {step} of {steps}", step=len(steps) + 1, steps=test.steps)
         blocks: list[NDArray[np.void]] = []
 
@@ -168,8 +168,8 @@ def run_multistep(
         records.append(_record(blocks, device, origin_m, test.preload_s))
         low, high = (
             (design.depth_min_m, design.depth_max_m)
-            if redesigned is None
-            else (redesigned.depth_min_m, redesigned.depth_max_m)
+            if designed is None
+            else (designed.depth_min_m, designed.depth_max_m)
         )
         distance = distance_from_uniform(records[-1].output, low, high)
         recorder.event("depth", distance=distance, depth_min_m=low, depth_max_m=high)
@@ -179,26 +179,26 @@ def run_multistep(
                 distance,
                 low,
                 high,
-                predicted=redesigned.distance if redesigned else None,
-                engine=described.engine if described else None,
-                vaf_held_out_percent=described.vaf_held_out_percent if described else None,
+                predicted=designed.distance if designed else None,
+                engine=fitted.engine if fitted else None,
+                vaf_held_out_percent=fitted.vaf_held_out_percent if fitted else None,
             )
         )
         if distance <= test.target or len(steps) == test.steps:
             return tuple(steps)
         seed = test.seed + len(steps)
-        described, redesigned = run_while_polling(
-            instrument, partial(_next, records, design, seed, test.preload_s), cancelled
+        fitted, designed = run_while_polling(
+            instrument, partial(_design_next, records, design, seed, test.preload_s), cancelled
         )
 
 
-def describe_system(records: Iterable[Record], engines: Iterable[str] = _ENGINES) -> Described:
-    """Fit engines to three quarters of each record, choose the best on the held-out rest, and fit it to all.
+def fit_best_model(records: Iterable[Record], engines: Iterable[str] = _ENGINES) -> FittedModel:
+    """Fit engines to three quarters of each record, select the best on the held-out rest, and refit it to all data.
 
     A slower engine is tried only if the faster ones do not score well enough.
 
     Raises:
-        UnusableInputError: no engine could be fitted; with the reason of the last one.
+        UnusableInputError: no engine could be fitted; gives the reason of the last one.
     """
     whole = tuple(records)
     cuts = [round(_FITTED_SHARE * len(record)) for record in whole]
@@ -218,7 +218,7 @@ def describe_system(records: Iterable[Record], engines: Iterable[str] = _ENGINES
         worst = min(scores)
         if best is None or worst > best[0]:
             best = worst, name
-        if worst >= _WELL_ENOUGH_PERCENT:
+        if worst >= _SUFFICIENT_VAF_PERCENT:
             break
     if best is None:
         raise UnusableInputError(
@@ -228,21 +228,21 @@ def describe_system(records: Iterable[Record], engines: Iterable[str] = _ENGINES
                 reason=refused.message if refused is not None else "",
             )
         )
-    return Described(best[1], get_engine(best[1]).from_options({"hold": "zero-order"}).fit(joined(whole)), best[0])
+    return FittedModel(best[1], get_engine(best[1]).from_options({"hold": "zero-order"}).fit(joined(whole)), best[0])
 
 
-def _next(
+def _design_next(
     records: list[Record], design: DepthDesign, seed: int, preload_s: float
-) -> tuple[Described, DepthUniformNoise]:
-    described = describe_system(records)
-    return described, design_next_noise(described.model.simulate, design, seed, preload_s)
+) -> tuple[FittedModel, DepthUniformNoise]:
+    fitted = fit_best_model(records)
+    return fitted, design_next_noise(fitted.model.simulate, design, seed, preload_s)
 
 
 def _record(blocks: list[NDArray[np.void]], device: DeviceDescription, surface_m: float, preload_s: float) -> Record:
-    """Return command, as the static force it gives, and depth below the surface, after the preload.
+    """Return a record of the static force of the command and the depth below the surface, without the preload.
 
-    The command is used instead of the measured force because a command is designed: the damping by the coil's motion
-    belongs to the response.
+    The command is used instead of the measured force because the command is designed: the damping by back-EMF is part
+    of the identified response.
     """
     samples = np.concatenate([*blocks, np.zeros(0, SAMPLE)])[round(preload_s * device.sample_rate_hz) :]
     force_n: Array = samples["command"] / device.voltage_for_force(1.0)
@@ -250,19 +250,19 @@ def _record(blocks: list[NDArray[np.void]], device: DeviceDescription, surface_m
 
 
 def _notes(
-    design: DepthDesign, step: int, described: Described | None, redesigned: DepthUniformNoise | None
+    design: DepthDesign, step: int, fitted: FittedModel | None, designed: DepthUniformNoise | None
 ) -> dict[str, str | float]:
     notes: dict[str, str | float] = {
         "multistep": float(step),
         "depth_asked_min_m": design.depth_min_m,
         "depth_asked_max_m": design.depth_max_m,
     }
-    if described is not None and redesigned is not None:
+    if fitted is not None and designed is not None:
         notes |= {
-            "depth_min_m": redesigned.depth_min_m,
-            "depth_max_m": redesigned.depth_max_m,
-            "distance_predicted": redesigned.distance,
-            "designed_by": described.engine,
-            "vaf_held_out_percent": described.vaf_held_out_percent,
+            "depth_min_m": designed.depth_min_m,
+            "depth_max_m": designed.depth_max_m,
+            "distance_predicted": designed.distance,
+            "designed_by": fitted.engine,
+            "vaf_held_out_percent": fitted.vaf_held_out_percent,
         }
     return notes

@@ -1,4 +1,4 @@
-"""Play one stimulus: load, arm, poll to the end, and release the coil whatever goes wrong."""
+"""Playback of one stimulus: load, arm, poll to the end, and release the coil on every error."""
 
 from __future__ import annotations
 
@@ -16,11 +16,11 @@ from tissueid.instrument import Instrument, Limits, Run, is_not_played
 from tissueid.messages import Message
 
 POLL_S = 0.05
-"""Longest wait of one poll, s."""
+"""Maximum wait of one poll, s."""
 _RELEASE_S = 0.08
-"""Seconds after a run until the frames of its release (a ramp of 50 ms) have arrived."""
+"""Time after a run until the frames of its release (a ramp of 50 ms) have arrived, s."""
 _RELEASE_POLLS = 40
-"""Most polls for the end of the release."""
+"""Maximum number of polls for the end of the release."""
 CANCELLED = Message("test.cancelled", "cancelled; the coil is released and the recording is kept")
 CANCELLED_BETWEEN = Message(
     "test.cancelled_between", "cancelled between two tests; the coil is free and the recordings are kept"
@@ -45,12 +45,12 @@ class Progress:
     samples: NDArray[np.void]
 
 
-def ignore(_: Progress) -> None:
-    """Discard the progress."""
+def ignore_progress(_: Progress) -> None:
+    """Ignore the progress: the default callback."""
 
 
-def never() -> bool:
-    """Return False: never stop."""
+def never_stop() -> bool:
+    """Return False: the default stop callback."""
     return False
 
 
@@ -61,23 +61,23 @@ def play(
     *,
     started: Callable[[Run], None] | None = None,
     on_samples: Callable[[NDArray[np.void], float], None],
-    cancelled: Callable[[], bool] = never,
+    cancelled: Callable[[], bool] = never_stop,
     set_points: SetPoints | None = None,
-    enough: Callable[[], bool] = never,
+    enough: Callable[[], bool] = never_stop,
 ) -> Run:
-    """Play one stimulus, shape (n,), V, and return the run as it was played.
+    """Play one stimulus, shape (n,), V, and return the run as played.
 
     ``on_samples`` receives the samples as they arrive and the fraction played. ``set_points`` follow the stimulus and
     are computed from the measurement. ``enough`` is called after every poll; when it returns True, the run ends with a
-    soft release. On any error the coil is released before the error leaves this function.
+    soft release. On any error the coil is released before the exception propagates.
 
     Raises:
         CancelledError: ``cancelled`` returned True.
-        LimitError, InstrumentError: as ``Instrument`` raises them.
+        LimitError, InstrumentError: as raised by ``Instrument``.
         UnusableInputError: invalid set-points.
     """
     instrument.load(command_v)
-    # Set-points are due in time: a garbage collection of all objects that exist before the run takes 100 ms or more.
+    # Set-points have deadlines: collecting all objects that exist before the run would take 100 ms or more.
     gc.freeze()
     try:
         if set_points is not None:
@@ -98,7 +98,7 @@ def play(
                 seen_to = int(received[-1]) + 1 if received.size else seen_to
                 if set_points is not None:
                     set_points.take(inside)
-                    if run is planned and last < run.end_index:  # a device that hung may return after the end
+                    if run is planned and last < run.end_index:  # a device that stalled may resume after the end
                         set_points.send_due(instrument)
                 on_samples(inside, min(1.0, (last - run.first_index) / run.samples))
             _raise_if_cancelled(cancelled)
@@ -137,4 +137,4 @@ def _drain_release(instrument: Instrument, run: Run, *, all_seen: bool) -> None:
     except LinkLostError:
         if not all_seen:
             raise
-        # All of the run was received; the next user of the instrument gets the error.
+        # The whole run was received; the error is raised at the next use of the instrument.

@@ -1,4 +1,4 @@
-"""The recorder: write a sitting into the journal, and make its session file at the end."""
+"""Recorder: writes a sitting into the journal, and creates its session file at the end."""
 
 from __future__ import annotations
 
@@ -28,7 +28,7 @@ from tissueid.acquisition.journal import (
     journal_path,
 )
 from tissueid.acquisition.quality import QualityGate
-from tissueid.acquisition.recovery import session_into
+from tissueid.acquisition.recovery import write_journal_session
 from tissueid.audit import AuditTrail
 from tissueid.device import DeviceDescription
 from tissueid.errors import CancelledError, FirmwareFaultError, SessionExistsError, SessionFormatError
@@ -38,41 +38,43 @@ from tissueid.messages import Action, Message, codes_in
 from tissueid.sessions import MAX_NUMBERS, Session, Subject, read_own_session
 from tissueid.sessions.model import reason_of
 
-WAITING_S = 30.0
-"""Seconds of samples that may wait for the disk; then the test ends."""
-ROOM_LEFT = 32_000_000
-"""Bytes that must remain free after a test."""
-_NUMBERS = len(SIGNALS) + 2
-"""Numbers of a sample in a session: recorded signals, force and time."""
-_IN_SESSION = 8 * _NUMBERS + 2
-"""Most bytes of a sample in a session; compression usually halves them."""
+MAX_UNWRITTEN_S = 30.0
+"""Maximum length of unwritten samples, s; beyond it the test ends."""
+MIN_FREE_BYTES = 32_000_000
+"""Minimum free disk space after a test, bytes."""
+_NUMBERS_PER_SAMPLE = len(SIGNALS) + 2
+"""Numbers per sample in a session: recorded signals, force and time."""
+_SESSION_BYTES = 8 * _NUMBERS_PER_SAMPLE + 2
+"""Maximum bytes per sample in a session; compression usually halves them."""
 HEAD_S = 1.0
-"""Seconds of samples after which the journal repeats the head of the test, to read the samples after a damage."""
+"""Interval, s of samples, at which the journal repeats the header of the test, so that samples after a damage are
+readable.
+"""
 _HEAD_SHARE = 0.1
-"""Largest share of the journal that these repetitions take."""
+"""Maximum share of the journal used by these repetitions."""
 _CALIBRATION = ("state", "static_file", "static_date", "sweep_file", "sweep_date")
 """Entries of the active calibration in the audit log."""
-_OUT = Action("session.recover_out", "--out", marked("in another folder"))
+_OUT_OPTION = Action("session.recover_out", "--out", marked("in another folder"))
 
 _Result = TypeVar("_Result")
 
 
 @dataclass
 class Preparation:
-    """State of preparing one test. A test that was given up is not logged as begun afterwards."""
+    """State of the preparation of one test. An abandoned test is not logged as begun afterwards."""
 
     logged: bool = False
-    given_up: bool = False
+    abandoned: bool = False
 
 
 class SessionRecorder:
-    """Record one sitting. ``finish`` makes a session file; if the host dies, the journal remains.
+    """Recorder of one sitting. ``finish`` creates a session file; if the host crashes, the journal remains.
 
     With ``trail``, the audit log gets an entry before the sitting and before each test, which fail if it cannot be
     written, and one at the end of each test, without waiting (see ``trail.problem``).
 
     Raises:
-        SessionFormatError: the session file exists already.
+        SessionFormatError: the session file already exists.
         JournalError: an unfinished journal exists, or the folder is not writable or full.
         AuditError: the sitting cannot be logged.
     """
@@ -109,13 +111,13 @@ class SessionRecorder:
         self._sample_entries: deque[tuple[int, int]] = deque()
         self._run_samples = 0
         self._turn = threading.Lock()
-        self._check_room(0)
-        waiting = round(WAITING_S * device.sample_rate_hz * SAMPLE.itemsize)
+        self._check_disk_space(0)
+        waiting = round(MAX_UNWRITTEN_S * device.sample_rate_hz * SAMPLE.itemsize)
         self._journal = Journal(journal_path(path), sync_s=sync_s, max_waiting=waiting)
         who = subject or Subject()
         try:
             if trail is not None:
-                trail.record("session.begun", subject=self.session_id, new=_about(device, who))
+                trail.record("session.begun", subject=self.session_id, new=_audit_values(device, who))
             sitting = {
                 "session_id": self.session_id,
                 "created": datetime.now(UTC).strftime("%Y-%m-%dT%H:%M:%SZ"),
@@ -125,7 +127,7 @@ class SessionRecorder:
                 "audit_head": "" if trail is None else trail.head,
             }
             self._sitting = encode_json(Entry.SITTING, sitting)
-            self._journal.append(_twice(self._sitting))
+            self._journal.append(_duplicated(self._sitting))
         except BaseException:
             self._discard()
             raise
@@ -138,19 +140,19 @@ class SessionRecorder:
         preparation: Preparation | None = None,
         **about: str | float,
     ) -> None:
-        """Check, before a test of ``samples`` samples, that it can be recorded, and log it; wait for the disk.
+        """Check, before a test of ``samples`` samples, that it can be recorded, and log it; waits for the disk.
 
         ``about`` is stored in the audit log. ``preparation`` is for a caller that does not wait for the end of this
-        call: see ``not_begun``.
+        call: see ``log_not_begun``.
 
         Raises:
-            CancelledError: the test was given up meanwhile, and is not logged.
-            JournalError: the recording failed, or the disk has no room for the test.
+            CancelledError: the test was abandoned meanwhile, and is not logged.
+            JournalError: the recording failed, or the disk has not enough space for the test.
             SessionFormatError: the session would be too large to be read.
             AuditError: the test cannot be logged.
         """
         self._journal.check()
-        if (self.samples_appended + samples) * _NUMBERS > MAX_NUMBERS:
+        if (self.samples_appended + samples) * _NUMBERS_PER_SAMPLE > MAX_NUMBERS:
             raise SessionFormatError(
                 Message(
                     "session.too_large",
@@ -158,16 +160,16 @@ class SessionRecorder:
                     path=str(self.path),
                 )
             )
-        self._check_room(samples)
+        self._check_disk_space(samples)
         if self.trail is not None:
             step = preparation or Preparation()
             if limits != CLINICAL:
-                with self._wanted(step):
+                with self._unless_abandoned(step):
                     answer = self.trail.submit(
                         "limits.chosen", subject=self.session_id, old=asdict(CLINICAL), new=asdict(limits)
                     )
                 answer.result()
-            with self._wanted(step):
+            with self._unless_abandoned(step):
                 answer = self.trail.submit("test.begun", subject=self._test(self.tests_begun + 1), new=about)
                 step.logged = True
             answer.result()
@@ -180,7 +182,7 @@ class SessionRecorder:
         self._head = self._sitting + encode_json(Entry.TEST, entry | {"again": True})
         self._head_at = 0
         self._repeat_head_later()
-        self._journal.append(self._sitting + _twice(encode_json(Entry.TEST, entry)))
+        self._journal.append(self._sitting + _duplicated(encode_json(Entry.TEST, entry)))
         return self.tests_begun
 
     def _repeat_head_later(self) -> None:
@@ -191,7 +193,7 @@ class SessionRecorder:
         """Record samples of the running test, shape (k,) of instrument.SAMPLE.
 
         Raises:
-            JournalError: they cannot be written, or too many wait for the disk.
+            JournalError: writing failed, or too many samples are unwritten.
         """
         if samples.size:
             if self._run_samples >= self._head_at:
@@ -201,78 +203,78 @@ class SessionRecorder:
             self.samples_appended += samples.size
             self._run_samples += samples.size
             self._sample_entries.append((number, self.samples_appended))
-            # Only the newest synced entry is needed; an hour has very many.
+            # Only the newest synced entry is needed; the others are dropped to limit memory.
             synced = self._journal.synced
             while len(self._sample_entries) > 1 and self._sample_entries[1][0] <= synced:
                 self._sample_entries.popleft()
 
     @property
     def samples_acknowledged(self) -> int:
-        """Number of samples of this sitting that are on the disk."""
+        """Number of samples of this sitting that are synced to the disk."""
         synced = self._journal.synced
         return max((total for number, total in tuple(self._sample_entries) if number <= synced), default=0)
 
     def event(self, kind: str, **details: Any) -> None:
         """Record an event such as a gap, a fault or a verdict. Never raises: other methods report a failed journal."""
-        self._journal.leave(encode_json(Entry.EVENT, {"kind": kind, **details, "test": self.tests_begun}))
+        self._journal.append_unchecked(encode_json(Entry.EVENT, {"kind": kind, **details, "test": self.tests_begun}))
 
     def end_test(
         self, status: str, samples: int | None = None, *, cause: BaseException | None = None, **notes: str | float
     ) -> None:
         """Record the end of the running test, completed or aborted by ``cause``. Never raises and never waits.
 
-        ``samples`` is the number of samples that a test played that was completed early.
+        ``samples`` is the number of played samples of a test that was completed early.
         """
         entry: dict[str, Any] = {"test": self.tests_begun, "status": status, "notes": notes}
         if samples is not None:
             entry["samples"] = samples
-        self._journal.leave(encode_json(Entry.TEST_END, entry))
-        self._log_end(self.tests_begun, _ending(status, cause), self._run_samples, reason_of(notes))
+        self._journal.append_unchecked(encode_json(Entry.TEST_END, entry))
+        self._log_end(self.tests_begun, _end_name(status, cause), self._run_samples, reason_of(notes))
 
-    def not_begun(self, cause: BaseException, reason: str, preparation: Preparation | None = None) -> None:
+    def log_not_begun(self, cause: BaseException, reason: str, preparation: Preparation | None = None) -> None:
         """Log that the prepared test did not begin. Never raises and never waits.
 
-        If ``preparation`` has not yet logged the beginning in its thread, it never will, and there is no end to log.
+        If the thread of ``preparation`` has not yet logged the beginning, it will not do so, and no end is logged.
         """
         with self._turn:
             if preparation is not None:
-                preparation.given_up = True
+                preparation.abandoned = True
                 if not preparation.logged:
                     return
-            self._log_end(self.tests_begun + 1, _ending("aborted", cause), 0, reason)
+            self._log_end(self.tests_begun + 1, _end_name("aborted", cause), 0, reason)
 
     @contextlib.contextmanager
-    def _wanted(self, preparation: Preparation) -> Iterator[None]:
-        """Hold the lock while a line is logged, unless the test was given up.
+    def _unless_abandoned(self, preparation: Preparation) -> Iterator[None]:
+        """Hold the lock while an entry is logged, unless the test was abandoned.
 
         Raises:
-            CancelledError: the test was given up.
+            CancelledError: the test was abandoned.
         """
         with self._turn:
-            if preparation.given_up:
+            if preparation.abandoned:
                 raise CancelledError(Message("test.given_up", "the test was cancelled while it was prepared"))
             yield
 
     def write(self) -> None:
         """Write the session file from the journal, verify it, and remove the journal.
 
-        The memory used is that of the longest test.
+        Memory use is that of the longest test.
 
         Raises:
-            JournalError: the session could not be written, or the journal is incomplete; it stays for
+            JournalError: the session could not be written, or the journal is incomplete; the journal is kept for
                 ``tissueid recover``.
         """
         try:
             self._journal.check()
             if self.trail is not None:
                 self.trail.settle()
-            self._journal.leave(
+            self._journal.append_unchecked(
                 encode_json(Entry.CLOSED, {"audit_head": "" if self.trail is None else self.trail.head})
             )
             self._journal.sync()
         finally:
             self._journal.close()
-        self._or_keep(lambda: session_into(self.path, self._journal.path, self.samples_appended))
+        self._explain_disk_failure(lambda: write_journal_session(self.path, self._journal.path, self.samples_appended))
         with contextlib.suppress(OSError):  # the session is complete; 'recover' removes the rest
             self._journal.path.unlink()
         if self.trail is not None:
@@ -284,21 +286,21 @@ class SessionRecorder:
             self.trail.settle()
 
     def finish(self) -> Session:
-        """Write the session file as ``write`` does; return the session, read into memory.
+        """Write the session file (see ``write``) and return the session, read into memory.
 
         Raises:
-            JournalError: as ``write``.
+            JournalError: see ``write``.
         """
         self.write()
         return read_own_session(self.path)
 
     def finish_or_discard(self, cause: BaseException | None = None) -> Session | None:
-        """Write the samples so far as a session after a failure; without samples leave no file.
+        """Write the samples so far as a session after a failure; without samples no file is left.
 
-        If that fails, the journal stays for ``tissueid recover``.
+        If writing fails, the journal is kept for ``tissueid recover``.
 
         Raises:
-            JournalError: as ``write``.
+            JournalError: see ``write``.
         """
         if self.trail is not None and cause is not None:
             self.trail.note("session.broken_off", subject=self.session_id, new=self._without_names(str(cause)))
@@ -310,7 +312,7 @@ class SessionRecorder:
         return None
 
     def abandon(self) -> None:
-        """Close without a session; the journal stays for ``tissueid recover``."""
+        """Close without writing a session; the journal is kept for ``tissueid recover``."""
         with contextlib.suppress(JournalError):  # closed when the disk responds
             self._journal.close()
         if self.trail is not None:
@@ -322,18 +324,18 @@ class SessionRecorder:
         with contextlib.suppress(OSError):
             self._journal.path.unlink()
 
-    def _check_room(self, samples: int) -> None:
-        """Check that the disk has room for a test of ``samples`` samples.
+    def _check_disk_space(self, samples: int) -> None:
+        """Check that the disk has enough space for a test of ``samples`` samples.
 
         Raises:
-            JournalError: it has not.
+            JournalError: not enough space.
         """
         wanted = (
             round(samples * SAMPLE.itemsize * (1.0 + _HEAD_SHARE))
-            + (self.samples_appended + samples) * _IN_SESSION
-            + ROOM_LEFT
+            + (self.samples_appended + samples) * _SESSION_BYTES
+            + MIN_FREE_BYTES
         )
-        free = self._or_keep(lambda: shutil.disk_usage(self.path.parent).free)
+        free = self._explain_disk_failure(lambda: shutil.disk_usage(self.path.parent).free)
         if free < wanted:
             raise JournalError(
                 Message(
@@ -346,8 +348,9 @@ class SessionRecorder:
                 )
             )
 
-    def _or_keep(self, work: Callable[[], _Result]) -> _Result:
-        """Return the result of ``work``; if the disk fails, report what is kept and how to make the session from it.
+    def _explain_disk_failure(self, work: Callable[[], _Result]) -> _Result:
+        """Return the result of ``work``; if the disk fails, raise an error that says what is kept and how to recover
+        it.
 
         Raises:
             JournalError: the disk failed.
@@ -365,7 +368,7 @@ class SessionRecorder:
                     "cannot write {path}: {reason}. The recording is kept in {journal}; move that file away or choose "
                     "another ({out}), and {action} makes the session",
                     **values,
-                    out=_OUT,
+                    out=_OUT_OPTION,
                     action=RECOVER,
                 )
             else:
@@ -374,7 +377,7 @@ class SessionRecorder:
                     "cannot write {path}: {reason}. The recording is kept in {journal}; when the cause is removed, "
                     "{action} makes the session from it, on another disk if you choose one ({out})",
                     **values,
-                    out=_OUT,
+                    out=_OUT_OPTION,
                     action=RECOVER,
                 )
             raise JournalError(words) from error
@@ -392,16 +395,16 @@ class SessionRecorder:
             self.trail.note(what, subject=self._test(number), new=new)
 
     def _without_names(self, words: str) -> str:
-        """Return a text for the audit log without file names, which may be names of people."""
+        """Return a text for the audit log without file names, which may contain names of people."""
         return words.replace(str(self.path), "the session").replace(str(self.path.parent), "its folder")
 
 
-def _twice(entry: bytes) -> bytes:
-    """Return an entry doubled: it is essential, and one flipped bit must not lose a whole test."""
+def _duplicated(entry: bytes) -> bytes:
+    """Return an entry twice: one flipped bit must not lose a whole test."""
     return 2 * entry
 
 
-def _about(device: DeviceDescription, subject: Subject) -> dict[str, str | float]:
+def _audit_values(device: DeviceDescription, subject: Subject) -> dict[str, str | float]:
     """Return pseudonym, instrument and calibration for the audit log."""
     active = {name: device.calibration[name] for name in _CALIBRATION if name in device.calibration}
     return {
@@ -412,7 +415,7 @@ def _about(device: DeviceDescription, subject: Subject) -> dict[str, str | float
     } | active
 
 
-def _ending(status: str, cause: BaseException | None) -> str:
+def _end_name(status: str, cause: BaseException | None) -> str:
     """Return the name of the end of a test in the audit log."""
     if isinstance(cause, FirmwareFaultError):
         return "test.fault"

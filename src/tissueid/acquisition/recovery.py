@@ -1,4 +1,4 @@
-"""Make a session from the entries of a journal: at the end of every sitting, and after the host died."""
+"""Creation of a session from a journal: at the end of every sitting, and after a crash of the host."""
 
 from __future__ import annotations
 
@@ -41,24 +41,24 @@ from tissueid.sessions import (
 )
 
 SPARSE_SAMPLES = 500_000
-"""Length in samples (250 s at 2 kHz) up to which tests are recovered however few of their samples exist."""
+"""Length in samples (250 s at 2 kHz) up to which tests are recovered regardless of the number of existing samples."""
 SPARSE_SHARE = 0.05
-"""Least share of existing samples of longer tests; it keeps the memory in proportion to the journal."""
+"""Minimum share of existing samples of longer tests; it bounds memory in proportion to the journal."""
 MAX_EVENTS_TEXT = 500_000
-"""Most characters of the events of a test, half of the longest text in a session."""
-_MAX_STRAYS = 16 * 1024 * 1024
-"""Most bytes of samples after a damage that wait for the repeated head of their test (once a second)."""
+"""Maximum length of the events of a test, characters: half of the longest text in a session."""
+_MAX_UNASSIGNED_BYTES = 16 * 1024 * 1024
+"""Maximum bytes of samples after a damage that are kept until the header of their test is repeated (once a second)."""
 
 _Entries = Iterable[tuple[Entry, bytes]]
 
 
 class _CutOffError(UnusableInputError):
-    """The first entry of a journal is incomplete: nothing was recorded yet."""
+    """The first entry of a journal is truncated: nothing was recorded."""
 
 
 @dataclass
 class OpenTest:
-    """A test that is being assembled from its entries."""
+    """Test that is being assembled from its entries."""
 
     number: int
     run: Run
@@ -68,24 +68,24 @@ class OpenTest:
     blocks: list[NDArray[np.void]] = field(default_factory=list)
     events: list[dict[str, Any]] = field(default_factory=list)
     received: int = 0
-    reach: int = 0
-    """Number of samples from the beginning to the last one received."""
+    received_length: int = 0
+    """Number of samples from the beginning to the last received one."""
     ended: bool = False
 
     def take(self, payload: bytes, *, keep: bool) -> None:
-        """Add recorded samples; those outside the run are ignored."""
+        """Add recorded samples; samples outside the run are ignored."""
         samples = np.frombuffer(payload, SAMPLE)
         first = self.run.first_index
         inside = samples[(samples["index"] >= first) & (samples["index"] < first + self.run.samples)]
         played = inside[~is_not_played(inside)]
         self.received += played.size
         if played.size:
-            self.reach = max(self.reach, int(played["index"].max()) - first + 1)
+            self.received_length = max(self.received_length, int(played["index"].max()) - first + 1)
         if keep:
             self.blocks.append(inside)
 
     def end(self, status: str, notes: dict[str, str | float], samples: int | None) -> None:
-        """End the test, after fewer samples than planned if ``samples`` is given.
+        """Mark the end of the test, after fewer samples than planned if ``samples`` is given.
 
         Raises:
             UnusableInputError: more samples than planned, or none.
@@ -106,7 +106,7 @@ class OpenTest:
     @property
     def length(self) -> int:
         """Number of samples of the finished test; a test that ended early ends with its last received sample."""
-        return self.run.samples if self.status == "completed" else min(self.reach, self.run.samples)
+        return self.run.samples if self.status == "completed" else min(self.received_length, self.run.samples)
 
     def close(self, device: DeviceDescription) -> Test | None:
         """Return the finished test, up to the release of the coil; None if no sample was received."""
@@ -150,10 +150,10 @@ def _events_text(events: list[dict[str, Any]]) -> str:
     return f"[{', '.join(kept)}]"
 
 
-class _Reading:
-    """Assemble the tests of a journal one by one from its entries.
+class _TestReader:
+    """Assembles the tests of a journal one by one from its entries.
 
-    Invalid entries are skipped and counted as damage. With ``keep`` the tests have their samples.
+    Invalid entries are skipped and counted as damage. With ``keep`` the tests include their samples.
     """
 
     def __init__(self, damage: Damage, *, keep: bool) -> None:
@@ -162,14 +162,14 @@ class _Reading:
         self._places = damage.places
         self._test: OpenTest | None = None
         self._seen: set[int] = set()
-        self._strays: list[bytes] | None = None
+        self._unassigned: list[bytes] | None = None
         """Samples after a damage that may belong to a test whose repeated head follows; None without a damage."""
 
     def tests(self, entries: _Entries) -> Iterator[OpenTest]:
-        """Yield each test when its last entry was read."""
+        """Yield each test after its last entry."""
         for kind, payload in entries:
             if self._damage.places > self._places:
-                self._strays = []
+                self._unassigned = []
             if kind is Entry.TEST:
                 if (finished := self._begin(payload)) is not None:
                     yield finished
@@ -186,11 +186,11 @@ class _Reading:
             yield self._test
 
     def _begin(self, payload: bytes) -> OpenTest | None:
-        """Begin a test; return the previous test if this is another one."""
+        """Begin a test; return the previous test if this is a different one."""
         content = content_of(TestContent, payload, self._damage)
         before = self._test
         if content is not None and before is not None and content.number == before.number:
-            self._strays = None
+            self._unassigned = None
             return None  # a copy or a repetition
         self._test = None
         if content is not None and content.number in self._seen:
@@ -200,9 +200,9 @@ class _Reading:
             run = Run(content.run.first_index, content.run.samples)
             self._test = OpenTest(content.number, run, content.attributes.model_dump(exclude_unset=True))
             if content.again:
-                for stray in self._strays or ():
+                for stray in self._unassigned or ():
                     self._test.take(stray, keep=self._keep)
-        self._strays = None
+        self._unassigned = None
         return before
 
     def _take(self, payload: bytes) -> None:
@@ -211,15 +211,15 @@ class _Reading:
             return
         if self._test is not None and not self._test.ended:
             self._test.take(payload, keep=self._keep)
-        if self._strays is not None:
-            self._strays.append(payload)
-            if sum(map(len, self._strays)) > _MAX_STRAYS:
-                self._strays = None
+        if self._unassigned is not None:
+            self._unassigned.append(payload)
+            if sum(map(len, self._unassigned)) > _MAX_UNASSIGNED_BYTES:
+                self._unassigned = None
 
     def _end(self, payload: bytes) -> None:
         content = content_of(TestEndContent, payload, self._damage)
         if content is None or self._test is None or content.test not in (None, self._test.number):
-            return  # the end of another test, whose head is damaged
+            return  # the end of another test, whose header is damaged
         try:
             self._test.end(content.status, dict(content.notes), content.samples)
         except UnusableInputError:
@@ -227,9 +227,9 @@ class _Reading:
 
 
 def _open_tests(entries: _Entries, damage: Damage, *, keep: bool) -> Iterator[OpenTest]:
-    """Yield the tests of which enough samples exist."""
+    """Yield the tests with enough samples."""
     length = received = 0
-    for test in _Reading(damage, keep=keep).tests(entries):
+    for test in _TestReader(damage, keep=keep).tests(entries):
         received += test.received
         if not test.received:
             continue
@@ -252,7 +252,7 @@ def _sitting(entries: _Entries, damage: Damage) -> tuple[Session, int]:
     """Return the session of the entries without its tests, and its number of tests.
 
     Raises:
-        UnusableInputError: no head of a sitting is intact, or the session would be too large to be read.
+        UnusableInputError: no header of a sitting is intact, or the session would be too large to be read.
     """
     sitting: SittingContent | None = None
     head = ""
@@ -292,14 +292,14 @@ def _sitting(entries: _Entries, damage: Damage) -> tuple[Session, int]:
 
 
 def _tests(entries: _Entries, device: DeviceDescription, damage: Damage) -> Iterator[Test]:
-    """Yield the tests of the entries. A test without an end is marked recovered."""
+    """Yield the tests of the entries. A test without an end entry is marked recovered."""
     for item in _open_tests(entries, damage, keep=True):
         if (test := item.close(device)) is not None:
             yield test
 
 
-def _judged(tests: Iterator[Test], device: DeviceDescription) -> Iterator[Test]:
-    """Judge the tests that were not judged before the host died, each against those before it."""
+def _with_quality(tests: Iterator[Test], device: DeviceDescription) -> Iterator[Test]:
+    """Judge the tests that were not judged before the crash, each against those before it."""
     gate = QualityGate(device)
     for test in tests:
         found = gate.judge(test)
@@ -307,30 +307,30 @@ def _judged(tests: Iterator[Test], device: DeviceDescription) -> Iterator[Test]:
 
 
 def session_from_entries(entries: _Entries) -> Session:
-    """Return the session of a journal's entries, in memory.
+    """Return the session of the entries of a journal, in memory.
 
     Raises:
-        UnusableInputError: no head of a sitting is intact, or the session would be too large.
+        UnusableInputError: no header of a sitting is intact, or the session would be too large.
     """
     entries = tuple(entries)
     session, _ = _sitting(entries, Damage())
     return replace(session, tests=tuple(_tests(entries, session.instrument, Damage())))
 
 
-def session_into(path: Path, journal: Path, samples: int) -> None:
-    """Write the session of a journal that must hold all ``samples`` that were recorded, one test at a time.
+def write_journal_session(path: Path, journal: Path, samples: int) -> None:
+    """Write the session of a journal that must contain all ``samples`` recorded samples, one test at a time.
 
     Raises:
-        JournalError: the journal is incomplete or damaged; it stays as it is.
-        SessionFormatError, OSError: the session cannot be written; nothing is left behind.
+        JournalError: the journal is incomplete or damaged; it is kept unchanged.
+        SessionFormatError, OSError: the session cannot be written; no file is left.
     """
     try:
         damage = Damage()
         damage, again = Damage(), Damage()
-        session, _ = _sitting(_whole(journal, samples, damage), damage)
+        session, _ = _sitting(_complete_entries(journal, samples, damage), damage)
         if damage.left_out:
-            raise UnusableInputError(_few(damage.left_out))
-        tests = _tests(_whole(journal, samples, again), session.instrument, again)
+            raise UnusableInputError(_shortened(damage.left_out))
+        tests = _tests(_complete_entries(journal, samples, again), session.instrument, again)
         write_session(path, session, tests=tests)
     except SessionFormatError:
         raise  # the session could not be written; the journal is intact
@@ -346,21 +346,21 @@ def session_into(path: Path, journal: Path, samples: int) -> None:
         ) from error
 
 
-def _few(left_out: Sequence[str]) -> Message:
+def _shortened(left_out: Sequence[str]) -> Message:
     return Message("recovery.left_out", "{tests}", tests=Listing(tuple(left_out[:3]), "; ", "; "))
 
 
-def _whole(journal: Path, samples: int, damage: Damage) -> Iterator[tuple[Entry, bytes]]:
-    """Yield the entries of a journal that must be intact and hold ``samples``.
+def _complete_entries(journal: Path, samples: int, damage: Damage) -> Iterator[tuple[Entry, bytes]]:
+    """Yield the entries of a journal that must be intact and contain ``samples`` samples.
 
     Raises:
-        JournalError: after the last entry, if it is not.
+        JournalError: after the last entry, if it is not complete.
     """
     received = 0
     for kind, payload in read_entries(journal, damage):
         received += len(payload) // SAMPLE.itemsize if kind is Entry.SAMPLES else 0
         yield kind, payload
-    # An interrupt between writing and counting an entry leaves more samples than counted.
+    # An interrupt between writing and counting an entry can leave more samples than counted.
     if damage.places or received < samples:
         raise JournalError(
             Message(
@@ -382,9 +382,9 @@ def recover(
     trail: AuditTrail | None = None,
     report: Callable[[str], None] = lambda _: None,
 ) -> tuple[Path, Session]:
-    """Make the session of an unfinished journal. ``path`` is the journal or the session that it belongs to.
+    """Create the session of an unfinished journal. ``path`` is the journal or the session that it belongs to.
 
-    ``out`` is the session file, if it cannot be next to the journal. A log that cannot be written does not prevent the
+    ``out`` is the session file, if it cannot be written next to the journal. A failing audit log does not prevent the
     recovery: see ``trail.problem``. A damaged journal is kept under another name, and ``report`` receives a message
     about it; samples that cannot be read are NaN in the session.
 
@@ -393,8 +393,8 @@ def recover(
 
     Raises:
         UnusableInputError: there is nothing to recover.
-        JournalError: the test still runs.
-        OSError: the session cannot be written; the journal stays as it was.
+        JournalError: the test is still running.
+        OSError: the session cannot be written; the journal is kept unchanged.
     """
     journal = path if path.name.endswith(".journal") else journal_path(path)
     target = out or journal.with_name(journal.name.removesuffix(".journal"))
@@ -437,7 +437,7 @@ def recover(
                 ) from error
             raise
         if not (written := not target.exists()):
-            # The host died between the rename and the removal of the journal.
+            # The host crashed between the rename and the removal of the journal.
             if read_session_head(target).session_id != session.session_id:
                 raise UnusableInputError(
                     Message("recovery.other_session", "{path} is another session; move it away first", path=str(target))
@@ -448,7 +448,7 @@ def recover(
                     "recovery.too_few",
                     "{path} is damaged, and there is nothing to save: {tests}",
                     path=str(journal),
-                    tests=_few(damage.left_out),
+                    tests=_shortened(damage.left_out),
                 )
             elif damage.places:
                 words = Message(
@@ -465,7 +465,9 @@ def recover(
             raise UnusableInputError(words)
         else:
             again = Damage()
-            tests_again = _judged(_tests(read_entries(journal, again), session.instrument, again), session.instrument)
+            tests_again = _with_quality(
+                _tests(read_entries(journal, again), session.instrument, again), session.instrument
+            )
             write_session(target, session, tests=tests_again)
     for session_file in {target, journal.with_name(journal.name.removesuffix(".journal"))}:
         remove_leftovers(session_file)

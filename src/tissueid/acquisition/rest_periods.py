@@ -1,4 +1,4 @@
-"""Rest between repeats: predict the coil temperature, and wait while the connection is kept alive."""
+"""Rest periods between repeats: prediction of the coil temperature, and waiting with an active connection."""
 
 from __future__ import annotations
 
@@ -8,29 +8,29 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from tissueid.acquisition.playback import CANCELLED_BETWEEN, POLL_S, never
+from tissueid.acquisition.playback import CANCELLED_BETWEEN, POLL_S, never_stop
 from tissueid.device import DeviceDescription
 from tissueid.errors import CancelledError
 from tissueid.instrument import Instrument
 from tissueid.instrument.thermal import PLAUSIBLE_C, WindingTemperature
 from tissueid.messages import Message
 
-MOST_REST_S = 600.0
-"""Longest rest, s, that is proposed."""
-_STEP_S = 5.0
-"""Resolution of the proposed rest, s."""
+MAX_REST_S = 600.0
+"""Maximum proposed rest period, s."""
+_RESOLUTION_S = 5.0
+"""Resolution of the proposed rest period, s."""
 _MARGIN_K = 6.0
 """Safety margin, K: after a restart the instrument assumes its coil to be 5 K warmer than the sensor reads."""
 _POLLS = 40
-"""Most polls until the sensor gives a temperature."""
+"""Maximum number of polls until the sensor gives a temperature."""
 
 
 @dataclass(frozen=True)
 class HeatingForecast:
     """Predicted coil temperatures of repeated tests.
 
-    ``temperatures_c`` are those at the end of each test, degC. ``rest_s`` is the rest between two tests that keeps all
-    of them below ``limit_c``: 0 if no rest is needed, None if none is long enough.
+    ``temperatures_c`` are those at the end of each test, degC. ``rest_s`` is the rest period between two tests that
+    keeps all of them below ``limit_c``: 0 if none is needed, None if none is long enough.
     """
 
     temperatures_c: tuple[float, ...]
@@ -38,15 +38,15 @@ class HeatingForecast:
     rest_s: float | None
 
     @property
-    def first_too_warm(self) -> int | None:
-        """Number, from 1, of the first test that the limit may end; None without one."""
+    def first_too_hot(self) -> int | None:
+        """Number, from 1, of the first test that may reach the limit; None without one."""
         hot = (n for n, value in enumerate(self.temperatures_c, start=1) if value + _MARGIN_K > self.limit_c)
         return next(hot, None)
 
     @property
     def warning(self) -> str:
-        """A message for the operator before the first test; "" if no test gets too warm."""
-        first = self.first_too_warm
+        """Message for the operator before the first test; "" if no test gets too hot."""
+        first = self.first_too_hot
         if first is None:
             return ""
         values = {
@@ -96,15 +96,15 @@ def predict_heating(
         return tuple(found)
 
     def holds(steps: int) -> bool:
-        return max(ends(steps * _STEP_S)) + _MARGIN_K <= limit_c
+        return max(ends(steps * _RESOLUTION_S)) + _MARGIN_K <= limit_c
 
-    low, high = -1, round(MOST_REST_S / _STEP_S)
+    low, high = -1, round(MAX_REST_S / _RESOLUTION_S)
     needed: float | None = None
     if holds(high):
         while high - low > 1:
             middle = (low + high) // 2
             low, high = (low, middle) if holds(middle) else (middle, high)
-        needed = high * _STEP_S
+        needed = high * _RESOLUTION_S
     return HeatingForecast(ends(rest_s), limit_c, needed)
 
 
@@ -130,13 +130,13 @@ def rest(
     seconds: float,
     *,
     progress: Callable[[float], None] = lambda _: None,
-    cancelled: Callable[[], bool] = never,
+    cancelled: Callable[[], bool] = never_stop,
 ) -> None:
-    """Leave the coil free for ``seconds`` of the instrument's clock, and keep polling.
+    """Keep the coil free for ``seconds`` of the instrument's clock while polling.
 
     Raises:
         CancelledError: ``cancelled`` returned True.
-        InstrumentError: as ``poll``.
+        InstrumentError: see ``poll``.
     """
     wanted = round(seconds * instrument.device.sample_rate_hz)
     first: int | None = None

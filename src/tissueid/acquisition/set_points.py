@@ -1,4 +1,4 @@
-"""Set-points of a feedback stimulus: computed block by block during the test, ahead of their playback."""
+"""Set-points of a feedback stimulus, computed block by block during the test, ahead of playback."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ from tissueid.stimuli.feedback import BLOCK, FeedbackKind
 from tissueid.untrusted_input import MAX_TEXT
 
 _REHEARSAL_S = 2.0
-"""Longest simulated time of the rehearsal, s."""
+"""Maximum simulated time of the rehearsal, s."""
 _REHEARSED_STIFFNESS = 1000.0
 """Stiffness of the rehearsal, N/m."""
 _REHEARSED_DAMPING = 10.0
@@ -29,7 +29,7 @@ _ROUNDING_N = 1e-9
 """Tolerance of the force range, N."""
 
 
-def preload(kind: FeedbackKind, preload_s: float) -> Stimulus:
+def preload_stimulus(kind: FeedbackKind, preload_s: float) -> Stimulus:
     """Return the preload of a feedback stimulus: the rise to its load and the hold.
 
     Raises:
@@ -52,12 +52,12 @@ def set_point_count(kind: FeedbackKind) -> int:
 
 @lru_cache(maxsize=8)
 def rehearse(kind: FeedbackKind) -> None:
-    """Run a stimulus once against a simulated spring and damper.
+    """Run a feedback stimulus against a simulated spring and damper before the coil is energised.
 
-    This compiles and loads what the source needs, and reveals its errors, before the coil is energised.
+    This compiles and loads the code of the source and detects its errors.
 
     Raises:
-        UnusableInputError: the source makes invalid set-points.
+        UnusableInputError: the source generates invalid set-points.
     """
     source = kind.start(0.0)
     decay = float(np.exp(-_REHEARSED_STIFFNESS / (_REHEARSED_DAMPING * kind.sample_rate)))
@@ -67,16 +67,16 @@ def rehearse(kind: FeedbackKind) -> None:
     state = decay * depth[-1:]
     for block in range(-kind.lead, blocks):
         source.take(force_n, depth, block * BLOCK)
-        force_n = checked(kind, source.next_block())
+        force_n = validated(kind, source.next_block())
         depth, state = scipy.signal.lfilter([(1.0 - decay) / _REHEARSED_STIFFNESS], [1.0, -decay], force_n, zi=state)
     source.report()
 
 
-def checked(kind: FeedbackKind, block: Array) -> Array:
-    """Return a block of set-points, shape (BLOCK,), N, if it is valid.
+def validated(kind: FeedbackKind, block: Array) -> Array:
+    """Return a block of set-points, shape (BLOCK,), N, after validation.
 
     Raises:
-        UnusableInputError: another shape, or outside the force range of the kind.
+        UnusableInputError: wrong shape, or outside the force range of the kind.
     """
     whole = block.shape == (BLOCK,)
     if not whole or not np.all((block >= kind.force_min_n - _ROUNDING_N) & (block <= kind.force_max_n + _ROUNDING_N)):
@@ -93,11 +93,11 @@ def checked(kind: FeedbackKind, block: Array) -> Array:
 
 
 class SetPoints:
-    """The set-points of a running test.
+    """Set-points of a running test.
 
-    The source gets the samples in pieces that end at block boundaries. Block k is made when the source has exactly the
-    samples up to ``lead`` blocks before the start of the block. Therefore the set-points depend on the measurement
-    alone, not on the timing of the cable, and can be computed again from the recording.
+    The source gets the samples in pieces that end at block boundaries. Block k is generated when the source has exactly
+    the samples up to ``lead`` blocks before the start of the block. The set-points therefore depend on the measurement
+    alone, not on transport timing, and can be reproduced from the recording.
 
     ``surface_m`` is the position of the tissue surface; ``clock`` is a monotonic clock, s.
     """
@@ -130,16 +130,16 @@ class SetPoints:
         self._received += samples.size
 
     def send_due(self, instrument: Instrument) -> None:
-        """Make and send the blocks that are due.
+        """Generate and send the blocks that are due.
 
         Raises:
-            UnusableInputError: the source made invalid set-points.
-            InstrumentError, LimitError: as ``send``.
+            UnusableInputError: the source generated invalid set-points.
+            InstrumentError, LimitError: see ``Instrument.send``.
         """
         while self._made * BLOCK < self.samples and (due := (self._made - self._kind.lead) * BLOCK) <= self._received:
             begin = self._clock()
-            self._hand_over(due)
-            block = checked(self._kind, self._source.next_block())
+            self._pass_to_source(due)
+            block = validated(self._kind, self._source.next_block())
             spent = self._clock() - begin
             self._seconds += spent
             self._longest = max(self._longest, spent)
@@ -148,10 +148,11 @@ class SetPoints:
             instrument.send(self._preload + offset, to_voltage(block[: self.samples - offset], self._device))
 
     def notes(self, run: Run, *, whole: bool) -> dict[str, str | float]:
-        """Return the notes about the generation, for a run as it was played.
+        """Return the notes about the generation, for a run as played.
 
-        ``generating_share`` is the computing time over the time of the test, ``generating_longest_s`` the time of the
-        slowest block, ``stimulus_report`` the report of the source as JSON, for a test that was played ``whole``.
+        ``generating_share`` is the computing time relative to the duration of the test, ``generating_longest_s`` the
+        time of the slowest block, ``stimulus_report`` the report of the source as JSON, for a test that was played
+        ``whole``.
         """
         played_s = run.samples / self._device.sample_rate_hz
         notes: dict[str, str | float] = {
@@ -165,7 +166,7 @@ class SetPoints:
     def _report(self) -> dict[str, str | float]:
         """Return the report of the source as JSON, or the reason why there is none."""
         try:
-            self._hand_over(self._received)
+            self._pass_to_source(self._received)
             report = json.dumps(self._source.report())
         except Exception as error:  # noqa: BLE001 - a plug-in may raise anything, and the test was played
             return {"stimulus_report_failed": f"{type(error).__name__}: {error}"}
@@ -173,8 +174,8 @@ class SetPoints:
             return {"stimulus_report_failed": f"{len(report)} characters; at most {MAX_TEXT} are stored"}
         return {"stimulus_report": report}
 
-    def _hand_over(self, end: int) -> None:
-        """Give the source the samples before ``end``, in pieces that end at multiples of a block."""
+    def _pass_to_source(self, end: int) -> None:
+        """Pass the samples before ``end`` to the source, in pieces that end at multiples of a block."""
         if end <= self._taken:
             return
         signals = np.concatenate(self._waiting, axis=1)  # (2, received - taken)

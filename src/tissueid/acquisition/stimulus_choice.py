@@ -1,4 +1,4 @@
-"""The stimulus of a test as it is chosen on the command line and in the window."""
+"""Stimulus of a test as selected on the command line and in the window."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ from tissueid.stimuli.kinds.noise import Noise
 FIXTURES = ("spring", "free_air")
 """Kinds of test in which the probe is not on tissue, as stored in a session."""
 PRELOAD_S = 0.5
-"""Seconds for which the mean load is held before the stimulus, so that the tissue settles (thesis 7.1.1)."""
+"""Default length of the preload, s, in which the tissue settles at the mean load (thesis 7.1.1)."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -52,7 +52,7 @@ class NoiseChoice:
 def playable(
     specification: StimulusKind, build: Callable[[OpenLoopKind], Stimulus] = lambda kind: kind.build()
 ) -> Stimulus | FeedbackKind:
-    """Return the stimulus of a specification: built with its preload, or the specification if it needs feedback.
+    """Return the stimulus of a specification with its preload, or the specification itself if it needs feedback.
 
     Raises:
         UnusableInputError: it is too large, or can neither be built nor generated during a test.
@@ -68,10 +68,10 @@ def playable(
 
 
 def playable_file(path: Path) -> Stimulus | FeedbackKind:
-    """Return a saved stimulus; one without a preload gets one.
+    """Return a saved stimulus; adds a preload if it has none.
 
     Raises:
-        UnusableInputError: the file cannot be read, or holds no stimulus that this version builds.
+        UnusableInputError: the file cannot be read, or contains no stimulus that this version can build.
     """
     loaded = load_stimulus(path)
     if isinstance(loaded, FeedbackKind) or loaded.preload_s > 0.0:
@@ -80,7 +80,7 @@ def playable_file(path: Path) -> Stimulus | FeedbackKind:
 
 
 def test_kind(stimulus: Stimulus | FeedbackKind) -> str:
-    """Return the kind of test that a stimulus makes on tissue, as stored in a session."""
+    """Return the kind of a test on tissue with this stimulus, as stored in a session."""
     kind = stimulus if isinstance(stimulus, FeedbackKind) else parse_description(stimulus.description)[0]
     return kind.test_kind
 

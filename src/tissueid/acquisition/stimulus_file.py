@@ -1,7 +1,6 @@
 """Files of designed stimuli: a description and the checksum of the samples.
 
-The samples are built again from the description, and the checksum verifies that they are the saved ones. A feedback
-stimulus has a description only.
+The samples are rebuilt from the description and verified by the checksum. A feedback stimulus has a description only.
 """
 
 from __future__ import annotations
@@ -23,15 +22,15 @@ from tissueid.untrusted_input import json_value
 
 FORMAT = "tissueid-stimulus"
 FORMAT_VERSION = "1.0"
-_MOST_BYTES = 4 * 1024 * 1024
-"""Largest size of a stimulus file."""
+_MAX_BYTES = 4 * 1024 * 1024
+"""Maximum size of a stimulus file, bytes."""
 
 
 def save_stimulus(path: Path, stimulus: Stimulus | FeedbackKind) -> None:
-    """Write a stimulus to a new file, completely or not at all.
+    """Write a stimulus to a new file atomically.
 
     Raises:
-        UnusableInputError: the file exists, the folder is missing, or it cannot be written.
+        UnusableInputError: the file exists, the folder is missing, or the file cannot be written.
     """
     check_new(path)
     text = json.dumps(_content(stimulus), indent=2, allow_nan=False) + "\n"
@@ -64,8 +63,7 @@ def load_stimulus(path: Path) -> Stimulus | FeedbackKind:
     """Read a stimulus: rebuilt and verified, or the specification of a feedback stimulus.
 
     Raises:
-        UnusableInputError: no such file, not a stimulus, one that is too large, or one that this version builds
-            differently.
+        UnusableInputError: no such file, not a stimulus, too large, or built differently by this version.
     """
     content = _read(path)
     description = content.get("description")
@@ -122,20 +120,20 @@ def _read(path: Path) -> dict[str, Any]:
     """
     try:
         with open_regular(path) as file:
-            data = file.read(_MOST_BYTES + 1)
+            data = file.read(_MAX_BYTES + 1)
     except FileNotFoundError as error:
         raise UnusableInputError(Message("file.missing", "{path}: no such file", path=str(path))) from error
     except OSError as error:
         raise UnusableInputError(
             Message("file.not_readable", "cannot read {path}: {reason}", path=str(path), reason=str(error.strerror))
         ) from error
-    if len(data) > _MOST_BYTES:
+    if len(data) > _MAX_BYTES:
         raise UnusableInputError(
             Message(
                 "stimulus.too_large",
                 "{path} is larger than {most} MB: it is not a saved stimulus",
                 path=str(path),
-                most=_MOST_BYTES >> 20,
+                most=_MAX_BYTES >> 20,
             )
         )
     try:
@@ -161,7 +159,7 @@ def _read(path: Path) -> dict[str, Any]:
 
 
 def _verify(path: Path, content: Mapping[str, Any], built: Stimulus) -> None:
-    """Compare the rebuilt stimulus with the saved figures.
+    """Compare the rebuilt stimulus with the stored properties.
 
     Raises:
         UnusableInputError: length, sample rate, unit or samples differ.

@@ -1,4 +1,4 @@
-"""Placing the probe: which way the instrument points, and where the tissue begins (thesis 2.2.2, Fig. 2.7)."""
+"""Placement of the probe: orientation of the instrument and position of the tissue surface (thesis 2.2.2, Fig. 2.7)."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from tissueid.acquisition.playback import POLL_S, Phase, Progress, ignore, never, play
+from tissueid.acquisition.playback import POLL_S, Phase, Progress, ignore_progress, never_stop, play
 from tissueid.device import GRAVITY_M_S2
 from tissueid.errors import UnusableInputError
 from tissueid.instrument import CLINICAL, SAMPLE, Instrument, Limits
@@ -17,26 +17,26 @@ from tissueid.language import marked
 from tissueid.messages import Message
 
 CONTACT_FORCES_N = (0.10, 0.05)
-"""Net forces, N, of the two contacts: the coil otherwise carries its own weight."""
+"""Net forces, N, of the two contacts, in addition to the current that carries the coil's weight."""
 PLACE_S = 1.2
-"""Length of the two contacts together, s."""
+"""Total duration of the two contacts, s."""
 APPROACH_FORCE_N, APPROACH_S = 0.25, 1.0
-"""Net force, N, and time, s, to bring the probe to the tissue against gravity; the full stroke takes 0.6 s."""
-_LAID_M_S2 = 0.5 * GRAVITY_M_S2
-"""Gravity along the stroke, m/s^2, from which the probe already rests on the tissue."""
+"""Net force, N, and time, s, for moving the probe to the tissue against gravity; the full stroke takes 0.6 s."""
+_RESTING_M_S2 = 0.5 * GRAVITY_M_S2
+"""Gravity along the stroke, m/s^2, above which the probe already rests on the tissue."""
 PLACING_FORCE_N = 2.0
-"""Force limit while placing, N; with so small a force the probe may begin at an end of its stroke."""
+"""Force limit during placement, N; at this low force the probe may start at an end of its stroke."""
 
 QUIET_S = 0.2
-"""Seconds for which the accelerometer is read before the coil is driven."""
+"""Time for which the accelerometer is read before the coil is driven, s."""
 _QUIET_POLLS = 60
-"""Most polls of these readings."""
+"""Maximum number of polls for these readings."""
 _SILENT_POLLS = 4
-"""Polls without a sample after which the readings end."""
-GREATEST_GRAVITY_M_S2 = 10.5
-"""Largest plausible reading at rest, m/s^2: above, the accelerometer is not calibrated or is being moved."""
-_LEAST_GRAVITY_M_S2 = 0.05
-"""Constant readings below this, m/s^2, mean that there is no accelerometer."""
+"""Number of polls without a sample after which the readings end."""
+MAX_GRAVITY_M_S2 = 10.5
+"""Largest plausible reading at rest, m/s^2: above it the accelerometer is uncalibrated or moving."""
+_MIN_GRAVITY_M_S2 = 0.05
+"""Constant readings below this value, m/s^2, indicate a missing accelerometer."""
 _IN_PLANE_M_S2 = 0.3
 """Difference from g, m/s^2, up to which gravity counts as lying in the plane of both axes."""
 
@@ -46,27 +46,27 @@ LEVEL_M_S2 = 0.5
 _SETTLED_S = 0.2
 """Seconds at the end of each contact that are evaluated."""
 _STILL_M = 50e-6
-"""Largest standard deviation of the position, m, of a probe that is held still."""
+"""Largest standard deviation of the position, m, of a probe at rest."""
 _STROKE_MARGIN_M = 1.0e-3
-"""Least distance of the surface from the ends of the stroke, m."""
+"""Minimum distance of the surface from the ends of the stroke, m."""
 _SAMPLES_LOST = Message(
     "placing.samples_lost", "samples were lost while the probe was placed; check the connection and try again"
 )
-_DOWN = marked("the stroke is assumed to point straight down")
+_ASSUMED_DOWN = marked("the stroke is assumed to point straight down")
 
 
 @dataclass(frozen=True)
 class Orientation:
-    """Gravity by the accelerometer, m/s^2: ``along`` the stroke into the tissue, and ``across`` it.
+    """Gravity measured by the accelerometer, m/s^2: ``along`` the stroke into the tissue, and ``across`` it.
 
-    ``measured`` is False without a plausible reading: then the stroke is assumed to point straight down, and ``why``
+    ``measured`` is False without a plausible reading: the stroke is then assumed to point straight down, and ``why``
     gives the reason.
     """
 
     along_m_s2: float = GRAVITY_M_S2
     across_m_s2: float = 0.0
     measured: bool = False
-    why: str = Message("placing.not_measured", "the orientation was not measured: {assumed}", assumed=_DOWN)
+    why: str = Message("placing.not_measured", "the orientation was not measured: {assumed}", assumed=_ASSUMED_DOWN)
 
     @property
     def tilt_deg(self) -> float:
@@ -80,7 +80,7 @@ class Orientation:
         return math.degrees(math.acos(max(-1.0, min(1.0, self.along_m_s2 / GRAVITY_M_S2))))
 
     def as_notes(self) -> dict[str, str | float]:
-        """Return the notes of a test."""
+        """Return the orientation as notes of a test."""
         notes: dict[str, str | float] = {"gravity_along_stroke_m_s2": self.along_m_s2, "tilt_deg": self.tilt_deg}
         if self.measured:
             notes["gravity_across_stroke_m_s2"] = self.across_m_s2
@@ -105,42 +105,44 @@ def orientation_of(along: NDArray[np.float64], across: NDArray[np.float64]) -> O
     known = np.isfinite(along) & np.isfinite(across)
     if not known.any():
         return Orientation(
-            why=Message("placing.no_acceleration", "the accelerometer gives no reading: {assumed}", assumed=_DOWN)
+            why=Message(
+                "placing.no_acceleration", "the accelerometer gives no reading: {assumed}", assumed=_ASSUMED_DOWN
+            )
         )
     x, y = float(along[known].mean()), float(across[known].mean())
     size = math.hypot(x, y)
-    if size > GREATEST_GRAVITY_M_S2:
+    if size > MAX_GRAVITY_M_S2:
         return Orientation(
             why=Message(
                 "placing.implausible",
                 "the accelerometer reads {size:.1f} m/s² at rest, which is impossible: {assumed}",
                 size=size,
-                assumed=_DOWN,
+                assumed=_ASSUMED_DOWN,
             )
         )
-    if size < _LEAST_GRAVITY_M_S2 and float(np.ptp(along[known])) == 0.0:
+    if size < _MIN_GRAVITY_M_S2 and float(np.ptp(along[known])) == 0.0:
         return Orientation(
             why=Message(
                 "placing.zero",
                 "the accelerometer reads 0 m/s² on both axes, so the tilt is unknown: {assumed}",
-                assumed=_DOWN,
+                assumed=_ASSUMED_DOWN,
             )
         )
     return Orientation(x, y, measured=True, why="")
 
 
-def find_orientation(instrument: Instrument, cancelled: Callable[[], bool] = never) -> Orientation:
+def find_orientation(instrument: Instrument, cancelled: Callable[[], bool] = never_stop) -> Orientation:
     """Read the accelerometer for 0.2 s with the coil free.
 
     Raises:
         CancelledError: ``cancelled`` returned True.
     """
-    samples = _at_rest(instrument, cancelled)
+    samples = _read_at_rest(instrument, cancelled)
     return orientation_of(samples["acceleration_x"], samples["acceleration_y"])
 
 
-def _at_rest(instrument: Instrument, cancelled: Callable[[], bool]) -> NDArray[np.void]:
-    """Return the samples of 0.2 s, shape (k,), while nothing is played; none from a silent instrument."""
+def _read_at_rest(instrument: Instrument, cancelled: Callable[[], bool]) -> NDArray[np.void]:
+    """Return the samples of 0.2 s, shape (k,), while nothing is played; empty for a silent instrument."""
     wanted = round(QUIET_S * instrument.device.sample_rate_hz)
     blocks: list[NDArray[np.void]] = []
     silent = 0
@@ -152,14 +154,14 @@ def _at_rest(instrument: Instrument, cancelled: Callable[[], bool]) -> NDArray[n
     return np.concatenate([*blocks, np.zeros(0, SAMPLE)])
 
 
-def place_in_air(instrument: Instrument, cancelled: Callable[[], bool] = never) -> Placement:
-    """Return the resting position of a free probe in place of a surface; the coil is not driven.
+def place_in_air(instrument: Instrument, cancelled: Callable[[], bool] = never_stop) -> Placement:
+    """Return the rest position of a free probe as the surface; the coil is not driven.
 
     Raises:
         UnusableInputError: the instrument is not level, the position is unknown, or the probe is at an end.
         CancelledError: ``cancelled`` returned True.
     """
-    samples = _at_rest(instrument, cancelled)
+    samples = _read_at_rest(instrument, cancelled)
     orientation = orientation_of(samples["acceleration_x"], samples["acceleration_y"])
     if orientation.measured and abs(orientation.along_m_s2) > LEVEL_M_S2:
         raise UnusableInputError(
@@ -191,16 +193,16 @@ def place(
     instrument: Instrument,
     limits: Limits = CLINICAL,
     *,
-    progress: Callable[[Progress], None] = ignore,
-    cancelled: Callable[[], bool] = never,
+    progress: Callable[[Progress], None] = ignore_progress,
+    cancelled: Callable[[], bool] = never_stop,
 ) -> Placement:
-    """Find the orientation of the instrument and the surface of the tissue by two light contacts.
+    """Measure the orientation of the instrument and find the tissue surface by two light contacts.
 
     The coil carries the weight of the moving part along the stroke, as measured by the accelerometer, so that only the
-    contact force remains. If gravity has not laid the probe onto the tissue, it is brought there first.
+    contact force remains. If gravity does not press the probe onto the tissue, the coil moves it there first.
 
     Raises:
-        UnusableInputError: the probe rests on nothing within its stroke, or is not held still.
+        UnusableInputError: the probe finds no contact within its stroke, or is not held still.
     """
     device = instrument.device
     orientation = find_orientation(instrument, cancelled)
@@ -214,7 +216,7 @@ def place(
         progress(Progress(Phase.PLACE, fraction, samples))
 
     command = np.repeat(levels, samples_per_level)
-    if orientation.along_m_s2 < _LAID_M_S2:
+    if orientation.along_m_s2 < _RESTING_M_S2:
         approach = np.full(
             round(APPROACH_S * device.sample_rate_hz), device.voltage_for_force(APPROACH_FORCE_N - weight)
         )
@@ -229,7 +231,7 @@ def place(
     ]  # (levels, settled)
     if np.isnan(late).any():
         raise UnusableInputError(_SAMPLES_LOST)
-    # A straight line through the two depths, extrapolated to zero force.
+    # Extrapolate the line through the two depths to zero force.
     slope = (late[0].mean() - late[1].mean()) / (CONTACT_FORCES_N[0] - CONTACT_FORCES_N[1])
     surface = float(late[1].mean() - CONTACT_FORCES_N[1] * slope)
     if not _STROKE_MARGIN_M < surface < device.stroke_m - _STROKE_MARGIN_M:
@@ -240,7 +242,7 @@ def place(
                 place=surface * 1e3,
             )
         )
-    # Creep of the tissue is a slope; the residual is the motion of the hand.
+    # Creep of the tissue appears as a slope; the residual is hand motion.
     time = np.arange(late.shape[1])
     creep = np.polynomial.polynomial.polyfit(time, late.T, 1)  # (2, levels)
     shaking = (late - creep[0][:, None] - creep[1][:, None] * time).std(axis=1)
@@ -257,8 +259,8 @@ def find_surface(
     instrument: Instrument,
     limits: Limits = CLINICAL,
     *,
-    progress: Callable[[Progress], None] = ignore,
-    cancelled: Callable[[], bool] = never,
+    progress: Callable[[Progress], None] = ignore_progress,
+    cancelled: Callable[[], bool] = never_stop,
 ) -> float:
     """Return the position of the surface, m; ``place`` also returns the orientation.
 

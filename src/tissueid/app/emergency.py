@@ -29,13 +29,13 @@ class EmergencyStop:
     """Stops one test or calibration and cannot be reset. The first reason is kept.
 
     Any thread may :meth:`press` it; the measuring thread calls :meth:`check` after every poll. It is also a watchdog of
-    the window: after the first :meth:`beat`, more than ``patience_s`` seconds without a beat trigger the stop.
+    the window: after the first :meth:`beat`, more than ``disk_timeout_s`` seconds without a beat trigger the stop.
     ``clock`` returns a monotonic time in seconds.
     """
 
-    def __init__(self, clock: Callable[[], float] = seconds_since_boot, patience_s: float = PATIENCE_S) -> None:
+    def __init__(self, clock: Callable[[], float] = seconds_since_boot, disk_timeout_s: float = PATIENCE_S) -> None:
         self._clock = clock
-        self._patience_s = patience_s
+        self._patience_s = disk_timeout_s
         self._lock = threading.Lock()
         self._pressed = threading.Event()
         self._last_beat_s: float | None = None

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from tissueid.acquisition.playback import POLL_S, never
+from tissueid.acquisition.playback import POLL_S, never_stop
 from tissueid.errors import CancelledError
 from tissueid.instrument import Instrument
 from tissueid.messages import Message
@@ -32,7 +32,7 @@ def wait_for_position(
     instrument: Instrument,
     place_m: float,
     tell: Callable[[ProbePosition], None] = lambda _: None,
-    cancelled: Callable[[], bool] = never,
+    cancelled: Callable[[], bool] = never_stop,
 ) -> None:
     """Wait until the probe has been at rest at a position for ``STILL_S``; call ``tell`` for each reading.
 

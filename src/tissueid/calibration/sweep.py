@@ -14,7 +14,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from tissueid.acquisition import GuidedTest, Progress, SessionRecorder, run_guided_test
-from tissueid.acquisition.playback import never
+from tissueid.acquisition.playback import never_stop
 from tissueid.acquisition.surface_detection import Orientation, Placement, find_orientation
 from tissueid.calibration.step_levels import mean, rest_samples
 from tissueid.calibration.sweep_amplitude import MIN_SWING_M, gentle_test_model, max_swing, noise, noise_amplitude
@@ -116,7 +116,7 @@ class Sweep:
         *,
         bring: MoveSpring | None = None,
         progress: Callable[[float], None] = lambda _: None,
-        cancelled: Callable[[], bool] = never,
+        cancelled: Callable[[], bool] = never_stop,
     ) -> None:
         self.remarks: list[str] = []
         self._instrument = instrument

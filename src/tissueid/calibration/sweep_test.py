@@ -15,7 +15,7 @@ from tissueid.sessions import Test
 Array = NDArray[np.float64]
 
 MIN_SECONDS, MAX_SECONDS = 0.5, 60.0
-"""Shortest and longest test, s."""
+"""Minimum and maximum length of a test, s."""
 MIN_RATE_HZ, MAX_RATE_HZ = 1000.0, 20_000.0
 """Sample rates, Hz: lower ones do not resolve coil and filter, higher ones only need more memory."""
 _MAX_READING = {"voltage": 1e3, "current": 1e2, "position": 0.2}

@@ -1,4 +1,4 @@
-"""Quality checks of the contact: lost contact, moved reference, knocks, orientation, settling of the tissue."""
+"""Quality checks of the contact: loss of contact, shifted reference, knocks, orientation, settling of the tissue."""
 
 from __future__ import annotations
 
@@ -8,7 +8,7 @@ from collections.abc import Iterator
 import numpy as np
 from scipy import linalg, stats
 
-from tissueid.acquisition.quality.prepared_test import Array, PreparedTest, longest
+from tissueid.acquisition.quality.prepared_test import Array, PreparedTest, longest_run
 from tissueid.device import angle_deg
 from tissueid.language import marked
 from tissueid.messages import Message
@@ -18,35 +18,35 @@ from tissueid.stimuli.base import RISE_S
 LOST_FORCE_N = 0.10
 """Contact force, N, below which contact counts as lost; it is estimated to about 0.05 N."""
 LOST_S = 0.002
-"""Shortest loss of contact, s, that counts: filtering makes shorter ones from a fast force."""
+"""Minimum duration, s, of a loss of contact that counts: filtering a fast force produces shorter ones."""
 LOST_SHARE, LOST_REPEAT_SHARE = 0.001, 0.05
-"""Shares without contact above which a test is doubtful or should be repeated."""
+"""Shares of time without contact above which a test is doubtful or should be repeated."""
 SURFACE_KNOWN_TO_M = 0.3e-3
 """Error of the surface position found at placing, m."""
 
 MOVED_M, MOVED_REPEAT_M = 0.15e-3, 0.5e-3
 """Shifts of the reference, m, above which a test is doubtful or should be repeated."""
 MOVED_SHARE = 0.10
-"""Smallest shift that counts, over the standard deviation of the position."""
+"""Minimum shift that is reported, relative to the standard deviation of the position."""
 _BLOCK_S = 0.05
-"""Length of the blocks, s, whose means show the shift."""
+"""Length of the blocks, s, whose means are tested for a shift."""
 _POWERS = (1, 2, 3)
 """Powers of the force in the static model of the block means."""
-_FEWEST_BLOCKS = 24
-"""Fewest blocks in which a shift can be found."""
-_MOST_BLOCKS = 2000
-"""Most blocks; those of longer tests are longer, because memory grows with the square of their number."""
+_MIN_BLOCKS = 24
+"""Minimum number of blocks for the detection of a shift."""
+_MAX_BLOCKS = 2000
+"""Maximum number of blocks; long tests use longer blocks, because memory grows with the square of their number."""
 
 _AFTER_RISE_S = 0.07
-"""Seconds after the rise of the preload that still belong to it."""
+"""Time after the rise of the preload that is excluded, s."""
 _HELD_BLOCK_S = 0.02
 """Length of the blocks, s, during the held preload."""
-_FEWEST_HELD_BLOCKS, _MOST_HELD_BLOCKS = 10, 150
-"""Fewest and most blocks of the held preload."""
+_MIN_HELD_BLOCKS, _MAX_HELD_BLOCKS = 10, 150
+"""Minimum and maximum number of blocks of the held preload."""
 _FINEST_M = 1e-9
-"""Least noise of a block mean, m, so that a noiseless record has no infinite ratio."""
+"""Lower bound of the noise of a block mean, m, for noiseless records."""
 _HELD_WITHIN = 0.2
-"""Relative change of the force above which the load counts as not held (old record, other kind of test)."""
+"""Relative change of the force above which the load is not treated as held (old record, other kind of test)."""
 
 SHOCK_M_S2 = 3.0
 """Sideways acceleration, m/s^2, from which a knock is reported."""
@@ -56,17 +56,17 @@ SURFACE_CHANGED_M = 1.0e-3
 """Change of the surface position since the earlier tests, m, that is reported."""
 
 CREEP_SHARE, CREEP_M = 0.03, 0.03e-3
-"""Creep at the end of the preload that is reported: over the depth, and m."""
+"""Creep at the end of the preload that is reported: relative to the depth, and m."""
 _CREEP_S = 0.15
 """Length, s, of the two intervals at the end of the preload that are compared."""
 
 
-def lifted(prepared: PreparedTest) -> Iterator[QualityFinding]:
-    """Report lost contact: no contact force, or a probe above the surface that was found."""
+def check_contact(prepared: PreparedTest) -> Iterator[QualityFinding]:
+    """Report loss of contact: no contact force, or a probe above the detected surface."""
     test, texts = prepared.test, prepared.texts
     if not prepared.mechanical or test.configuration != "indentation" or test.kind == "free_air":
         return
-    if test.kind == "spring" and _pulled(prepared):
+    if test.kind == "spring" and _is_fixed_to_spring(prepared):
         return
     share = _share_without_force(prepared)
     above = 0.0
@@ -76,33 +76,33 @@ def lifted(prepared: PreparedTest) -> Iterator[QualityFinding]:
     worst = max(share, above)
     if worst <= LOST_SHARE:
         return
-    template = texts.unpressed if share >= above else texts.above
+    template = texts.no_contact_force if share >= above else texts.above
     yield QualityFinding(
         "probe_lifted",
         "repeat" if worst > LOST_REPEAT_SHARE else "look",
         Message("quality.probe_lifted", template, percent=100.0 * worst),
-        texts.to_press,
+        texts.contact_advice,
         worst,
     )
 
 
-def _pulled(prepared: PreparedTest) -> bool:
-    """Return whether a spring is fixed to the probe: then it pulls when it does not press."""
+def _is_fixed_to_spring(prepared: PreparedTest) -> bool:
+    """Return whether a spring is fixed to the probe and can pull as well as push."""
     gone = prepared.known & (prepared.contact_force < LOST_FORCE_N)
     return bool(gone.any() and float(prepared.contact_force[gone].mean()) < -LOST_FORCE_N)
 
 
 def _share_without_force(prepared: PreparedTest) -> float:
-    """Return the share of the stimulus without contact force; 0 if no loss is long enough to be certain."""
+    """Return the share of the stimulus without contact force; 0 if every loss is too short to be certain."""
     gone = prepared.known & (prepared.contact_force < LOST_FORCE_N)
     least = max(1, round(LOST_S * prepared.rate))
-    if longest(gone) < least:
+    if longest_run(gone) < least:
         return 0.0
     return float(gone.sum() / prepared.known.sum())
 
 
-def moved(prepared: PreparedTest) -> Iterator[QualityFinding]:
-    """Report a moved reference: a shift of the position that neither force nor creep explains."""
+def check_reference(prepared: PreparedTest) -> Iterator[QualityFinding]:
+    """Report a shifted reference: a shift of the position that neither force nor creep explains."""
     if not prepared.mechanical or prepared.test.kind in ("free_air", "quiet"):
         return
     found = [shift for shift in (baseline_shift(prepared), preload_shift(prepared)) if shift is not None]
@@ -111,32 +111,32 @@ def moved(prepared: PreparedTest) -> Iterator[QualityFinding]:
     shift, at_s, sudden = max(found, key=lambda item: abs(item[0]))
     texts, size = prepared.texts, 1e3 * abs(shift)
     if sudden:
-        words = Message("quality.reference_moved.jump", texts.jumped, size=size, seconds=at_s)
+        words = Message("quality.reference_moved.jump", texts.position_jump, size=size, seconds=at_s)
     else:
-        words = Message("quality.reference_moved.drift", texts.drifted, size=size)
+        words = Message("quality.reference_moved.drift", texts.position_drift, size=size)
     yield QualityFinding(
         "reference_moved",
         "repeat" if abs(shift) > MOVED_REPEAT_M else "look",
         words,
-        texts.to_hold,
+        texts.reference_advice,
         abs(shift),
     )
 
 
 def baseline_shift(prepared: PreparedTest) -> tuple[float, float, bool] | None:
-    """Return the shift of the position, m, its time, s from the start, and whether it was sudden; None without one.
+    """Return the shift of the position, m, its time, s from the start, and whether it was sudden; None without a shift.
 
     Block means of the position (50 ms, longer in tests of over 100 s) are regressed on those of the powers of the force
     (static curve) and on the logarithm of time (creep). A significant step or ramp in the residual is the shift.
     """
     samples = prepared.test.samples - prepared.first
-    length = max(1, round(_BLOCK_S * prepared.rate), math.ceil(samples / _MOST_BLOCKS))
+    length = max(1, round(_BLOCK_S * prepared.rate), math.ceil(samples / _MAX_BLOCKS))
     count = samples // length
-    if count < _FEWEST_BLOCKS:
+    if count < _MIN_BLOCKS:
         return None
     part = slice(prepared.first, prepared.first + count * length)
     whole = prepared.known[part].reshape(count, length).mean(axis=1) > 0.5
-    if whole.sum() < _FEWEST_BLOCKS:
+    if whole.sum() < _MIN_BLOCKS:
         return None
     force = prepared.force[part]
     level, spread = float(force.mean()), float(force.std()) or 1.0
@@ -165,7 +165,7 @@ def baseline_shift(prepared: PreparedTest) -> tuple[float, float, bool] | None:
     sudden = best < steps.shape[1]
     shift = size if sudden else size * float(at[-1] - at[0])
     least = max(MOVED_M, MOVED_SHARE * float(np.std(prepared.position[part])))
-    # Bonferroni: one test for each block. Good tests stay twenty times below this threshold.
+    # Bonferroni correction: one test per block. Good tests are twenty times below this threshold.
     certain = gain[best] / noise > float(stats.f.isf(1e-4 / y.size, 1, freedom))
     if abs(shift) < least or not certain:
         return None
@@ -174,15 +174,15 @@ def baseline_shift(prepared: PreparedTest) -> tuple[float, float, bool] | None:
 
 
 def preload_shift(prepared: PreparedTest) -> tuple[float, float, bool] | None:
-    """Return a jump during the held preload: size, m, time, s from the start, True; None without one.
+    """Return a jump during the held preload: size, m, time, s from the start, True; None without a jump.
 
     Under a constant load the position follows the logarithm of time (creep). A significant step between two blocks of
     20 ms that exceeds the rest of the motion is a shift. A drift cannot be distinguished from creep here.
     """
     first = round((RISE_S + _AFTER_RISE_S) * prepared.rate)
-    length = max(round(_HELD_BLOCK_S * prepared.rate), (prepared.first - first) // _MOST_HELD_BLOCKS, 1)
+    length = max(round(_HELD_BLOCK_S * prepared.rate), (prepared.first - first) // _MAX_HELD_BLOCKS, 1)
     count = (prepared.first - first) // length
-    if count < _FEWEST_HELD_BLOCKS:
+    if count < _MIN_HELD_BLOCKS:
         return None
     part = slice(prepared.first - count * length, prepared.first)
     force = prepared.force[part].reshape(count, length).mean(axis=1)
@@ -208,8 +208,8 @@ def preload_shift(prepared: PreparedTest) -> tuple[float, float, bool] | None:
     return shift, float(at[best + 1]) + 0.5 * length / prepared.rate, True
 
 
-def shaken(prepared: PreparedTest) -> Iterator[QualityFinding]:
-    """Report a knock that the accelerometer measured, and an instrument that was turned since it was placed."""
+def check_disturbance(prepared: PreparedTest) -> Iterator[QualityFinding]:
+    """Report a knock measured by the accelerometer, and a rotation of the instrument since it was placed."""
     across, along = prepared.signal("acceleration_y"), prepared.signal("acceleration_x")
     if across is None or along is None or np.nanstd(across) == 0.0:
         return
@@ -227,7 +227,7 @@ def shaken(prepared: PreparedTest) -> Iterator[QualityFinding]:
                 seconds=when,
                 peak=peak,
             ),
-            prepared.texts.to_bear_a_knock,
+            prepared.texts.knock_advice,
             peak,
         )
     placed = [prepared.test.notes.get(f"gravity_{name}_stroke_m_s2") for name in ("along", "across")]
@@ -245,13 +245,13 @@ def shaken(prepared: PreparedTest) -> Iterator[QualityFinding]:
                 "The instrument was turned by {degrees:.0f}° since it was placed.",
                 degrees=turned,
             ),
-            prepared.texts.to_turn_back,
+            prepared.texts.orientation_advice,
             turned,
         )
 
 
-def unsettled(prepared: PreparedTest) -> Iterator[QualityFinding]:
-    """Report tissue that still crept at the end of the preload."""
+def check_settling(prepared: PreparedTest) -> Iterator[QualityFinding]:
+    """Report tissue that was still creeping at the end of the preload."""
     test = prepared.test
     position, window = prepared.signal("position"), round(_CREEP_S * prepared.rate)
     if position is None or test.kind != "stochastic" or test.configuration != "indentation":
@@ -295,8 +295,8 @@ def unsettled(prepared: PreparedTest) -> Iterator[QualityFinding]:
         )
 
 
-def surface_changed(prepared: PreparedTest, earlier: Array) -> Iterator[QualityFinding]:
-    """Report a surface that differs from the positions ``earlier``, m, of the earlier tests at this site."""
+def check_surface(prepared: PreparedTest, earlier: Array) -> Iterator[QualityFinding]:
+    """Report a surface that differs from the positions ``earlier``, m, in the earlier tests at this site."""
     surface = prepared.test.surface_position_m
     if not np.isfinite(surface) or not earlier.size:
         return
@@ -307,6 +307,6 @@ def surface_changed(prepared: PreparedTest, earlier: Array) -> Iterator[QualityF
             "surface_changed",
             "look",
             Message("quality.surface_changed", texts.deeper if change > 0 else texts.higher, size=1e3 * abs(change)),
-            texts.to_place_alike,
+            texts.surface_advice,
             abs(change),
         )

@@ -21,43 +21,43 @@ log = logging.getLogger(__name__)
 Check = Callable[[PreparedTest], Iterable[QualityFinding]]
 
 CHECKS: tuple[Check, ...] = (
-    instrument_checks.ended,
-    instrument_checks.stuck,
-    instrument_checks.driven,
-    contact_checks.lifted,
-    contact_checks.moved,
-    contact_checks.shaken,
-    instrument_checks.saturated,
-    instrument_checks.at_the_end,
-    instrument_checks.lost,
-    noise_checks.noisy,
-    noise_checks.incoherent,
-    noise_checks.mains,
-    contact_checks.unsettled,
-    instrument_checks.outside,
-    instrument_checks.warm,
-    instrument_checks.calibrated,
+    instrument_checks.check_completion,
+    instrument_checks.check_sensors,
+    instrument_checks.check_drive,
+    contact_checks.check_contact,
+    contact_checks.check_reference,
+    contact_checks.check_disturbance,
+    instrument_checks.check_saturation,
+    instrument_checks.check_stroke,
+    instrument_checks.check_lost_samples,
+    noise_checks.check_noise,
+    noise_checks.check_coherence,
+    noise_checks.check_mains,
+    contact_checks.check_settling,
+    instrument_checks.check_linear_region,
+    instrument_checks.check_temperature,
+    instrument_checks.check_calibration,
 )
-"""The checks, most important first: findings of the same severity keep this order."""
+"""Checks, most important first: findings of the same severity keep this order."""
 
 
 COMPARED_SIGNALS = ("command", "force", "position")
 """Signals of earlier tests that are kept for comparison."""
-MOST_SAMPLES = 500_000
-"""Most samples of earlier tests that a gate keeps: 12 MB."""
+MAX_SAMPLES = 500_000
+"""Maximum number of samples of earlier tests that a gate stores: 12 MB."""
 
 
 def judge(test: Test, device: DeviceDescription, earlier: Sequence[Test] = ()) -> Quality:
     """Judge a finished test by its signals, its calibration and the earlier tests at the same site.
 
-    Checks of missing signals are skipped. ``earlier`` may hold any tests; those that cannot be compared are ignored.
+    Checks of missing signals are skipped. ``earlier`` may contain any tests; those that are not comparable are ignored.
     """
     prepared = PreparedTest(test, device)
     found: list[QualityFinding] = [finding for check in CHECKS for finding in check(prepared)]
-    others = repeat_checks.comparable(test, earlier)
+    others = repeat_checks.comparable_tests(test, earlier)
     surfaces = np.array([other.surface_position_m for other in others])
-    found += contact_checks.surface_changed(prepared, surfaces[np.isfinite(surfaces)])
-    found += repeat_checks.compared(prepared, others)
+    found += contact_checks.check_surface(prepared, surfaces[np.isfinite(surfaces)])
+    found += repeat_checks.check_against_earlier(prepared, others)
     return worst_first(found)
 
 
@@ -71,11 +71,11 @@ NOT_JUDGED = Quality(
         ),
     )
 )
-"""Quality of a test on which a check failed. An error of the gate never loses a recorded test."""
+"""Quality of a test on which a check raised an error. An error of the gate never loses a recorded test."""
 
 
 class QualityGate:
-    """Judge the tests of one sitting as they end, each against those before it."""
+    """Judges the tests of one sitting as they end, each against those before it."""
 
     def __init__(self, device: DeviceDescription) -> None:
         self._device = device
@@ -88,7 +88,7 @@ class QualityGate:
             return NOT_JUDGED
         kept = {name: values for name, values in test.signals.items() if name in COMPARED_SIGNALS}
         self._earlier.append(replace(test, signals=kept))
-        while sum(other.samples for other in self._earlier) > MOST_SAMPLES:
+        while sum(other.samples for other in self._earlier) > MAX_SAMPLES:
             self._earlier.pop(0)
         return found
 
@@ -100,7 +100,7 @@ def judge_session(session: Session) -> Iterator[tuple[Test, Quality]]:
 
 
 def _judged(test: Test, device: DeviceDescription, earlier: Sequence[Test]) -> Quality | None:
-    """Judge a test; return None if a check failed."""
+    """Judge a test; return None if a check raised an error."""
     try:
         return judge(test, device, earlier)
     except Exception:

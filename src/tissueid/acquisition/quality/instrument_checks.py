@@ -6,7 +6,7 @@ from collections.abc import Iterator
 
 import numpy as np
 
-from tissueid.acquisition.quality.prepared_test import PreparedTest, longest
+from tissueid.acquisition.quality.prepared_test import PreparedTest, longest_run
 from tissueid.device import CALIBRATE_STATIC, CALIBRATE_SWEEP
 from tissueid.language import marked
 from tissueid.messages import Listing, Message, codes_in
@@ -16,47 +16,47 @@ from tissueid.sessions.quality import QualityFinding, Severity
 LOST_SHARE, LOST_REPEAT_SHARE = 0.01, 0.10
 """Shares of samples that were not received, above which a test is doubtful or should be repeated."""
 LONG_GAP_S = 0.1
-"""Longest gap, s, that is only noted."""
+"""Maximum gap, s, that does not make a test doubtful."""
 HELD_SHARE = 0.01
 """Share of samples with a late set-point above which a test is doubtful."""
 
 FULL_SHARE, FULL_REPEAT_SHARE = 0.0005, 0.02
 """Shares of saturated samples above which a test is doubtful or should be repeated."""
-_AT_LIMIT = 0.99
+_LIMIT_SHARE = 0.99
 """Share of the amplifier's limit from which a sample counts as saturated."""
-_SHORT_V = 1.5
-"""Missing voltage, V, from which a sample counts as saturated."""
+_MISSING_V = 1.5
+"""Missing voltage, V, above which a sample counts as saturated."""
 _STROKE_MARGIN_M = 1.0e-3
 """Distance from an end of the stroke, m, below which a test is doubtful."""
 STUCK_S = 0.1
-"""Seconds of equal readings from which a sensor counts as stuck."""
+"""Duration of equal readings, s, above which a sensor counts as frozen."""
 _STUCK_DRIVE_N = 0.3
-"""Standard deviation of the commanded force, N, above which every reading must change."""
+"""Standard deviation of the commanded force, N, above which every working sensor changes."""
 GAIN_OFF = 0.10
 """Relative deviation of the amplifier's gain that is reported."""
 RESISTANCE_OFF = 0.25
 """Relative deviation of the coil's resistance that is reported."""
-_OPEN = 5.0
-"""Resistance over the expected one from which the coil counts as open."""
+_OPEN_RATIO = 5.0
+"""Resistance relative to the expected one above which the coil counts as open."""
 _WINDOW_S = 0.2
-"""Length of the windows, s, in which an open coil is looked for."""
+"""Length of the windows, s, that are checked for an open coil."""
 
 OUTSIDE_SHARE = 0.01
 """Share of samples outside the linear region above which a test is doubtful."""
 WARM_C, HOT_C = 50.0, 65.0
-"""Coil temperatures, degC, that are noted, and that make a test doubtful."""
+"""Coil temperatures, degC, above which a note is given, and above which a test is doubtful."""
 WARMED_K = 15.0
-"""Rise of the coil temperature within a test, K, that is noted."""
+"""Rise of the coil temperature within a test, K, above which a note is given."""
 _TOO_HOT = {"fault.over_temperature", "limit.winding_temperature"}
-"""Codes in the reason of a test that was stopped because of the coil's temperature."""
+"""Codes in the reason of a test that was stopped because of the coil temperature."""
 _COPPER_PER_K = 0.0039
 """Relative change of the resistance of copper, 1/K."""
 
-SHORTEST_S = 1.0
+MIN_S = 1.0
 """Seconds of stimulus below which a test that ended early should be repeated."""
 
 
-def ended(prepared: PreparedTest) -> Iterator[QualityFinding]:
+def check_completion(prepared: PreparedTest) -> Iterator[QualityFinding]:
     """Report a test that was stopped early or recovered."""
     test = prepared.test
     if test.status not in ("aborted", "recovered"):
@@ -88,21 +88,21 @@ def ended(prepared: PreparedTest) -> Iterator[QualityFinding]:
             )
     yield QualityFinding(
         "ended_early",
-        "repeat" if seconds < SHORTEST_S else "look",
+        "repeat" if seconds < MIN_S else "look",
         words,
         marked("Remove the cause and run the test again. The recorded part can be analysed, but is short."),
         seconds,
     )
 
 
-def lost(prepared: PreparedTest) -> Iterator[QualityFinding]:
+def check_lost_samples(prepared: PreparedTest) -> Iterator[QualityFinding]:
     """Report samples that were not received and set-points that came too late."""
     test = prepared.test
     signals = [test.signals[name] for name in ("force", "position") if name in test.signals]
     if signals:
         missing = np.any([np.isnan(values) for values in signals], axis=0)
         share = float(missing.mean())
-        gap_s = longest(missing) / prepared.rate
+        gap_s = longest_run(missing) / prepared.rate
         if share > 0.0:
             severity: Severity = "repeat" if share > LOST_REPEAT_SHARE else "look"
             if share <= LOST_SHARE and gap_s <= LONG_GAP_S:
@@ -140,8 +140,8 @@ def lost(prepared: PreparedTest) -> Iterator[QualityFinding]:
         )
 
 
-def saturated(prepared: PreparedTest) -> Iterator[QualityFinding]:
-    """Report a converter or the amplifier at its limit."""
+def check_saturation(prepared: PreparedTest) -> Iterator[QualityFinding]:
+    """Report saturation of a converter or of the amplifier."""
     test = prepared.test
     counted = test.notes.get("saturated_samples")
     full = float(counted) / max(1, test.samples) if isinstance(counted, int | float) else 0.0
@@ -176,20 +176,20 @@ def _share_at_limit(prepared: PreparedTest) -> float:
     volts = prepared.stimulus("voltage")
     if not volts.size:
         return 0.0
-    most = float(np.mean(np.abs(volts) >= _AT_LIMIT * device.amplifier_limit_v))
+    most = float(np.mean(np.abs(volts) >= _LIMIT_SHARE * device.amplifier_limit_v))
     command, voltage = prepared.signal("command"), prepared.signal("voltage")
     if command is None or voltage is None:
         return most
     asked, given = (np.abs(values[prepared.first :]) for values in (device.amplifier_gain * command, voltage))
     there = np.isfinite(asked) & np.isfinite(given)
-    # A constant share is an error of the gain, which ``driven`` reports.
+    # A constant ratio is a gain error, which ``check_drive`` reports.
     gain = float(np.median(given[there] / np.maximum(asked[there], 1e-3))) if there.any() else 1.0
-    short = there & (asked * min(gain, 1.0) - given > _SHORT_V)
+    short = there & (asked * min(gain, 1.0) - given > _MISSING_V)
     return max(most, float(short.sum() / max(1, there.sum())))
 
 
-def at_the_end(prepared: PreparedTest) -> Iterator[QualityFinding]:
-    """Report a probe that came near an end of its stroke, where that is known."""
+def check_stroke(prepared: PreparedTest) -> Iterator[QualityFinding]:
+    """Report a probe that came close to an end of its stroke, if the stroke is known."""
     position = prepared.stimulus("position")
     if not position.size or prepared.test.kind == "free_air" or not np.isfinite(prepared.device.stroke_m):
         return
@@ -215,7 +215,7 @@ def at_the_end(prepared: PreparedTest) -> Iterator[QualityFinding]:
         "end_of_stroke",
         "repeat" if room <= 0.0 else "look",
         words,
-        prepared.texts.to_centre,
+        prepared.texts.stroke_advice,
         room,
     )
 
@@ -228,8 +228,8 @@ def _limit(prepared: PreparedTest, name: str, otherwise: float) -> float:
 _STUCK_LABELS = {"position": marked("position"), "current": marked("current"), "voltage": marked("voltage")}
 
 
-def stuck(prepared: PreparedTest) -> Iterator[QualityFinding]:
-    """Report a sensor whose reading does not change while the coil is driven."""
+def check_sensors(prepared: PreparedTest) -> Iterator[QualityFinding]:
+    """Report a sensor whose reading is frozen while the coil is driven."""
     command = prepared.stimulus("command")
     if command.size < 2 or float(np.std(command)) < _STUCK_DRIVE_N * prepared.device.voltage_for_force(1.0):
         return
@@ -237,7 +237,7 @@ def stuck(prepared: PreparedTest) -> Iterator[QualityFinding]:
         values = prepared.stimulus(name)
         if values.size < 2:
             continue
-        still = (longest(np.diff(values) == 0.0) + 1) / prepared.rate
+        still = (longest_run(np.diff(values) == 0.0) + 1) / prepared.rate
         if still < STUCK_S:
             continue
         yield QualityFinding(
@@ -254,8 +254,8 @@ def stuck(prepared: PreparedTest) -> Iterator[QualityFinding]:
         )
 
 
-def driven(prepared: PreparedTest) -> Iterator[QualityFinding]:
-    """Report voltage that does not follow the command, and current that does not follow the voltage."""
+def check_drive(prepared: PreparedTest) -> Iterator[QualityFinding]:
+    """Report a voltage that does not follow the command, and a current that does not follow the voltage."""
     device = prepared.device
     named = [prepared.signal(name) for name in ("command", "voltage", "current")]
     if prepared.test.kind == "quiet" or any(values is None for values in named):
@@ -275,7 +275,7 @@ def driven(prepared: PreparedTest) -> Iterator[QualityFinding]:
             gain,
         )
     conductance = _least_slope(voltage, current, round(_WINDOW_S * prepared.rate)) * device.coil_resistance_ohm
-    if conductance < 1.0 / _OPEN:
+    if conductance < 1.0 / _OPEN_RATIO:
         yield QualityFinding(
             "coil_open",
             "repeat",
@@ -308,7 +308,7 @@ def _slope(x: np.ndarray, y: np.ndarray) -> float:
 
 
 def _least_slope(x: np.ndarray, y: np.ndarray, window: int) -> float:
-    """Return the smallest slope of y against x over windows of ``window`` samples in which x varies as usual."""
+    """Return the minimum slope of y against x over windows of ``window`` samples in which x varies sufficiently."""
     moving, slopes = 0.5 * float(x.std()), [_slope(x, y)]
     for first in range(0, x.size - window + 1, max(2, window)):
         part = slice(first, first + window)
@@ -318,12 +318,12 @@ def _least_slope(x: np.ndarray, y: np.ndarray, window: int) -> float:
 
 
 def _resting_ratio(voltage: np.ndarray, current: np.ndarray) -> float:
-    """Return mean current over mean voltage, which averages the back-EMF out; the slope if the means are small."""
+    """Return mean current over mean voltage, which cancels the back-EMF; the slope if the means are small."""
     level = float(voltage.mean())
     return float(current.mean()) / level if abs(level) > 0.5 * float(voltage.std()) else _slope(voltage, current)
 
 
-def outside(prepared: PreparedTest) -> Iterator[QualityFinding]:
+def check_linear_region(prepared: PreparedTest) -> Iterator[QualityFinding]:
     """Report positions outside the range in which the calibrated coil is linear."""
     calibration = prepared.device.calibration
     low, high = calibration.get("linear_region_min_m"), calibration.get("linear_region_max_m")
@@ -349,8 +349,8 @@ def outside(prepared: PreparedTest) -> Iterator[QualityFinding]:
     )
 
 
-def warm(prepared: PreparedTest) -> Iterator[QualityFinding]:
-    """Report a coil that is warm or was warmed much by the test."""
+def check_temperature(prepared: PreparedTest) -> Iterator[QualityFinding]:
+    """Report a coil that is hot or was heated considerably by the test."""
     signal = prepared.signal("temperature")
     if signal is None:
         return
@@ -398,18 +398,18 @@ def warm(prepared: PreparedTest) -> Iterator[QualityFinding]:
 
 
 def _too_hot(prepared: PreparedTest) -> bool:
-    """Return whether the test was stopped because of the coil's temperature, by the instrument or by the host."""
+    """Return whether the test was stopped because of the coil temperature, by the instrument or by the host."""
     return prepared.test.status == "aborted" and not _TOO_HOT.isdisjoint(codes_in(prepared.test.reason))
 
 
-def calibrated(prepared: PreparedTest) -> Iterator[QualityFinding]:
+def check_calibration(prepared: PreparedTest) -> Iterator[QualityFinding]:
     """Report a missing, outdated or failed calibration, and its warnings."""
     calibration = prepared.device.calibration
     state = calibration.get("state")
     known = prepared.device.calibration_warnings
     warnings = Listing(known, "; ", "; ")
     if not calibration and IMPORTED in prepared.test.notes:
-        return  # nothing is known of the calibration of an instrument elsewhere
+        return  # imported tests carry no calibration information
     if not calibration or state == "none":
         yield QualityFinding(
             "calibration_none",

@@ -12,37 +12,37 @@ from tissueid.language import marked
 from tissueid.messages import Message
 from tissueid.sessions.quality import QualityFinding
 
-LEAST_RATIO_DB, POOR_RATIO_DB = 20.0, 10.0
+MIN_RATIO_DB, POOR_RATIO_DB = 20.0, 10.0
 """Signal-to-noise ratios of the position, dB, below which a test is doubtful or should be repeated."""
 FORCE_RATIO_DB = 8.0
 """Signal-to-noise ratio of the force, dB, below which a test is doubtful."""
-LEAST_COHERENCE = 0.5
+MIN_COHERENCE = 0.5
 """Mean coherence over the driven band below which a test is doubtful. Skin over its full depth: about 0.8."""
-_DRIVEN = 0.03
-"""Power density of the force over its maximum, from which a frequency counts as driven."""
-_TOP = 0.25
-"""Uppermost part of the band, which holds only noise."""
+_DRIVEN_SHARE = 0.03
+"""Power density of the force, relative to its maximum, above which a frequency counts as driven."""
+_NOISE_BAND = 0.25
+"""Share of the band at its upper end that contains only noise."""
 _SEGMENT_S = 0.25
 """Length of the segments of the spectral estimates, s."""
 
 MAINS_HZ = (50.0, 60.0)
-"""Mains frequencies that are looked for."""
+"""Mains frequencies that are searched."""
 _HARMONICS = 3
-"""Number of harmonics of the mains that are looked for."""
+"""Number of mains harmonics that are searched."""
 MAINS_SHARE = 0.02
-"""Amplitude of a mains line over the standard deviation of the force that is reported."""
+"""Amplitude of a mains line, relative to the standard deviation of the force, above which it is reported."""
 _NEIGHBOURS_HZ = 6.0
-"""Half-width of the band, Hz, with whose mean power a line is compared."""
-_SURE = 25.0
-"""Power of a line over the mean of its neighbours; noise exceeds it with probability e^-25."""
+"""Half-width of the band, Hz, whose mean power is the reference for a line."""
+_LINE_RATIO = 25.0
+"""Threshold of the power of a line relative to the mean of its neighbours; noise exceeds it with probability e^-25."""
 
 
-def noisy(prepared: PreparedTest) -> Iterator[QualityFinding]:
+def check_noise(prepared: PreparedTest) -> Iterator[QualityFinding]:
     """Report a high noise floor."""
     if prepared.test.kind in ("quiet", "free_air", "step_hold", "slow_ramp"):
         return
     for name, label, least, poor in (
-        ("position", marked("position"), LEAST_RATIO_DB, POOR_RATIO_DB),
+        ("position", marked("position"), MIN_RATIO_DB, POOR_RATIO_DB),
         ("force", marked("force"), FORCE_RATIO_DB, FORCE_RATIO_DB - 6.0),
     ):
         ratio = signal_to_noise_db(prepared.stimulus(name), prepared.rate)
@@ -65,30 +65,30 @@ def noisy(prepared: PreparedTest) -> Iterator[QualityFinding]:
 def signal_to_noise_db(values: Array, rate: float) -> float | None:
     """Return the signal-to-noise ratio, dB; None for a short signal.
 
-    The white sensor noise is estimated from the power density at the top of the band, where the motion has died away.
+    The white sensor noise is estimated from the power density at the top of the band, where there is no motion.
     """
     length = round(_SEGMENT_S * rate)
     if values.size < 4 * length:
         return None
     density = signal.welch(values, rate, nperseg=length)[1]
-    top = density[round((1.0 - _TOP) * density.size) : -1]
+    top = density[round((1.0 - _NOISE_BAND) * density.size) : -1]
     floor = float(np.median(top)) * rate / 2.0
     spread = float(np.var(values))
     return float(10.0 * np.log10(max(spread - floor, 1e-12 * spread) / floor)) if floor > 0.0 and spread > 0.0 else None
 
 
-def incoherent(prepared: PreparedTest) -> Iterator[QualityFinding]:
+def check_coherence(prepared: PreparedTest) -> Iterator[QualityFinding]:
     """Report motion that the force does not explain."""
     if prepared.test.kind not in ("stochastic", "spring") or not prepared.mechanical:
         return
     found = mean_coherence(prepared)
-    if found is None or found >= LEAST_COHERENCE:
+    if found is None or found >= MIN_COHERENCE:
         return
     yield QualityFinding(
         "incoherent",
         "look",
         Message("quality.incoherent", prepared.texts.incoherent, percent=100 * found),
-        prepared.texts.to_explain,
+        prepared.texts.coherence_advice,
         found,
     )
 
@@ -103,14 +103,14 @@ def mean_coherence(prepared: PreparedTest) -> float | None:
     frequency, power = signal.welch(force, prepared.rate, nperseg=length)
     answer = signal.welch(position, prepared.rate, nperseg=length)[1]
     together = np.abs(signal.csd(force, position, prepared.rate, nperseg=length)[1]) ** 2
-    driven = (frequency > 0.0) & (power > _DRIVEN * power[1:].max()) & (answer > 0.0)
+    driven = (frequency > 0.0) & (power > _DRIVEN_SHARE * power[1:].max()) & (answer > 0.0)
     if not driven.any():
         return None
     # |S_fy|^2 / (S_ff S_yy), weighted with S_yy.
     return float(np.sum(together[driven] / power[driven]) / np.sum(answer[driven]))
 
 
-def mains(prepared: PreparedTest) -> Iterator[QualityFinding]:
+def check_mains(prepared: PreparedTest) -> Iterator[QualityFinding]:
     """Report a line at 50 or 60 Hz, or a harmonic, that the motion does not explain."""
     test = prepared.test
     if not prepared.mechanical or test.kind not in ("stochastic", "spring", "quiet"):
@@ -142,7 +142,8 @@ def mains(prepared: PreparedTest) -> Iterator[QualityFinding]:
 
 
 def unbalanced_force(prepared: PreparedTest) -> Array:
-    """Return the force, N, (n,), without inertia and without damping and stiffness that depend on depth and direction.
+    """Return the residual force, N, (n,), after subtracting inertia and depth- and direction-dependent damping and
+    stiffness.
 
     Removing the stochastic part exposes a line that does not move the probe.
     """
@@ -162,9 +163,9 @@ def unbalanced_force(prepared: PreparedTest) -> Array:
 
 
 def mains_line(values: Array, rate: float, mains_hz: float) -> tuple[float, float]:
-    """Return amplitude and frequency of the strongest significant line at a mains frequency or its harmonics.
+    """Return amplitude and frequency of the strongest significant line at a mains frequency or harmonic.
 
-    A line is compared with the mean power of its neighbours. The amplitude is 0 if no line is significant.
+    A line is compared with the mean power of its neighbours. The amplitude is 0 without a significant line.
     """
     taper = signal.get_window("hann", values.size)
     power = np.abs(np.fft.rfft((values - values.mean()) * taper)) ** 2
@@ -177,7 +178,7 @@ def mains_line(values: Array, rate: float, mains_hz: float) -> tuple[float, floa
             continue
         places = np.arange(centre - reach, centre + reach + 1)
         near = np.abs(places - centre) <= line
-        if power[places[near]].max() < _SURE * (np.mean(power[places[~near]]) or 1.0):
+        if power[places[near]].max() < _LINE_RATIO * (np.mean(power[places[~near]]) or 1.0):
             continue
         amplitude = 2.0 * float(np.sqrt(power[places[near]].max())) / float(taper.sum())
         if amplitude > best[0]:

@@ -17,12 +17,12 @@ Array = NDArray[np.float64]
 Mask = NDArray[np.bool_]
 
 CUT_OFF_HZ = 120.0
-"""Cut-off, Hz, above which sensor noise dominates: 1 um at 120 Hz is 0.6 m/s^2, or 0.03 N for 60 g."""
+"""Cutoff, Hz, above which sensor noise dominates: 1 um at 120 Hz is 0.6 m/s^2, or 0.03 N for 60 g."""
 
 _EDGE_S = 0.01
 """Distance, s, from a gap or an end of the record within which filtered signals are not used."""
-_FEWEST = 200
-"""Fewest usable samples of a stimulus that are judged."""
+_MIN_SAMPLES = 200
+"""Minimum number of usable samples of a stimulus for a judgement."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -34,7 +34,7 @@ class PreparedTest:
 
     @property
     def texts(self) -> ContactTexts:
-        """The texts for what is under the probe."""
+        """Texts for the contact: tissue, spring or air."""
         return texts_for(self.test.kind)
 
     @property
@@ -44,13 +44,13 @@ class PreparedTest:
 
     @cached_property
     def first(self) -> int:
-        """The first sample after the preload."""
+        """Index of the first sample after the preload."""
         return min(round(self.test.preload_s * self.rate), self.test.samples)
 
     @property
     def mechanical(self) -> bool:
-        """Whether enough samples have force and position."""
-        return int(self.known.sum()) >= _FEWEST
+        """Whether there are enough samples with force and position."""
+        return int(self.known.sum()) >= _MIN_SAMPLES
 
     def signal(self, name: str) -> Array | None:
         """Return a signal, NaN for samples not received; None if the test has no sample of it."""
@@ -67,7 +67,7 @@ class PreparedTest:
 
     @cached_property
     def received(self) -> Mask:
-        """Samples with force and position."""
+        """Mask of the samples with force and position."""
         force, position = self.signal("force"), self.signal("position")
         if force is None or position is None:
             return np.zeros(self.test.samples, dtype=np.bool_)
@@ -75,7 +75,7 @@ class PreparedTest:
 
     @cached_property
     def known(self) -> Mask:
-        """Samples of the stimulus at which the filtered signals are valid: no gap, no end within 10 ms."""
+        """Mask of the stimulus samples with valid filtered signals: more than 10 ms from gaps and ends."""
         edge = round(_EDGE_S * self.rate)
         lost = np.concatenate([[0], np.cumsum(~self.received)])
         place = np.arange(self.test.samples)
@@ -85,12 +85,12 @@ class PreparedTest:
 
     @cached_property
     def force(self) -> Array:
-        """Coil force below the cut-off, N."""
+        """Low-pass filtered coil force, N."""
         return self._filtered("force", 0)
 
     @cached_property
     def position(self) -> Array:
-        """Position below the cut-off, m."""
+        """Low-pass filtered position, m."""
         return self._filtered("position", 0)
 
     @cached_property
@@ -127,7 +127,7 @@ class PreparedTest:
 
     @cached_property
     def _spectra(self) -> dict[str, tuple[NDArray[np.complex128], Array, int, tuple[float, float]]]:
-        """Spectra of the signals, interpolated across gaps, without the line between their ends, and mirrored."""
+        """Spectra of the signals, interpolated across gaps, detrended by the line between their ends, and mirrored."""
         found = {}
         place = np.arange(self.test.samples)
         for name in ("force", "position"):
@@ -145,12 +145,12 @@ class PreparedTest:
         return found
 
 
-def runs(mask: Mask) -> list[tuple[int, int]]:
+def true_runs(mask: Mask) -> list[tuple[int, int]]:
     """Return first and one-past-last index of every run of True in a mask of shape (n,)."""
     edges = np.flatnonzero(np.diff(np.concatenate([[0], mask.astype(np.int8), [0]])))
     return [(int(first), int(end)) for first, end in edges.reshape(-1, 2)]
 
 
-def longest(mask: Mask) -> int:
+def longest_run(mask: Mask) -> int:
     """Return the length of the longest run of True."""
-    return max((end - first for first, end in runs(mask)), default=0)
+    return max((end - first for first, end in true_runs(mask)), default=0)

@@ -13,13 +13,15 @@ from tissueid.messages import Message
 from tissueid.sessions import Test
 from tissueid.sessions.quality import QualityFinding
 
-MOST_EARLIER = 10
-"""Number of earlier tests that are compared."""
+MAX_EARLIER = 10
+"""Maximum number of earlier tests that are compared."""
 
 UNUSUAL_SHARE, UNUSUAL_REPEAT_SHARE = 0.10, 0.40
-"""Difference of two responses to one command over their spread: doubtful, repeat. Usual: 4 % (thesis Table 7.1)."""
-UNUSUAL_TIMES = 3.0
-"""Difference from the repeats over their usual difference above which a test is unusual."""
+"""Differences of two responses to one command, relative to their spread: doubtful, repeat. Usual: 4 % (thesis Table
+7.1).
+"""
+UNUSUAL_RATIO = 3.0
+"""Difference from the repeats, relative to their usual difference, above which a test is unusual."""
 PARAMETER_SHARE = 0.30
 """Relative deviation of a parameter from the median of tests with other commands above which a test is unusual."""
 SHIFTED_M = 0.15e-3
@@ -27,10 +29,10 @@ SHIFTED_M = 0.15e-3
 SETTLING_M = 0.05e-3
 """Change of the mean position from test to test, m, that is reported as settling."""
 SETTLING_SHARE = 0.02
-"""The same over the depth."""
+"""The same, relative to the depth."""
 
 _STEP = 4
-"""Responses are compared at every fourth sample, which is faster than any motion."""
+"""Decimation of the compared responses, still faster than any motion."""
 _PARAMETERS = {
     "mass": marked("The mass differs by {percent:.0f} % from that of {count} earlier tests at this site."),
     "damping": marked("The damping differs by {percent:.0f} % from that of {count} earlier tests at this site."),
@@ -41,7 +43,7 @@ _DEEPER, _LESS_DEEP = marked("deeper"), marked("less deep")
 
 @dataclass(frozen=True, eq=False)
 class QuickFit:
-    """Mass, kg, damping, N s/m, and stiffness, N/m, by a fast fit that is accurate enough to compare tests."""
+    """Mass, kg, damping, N s/m, and stiffness, N/m, from a fast fit that is accurate enough to compare tests."""
 
     mass: float
     damping: float
@@ -49,7 +51,7 @@ class QuickFit:
 
 
 def quick_fit(prepared: PreparedTest) -> QuickFit | None:
-    """Fit force = M a + B v + K x + constant to the filtered signals; return None if it is not determined."""
+    """Fit force = M a + B v + K x + constant to the filtered signals; return None if the fit is not determined."""
     if not prepared.mechanical:
         return None
     known = prepared.known
@@ -67,7 +69,7 @@ def quick_fit(prepared: PreparedTest) -> QuickFit | None:
     return QuickFit(float(mass), float(damping), float(stiffness))
 
 
-def comparable(test: Test, earlier: Sequence[Test]) -> list[Test]:
+def comparable_tests(test: Test, earlier: Sequence[Test]) -> list[Test]:
     """Return the newest completed earlier tests of the same site, kind, configuration and sample rate."""
     same = [
         other
@@ -77,11 +79,11 @@ def comparable(test: Test, earlier: Sequence[Test]) -> list[Test]:
         and other.sample_rate_hz == test.sample_rate_hz
         and other.number != test.number
     ]
-    return same[-MOST_EARLIER:]
+    return same[-MAX_EARLIER:]
 
 
-def same_command(test: Test, others: Sequence[Test]) -> list[Test]:
-    """Return those of the other tests that played the same command."""
+def tests_with_same_command(test: Test, others: Sequence[Test]) -> list[Test]:
+    """Return the tests that played the same command."""
     command = test.signals.get("command")
     if command is None:
         return []
@@ -96,11 +98,11 @@ def same_command(test: Test, others: Sequence[Test]) -> list[Test]:
     return found
 
 
-def compared(prepared: PreparedTest, others: Sequence[Test]) -> Iterator[QualityFinding]:
+def check_against_earlier(prepared: PreparedTest, others: Sequence[Test]) -> Iterator[QualityFinding]:
     """Report differences from the earlier tests at this site."""
     if not others or "position" not in prepared.test.signals:
         return
-    repeats = same_command(prepared.test, others)
+    repeats = tests_with_same_command(prepared.test, others)
     if repeats:
         yield from _against_repeats(prepared, repeats)
     elif len(others) > 1:
@@ -123,7 +125,7 @@ def _against_repeats(prepared: PreparedTest, repeats: Sequence[Test]) -> Iterato
         _difference(a, b) / spread for place, a in enumerate(shapes[:-1]) for b in shapes[place + 1 : len(repeats)]
     ]
     usual = float(np.median(pairs)) if pairs else 0.0
-    if mine > max(UNUSUAL_SHARE, UNUSUAL_TIMES * usual):
+    if mine > max(UNUSUAL_SHARE, UNUSUAL_RATIO * usual):
         percent, count = 100 * mine, len(repeats)
         if not pairs:
             words = Message(
@@ -146,13 +148,13 @@ def _against_repeats(prepared: PreparedTest, repeats: Sequence[Test]) -> Iterato
             "unusual",
             "repeat" if mine > UNUSUAL_REPEAT_SHARE else "look",
             words,
-            prepared.texts.to_look,
+            prepared.texts.unusual_advice,
             mine,
         )
 
 
 def _settling(prepared: PreparedTest, levels: Sequence[float]) -> QualityFinding | None:
-    """Return a finding when the mean depth changes from test to test, as in settling tissue (thesis Fig. 7.4)."""
+    """Yield a finding when the mean depth changes from test to test, as in settling tissue (thesis Fig. 7.4)."""
     surface = prepared.test.surface_position_m
     depth = levels[-1] - surface if np.isfinite(surface) else np.inf
     steps = np.diff(levels)
@@ -174,16 +176,18 @@ def _settling(prepared: PreparedTest, levels: Sequence[float]) -> QualityFinding
             direction=_DEEPER if last > 0 else _LESS_DEEP,
             earlier=earlier,
         ),
-        prepared.texts.to_settle,
+        prepared.texts.settling_advice,
         abs(last),
     )
 
 
 def _shifted(prepared: PreparedTest, levels: Sequence[float]) -> QualityFinding | None:
-    """Return a finding when the mean position differs from all earlier repeats by more than they differ."""
+    """Yield a finding when the mean position differs from all earlier repeats by more than they differ
+    from each other.
+    """
     before = np.array(levels[:-1])
     off = float(levels[-1] - np.median(before))
-    if before.size < 2 or abs(off) <= max(SHIFTED_M, UNUSUAL_TIMES * float(np.ptp(before))):
+    if before.size < 2 or abs(off) <= max(SHIFTED_M, UNUSUAL_RATIO * float(np.ptp(before))):
         return None
     return QualityFinding(
         "unusual",
@@ -196,7 +200,7 @@ def _shifted(prepared: PreparedTest, levels: Sequence[float]) -> QualityFinding 
             direction=_DEEPER if off > 0 else _LESS_DEEP,
             count=int(before.size),
         ),
-        prepared.texts.to_look,
+        prepared.texts.unusual_advice,
         abs(off),
     )
 
@@ -233,7 +237,7 @@ def _against_parameters(prepared: PreparedTest, others: Sequence[Test]) -> Itera
                 "unusual",
                 "look",
                 Message(f"quality.unusual.{name}", template, percent=100 * off / middle, count=len(known)),
-                prepared.texts.to_look,
+                prepared.texts.unusual_advice,
                 off / middle,
             )
 

@@ -1,4 +1,4 @@
-"""Texts of the quality gate that depend on what is under the probe: tissue, a calibration spring or air."""
+"""Texts of the quality gate that depend on the contact: tissue, a calibration spring or air."""
 
 from __future__ import annotations
 
@@ -9,42 +9,43 @@ from tissueid.language import marked
 
 @dataclass(frozen=True)
 class ContactTexts:
-    """Templates and advice for one thing under the probe.
+    """Templates and advice for one kind of contact.
 
-    Templates: ``unpressed`` and ``above`` for lost contact, ``jumped`` and ``drifted`` for a moved reference,
-    ``incoherent`` for motion that the force does not explain, ``deeper`` and ``higher`` for a surface found elsewhere,
-    ``settling`` for a mean depth that changes from test to test. Fields that begin with ``to_`` are the advice: against
-    lost contact, a moved reference, a knock, a turned instrument, unexplained motion, the end of the stroke, an unusual
-    test, a surface found elsewhere, settling.
+    Templates: ``no_contact_force`` and ``above`` for loss of contact, ``position_jump`` and ``position_drift`` for a
+    shifted reference, ``incoherent`` for motion that the force does not explain, ``deeper`` and ``higher`` for a
+    changed surface position, ``settling`` for a mean depth that changes from test to test. Each ``*_advice`` says what
+    to do about the finding of that name.
     """
 
-    unpressed: str
+    no_contact_force: str
     above: str
-    jumped: str
-    drifted: str
+    position_jump: str
+    position_drift: str
     incoherent: str
     deeper: str
     higher: str
     settling: str
-    to_press: str
-    to_hold: str
-    to_bear_a_knock: str
-    to_turn_back: str
-    to_explain: str
-    to_centre: str
-    to_look: str
-    to_place_alike: str
-    to_settle: str
+    contact_advice: str
+    reference_advice: str
+    knock_advice: str
+    orientation_advice: str
+    coherence_advice: str
+    stroke_advice: str
+    unusual_advice: str
+    surface_advice: str
+    settling_advice: str
 
 
 TISSUE = ContactTexts(
-    unpressed=marked("The probe left the skin for {percent:.1f} % of the test: no force pressed it onto the tissue."),
+    no_contact_force=marked(
+        "The probe left the skin for {percent:.1f} % of the test: no force pressed it onto the tissue."
+    ),
     above=marked("The probe left the skin for {percent:.1f} % of the test: it was above the surface."),
-    jumped=marked(
+    position_jump=marked(
         "The reference surface moved: the position jumped by {size:.2f} mm at {seconds:.1f} s, more than force and "
         "creep explain."
     ),
-    drifted=marked(
+    position_drift=marked(
         "The reference surface moved: the position drifted by {size:.2f} mm, more than force and creep explain."
     ),
     incoherent=marked(
@@ -61,37 +62,41 @@ TISSUE = ContactTexts(
         "The tissue is still settling: under the same force the mean probe position was {size:.2f} mm {direction} than "
         "in {earlier}."
     ),
-    to_press=marked(
+    contact_advice=marked(
         "Raise the lowest force, or place the probe deeper and hold the reference surface firmly. If the probe is "
         "meant to lift off, use a nonlinear model."
     ),
-    to_hold=marked("Hold the reference surface firmly against the tissue, rest the arm, and run the test again."),
-    to_bear_a_knock=marked("If the reference surface may have moved, run the test again."),
-    to_turn_back=marked(
+    reference_advice=marked(
+        "Hold the reference surface firmly against the tissue, rest the arm, and run the test again."
+    ),
+    knock_advice=marked("If the reference surface may have moved, run the test again."),
+    orientation_advice=marked(
         "Hold it still and place it again: the weight of the moving part loads the tissue differently."
     ),
-    to_explain=marked(
+    coherence_advice=marked(
         "Rest the arm, hold the reference surface firmly, and run the test again. Also try a nonlinear model."
     ),
-    to_centre=marked(
+    stroke_advice=marked(
         "Place the instrument so that the surface is near the middle of the stroke, and run the test again."
     ),
-    to_look=marked("Check whether the arm or the instrument moved, and repeat the test to see which result is right."),
-    to_place_alike=marked(
+    unusual_advice=marked(
+        "Check whether the arm or the instrument moved, and repeat the test to see which result is right."
+    ),
+    surface_advice=marked(
         "Compare only tests with the same placement, or repeat the series without lifting the instrument."
     ),
-    to_settle=marked("Repeat the test until two agree, and leave out the first test at this site."),
+    settling_advice=marked("Repeat the test until two agree, and leave out the first test at this site."),
 )
 SPRING = ContactTexts(
-    unpressed=marked(
+    no_contact_force=marked(
         "The probe left the calibration spring for {percent:.1f} % of the test: no force pressed it onto the spring."
     ),
     above=marked("The probe left the calibration spring for {percent:.1f} % of the test: it was above the surface."),
-    jumped=marked(
+    position_jump=marked(
         "The base of the spring moved: the position jumped by {size:.2f} mm at {seconds:.1f} s, more than force and "
         "creep explain."
     ),
-    drifted=marked(
+    position_drift=marked(
         "The base of the spring moved: the position drifted by {size:.2f} mm, more than force and creep explain."
     ),
     incoherent=marked(
@@ -108,24 +113,28 @@ SPRING = ContactTexts(
         "The spring does not return to its position: under the same force the mean probe position was {size:.2f} mm "
         "{direction} than in {earlier}."
     ),
-    to_press=marked(
+    contact_advice=marked(
         "Fix both ends of the spring, or place it deeper under the probe so that it stays compressed: a spring that is "
         "not fixed loses contact when the probe swings back."
     ),
-    to_hold=marked("Screw the instrument and the base of the spring to the same table, and run the test again."),
-    to_bear_a_knock=marked("If the spring or the instrument may have moved, run the test again."),
-    to_turn_back=marked(
+    reference_advice=marked(
+        "Screw the instrument and the base of the spring to the same table, and run the test again."
+    ),
+    knock_advice=marked("If the spring or the instrument may have moved, run the test again."),
+    orientation_advice=marked(
         "Screw it down and repeat the calibration: the weight of the moving part stretches the spring differently."
     ),
-    to_explain=marked(
+    coherence_advice=marked(
         "Check that the spring touches only the probe and its base, screw both down, and run the test again."
     ),
-    to_centre=marked("Place the spring so that the probe is near the middle of the stroke, and run the test again."),
-    to_look=marked(
+    stroke_advice=marked(
+        "Place the spring so that the probe is near the middle of the stroke, and run the test again."
+    ),
+    unusual_advice=marked(
         "Check whether the spring or the instrument moved, and repeat the test to see which result is right."
     ),
-    to_place_alike=marked("Compare only tests with the spring in the same place, or repeat the series."),
-    to_settle=marked("Check for friction and a loose base, and repeat the test until two agree."),
+    surface_advice=marked("Compare only tests with the spring in the same place, or repeat the series."),
+    settling_advice=marked("Check for friction and a loose base, and repeat the test until two agree."),
 )
 AIR = replace(
     SPRING,
@@ -135,16 +144,18 @@ AIR = replace(
         "The free probe does not return to its position: under the same force the mean probe position was {size:.2f} "
         "mm {direction} than in {earlier}."
     ),
-    to_bear_a_knock=marked("Screw the instrument down, and run the test again without touching the table."),
-    to_turn_back=marked("Screw it down and run the test again: the component of gravity along the stroke changed."),
-    to_look=marked(
+    knock_advice=marked("Screw the instrument down, and run the test again without touching the table."),
+    orientation_advice=marked(
+        "Screw it down and run the test again: the component of gravity along the stroke changed."
+    ),
+    unusual_advice=marked(
         "Check whether something touched the probe or the instrument was turned, and repeat the test to see which "
         "result is right."
     ),
-    to_place_alike=marked("Compare only tests with the same orientation of the instrument, or repeat the series."),
-    to_settle=marked("Check for friction and a dragging cable, and repeat the test until two agree."),
+    surface_advice=marked("Compare only tests with the same orientation of the instrument, or repeat the series."),
+    settling_advice=marked("Check for friction and a dragging cable, and repeat the test until two agree."),
 )
-"""Texts for a free probe. Contact is not judged there."""
+"""Texts for a free probe, whose contact is not judged."""
 _BY_KIND = {"spring": SPRING, "free_air": AIR}
 
 
