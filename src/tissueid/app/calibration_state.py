@@ -6,7 +6,7 @@ from dataclasses import dataclass
 from datetime import datetime
 
 from tissueid.app.words import sentence
-from tissueid.calibration.active import in_words, warnings_of
+from tissueid.calibration.active import calibration_summary, warnings_of
 from tissueid.device import DeviceDescription
 from tissueid.language import marked
 from tissueid.messages import translated
@@ -27,5 +27,5 @@ def calibration_state(device: DeviceDescription, now: datetime | None = None) ->
     """Return the state of a device's calibration; ``now`` is timezone-aware."""
     good = device.calibration.get("state") == "valid"
     warnings = tuple(sentence(translated(line)) for line in warnings_of(device))
-    words = sentence(translated(in_words(device, now))).removesuffix(".")
+    words = sentence(translated(calibration_summary(device, now))).removesuffix(".")
     return CalibrationState(words, "good" if good else "check", warnings)

@@ -22,7 +22,7 @@ from tissueid.acquisition.rest_periods import predict_heating, rest, temperature
 from tissueid.acquisition.stimulus_choice import NoiseChoice, playable, playable_file, test_kind
 from tissueid.acquisition.surface_detection import Placement, place_in_air
 from tissueid.audit import AuditTrail
-from tissueid.calibration.active import InForce, calibrated
+from tissueid.calibration.active import ActiveCalibration, activate_calibration
 from tissueid.device import DeviceDescription
 from tissueid.errors import CancelledError, FirmwareFaultError, LinkLostError
 from tissueid.instrument import PROFILES, Instrument, Limits, SimulatedInstrument, open_instrument
@@ -197,11 +197,11 @@ class _Run:
         """
         plan, control = self._plan, self._control
         in_force = (
-            calibrated(instrument, plan.calibrations, wanted=plan.calibration)
+            activate_calibration(instrument, plan.calibrations, wanted=plan.calibration)
             if calibrate is None
             else calibrate(instrument)
         )
-        if trail is not None and isinstance(in_force, InForce):
+        if trail is not None and isinstance(in_force, ActiveCalibration):
             trail.note("calibration.in_force", subject=instrument.device.serial_number, new=in_force.words)
         self._instrument = instrument
         self._limits = limits = instrument.narrowed(PROFILES[plan.limits])
