@@ -22,7 +22,7 @@ from tissueid.stimuli.base import Stimulus
 RATE = 2000.0
 
 
-def with_preload(seconds=1.0, mean=4.0, swing=1.0, **changes):
+def guided(seconds=1.0, mean=4.0, swing=1.0, **changes):
     time = np.arange(round(seconds * RATE)) / RATE
     force = mean + swing * np.sin(2 * np.pi * 20 * time)
     preload = np.full(round(0.5 * RATE), mean)
@@ -39,7 +39,7 @@ def instrument(request, tmp_path):
     else:
         source = SimulatedInstrument("forearm")
         recorder = SessionRecorder(tmp_path / "source.h5", source.device)
-        run_guided_test(source, with_preload(), recorder, surface_m=0.01)
+        run_guided_test(source, guided(), recorder, surface_m=0.01)
         test = recorder.finish().test()
         yield (device := ReplayInstrument(source.device, test.signals))
     device.close()
@@ -49,14 +49,14 @@ def test_one_guided_test_from_start_to_file(instrument, tmp_path):
     phases = []
     recorder = SessionRecorder(tmp_path / "s.h5", instrument.device)
     surface = None if not isinstance(instrument, ReplayInstrument) else 0.0101
-    number = run_guided_test(instrument, with_preload(), recorder, surface_m=surface, progress=phases.append)
+    number = run_guided_test(instrument, guided(), recorder, surface_m=surface, progress=phases.append)
     recorder.finish()
     test = read_session(tmp_path / "s.h5").test(number)
     assert (test.status, test.site, test.seed, test.preload_s) == ("completed", "left forearm", 7, 0.5)
     assert test.samples == 3000
     assert not np.isnan(test.signals["position"]).any()
     # Motion brakes the force by back-EMF, so it follows the command without matching it.
-    assert np.corrcoef(test.signals["force"][1100:], with_preload().stimulus.values[1100:])[0, 1] > 0.97
+    assert np.corrcoef(test.signals["force"][1100:], guided().stimulus.values[1100:])[0, 1] > 0.97
     assert test.surface_position_m == pytest.approx(0.010, abs=4e-4)
     order = list(dict.fromkeys(item.phase for item in phases))
     assert order[-3:] == [Phase.PRELOAD, Phase.STIMULUS, Phase.RELEASE]
@@ -72,7 +72,7 @@ def test_cancelling_keeps_what_was_recorded(tmp_path):
     with pytest.raises(CancelledError):
         run_guided_test(
             instrument,
-            with_preload(3.0),
+            guided(3.0),
             recorder,
             surface_m=0.01,
             progress=seen.append,
@@ -90,7 +90,7 @@ def test_a_mishap_in_mid_test_keeps_the_recorded_part(tmp_path, mishap, error):
     instrument = connect()
     recorder = SessionRecorder(tmp_path / "s.h5", instrument.device)
     with pytest.raises(error):
-        run_guided_test(instrument, with_preload(3.0), recorder, surface_m=0.01, progress=halfway(instrument, mishap))
+        run_guided_test(instrument, guided(3.0), recorder, surface_m=0.01, progress=halfway(instrument, mishap))
     instrument._link.run_for(1.0)
     assert not instrument._link.firmware.energised
     instrument.close()
@@ -104,7 +104,7 @@ def test_a_limit_broken_in_mid_test(tmp_path):
     instrument = SimulatedInstrument()
     recorder = SessionRecorder(tmp_path / "s.h5", instrument.device)
     with pytest.raises(LimitError, check=coded("limit.position")):
-        run_guided_test(instrument, with_preload(limits=Limits(max_position_m=0.013)), recorder, surface_m=0.01)
+        run_guided_test(instrument, guided(limits=Limits(max_position_m=0.013)), recorder, surface_m=0.01)
     assert recorder.finish().test().status == "aborted"
 
 
@@ -112,7 +112,7 @@ def test_a_stimulus_beyond_the_limits_is_never_sent(tmp_path):
     instrument = connect()
     recorder = SessionRecorder(tmp_path / "s.h5", instrument.device)
     with pytest.raises(LimitError, check=coded("test.stimulus_force", limit=8.0)):
-        run_guided_test(instrument, with_preload(mean=10.0, limits=Limits(max_force_n=8.0)), recorder, surface_m=0.01)
+        run_guided_test(instrument, guided(mean=10.0, limits=Limits(max_force_n=8.0)), recorder, surface_m=0.01)
     recorder.abandon()
 
 
@@ -121,7 +121,7 @@ def test_gaps_are_stored_in_the_session(tmp_path):
     recorder = SessionRecorder(tmp_path / "s.h5", instrument.device)
     reads = iter(range(100_000))
     instrument._link.to_host = lambda data: b"" if next(reads) % 60 == 59 else data
-    run_guided_test(instrument, with_preload(), recorder, surface_m=0.01)
+    run_guided_test(instrument, guided(), recorder, surface_m=0.01)
     test = recorder.finish().test()
     lost = int(np.isnan(test.signals["force"]).sum())
     assert lost > 0
@@ -133,7 +133,7 @@ def test_a_host_that_dies_leaves_a_session_to_recover(tmp_path):
     instrument = connect()
     recorder = SessionRecorder(tmp_path / "s.h5", instrument.device)
     power_cut = left_by_a_power_cut(recorder, tmp_path / "left.h5")
-    run_guided_test(instrument, with_preload(2.0), recorder, surface_m=0.01, progress=power_cut)
+    run_guided_test(instrument, guided(2.0), recorder, surface_m=0.01, progress=power_cut)
     recorder.abandon()
     _, session = recover(tmp_path / "left.h5")
     assert session.test().status == "recovered"
