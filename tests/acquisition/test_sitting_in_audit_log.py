@@ -98,7 +98,7 @@ class Late:
 @pytest.mark.parametrize(
     ("owner", "name", "only", "expected"),
     [
-        (SessionRecorder, "_check_room", "", []),
+        (SessionRecorder, "_check_disk_space", "", []),
         (AuditLog, "record", "test.begun", ["test.begun", "test.stopped"]),
     ],
 )
