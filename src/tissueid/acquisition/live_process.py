@@ -1,8 +1,8 @@
 """Live identification in a separate process, so that its computations do not delay the polling loop.
 
 A thread would share the interpreter lock with that loop; on a busy machine the heartbeat would stop while the thread
-holding the lock is preempted (docs/decisions/0002-heartbeat-from-the-sample-loop.md). The process receives force and position
-on its standard input and returns updates on its standard output.
+holding the lock is preempted (docs/decisions/0002-heartbeat-from-the-sample-loop.md). The process receives force and
+position on its standard input and returns updates on its standard output.
 """
 
 from __future__ import annotations

@@ -7,7 +7,7 @@ from pathlib import Path
 
 from tissueid.calibration.file import Calibration, read_calibration
 from tissueid.calibration.labels import headline_of, notes_of, readable
-from tissueid.calibration.status import Age, age_of
+from tissueid.calibration.status import FileStatus, file_status
 from tissueid.calibration.store import calibration_folder, stored_calibrations
 from tissueid.cli.output import check_json, human_output, message_json, table, write_json
 from tissueid.procedures.calibration_files import write_calibration_report
@@ -34,7 +34,7 @@ def list_calibrations(folder: Path | None, serial: str | None, json_file: Path |
         found = item.calibration
         if serial is not None and (found is None or found.serial_number != serial):
             continue
-        age = age_of(item, now)
+        age = file_status(item, now)
         key = ("", "") if found is None else (found.serial_number, found.kind)
         is_newest = age.usable and key not in newest
         if is_newest:
@@ -62,7 +62,7 @@ def list_calibrations(folder: Path | None, serial: str | None, json_file: Path |
         write_json(json_file, {"folder": None if chosen is None else str(chosen), "calibrations": answers})
 
 
-def _listed(path: Path, found: Calibration | None, age: Age, is_newest: bool) -> dict[str, object]:
+def _listed(path: Path, found: Calibration | None, age: FileStatus, is_newest: bool) -> dict[str, object]:
     return {
         "file": str(path),
         "serial_number": found.serial_number if found else None,

@@ -14,7 +14,7 @@ from rich.markup import escape
 from rich.text import Text
 
 from tissueid.calibration.labels import headline_of
-from tissueid.calibration.store import calibration_folder, is_filed
+from tissueid.calibration.store import calibration_folder, is_in_calibration_folder
 from tissueid.cli.output import ConsoleControl, check_json, console, progress_bars
 from tissueid.errors import UnusableInputError
 from tissueid.messages import Message
@@ -106,7 +106,7 @@ def print_verdict(console: Console, result: CalibrationResult) -> None:
     for note in result.notes:
         console.print(f"note: {note}", markup=False, soft_wrap=True)
     console.print(f"calibration: {result.path}", markup=False, soft_wrap=True)
-    if not is_filed(result.path):
+    if not is_in_calibration_folder(result.path):
         folder = calibration_folder()
         where = "name its folder by --calibrations" if folder is None else f"copy it to {folder}"
         console.print(f"Tests do not find it there: {where}, or leave out --out.", markup=False, soft_wrap=True)

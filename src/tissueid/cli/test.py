@@ -8,7 +8,7 @@ from pathlib import Path
 from tissueid.acquisition.journal import JournalError
 from tissueid.acquisition.live import LiveIdentification
 from tissueid.acquisition.playback import Progress
-from tissueid.calibration.active import in_words, warnings_of
+from tissueid.calibration.active import warnings_of
 from tissueid.cli.audit_records import audit_trail
 from tissueid.cli.output import ConsoleControl, check_json, console, human_output, progress_bars, write_json
 from tissueid.cli.quality import recorded_findings
@@ -83,7 +83,7 @@ def _print_result(plan: TestPlan, session: Session, json_file: Path | None) -> N
     if not console.is_terminal:
         console.width = 120
     console.print(f"session: {plan.out}", markup=False)
-    console.print(f"instrument: {in_words(session.instrument)}", markup=False)
+    console.print(f"instrument: {calibration_summary(session.instrument)}", markup=False)
     for warning in warnings_of(session.instrument):
         console.print(f"calibration: {warning}", markup=False)
     console.print(tests_table(session.tests, plan.depth_range_m))
