@@ -108,7 +108,7 @@ def predict_heating(
     return HeatingForecast(ends(rest_s), limit_c, needed)
 
 
-def temperature_c(instrument: Instrument, cancelled: Callable[[], bool] = never) -> float:
+def temperature_c(instrument: Instrument, cancelled: Callable[[], bool] = never_stop) -> float:
     """Return the temperature of the coil's sensor, degC; NaN if it gives no plausible value.
 
     Raises:

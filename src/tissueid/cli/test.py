@@ -8,7 +8,7 @@ from pathlib import Path
 from tissueid.acquisition.journal import JournalError
 from tissueid.acquisition.live import LiveIdentification
 from tissueid.acquisition.playback import Progress
-from tissueid.calibration.active import warnings_of
+from tissueid.calibration.active import calibration_summary, warnings_of
 from tissueid.cli.audit_records import audit_trail
 from tissueid.cli.output import ConsoleControl, check_json, console, human_output, progress_bars, write_json
 from tissueid.cli.quality import recorded_findings
