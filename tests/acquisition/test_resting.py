@@ -38,7 +38,7 @@ def test_the_coil_warms_as_its_heat_capacity_says():
 
 def test_five_default_repeats_on_the_desktop_need_a_rest():
     found = foreseen(5)
-    assert found.first_too_warm == 5
+    assert found.first_too_hot == 5
     assert says(found.warning, "test.needs_rest", test=5, count=5, rest=found.rest_s)
     assert foreseen(4).warning == ""
     assert foreseen(5, rest_s=found.rest_s).warning == ""
@@ -54,7 +54,7 @@ def test_heat_that_no_rest_prevents_is_reported():
 def test_many_repeats_come_to_a_balance():
     found = foreseen(100)
     assert found.rest_s is not None
-    assert foreseen(100, rest_s=found.rest_s).first_too_warm is None
+    assert foreseen(100, rest_s=found.rest_s).first_too_hot is None
 
 
 def test_a_smaller_coil_warms_by_its_own_size():
