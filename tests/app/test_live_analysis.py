@@ -5,12 +5,14 @@ from __future__ import annotations
 import numpy as np
 import pytest
 from app.benches import WAIT_MS, Gate
+from coded import made, reads
 from identification import simulated
 from PySide6.QtCore import Qt
 from PySide6.QtWidgets import QLabel
 
 from tissueid.app.live_analysis import LiveAnalysis
 from tissueid.app.theme import DARK, LIGHT
+from tissueid.app.words import sentence
 from tissueid.identification.live.live_view import METHODS, start_identifier, view
 from tissueid.identification.live.precision import precision
 from tissueid.procedures.test_plan import TestPlan
@@ -112,7 +114,7 @@ def test_what_is_not_there_yet_is_said_in_its_place(panel):
     newest.view = seen(0.3)
     panel.show_live(newest)
     assert words(panel.impulse) == ""
-    assert words(panel.bode) == "Coherence needs 3 memories of 0.125 s: wait for more data."
+    assert reads(words(panel.bode), "online.short_for_coherence", segments=3, memory=0.125)
     assert words(panel.course) == words(panel.bode)
     newest.view = seen(4.0)
     panel.show_live(newest)
@@ -121,9 +123,9 @@ def test_what_is_not_there_yet_is_said_in_its_place(panel):
 
 def test_a_problem_is_told_and_the_test_goes_on(panel):
     newest = Newest()
-    newest.problem = "live identification ended by a defect: no such thing"
+    newest.problem = made("live.defect", kind="ValueError", error="no such thing")
     panel.show_live(newest)
-    assert panel.said.text() == "Live identification ended by a defect: no such thing. The test goes on without it."
+    assert reads(panel.said.text(), "live.goes_on", problem=sentence(newest.problem))
 
 
 @pytest.mark.parametrize("theme", [LIGHT, DARK], ids=["light", "dark"])

@@ -6,6 +6,8 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from coded import made
+from failing_disk import FULL
 from hypothesis import given
 from hypothesis import strategies as st
 
@@ -26,6 +28,9 @@ from tissueid.sessions import read_session
 from tissueid.stimuli.base import with_preload
 
 DEVICE = DeviceDescription()
+
+
+CABLE_OUT = "the cable is out"
 
 
 def samples(first, count):
@@ -103,7 +108,7 @@ class Spy(SimulatedInstrument):
     def poll(self, timeout_s):
         self.polls += 1
         if self.polls == self.failures.get("lost_at"):
-            raise LinkLostError("the cable is out")
+            raise LinkLostError(CABLE_OUT)
         return super().poll(timeout_s)
 
     def close(self):
@@ -123,7 +128,7 @@ def test_a_test_from_start_to_file(tmp_path):
 def test_a_lost_link_keeps_the_recorded_part(tmp_path):
     instrument = Spy(lost_at=200)
     outcome = run(plan(tmp_path), instrument)
-    assert outcome_text(outcome)[0].startswith("The cable is out. ")
+    assert outcome_text(outcome)[0].startswith(f"{sentence(CABLE_OUT)} ")
     assert outcome.session.test().status == "aborted"
     assert instrument.asked[-1] == "close"
 
@@ -165,12 +170,14 @@ def test_stopped_before_the_beginning(tmp_path):
 
 def test_a_session_that_cannot_be_written_leaves_its_journal(tmp_path, monkeypatch):
     def full(*_, **__):
-        raise OSError(28, "No space left on device")
+        raise OSError(28, FULL)
 
     monkeypatch.setattr("tissueid.acquisition.recovery.write_session", full)
     outcome = run(plan(tmp_path), Spy())
     assert outcome.session is None
-    assert outcome_text(outcome)[0].startswith("No space left on device. The recording stays in ")
+    assert outcome_text(outcome)[0].startswith(
+        f"{FULL}. {made('outcome.recording_stays', path=journal_path(outcome.path))}"
+    )
     assert journal_path(outcome.path).exists()
 
 
@@ -197,5 +204,6 @@ def test_sentences(text, said):
 
 
 def test_errors_in_words():
+    missing = "No such file"
     assert in_words(LimitError("too far")) == "Too far."
-    assert in_words(FileNotFoundError(2, "No such file", "/nowhere")) == "/nowhere: No such file."
+    assert in_words(FileNotFoundError(2, missing, "/nowhere")) == f"/nowhere: {missing}."

@@ -236,7 +236,7 @@ def test_the_state_of_the_calibration_stands_beside_the_instrument(
 
 def test_no_calibration_in_words():
     state = calibration_state(DeviceDescription())
-    assert (state.words, state.level) == ("Not calibrated: the nominal figures are used", "check")
+    assert (reads(state.words, "calibration.none"), state.level) == (True, "check")
 
 
 def test_a_test_that_leaves_the_linear_region_is_flagged_while_it_runs_and_afterwards(

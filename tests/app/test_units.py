@@ -31,6 +31,7 @@ from tissueid.app.views.researcher.spectrum_card import SpectrumCard
 from tissueid.app.views.researcher.statistics_table import StatisticsTable
 from tissueid.app.views.technician.sweeps_panel import SweepsPanel
 from tissueid.calibration import Quantity
+from tissueid.calibration.labels import label_of
 from tissueid.formatting import figure_text, value_and_rest
 from tissueid.procedures.test_plan import TestPlan
 from tissueid.records import Estimate
@@ -274,7 +275,7 @@ def test_sweeps_are_compared_in_the_units(qtbot):
     panel.take_units()
     assert panel.remarks.text() == "Linear from 0.0040 to 0.0270 m."
     rows = [[panel.model.data(panel.model.index(row, column)) for column in (0, 5, 6)] for row in range(3)]
-    assert ["Start of the linear region", "0.004000 ± 0.000050", "m"] in rows
+    assert [label_of("linear_region_min_m"), "0.004000 ± 0.000050", "m"] in rows
     older = sweep(date="2026-01-01T10:00:00+00:00")
     panel.show_sweeps([sweep(), older])
     assert panel.remarks.text().startswith("Over 0.0040 to 0.0270 m, where both are linear")

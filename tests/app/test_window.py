@@ -93,7 +93,7 @@ def test_the_whole_path_by_mouse(qtbot, open_window, tmp_path):
     assert ui.form.seconds.isVisible()
     ui.form.seconds.setValue(1.0)
     ui.form.distribution.setCurrentIndex(ui.form.distribution.findData("uniform"))
-    assert ui.form.summary.text() == "Uniform noise, 0.5 to 10.5 N, 1 s, seed 1"
+    assert reads(ui.form.summary.text(), "form.noise", distribution="Uniform", low=0.5, high=10.5, seconds=1.0, seed=1)
     ui.form.subject.setText("P-017")
     press(qtbot, ui.start)
     wait_for_result(qtbot, window)
@@ -197,7 +197,7 @@ def test_an_instrument_that_disappears_gives_words_and_leaves_the_window_alive(q
     press(qtbot, window.ui.start)
     wait_for_result(qtbot, window)
     assert not chooser.about.text().startswith("Ready")
-    assert "connection to loopback broke" in window.ui.notice.text.text()
+    assert shows(window.ui.notice.text.text(), "link.broken", port="loopback")
     released = "own watchdog releases the coil within 0.5 s"
     assert window.ui.notice.text.text().count(released) == 1
     assert released in window.ui.safety.keys.text()  # nothing is known of the coil but that
@@ -470,7 +470,7 @@ def test_a_defect_is_words_and_a_file(qtbot, open_window, tmp_path, monkeypatch)
     type_site(qtbot, window)
     press(qtbot, window.ui.start)
     qtbot.waitUntil(lambda: idle(window), timeout=WAIT_MS)
-    assert "defect of the software" in window.ui.notice.text.text()
+    assert reads(window.ui.notice.text.text(), "window.defect", path=tmp_path / "last-defect.txt")
     assert "ZeroDivisionError" in (tmp_path / "last-defect.txt").read_text(encoding="utf-8")
 
 

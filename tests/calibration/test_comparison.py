@@ -16,6 +16,7 @@ from tissueid.calibration.comparison import (
     residuals,
     trend,
 )
+from tissueid.calibration.labels import label_of
 from tissueid.errors import UnusableInputError
 
 PLACES = tuple(0.002 * k for k in range(1, 16))
@@ -106,7 +107,7 @@ def test_ends_of_the_linear_region_are_compared_in_millimetres():
     assert math.isnan(ends["linear_region_min_m"].relative)
     assert ends["linear_region_min_m"].absolute == pytest.approx(1.2e-3)
     said = drift_text(ends["linear_region_max_m"], "2026-03-01")
-    assert says(said, "drift.lower", quantity="End of the linear region")
+    assert says(said, "drift.lower", quantity=label_of("linear_region_max_m"))
     assert said.values["difference"].value == pytest.approx(2.0)
     assert str(said.values["significance"].values["uncertainty"]) == "0.14 mm"
     assert found.common_m == pytest.approx((0.0052, 0.025))

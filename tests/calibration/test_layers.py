@@ -15,7 +15,7 @@ from tissueid import wire
 from tissueid.calibration import StaticPlan, apply_calibrations, calibrate_static, write_calibration
 from tissueid.calibration.active import activate_calibration, corrections, use_static_calibration, warnings_of
 from tissueid.calibration.file import Quantity, utc_date
-from tissueid.calibration.labels import problems_of
+from tissueid.calibration.labels import label_of, problems_of
 from tissueid.calibration.layers import NO_REGION
 from tissueid.calibration.plausibility import first_implausible
 from tissueid.errors import InstrumentError
@@ -94,7 +94,7 @@ def test_a_missing_figure_gives_a_warning():
     device = apply_calibrations(DEVICE, [partial(3, coil_resistance_ohm=12.1)], NOW)
     assert device.force_constant_n_per_a == DEVICE.force_constant_n_per_a
     warning = message(warnings_of(device), "calibration.nominal_used")
-    assert warning.values["names"].items == ("Force constant", "Zero of the current channel")
+    assert warning.values["names"].items == (label_of("force_constant_n_per_a"), label_of("current_offset_a"))
 
 
 def test_needed_figures_of_a_stale_one_make_it_stale_and_others_do_not():

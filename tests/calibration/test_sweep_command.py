@@ -5,6 +5,7 @@ import time
 
 import numpy as np
 import pytest
+from coded import made as message_of
 from coded import shows
 from spring_rig import Rig, swept
 from support import connect_scenario
@@ -79,7 +80,7 @@ def test_it_runs_unattended_and_leaves_calibration_report_session_and_answer(dev
     told = capsys.readouterr().out
     assert "linear from 8.0" in told
     assert "or less to 24.0" in told
-    assert "Dynamic sweep passed: ready for use" in told
+    assert shows(told, "calibration.headline", kind="Dynamic sweep", verdict=message_of("calibration.verdict.passed"))
     assert read_calibration(again).quantities == made.quantities
     assert device[-1]._link.firmware.bench.tissue.surface_m == pytest.approx(0.0154, abs=0.3e-3)  # and its sag
     assert main(["calibrate", "show", str(again), "--report", str(tmp_path / "shown.html")]) == 0
@@ -101,7 +102,7 @@ def test_without_a_stage_a_person_on_a_terminal_moves_the_spring(device, tmp_pat
     out = tmp_path / "sweep.toml"
     assert sweep("--device", "spring", "--out", out, *SHORT) == 0
     assert asked == pytest.approx([8e-3, 12e-3, 16e-3, 20e-3, 24e-3])
-    assert "the probe stands at 12.0 mm" in " ".join(capsys.readouterr().err.split())
+    assert shows(capsys.readouterr().err, "calibration.move_spring", position=12.0)
     assert read_calibration(out).conditions["by"] == "hand"
 
 
@@ -147,8 +148,8 @@ def test_what_goes_wrong_leaves_no_calibration_and_keeps_the_session(device, tmp
     monkeypatch.setattr(Sweep, "_measure", second)
     assert sweep("--device", "spring", "--out", out, "--session", kept, *SHORT) != 0
     said = " ".join(capsys.readouterr().err.split())
-    assert f"the recording is saved in {kept}" in said
-    assert "the stage stays at 7.4 mm: move it to mid-stroke before a test" in said
+    assert shows(said, "sweep.kept", path=str(kept))
+    assert shows(said, "sweep.stage_stays", position="7.4 mm")
     assert not out.exists()
     assert [test.status for test in read_session(kept).tests] == ["completed"]
     assert shows(complaint(capsys, "--kept", kept, "--out", out), "sweep.too_few", least=5, count=1)
@@ -263,6 +264,6 @@ def test_one_file_for_two_things_is_refused_before_anything_is_done(device, tmp_
     monkeypatch.chdir(tmp_path)
     named = [argument.format(tmp_path.name) for argument in arguments]
     said = complaint(capsys, "--device", "spring", "--out", "sweep.toml", *named)
-    assert f"{arguments[1]} is named for two outputs" in said
+    assert shows(said, "file.twice", path=arguments[1])
     assert len(device) == 1
     assert not list(tmp_path.iterdir())

@@ -5,6 +5,7 @@ import shutil
 
 import numpy as np
 import pytest
+from coded import shows
 from procedures.same_session import assert_same_session
 
 from tissueid.acquisition import SessionRecorder
@@ -64,10 +65,10 @@ def test_what_could_not_be_logged_is_a_notice_of_both(tmp_path, audit_file, caps
     for name in ("cli", "window"):
         leave_journal(tmp_path / name, damaged=False)
     assert main(["recover", str(tmp_path / "cli" / "s.h5")]) == 0
-    assert "not in the audit log" in capsys.readouterr().err
+    assert shows(capsys.readouterr().err, "audit.not_logged")
     shown = recover_all(tmp_path / "window", AuditTrail(AuditLog(audit_file), "researcher"))
     assert len(shown.sessions) == 1
-    assert "ot in the audit log" in shown.problems[0]
+    assert shows(shown.problems[0], "audit.not_logged")
 
 
 def test_a_journal_that_fails_does_not_prevent_the_others(tmp_path, audit_file):

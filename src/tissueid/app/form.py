@@ -35,6 +35,7 @@ from tissueid.app.stimulus_form import StimulusForm
 from tissueid.formatting import ANONYMOUS
 from tissueid.instrument import PROFILES
 from tissueid.language import _, marked
+from tissueid.messages import Message, Verbatim, translated
 from tissueid.procedures.test_plan import TestPlan
 from tissueid.stimuli.kinds.noise import Noise
 
@@ -351,12 +352,16 @@ class PlanForm(QWidget):
             self._show_summary(f"{words}, {seconds:g} s" if "seconds" in has else words)
             return
         self._show_summary(
-            _("{distribution} noise, {low:g} to {high:g} N, {seconds:g} s, seed {seed}").format(
-                distribution=self.distribution.currentText(),
-                low=self.min_force.value(),
-                high=self.max_force.value(),
-                seconds=self.seconds.value(),
-                seed=self.seed.value(),
+            translated(
+                Message(
+                    "form.noise",
+                    "{distribution} noise, {low:g} to {high:g} N, {seconds:g} s, seed {seed}",
+                    distribution=Verbatim(self.distribution.currentText()),
+                    low=self.min_force.value(),
+                    high=self.max_force.value(),
+                    seconds=self.seconds.value(),
+                    seed=self.seed.value(),
+                )
             )
         )
 

@@ -8,8 +8,8 @@ from platformdirs import user_log_path
 
 from tissueid.atomic_write import private_folder, write_private
 from tissueid.errors import TissueIDError
-from tissueid.language import _, marked
-from tissueid.messages import translated
+from tissueid.language import marked
+from tissueid.messages import Message, Verbatim, translated
 
 RESEARCH_USE = marked("Research use only. Not a medical device.")
 
@@ -31,4 +31,6 @@ def in_words(error: BaseException) -> str:
         return sentence(f"{where}{error.strerror or error}")
     path = private_folder(user_log_path("tissueid", appauthor=False)) / "last-defect.txt"
     write_private(path, "".join(traceback.format_exception(error)))
-    return _("This is a defect of the software; please report {path}").format(path=path)
+    return translated(
+        Message("window.defect", "This is a defect of the software; please report {path}", path=Verbatim(path))
+    )

@@ -15,6 +15,7 @@ from tissueid.audit.line import fields_of
 from tissueid.audit.newest_head import read_newest
 from tissueid.cli.output import check_json, human_output, message_json, table, write_json
 from tissueid.errors import UnusableInputError
+from tissueid.messages import Message
 from tissueid.untrusted_input import toml_table
 
 audit = typer.Typer(help="Show and verify the audit log.", no_args_is_help=True)
@@ -146,7 +147,12 @@ def _readable(path: Path) -> Iterator[None]:
     except FileNotFoundError as error:
         if (newest := read_newest(path)) is not None:
             raise UnusableInputError(
-                f"the audit log {path} was removed or moved; its newest line had number {newest[0]}"
+                Message(
+                    "audit.removed",
+                    "the audit log {path} was removed or moved; its newest line had number {number}",
+                    path=str(path),
+                    number=newest[0],
+                )
             ) from error
         raise UnusableInputError(
             f"there is no audit log {path}: nothing has been logged yet, or the log was moved"
