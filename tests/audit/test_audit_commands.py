@@ -68,7 +68,7 @@ def test_an_emptied_log_and_one_that_was_removed_are_no_logs_that_nothing_was_wr
     assert shows(capsys.readouterr().err, "audit.cut_off", number=5, lines=0)
     path.unlink()
     assert main(["audit", "verify", "--log", str(path)]) == 2
-    assert shows(capsys.readouterr().err, "audit.removed", path=str(path), number=5)
+    assert shows(capsys.readouterr().err, "audit.log_removed", path=str(path), number=5)
     AuditLog(path).record("clinician", "test.begun")
     moved = tmp_path / "2025.jsonl"
     moved.write_bytes(b"".join(lines))

@@ -148,7 +148,7 @@ def _readable(path: Path) -> Iterator[None]:
         if (newest := read_newest(path)) is not None:
             raise UnusableInputError(
                 Message(
-                    "audit.removed",
+                    "audit.log_removed",
                     "the audit log {path} was removed or moved; its newest line had number {number}",
                     path=str(path),
                     number=newest[0],
