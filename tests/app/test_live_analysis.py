@@ -173,9 +173,9 @@ def test_phase_and_nonlinearity_are_seen_at_1280x740_without_scrolling(qtbot, op
     window.open_session(saved)
     qtbot.waitUntil(lambda: window.findings is not None and not window.jobs, timeout=WAIT_MS)
     page = window.ui.result
-    frequency, degrees = data(page._measured[page.phase])
-    assert frequency.size > 10
-    assert -30.0 < degrees[0] < 10.0
+    measured = page.phase.plots[0].curve("measured")
+    assert measured.x.size > 10
+    assert -30.0 < measured.y[0] < 10.0
     card = page.nonlinearity
     window.ui.pages.setCurrentWidget(page)
 

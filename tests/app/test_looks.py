@@ -31,8 +31,8 @@ def test_every_control_has_a_name(window):
     ]
     # The button of a notice has a text once there is something to offer.
     assert [widget for widget in nameless if widget is not window.ui.notice.offer] == []
-    for card in (*window.ui.signals.cards, *window.ui.result.cards):
-        assert card.plot.accessibleName().startswith("Plot: ")
+    for plot in (*(card.plot for card in window.ui.signals.cards), *window.ui.result.cards):
+        assert plot.accessibleName().startswith("Plot: ")
 
 
 @pytest.mark.parametrize("page", ["start", "measure", "research", "gap", "instrument"])

@@ -315,8 +315,10 @@ def test_the_choice_is_shown_at_once_on_every_page_and_kept(qtbot, open_window, 
     assert float(tiles["Mass"]._value.text()) == pytest.approx(1e-3 * grams, rel=1e-3)
     assert "kg" in tiles["Mass"].accessibleName()
     assert ui.signals.position._heading.text() == "Position (m)"
-    assert ui.result.bode._heading.text() == "Bode magnitude (m/N)"
-    assert ui.result.impulse.plot.getAxis("left").scale == pytest.approx(1e-3)
+    assert ui.result.bode.accessibleName() == "Plot: Bode magnitude, m/N"
+    (axes,), (curve, *_rest) = ui.result.impulse.axes, ui.result.impulse.plots[0].curves
+    assert axes.get_ylabel() == "Impulse response (m/(N·s))"
+    assert axes.lines[0].get_ydata().max() == pytest.approx(1e-3 * curve.y.max())
 
     window.pages.show("instrument")  # made only now
     view = next(view for view in window.pages.views if view.name == "instrument")

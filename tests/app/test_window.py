@@ -254,8 +254,8 @@ def test_a_test_too_short_to_identify_is_shown_without_numbers(qtbot, window, tm
     wait_for_result(qtbot, window)
     assert window.ui.gate.headline.text() == HEADLINES["repeat"]
     assert window.findings.numbers == ()
-    assert "could be estimated" in window.findings.impulse.missing
-    assert not window.ui.result.impulse.plot.isVisible()
+    assert window.findings.plots.impulse.missing.code == "report.no_impulse_response"
+    assert not window.ui.result.impulse.axes
 
 
 def test_another_test_of_a_session_can_be_chosen(qtbot, window, tmp_path, saved):

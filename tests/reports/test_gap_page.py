@@ -16,10 +16,11 @@ from firmware_sim.effects import LISTED
 from firmware_sim.laboratory.scenario_generation import NOMINAL, draw_scenario
 from tissueid.device import DeviceDescription
 from tissueid.gap.diagnosis import Diagnosis, NextExperiment, diagnose
+from tissueid.gap.plots import largest_held_out_error
 from tissueid.gap.preparation import prepare
 from tissueid.gap.workers import SerialExecutor
 from tissueid.reports.gap import Origin, gap_html, headline_of, next_steps_of, write_gap_report
-from tissueid.reports.gap_panels import gap_panels, largest_held_out_error
+from tissueid.reports.gap_panels import gap_panels
 from tissueid.sessions import Session, Subject, Test
 
 EFFECT = "quadratic_drag"

@@ -19,18 +19,18 @@ from reports.page_check import checked
 from reports.synthetic_sitting import make_session, make_test
 
 from tissueid.analysis import Analysis, analyse, analyse_all
+from tissueid.analysis.curves.diagnostics import held_out_prediction, readable_stretch
 from tissueid.device import SIMULATED_LINE, DeviceDescription
 from tissueid.errors import UnusableInputError
 from tissueid.messages import MISSING, code_of
 from tissueid.records import Estimate
 from tissueid.reports import Comparison, ComparisonRow, html, report_html, write_report
 from tissueid.reports.captions import SINGLE_PASS
-from tissueid.reports.diagnostics import held_out_prediction
 from tissueid.reports.pdf import _PageWriter, write_pdf
 from tissueid.reports.signal_figures import signals_figure
 from tissueid.reports.style import to_svg
 from tissueid.reports.tables import parameter_table, readable_date, score_table, settings_tables
-from tissueid.reports.validation_figures import prediction_figure, readable_stretch
+from tissueid.reports.validation_figures import prediction_figure
 from tissueid.reports.verdict import FROM_ELSEWHERE, NOT_JUDGED, judge, key_numbers
 from tissueid.sessions import Session, Subject
 from tissueid.sessions.quality import HEADLINES, Quality

@@ -7,9 +7,6 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-import numpy as np
-from numpy.typing import NDArray
-
 from tissueid.formatting import clean
 from tissueid.language import _
 from tissueid.procedures.report import AnalysedTest
@@ -19,29 +16,12 @@ from tissueid.sessions.quality import Quality
 
 if TYPE_CHECKING:
     from tissueid.analysis import Analysis
+    from tissueid.analysis.curves.single_test import ResultPlots
     from tissueid.reports.verdict import Verdict
     from tissueid.sessions.accepted_result import AcceptedResult
 
-Array = NDArray[np.float64]
 LONGEST = 80
 """Maximum number of shown characters of a site or pseudonym."""
-
-
-@dataclass(frozen=True)
-class Curves:
-    """One plot in display units: measured points, the line of a model, and an uncertainty band.
-
-    Measured ``x`` and ``y`` have shape (n,), ``low`` and ``high`` too where there is a band; ``model_x`` and
-    ``model_y`` (m,). Where there is nothing to draw, ``missing`` says why.
-    """
-
-    x: Array
-    y: Array
-    model_x: Array
-    model_y: Array
-    low: Array | None = None
-    high: Array | None = None
-    missing: str = ""
 
 
 @dataclass(frozen=True)
@@ -78,11 +58,7 @@ class Findings:
     ended: str
     visited: str
     cautions: tuple[str, ...]
-    impulse: Curves
-    bode: Curves
-    phase: Curves
-    nonlinearity: Curves
-    prediction: Curves
+    plots: ResultPlots
     accepted: AcceptedResult | None = None
     refused: Mapping[str, str] = field(default_factory=dict)
 

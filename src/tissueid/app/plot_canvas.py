@@ -11,11 +11,10 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any, TypeGuard, cast
 
 import numpy as np
-from PySide6.QtCore import QEvent, QObject, QPointF, Qt
+from PySide6.QtCore import QEvent, QObject, QPointF, Qt, QTimer
 from PySide6.QtGui import QContextMenuEvent, QKeyEvent, QMouseEvent, QResizeEvent, QShowEvent, QWheelEvent
-from PySide6.QtWidgets import QFileDialog, QFrame, QLabel, QMenu, QScrollArea, QVBoxLayout, QWidget
+from PySide6.QtWidgets import QFileDialog, QFrame, QLabel, QMenu, QScrollArea, QSizePolicy, QVBoxLayout, QWidget
 
-from tissueid.analysis.curves.plot import Axis
 from tissueid.app.theme import LIGHT, Theme
 from tissueid.app.words import sentence
 from tissueid.formatting import number
@@ -44,6 +43,8 @@ _TURN = 10.0
 """Angle by which an arrow key turns a surface, degrees."""
 _HOW_FLAT = marked("Drag to move, turn the wheel to look closer; a double click shows everything")
 _HOW = marked("Drag or use the arrow keys to turn it, the wheel or + and − to come closer; Home turns it back.")
+_SETTLED_MS = 50
+"""Time without a change of size after which the plots are laid out."""
 _WIDTH, _HEIGHT = 7.2, 3.2
 """Size of a saved panel, inches."""
 
@@ -60,13 +61,17 @@ class PlotCanvas(QFrame):
         self.setProperty("role", "card")
         self.plots: tuple[Plot, ...] = ()
         self.axes: list[Axes] = []
-        self._name, self._relief, self._key = name, False, True
+        self._name, self._relief, self._key, self._description = name, False, True, ""
         self._theme: Theme = LIGHT
         self._canvas: Any = None
         self._long: list[list[DrawnLine]] = []
         self._home: list[tuple[Any, ...]] = []
         self._grabbed: Axes | None = None
         self._stale = False
+        self._relayout = QTimer(self)
+        self._relayout.setSingleShot(True)
+        self._relayout.setInterval(_SETTLED_MS)
+        self._relayout.timeout.connect(self._lay_out)
         self._missing = QLabel()
         self._missing.setProperty("role", "muted")
         self._missing.setWordWrap(True)
@@ -84,21 +89,25 @@ class PlotCanvas(QFrame):
         self.setMinimumHeight(150)
         self.setAccessibleName(name)
 
-    def show_plots(self, plots: Sequence[Plot], *, relief: bool = False, key: bool = True) -> None:
+    def show_plots(
+        self, plots: Sequence[Plot], *, relief: bool = False, key: bool = True, description: str = ""
+    ) -> None:
         """Draw plots, at once or when the widget is shown.
 
         Args:
             plots: what to draw, from the top; where all have nothing to draw, the reasons are shown.
             relief: whether the surface of the first plot is drawn in space.
             key: whether named curves get a key.
+            description: what a screen reader says of the values; by default the extremes of a surface.
         """
-        self.plots, self._relief, self._key = tuple(plots), relief, key
+        self.plots, self._relief, self._key, self._description = tuple(plots), relief, key, description
         reasons = dict.fromkeys(sentence(translated(plot.missing)) for plot in plots if plot.missing)
         empty = not plots or all(plot.missing for plot in plots)
         self._missing.setText(" ".join(reasons))
         self._missing.setVisible(empty)
         self.readout.hide()
-        self.setToolTip(_(_HOW) if relief else _(_HOW_FLAT))
+        notes = dict.fromkeys(translated(plot.note) for plot in plots if plot.note)
+        self.setToolTip("\n".join([*notes, _(_HOW) if relief else _(_HOW_FLAT)]))
         if self._canvas is not None:
             self._canvas.setVisible(not empty)
         self._describe()
@@ -183,7 +192,7 @@ class PlotCanvas(QFrame):
     def resizeEvent(self, event: QResizeEvent) -> None:  # noqa: N802
         """Lay the plots out for the new size."""
         super().resizeEvent(event)
-        self._again()
+        self._relayout.start()
 
     def eventFilter(self, watched: QObject, event: QEvent) -> bool:  # noqa: N802
         """Zoom, pan and read values by the events of the canvas."""
@@ -339,6 +348,7 @@ class PlotCanvas(QFrame):
             self._canvas = make(Figure(dpi=self.logicalDpiX()))
             self._canvas.setFocusPolicy(Qt.FocusPolicy.StrongFocus)
             self._canvas.setMouseTracking(True)
+            self._canvas.setSizePolicy(QSizePolicy.Policy.Ignored, QSizePolicy.Policy.Ignored)
             self._canvas.installEventFilter(self)
             self._inside.addWidget(self._canvas, 1)
             self._describe()
@@ -356,7 +366,7 @@ class PlotCanvas(QFrame):
         canvas = self._canvas
         if canvas is not None and canvas.width() > 1 and canvas.height() > 1:
             canvas.figure.set_layout_engine("constrained")
-            canvas.figure.draw_without_rendering()
+            canvas.figure.get_layout_engine().execute(canvas.figure)
             canvas.figure.set_layout_engine("none")
             canvas.draw_idle()
 
@@ -375,13 +385,13 @@ class PlotCanvas(QFrame):
         title = ", ".join(dict.fromkeys(filter(None, names)))
         every = (plot.surface.unit if plot.surface else plot.y.unit for plot in self.plots)
         units = ", ".join(dict.fromkeys(filter(None, (shown(unit)[0] for unit in every))))
-        extremes = " ".join(filter(None, (_extremes(plot) for plot in self.plots)))
+        description = self._description or " ".join(filter(None, (_extremes(plot) for plot in self.plots)))
         if self._relief:
-            extremes = f"{extremes} {_(_HOW)}"
+            description = f"{description} {_(_HOW)}"
         text = _("Plot: {title}, {unit}") if units else _("Plot: {title}")
         for widget in [self] if self._canvas is None else [self, self._canvas]:
             widget.setAccessibleName(text.format(title=title, unit=units))
-            widget.setAccessibleDescription(extremes)
+            widget.setAccessibleDescription(description)
 
     @property
     def _scrolled(self) -> bool:
@@ -414,16 +424,17 @@ def _extremes(plot: Plot) -> str:
         (np.nanargmin(surface.values), _("Least {value} at {x} and {y}.")),
     ):
         row, column = np.unravel_index(place, surface.values.shape)
-        value = _value(Axis("", surface.unit), float(surface.values[row, column]))
-        x, y = _value(plot.x, float(surface.x[column])), _value(plot.y, float(surface.y[row]))
+        value = _value("", surface.unit, float(surface.values[row, column]))
+        x = _value(plot.x.label, plot.x.unit, float(surface.x[column]))
+        y = _value(plot.y.label, plot.y.unit, float(surface.y[row]))
         words.append(text.format(value=value, x=x, y=y))
     return " ".join(words)
 
 
-def _value(axis: Axis, value: float) -> str:
+def _value(label: str, unit: str, value: float) -> str:
     """Return quantity, value and unit."""
-    unit, factor = shown(axis.unit)
-    return " ".join(filter(None, [translated(axis.label), number(factor * value, 3), unit]))
+    unit, factor = shown(unit)
+    return " ".join(filter(None, [translated(label), number(factor * value, 3), translated(unit)]))
 
 
 def _value_at(plot: Plot, surface: Surface, x: float, y: float) -> tuple[float, str]:

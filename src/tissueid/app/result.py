@@ -5,7 +5,6 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import replace
 
-import numpy as np
 from PySide6.QtCore import Qt, Signal
 from PySide6.QtGui import QResizeEvent
 from PySide6.QtWidgets import (
@@ -21,8 +20,8 @@ from PySide6.QtWidgets import (
 )
 
 from tissueid.app.elided_label import ElidedLabel
-from tissueid.app.findings import Curves, Findings, Number, whose
-from tissueid.app.plotting import PlotCard
+from tissueid.app.findings import Findings, Number, whose
+from tissueid.app.plot_canvas import PlotCanvas
 from tissueid.app.small_window import FoldingBox
 from tissueid.app.theme import Theme
 from tissueid.app.views.clinician.comparison_card import ComparisonCard
@@ -47,14 +46,14 @@ _METHODS = marked(
     "LMS: a linear model by least squares. Spectral: the same by frequency. Wiener: a linear model with a curve behind "
     "it."
 )
-_NOTHING = np.zeros(0)
+_PLOT_HEIGHT = 150
 
 
 class ResultPage(QScrollArea):
     """The page of results. ``test_chosen`` carries the number of another test of the same session."""
 
     test_chosen = Signal(int)
-    cards: tuple[PlotCard, ...] = ()
+    cards: tuple[PlotCanvas, ...] = ()
     """The plots, built for the first result."""
 
     def __init__(self, parent: QWidget | None = None) -> None:
@@ -102,12 +101,10 @@ class ResultPage(QScrollArea):
         self.facts.setText(" ".join(filter(None, [_recorded(findings), findings.ended, findings.visited])))
         self._numbers = findings.numbers
         self._fill_tiles(self._numbers)
-        for curves, card, filled in self._filled(findings):
-            card.say_missing(curves.missing)
-            for item, x, y in filled:
-                item.setData(x, y)
-            if curves.x.size:
-                card.plot.setXRange(float(curves.x.min()), float(curves.x.max()), padding=0.02)
+        found = findings.plots
+        plots = found.nonlinearity, found.impulse, found.magnitude, found.phase, found.prediction
+        for plot, card in zip(plots, self.cards, strict=True):
+            card.show_plots([plot])
         self._offer_tests(findings.session.tests, findings.test)
         self.verticalScrollBar().setValue(0)
 
@@ -186,37 +183,11 @@ class ResultPage(QScrollArea):
     def _build_plots(self) -> None:
         if self.cards:
             return
-        fit = {_("measured"): "measured", _("second order"): "model"}
-        self.impulse = PlotCard(_("Impulse response"), _("Lag (ms)"), "mm/(N·s)", key=fit)
-        self.bode = PlotCard(_("Bode magnitude"), _("Frequency (Hz)"), "mm/N", key=fit, log_axes=("bottom", "left"))
-        self.phase = PlotCard(_("Bode phase"), _("Frequency (Hz)"), "°", key=fit, log_axes=("bottom",))
-        self.nonlinearity = PlotCard(
-            _("Static nonlinearity, position"),
-            _("Force after the linear stage (N)"),
-            "mm",
-            key={_("measured"): "measured", _("fitted"): "model"},
+        self.nonlinearity, self.impulse, self.bode, self.phase, self.prediction = self.cards = tuple(
+            PlotCanvas() for _ in range(5)
         )
-        self.prediction = PlotCard(
-            _("Unseen motion, position"),
-            _("Time after the fitted part (s)"),
-            "mm",
-            key={_("measured"): "measured", _("predicted"): "model"},
-        )
-        self.impulse.setToolTip(_("Band: one standard deviation to either side"))
-        for card in (self.bode, self.phase):
-            card.setToolTip(_("Band: 95 % confidence"))
-        self.cards = (self.nonlinearity, self.impulse, self.bode, self.phase, self.prediction)
-        self._bands = {card: card.band("measured") for card in (self.impulse, self.bode, self.phase)}
-        self._measured = {
-            self.impulse: self.impulse.dots("measured", 4),
-            self.bode: self.bode.dots("measured", 4),
-            self.phase: self.phase.dots("measured", 4),
-            self.nonlinearity: self.nonlinearity.dots("measured", 2),
-            self.prediction: self.prediction.line("measured", width=4, alpha=120),
-        }
-        self._models = {card: card.line("model", width=1 if card is self.prediction else 2) for card in self.cards}
         for card in self.cards:
-            card.setMinimumHeight(150)
+            card.setMinimumHeight(_PLOT_HEIGHT)
             if self._theme is not None:
                 card.apply_theme(self._theme)
         self._columns = None
@@ -241,18 +212,6 @@ class ResultPage(QScrollArea):
                 grid.setRowStretch(row, int(row * across < len(widgets)))
 
     # -- filling ------------------------------------------------------------------------------------------
-
-    def _filled(self, findings: Findings) -> list[tuple[Curves, PlotCard, list[tuple]]]:
-        """Return the curves, their card, and the data of each of its items."""
-        filled = []
-        every = findings.nonlinearity, findings.impulse, findings.bode, findings.phase, findings.prediction
-        for curves, card in zip(every, self.cards, strict=True):
-            items = [(self._measured[card], curves.x, curves.y), (self._models[card], curves.model_x, curves.model_y)]
-            if card in self._bands:
-                for edge, values in zip(self._bands[card], (curves.low, curves.high), strict=True):
-                    items.append((edge, curves.x, _NOTHING) if values is None else (edge, curves.x, values))
-            filled.append((curves, card, items))
-        return filled
 
     def _offer_tests(self, tests: tuple[Test, ...], shown: Test) -> None:
         self.test.clear()

@@ -7,6 +7,7 @@ from collections.abc import Mapping, Sequence
 import numpy as np
 
 from tissueid.analysis import Analysis
+from tissueid.analysis.curves.diagnostics import Prediction, power_edge
 from tissueid.formatting import fixed, number, with_unit
 from tissueid.identification import engine_label
 from tissueid.identification.engines.spectral import SpectralModel
@@ -14,14 +15,10 @@ from tissueid.identification.second_order_fit import SecondOrderFit
 from tissueid.language import _, marked
 from tissueid.messages import Message, translated
 from tissueid.records import Record
-from tissueid.reports.diagnostics import Prediction, power_edge
 from tissueid.reports.signal_figures import lost_samples, skewness
 from tissueid.sessions import Test
 from tissueid.units import display_unit
 
-FEW_FREQUENCIES = Message(
-    "report.few_frequencies", "the input has power at fewer than three frequencies: use noise or a multisine"
-)
 NO_HELD_OUT_OUTPUT = Message("report.no_held_out_output", "no held-out output was received")
 SINGLE_PASS = Message("report.single_pass", "the iteration made only one pass")
 

@@ -9,6 +9,7 @@ import numpy as np
 from matplotlib.figure import Figure
 
 from tissueid.analysis import EngineComparison, Scored, SweepRow
+from tissueid.analysis.curves.diagnostics import Array, held_out_prediction
 from tissueid.analysis.curves.plot import CONFIDENCE
 from tissueid.analysis.curves.units import kernel_unit
 from tissueid.errors import UnusableInputError
@@ -20,7 +21,6 @@ from tissueid.identification.validation.distortion import Distortion
 from tissueid.language import _
 from tissueid.messages import Message, translated
 from tissueid.records import Record
-from tissueid.reports.diagnostics import Array, held_out_prediction
 from tissueid.reports.panels import diagonal, markers, running_mean
 from tissueid.reports.style import (
     BLUE,

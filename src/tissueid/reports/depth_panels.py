@@ -9,12 +9,12 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure, FigureBase
 from numpy.typing import NDArray
 
+from tissueid.analysis.curves.diagnostics import Array
 from tissueid.analysis.curves.plot import CONFIDENCE
 from tissueid.errors import UnusableInputError
 from tissueid.identification.depth_profile import DepthProfile
 from tissueid.language import _, marked
 from tissueid.messages import Message
-from tissueid.reports.diagnostics import Array
 from tissueid.reports.style import DASHES, FULL_WIDTH, MUTED, SERIES, SHADE, drawing, new_figure
 
 _MARKERS = "osD^vP"

@@ -10,6 +10,7 @@ from matplotlib.axes import Axes
 from matplotlib.figure import FigureBase
 from scipy import stats
 
+from tissueid.analysis.curves.diagnostics import Array
 from tissueid.analysis.curves.plot import thin
 from tissueid.errors import UnusableInputError
 from tissueid.identification.depth_profile import DepthProfile
@@ -18,7 +19,6 @@ from tissueid.language import _
 from tissueid.messages import Message
 from tissueid.records import Record
 from tissueid.reports.depth_panels import draw_depth_panels
-from tissueid.reports.diagnostics import Array
 from tissueid.reports.panels import residual_cloud
 from tissueid.reports.style import (
     BLUE,

@@ -8,10 +8,10 @@ from typing import Any
 
 import numpy as np
 
+from tissueid.analysis.curves.diagnostics import Array
 from tissueid.errors import UnusableInputError
 from tissueid.identification.depth_profile import DepthProfile
 from tissueid.messages import Message
-from tissueid.reports.diagnostics import Array
 from tissueid.reports.feedback_figures import FeedbackRun
 from tissueid.sessions import Test
 

@@ -6,10 +6,10 @@ from collections.abc import Mapping
 from dataclasses import dataclass, field
 
 from tissueid.analysis import Analysis
+from tissueid.analysis.curves.diagnostics import Prediction
 from tissueid.identification.base import Model
 from tissueid.identification.engines.spectral import SpectralModel
 from tissueid.reports.configured import surface_of
-from tissueid.reports.diagnostics import Prediction
 from tissueid.reports.figures.registry import Subject
 from tissueid.sessions import Session, Test
 

@@ -6,6 +6,7 @@ from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
 
 from tissueid.analysis import Analysis
+from tissueid.analysis.curves.diagnostics import Prediction, held_out_prediction
 from tissueid.identification import engine_label, report_engines
 from tissueid.identification.engines.wiener import WienerModel
 from tissueid.language import _
@@ -13,7 +14,6 @@ from tissueid.messages import Message, Verbatim, translated
 from tissueid.reports import captions
 from tissueid.reports.blocks import FigureGroup, Picture, absent, picture, report_text
 from tissueid.reports.configured import captions_for_configuration, spring_line, surface_of
-from tissueid.reports.diagnostics import Prediction, held_out_prediction
 from tissueid.reports.figures.registry import Group, all_figures, figures_of
 from tissueid.reports.material import Material
 from tissueid.reports.record_pictures import distributions_picture, power_picture, signals_picture

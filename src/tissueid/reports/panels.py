@@ -10,7 +10,7 @@ from matplotlib.cm import ScalarMappable
 from matplotlib.colors import BoundaryNorm, Colormap, ListedColormap
 from numpy.typing import ArrayLike
 
-from tissueid.reports.diagnostics import Array
+from tissueid.analysis.curves.diagnostics import Array
 from tissueid.reports.style import DASHES, DEPTHS, INK, MUTED, POINTS
 
 _MOST_POINTS = 3000

@@ -5,37 +5,29 @@ from __future__ import annotations
 import io
 import textwrap
 import warnings
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 
-import numpy as np
-from matplotlib.axes import Axes
 from matplotlib.backends.backend_pdf import PdfPages
 from matplotlib.figure import Figure
 
 from tissueid.analysis import Analysis
+from tissueid.analysis.curves.single_test import plots_of_test
 from tissueid.atomic_write import atomic_file
 from tissueid.calibration.active import calibration_summary
 from tissueid.device import SIMULATED_LINE
 from tissueid.errors import UnusableInputError
 from tissueid.formatting import clean, subject_text
-from tissueid.identification import engine_label
-from tissueid.identification.engines.lms import LmsModel
-from tissueid.identification.engines.spectral import SpectralModel
-from tissueid.identification.engines.wiener import Wiener, WienerModel
 from tissueid.language import _
-from tissueid.messages import Message, translated
+from tissueid.messages import translated
 from tissueid.reports.blocks import report_text
-from tissueid.reports.captions import FEW_FREQUENCIES
 from tissueid.reports.configured import surface_of
-from tissueid.reports.diagnostics import held_out_prediction
 from tissueid.reports.html import NOTHING_ANALYSED, RESEARCH_LINE
-from tissueid.reports.style import BLUE, GREEN, INK, LOST, MUTED, ORANGE, drawing, frequency_axis, log_axis
+from tissueid.reports.plot_renderer import draw_plot
+from tissueid.reports.style import GREEN, INK, LOST, MUTED, drawing
 from tissueid.reports.tables import readable_date, status_text
-from tissueid.reports.validation_figures import readable_stretch
 from tissueid.reports.verdict import judge, key_numbers, linear_engine, visited
 from tissueid.sessions import Session, Test
-from tissueid.units import display_unit
 
 FurtherTable = tuple[str, Sequence[str], Sequence[Sequence[str]]]
 """A heading, the heads of columns, and rows."""
@@ -51,8 +43,6 @@ _LETTER = 0.066
 """Inches that a letter of 9 points takes on average, and some more."""
 _FIGURES, _LEAST_FIGURES = 5.2, 4.2
 _COLOURS = {"good": GREEN, "check": "#9a6200", "poor": LOST}
-_EXCITED = 0.03
-_MOST_DOTS = 1500
 Analyses = Mapping[str, Analysis]
 
 
@@ -254,100 +244,17 @@ def _figures(paper: _PageWriter, analyses: Analyses) -> None:
     figure = paper.pages[-1]
     top = paper.y - 0.4
     width, height = 2.85, (min(_FIGURES, paper.y - _BOTTOM) - 1.6) / 2
-    draws: tuple[tuple[str, Callable[[Axes, Analyses], None]], ...] = (
-        (_("Impulse response"), _impulse),
-        (_("Magnitude of the compliance"), _magnitude),
-        (_("Static nonlinearity"), _nonlinearity),
-        (_("Unseen motion"), _prediction),
+    found = plots_of_test(analyses, linear_engine(analyses))
+    plots = (
+        (_("Impulse response"), found.impulse),
+        (_("Magnitude of the compliance"), found.magnitude),
+        (_("Static nonlinearity"), found.nonlinearity),
+        (_("Unseen motion"), found.prediction),
     )
-    for place, (name, draw) in enumerate(draws):
+    for place, (name, plot) in enumerate(plots):
         x = _LEFT + 0.45 + (place % 2) * (width + 0.7)
         y = top - height - (place // 2) * (height + 0.75)
         axes = figure.add_axes((x / _WIDTH, y / _HEIGHT, width / _WIDTH, height / _HEIGHT))
+        draw_plot(axes, plot, title=False)
         axes.set_title(name, fontweight="bold")
-        try:
-            draw(axes, analyses)
-        except UnusableInputError as error:
-            axes.set_axis_off()
-            axes.text(0.0, 0.5, textwrap.fill(translated(error.message), 44), color=MUTED, transform=axes.transAxes)
     paper.y = _BOTTOM
-
-
-def _impulse(axes: Axes, analyses: Analyses) -> None:
-    model = next((a.model for a in analyses.values() if isinstance(a.model, LmsModel)), None)
-    if model is None:
-        raise UnusableInputError(Message("report.no_impulse_response", "no impulse response could be estimated"))
-    lag_ms, response, std = 1e3 * model.lag_s, 1e3 * model.impulse_response, 1e3 * model.impulse_response_std
-    fine_s = np.linspace(0.0, float(model.lag_s[-1]), 300)
-    fitted = 1e3 * model.second_order.sign * model.second_order.system.impulse_response(fine_s)
-    axes.fill_between(lag_ms, response - std, response + std, color=BLUE, alpha=0.22, linewidth=0.0)
-    axes.plot(lag_ms, response, color=BLUE, linestyle="none", marker=".", markersize=3.0, label=_("measured ± 1 s.d."))
-    axes.plot(1e3 * fine_s, fitted, color=ORANGE, label=_("second order"))
-    axes.set_xlabel(_("Lag (ms)"))
-    axes.set_ylabel("mm/(N·s)")
-    axes.legend(loc="upper right")
-
-
-def _magnitude(axes: Axes, analyses: Analyses) -> None:
-    model = next((a.model for a in analyses.values() if isinstance(a.model, SpectralModel)), None)
-    if model is None:
-        raise UnusableInputError(Message("report.no_transfer_function", "no transfer function could be estimated"))
-    spectra = model.spectra
-    shown = (spectra.frequency_hz > 0.0) & (spectra.input_psd > _EXCITED * spectra.input_psd[1:].max())
-    shown &= spectra.magnitude > 0.0
-    if shown.sum() < 3:
-        raise UnusableInputError(FEW_FREQUENCIES)
-    frequency = spectra.frequency_hz[shown]
-    axes.plot(frequency, 1e3 * spectra.magnitude[shown], color=BLUE, linestyle="none", marker=".", markersize=3.0)
-    fine = np.geomspace(frequency[0], frequency[-1], 300)
-    axes.plot(fine, 1e3 * np.abs(model.second_order.system.frequency_response(fine)), color=ORANGE)
-    frequency_axis(axes, float(frequency[0]), float(frequency[-1]))
-    log_axis(axes)
-    axes.set_ylabel("mm/N")
-
-
-def _nonlinearity(axes: Axes, analyses: Analyses) -> None:
-    analysis = analyses.get(Wiener.name)
-    if analysis is None or not isinstance(analysis.model, WienerModel):
-        raise UnusableInputError(Message("report.no_nonlinearity", "no static nonlinearity could be estimated"))
-    record = analysis.record[analysis.fit_part]
-    inner = analysis.model.linear_output(record.input)
-    known = np.isfinite(inner) & np.isfinite(record.output)
-    if known.sum() < 2:
-        raise UnusableInputError(
-            Message(
-                "report.wiener_not_run",
-                "the Wiener model cannot be simulated: no sample has an uninterrupted input over the memory",
-            )
-        )
-    inner, measured = inner[known], record.output[known]
-    some = slice(None, None, max(1, inner.size // _MOST_DOTS))
-    unit, scale = display_unit(record.output_unit)
-    fine = np.linspace(inner.min(), inner.max(), 300)
-    axes.plot(
-        inner[some],
-        scale * measured[some],
-        color=BLUE,
-        linestyle="none",
-        marker=".",
-        markersize=1.0,
-        alpha=0.5,
-    )
-    axes.plot(fine, scale * analysis.model.nonlinearity(fine), color=ORANGE)
-    axes.set_xlabel(_("Force after the linear stage (N)"))
-    axes.set_ylabel(_("Position ({unit})").format(unit=unit))
-
-
-def _prediction(axes: Axes, analyses: Analyses) -> None:
-    name = Wiener.name if Wiener.name in analyses else linear_engine(analyses)
-    if name is None:
-        raise UnusableInputError(Message("report.no_free_run", "no model could be run on motion that it had not seen"))
-    found = held_out_prediction(engine_label(name), analyses[name])
-    part = readable_stretch(found, 0.4)
-    unit, scale = display_unit(found.output_unit)
-    time_s = found.time_s[part] - found.time_s[part][0]
-    axes.plot(time_s, scale * found.measured[part], color=BLUE, linewidth=2.6, alpha=0.5, label=_("measured"))
-    axes.plot(time_s, scale * found.predicted[part], color=ORANGE, linewidth=1.0, label=_("predicted"))
-    axes.set_xlabel(_("Time (s)"))
-    axes.set_ylabel(_("Position ({unit})").format(unit=unit))
-    axes.legend(loc="upper right", ncols=2)

@@ -19,7 +19,7 @@ from matplotlib.colors import Normalize
 from matplotlib.figure import Figure, FigureBase
 from matplotlib.lines import Line2D
 from matplotlib.text import Text
-from matplotlib.ticker import MaxNLocator
+from matplotlib.ticker import MaxNLocator, MultipleLocator
 from mpl_toolkits.mplot3d import Axes3D
 
 from tissueid.analysis.curves.plot import Array, Axis, Bars, Curve, Plot, Surface, thin
@@ -136,10 +136,10 @@ def draw_plot(
         else:
             _image(axes, part, factors, units, look)
     if not plot.missing:
-        _scale(axes, plot, factors)
+        _scale(axes, plot, factors, look)
         axes.set_xlabel(label_of(plot.x, units))
         axes.set_ylabel(label_of(plot.y, units))
-    if title and plot.title:
+    if title and plot.title and plot.title != plot.y.label:
         axes.set_title(translated(plot.title), loc="left")
     if key and not plot.missing and axes.get_legend_handles_labels()[1]:
         axes.legend(loc="best")
@@ -165,9 +165,11 @@ def draw_plots(
     if shared:
         for axes in every[:-1]:
             axes.sharex(every[-1])
-    drawn = [
-        draw_plot(axes, plot, look, units=units, title=title, key=key) for axes, plot in zip(every, plots, strict=True)
-    ]
+    drawn, named = [], set[str]()
+    for axes, plot in zip(every, plots, strict=True):
+        names = {curve.name for curve in plot.curves if curve.name}
+        drawn.append(draw_plot(axes, plot, look, units=units, title=title, key=key and not names <= named))
+        named |= names
     if shared and not plots[-1].missing:
         for axes, plot in zip(every[:-1], plots[:-1], strict=True):
             axes.set_xlabel("")
@@ -219,7 +221,7 @@ def draw_kernel(figure: Figure, plot: Plot) -> Axes:
 
 def label_of(axis: Axis, units: Units = clinical) -> str:
     """Return quantity and unit of an axis as they are shown."""
-    label, unit = translated(axis.label), units(axis.unit)[0]
+    label, unit = translated(axis.label), translated(units(axis.unit)[0])
     return f"{label} ({unit})" if label and unit else label or unit
 
 
@@ -269,10 +271,17 @@ def _curve(axes: Axes, curve: Curve, factors: tuple[float, float], look: Look) -
     if curve.kind == "position":
         axes.axvline(float(np.ravel(x)[0]), linestyle=_STYLES["dotted"], linewidth=1.2 * curve.width, **usual)
         return []
+    if curve.kind == "spans":
+        for low, high in x.reshape(-1, 2):
+            axes.axvspan(low, high, color=colour, alpha=curve.opacity, linewidth=0.0, zorder=0)
+        return []
     if curve.low is not None and curve.high is not None:
         low, high = factors[1] * curve.low, factors[1] * curve.high
         band = translated(curve.band) or None
         axes.fill_between(x, low, high, color=colour, alpha=_BAND * curve.opacity, linewidth=0.0, label=band)
+    if curve.kind == "circles":
+        axes.plot(x, y, linestyle="none", marker="o", markersize=4.5 * curve.width, markerfacecolor="none", **usual)
+        return []
     if curve.kind == "points":
         many = x.size > _MANY
         usual["color"] = _RASTER.get(colour, colour) if many else colour
@@ -372,7 +381,7 @@ def _say(axes: Axes, text: str, look: Look) -> None:
 def _hold_bands(axes: Axes, plot: Plot, factor: float) -> None:
     """Extend the range to the bands, unless they are much wider than the curves."""
     banded = [curve for curve in plot.curves if curve.low is not None and curve.high is not None]
-    every = [np.ravel(curve.y) for curve in plot.curves if curve.kind != "position"]
+    every = [np.ravel(curve.y) for curve in plot.curves if curve.kind not in ("position", "spans")]
     values = factor * np.concatenate(every) if every else np.zeros(0)
     values = values[np.isfinite(values) & ((values > 0.0) | (not plot.y.log))]
     if not banded or not values.size:
@@ -390,9 +399,11 @@ def _hold_bands(axes: Axes, plot: Plot, factor: float) -> None:
         axes.set_ylim(low - 0.06 * (high - low), high + 0.06 * (high - low))
 
 
-def _scale(axes: Axes, plot: Plot, factors: tuple[float, float]) -> None:
+def _scale(axes: Axes, plot: Plot, factors: tuple[float, float], look: Look) -> None:
     if plot.x.log:
-        known = [factors[0] * np.asarray(c.x)[np.asarray(c.x) > 0.0] for c in plot.curves if c.kind != "level"]
+        known = [
+            factors[0] * np.asarray(c.x)[np.asarray(c.x) > 0.0] for c in plot.curves if c.kind not in ("level", "spans")
+        ]
         ends = plot.x.limits or (
             (min(float(v.min()) for v in known if v.size), max(float(v.max()) for v in known if v.size))
             if any(v.size for v in known)
@@ -407,8 +418,12 @@ def _scale(axes: Axes, plot: Plot, factors: tuple[float, float]) -> None:
         _hold_bands(axes, plot, factors[1])
     if plot.y.log:
         log_axis(axes)
+    elif plot.y.unit == "°" and float(np.ptp(axes.get_ylim())) < 450.0:
+        axes.yaxis.set_major_locator(MultipleLocator(45.0))
     elif not isinstance(axes, Axes3D) and not any(isinstance(p, Bars) and p.names and p.across for p in plot.parts):
         axes.yaxis.set_major_locator(MaxNLocator(nbins=6, steps=[1, 2, 5, 10]))
+    if plot.y.zero:
+        axes.axhline(0.0, color=look.muted, linewidth=0.8, zorder=1.5)
     if plot.x.reverse:
         axes.invert_xaxis()
     if plot.y.reverse and not isinstance(axes, Axes3D):

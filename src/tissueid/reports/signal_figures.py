@@ -9,6 +9,7 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from numpy.typing import NDArray
 
+from tissueid.analysis.curves.diagnostics import Array, power_spectrum, runs
 from tissueid.analysis.curves.plot import thin
 from tissueid.configuration import has_depth
 from tissueid.errors import UnusableInputError
@@ -16,7 +17,6 @@ from tissueid.formatting import axis_label
 from tissueid.language import _
 from tissueid.messages import Message
 from tissueid.records import Record
-from tissueid.reports.diagnostics import Array, power_spectrum, runs
 from tissueid.reports.style import (
     DASHES,
     FULL_WIDTH,

@@ -9,13 +9,13 @@ from matplotlib.axes import Axes
 from matplotlib.figure import FigureBase
 from numpy.typing import NDArray
 
+from tissueid.analysis.curves.diagnostics import Array, power_spectrum
 from tissueid.analysis.curves.plot import thin
 from tissueid.device import DeviceDescription
 from tissueid.errors import UnusableInputError
 from tissueid.formatting import superscript
 from tissueid.language import _
 from tissueid.messages import Message, Verbatim, translated
-from tissueid.reports.diagnostics import Array, power_spectrum
 from tissueid.reports.panels import markers
 from tissueid.reports.style import (
     BLUE,

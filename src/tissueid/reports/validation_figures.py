@@ -7,11 +7,17 @@ from collections.abc import Sequence
 import numpy as np
 from matplotlib.figure import Figure
 
+from tissueid.analysis.curves.diagnostics import (
+    STRETCH_S,
+    Prediction,
+    autocorrelation,
+    cross_correlation,
+    readable_stretch,
+)
 from tissueid.errors import UnusableInputError
 from tissueid.formatting import axis_label
 from tissueid.language import _
 from tissueid.messages import Message
-from tissueid.reports.diagnostics import Prediction, autocorrelation, cross_correlation
 from tissueid.reports.style import (
     DASHES,
     FULL_WIDTH,
@@ -25,18 +31,8 @@ from tissueid.reports.style import (
 )
 from tissueid.units import display_unit
 
-STRETCH_S = 0.5
 _MOST_POINTS = 3000
 _LEAST_SAMPLES = 32
-
-
-def readable_stretch(prediction: Prediction, seconds: float = STRETCH_S) -> slice:
-    """Return the first stretch of ``seconds`` with the largest number of comparable samples."""
-    known = np.isfinite(prediction.residual)
-    length = min(known.size, max(2, round(seconds * prediction.sample_rate_hz)))
-    count = np.convolve(known, np.ones(length), "valid")
-    start = int(np.argmax(count))
-    return slice(start, start + length)
 
 
 @drawing

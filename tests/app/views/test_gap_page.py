@@ -138,8 +138,8 @@ def test_from_a_session_to_verdict_stage_and_effect(qtbot, diagnosed):
     assert fitted[1].endswith(" N")
     assert "Closed: 9" in result.far.closing.text()
     assert result.far.bars.accessibleName().startswith("Gap: Before ")
-    for card in (*result.where.cards, *result.far.cards):
-        assert card.plot.accessibleName().startswith("Plot: ")
+    for card in (*result.where.cards, result.far.signals):
+        assert card.accessibleName().startswith("Plot: ")
     assert not page.asking.stop.isVisible()
 
 
@@ -171,8 +171,8 @@ def test_no_word_is_known_to_its_makers_alone(qtbot, diagnosed):
         said += [box.text(), box.toolTip(), box.accessibleName()]
         press(qtbot, box)
         said += [result.evidence.text()]
-    for card in (*result.where.cards, *result.far.cards):
-        said += [card.toolTip(), card.accessibleDescription(), card.plot.accessibleName()]
+    for card in (*result.where.cards, result.far.signals):
+        said += [card.toolTip(), card.accessibleDescription(), card.accessibleName()]
     told = " ".join([*said, result.far.closing.text(), result.far.bars.accessibleName()]).lower()
     assert "floor" not in told
     assert "announced" not in told
@@ -210,7 +210,7 @@ def test_stages_are_chosen_by_mouse_and_by_arrow_keys(qtbot, diagnosed):
     assert result.chain.stages["coil"].hasFocus()
     assert result.stage.text() == "Evidence: Coil"
     result.far.channel.setCurrentText("Current")
-    assert result.far.signal.plot.accessibleName() == "Plot: Current, A"
+    assert [plot.y.unit for plot in result.far.signals.plots] == ["A", "mA"]
 
 
 def test_an_accepted_effect_becomes_a_twin_that_is_logged(qtbot, diagnosed, tmp_path, audit_file):

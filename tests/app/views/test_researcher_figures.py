@@ -9,7 +9,7 @@ from app.views.research_panels import answer, press, run, wait
 from PySide6.QtGui import QImage
 from PySide6.QtWidgets import QFileDialog, QMessageBox
 
-from tissueid.app.views.researcher.plot_panels import KERNELS, OUTPUT, PICTURES
+from tissueid.app.views.researcher.plot_data import KERNELS, OUTPUT, PICTURES
 from tissueid.app.views.researcher.save_dialog import FIGURES, free_name, write_figure
 from tissueid.errors import UnusableInputError
 
@@ -24,7 +24,7 @@ def test_every_picture_is_drawn_with_its_legend_and_units(qtbot, panel, two, tmp
     odd = [dataclasses.replace(two[0], pseudonym="_P$1$"), two[1]]
     run(qtbot, panel, odd, "wiener")
     run(qtbot, panel, odd[:1], "depth")
-    units = {OUTPUT: "(mm)", "Impulse response": "mm/(N·s)", "Bode diagram": "Frequency (Hz)"}
+    units = {OUTPUT: "Measured less simulated (mm)", "Impulse response": "mm/(N·s)", "Bode diagram": "Frequency (Hz)"}
     units |= {"Against depth": "Stiffness (N/m)", "Static nonlinearity": "Static nonlinearity (mm)"}
     for name in PICTURES:
         panel.pictures.choice.setCurrentText(name)

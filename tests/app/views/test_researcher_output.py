@@ -9,10 +9,11 @@ from app.views.research_panels import run
 from PySide6.QtWidgets import QComboBox
 
 from tissueid.analysis import analyse
+from tissueid.analysis.curves.prediction import output_plots
 from tissueid.app.views.researcher.engine_outcome import EngineOutcome, keys_of
 from tissueid.app.views.researcher.labels_of_tests import distinguishing_labels, short_label
-from tissueid.app.views.researcher.pictures import OUTPUT, in_the_middle
-from tissueid.app.views.researcher.plot_data_builder import plot_data_of
+from tissueid.app.views.researcher.pictures import in_the_middle
+from tissueid.app.views.researcher.plot_data import OUTPUT
 from tissueid.app.views.researcher.recorded_signal import RecordedSignal
 from tissueid.app.views.researcher.selected_test import SelectedTest, timestamp_of
 from tissueid.app.views.researcher.signal_loading import Channel, LoadedTest
@@ -30,8 +31,9 @@ def one(path="a.h5", number=1, subject="P-1", site="calf", when=1.7e9):
 @pytest.mark.parametrize(("engine", "scheduled"), [("lms", False), ("wiener", False), ("depth", True), ("als", True)])
 def test_output_and_residual_are_those_behind_the_score_on_held_out_data(saved, engine, scheduled):
     analysis = analyse(read_session(saved), engine)
-    lines, _ = plot_data_of(analysis)
-    measured, output, residual = lines.measured["output"], lines.lines["output"], lines.lines["residual"]
+    upper, lower = output_plots(analysis)
+    measured, output, *others = upper.curves
+    residual = lower.curves[0]
     held_out = analysis.held_out_record[analysis.held_out]
     np.testing.assert_allclose(measured.y, 1e3 * held_out.output)
     np.testing.assert_allclose(
@@ -41,9 +43,9 @@ def test_output_and_residual_are_those_behind_the_score_on_held_out_data(saved, 
     assert measured.x[0] == pytest.approx(analysis.held_out.start / 2000.0)
     report = analysis.model.report
     assert vaf_percent(measured.y, output.y) == pytest.approx(report.vaf_validation_percent, abs=0.5)
-    assert (output.out_y is not None) == scheduled == (report.vaf_scheduled_percent is not None)
+    assert bool(others) == scheduled == (report.vaf_scheduled_percent is not None)
     if scheduled:
-        assert vaf_percent(measured.y, output.out_y) == pytest.approx(report.vaf_scheduled_percent, abs=0.5)
+        assert vaf_percent(measured.y, others[0].y) == pytest.approx(report.vaf_scheduled_percent, abs=0.5)
 
 
 def test_fits_of_one_test_lie_over_one_measurement_with_their_scores(qtbot, panel, two):
@@ -51,8 +53,8 @@ def test_fits_of_one_test_lie_over_one_measurement_with_their_scores(qtbot, pane
     run(qtbot, panel, two[:1], "depth")
     pictures = panel.pictures
     pictures.choice.setCurrentText(OUTPUT)
-    under = pictures._measured
-    assert under.yData.size == panel.results.outcomes[0].plots.measured["output"].y.size
+    colours = [curve.colour for curve in pictures.plots.plots[0].curves]
+    assert colours == ["muted", "measured", "model", "model"]  # the measurement, LMS, and both runs of the depth engine
     common, labels = pictures.keys
     assert "P-001" in common
     assert [label.split(":")[0] for label in labels] == ["LMS", "Depth"]
@@ -60,9 +62,8 @@ def test_fits_of_one_test_lie_over_one_measurement_with_their_scores(qtbot, pane
     assert f"VAF {report.vaf_validation_percent:.1f} %" in labels[1]
     assert f"{report.vaf_scheduled_percent:.1f} %)" in labels[1]
     run(qtbot, panel, two[1:])
-    assert under.yData is None or under.yData.size == 0  # each test has a measurement of its own
-    slots = pictures._slots["output"]
-    assert [slot._under.yData.size > 0 for slot in slots] == [True, True, True]
+    under = [curve.colour for curve in pictures.plots.plots[0].curves if curve.width > 1.0]
+    assert under == ["measured", "model", "good"]  # each test has a measurement of its own
 
 
 def test_the_legend_uses_the_room_there_is_and_never_cuts_a_score(qtbot, panel, two):
@@ -82,14 +83,12 @@ def test_a_closer_look_is_taken_back(qtbot, panel, two):
     run(qtbot, panel, two[:1])
     pictures = panel.pictures
     pictures.choice.setCurrentText(OUTPUT)
-    box = pictures._cards["output"].plot.getViewBox()
-    box.updateAutoRange()  # else done when it is next drawn
-    whole = box.viewRange()[0]
-    box.setXRange(whole[0], whole[0] + 0.05, padding=0.0)
-    assert pictures._cards["residual"].plot.getViewBox().viewRange()[0][1] < whole[1]
+    upper, lower = pictures.plots.axes
+    whole = upper.get_xlim()
+    pictures.plots.zoom(0.5)
+    assert lower.get_xlim()[1] < whole[1]
     run(qtbot, panel, two[:1], "wiener")
-    box.updateAutoRange()
-    assert box.viewRange()[0] == pytest.approx(whole, abs=0.05)
+    assert pictures.plots.axes[0].get_xlim() == pytest.approx(whole, abs=0.05)
 
 
 def test_an_old_range_does_not_stay_where_one_point_is_left(qtbot, panel, two):
@@ -98,12 +97,9 @@ def test_an_old_range_does_not_stay_where_one_point_is_left(qtbot, panel, two):
     pictures.choice.setCurrentText("Against depth")
     panel._remove(list(panel.results.outcomes))
     run(qtbot, panel, two[:1])
-    box = pictures._cards["stiffness"].plot.getViewBox()
-    box.updateAutoRange()
-    (stiffness,) = panel.results.outcomes[0].plots.lines["stiffness"].y
-    low, high = box.viewRange()[1]
+    (stiffness,) = panel.results.outcomes[0].plots.panels["stiffness"].curves[0].y
+    low, high = pictures.plots.axes[2].get_ylim()
     assert low < stiffness < high
-    assert box.state["autoRange"][1]
 
 
 def test_a_long_name_of_a_kernel_does_not_widen_the_page(panel):

@@ -15,7 +15,7 @@ from PySide6.QtWidgets import (
 
 from tissueid import analysis
 from tissueid.app.theme import DARK
-from tissueid.app.views.researcher.pictures import PICTURES
+from tissueid.app.views.researcher.plot_data import PICTURES
 from tissueid.identification.base import PREDICTS_NOTHING
 from tissueid.messages import MISSING
 from tissueid.sessions import read_session, write_session
@@ -48,16 +48,17 @@ def test_engine_and_run_give_table_plots_and_a_line_of_history(qtbot, panel, str
     heads = [model.headerData(column, Qt.Orientation.Horizontal).replace("\n", " ") for column in columns]
     assert "Mass (g)" in heads
     assert "±" in model.index(0, heads.index("Mass (g)")).data()
-    lines = [outcome.plots.lines for outcome in panel.results.outcomes]
-    assert all({"impulse", "magnitude", "phase", "coherence"} <= set(some) for some in lines)
-    assert {"autocorrelation", "cross"} <= set(lines[0])
-    assert "too few" in panel.results.outcomes[2].plots.missing["autocorrelation"]
-    assert ["nonlinearity" in some for some in lines] == [False, False, True]
+    panels = [outcome.plots.panels for outcome in panel.results.outcomes]
+    drawn = [{name for name, plot in some.items() if plot.parts} for some in panels]
+    assert all({"impulse", "magnitude", "phase", "coherence"} <= some for some in drawn)
+    assert {"autocorrelation", "cross"} <= drawn[0]
+    assert panels[2]["autocorrelation"].missing
+    assert ["nonlinearity" in some for some in drawn] == [False, False, True]
     # The same system by two engines: the same peak of the impulse response, in mm/(N s).
-    peaks = [some["impulse"].y.max() for some in lines]
+    peaks = [some["impulse"].curves[0].y.max() for some in panels]
     assert peaks[0] == pytest.approx(peaks[2], rel=0.2)
     # A static compliance in mm/N is one over the stiffness in N/mm.
-    low = 10.0 ** lines[2]["magnitude"].y[0]
+    low = panels[2]["magnitude"].curves[0].y[0]
     assert low == pytest.approx(1e3 / float(table[2]["stiffness_n_per_m"]), rel=0.15)
     for place, name in enumerate(PICTURES):
         panel.pictures.choice.setCurrentIndex(place)
@@ -101,7 +102,7 @@ def test_kernels_and_depth_can_be_seen(qtbot, panel, two):
     volterra, direction = panel.results.outcomes
     (kernel,) = volterra.plots.kernels
     assert kernel.surface.unit == "mm/(N²·s²)"
-    assert direction.plots.lines["damping"].out_x is not None
+    assert [curve.name for curve in direction.plots.panels["damping"].curves] == ["", "faint: on the way out"]
     magnitude = direction.plots.kernels[1].surface
     assert magnitude.unit == "mm/N"
     # Without motion the tissue is a spring: its compliance is one over the stiffness, 3 N/mm.

@@ -231,11 +231,17 @@ def test_two_sweeps_are_laid_over_each_other_and_their_drift_is_said(qtbot, page
         date="2026-01-01",
         significance=made("drift.uncertainty", uncertainty="1.4 %"),
     )
-    force = panel.cards[0]
-    assert force._lines[1].getData()[0] == pytest.approx([1e3 * place for place in PLACES])
-    assert force._lines[0].getData()[1] == pytest.approx([2.964] * len(PLACES))
-    assert force._regions[0][0].getData()[0] == pytest.approx([4.0, 27.0])
-    assert panel.cards[4]._missing.text() == "None of these sweeps holds it."
+    (force,) = panel.cards["force_constant"].plots
+    older, newest = (
+        curve
+        for colour in ("model", "measured")
+        for curve in force.curves
+        if curve.colour == colour and curve.kind == "line"
+    )
+    assert older.x == pytest.approx([1e3 * place for place in PLACES])
+    assert newest.y == pytest.approx([2.964] * len(PLACES))
+    assert force.curves[0].x == pytest.approx([4.0, 27.0])
+    assert panel.cards["vaf"].plots[0].missing.code == "plot.no_profile"
     assert column(panel.model, 1)[0] == "−1.2 %"
     assert not panel.against.isVisible()
     qtbot.mouseClick(table.viewport(), Qt.MouseButton.LeftButton, control, QPoint(where[2]))
@@ -255,12 +261,12 @@ def test_a_static_calibration_shows_figures_residuals_and_its_trend(qtbot, page,
     assert view.calibrations.detail.currentWidget() is panel
     assert "Coil resistance" in column(panel.model, 0)
     assert column(panel.model, 1)[0] == "12.0000 ± 0.0030"
-    assert panel._dots.getData()[1] == pytest.approx([1.0, -2.0, 1.0])
+    assert panel.off.plots[0].curves[0].y == pytest.approx([1.0, -2.0, 1.0])
     assert panel.figure.currentText() == "Force constant"
     panel.figure.setFocus()
     qtbot.keyClick(panel.figure, Qt.Key.Key_Up)
     assert panel.figure.currentText() == "Coil resistance"
-    assert panel._dated.getData()[1] == pytest.approx([12.2, 12.1, 12.0])
+    assert panel.over_dates.plots[0].curves[0].y == pytest.approx([12.2, 12.1, 12.0])
     assert "falls by" in panel.drift.text()
 
 

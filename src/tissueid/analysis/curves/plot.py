@@ -18,8 +18,9 @@ from numpy.typing import NDArray
 from tissueid.errors import UnusableInputError
 
 Array = NDArray[np.float64]
-Kind = Literal["line", "dashed", "dotted", "points", "level", "position"]
-"""How a curve is drawn. A level is a horizontal line at ``y``, a position a vertical one at ``x``."""
+Kind = Literal["line", "dashed", "dotted", "points", "circles", "level", "position", "spans"]
+"""How a curve is drawn. A level is a horizontal line at ``y``, a position a vertical one at ``x``. Circles are hollow
+points. Spans are shaded from ``x[0]`` to ``x[1]``, from ``x[2]`` to ``x[3]`` and so on."""
 
 CONFIDENCE = 1.96
 """Half width, in standard deviations, of an interval that holds 95 % of a normal quantity."""
@@ -27,13 +28,17 @@ CONFIDENCE = 1.96
 
 @dataclass(frozen=True)
 class Axis:
-    """Quantity and unit of an axis; ``limits`` are None where they follow from the data."""
+    """Quantity and unit of an axis; ``limits`` are None where they follow from the data.
+
+    ``zero`` marks zero of an ordinate by a thin line.
+    """
 
     label: str = ""
     unit: str = ""
     log: bool = False
     limits: tuple[float, float] | None = None
     reverse: bool = False
+    zero: bool = False
 
 
 @dataclass(frozen=True, eq=False)

@@ -11,19 +11,17 @@ from matplotlib.layout_engine import ConstrainedLayoutEngine
 from matplotlib.patches import FancyArrowPatch, Rectangle
 from matplotlib.ticker import MaxNLocator
 
+from tissueid.analysis.curves.diagnostics import Array
+from tissueid.analysis.curves.nonlinearity import central_span, curve_std
 from tissueid.analysis.curves.plot import CONFIDENCE
 from tissueid.errors import UnusableInputError
 from tissueid.formatting import axis_label, label_and_unit
-from tissueid.identification.cascades.curves import curve_slopes
 from tissueid.identification.correlation import convolve_at_rest
 from tissueid.identification.engines.cascade import CascadeModel
 from tissueid.identification.engines.hammerstein import HammersteinModel
 from tissueid.identification.engines.wiener import WienerModel
-from tissueid.identification.static_nonlinearity import StaticNonlinearity
 from tissueid.language import _, marked
-from tissueid.messages import Message
 from tissueid.reports import captions
-from tissueid.reports.diagnostics import Array
 from tissueid.reports.figures.registry import Drawn, Subject, figure
 from tissueid.reports.style import BLUE, DASHES, FULL_WIDTH, INK, MUTED, ORANGE, SERIES, drawing, new_figure
 from tissueid.units import display_unit
@@ -122,8 +120,8 @@ def hammerstein(subject: Subject[HammersteinModel]) -> Drawn:
     """Draw the two blocks of a Hammerstein cascade."""
     model, record = subject.model, subject.record
     unit, scale = display_unit(record.output_unit)
-    u = _span(subject.fitted_input)
-    std = _curve_std(model.nonlinearity, u, model.nonlinearity_covariance)
+    u = central_span(subject.fitted_input)
+    std = curve_std(model.nonlinearity, u, model.nonlinearity_covariance)
     blocks = [
         Block(
             _("static"),
@@ -160,7 +158,7 @@ def wiener(subject: Subject[WienerModel]) -> Drawn:
     model, record = subject.model, subject.record
     unit, scale = display_unit(record.output_unit)
     in_unit, in_scale = display_unit(record.input_unit)
-    z = _span(model.linear_output(record.input)[subject.analysis.fit_part])
+    z = central_span(model.linear_output(record.input)[subject.analysis.fit_part])
     lag_s = np.arange(model.kernel.size) / model.sample_rate_hz
     blocks = [
         _kernel_block(_("linear"), model.kernel, None, lag_s, model.sample_rate_hz),
@@ -198,7 +196,7 @@ def cascade(subject: Subject[CascadeModel]) -> Drawn:
     driven = record.input - model.input_mean
     first_scale = out_scale if model.structure == "linear" else 1.0
     if model.inner is not None:
-        u = _span(subject.fitted_input)
+        u = central_span(subject.fitted_input)
         last = model.outer is None
         y = model.inner(u) * (out_scale if last else 1.0)
         label = axis_label("inner_signal", out_unit if last else "")
@@ -213,7 +211,7 @@ def cascade(subject: Subject[CascadeModel]) -> Drawn:
     )
     if model.outer is not None:
         inside = convolve_at_rest(model.first_kernel, driven)
-        z = _span(inside[subject.analysis.fit_part])
+        z = central_span(inside[subject.analysis.fit_part])
         last_name = record.output_name if model.second_kernel is None else "inner_signal"
         offset = model.offset if model.second_kernel is None else 0.0
         y = out_scale * (model.outer(z) + offset)
@@ -280,24 +278,3 @@ def _kernel_block(title: str, kernel: Array, std: Array | None, lag_s: Array, ra
     """Return a linear block with its impulse response per second."""
     spread = None if std is None else rate * std
     return Block(title, _("Lag (ms)"), _("Impulse response (1/s)"), 1e3 * lag_s, rate * kernel, spread, dynamic=True)
-
-
-def _span(values: Array) -> Array:
-    """Return 200 even steps over the central 99 % of the received values.
-
-    Raises:
-        UnusableInputError: fewer than two values were received.
-    """
-    known = values[np.isfinite(values)]
-    if known.size < 2:
-        raise UnusableInputError(Message("report.cascade_not_run", "the cascade can be run at no sample"))
-    low, high = np.quantile(known, (0.005, 0.995))
-    return np.linspace(float(low), float(high), 200)
-
-
-def _curve_std(curve: StaticNonlinearity, x: Array, covariance: Array) -> Array | None:
-    """Return the standard deviation (k,) of a curve at x (k,) from the covariance (p, p) of its coefficients."""
-    if not np.isfinite(covariance).all():
-        return None
-    slopes = curve_slopes(curve, x)  # (p, k)
-    return np.asarray(np.sqrt(np.maximum(np.einsum("pk,pq,qk->k", slopes, covariance, slopes), 0.0)))

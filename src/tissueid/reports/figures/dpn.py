@@ -5,6 +5,7 @@ from __future__ import annotations
 import numpy as np
 from matplotlib.axes import Axes
 
+from tissueid.analysis.curves.diagnostics import Array
 from tissueid.analysis.curves.units import is_mechanical
 from tissueid.errors import UnusableInputError
 from tissueid.formatting import axis_label, fixed
@@ -12,7 +13,6 @@ from tissueid.identification.dpn.confidence_bands import CurveBand
 from tissueid.identification.engines.dpn import DpnModel
 from tissueid.language import _, marked
 from tissueid.messages import Message
-from tissueid.reports.diagnostics import Array
 from tissueid.reports.figures.registry import Drawn, Subject, figure
 from tissueid.reports.panels import cloud
 from tissueid.reports.style import DASHES, FULL_WIDTH, HALF_WIDTH, MUTED, ORANGE, POINTS, SERIES, new_figure

@@ -6,6 +6,7 @@ import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.ticker import FuncFormatter, NullFormatter
 
+from tissueid.analysis.curves.diagnostics import held_out_prediction
 from tissueid.analysis.curves.plot import CONFIDENCE
 from tissueid.analysis.scoring import effective_parameters
 from tissueid.errors import UnusableInputError
@@ -17,7 +18,6 @@ from tissueid.language import _, marked
 from tissueid.messages import Message
 from tissueid.reports import captions
 from tissueid.reports.depth_panels import depth_panels
-from tissueid.reports.diagnostics import held_out_prediction
 from tissueid.reports.figures.registry import Drawn, Subject, figure
 from tissueid.reports.panels import diagonal, residual_cloud
 from tissueid.reports.style import (

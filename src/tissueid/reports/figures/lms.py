@@ -2,17 +2,17 @@
 
 from __future__ import annotations
 
-import numpy as np
 from matplotlib.figure import Figure
 
-from tissueid.analysis.curves.units import kernel_unit
+from tissueid.analysis.curves.linear import impulse_response
 from tissueid.formatting import number
 from tissueid.identification.engines.lms import Lms, LmsModel
 from tissueid.language import _, marked
 from tissueid.records import Record
 from tissueid.reports.captions import second_order
 from tissueid.reports.figures.registry import Drawn, Subject, figure
-from tissueid.reports.style import BLUE, DASHES, HALF_WIDTH, MUTED, ORANGE, drawing, new_figure
+from tissueid.reports.plot_renderer import draw_plot
+from tissueid.reports.style import HALF_WIDTH, drawing, new_figure
 
 
 @figure(
@@ -32,23 +32,8 @@ def _impulse_response(subject: Subject[LmsModel]) -> Drawn:
 @drawing
 def impulse_response_figure(model: LmsModel, record: Record) -> Figure:
     """Draw the impulse response, its deviation at every lag, and the second-order fit (Chen 2010, Fig. 3.5)."""
-    per_unit, scale = kernel_unit(record)
     figure = new_figure(HALF_WIDTH, 4.6)
-    axes = figure.subplots()
-    lag_ms = 1e3 * model.lag_s
-    response, std = scale * model.impulse_response, scale * model.impulse_response_std
-    axes.axhline(0.0, color=MUTED, linewidth=0.8)
-    axes.fill_between(
-        lag_ms, response - std, response + std, color=BLUE, alpha=0.22, linewidth=0.0, label=_("± 1 standard deviation")
-    )
-    axes.plot(lag_ms, response, color=BLUE, linestyle="none", marker=".", markersize=4.0, label=_("each lag by itself"))
-    fit_s = np.linspace(0.0, float(model.lag_s[-1]), 400)
-    fitted = scale * model.second_order.sign * model.second_order.system.impulse_response(fit_s)
-    axes.plot(1e3 * fit_s, fitted, color=ORANGE, linestyle=DASHES[1], linewidth=1.6, label=_("second order"))
-    axes.set_xlim(0.0, float(lag_ms[-1]) or 1.0)
-    axes.set_xlabel(_("Lag (ms)"))
-    axes.set_ylabel(_("Impulse response ({unit})").format(unit=per_unit))
-    axes.legend(loc="upper right")
+    draw_plot(figure.subplots(), impulse_response(model, record))
     return figure
 
 

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
+from tissueid.analysis.curves.diagnostics import Array
 from tissueid.analysis.curves.plot import CONFIDENCE, Plot, Surface, thin
 from tissueid.analysis.curves.units import LAG, TIME, kernel_unit, signal_axis
 from tissueid.errors import UnusableInputError
@@ -14,7 +15,6 @@ from tissueid.identification.online.identifier import OnlineModel
 from tissueid.language import _, marked
 from tissueid.messages import Message
 from tissueid.reports.captions import joined, second_order
-from tissueid.reports.diagnostics import Array
 from tissueid.reports.figures.registry import Drawn, Subject, figure
 from tissueid.reports.panels import depth_bar, depth_colours
 from tissueid.reports.plot_renderer import draw_plot

@@ -8,6 +8,7 @@ from typing import cast
 import numpy as np
 from matplotlib.axes import Axes
 
+from tissueid.analysis.curves.diagnostics import Array
 from tissueid.analysis.curves.kernels import kernels_by_depth
 from tissueid.analysis.curves.plot import CONFIDENCE, Surface, thin
 from tissueid.analysis.curves.units import kernel_unit
@@ -16,7 +17,6 @@ from tissueid.formatting import axis_label, fixed
 from tissueid.identification.partitions.model import PartitionedModel
 from tissueid.language import _, marked
 from tissueid.reports import captions
-from tissueid.reports.diagnostics import Array
 from tissueid.reports.figures.registry import Drawn, Subject, figure
 from tissueid.reports.panels import depth_bar, depth_colours, diagonal, residual_cloud
 from tissueid.reports.plot_renderer import draw_kernel

@@ -4,19 +4,17 @@ from __future__ import annotations
 
 import numpy as np
 from matplotlib.figure import Figure
-from matplotlib.ticker import MaxNLocator, MultipleLocator
 from numpy.typing import NDArray
 
-from tissueid.analysis.curves.plot import CONFIDENCE
-from tissueid.analysis.curves.units import ratio_unit
-from tissueid.errors import UnusableInputError
+from tissueid.analysis.curves.diagnostics import power_edge
+from tissueid.analysis.curves.linear import frequency_response
 from tissueid.formatting import fixed
 from tissueid.identification.engines.spectral import Spectral, SpectralModel
 from tissueid.language import _, marked
 from tissueid.records import Record
-from tissueid.reports.captions import FEW_FREQUENCIES, second_order
-from tissueid.reports.diagnostics import Array, power_edge
+from tissueid.reports.captions import second_order
 from tissueid.reports.figures.registry import Drawn, Subject, figure
+from tissueid.reports.plot_renderer import draw_plots
 from tissueid.reports.style import (
     BLUE,
     DASHES,
@@ -26,7 +24,6 @@ from tissueid.reports.style import (
     SHADE,
     drawing,
     frequency_axis,
-    log_axis,
     new_figure,
 )
 
@@ -107,51 +104,10 @@ def bode_figure(model: SpectralModel, record: Record) -> Figure:
         record: what was fitted, for the units.
 
     Raises:
-        UnusableInputError: the input has no power but at a single frequency.
+        UnusableInputError: the input has power at fewer than three frequencies.
     """
-    band = excited_band(model)
-    if band.sum() < 3:
-        raise UnusableInputError(FEW_FREQUENCIES)
-    spectra = model.spectra
-    frequency_hz = spectra.frequency_hz[band]
-    per_unit, scale = ratio_unit(record)
-    response = scale * spectra.response[band]
-    relative = _finite_or(spectra.phase_std_rad[band], 1e3) * CONFIDENCE
-    fit_hz = np.geomspace(frequency_hz[0], frequency_hz[-1], 300)
-    fitted = scale * model.second_order.sign * model.second_order.system.frequency_response(fit_hz)
-
     figure = new_figure(HALF_WIDTH, 4.6)
-    upper, lower = figure.subplots(2, 1, sharex=True)
-    magnitude = np.abs(response)
-    upper.fill_between(
-        frequency_hz,
-        magnitude / (1.0 + relative),
-        magnitude * (1.0 + relative),
-        color=BLUE,
-        alpha=0.22,
-        linewidth=0.0,
-        label=_("95 % band"),
-    )
-    upper.plot(frequency_hz, magnitude, color=BLUE, marker=".", markersize=3.5, linewidth=0.8, label=_("measured"))
-    upper.plot(fit_hz, np.abs(fitted), color=ORANGE, linestyle=DASHES[1], label=_("second order"))
-    trusted = np.concatenate([magnitude, np.abs(fitted)])
-    upper.set_ylim(0.5 * trusted[trusted > 0.0].min(), 2.0 * trusted.max())
-    log_axis(upper)
-    upper.set_ylabel(_("Magnitude ({unit})").format(unit=per_unit))
-    upper.legend(loc="lower left")
-
-    phase, fitted_phase = _phase_degrees(response), _phase_degrees(fitted)
-    phase += 360.0 * np.round((np.median(fitted_phase) - np.median(phase)) / 360.0)
-    half_width = np.minimum(np.degrees(relative), 180.0)
-    lower.fill_between(frequency_hz, phase - half_width, phase + half_width, color=BLUE, alpha=0.22, linewidth=0.0)
-    lower.plot(frequency_hz, phase, color=BLUE, marker=".", markersize=3.5, linewidth=0.8)
-    lower.plot(fit_hz, fitted_phase, color=ORANGE, linestyle=DASHES[1])
-    both = np.concatenate([phase, fitted_phase])
-    lower.set_ylim(45.0 * np.floor(both.min() / 45.0 - 0.2), 45.0 * np.ceil(both.max() / 45.0 + 0.2))
-    lower.yaxis.set_major_locator(MultipleLocator(45.0) if np.ptp(both) < 400.0 else MaxNLocator(6))
-    lower.set_ylabel(_("Phase (°)"))
-    frequency_axis(lower, float(frequency_hz[0]), float(frequency_hz[-1]))
-    figure.align_ylabels()
+    draw_plots(figure, frequency_response(model, record))
     return figure
 
 
@@ -173,11 +129,3 @@ def _bode_caption(model: SpectralModel) -> str:
         "fall with the square of the frequency, while the phase goes from 0° towards −180°."
     )
     return f"{text} {second_order(model.second_order)}"
-
-
-def _phase_degrees(response: NDArray[np.complex128]) -> Array:
-    return np.asarray(np.degrees(np.unwrap(np.angle(response))), dtype=np.float64)
-
-
-def _finite_or(values: Array, other: float) -> Array:
-    return np.where(np.isfinite(values), values, other)

@@ -7,6 +7,7 @@ from typing import cast
 
 import numpy as np
 
+from tissueid.analysis.curves.diagnostics import Array
 from tissueid.analysis.curves.kernels import second_order_kernel
 from tissueid.analysis.curves.plot import CONFIDENCE, Axis, Plot, Surface
 from tissueid.analysis.curves.units import kernel_unit
@@ -16,7 +17,6 @@ from tissueid.identification.volterra.model import VolterraModel
 from tissueid.language import _, marked
 from tissueid.messages import Message, translated
 from tissueid.reports import captions
-from tissueid.reports.diagnostics import Array
 from tissueid.reports.figures.registry import Drawn, Subject, figure
 from tissueid.reports.panels import diagonal, residual_cloud
 from tissueid.reports.plot_renderer import draw_kernel, draw_plot

@@ -9,6 +9,7 @@ from typing import cast
 import numpy as np
 
 from tissueid.analysis import Analysis
+from tissueid.analysis.curves.diagnostics import held_out_prediction, power_spectrum, readable_stretch
 from tissueid.analysis.curves.kernels import second_order_kernel
 from tissueid.analysis.curves.plot import Axis, Plot, Surface
 from tissueid.analysis.curves.units import LAG
@@ -21,7 +22,6 @@ from tissueid.identification.volterra.model import VolterraModel
 from tissueid.language import _, marked
 from tissueid.messages import Message
 from tissueid.reports import captions
-from tissueid.reports.diagnostics import held_out_prediction, power_spectrum
 from tissueid.reports.figures.registry import Drawn, Subject, figure
 from tissueid.reports.panels import diagonal, residual_cloud
 from tissueid.reports.plot_renderer import draw_plot
@@ -37,7 +37,6 @@ from tissueid.reports.style import (
     log_axis,
     new_figure,
 )
-from tissueid.reports.validation_figures import readable_stretch
 from tissueid.units import display_unit
 
 _SPREAD = 15.0

@@ -2,34 +2,34 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.ticker import MaxNLocator
 
+from tissueid.analysis.curves.diagnostics import Array
+from tissueid.analysis.curves.nonlinearity import linear_output, wiener_nonlinearity
+from tissueid.analysis.curves.plot import Curve
 from tissueid.errors import UnusableInputError
 from tissueid.formatting import axis_label, fixed, label_and_unit, number
 from tissueid.identification.engines.wiener import Wiener, WienerModel
 from tissueid.language import _, marked
-from tissueid.messages import Message
 from tissueid.records import Record
 from tissueid.reports.captions import SINGLE_PASS
-from tissueid.reports.diagnostics import Array
 from tissueid.reports.figures.registry import Drawn, Subject, figure
+from tissueid.reports.plot_renderer import draw_plot
 from tissueid.reports.style import (
     DASHES,
     FULL_WIDTH,
     INK,
     MUTED,
-    ORANGE,
-    POINTS,
     SERIES,
     drawing,
     new_figure,
 )
 from tissueid.units import display_unit
-
-_MOST_POINTS = 4000
 
 
 @figure(
@@ -76,44 +76,16 @@ def nonlinearity_figure(
     Raises:
         UnusableInputError: no sample lies where the model can be run.
     """
-    z = model.linear_output(record.input)[part or slice(None)]
-    measured = record.output[part or slice(None)]
-    known = np.isfinite(z) & np.isfinite(measured)
-    z, measured = z[known], measured[known]
-    if z.size < 2:
-        raise UnusableInputError(
-            Message(
-                "report.wiener_not_run",
-                "the Wiener model cannot be simulated: no sample has an uninterrupted input over the memory",
-            )
-        )
-    in_unit, in_scale = display_unit(record.input_unit)
-    out_unit, out_scale = display_unit(record.output_unit)
+    plot = wiener_nonlinearity(model, record, part)
+    z, measured = linear_output(model, record, part)
     figure = new_figure(FULL_WIDTH, 3.7)
     left, right = figure.subplots(1, 2, width_ratios=(1.35, 1.0))
-    some = slice(None, None, max(1, -(-z.size // _MOST_POINTS)))
-    left.plot(
-        in_scale * z[some],
-        out_scale * measured[some],
-        color=POINTS[0],
-        linestyle="none",
-        marker=".",
-        markersize=2.5,
-        markeredgewidth=0.0,
-        alpha=0.55,
-        rasterized=True,
-    )
-    grid = np.linspace(z.min(), z.max(), 200)
-    curve = model.nonlinearity(grid)
-    left.plot(in_scale * grid, out_scale * curve, color=ORANGE, linewidth=2.0, label=_("fitted nonlinearity"))
     near = measured.min() - surface_position_m < 0.6 * np.ptp(measured)
     if near and record.output_name == "position":
-        left.axhline(
-            out_scale * surface_position_m, color=MUTED, linestyle=DASHES[2], linewidth=1.2, label=_("surface")
-        )
-    left.set_xlabel(axis_label("predicted_linear_output", in_unit))
-    left.set_ylabel(axis_label(f"measured_{record.output_name}", out_unit))
-    left.legend(loc="lower right")
+        scale = display_unit(record.output_unit)[1]
+        level = Curve(np.zeros(1), np.array([scale * surface_position_m]), marked("surface"), "muted", "level")
+        plot = replace(plot, parts=(*plot.parts, level))
+    draw_plot(left, plot, title=False)
     _stiffness_panel(right, model, record, np.quantile(z, (0.005, 0.995)), surface_position_m)
     return figure
 

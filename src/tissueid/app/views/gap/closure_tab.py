@@ -9,20 +9,17 @@ from PySide6.QtCore import QRectF, QSize, Qt
 from PySide6.QtGui import QColor, QPainter, QPaintEvent
 from PySide6.QtWidgets import QComboBox, QFrame, QHBoxLayout, QLabel, QSizePolicy, QVBoxLayout, QWidget
 
-from tissueid.app.plotting import PlotCard
+from tissueid.app.plot_canvas import PlotCanvas
 from tissueid.app.small_window import FoldingBox
 from tissueid.app.theme import LIGHT, Theme
 from tissueid.app.views.gap.labels import plain_label
 from tissueid.formatting import number
-from tissueid.language import _, marked
+from tissueid.language import _
 from tissueid.messages import translated
 
 if TYPE_CHECKING:
     from tissueid.app.views.gap.page_content import Overlay, PageContent
 
-_KEY = {marked("recorded"): "muted", marked("baseline twin"): "model", marked("with the effect"): "measured"}
-_NOTHING = np.zeros(0)
-_TWICE = 1.96
 _SIDE, _ONE_ROW = 270, 660
 """Least width of the figures, and the width below which the plots stand below them, pixels."""
 
@@ -38,14 +35,7 @@ class ClosureTab(QWidget):
         self.channel = QComboBox()
         self.channel.setAccessibleName(_("Signal to look at"))
         self.channel.currentIndexChanged.connect(self._show_chosen)
-        self.signal = PlotCard(_("Recorded and simulated"), "", "", key={_(name): role for name, role in _KEY.items()})
-        self.left = PlotCard(_("Recorded less simulated"), _("Time (s)"), "", key={_("95 % of the noise"): "check"})
-        self._recorded = self.signal.line("muted", width=4, alpha=140)
-        self._before, self._after = self.signal.line("model"), self.signal.line("measured")
-        self._noise = self.left.band("check", alpha=70)
-        self._left_before, self._left_after = self.left.line("model"), self.left.line("measured")
-        self.cards = (self.signal, self.left)
-        self.signal.setToolTip(_("A quarter of a second of held-out data"))
+        self.signals = PlotCanvas()
         self._arrange()
 
     def show_story(self, story: PageContent) -> None:
@@ -58,41 +48,19 @@ class ClosureTab(QWidget):
         self.channel.addItems([_(item.channel.capitalize()) for item in story.overlays])
         self.channel.blockSignals(False)
         self.channel.setEnabled(len(story.overlays) > 1)
-        for card in self.cards:
-            card.say_missing(
-                ""
-                if story.overlays
-                else _("Every sample was used for the fit: there is no held-out data to compare with.")
-            )
+        if not story.overlays:
+            self.signals.say_missing(_("Every sample was used for the fit: there is no held-out data to compare with."))
         self._show_chosen()
 
     def apply_theme(self, theme: Theme) -> None:
         """Apply the colours of a theme."""
         self.bars.apply_theme(theme)
-        for card in self.cards:
-            card.apply_theme(theme)
+        self.signals.apply_theme(theme)
 
     def _show_chosen(self) -> None:
         place = self.channel.currentIndex()
-        if not 0 <= place < len(self._overlays):
-            return
-        shown = self._overlays[place]
-        self.signal.retitle(_(shown.channel.capitalize()), shown.unit)
-        self.left.retitle(_("Recorded less simulated"), shown.fine_unit)
-        time = shown.time
-        self._recorded.setData(time, shown.recorded)
-        self._before.setData(time, shown.before)
-        self._left_before.setData(time, shown.left_before)
-        for item, values in ((self._after, shown.after), (self._left_after, shown.left_after)):
-            item.setData(_NOTHING, _NOTHING) if values is None else item.setData(time, values)
-        for edge, sign in zip(self._noise, (-_TWICE, _TWICE), strict=True):
-            edge.setData(time, np.full(time.size, sign * shown.noise))
-        most = float(np.nanmax(np.abs(shown.left_before), initial=_TWICE * shown.noise))
-        if shown.left_after is not None:
-            most = max(most, float(np.nanmax(np.abs(shown.left_after), initial=0.0)))
-        self.left.plot.setYRange(-most, most, padding=0.05)
-        for card in self.cards:
-            card.plot.setXRange(float(time[0]), float(time[-1]), padding=0.01)
+        if 0 <= place < len(self._overlays):
+            self.signals.show_plots(self._overlays[place].plots)
 
     def _arrange(self) -> None:
         label = QLabel(_("Signal"))
@@ -114,16 +82,12 @@ class ClosureTab(QWidget):
             column.addWidget(widget)
         column.addStretch(1)
         column.addLayout(choice)
-        plots = QVBoxLayout()
-        plots.setSpacing(8)
-        for card, share in zip(self.cards, (3, 2), strict=True):
-            card.setMinimumHeight(140)
-            plots.addWidget(card, share)
+        self.signals.setMinimumHeight(288)
         row = FoldingBox(_ONE_ROW, self)
         row.setContentsMargins(0, 6, 0, 0)
         row.setSpacing(8)
         row.addWidget(side)
-        row.addLayout(plots, 1)
+        row.addWidget(self.signals, 1)
 
 
 class _GapBars(QWidget):

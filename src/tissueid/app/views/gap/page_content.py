@@ -8,7 +8,7 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping
 from dataclasses import dataclass
-from typing import Annotated, Any, Literal
+from typing import TYPE_CHECKING, Annotated, Any, Literal
 
 import numpy as np
 from numpy.typing import NDArray
@@ -17,6 +17,9 @@ from pydantic import AfterValidator, Field, PlainSerializer, PlainValidator
 from tissueid.app.stored_text import LONGEST_TEXT, StoredText
 from tissueid.records import Estimate
 from tissueid.twin.effect import STAGES, Stage
+
+if TYPE_CHECKING:
+    from tissueid.analysis.curves.plot import Plot
 
 MOST_POINTS = 100_000
 """Maximum number of points of a curve."""
@@ -117,6 +120,15 @@ class SpectrumContent:
         _check_alike(self.frequency, *self.lines.values())
         _check_finite(self.frequency)
 
+    @property
+    def plot(self) -> Plot:
+        """The spectrum as it is drawn."""
+        from tissueid.gap.plots import spectrum_plot
+
+        lines = {name: 10.0**values for name, values in self.lines.items()}
+        bands = [(10.0**low, 10.0**high) for low, high in self.bands]
+        return spectrum_plot(self.channel, 10.0**self.frequency, lines, bands)
+
 
 @dataclass(frozen=True)
 class ProfileContent:
@@ -131,6 +143,12 @@ class ProfileContent:
             _check_alike(self.middle, self.error, self.above)
         _check_finite(self.middle)
         _check_finite(self.error)
+
+    def plot(self, name: str) -> Plot:
+        """Return the profile of a name as it is drawn."""
+        from tissueid.gap.plots import profile_plot
+
+        return profile_plot(name, self.middle, 10.0**self.error, self.above)
 
 
 @dataclass(frozen=True)
@@ -156,6 +174,14 @@ class Overlay:
         curves = (self.recorded, self.before, self.after, self.left_before, self.left_after)
         _check_alike(self.time, *(curve for curve in curves if curve is not None))
         _check_finite(self.time)
+
+    @property
+    def plots(self) -> tuple[Plot, Plot]:
+        """The signals, and what the simulation leaves, as they are drawn."""
+        from tissueid.gap.plots import SignalOverlay, overlay_plots
+
+        curves = self.time, self.recorded, self.before, self.after, self.left_before, self.left_after
+        return overlay_plots(SignalOverlay(self.channel, *curves, self.noise))
 
 
 @dataclass(frozen=True)

@@ -22,6 +22,7 @@ from tissueid.formatting import number
 from tissueid.gap.diagnosis import Diagnosis, Ranked, parameters_of
 from tissueid.gap.error_regions import Profile, Spectrum
 from tissueid.gap.evidence import MARGIN
+from tissueid.gap.plots import UNITS, overlays_of, profile_values, spectrum_lines
 from tissueid.gap.statement import (
     effect_title,
     headline_of,
@@ -37,14 +38,11 @@ from tissueid.gap.twin_export import twin_of
 from tissueid.language import marked
 from tissueid.messages import Listing, Message, sentences
 from tissueid.records import Estimate
-from tissueid.reports.gap_panels import largest_held_out_error, simulated_signal
-from tissueid.sessions import SIGNAL_UNITS, Session
+from tissueid.sessions import Session
 from tissueid.twin.catalogue import all_effects
 from tissueid.twin.effect import STAGES, Stage
-from tissueid.units import display_unit, fine_unit
 
-_PROFILES = (("depth_m", 1e3), ("velocity_m_s", 1e3), ("time_s", 1.0))
-_LEAST_ERROR = 0.01
+_PROFILES = ("depth_m", "velocity_m_s", "time_s")
 
 
 def page_content_of(found: Diagnosis, session: Session) -> PageContent:
@@ -52,7 +50,7 @@ def page_content_of(found: Diagnosis, session: Session) -> PageContent:
     regions = found.where.regions
     headline, level = headline_of(found)
     spectra = [item for item in regions.spectra if item.channel == regions.channel]
-    profiles = {name: _profile(regions.profiles[name], scale) for name, scale in _PROFILES if name in regions.profiles}
+    profiles = {name: _profile(name, regions.profiles[name]) for name in _PROFILES if name in regions.profiles}
     return PageContent(
         found.verdict,
         _titles(found.combination),
@@ -136,21 +134,15 @@ def _no_evidence(found: Diagnosis, stage: Stage) -> str:
 
 
 def _spectrum(found: Spectrum, bands_hz: tuple[tuple[float, float], ...]) -> SpectrumContent:
-    unit, scale = fine_unit(SIGNAL_UNITS[found.channel])
-    least = 0.1 * scale * float(np.sqrt(found.noise[0]))
-    lines = {}
-    for name in ("recorded", "residual", "linear", "even", "odd", "noise"):
-        values = scale * np.sqrt(getattr(found, name))
-        lines[name] = np.log10(np.where(values >= least, values, np.nan))
+    lines = {name: np.log10(values) for name, values in spectrum_lines(found).items()}
     bands = tuple((float(np.log10(max(low, 0.1))), float(np.log10(max(high, 0.1)))) for low, high in bands_hz)
-    return SpectrumContent(found.channel, unit, np.log10(np.maximum(found.frequency_hz, 0.1)), lines, bands)
+    frequency = np.log10(np.maximum(found.frequency_hz, 0.1))
+    return SpectrumContent(found.channel, UNITS[found.channel][2], frequency, lines, bands)
 
 
-def _profile(found: Profile, scale: float) -> ProfileContent:
-    known = np.isfinite(found.error)
-    middle = 0.5 * scale * (found.edges[1:] + found.edges[:-1])
-    error = np.log10(np.maximum(found.error[known], _LEAST_ERROR))
-    return ProfileContent(middle[known], error, np.asarray(found.above[known]))
+def _profile(name: str, found: Profile) -> ProfileContent:
+    middle, error, above = profile_values(name, found)
+    return ProfileContent(middle, np.log10(error), above)
 
 
 def _rival(found: Diagnosis, item: Ranked) -> Rival:
@@ -242,35 +234,24 @@ def _closing(found: Diagnosis) -> str:
 
 def _overlays(found: Diagnosis) -> tuple[Overlay, ...]:
     """Return every signal, the one with the largest gap first; none if every sample was fitted."""
-    worst = found.where.regions.channel
-    if worst not in found.dataset.channels:
+    if found.where.regions.channel not in found.dataset.channels:
         return ()
     try:
-        test, first, last = largest_held_out_error(found, worst)
+        shown = overlays_of(found)
     except UnusableInputError:
         return ()
-    shown = slice(first, last)
-    time = np.arange(first, last) / test.sample_rate_hz
-    best = found.best if found.verdict != "no_gap" else None
-    overlays = []
-    for name in sorted(found.dataset.channels, key=lambda name: name != worst):
-        unit, scale = display_unit(SIGNAL_UNITS[name])
-        left_unit, fine = fine_unit(SIGNAL_UNITS[name])
-        recorded = test.signals[name][shown]
-        before = simulated_signal(found.found.baseline, test, name)[shown]
-        after = None if best is None else simulated_signal(best, test, name)[shown]
-        overlays.append(
-            Overlay(
-                name,
-                unit,
-                left_unit,
-                time,
-                scale * recorded,
-                scale * before,
-                None if after is None else scale * after,
-                fine * (recorded - before),
-                None if after is None else fine * (recorded - after),
-                fine * found.dataset.noise[name],
-            )
+    return tuple(
+        Overlay(
+            item.channel,
+            UNITS[item.channel][0],
+            UNITS[item.channel][2],
+            item.time,
+            item.recorded,
+            item.before,
+            item.after,
+            item.left_before,
+            item.left_after,
+            item.noise,
         )
-    return tuple(overlays)
+        for item in shown
+    )

@@ -10,12 +10,9 @@ from tissueid.analysis import Analysis
 from tissueid.app.file_stamp import Stamp
 from tissueid.app.views.researcher.labels_of_tests import distinguishing_labels, short_label
 from tissueid.app.views.researcher.plot_data import PlotData
-from tissueid.app.views.researcher.plot_data_builder import plot_data_of
 from tissueid.app.views.researcher.selected_test import SelectedTest
 from tissueid.identification import FitReport, engine_label
-from tissueid.language import _
-
-_NOTHING = PlotData({}, {}, (), {})
+from tissueid.language import _, marked
 
 
 @dataclass(frozen=True, eq=False)
@@ -32,7 +29,7 @@ class EngineOutcome:
     signals: tuple[str, str]
     report: FitReport | None = None
     validated_on: str = ""
-    plots: PlotData = field(default=_NOTHING)
+    plots: PlotData = field(default_factory=PlotData)
     findings: tuple[str, ...] = ()
     refused: str = ""
     stamp: Stamp | None = None
@@ -44,21 +41,25 @@ class EngineOutcome:
         cls, analysis: Analysis, options: dict[str, Any], tests: Sequence[SelectedTest], signals: tuple[str, str]
     ) -> EngineOutcome:
         """Return the result of an analysis."""
-        pictures, findings = plot_data_of(analysis)
-        report = analysis.model.report
+        from tissueid.analysis.curves.kernels import kernel_plots
+        from tissueid.analysis.curves.results import panel_units, result_plots
+
+        panels, findings = result_plots(analysis)
+        report, record = analysis.model.report, analysis.record
+        pictures = PlotData(panels, panel_units(record), kernel_plots(analysis.model, record))
         validated_on = analysis.validated_on
         return cls(report.engine, options, tuple(tests), signals, report, validated_on, pictures, findings)
 
     def bare(self) -> EngineOutcome:
         """Return a copy without curves."""
-        without = _("There are too many results to keep all curves: run this test alone.")
-        pictures = PlotData({}, self.plots.units, (), dict.fromkeys((*self.plots.lines, *self.plots.missing), without))
-        return replace(self, plots=pictures)
+        without = marked("There are too many results to keep all curves: run this test alone.")
+        panels = {panel: replace(plot, parts=(), missing=without) for panel, plot in self.plots.panels.items()}
+        return replace(self, plots=PlotData(panels, self.plots.units))
 
     @property
     def without_curves(self) -> bool:
         """Whether the result was stored without its curves."""
-        return self.report is not None and not self.plots.lines and not self.plots.kernels
+        return self.report is not None and self.plots.empty
 
     @property
     def key(self) -> tuple[Any, ...]:

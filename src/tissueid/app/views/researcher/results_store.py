@@ -17,11 +17,10 @@ from tissueid.app.file_stamp import Stamp, stamp_of
 from tissueid.app.views.researcher.analysis_task import MOST_TESTS, Name, TestRef, Text, Value
 from tissueid.app.views.researcher.engine_outcome import EngineOutcome
 from tissueid.app.views.researcher.plot_data import PlotData
-from tissueid.app.views.researcher.plot_panels import PANELS
 from tissueid.app.views.researcher.selected_test import SelectedTest
 from tissueid.atomic_write import atomic_file, open_regular, private_folder
 from tissueid.identification import FitReport
-from tissueid.language import _
+from tissueid.language import marked
 from tissueid.messages import message_from, stored
 from tissueid.records import Estimate
 
@@ -123,8 +122,11 @@ class _Result(_Line):
 
     def outcome(self, stamp: Stamp | None) -> EngineOutcome:
         """Return the result; ``stamp`` is the current one of its file."""
-        words = dict.fromkeys(PANELS, _("Kept from an earlier start, without its curves: Refit draws them."))
-        units = {panel: self.units[panel] for panel in PANELS if panel in self.units}
+        from tissueid.analysis.curves.results import TITLES, missing_plot
+
+        without = marked("Kept from an earlier start, without its curves: Refit draws them.")
+        panels = {panel: missing_plot(panel, without) for panel in TITLES}
+        units = {str(panel): self.units[panel] for panel in panels if panel in self.units}
         tests: tuple[SelectedTest, ...] = tuple(test.chosen for test in self.tests)
         return EngineOutcome(
             self.engine,
@@ -133,7 +135,7 @@ class _Result(_Line):
             self.signals,
             None if self.report is None else self.report.report,
             _restored(self.messages, "validated_on", (self.validated_on,))[0],
-            PlotData({}, units, (), words),
+            PlotData(panels, units),
             _restored(self.messages, "findings", self.findings),
             _restored(self.messages, "refused", (self.refused,))[0],
             self.stamp,

@@ -5,22 +5,21 @@ from __future__ import annotations
 from collections.abc import Sequence
 from datetime import UTC, datetime
 
-import numpy as np
 from PySide6.QtWidgets import QComboBox, QHBoxLayout, QVBoxLayout, QWidget
 
+from tissueid.analysis.curves.calibration import residual_plot, trend_plot
 from tissueid.app.calibration_figures import figure_of
-from tissueid.app.plotting import PlotCard
+from tissueid.app.plot_canvas import PlotCanvas
 from tissueid.app.theme import Theme
 from tissueid.app.views.technician.pieces import PiecesModel, table_of
-from tissueid.app.views.technician.tab import mark_level, plain_label, tip, unmarked
+from tissueid.app.views.technician.tab import mark_level, plain_label, tip
 from tissueid.app.words import sentence
 from tissueid.calibration.comparison import Residuals, residuals, trend
-from tissueid.calibration.file import Calibration, Quantity
-from tissueid.calibration.labels import label_of, notes_of, problems_of, unit_of_quantity, verdict_of
+from tissueid.calibration.file import Calibration
+from tissueid.calibration.labels import label_of, notes_of, problems_of, verdict_of
 from tissueid.formatting import clean
 from tissueid.language import _
 from tissueid.messages import translated
-from tissueid.units import display_unit, fine_unit
 
 _PREFERRED = "force_constant_n_per_a"
 _MOST_LINES = 4
@@ -53,13 +52,7 @@ class StaticsPanel(QWidget):
         for choice in (self.line, self.figure):
             choice.setSizeAdjustPolicy(QComboBox.SizeAdjustPolicy.AdjustToMinimumContentsLengthWithIcon)
             choice.setMinimumContentsLength(16)
-        self.off = PlotCard(_("Residuals"), _("Reading (V)"), "mA")
-        self._dots = self.off.dots("measured", 6)
-        self._zero = self.off.mark(upright=False)
-        self.over_dates = PlotCard(_("Trend"), _("Days from today"), "")
-        self._trend = self.over_dates.line("measured", width=1, alpha=140)
-        self._dated = self.over_dates.dots("measured", 7)
-        self._doubt = self.over_dates.band("measured", alpha=45)
+        self.off, self.over_dates = PlotCanvas(), PlotCanvas()
         self.drift = plain_label(role="muted")
         layout = QVBoxLayout(self)
         layout.setContentsMargins(0, 0, 0, 0)
@@ -122,19 +115,7 @@ class StaticsPanel(QWidget):
         if not 0 <= number < len(self._residuals):
             self.off.say_missing(_("This calibration keeps no line with residuals."))
             return
-        found = self._residuals[number]
-        self.off.say_missing("")
-        x_unit, x_scale = display_unit(found.x_unit)
-        y_unit, y_scale = fine_unit(found.y_unit)
-        self.off.retitle(translated(found.label), y_unit)
-        self.off.relabel(f"{_('Position') if found.x_unit == 'm' else _('Reading')} ({x_unit})")
-        x, y = x_scale * found.x, y_scale * found.y
-        self._dots.setData(x, y)
-        self._zero.show()
-        reach = 1.15 * max(float(np.abs(y).max(initial=0.0)), 1e-6)
-        self.off.plot.setYRange(-reach, reach, padding=0.0)
-        if x.size:
-            self.off.plot.setXRange(float(x.min()), float(x.max()), padding=0.06)
+        self.off.show_plots([residual_plot(self._residuals[number])])
 
     def _show_trend(self) -> None:
         name = self.figure.currentData()
@@ -143,19 +124,7 @@ class StaticsPanel(QWidget):
             self.drift.setText("")
             return
         found = trend(self._all, name)
-        self.over_dates.say_missing("")
-        unit, scale = unit_of_quantity(name, Quantity(value=float(found.value[-1]), unit=found.unit))
-        self.over_dates.retitle(_("{name} by date").format(name=translated(label_of(name))), unmarked(unit))
-        days = np.array([(made - datetime.now(UTC)).total_seconds() / 86400.0 for made in found.dates])
-        value, std = scale * found.value, np.nan_to_num(scale * found.std)
-        self._trend.setData(days, value)
-        self._dated.setData(days, value)
-        self._doubt[0].setData(days, value - std)
-        self._doubt[1].setData(days, value + std)
-        low, high = float((value - std).min()), float((value + std).max())
-        margin = max(0.15 * (high - low), 1e-3 * max(abs(low), abs(high)), 1e-9)
-        self.over_dates.plot.setYRange(low - margin, high + margin, padding=0.0)
-        self.over_dates.plot.setXRange(min(-1.0, float(days.min())), max(0.0, float(days.max())), padding=0.04)
+        self.over_dates.show_plots([trend_plot(found, datetime.now(UTC))])
         self.drift.setText(translated(found.words))
 
     def take_units(self) -> None:

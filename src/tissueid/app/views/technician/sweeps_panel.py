@@ -6,12 +6,12 @@ import html
 from collections.abc import Sequence
 
 import numpy as np
-import pyqtgraph as pg
 from PySide6.QtCore import Qt
 from PySide6.QtWidgets import QComboBox, QFrame, QGridLayout, QHBoxLayout, QLabel, QTabWidget, QVBoxLayout, QWidget
 
+from tissueid.analysis.curves.calibration import ALONG_STROKE, stroke_plot
 from tissueid.app.calibration_figures import figure_of
-from tissueid.app.plotting import PlotCard
+from tissueid.app.plot_canvas import PlotCanvas
 from tissueid.app.theme import Theme
 from tissueid.app.views.technician.pieces import PiecesModel, table_of
 from tissueid.app.views.technician.tab import mark_level, plain_label
@@ -21,7 +21,6 @@ from tissueid.calibration.comparison import (
     Difference,
     compare_sweeps,
     linear_region,
-    profile_of,
 )
 from tissueid.calibration.file import Calibration, Quantity
 from tissueid.calibration.labels import label_of
@@ -34,81 +33,13 @@ from tissueid.units import display_unit, shown_si, unit_of
 MOST = 4
 """Maximum number of sweeps that can be distinguished by colour."""
 ROLES = ("measured", "model", "good", "poor")
-_CARDS = (
-    ("force_constant", marked("Force constant"), marked("N per A"), 1.0),
-    ("mass", marked("Mass M"), "g", 1e3),
-    ("damping", marked("Damping B"), "N·s/m", 1.0),
-    ("stiffness", marked("Stiffness K"), "N/m", 1.0),
-    ("vaf", marked("Variance accounted for"), "%", 1.0),
-)
-_MM = 1e3
+_PLOT_HEIGHT = 110
 _SAID = {
     "noise": marked("within the noise"),
     "uncertainty": marked("within the uncertainty"),
     "beyond": marked("beyond the uncertainty"),
     "unknown": marked("no uncertainty known"),
 }
-
-
-class AlongCard(PlotCard):
-    """One figure along the stroke of several sweeps, over their linear regions."""
-
-    def __init__(self, name: str, title: str, unit: str, scale: float, parent: QWidget | None = None) -> None:
-        super().__init__(_(title), _("Position (mm)"), _(unit), parent=parent)
-        self._name, self._scale = name, scale
-        self._dotted = name != "force_constant"
-        self._regions = [self.band(role, alpha=22) for role in ROLES]
-        self._doubts = [self.band(role, alpha=45) for role in ROLES]
-        self._lines = [self.line(role, width=2) for role in ROLES]
-        self._points = [self.dots(role, 5) for role in ROLES]
-
-    def show_sweeps(self, sweeps: Sequence[Calibration]) -> None:
-        """Draw these, at most as many as there are colours."""
-        self._clear()
-        tops: list[np.ndarray] = []
-        places: list[np.ndarray] = []
-        for number, sweep in enumerate(sweeps[:MOST]):
-            profile = profile_of(sweep, self._name)
-            if profile is None:
-                continue
-            x, y = _MM * profile.position_m, self._scale * profile.value
-            self._lines[number].setData(x, y)
-            if self._dotted:
-                self._points[number].setData(x, y)
-            if profile.std is not None:
-                spread = self._scale * profile.std
-                _set_band(self._doubts[number], x, y - spread, y + spread)
-            tops.append(y)
-            places.append(x)
-        self.say_missing("" if tops else _("None of these sweeps holds it."))
-        if not tops:
-            return
-        low, high = (float(edge(np.concatenate(tops))) for edge in (np.min, np.max))
-        margin = max(0.12 * (high - low), 0.02 * abs(high), 1e-9)
-        low, high = low - margin, high + margin
-        if self._name == "vaf":  # nothing is above 100 %
-            high = min(high, 100.0 + 0.05 * (100.0 - low))
-        self.plot.setYRange(low, high, padding=0.0)
-        whole = np.concatenate(places)
-        self.plot.setXRange(float(whole.min()), float(whole.max()), padding=0.03)
-        for number, sweep in enumerate(sweeps[:MOST]):
-            if (region := linear_region(sweep)) is not None:
-                x = _MM * np.array(region)
-                _set_band(self._regions[number], x, np.full(2, low - margin), np.full(2, high + margin))
-
-    def _clear(self) -> None:
-        nothing = np.zeros(0)
-        for edges in (*self._regions, *self._doubts):
-            _set_band(edges, nothing, nothing, nothing)
-        for item in (*self._lines, *self._points):
-            item.setData(nothing, nothing)
-
-
-def _set_band(
-    edges: tuple[pg.PlotCurveItem, pg.PlotCurveItem], x: np.ndarray, low: np.ndarray, high: np.ndarray
-) -> None:
-    edges[0].setData(x, low)
-    edges[1].setData(x, high)
 
 
 class SweepsPanel(QWidget):
@@ -125,7 +56,9 @@ class SweepsPanel(QWidget):
         self.against.setAccessibleName(_("Compare the newest sweep with"))
         self.against.setToolTip(_("Compare the newest of the selected sweeps with"))
         self.against.currentIndexChanged.connect(self._compare)
-        self.cards = [AlongCard(*figures) for figures in _CARDS]
+        self.cards = {name: PlotCanvas(_(axis.label)) for name, (axis, _scale) in ALONG_STROKE.items()}
+        for card in self.cards.values():
+            card.setMinimumHeight(_PLOT_HEIGHT)
         self.model = PiecesModel(
             (_("Figure"), _("Difference"), _("±2 std"), _("Which is"), _("Before"), _("Now"), _("Unit")),
             _cell,
@@ -169,7 +102,7 @@ class SweepsPanel(QWidget):
         grid = QGridLayout(page)
         grid.setContentsMargins(0, 6, 0, 0)
         grid.setSpacing(6)
-        for number, widget in enumerate((*self.cards, card)):
+        for number, widget in enumerate((*self.cards.values(), card)):
             grid.addWidget(widget, number // 2, number % 2)
         for line in range(3):
             grid.setRowStretch(line, 1)
@@ -188,8 +121,8 @@ class SweepsPanel(QWidget):
             )
         self.against.blockSignals(False)
         self.against.setVisible(len(self._sweeps) > 2)
-        for card in self.cards:
-            card.show_sweeps(self._sweeps)
+        for name, card in self.cards.items():
+            card.show_plots([stroke_plot(name, self._sweeps, ROLES)])
         self._compare()
         self._show_key()
 
@@ -236,7 +169,7 @@ class SweepsPanel(QWidget):
     def apply_theme(self, theme: Theme) -> None:
         """Take on the colours of a theme."""
         self._theme = theme
-        for card in self.cards:
+        for card in self.cards.values():
             card.apply_theme(theme)
         self.model.apply_theme(theme)
         self._show_key()

@@ -14,6 +14,7 @@ from tissueid.analysis.curves.plot import CONFIDENCE
 Array = NDArray[np.float64]
 
 WINDOW_S = 0.5
+STRETCH_S = 0.5
 _SEGMENTS = 4
 _SHORTEST_WINDOW = 16
 
@@ -62,6 +63,15 @@ def held_out_prediction(label: str, analysis: Analysis, start_s: float = 0.0) ->
         output_unit=record.output_unit,
         memory_samples=analysis.model.memory_samples,
     )
+
+
+def readable_stretch(prediction: Prediction, seconds: float = STRETCH_S) -> slice:
+    """Return the first stretch of ``seconds`` with the largest number of comparable samples."""
+    known = np.isfinite(prediction.residual)
+    length = min(known.size, max(2, round(seconds * prediction.sample_rate_hz)))
+    count = np.convolve(known, np.ones(length), "valid")
+    start = int(np.argmax(count))
+    return slice(start, start + length)
 
 
 def runs(mask: NDArray[np.bool_]) -> list[tuple[int, int]]:

@@ -1,0 +1,217 @@
+"""Plots of linear dynamics: impulse response, frequency response, coherence."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from tissueid.analysis import Analysis
+from tissueid.analysis.curves.plot import CONFIDENCE, Array, Axis, Curve, Plot
+from tissueid.analysis.curves.units import FREQUENCY, LAG, kernel_unit, ratio_unit
+from tissueid.errors import UnusableInputError
+from tissueid.identification.base import Model
+from tissueid.identification.engines.lms import LmsModel
+from tissueid.identification.engines.spectral import Spectra, Spectral, SpectralModel
+from tissueid.identification.partitions.model import PartitionedModel
+from tissueid.identification.second_order_fit import SecondOrderFit
+from tissueid.identification.volterra.model import VolterraModel
+from tissueid.language import marked
+from tissueid.messages import Message
+from tissueid.records import Record
+
+_EXCITED = 0.03
+"""Share of the input's greatest power density below which a frequency counts as not excited."""
+_FINE = 200
+_FINE_FIT = 400
+_PULSE = 1e-3
+"""Height of the pulse that a model is probed with, in standard deviations of the input."""
+FEW_FREQUENCIES = Message(
+    "report.few_frequencies", "the input has power at fewer than three frequencies: use noise or a multisine"
+)
+_SECOND_ORDER = marked("second order")
+
+
+def impulse_response(model: LmsModel, record: Record) -> Plot:
+    """Return the impulse response, its deviation at every lag, and the second-order fit (Chen 2010, Fig. 3.5)."""
+    estimate = replace(
+        impulse_curve(model, record),
+        name=marked("each lag by itself"),
+        colour="measured",
+        kind="points",
+        band=marked("± 1 standard deviation"),
+    )
+    unit, title = kernel_unit(record)[0], marked("Impulse response")
+    fit = second_order_curve(model.second_order, float(model.lag_s[-1]), record)
+    lag = replace(LAG, limits=(0.0, 1e3 * float(model.lag_s[-1]) or 1.0))
+    return Plot(title, lag, Axis(title, unit, zero=True), (estimate, fit))
+
+
+def impulse_curve(model: Model, record: Record, analysis: Analysis | None = None) -> Curve:
+    """Return the impulse response of a model about the mean input, with one deviation where the engine estimates it.
+
+    Without an impulse response of its own a model is probed by a small pulse, which takes the ``analysis``.
+
+    Raises:
+        UnusableInputError: the model does not answer the pulse.
+    """
+    std: Array | None = None
+    if isinstance(model, VolterraModel) and model.kernel1 is not None:
+        lag_s, response, std = model.lag_s, model.kernel1, model.kernel1_std
+    elif isinstance(model, PartitionedModel) and analysis is not None:
+        edges, middle = model.breakpoints_m, float(np.nanmean(record[analysis.fit_part].output))
+        row = int(np.clip(np.searchsorted(edges, middle, "right") - 1, 0, len(model.operating_kernels) - 1))
+        lag_s, response = model.lag_s, model.operating_kernels[row]
+    else:
+        own = getattr(model, "impulse_response", None)
+        if isinstance(own, np.ndarray):
+            lag_s, response = np.asarray(getattr(model, "lag_s")), own  # noqa: B009 - engines of others have it too
+            std = getattr(model, "impulse_response_std", None)
+        elif isinstance(model, SpectralModel):
+            lag_s = np.arange(model.kernel.size) / model.sample_rate_hz
+            response = model.kernel * model.sample_rate_hz
+        else:
+            lag_s, response = _probed(model, record if analysis is None else record[analysis.fit_part])
+    scale = kernel_unit(record)[1]
+    y = scale * response
+    if std is None:
+        return Curve(1e3 * lag_s, y, colour="model")
+    half = np.where(np.isfinite(std), scale * std, 0.0)
+    return Curve(1e3 * lag_s, y, colour="model", low=y - half, high=y + half)
+
+
+def second_order_curve(fit: SecondOrderFit, seconds: float, record: Record) -> Curve:
+    """Return the impulse response of a second-order system up to a lag in seconds."""
+    fine_s = np.linspace(0.0, seconds, _FINE_FIT)
+    response = kernel_unit(record)[1] * fit.sign * fit.system.impulse_response(fine_s)
+    return Curve(1e3 * fine_s, response, _SECOND_ORDER, "model", "dashed", width=1.2)
+
+
+def _probed(model: Model, record: Record) -> tuple[Array, Array]:
+    """Return lags (s) and the response to a small pulse at the mean input, per unit of its area.
+
+    Raises:
+        UnusableInputError: the model does not answer the pulse.
+    """
+    known = record.input[np.isfinite(record.input)]
+    if known.size < 2:
+        raise UnusableInputError(Message("research.no_input", "no input was received"))
+    lags = min(model.memory_samples, known.size)
+    rest = np.full(3 * lags, float(np.mean(known)))
+    pulse, height = rest.copy(), _PULSE * float(np.std(known))
+    pulse[lags] += height
+    answer = (model.simulate(pulse) - model.simulate(rest))[lags - 1 : 2 * lags]
+    if not np.isfinite(answer).all() or height == 0.0 or not np.any(answer):
+        raise UnusableInputError(
+            Message("research.no_pulse_response", "the model does not answer a small pulse about the mean input")
+        )
+    return np.arange(-1, lags) / model.sample_rate_hz, answer * model.sample_rate_hz / height
+
+
+# -- frequency --------------------------------------------------------------------------------------------------------
+
+
+def spectra_of(analysis: Analysis) -> Spectra:
+    """Return the spectra of the fitted record.
+
+    Raises:
+        UnusableInputError: the record is too short.
+    """
+    if isinstance(analysis.model, SpectralModel):
+        return analysis.model.spectra
+    try:
+        model = Spectral().fit(analysis.record, analysis.fit_part)
+    except UnusableInputError:
+        model = None
+    if not isinstance(model, SpectralModel):
+        raise UnusableInputError(Message("research.short_record", "the record is too short for spectra"))
+    return model.spectra
+
+
+def excited(spectra: Spectra) -> NDArray[np.bool_]:
+    """Return a mask (bins,) of the frequencies at which the input has power.
+
+    Raises:
+        UnusableInputError: there are fewer than three.
+    """
+    shown = (spectra.frequency_hz > 0.0) & (spectra.input_psd > _EXCITED * spectra.input_psd[1:].max())
+    if shown.sum() < 3:
+        raise UnusableInputError(FEW_FREQUENCIES)
+    return np.asarray(shown, dtype=np.bool_)
+
+
+def frequency_response(model: SpectralModel, record: Record) -> tuple[Plot, Plot]:
+    """Return magnitude and phase where the input has power, 95 % bands, and the second-order fit (Chen 2010, Fig. 3.3).
+
+    Raises:
+        UnusableInputError: the input has power at fewer than three frequencies.
+    """
+    magnitude, phase = _measured_response(model.spectra, record)
+    fine_hz = np.geomspace(magnitude.x[0], magnitude.x[-1], _FINE_FIT)
+    fitted = ratio_unit(record)[1] * model.second_order.sign * model.second_order.system.frequency_response(fine_hz)
+    angle = np.degrees(np.unwrap(np.angle(fitted)))
+    phase = _raised(phase, 360.0 * float(np.round((np.median(angle) - np.median(phase.y)) / 360.0)))
+    upper, lower = (
+        Plot(
+            axis.label,
+            FREQUENCY,
+            axis,
+            (
+                replace(curve, name=marked("measured"), colour="measured", kind="points", band=marked("95 % band")),
+                Curve(fine_hz, fit, _SECOND_ORDER, "model", "dashed", width=1.2),
+            ),
+        )
+        for curve, fit, axis in zip((magnitude, phase), (np.abs(fitted), angle), response_axes(record), strict=True)
+    )
+    return upper, lower
+
+
+def response_axes(record: Record) -> tuple[Axis, Axis]:
+    """Return the axes of magnitude and phase."""
+    return Axis(marked("Magnitude"), ratio_unit(record)[0], log=True), Axis(marked("Phase"), "°")
+
+
+def response_curves(analysis: Analysis, spectra: Spectra) -> tuple[Curve, Curve]:
+    """Return magnitude and phase of a model: measured for spectra, else the transform of its impulse response.
+
+    Raises:
+        UnusableInputError: the input has power at fewer than three frequencies, or there is no impulse response.
+    """
+    if isinstance(analysis.model, SpectralModel):
+        return _measured_response(spectra, analysis.record)
+    ends = spectra.frequency_hz[excited(spectra)][[0, -1]]
+    curve = impulse_curve(analysis.model, analysis.record, analysis)
+    frequency_hz = np.geomspace(ends[0], ends[1], _FINE)
+    lag_s = 1e-3 * curve.x
+    turning = np.exp(-2j * np.pi * np.outer(frequency_hz, lag_s))  # (frequencies, lags)
+    answer = turning @ curve.y * float(lag_s[1] - lag_s[0] if lag_s.size > 1 else 1.0)
+    phase = np.degrees(np.unwrap(np.angle(answer)))
+    magnitude = np.maximum(np.abs(answer), 1e-12)
+    return Curve(frequency_hz, magnitude, colour="model"), Curve(frequency_hz, phase, colour="model")
+
+
+def _raised(curve: Curve, by: float) -> Curve:
+    """Return a curve with a band that is higher by a number."""
+    assert curve.low is not None
+    assert curve.high is not None
+    return replace(curve, y=curve.y + by, low=curve.low + by, high=curve.high + by)
+
+
+def coherence_curve(spectra: Spectra, shown: NDArray[np.bool_] | slice) -> Curve:
+    """Return the mean squared coherence at some frequencies."""
+    return Curve(spectra.frequency_hz[shown], spectra.coherence[shown], colour="model")
+
+
+def _measured_response(spectra: Spectra, record: Record) -> tuple[Curve, Curve]:
+    """Return measured magnitude and phase with 95 % bands."""
+    shown = excited(spectra) & (spectra.magnitude > 0.0) & np.isfinite(spectra.magnitude_std)
+    frequency_hz, scale = spectra.frequency_hz[shown], ratio_unit(record)[1]
+    magnitude = scale * spectra.magnitude[shown]
+    spread = 1.0 + CONFIDENCE * spectra.magnitude_std[shown] / spectra.magnitude[shown]
+    phase = np.degrees(spectra.phase_rad[shown])
+    half = np.minimum(np.degrees(CONFIDENCE * spectra.phase_std_rad[shown]), 180.0)
+    return (
+        Curve(frequency_hz, magnitude, colour="model", low=magnitude / spread, high=magnitude * spread),
+        Curve(frequency_hz, phase, colour="model", low=phase - half, high=phase + half),
+    )
