@@ -126,7 +126,7 @@ def draw_plot(
     factors = units(plot.x.unit)[1], units(plot.y.unit)[1]
     if plot.missing:
         _say(axes, translated(plot.missing), look)
-    for part in () if plot.missing else plot.parts:
+    for part in plot.parts:
         if isinstance(part, Curve):
             long += _curve(axes, part, factors, look)
         elif isinstance(part, Bars):

@@ -75,7 +75,7 @@ def overlay(plots: Sequence[Plot], colours: Sequence[str], names: Sequence[str],
     first = next((plot for plot in plots if plot.parts), None)
     if first is None:
         reasons = dict.fromkeys(sentence(translated(plot.missing)) for plot in plots if plot.missing)
-        return replace(plots[0], missing=" ".join(reasons))
+        return replace(plots[0], parts=tuple(over), missing=" ".join(reasons))
     return replace(first, parts=(*under, *over))
 
 
