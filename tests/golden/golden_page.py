@@ -35,6 +35,8 @@ from PySide6.QtWidgets import (
     QWidget,
 )
 
+from tissueid.app.plot_canvas import PlotCanvas
+
 PAGES = Path(__file__).with_name("pages")
 RENEW = "TISSUEID_RENEW_GOLDEN"
 """Environment variable: write the pages instead of comparing them."""
@@ -167,7 +169,18 @@ def _text_of(widget: QWidget) -> str:
         return widget.toPlainText()
     if isinstance(widget, QAbstractItemView):
         return "\n".join(_rows_of(widget))
+    if isinstance(widget, PlotCanvas):
+        return "\n".join(_lines_of_plots(widget))
     return ""
+
+
+def _lines_of_plots(canvas: PlotCanvas) -> Iterator[str]:
+    """Return title, labels and key of every pair of axes."""
+    for axes in canvas.axes:
+        yield " | ".join(filter(None, [axes.get_title(loc="left"), axes.get_xlabel(), axes.get_ylabel()]))
+        legend = axes.get_legend()
+        if legend is not None:
+            yield " ".join(f"■ {text.get_text()}" for text in legend.get_texts())
 
 
 def _without_key(text: str) -> str:

@@ -44,7 +44,7 @@ def wiener_nonlinearity(model: WienerModel, record: Record, part: slice | None =
         signal_axis("predicted_linear_output", record.input_unit),
         signal_axis(f"measured_{record.output_name}", record.output_unit),
         (
-            Curve(in_scale * z[some], out_scale * measured[some], kind="points", opacity=0.55),
+            Curve(in_scale * z[some], out_scale * measured[some], marked("measured"), kind="points", opacity=0.55),
             Curve(
                 in_scale * fine,
                 out_scale * model.nonlinearity(fine),
