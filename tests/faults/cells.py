@@ -22,6 +22,7 @@ from tissueid.calibration.static import calibrate_static
 from tissueid.calibration.static_procedure import StaticPlan
 from tissueid.errors import TissueIDError
 from tissueid.instrument import Instrument
+from tissueid.messages import codes_in
 from tissueid.stimuli.base import Stimulus, preload_values
 from tissueid.wire import MessageType, State
 
@@ -95,17 +96,17 @@ STATES = {
 class Ordeal:
     """A fault and what must come of it.
 
-    ``words`` is what the message must say where the test breaks off, None where the fault is lived through.
+    ``codes`` are those of which the message has one where the test breaks off; empty where the fault is lived through.
     ``free_s`` is for how long the coil may still be energised after it began, ``free_in_s`` the same for states in
     which it takes longer to show.
     """
 
     fault: PlannedFault
-    words: str | None = None
+    codes: frozenset[str] = frozenset()
     free_s: float = 0.0
     free_in_s: dict[str, float] = field(default_factory=dict)
-    reopening: str | None = None
-    """What opening says as long as it lasts, None where the instrument can be opened."""
+    reopening: str = ""
+    """Code of the error of opening as long as it lasts, "" where the instrument can be opened."""
 
 
 WATCHDOG_S = 0.5 + 0.02
@@ -113,8 +114,9 @@ WATCHDOG_S = 0.5 + 0.02
 AT_REST = {"preload": PRELOAD_S, "checking": 0.3 + 0.1, "calibrating": 0.6 + 0.1}
 """Under a steady force nothing moves, and a sensor that is stuck tells the same as one that is not: up to its end."""
 FOR_GOOD = 600.0
-GAPS = "samples were lost"
-"""What a calibration says that makes nothing of what it did not receive."""
+GAPS = frozenset({"calibration.samples_lost.voltage", "calibration.samples_lost.rest"})
+"""Codes of a calibration that makes nothing of what it did not receive."""
+SILENT, BROKEN, RESTARTED = (frozenset({code}) for code in ("link.silent", "link.broken", "instrument.restarted"))
 ONE_SAMPLE_S = 1.0 / RATE
 
 ORDEALS = {
@@ -130,34 +132,32 @@ ORDEALS = {
     "clock 2 % slow": Ordeal(fault("drifting_clock", clock_error=-0.02)),
     "clock drifting, 1 % a second": Ordeal(fault("drifting_clock", clock_error=0.0, clock_drift_per_s=0.01)),
     "firmware hangs 0.1 s": Ordeal(fault("stall", seconds=0.1)),
-    "firmware hangs 2 s": Ordeal(fault("stall"), "silent|does not answer", WATCHDOG_S),
-    "reset": Ordeal(fault("reset"), "restarted"),
-    "brown-out": Ordeal(fault("brown_out"), "supply"),
-    "position stuck": Ordeal(fault("stuck_sensor", channel="position"), "position", 0.15, AT_REST),
-    "current stuck": Ordeal(fault("stuck_sensor", channel="current"), "current", 0.15, AT_REST),
+    "firmware hangs 2 s": Ordeal(fault("stall"), SILENT, WATCHDOG_S),
+    "reset": Ordeal(fault("reset"), RESTARTED),
+    "brown-out": Ordeal(fault("brown_out"), frozenset({"fault.brown_out"})),
+    "position stuck": Ordeal(fault("stuck_sensor", channel="position"), frozenset({"fault.sensor"}), 0.15, AT_REST),
+    "current stuck": Ordeal(fault("stuck_sensor", channel="current"), frozenset({"fault.open_coil"}), 0.15, AT_REST),
     "temperature stuck": Ordeal(fault("stuck_sensor", channel="temperature")),
-    "open coil": Ordeal(fault("open_coil"), "coil", 0.05),
-    "another version after a reset": Ordeal(
-        fault("wrong_version"), "restarted|protocol", reopening="speaks protocol 2 to 2.*update the software"
-    ),
+    "open coil": Ordeal(fault("open_coil"), frozenset({"fault.open_coil"}), 0.05),
+    "another version after a reset": Ordeal(fault("wrong_version"), RESTARTED, reopening="handshake.software_too_old"),
     "frames of another version, 10 %": Ordeal(
-        fault("wrong_version_frames", direction="to_host"), "protocol 2", WATCHDOG_S
+        fault("wrong_version_frames", direction="to_host"), frozenset({"link.version_changed"}), WATCHDOG_S
     ),
     "the host hears nothing": Ordeal(
         fault("drops", share=1.0, direction="to_host", seconds=FOR_GOOD),
-        "silent|does not answer",
+        SILENT,
         WATCHDOG_S,
-        reopening="no instrument answers",
+        reopening="link.no_instrument",
     ),
     "the device hears nothing": Ordeal(
         fault("drops", share=1.0, direction="to_device", seconds=FOR_GOOD),
-        "silent|does not answer|no samples",
+        frozenset({"link.silent", "link.no_answer", "fault.watchdog"}),
         WATCHDOG_S,
-        reopening="no instrument answers",
+        reopening="link.no_instrument",
     ),
-    "unplugged": Ordeal(fault("unplug"), "broke|cannot open", WATCHDOG_S, reopening="cannot open|broke"),
-    "unplugged for 0.3 s": Ordeal(fault("unplug", seconds=0.3), "broke|cannot open", WATCHDOG_S),
-    "button": Ordeal(fault("button"), "button", ONE_SAMPLE_S),
+    "unplugged": Ordeal(fault("unplug"), BROKEN, WATCHDOG_S, reopening="link.not_opened"),
+    "unplugged for 0.3 s": Ordeal(fault("unplug", seconds=0.3), BROKEN, WATCHDOG_S),
+    "button": Ordeal(fault("button"), frozenset({"fault.button"}), ONE_SAMPLE_S),
 }
 
 
@@ -209,7 +209,7 @@ class _Sitting:
             if desk.firmware.energised:
                 out.problems.append("the coil is energised after the test")
             self._judge_message(out.message)
-        elif self.ordeal.words is not None:
+        elif self.ordeal.codes:
             out.problems.append("nothing was noticed")
         recorder._journal.sync()
         out.problems += desk.lost_in_a_power_cut(recorder, self.folder)
@@ -247,7 +247,7 @@ class _Sitting:
                 rest(instrument, 1.5)
                 run_guided_test(instrument, open_loop(seed=4), recorder, surface_m=SURFACE_M)
         except TissueIDError as error:
-            return str(error)
+            return error.message
         finally:
             desk.link.progress()
             instrument.close()
@@ -255,11 +255,12 @@ class _Sitting:
 
     def _judge_message(self, message: str) -> None:
         ordeal, problems = self.ordeal, self.out.problems
-        if ordeal.words is None and re.search(GAPS, message) and self.state in ("checking", "calibrating"):
+        codes = codes_in(message)
+        if not ordeal.codes and codes & GAPS and self.state in ("checking", "calibrating"):
             return
-        if ordeal.words is None:
+        if not ordeal.codes:
             problems.append(f"it should have been lived through: {message}")
-        elif not re.search(ordeal.words, message):
+        elif not codes & ordeal.codes:
             problems.append(f"the message is of something else: {message}")
         if "\n" in message or not ADVICE.search(message):
             problems.append(f"the message does not say in a line what to do: {message}")
@@ -270,12 +271,12 @@ class _Sitting:
     def _go_on(self, recorder: WatchedRecorder) -> None:
         """The fault is over: the same program opens the instrument again and completes a test."""
         desk, problems = self.desk, self.out.problems
-        if self.ordeal.reopening is not None:
+        if self.ordeal.reopening:
             try:
                 desk.open().close()
                 problems.append("it could be opened although the fault lasted")
             except TissueIDError as error:
-                if not re.search(self.ordeal.reopening, str(error)) or "\n" in str(error):
+                if error.code != self.ordeal.reopening or "\n" in str(error):
                     problems.append(f"opening said: {error}")
         desk.link.faults.clear()
         desk.link.progress()
