@@ -23,27 +23,26 @@ from faults.cells import ORDEALS, STATES, Outcome, run_cell  # noqa: E402
 SAFETY = ROOT / "docs" / "safety.md"
 PLACE = re.compile(r"(<!-- matrix -->).*?(<!-- end -->)", re.DOTALL)
 LONGEST_CELL_S = 120.0
-"""By the clock on the wall: a cell that takes longer hangs, and says where."""
+"""Timeout of a cell, s of wall-clock time; a cell that exceeds it prints its stack and fails."""
 
 INTRODUCTION = (
     "",
-    "A number: the test broke off, and for so long was the coil still energised from when the fault began. `goes on`:",
-    "the test was completed; samples that were lost are marked as not received. In every cell the coil stayed within",
-    "its limits, all that was recorded is in the session as it was measured, the message is one line that says what",
-    "to do, and once the fault was over the same program opened the instrument again and completed a test. There is",
-    "no cell that cannot be.",
+    "A number: the test was aborted; time from the start of the fault until the coil was released. `goes on`: the test",
+    "was completed; lost samples are marked as not received. In every cell the coil stayed within its limits, all",
+    "recorded samples are in the session as measured, the message is one line that says what to do, and after the",
+    "fault the same program opened the instrument again and completed a test. All combinations were tested.",
     "",
-    "A fault that lasts and begins while nothing is played shows in the test that comes next, and the number counts",
-    "from when that begins. Under a steady force nothing moves, and a sensor that is stuck tells the same as one that",
-    "is not: in `preload`, `checking` and `calibrating` it shows when the force changes. A temperature that is stuck",
-    "goes on under the thermal models of either side. Where the host hears nothing it sends no heartbeat, so that the",
-    "watchdog frees the coil before the host's own patience of 1 s ends the test.",
+    "A lasting fault that begins while nothing is played takes effect in the next test, and the time counts from the",
+    "start of that test. Under a constant force the probe does not move, and a frozen sensor cannot be detected: in",
+    "`preload`, `checking` and `calibrating` it is detected when the force changes. With a frozen temperature sensor the",
+    "test continues under the thermal models of both sides. A host that receives nothing sends no heartbeat, so that",
+    "the watchdog releases the coil before the host ends the test after 1 s.",
     "",
 )
 
 
 def outcome(cell: tuple[str, str]) -> Outcome:
-    """What came of one cell, in a process of its own."""
+    """Return the outcome of one cell, run in a separate process."""
     logging.disable(logging.CRITICAL)
     faulthandler.dump_traceback_later(LONGEST_CELL_S, exit=True)
     try:
@@ -54,7 +53,7 @@ def outcome(cell: tuple[str, str]) -> Outcome:
 
 
 def shown(found: Outcome) -> str:
-    """A cell of the table."""
+    """Return the text of one cell of the table."""
     if found.problems:
         return "**failed**"
     if found.message is not None:
@@ -64,18 +63,18 @@ def shown(found: Outcome) -> str:
 
 
 def table(found: dict[tuple[str, str], Outcome]) -> str:
-    """All cells as Markdown, and what the messages said."""
+    """Return all cells as Markdown, and the messages."""
     lines = [*INTRODUCTION, f"| | {' | '.join(STATES)} |", f"| --- |{' --- |' * len(STATES)}"]
     lines += [f"| {name} | {' | '.join(shown(found[name, state]) for state in STATES)} |" for name in ORDEALS]
     lines += ["", "| state | |", "| --- | --- |"]
     lines += [f"| {name} | {standing.what} |" for name, standing in STATES.items()]
-    lines += ["", "| fault | what is said |", "| --- | --- |"]
+    lines += ["", "| fault | message |", "| --- | --- |"]
     for name in ORDEALS:
         said = dict.fromkeys(item.message for state in STATES if (item := found[name, state]).message is not None)
         if said:
             lines.append(f"| {name} | {'<br>'.join(said).replace('loopback', 'PORT')} |")
     worst = max(item.wait_s for item in found.values())
-    lines += ["", f"The longest that the host waited without getting anywhere or giving up: {worst:.2f} s."]
+    lines += ["", f"Longest time that the host waited before it continued or aborted: {worst:.2f} s."]
     return "\n".join(lines)
 
 
