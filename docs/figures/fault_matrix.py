@@ -34,9 +34,9 @@ INTRODUCTION = (
     "",
     "A lasting fault that begins while nothing is played takes effect in the next test, and the time counts from the",
     "start of that test. Under a constant force the probe does not move, and a frozen sensor cannot be detected: in",
-    "`preload`, `checking` and `calibrating` it is detected when the force changes. With a frozen temperature sensor the",
-    "test continues under the thermal models of both sides. A host that receives nothing sends no heartbeat, so that",
-    "the watchdog releases the coil before the host ends the test after 1 s.",
+    "`preload`, `checking` and `calibrating` it is detected when the force changes. With a frozen temperature sensor",
+    "the test continues under the thermal models of both sides. A host that receives nothing sends no heartbeat, so",
+    "that the watchdog releases the coil before the host ends the test after 1 s.",
     "",
 )
 
