@@ -1,7 +1,7 @@
-"""Speed as ratios, measured side by side in one run: ``python -m benchmarks [name ...]``. One file, one benchmark.
+"""Benchmarks: speed as ratios, measured in one run: ``python -m benchmarks [name ...]``. One file for each benchmark.
 
-Linear algebra runs on one thread, set here before numpy is loaded: on a shared machine two threads wait for each
-other, and a ratio would measure that.
+Linear algebra runs on one thread, set here before numpy is loaded: on a shared machine, two threads wait for each
+other, and the ratio would include this.
 """
 
 import os

@@ -1,4 +1,4 @@
-"""What a benchmark is, and how two ways of doing one thing are timed against each other."""
+"""Benchmarks and their timing: comparisons of two implementations, and latencies of single calls."""
 
 from __future__ import annotations
 
@@ -16,10 +16,10 @@ Array = NDArray[np.float64]
 
 @dataclass(frozen=True)
 class Comparison:
-    """Two ways to one answer.
+    """Two implementations with the same result.
 
-    ``agreement`` takes both answers and returns how far they differ, with ``tolerance`` its bound; ``floor`` is the
-    least ratio of times that is promised, None where none is.
+    ``agreement`` returns the difference of the two results, with ``tolerance`` as its bound; ``floor`` is the smallest
+    permitted ratio of times, None without a target.
     """
 
     title: str
@@ -45,16 +45,17 @@ class Outcome:
         return self.plain_s / self.product_s
 
     @property
-    def kept(self) -> bool:
-        """True when the answers agree and the promised ratio is reached."""
+    def passed(self) -> bool:
+        """Whether the results agree and the ratio reaches its target."""
         floor = self.comparison.floor
         return self.difference <= self.comparison.tolerance and (floor is None or self.ratio >= floor)
 
 
 def run(comparison: Comparison) -> Outcome:
-    """Time both ways in alternate blocks and take medians.
+    """Time both implementations in alternate blocks and take medians.
 
-    Alternation lets whatever else the machine does fall on both; blocks let each run with its own data in cache.
+    With alternate blocks, other load on the machine affects both equally; within a block each runs with its own data in
+    the cache.
     """
     difference = comparison.agreement(comparison.product(), comparison.plain())
     product: list[float] = []
@@ -67,11 +68,11 @@ def run(comparison: Comparison) -> Outcome:
 
 @dataclass(frozen=True)
 class Latency:
-    """One call, many times over: what matters is the slowest, and what is compared is each call alone.
+    """Duration of a single call, over many calls.
 
-    ``product`` and ``plain`` return the seconds of each call (n,) and the answers (n,). ``limit_s`` bounds the 99.9th
-    percentile of the product's; ``tolerance`` the root-mean-square difference of the answers in units of theirs,
-    None where the two are not meant to agree.
+    ``product`` and ``plain`` return the seconds of each call (n,) and the results (n,). ``limit_s`` bounds the 99.9th
+    percentile of the product; ``tolerance`` bounds the root-mean-square difference of the results relative to those of
+    ``plain``; None if the results need not agree.
     """
 
     title: str
@@ -86,7 +87,7 @@ class Latency:
 
 @dataclass(frozen=True)
 class LatencyOutcome:
-    """Median, 99th and 99.9th percentile, s, of both, each in its quietest block."""
+    """Median, 99th and 99.9th percentile, s, of both, each in its fastest block."""
 
     latency: Latency
     product_s: tuple[float, float, float]
@@ -94,8 +95,8 @@ class LatencyOutcome:
     difference: float
 
     @property
-    def kept(self) -> bool:
-        """True when the answers agree and the promised limit holds."""
+    def passed(self) -> bool:
+        """Whether the results agree and the limit holds."""
         limit, tolerance = self.latency.limit_s, self.latency.tolerance
         agree = tolerance is None or self.difference <= tolerance
         return agree and (limit is None or self.product_s[2] <= limit)
@@ -104,8 +105,7 @@ class LatencyOutcome:
 def run_latency(latency: Latency) -> LatencyOutcome:
     """Time both in blocks and take the block with the smallest 99.9th percentile.
 
-    Whatever else the machine does only ever adds: a process that takes the processor away for a moment would be
-    measured otherwise.
+    Other load on the machine can only increase a duration; the fastest block is the least affected.
     """
     product = [latency.product() for _ in range(latency.blocks)]
     plain = [latency.plain() for _ in range(latency.plain_blocks)]

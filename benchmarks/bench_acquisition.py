@@ -1,4 +1,4 @@
-"""The host's work on a stream of samples: frames, checksums, scales, limits, gaps, and the journal."""
+"""Processing of a sample stream by the host: frames, checksums, scaling, limits, gaps, and the journal."""
 
 from __future__ import annotations
 
@@ -23,14 +23,14 @@ Array = NDArray[np.float64]
 
 SECONDS = 10.0
 FRAME_S = 0.01
-"""A device sends a hundred frames a second, and a host reads about as often."""
+"""Frame period: a device sends a hundred frames a second, and a host reads about as often."""
 SHARE = 0.1
-"""Of one core, at most: a frame's samples must be dealt with in this part of the time that they take to come."""
+"""Largest permitted processor time for the samples of a frame, as a share of the frame period on one core."""
 _HEARTBEAT = wire.encode_frame(wire.Frame(wire.MessageType.HEARTBEAT))
 
 
 class _Tape:
-    """A link that plays a device live until what it says has been heard, and then plays that again."""
+    """Link that records the messages of a simulated device during a test and replays them."""
 
     def __init__(self, rate: float) -> None:
         self.name = "tape"
@@ -60,7 +60,7 @@ class _Tape:
 
 @lru_cache(maxsize=4)
 def _stream(rate: float) -> tuple[list[bytes], list[float], list[float]]:
-    """What a device says during a test, in pieces of a frame's time, and the scales of its channels."""
+    """Return the messages of a device during a test, in pieces of one frame period, and the scales of its channels."""
     tape = _Tape(rate)
     _started(tape, rate)
     pieces = []
@@ -74,7 +74,7 @@ def _stream(rate: float) -> tuple[list[bytes], list[float], list[float]]:
 
 
 def _started(tape: _Tape, rate: float) -> tuple[SerialInstrument, object]:
-    """A driver whose run has just begun, and the run."""
+    """Return a driver with a run that has just started, and the run."""
     instrument = SerialInstrument(tape, clock=tape.clock)
     count = round((SECONDS + 1.0) * rate)
     instrument.load(8.0 + 4.0 * np.sin(2 * np.pi * 20.0 * np.arange(count) / rate))
@@ -83,7 +83,7 @@ def _started(tape: _Tape, rate: float) -> tuple[SerialInstrument, object]:
 
 
 def _record(rate: float) -> tuple[Array, Array]:
-    """Processor time of each poll with its recording, s, shape (k,), and what was recorded, shape (n, 9)."""
+    """Return the processor time of each poll including recording, s, shape (k,), and the recorded rows, shape (n, 9)."""
     pieces, _, _ = _stream(rate)
     tape = _Tape(rate)
     with tempfile.TemporaryDirectory() as folder:
@@ -100,7 +100,7 @@ def _record(rate: float) -> tuple[Array, Array]:
             blocks.append(samples)
         recorder.abandon()
     samples = np.concatenate(blocks)
-    samples = samples[-round(SECONDS * rate) :]  # what came while the stimulus was sent is not on the tape
+    samples = samples[-round(SECONDS * rate) :]  # without the messages received while the stimulus was sent
     rows = [samples["index"], *(samples[name] for name in SIGNALS), samples["flags"]]
     return np.array(seconds), np.stack(rows, axis=1, dtype=np.float64)
 

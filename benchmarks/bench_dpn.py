@@ -1,4 +1,4 @@
-"""Free run of the dynamic-parameter nonlinearity with its sensitivities: the compiled loop against a plain one."""
+"""Free run of the dynamic-parameter nonlinearity with sensitivities: compiled loop against numpy."""
 
 from __future__ import annotations
 
@@ -46,11 +46,11 @@ def comparisons() -> Iterable[Comparison]:
         )
         return position, slopes
 
-    def plainly() -> tuple[np.ndarray, np.ndarray]:
+    def in_numpy() -> tuple[np.ndarray, np.ndarray]:
         return plain_dpn.with_slopes(force, RATE, THETA, LOW, HIGH, start)
 
     def difference(ours: tuple[np.ndarray, np.ndarray], theirs: tuple[np.ndarray, np.ndarray]) -> float:
-        middle = slice(500, -100)  # the plain route takes the record to be periodic
+        middle = slice(500, -100)  # the numpy implementation assumes a periodic record
         return max(
             float(np.max(np.std((a - b)[middle], axis=0) / np.std(b[middle], axis=0)))
             for a, b in ((ours[0], theirs[0]), (ours[1][:, :6], theirs[1][:, :6]))
@@ -60,7 +60,7 @@ def comparisons() -> Iterable[Comparison]:
         title="DPN free run with sensitivities",
         setting=f"{SAMPLES} samples, {THETA.size} parameters and 2 starting values",
         product=compiled,
-        plain=plainly,
+        plain=in_numpy,
         agreement=difference,
         tolerance=1e-3,
         floor=30.0,

@@ -1,4 +1,4 @@
-"""The fits of a diagnosis: the compiled chain with an effect's compiled hook against the same chain in plain numpy."""
+"""Fits of a diagnosis: the compiled simulation with an effect's compiled function against the same simulation in numpy."""
 
 from __future__ import annotations
 
@@ -35,14 +35,14 @@ def comparisons() -> Iterable[Comparison]:
     def compiled() -> np.ndarray:
         return simulate(command, RATE, instrument, tissue, start, acting, substeps=plain_gap.SUBSTEPS).readings.position
 
-    def plainly() -> np.ndarray:
+    def in_numpy() -> np.ndarray:
         return plain_gap.simulate(command, RATE, TRUE[:, None], SURFACE)[1][:, 0]
 
     yield Comparison(
         title="Chain with one effect, free run",
         setting=f"{SAMPLES} samples in steps of 0.125 ms, quadratic drag",
         product=compiled,
-        plain=plainly,
+        plain=in_numpy,
         agreement=lambda ours, theirs: float(np.std(ours - theirs) / np.std(theirs)),
         tolerance=1e-3,
         floor=30.0,
@@ -50,7 +50,7 @@ def comparisons() -> Iterable[Comparison]:
         runs_in_block=2,
     )
 
-    # What is fitted was made by the plain chain.
+    # The fitted record was simulated by the numpy implementation.
     currents, positions = plain_gap.simulate(command, RATE, TRUE[:, None], SURFACE)
     clean = {"voltage": command, "current": currents[:, 0], "position": positions[:, 0]}
     signals = {name: values + NOISE[name] * rng.standard_normal(SAMPLES) for name, values in clean.items()}

@@ -1,4 +1,6 @@
-"""Hammerstein: six alternating passes and the joint refinement against the passes on the dense lagged powers."""
+"""Hammerstein: six alternating iterations with joint refinement, against the iterations on dense lagged powers in
+numpy.
+"""
 
 from __future__ import annotations
 
@@ -18,7 +20,7 @@ PASSES = 6
 
 
 def _record() -> Record:
-    """Broadband force, a cubic, second-order tissue, and noise 40 dB down."""
+    """Return a broadband force through a cubic and a second-order tissue, with noise at -40 dB."""
     force = records.broadband(noise=0.0).input
     bend = force + 0.2 * (force - 4.0) ** 2 - 0.02 * (force - 4.0) ** 3
     tissue = SecondOrder(mass=0.0912, damping=22.77, stiffness=4670.0)
@@ -36,14 +38,14 @@ def comparisons() -> Iterable[Comparison]:
         model = Hammerstein(memory=LAGS / record.sample_rate_hz, degree=DEGREE, iterations=PASSES).fit(record)
         return model.nonlinearity(grid)
 
-    def plainly() -> np.ndarray:
+    def in_numpy() -> np.ndarray:
         return plain_hammerstein.hammerstein(record.input, record.output, LAGS, DEGREE, PASSES)[1]
 
     yield Comparison(
         title="Hammerstein engine, refined and with uncertainties, against plain alternation",
         setting=f"degree {DEGREE}, {LAGS} lags, {len(record)} samples, {PASSES} passes",
         product=product,
-        plain=plainly,
+        plain=in_numpy,
         agreement=lambda ours, theirs: float(np.linalg.norm(ours - theirs) / np.linalg.norm(theirs)),
         tolerance=0.03,
         blocks=2,

@@ -1,7 +1,9 @@
-"""Stochastic interchange, 10,000 uniform samples, 200 Hz at 2 kHz, 500 lags: against the whole autocorrelation a swap.
+"""Stochastic interchange, 10,000 uniform samples, 200 Hz at 2 kHz, 500 lags: against the full autocorrelation for each
+swap.
 
-The same drawn pairs must give the same signal. To an error, the plain one begins with the samples scrambled, as
-published; the product with its surrogate, and goes a hundred thousand times lower.
+With the same drawn pairs, the signals must be equal. For a given error, the plain implementation starts with randomly
+ordered samples, as published; the product starts with its surrogate and reaches an error a hundred thousand times
+smaller.
 """
 
 from __future__ import annotations
@@ -31,12 +33,12 @@ def target() -> np.ndarray:
 
 
 def other_samples(ours: InterchangeResult, theirs: plain_interchange.Arranged) -> float:
-    """Number of samples that differ."""
+    """Return the number of different samples."""
     return float(np.count_nonzero(ours.values != theirs.values))
 
 
 def excess(ours: InterchangeResult, theirs: plain_interchange.Arranged) -> float:
-    """By how much an error is above what it was to reach."""
+    """Return the amount by which an error exceeds its target."""
     return max(ours.error - FINE, theirs.error - COARSE, 0.0)
 
 

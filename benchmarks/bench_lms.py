@@ -1,4 +1,6 @@
-"""Impulse response of 250 lags from 8,000 samples, with the conditioning of R: recursion against pseudo-inverse."""
+"""Impulse response of 250 lags from 8,000 samples, with the conditioning of R: Levinson's recursion against
+pseudo-inverse.
+"""
 
 from __future__ import annotations
 
@@ -20,7 +22,7 @@ def comparisons() -> Iterable[Comparison]:
     def product() -> np.ndarray:
         return factor_input(prepare(record, None, LAGS / record.sample_rate_hz)).kernel(record.output)
 
-    def plainly() -> np.ndarray:
+    def in_numpy() -> np.ndarray:
         return plain.impulse_response(record.input, record.output, LAGS)[0]
 
     _, condition = plain.impulse_response(record.input, record.output, LAGS)
@@ -28,7 +30,7 @@ def comparisons() -> Iterable[Comparison]:
         title="LMS impulse response",
         setting=f"{LAGS} lags, {len(record)} samples, cond R = {condition:.0f}",
         product=product,
-        plain=plainly,
+        plain=in_numpy,
         agreement=lambda ours, theirs: float(np.linalg.norm(ours - theirs) / np.linalg.norm(theirs)),
         tolerance=1e-8,
         floor=20.0,

@@ -1,6 +1,7 @@
-"""Phases of a low crest factor from random ones: L-BFGS by Fourier transforms against Levenberg-Marquardt as published.
+"""Phases of low crest factor from random ones: L-BFGS with Fourier transforms, against Levenberg-Marquardt as
+published.
 
-The answers are different sets of phases; they are held to the same crest factor.
+The results are different phases with the same target crest factor.
 """
 
 from __future__ import annotations

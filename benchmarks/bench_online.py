@@ -1,4 +1,4 @@
-"""One update of the online engines with 250 taps at 2 kHz, through ``update(u, y)``: how long the slowest take."""
+"""One ``update(u, y)`` of the online engines with 250 taps at 2 kHz: high percentiles of the duration."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ SHARE = 0.1
 """Share of a sample period that a recursive update may take at the 99.9th percentile."""
 
 _FLOOR = 0.01 * LAGS
-"""As :class:`Als` adds for an input of unit variance."""
+"""Regularisation of :class:`Als` for an input of unit variance."""
 
 
 def latencies() -> Iterable[Latency]:
@@ -36,7 +36,7 @@ def latencies() -> Iterable[Latency]:
             begin = time.perf_counter()
             errors[n] = update(u[n], y[n])
             seconds[n] = time.perf_counter() - begin
-        return seconds[LAGS:], errors[LAGS:]  # before them the memory is not complete and there is nothing to do
+        return seconds[LAGS:], errors[LAGS:]  # earlier updates have an incomplete memory and do no work
 
     for forgetting in (1.0, 0.999):
         yield Latency(

@@ -20,7 +20,9 @@ SAMPLES = 2000
 
 
 def record(samples: int) -> tuple[np.ndarray, np.ndarray]:
-    """White force about 3 N through a tissue-like response and a bend, with noise: input and output."""
+    """Return input and output (samples,): white force about 3 N through tissue-like dynamics and a static nonlinearity,
+    with noise.
+    """
     rng = np.random.Generator(np.random.PCG64(1))
     x = 3.0 + rng.standard_normal(samples)
     t = np.arange(LAGS) / RATE
@@ -50,7 +52,7 @@ def _against_both(samples: int, floor: float | None) -> Iterable[Comparison]:
         regressors = lagged_regressors(x, partitions.cells(y), PARTITIONS, used, LagGrid(LAGS, 1))
         return factor(regressors.gram(), regressors).solve(y[used])
 
-    def plainly() -> np.ndarray:
+    def in_numpy() -> np.ndarray:
         return plain_partitions.depth_partitions(x, y, open_ended, LAGS)
 
     def reference() -> np.ndarray:
@@ -58,5 +60,5 @@ def _against_both(samples: int, floor: float | None) -> Iterable[Comparison]:
 
     setting = f"{PARTITIONS} partitions x {LAGS} lags, {int(used.sum())} rows"
     few = {"blocks": 2, "runs_in_block": 2}
-    yield Comparison("depth partitions", setting, product, plainly, difference, 1e-8, floor, **few)
+    yield Comparison("depth partitions", setting, product, in_numpy, difference, 1e-8, floor, **few)
     yield Comparison("depth partitions against lstsq", setting, product, reference, difference, 1e-8, **few)

@@ -1,4 +1,4 @@
-"""Second-order Volterra kernels, memory 40 (M = 903), from 2,700 rows: against Eqs. 4.4-4.14 as the thesis has them."""
+"""Second-order Volterra kernels, memory 40 (M = 903), from 2,700 rows: against Eqs. 4.4-4.14 as in the thesis."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ LOW_PASS_HZ = 200.0
 
 
 def stimulus(*, white: bool) -> np.ndarray:
-    """Gaussian input (samples,), white or as a test at 2 kHz, low-passed at 200 Hz, and every third sample kept."""
+    """Return a Gaussian input (samples,): white, or low-passed at 200 Hz at 2 kHz and decimated by three."""
     rng = np.random.Generator(np.random.PCG64(1))
     samples = ROWS + MEMORY
     if white:
@@ -29,7 +29,7 @@ def stimulus(*, white: bool) -> np.ndarray:
 
 
 def response(x: np.ndarray, seed: int) -> np.ndarray:
-    """A tissue-like output: a lightly damped system, bent by a square, and noise."""
+    """Return a tissue-like output: a lightly damped system with a quadratic nonlinearity and noise."""
     t = np.arange(MEMORY) / RATE
     z = signal.lfilter(np.exp(-60.0 * t) * np.sin(200.0 * t), [1.0], x)
     rng = np.random.Generator(np.random.PCG64(seed))
@@ -47,9 +47,9 @@ def factored(x: np.ndarray) -> VolterraStimulus:
 def comparisons() -> Iterable[Comparison]:
     x = stimulus(white=True)
     y, again = response(x, 2), response(x, 3)
-    kept = factored(x)
+    factor = factored(x)
     stored = plain_volterra.orthonormalise(plain_volterra.construct(x, MEMORY))
-    explicit = kept.regressors.matrix()
+    explicit = factor.regressors.matrix()
     size = f"M = {explicit.shape[1]}, N = {ROWS}"
 
     def reference() -> np.ndarray:
@@ -58,15 +58,15 @@ def comparisons() -> Iterable[Comparison]:
     def whole() -> np.ndarray:
         return factored(x).solve(y)
 
-    def plainly() -> np.ndarray:
+    def in_numpy() -> np.ndarray:
         return plain_volterra.volterra(x, y, MEMORY)
 
     few = {"blocks": 2, "runs_in_block": 2}
-    yield Comparison("Volterra, whole answer", f"{size}, white", whole, plainly, difference, 1e-8, 30.0, **few)
+    yield Comparison("Volterra, whole answer", f"{size}, white", whole, in_numpy, difference, 1e-8, 30.0, **few)
     yield Comparison(
         "Volterra, second response, against the plain whole answer",
         f"{size}, white",
-        lambda: kept.solve(again),
+        lambda: factor.solve(again),
         lambda: plain_volterra.volterra(x, again, MEMORY),
         difference,
         1e-8,
@@ -76,7 +76,7 @@ def comparisons() -> Iterable[Comparison]:
     yield Comparison(
         "Volterra, second response, against the plain one with alpha and beta stored",
         f"{size}, white",
-        lambda: kept.solve(again),
+        lambda: factor.solve(again),
         lambda: plain_volterra.answer(stored, again[MEMORY:]),
         difference,
         1e-8,

@@ -1,4 +1,4 @@
-"""Six passes of the Wiener iteration: one factored input against the whole correlation route in each pass."""
+"""Six Wiener iterations: one factored input against all correlations in each iteration."""
 
 from __future__ import annotations
 
@@ -30,7 +30,7 @@ def comparisons() -> Iterable[Comparison]:
         parameters = Wiener(memory=memory, iterations=PASSES).fit(record).report.parameters
         return parameters["c1_m"].value, parameters["c2_per_n"].value
 
-    def plainly() -> tuple[float, float]:
+    def in_numpy() -> tuple[float, float]:
         return plain.wiener(record.input, record.output, LAGS, PASSES)
 
     def difference(ours: tuple[float, float], theirs: tuple[float, float]) -> float:
@@ -38,7 +38,7 @@ def comparisons() -> Iterable[Comparison]:
 
     setting = f"{PASSES} passes, {LAGS} lags, {len(record)} samples"
     yield Comparison(
-        "Wiener iteration", setting, iterated, plainly, difference, 1e-4, floor=20.0, blocks=4, runs_in_block=10
+        "Wiener iteration", setting, iterated, in_numpy, difference, 1e-4, floor=20.0, blocks=4, runs_in_block=10
     )
     whole = "the same, refined jointly, with uncertainties"
-    yield Comparison("Wiener engine against plain iteration", whole, fitted, plainly, difference, 0.03)
+    yield Comparison("Wiener engine against plain iteration", whole, fitted, in_numpy, difference, 0.03)

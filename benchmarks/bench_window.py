@@ -1,7 +1,8 @@
-"""One frame of the window: three plots of 20,000 points each, outlined to the pixel columns, against bare curves.
+"""One frame of the window: three plots of 20,000 points each, reduced to pixel columns, against pyqtgraph's own curves.
 
-On the research page a stretch is dragged with the mouse over one of them, and the other two look closer at it; against
-it stands what pyqtgraph offers for that: a region, views set to it, and heights that follow what is visible.
+A second comparison drags a selected interval with the mouse in one of three plots of the research page, while the
+others show the interval enlarged; against pyqtgraph's own means: a region, views set to it, and automatic ranges of the
+visible data.
 """
 
 from __future__ import annotations
@@ -34,11 +35,11 @@ PLOTS = 3
 SIZE = (900, 560)
 CHANNELS = tuple(Channel(name, "") for name in ("first", "second", "third"))
 STRETCH = (2.0, 6.0)
-"""What is brushed before it is dragged, s."""
+"""Selected interval before dragging, s."""
 TRAVEL_S, FRAMES = 3.0, 60
-"""How far it is dragged, and in how many frames."""
+"""Distance of dragging, s, and number of frames."""
 SHARE = 0.05
-"""Share of a plot's height by which the reach of two pictures may differ: what is outlined loses no peak."""
+"""Tolerance of the displayed range of two plots, relative to the plot's height: the reduction must keep all peaks."""
 
 
 def comparisons() -> Iterable[Comparison]:
@@ -54,7 +55,7 @@ def comparisons() -> Iterable[Comparison]:
 
 
 _kept: list[object] = []
-"""What is drawn into, as long as it is timed."""
+"""Windows kept alive during timing."""
 
 
 def _differ(ours: Array, theirs: Array) -> float:
@@ -72,7 +73,7 @@ def _shown(made: Callable[[QWidget], None]) -> QWidget:
 
 
 def _reach(plots: list[pg.PlotWidget]) -> Array:
-    """Least and greatest value that each plot shows, (plots, 2)."""
+    """Return the least and greatest value shown by each plot, shape (plots, 2)."""
     reach = []
     for plot in plots:
         curve = next(item for item in plot.plotItem.listDataItems() if item.yData is not None)
@@ -83,7 +84,7 @@ def _reach(plots: list[pg.PlotWidget]) -> Array:
 
 
 class _Cards:
-    """As the signals of a running test are drawn."""
+    """The signals of a running test, as the window draws them."""
 
     def __init__(self, values: Array) -> None:
         self._values, self._time = values, np.arange(POINTS) / RATE
@@ -107,7 +108,7 @@ class _Cards:
 
 
 class _Bare:
-    """As pyqtgraph draws an array that is handed to it."""
+    """The same arrays, as pyqtgraph draws them."""
 
     def __init__(self, values: Array) -> None:
         self._values, self._time = values, np.arange(POINTS) / RATE
@@ -129,7 +130,7 @@ class _Bare:
 
 
 class _Region:
-    """A region over the first of three plots, which the others follow, as pyqtgraph's own example has it."""
+    """A region over the first of three plots, followed by the others, as in pyqtgraph's own example."""
 
     def __init__(self, values: Array) -> None:
         self._step = 0
@@ -161,7 +162,7 @@ class _Region:
 
 
 class _Stack:
-    """As the research page draws what is selected, under the mouse."""
+    """The selected signals, as the research page draws them during dragging."""
 
     def __init__(self, values: Array) -> None:
         self._stack = PlotStack()
@@ -193,5 +194,5 @@ class _Stack:
 
 
 def _dragged_s(step: int) -> float:
-    """How far the mouse is from where it took hold, s: to and fro, another place in every frame."""
+    """Return the displacement of the mouse, s: to and fro, different in every frame."""
     return TRAVEL_S * abs((step / FRAMES + 1.0) % 2.0 - 1.0)

@@ -1,4 +1,4 @@
-"""The routes of Chen 2010, Appendices C.1.1 and C.2.2, in plain vectorised numpy: what is measured against."""
+"""Methods of Chen 2010, Appendices C.1.1 and C.2.2, in vectorised numpy: references of the benchmarks."""
 
 from __future__ import annotations
 
@@ -11,7 +11,9 @@ Array = NDArray[np.float64]
 
 
 def impulse_response(x: Array, y: Array, lags: int) -> tuple[Array, float]:
-    """All biased correlations, the dense Toeplitz matrix, its pseudo-inverse and its condition number."""
+    """Estimate an impulse response from all biased correlations, the dense Toeplitz matrix, its pseudo-inverse and
+    condition number.
+    """
     n = x.size
     x = x - x.mean()
     y = y - y.mean()
@@ -22,7 +24,7 @@ def impulse_response(x: Array, y: Array, lags: int) -> tuple[Array, float]:
 
 
 def wiener(u: Array, y: Array, lags: int, passes: int) -> tuple[float, float]:
-    """Return C1 and C2 after a number of passes of the iteration, each with the whole correlation."""
+    """Return C1 and C2 after a number of iterations, each with all correlations."""
     target = y
 
     def exponential(z: Array, c1: float, c2: float, offset: float) -> Array:

@@ -1,4 +1,4 @@
-"""Acquisition as one would write it down: bytes until a zero, one frame after another, one sample after another."""
+"""Acquisition in plain Python: bytes up to a zero, one frame at a time, one sample at a time."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ _DATA = 0x83
 
 
 def _unstuffed(encoded: bytes) -> bytes:
-    """COBS, byte by byte."""
+    """Decode COBS, byte by byte."""
     out, place = bytearray(), 0
     while place < len(encoded):
         code = encoded[place]
@@ -31,7 +31,7 @@ def _unstuffed(encoded: bytes) -> bytes:
 def record(
     pieces: list[bytes], gains: list[float], offsets: list[float], path: Path
 ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-    """Seconds that each piece of the stream took, shape (k,), and all rows in the order of time, shape (n, 9)."""
+    """Return the seconds for each piece of the stream, shape (k,), and all rows in order of time, shape (n, 9)."""
     rows: list[tuple[float, ...]] = []
     seconds, pending = [], b""
     with path.open("wb") as file:

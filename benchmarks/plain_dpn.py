@@ -1,6 +1,6 @@
-"""The discrete DPN model of Chen 2010, C.1.4, in plain numpy: a loop over the samples, and a search by differences.
+"""Discrete DPN model of Chen 2010, C.1.4, in numpy: a loop over the samples, and a search by finite differences.
 
-All the variations that the differences need run side by side, so that the loop is gone through once.
+All variations for the differences are simulated side by side in one loop.
 """
 
 from __future__ import annotations
@@ -13,7 +13,8 @@ Array = NDArray[np.float64]
 
 
 def simulate(force: Array, rate: float, theta: Array, low: float, high: float, start: Array) -> Array:
-    """Positions (n, k) of k systems under one force (n,), by Runge-Kutta: Euler's steps of C.1.4 would miss them.
+    """Simulate positions (n, k) of k systems under one force (n,) by Runge-Kutta; Euler's method of C.1.4 is not
+    accurate enough.
 
     ``theta`` (6, k) is log mass, log damping and its growth, log stiffness and its growth, both over half the range of
     positions, and the force halfway; ``start`` (2, k) is position and speed.
@@ -23,7 +24,7 @@ def simulate(force: Array, rate: float, theta: Array, low: float, high: float, s
     mass = np.exp(theta[0])
     b0, b1, k0, k1, level = theta[1:6]
     scale = np.exp(k0) * half / k1
-    half_way = signal.resample(force, 2 * force.size)  # band-limited: every second one is the force half a step on
+    half_way = signal.resample(force, 2 * force.size)  # band-limited: every second value is the force half a step later
 
     def acceleration(push: float, y: Array, v: Array) -> Array:
         x = (y - middle) / half
@@ -48,7 +49,9 @@ def simulate(force: Array, rate: float, theta: Array, low: float, high: float, s
 
 
 def with_slopes(force: Array, rate: float, theta: Array, low: float, high: float, start: Array) -> tuple[Array, Array]:
-    """Position (n,) and derivatives (n, 8) by the six parameters and two starting values, by forward differences."""
+    """Return the position (n,) and its derivatives (n, 8) by six parameters and two initial values, by forward
+    differences.
+    """
     sizes = np.array([1e-5] * 6 + [1e-8, 1e-6])
     varied = np.concatenate([theta, start])[:, None] + np.hstack([np.zeros((8, 1)), np.diag(sizes)])  # (8, 9)
     positions = simulate(force, rate, varied[:6], low, high, varied[6:])

@@ -1,6 +1,6 @@
-"""The chain from command to position with a drag that grows as the square of speed, in plain numpy, and its fit.
+"""Simulation from command to position with a drag proportional to the squared speed, in numpy, and its fit.
 
-All the variations that the differences need run side by side, so that the loop over the samples is gone through once.
+All variations for the differences are simulated side by side in one loop.
 """
 
 from __future__ import annotations
@@ -16,10 +16,10 @@ SUBSTEPS = 4
 
 
 def simulate(command: Array, rate: float, theta: Array, surface_m: float) -> tuple[Array, Array]:
-    """Current and position (n, k) of k systems under one command (n,), V, from rest at the surface.
+    """Simulate current and position (n, k) of k systems under one command (n,), V, from rest at the surface.
 
-    ``theta`` (6, k): the tissue's mass, damping and its growth, stiffness and its growth; the drag at 50 mm/s. Current
-    exactly within a step, what brakes implicitly.
+    ``theta`` (6, k): the tissue's mass, damping and its growth, stiffness and its growth; the drag at 50 mm/s. The
+    current is integrated exactly within a step, viscous forces implicitly.
     """
     step = 1.0 / (rate * SUBSTEPS)
     tissue_mass, b0, b1, k0, k1, drag = theta

@@ -1,4 +1,4 @@
-"""Narendra and Gallman's alternation in plain vectorised numpy, from Bai's over-parametrised start."""
+"""Alternating least squares of Narendra and Gallman in numpy, with Bai's over-parametrised start."""
 
 from __future__ import annotations
 
@@ -9,10 +9,10 @@ Array = NDArray[np.float64]
 
 
 def hammerstein(u: Array, y: Array, lags: int, degree: int, passes: int) -> tuple[Array, Array]:
-    """Kernel (lags,) that sums to one and f over a grid of 50 inputs, less its value at the mean, after some passes.
+    """Return the kernel (lags,) with a sum of one, and f at 50 inputs relative to its value at the mean.
 
     Dense least squares on the lagged powers of the standardised input: over-parametrised and split by the singular
-    value decomposition, then one side at a time.
+    value decomposition, then alternately for each stage.
     """
     mean, spread = float(u.mean()), float(u.std())
     x = (u - mean) / spread

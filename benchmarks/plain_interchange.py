@@ -1,7 +1,7 @@
-"""The interchange as it was published (Hunter and Kearney 1983), with the whole autocorrelation for every swap.
+"""Stochastic interchange as published (Hunter and Kearney 1983), with the full autocorrelation for every swap.
 
-By Fourier transform, which is the fastest way to the whole of it: at 10,000 samples, 500 scalar products take longer.
-The energy, which no swap changes, is taken once.
+The autocorrelation is computed by Fourier transform, the fastest method: at 10,000 samples, 500 scalar products take
+longer. The energy, which no swap changes, is computed once.
 """
 
 from __future__ import annotations
@@ -17,7 +17,7 @@ Array = NDArray[np.float64]
 
 @dataclass(frozen=True)
 class Arranged:
-    """Values (n,) and the sum of squares over the lags that they come to."""
+    """Ordered values (n,) and the sum of squared errors of their autocorrelation over the lags."""
 
     values: Array
     error: float
@@ -25,7 +25,9 @@ class Arranged:
 
 
 def interchange(start: Array, target: Array, seed: int, tolerance: float, max_trials: int) -> Arranged:
-    """Swap drawn pairs, each kept when the error falls, until it is at most the tolerance or the trials are used up."""
+    """Swap drawn pairs and accept swaps that reduce the error, until it reaches the tolerance or the trials are used
+    up.
+    """
     values = start - start.mean()
     n, lags = values.size, target.size - 1
     padded = int(fft.next_fast_len(n + lags, real=True))

@@ -1,4 +1,4 @@
-"""Least mean squares over the latest seconds without stored state: correlations by FFT, recomputed at every look."""
+"""Least mean squares over the latest seconds without stored state: correlations by FFT, recomputed for every estimate."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ Array = NDArray[np.float64]
 
 
 def responses(u: Array, y: Array, lags: int, window: int, every: int, taper: float, ridge: float) -> Array:
-    """Responses per sample (looks, lags) over the latest ``window`` samples, at every ``every`` samples."""
+    """Return impulse responses (looks, lags) over the latest ``window`` samples, at every ``every`` samples."""
     found = []
     for end in range(every, u.size + 1, every):
         x, z = u[max(0, end - window) : end], y[max(0, end - window) : end]

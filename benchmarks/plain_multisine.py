@@ -1,4 +1,4 @@
-"""Low crest factors as Guillaume et al. (1991) have them: Levenberg-Marquardt on the L2p norms, in plain numpy."""
+"""Low crest factors after Guillaume et al. (1991): Levenberg-Marquardt on the L2p norms, in numpy."""
 
 from __future__ import annotations
 
@@ -12,11 +12,11 @@ _NORMS = (2, 4, 8, 16, 32, 64, 128, 256)
 
 _STEPS = 50
 _SMALL = 1e-4
-"""A step that lowers the norm by a smaller share than this ends the search for one p."""
+"""Relative decrease of the norm below which the search for one p ends."""
 
 
 def low_crest(lines: NDArray[np.int_], amplitudes: Array, phases: Array, size: int) -> Array:
-    """Phases (lines,) of least peak on a grid of ``size`` points, from the given ones."""
+    """Minimise the peak over the phases (lines,), on a grid of ``size`` points, from given phases."""
     turns = np.outer(2.0 * np.pi * np.arange(size) / size, lines)  # (size, lines)
     for p in _NORMS:
         phases = _least(turns, amplitudes, phases, p)
@@ -24,7 +24,7 @@ def low_crest(lines: NDArray[np.int_], amplitudes: Array, phases: Array, size: i
 
 
 def _least(turns: Array, amplitudes: Array, phases: Array, p: int) -> Array:
-    """Sum of squares of x^p: residuals x^p, Jacobian p x^(p - 1) dx / dphase, x in units of its peak."""
+    """Minimise the sum of squares of x^p: residuals x^p, Jacobian p x^(p - 1) dx / dphase, x relative to its peak."""
     x = np.cos(turns + phases) @ amplitudes
     scale = np.max(np.abs(x))
     cost = np.sum((x / scale) ** (2 * p))

@@ -1,7 +1,7 @@
-"""The online routes of Chen 2010, Appendices C.1.2 and C.1.3, in plain vectorised numpy: what is measured against.
+"""Online methods of Chen 2010, Appendices C.1.2 and C.1.3, in vectorised numpy: references of the benchmarks.
 
-C.1.3 multiplies two whole matrices in Eq. 6.4 for the order in which its product is written; here the product of
-vector and matrix is taken first, as anyone would in numpy.
+As written, C.1.3 multiplies two full matrices in Eq. 6.4; here the product of vector and matrix is computed first, as
+is usual in numpy.
 """
 
 from __future__ import annotations
@@ -39,7 +39,7 @@ class Rls:
 
 
 class Als:
-    """Eqs. 6.6-6.8, the step divided by the regressor's energy and a floor."""
+    """Eqs. 6.6-6.8, the step divided by the energy of the regressor plus a constant."""
 
     def __init__(self, lags: int, step: float, floor: float) -> None:
         self.regressor = np.zeros(lags)

@@ -1,4 +1,4 @@
-"""Depth partitions as Chen 2010 has them, Eqs. 5.1-5.2 solved by 4.6-4.13, in plain vectorised numpy."""
+"""Depth partitions of Chen 2010, Eqs. 5.1-5.2 solved by 4.6-4.13, in vectorised numpy."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ Array = NDArray[np.float64]
 
 
 def construct(x: Array, y: Array, breakpoints: Array, lags: int) -> Array:
-    """P (1 + partitions x lags, samples) of Eq. 5.1; the first ``lags`` - 1 samples are left out."""
+    """Return P (1 + partitions x lags, samples) of Eq. 5.1, without the first ``lags`` - 1 samples."""
     rows = [np.ones(x.size - lags + 1)]
     for low, high in pairwise(breakpoints):
         inside = np.where((y >= low) & (y < high), x, 0.0)
@@ -22,5 +22,5 @@ def construct(x: Array, y: Array, breakpoints: Array, lags: int) -> Array:
 
 
 def depth_partitions(x: Array, y: Array, breakpoints: Array, lags: int) -> Array:
-    """A (1 + partitions x lags,): the offset, then kernel by kernel."""
+    """Return A (1 + partitions x lags,): the offset, then the kernels."""
     return answer(orthonormalise(construct(x, y, breakpoints, lags)), y[lags - 1 :])

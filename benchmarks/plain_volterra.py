@@ -1,6 +1,6 @@
-"""The exact orthonormalisation of Chen 2010, Eqs. 4.4-4.14 and C.3.1, in plain vectorised numpy.
+"""Exact orthonormalisation of Chen 2010, Eqs. 4.4-4.14 and C.3.1, in vectorised numpy.
 
-Loops stand where the thesis loops over a recursion (r in 4.7-4.10, m and i in 4.12); everything inside is vectorised.
+Recursions of the thesis are loops (r in 4.7-4.10, m and i in 4.12); everything inside them is vectorised.
 """
 
 from __future__ import annotations
@@ -25,7 +25,7 @@ class Orthonormalised:
 
 
 def construct(x: Array, memory: int) -> Array:
-    """P (M, samples) of Eq. 4.4 for lags 0 .. ``memory``; the first ``memory`` samples are left out."""
+    """Return P (M, samples) of Eq. 4.4 for lags 0 to ``memory``, without the first ``memory`` samples."""
     n = x.size
     lagged = np.array([x[memory - i : n - i] for i in range(memory + 1)])
     first, second = np.triu_indices(memory + 1)
@@ -33,7 +33,7 @@ def construct(x: Array, memory: int) -> Array:
 
 
 def orthonormalise(p: Array) -> Orthonormalised:
-    """Modified Gram-Schmidt, Eqs. 4.6-4.10. P is used up: what is left of its rows is beta."""
+    """Apply modified Gram-Schmidt, Eqs. 4.6-4.10. P is overwritten: its rows become beta."""
     m = p.shape[0]
     alpha = np.zeros((m, m))
     chi = np.empty(m)
@@ -48,7 +48,7 @@ def orthonormalise(p: Array) -> Orthonormalised:
 
 
 def answer(stored: Orthonormalised, y: Array) -> Array:
-    """gamma of Eq. 4.11, then A (M,) of Eqs. 4.12-4.13."""
+    """Compute gamma of Eq. 4.11, then A (M,) of Eqs. 4.12-4.13."""
     m = stored.chi.size
     gamma = stored.beta @ y / stored.chi
     coefficients = np.empty(m)
@@ -62,5 +62,5 @@ def answer(stored: Orthonormalised, y: Array) -> Array:
 
 
 def volterra(x: Array, y: Array, memory: int) -> Array:
-    """A (M,), the whole way."""
+    """Return A (M,), computed without stored factors."""
     return answer(orthonormalise(construct(x, memory)), y[memory:])

@@ -1,4 +1,4 @@
-"""Records that the benchmarks run on: simulated, the same every time."""
+"""Simulated records of the benchmarks, the same in every run."""
 
 from __future__ import annotations
 
@@ -13,7 +13,9 @@ SAMPLES = 8000
 
 
 def broadband(noise: float = 0.01) -> Record:
-    """Force with power up to Nyquist, through a second-order tissue: R is well conditioned."""
+    """Return a force with power up to the Nyquist frequency and the response of second-order tissue: R is well
+    conditioned.
+    """
     rng = np.random.Generator(np.random.PCG64(1))
     force = signal.lfilter([1.0], [1.0, -0.7], rng.standard_normal(SAMPLES)) + 4.0
     tissue = SecondOrder(mass=0.0912, damping=22.77, stiffness=4670.0)
@@ -22,7 +24,7 @@ def broadband(noise: float = 0.01) -> Record:
 
 
 def wiener(noise: float = 0.01) -> Record:
-    """The same force through linear dynamics and an exponential static nonlinearity."""
+    """Return the same force through linear dynamics and an exponential static nonlinearity."""
     linear = broadband(noise=0.0)
     rng = np.random.Generator(np.random.PCG64(2))
     load = 4.0 + 4670.0 * (linear.output - 0.012)

@@ -10,10 +10,10 @@ from hatchling.builders.hooks.plugin.interface import BuildHookInterface
 
 
 class CompiledTranslations(BuildHookInterface):
-    """Build hook of hatchling: catalogues are compiled, and the compiled files belong to the package."""
+    """Build hook of hatchling: compiles the catalogues and adds the compiled files to the package."""
 
     def initialize(self, version: str, build_data: dict[str, Any]) -> None:
-        """Compile what is missing or out of date."""
+        """Compile catalogues whose compiled form is missing or out of date."""
         del version
         sys.path.insert(0, str(Path(self.root) / "tools"))
         from translations import compile_stale

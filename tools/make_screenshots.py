@@ -1,6 +1,6 @@
 """Take the pictures of docs/images from the real window: run with the environment's Python, no display needed.
 
-Instruments and subjects are simulated and every date is set, so that two runs show the same.
+Instruments and subjects are simulated and all dates are fixed, so that every run gives the same pictures.
 """
 
 from __future__ import annotations
@@ -19,8 +19,25 @@ sys.path.insert(0, str(Path(__file__).parents[1]))
 from PySide6.QtCore import QItemSelectionModel, QSettings
 from PySide6.QtGui import QColor, QPalette
 from PySide6.QtWidgets import QApplication, QDialog, QLabel
-from screenshot_scene import LONGEST_S, SetClock, let_pass, live_in, set_clock, take, until, use_set_clock
-from screenshot_sessions import FOREARM, SPRING, Pace, keep_calibrations, opener, record_laboratory, record_past
+from screenshot_scene import (
+    LONGEST_S,
+    SetClock,
+    process_events_for,
+    use_relative_folders,
+    set_clock,
+    take,
+    wait_until,
+    use_set_clock,
+)
+from screenshot_sessions import (
+    FOREARM,
+    SPRING,
+    PausableWait,
+    write_calibrations,
+    opener,
+    record_laboratory,
+    record_past,
+)
 
 from tissueid.app.emergency import EmergencyStop
 from tissueid.app.main_window import MainWindow
@@ -35,16 +52,16 @@ from tissueid.instrument import FoundInstrument
 SIZE, WIDE = (1280, 800), (1440, 900)
 """Of the window; help is shown next to a page only if both fit."""
 HELD_AT_POLL = 430
-"""Where the running test is held for its picture: a good half through its stimulus."""
+"""Poll at which the running test is paused for its picture, after a little more than half of its stimulus."""
 
 
 def main() -> None:
-    """Take all pictures, one page after the other; names of pictures as arguments choose among the pages."""
+    """Take all pictures, page by page; names of pictures as arguments select pages."""
     application = QApplication([])
     application.setStyle("Fusion")
     with tempfile.TemporaryDirectory() as folder:
         before = Path.cwd()
-        live_in(Path(folder))
+        use_relative_folders(Path(folder))
         use_set_clock()
         try:
             _take_all(application)
@@ -54,12 +71,12 @@ def main() -> None:
 
 def _take_all(application: QApplication) -> None:
     sessions, audit = Path("Documents/TissueID"), AuditLog(Path("data/audit.jsonl"))
-    calibrations = keep_calibrations(Path("calibrations"))
+    calibrations = write_calibrations(Path("calibrations"))
     calibrate = functools.partial(activate_calibration, folder=calibrations)
     record_past(sessions, audit, calibrate)
     record_laboratory(sessions / "2026-01-12_bearing.h5")
     set_clock()
-    pace = Pace(HELD_AT_POLL)
+    pace = PausableWait(HELD_AT_POLL)
     services = AppServices(
         opener=opener,
         finder=_found,
@@ -72,14 +89,14 @@ def _take_all(application: QApplication) -> None:
         separate_process=False,
         now=SetClock.now,
         show_file=lambda _: True,
-        stop=lambda: EmergencyStop(disk_timeout_s=LONGEST_S),  # a machine that is busy is no reason to stop a picture
+        stop=lambda: EmergencyStop(disk_timeout_s=LONGEST_S),  # a busy machine must not end the run
         settings=lambda: QSettings("config/window.ini", QSettings.Format.IniFormat),
     )
     window = MainWindow(services)
     window.resize(*SIZE)
     window.show()
-    idle = functools.partial(until, lambda: not window.jobs, "work to end")
-    let_pass(300)
+    idle = functools.partial(wait_until, lambda: not window.jobs, "work to end")
+    process_events_for(300)
     idle()
     take_start(window, idle)
     take_measure(window, pace, idle)
@@ -89,55 +106,55 @@ def _take_all(application: QApplication) -> None:
     take_gap(window, sessions, idle)
     take_instrument(window, idle)
     window.close()
-    until(lambda: not window.isVisible(), "the window to close")
+    wait_until(lambda: not window.isVisible(), "the window to close")
 
 
 def take_start(window: MainWindow, idle: Callable[[], None]) -> None:
-    """The first page, once every instrument was asked."""
+    """Take the first page, after all instruments were queried."""
     window.pages.show("start")
     idle()
     window.device_search.find_instruments()
     idle()
-    let_pass(100)
+    process_events_for(100)
     idle()
     window.ui.notice.hide()
     _without_folder(window)
     take(window, "window-start")
 
 
-def take_measure(window: MainWindow, pace: Pace, idle: Callable[[], None]) -> None:
-    """A test: before, on the body map, during, after."""
+def take_measure(window: MainWindow, pace: PausableWait, idle: Callable[[], None]) -> None:
+    """Take a test: before, on the body map, during, after."""
     ui = window.ui
     window.pages.show("measure")
     ui.form.subject.setText("P-001")
     take(window, "window-before")
     ui.form.site.setCurrentText("left forearm, posterior")
     window.clinician.open_map()
-    let_pass(100)
+    process_events_for(100)
     take(_dialog(window), "window-body-map")
     _dialog(window).close()
     window.activateWindow()
     ui.start.click()
-    until(pace.held.is_set, "the test to come to where it is held")
+    wait_until(pace.held.is_set, "the test to come to where it is held")
     take(window, "window-during")
     pace.go_on.set()
-    until(lambda: window.findings is not None and not window.jobs, "what was found in the test")
+    wait_until(lambda: window.findings is not None and not window.jobs, "what was found in the test")
     idle()
     take(window, "window")
 
 
 def take_repeats(window: MainWindow, idle: Callable[[], None]) -> None:
-    """Two repeats more, their mean, and the comparison with the subject's other sittings."""
+    """Take two further repeats, their mean, and the comparison with other sittings of the subject."""
     for minutes in (2, 4):
         set_clock(0, minutes)
         window.ui.gate.repeats.repeat.click()
-        until(lambda: bool(window.jobs), "the repeat to begin")
+        wait_until(lambda: bool(window.jobs), "the repeat to begin")
         idle()
     take(window, "window-repeats")
     window.resize(*WIDE)
     window.panels.help_button.click()
     window.panels.log_button.click()
-    let_pass(100)
+    process_events_for(100)
     take(window, "window-help")
     window.panels.help_button.click()
     window.panels.log_button.click()
@@ -145,32 +162,32 @@ def take_repeats(window: MainWindow, idle: Callable[[], None]) -> None:
 
 
 def take_dark(window: MainWindow, application: QApplication) -> None:
-    """The same in dark colours."""
+    """Take the same in dark colours."""
     light = application.palette()
     dark = QPalette(QColor("#232a2f"), QColor("#1b2024"))
     dark.setColor(QPalette.ColorRole.WindowText, QColor("#e6eaec"))
     application.setPalette(dark)
     take(window, "window-dark")
     application.setPalette(light)
-    let_pass(200)
+    process_events_for(200)
 
 
 def take_research(window: MainWindow, idle: Callable[[], None]) -> None:
-    """Signals of two tests, an engine's fit, and the engines side by side."""
+    """Take the signals of two tests, the fit of an engine, and the comparison of engines."""
     window.pages.show("research")
     page = window.ui.views["research"]
     assert isinstance(page, ResearchView)
-    let_pass(300)
+    process_events_for(300)
     idle()
-    let_pass(300)
+    process_events_for(300)
     rows = page.browser.shown
     picked = page.browser.tree.selectionModel()
     flags = QItemSelectionModel.SelectionFlag.Select | QItemSelectionModel.SelectionFlag.Rows
     for row in (0, 6):
         picked.select(rows.index(row, 0), flags)
-    let_pass(500)
+    process_events_for(500)
     idle()
-    let_pass(300)
+    process_events_for(300)
     idle()
     take(window, "research-signals")
     page.tabs.setCurrentWidget(page.analysis)
@@ -187,13 +204,13 @@ def take_research(window: MainWindow, idle: Callable[[], None]) -> None:
 
 
 def take_gap(window: MainWindow, sessions: Path, idle: Callable[[], None]) -> None:
-    """One diagnosis, tab by tab."""
+    """Take one diagnosis, tab by tab."""
     window.pages.show("gap")
     page = window.ui.views["gap"]
     assert isinstance(page, GapView)
     page.asking.take(sessions / "2026-01-12_bearing.h5")
     page.asking.run.click()
-    until(lambda: bool(window.jobs), "the diagnosis to begin")
+    wait_until(lambda: bool(window.jobs), "the diagnosis to begin")
     idle()
     for number, name in enumerate(("where", "which")):
         page.result.tabs.setCurrentIndex(number)
@@ -201,14 +218,14 @@ def take_gap(window: MainWindow, sessions: Path, idle: Callable[[], None]) -> No
 
 
 def take_instrument(window: MainWindow, idle: Callable[[], None]) -> None:
-    """The four tabs, and the one on which a coil is calibrated."""
+    """Take the four tabs, and the one for the calibration of a coil."""
     ui = window.ui
     ui.role.choice.setCurrentIndex(ui.role.choice.findData("technician"))
     idle()
     window.pages.show("instrument")
     page = ui.views["instrument"]
     assert isinstance(page, InstrumentView)
-    let_pass(200)
+    process_events_for(200)
     idle()
     page.health.ask.click()
     idle()
@@ -216,7 +233,7 @@ def take_instrument(window: MainWindow, idle: Callable[[], None]) -> None:
     take(window, "instrument-health")
     for number, name in enumerate(("calibrations", "faults", "audit"), 1):
         page.tabs.setCurrentIndex(number)
-        let_pass(100)
+        process_events_for(100)
         idle()
         if name == "calibrations":
             kinds = [row.item.calibration.kind for row in page.calibrations.model.rows]
@@ -242,7 +259,7 @@ def _found(**_: object) -> list[FoundInstrument]:
 
 
 def _without_folder(window: MainWindow) -> None:
-    """Some places are absolute wherever they are set: show them from the folder of the pictures on."""
+    """Remove the folder of the pictures from displayed absolute paths."""
     here = f"{Path.cwd()}/"
     for label in window.ui.views["start"].findChildren(QLabel):
         label.setText(label.text().replace(here, ""))

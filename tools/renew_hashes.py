@@ -1,10 +1,10 @@
-"""Renew the hashes in constraints.txt: those of every file that the index has of each pinned version.
+"""Renew the hashes in constraints.txt: those of all files of each pinned version in the package index.
 
     .venv/bin/python tools/renew_hashes.py            # after a version was changed: write name==version, then run this
-    .venv/bin/python tools/renew_hashes.py --check    # status 1 where the index has a file that is not listed
+    .venv/bin/python tools/renew_hashes.py --check    # status 1 if the index has a file that is not listed
 
-The index is the one that pip is configured with, asked by pip's own client for the pinned packages alone. Where it
-states no SHA-256 of a file, the file is fetched and hashed. No address is written.
+The index is the one configured for pip, queried by pip's own client for the pinned packages only. A file without a
+SHA-256 in the index is downloaded and hashed. No address is written.
 """
 
 from __future__ import annotations
@@ -37,7 +37,7 @@ def pins(text: str) -> list[tuple[str, str, str]]:
 
 
 def files(collector: LinkCollector, name: str, version: str) -> dict[str, Link]:
-    """Return the wheels of one version, for all platforms, and its source archive, by the names of the files."""
+    """Return the wheels of one version, for all platforms, and its source archive, by file name."""
     found: dict[str, Link] = {}
     for location in collector.search_scope.get_index_urls_locations(name):
         page = collector.fetch_response(Link(location))
@@ -48,7 +48,7 @@ def files(collector: LinkCollector, name: str, version: str) -> dict[str, Link]:
 
 
 def _of(filename: str) -> tuple[str, str]:
-    """Return project and version of a file; nothing of one that is neither wheel nor source archive."""
+    """Return project and version of a file; None for other files than wheels and source archives."""
     try:
         if filename.endswith(".whl"):
             project, version, _, _ = parse_wheel_filename(filename)
@@ -60,7 +60,7 @@ def _of(filename: str) -> tuple[str, str]:
 
 
 def sha256_of(collector: LinkCollector, link: Link) -> str:
-    """Return what the index states, or the hash of the file."""
+    """Return the hash given by the index, or compute it from the file."""
     if "sha256" in link._hashes:
         return str(link._hashes["sha256"])
     answer = collector.session.get(link.url_without_fragment)

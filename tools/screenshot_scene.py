@@ -1,4 +1,4 @@
-"""What the pictures of the window are taken with: a clock that is set, places without a machine's name, a camera."""
+"""Environment of the screenshots: fixed clock, relative folders, event processing, and capture of images."""
 
 from __future__ import annotations
 
@@ -20,18 +20,18 @@ from PySide6.QtWidgets import QApplication, QWidget
 IMAGES = Path(__file__).parents[1] / "docs" / "images"
 COLOURS = 256
 LONGEST_S = 120.0
-"""How long the window may take for anything."""
+"""Timeout for every condition, s."""
 TODAY = datetime(2026, 1, 15, 10, 30, tzinfo=UTC)
 
 
 class SetClock(datetime):
-    """A ``datetime`` whose ``now`` is set by hand, so that every date in a picture is the same the next time."""
+    """``datetime`` with a fixed ``now``, so that the dates in the pictures are the same in every run."""
 
     moment = TODAY
 
     @classmethod
     def now(cls, tz: tzinfo | None = None) -> Self:
-        """The moment that is set; without a time zone as a local clock in UTC would tell it."""
+        """Return the set time; without a time zone as the local time of a clock in UTC."""
         at = cls.moment if tz is not None else cls.moment.replace(tzinfo=None)
         return cls.fromisoformat(at.isoformat())
 
@@ -42,14 +42,14 @@ def set_clock(days: float = 0.0, minutes: float = 0.0) -> None:
 
 
 def use_set_clock() -> None:
-    """Let every module of the program that has been imported look at the clock that is set."""
+    """Replace ``datetime`` by the fixed clock in all imported modules of the program."""
     for name, module in list(sys.modules.items()):
         if name.startswith("tissueid.") and getattr(module, "datetime", None) is datetime:
             module.datetime = SetClock  # type: ignore[attr-defined]
 
 
-def live_in(folder: Path) -> None:
-    """Work below a folder, by relative names: pictures then show no place of the machine that made them."""
+def use_relative_folders(folder: Path) -> None:
+    """Use relative paths below a folder, so that pictures contain no paths of this machine."""
     os.chdir(folder)
     os.environ["TZ"] = "UTC"
     time.tzset()
@@ -61,35 +61,35 @@ def live_in(folder: Path) -> None:
     uuid.uuid4 = lambda: uuid.UUID(int=numbers.getrandbits(128), version=4)
 
 
-def until(done: Callable[[], bool], what: str) -> None:
-    """Let the window go on until something is so.
+def wait_until(done: Callable[[], bool], what: str) -> None:
+    """Process events until a condition is true.
 
     Raises:
-        SystemExit: it never was; says what was waited for.
+        SystemExit: the condition stayed false; the message names it.
     """
     deadline = time.monotonic() + LONGEST_S
     while not done():
         if time.monotonic() > deadline:
             sys.stderr.write(f"make_screenshots: waited {LONGEST_S:g} s for {what}, in vain\n")
             sys.stderr.flush()
-            os._exit(1)  # the test that is held for its picture would keep the program from ending
-        let_pass(20)
+            os._exit(1)  # the paused test would keep the program from exiting
+        process_events_for(20)
 
 
-def let_pass(milliseconds: int) -> None:
-    """Let the window go on for a while."""
+def process_events_for(milliseconds: int) -> None:
+    """Process events for a time."""
     loop = QEventLoop()
     QTimer.singleShot(milliseconds, loop.quit)
     loop.exec()
 
 
 def take(widget: QWidget, name: str) -> None:
-    """Take a picture of a widget into ``docs/images``."""
+    """Save a picture of a widget in ``docs/images``."""
     focus = QApplication.focusWidget()
     if focus is not None:
-        focus.clearFocus()  # a cursor would blink in one picture and not in the next
+        focus.clearFocus()  # a blinking cursor would differ between runs
     check_for_defects()
-    let_pass(250)  # let a frame and a change of palette come through
+    process_events_for(250)  # process a frame and a change of palette
     path = IMAGES / f"{name}.png"
     path.parent.mkdir(parents=True, exist_ok=True)
     widget.grab().save(str(path))
@@ -99,9 +99,9 @@ def take(widget: QWidget, name: str) -> None:
 
 
 def _with_fewer_colours(image: Image.Image) -> Image.Image:
-    """The commonest colours as they are, and every other one as the nearest that is kept.
+    """Reduce an image to a palette: common colours are kept, all others become the nearest palette colour.
 
-    Half of those that are kept stand for the rare ones, each counted once: a small red dot stays red.
+    Half of the palette is chosen among rare colours, each counted once, so that a small red dot stays red.
     """
     pixels = np.asarray(image).reshape(-1, 3)
     colours, place, count = np.unique(pixels, axis=0, return_inverse=True, return_counts=True)
@@ -115,10 +115,10 @@ def _with_fewer_colours(image: Image.Image) -> Image.Image:
 
 
 def check_for_defects() -> None:
-    """End here where the window met something that it did not expect.
+    """Exit if the window reported an unexpected error.
 
     Raises:
-        SystemExit: with what it was.
+        SystemExit: with the error.
     """
     defect = Path("state/tissueid/log/last-defect.txt")
     if defect.exists():

@@ -1,4 +1,4 @@
-"""What lies in the folders when the pictures are taken: sessions of simulated subjects, calibrations, an audit log."""
+"""Files shown in the screenshots: sessions of simulated subjects, calibrations, an audit log."""
 
 from __future__ import annotations
 
@@ -35,21 +35,21 @@ PAST = (
     (-15, "P-001", "left forearm, anterior", ANTERIOR, 8.0),
     (-6, "P-002", "left forearm, posterior", FOREARM, 10.5),
 )
-"""Day, subject, site, what plays it, and greatest force, N, of the tests that were run before."""
+"""Earlier tests: day, subject, site, simulated instrument, and greatest force, N."""
 SERIAL = "TWIN-7"
 _seeds = itertools.count(1)
 PLACES_M = tuple(0.002 * k for k in range(1, 16))
 
 
 def opener(url: str) -> SimulatedInstrument:
-    """The simulation that an address names, each time with other noise: the first, the second and so on."""
+    """Return the simulated instrument of an address, with different noise each time."""
     played = SimulatedInstrument(url.removeprefix("simulated://"), seed=next(_seeds))
     played.nominal = played.device = replace(played.device, serial_number=SERIAL)
     return played
 
 
-class Pace:
-    """Lets the simulation run at once to one poll, and further on request."""
+class PausableWait:
+    """Wait function that runs the simulation without delay up to one poll, and further on request."""
 
     def __init__(self, held_at: int) -> None:
         self.left = held_at
@@ -64,7 +64,7 @@ class Pace:
 
 
 def record_past(folder: Path, audit: AuditLog, calibrate: object) -> None:
-    """Run the tests of the days before, one of them stopped by key, and leave one unfinished."""
+    """Run the tests of earlier days, one of them stopped by key, and leave one unfinished."""
     folder.mkdir(parents=True)
     trail = AuditTrail(audit, "clinician")
     for number, (day, subject, site, url, force_n) in enumerate(PAST):
@@ -104,12 +104,14 @@ def _run(plan: TestPlan, stop: EmergencyStop, trail: AuditTrail, calibrate: obje
 
 
 def _date(path: Path) -> None:
-    """The list of sessions goes by when a file was changed."""
+    """Set the modification time of a file, by which the list of sessions is sorted."""
     os.utime(path, (SetClock.moment.timestamp(),) * 2)
 
 
 def record_laboratory(path: Path) -> None:
-    """A session with full tests of a plant whose bearing has dry friction, which the nominal twin knows nothing of."""
+    """Record a session with full tests of a plant with dry friction in the bearing, which the nominal twin does not
+    model.
+    """
     set_clock(-3)
     others = tuple(name for name in LISTED if name != "dry_friction")
     drawn = draw_scenario(3, effects=1, without=others, full=False)
@@ -130,8 +132,10 @@ def record_laboratory(path: Path) -> None:
     _date(path)
 
 
-def keep_calibrations(folder: Path) -> Path:
-    """Static calibrations and sweeps of the simulated instrument over half a year, the force constant drifting."""
+def write_calibrations(folder: Path) -> Path:
+    """Write static calibrations and sweeps of the simulated instrument over half a year, with a drifting force
+    constant.
+    """
     folder.mkdir(parents=True)
     device = opener(FOREARM).device
     for kind, days, share in (
@@ -179,7 +183,7 @@ def _residuals() -> dict[str, dict[str, tuple[float, ...]]]:
 
 
 def _along(share: float) -> dict[str, dict[str, tuple[float, ...]]]:
-    """A coil whose force falls off towards both ends of its stroke."""
+    """Return a coil whose force decreases towards both ends of the stroke."""
     off = (np.array(PLACES_M) - 0.0158) / 0.0155
     constant = 3.0 * share * (1.0 - 0.06 * off**4 + 0.002 * np.cos(9.0 * off))
     mass, damping = 0.0602 + 0.0002 * np.cos(5.0 * off), 3.5 + 0.15 * off**2

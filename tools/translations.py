@@ -33,13 +33,13 @@ KEYWORDS = {"_": None, "marked": None, "plural": (1, 2), "Message": (2,), "Effec
 DECLARED = {"Effect": ("title", "signature", "remedy"), "Parameter": ("meaning",)}
 """Keyword arguments of declarations whose constants are texts: an effect is translated without further marks."""
 _BEGIN = datetime(2026, 1, 1, tzinfo=UTC)
-"""Date in the header of a catalogue. It is fixed, so that an update changes nothing but texts."""
+"""Date in the header of a catalogue. It is fixed, so that an update changes texts only."""
 
 
 def from_python(
     file: BinaryIO, keywords: Any, comment_tags: Any, options: Any
 ) -> Iterator[tuple[int, str, Any, list[str]]]:
-    """Yield the calls that mark a text, from the syntax tree: Babel's own reader misses those inside f-strings."""
+    """Yield the calls that mark a text, from the syntax tree: Babel's own extractor misses those inside f-strings."""
     del comment_tags, options  # part of the interface
     for node in ast.walk(ast.parse(file.read())):
         if isinstance(node, ast.Call) and isinstance(node.func, ast.Name) and node.func.id in keywords:
@@ -90,7 +90,7 @@ def updated(path: Path, source: Catalog) -> Catalog:
 def text_of(found: Catalog) -> bytes:
     """Return a catalogue as it is stored: sorted, without line numbers or dates, so that catalogues merge well."""
     for entry in found:
-        entry.flags -= {"python-format", "python-brace-format"}  # guessed, and wrong for "3 % of"
+        entry.flags -= {"python-format", "python-brace-format"}  # Babel guesses this flag, wrongly for "3 % of"
     out = BytesIO()
     write_po(out, found, width=0, no_location=True, sort_output=True, ignore_obsolete=True)
     text = out.getvalue().decode()
@@ -100,7 +100,7 @@ def text_of(found: Catalog) -> bytes:
 
 
 def untranslated(found: Catalog) -> list[str]:
-    """Return the texts of a catalogue that have no translation or only a part of their plural forms."""
+    """Return the texts of a catalogue without a translation or with incomplete plural forms."""
     return [str(entry.id) for entry in found if entry.id and not _is_complete(entry)]
 
 
@@ -127,7 +127,7 @@ def compile_stale() -> None:
 
 
 def problems() -> list[str]:
-    """Return what keeps the catalogues from being complete and current, a line each."""
+    """Return the problems that make catalogues incomplete or outdated, a line each."""
     source = extracted()
     used = {entry.id for entry in source if entry.id}
     lines = []
