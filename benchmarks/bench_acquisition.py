@@ -83,7 +83,7 @@ def _started(tape: _Tape, rate: float) -> tuple[SerialInstrument, object]:
 
 
 def _record(rate: float) -> tuple[Array, Array]:
-    """Return the processor time of each poll including recording, s, shape (k,), and the recorded rows, shape (n, 9)."""
+    """Return the processor time of each poll with recording, s, shape (k,), and the recorded rows, shape (n, 9)."""
     pieces, _, _ = _stream(rate)
     tape = _Tape(rate)
     with tempfile.TemporaryDirectory() as folder:

@@ -1,4 +1,4 @@
-"""Fits of a diagnosis: the compiled simulation with an effect's compiled function against the same simulation in numpy."""
+"""Fits of a diagnosis: the compiled simulation with one compiled effect against the same simulation in numpy."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Least mean squares over the latest seconds without stored state: correlations by FFT, recomputed for every estimate."""
+"""Least mean squares over the latest seconds without stored state: FFT correlations, recomputed for each estimate."""
 
 from __future__ import annotations
 

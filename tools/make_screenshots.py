@@ -23,20 +23,20 @@ from screenshot_scene import (
     LONGEST_S,
     SetClock,
     process_events_for,
-    use_relative_folders,
     set_clock,
     take,
-    wait_until,
+    use_relative_folders,
     use_set_clock,
+    wait_until,
 )
 from screenshot_sessions import (
     FOREARM,
     SPRING,
     PausableWait,
-    write_calibrations,
     opener,
     record_laboratory,
     record_past,
+    write_calibrations,
 )
 
 from tissueid.app.emergency import EmergencyStop

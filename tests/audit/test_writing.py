@@ -89,7 +89,7 @@ def test_what_is_no_file_is_refused(tmp_path, make):
 
 def test_a_program_that_holds_the_log_is_not_waited_for_for_ever(path, monkeypatch):
     monkeypatch.setattr(audit_log, "LOCK_S", 0.0)
-    with audit_log._held(path), pytest.raises(AuditError, check=holding("audit.held")):
+    with audit_log._open_locked(path), pytest.raises(AuditError, check=holding("audit.held")):
         AuditLog(path).record("clinician", "test.begun")
 
 

@@ -16,7 +16,7 @@ from tissueid.gap.blind_scoring import (
     Measured,
     Rate,
     Score,
-    always,
+    constant_answer_share,
     in_sample,
     permuted,
     score_of,
@@ -74,16 +74,16 @@ def test_wilsons_interval():
 
 
 def test_targets_are_reached_or_not():
-    assert Rate("", 9, 10, 0.9).kept is True
-    assert Rate("", 8, 10, 0.9).kept is False
-    assert Rate("", 1, 10, 0.05, at_least=False).kept is False
-    assert Rate("", 0, 10, 0.05, at_least=False).kept is True
-    assert Rate("", 0, 0, 0.9).kept is None
+    assert Rate("", 9, 10, 0.9).reached is True
+    assert Rate("", 8, 10, 0.9).reached is False
+    assert Rate("", 1, 10, 0.05, at_least=False).reached is False
+    assert Rate("", 0, 10, 0.05, at_least=False).reached is True
+    assert Rate("", 0, 0, 0.9).reached is None
     assert np.isnan(Rate("", 0, 0, 0.9).share)
-    assert Measured("", 0.9, 4, 0.8).kept is True
-    assert Measured("", 0.9, 4, 0.8, at_least=False).kept is False
-    assert Measured("", 0.9, 4).kept is None
-    assert Measured("", 0.9, 0, 0.8).kept is None
+    assert Measured("", 0.9, 4, 0.8).reached is True
+    assert Measured("", 0.9, 4, 0.8, at_least=False).reached is False
+    assert Measured("", 0.9, 4).reached is None
+    assert Measured("", 0.9, 0, 0.8).reached is None
 
 
 def test_targets_of_full_sessions_are_higher():
@@ -105,7 +105,7 @@ def test_single_effects_are_named():
     assert rate(score, "stage").hits == 3
     assert rate(score, "known effect: unexplained").hits == 1
     assert rate(score, "gap missed").hits == 0
-    assert rate(score, "top-1").asked == SINGLE.top1
+    assert rate(score, "top-1").target == SINGLE.top1
     assert score.confusion == {"dry_friction": {"dry_friction": 1, "sensor_lag": 2, "unexplained": 1}}
 
 
@@ -165,8 +165,8 @@ def test_targets_of_pairs_need_a_gap_of_each_effect():
     ]
     score = score_of(cases, SINGLE)
     asked, all_pairs = figure(score, "pairs"), figure(score, "the same")
-    assert (asked.value, asked.cases, asked.asked) == (pytest.approx(2 * 3 / (3 + 4)), 2, SINGLE.pairs)
-    assert (all_pairs.value, all_pairs.cases, all_pairs.asked) == (pytest.approx(2 * 4 / (4 + 6)), 3, None)
+    assert (asked.value, asked.cases, asked.target) == (pytest.approx(2 * 3 / (3 + 4)), 2, SINGLE.pairs)
+    assert (all_pairs.value, all_pairs.cases, all_pairs.target) == (pytest.approx(2 * 4 / (4 + 6)), 3, None)
 
 
 def test_closed_relative_to_what_the_true_form_closes():
@@ -175,9 +175,9 @@ def test_closed_relative_to_what_the_true_form_closes():
     assert cases[0].best_closed == pytest.approx(1.0)
     assert cases[1].best_closed == pytest.approx(0.5)
     score = score_of(cases, SINGLE)
-    assert figure(score, "closed relative to the true form, median").value == pytest.approx(0.85)
-    assert figure(score, "closed relative to the true form, 10th").value == pytest.approx(0.81)
-    assert figure(score, "announced").value == pytest.approx(0.5 * (0.02 + 0.52))
+    assert figure(score, "closed share relative to the true model, median").value == pytest.approx(0.85)
+    assert figure(score, "closed share relative to the true model, 10th").value == pytest.approx(0.81)
+    assert figure(score, "predicted minus").value == pytest.approx(0.5 * (0.02 + 0.52))
 
 
 def test_calibration_error_and_brier_score():
@@ -212,22 +212,22 @@ def test_failures_are_listed_one_per_line():
     ]
     result = score_of(cases, SINGLE).failures
     assert [line.split(":")[0] for line in result] == ["wrong", "alarm", "claimed", "stage", "small and wrong"]
-    assert "dry_friction; said sensor_lag" in result[0]
+    assert "dry_friction; diagnosed as sensor_lag" in result[0]
     assert all("\n" not in line for line in result)
 
 
 def test_no_cases_at_all():
     score = score_of([], SINGLE)
-    assert all(item.kept is None for item in score.rates)
+    assert all(item.reached is None for item in score.rates)
     assert score.failures == ()
 
 
 def test_controls():
     cases = [case(in_sample="dry_friction"), case("sensor_lag", "sensor_lag", in_sample="dry_friction")]
-    assert always(cases) == 0.5
-    assert always(cases, "sensor_lag") == 0.5
+    assert constant_answer_share(cases) == 0.5
+    assert constant_answer_share(cases, "sensor_lag") == 0.5
     assert in_sample(cases) == 0.5
-    assert np.isnan(always([]))
+    assert np.isnan(constant_answer_share([]))
     assert np.isnan(in_sample([]))
 
 
@@ -247,7 +247,7 @@ def test_the_score_holds_its_controls():
     assert 0.35 < chance.value < 0.65
     assert (habit.value, searched.value) == (0.5, 0.5)
     assert {chance.cases, habit.cases, searched.cases} == {20}
-    assert all(np.isnan(item.value) and item.kept is None for item in score_of([], SINGLE).controls)
+    assert all(np.isnan(item.value) and item.reached is None for item in score_of([], SINGLE).controls)
 
 
 def test_answers_without_the_true_effect_are_scored():

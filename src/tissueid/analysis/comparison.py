@@ -127,7 +127,7 @@ def compare(
             refused[engine.name] = error.message
         progress(engine.name, 1.0)
     if not done:
-        raise UnusableInputError(_why_none(refused))
+        raise UnusableInputError(_no_engine_message(refused))
     rows = dict(zip(done, scored(list(done.values()), parts), strict=True))
     specified = {engine.name: engine for engine in engines}
     contenders = candidates(list(rows.values()), [specified[name].family for name in rows], parts)
@@ -148,7 +148,7 @@ def compare(
     )
 
 
-def _why_none(refused: Mapping[str, str]) -> str:
+def _no_engine_message(refused: Mapping[str, str]) -> str:
     reason, times = Counter(refused.values()).most_common(1)[0]
     if times == len(refused):
         return reason

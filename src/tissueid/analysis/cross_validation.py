@@ -40,8 +40,8 @@ def cross_validated(
     others = parts.other_quarters
     if not others:
         return list(candidates), parts.unseen
-    errors = [_about_its_mean(candidate.error) for candidate in candidates]
-    names = sorted({c.engine for c in candidates if not _out_of_reach(c, candidates, parts.unseen)})
+    errors = [_without_mean(candidate.error) for candidate in candidates]
+    names = sorted({c.engine for c in candidates if not _is_far_behind(c, candidates, parts.unseen)})
     for done, name in enumerate(names):
         for number, quarter in enumerate(others):
             progress(_STEP, (done + number / len(others)) / len(names))
@@ -50,7 +50,7 @@ def cross_validated(
     return [replace(c, error=e) for c, e in zip(candidates, errors, strict=True)], joined(parts.records)
 
 
-def _out_of_reach(candidate: Candidate, candidates: Sequence[Candidate], unseen: Record) -> bool:
+def _is_far_behind(candidate: Candidate, candidates: Sequence[Candidate], unseen: Record) -> bool:
     leads = (difference(c.error, candidate.error, unseen.output, unseen.sample_rate_hz) for c in candidates)
     return any(beaten(lead, _OUT_OF_REACH) for lead in leads)
 
@@ -62,10 +62,10 @@ def _add(specification: Engine, quarter: Split, candidates: Sequence[Candidate],
         return
     for k, candidate in enumerate(candidates):
         if candidate.engine == specification.name:
-            found = _about_its_mean(held_out_error(model, quarter, second_order=candidate.second_order))
+            found = _without_mean(held_out_error(model, quarter, second_order=candidate.second_order))
             errors[k] = np.where(np.isfinite(found), found, errors[k])
 
 
-def _about_its_mean(error: Array) -> Array:
+def _without_mean(error: Array) -> Array:
     known = error[np.isfinite(error)]
     return error - known.mean() if known.size else error

@@ -113,7 +113,7 @@ class Design:
 
     def rows(self) -> tuple[Row, ...]:
         """Return what was found, as label and value."""
-        return (*_appraised(self.appraisal), *self._found())
+        return (*_check_rows(self.appraisal), *self._rows())
 
     def answer(self) -> dict[str, Any]:
         """Return what was reached of what was asked for, as JSON holds it; None where nothing was asked."""
@@ -141,7 +141,7 @@ class Design:
             },
         }
 
-    def _found(self) -> Iterator[Row]:
+    def _rows(self) -> Iterator[Row]:
         distance, error, kind = self.amplitude_distance, self.autocorrelation_error, self.specification
         if distance is not None:
             yield (
@@ -182,7 +182,7 @@ class Design:
             yield marked("Detection lines"), str(detection.size) if detection.size else marked("none")
 
 
-def _appraised(found: StimulusCheck) -> Iterator[Row]:
+def _check_rows(found: StimulusCheck) -> Iterator[Row]:
     yield marked("Length"), with_unit(fixed(found.seconds, 2), "s")
     yield marked("Range of force"), _range(found.force_min_n, found.force_max_n, 2, "N")
     yield marked("Command, coil at rest"), _range(found.voltage_min_v, found.voltage_max_v, 1, "V")

@@ -114,7 +114,7 @@ def fit_split(specification: Engine, parts: Split) -> Analysis:
         UnusableInputError: the record cannot carry the fit.
     """
     model, seconds = timed_fit(specification, parts.record, parts.fit_part)
-    with _foreign_failures(specification):
+    with _plugin_errors(specification):
         model = validated(model, parts.held_out_record, parts.held_out).with_report(seconds=seconds)
     return Analysis(
         _without_spring(model, parts.external_spring_n_per_m),
@@ -156,7 +156,7 @@ def timed_fit(specification: Engine, record: Record, fit_part: slice | None) -> 
     """
     compiling: list[float] = []
     begin = time.perf_counter()
-    with _foreign_failures(specification), install_timer("numba:compiler_lock", compiling.append):
+    with _plugin_errors(specification), install_timer("numba:compiler_lock", compiling.append):
         model = specification.fit(record, fit_part)
         if not isinstance(model, Model):
             raise TypeError(f"fit returned {type(model).__name__}, not a model")
@@ -164,7 +164,7 @@ def timed_fit(specification: Engine, record: Record, fit_part: slice | None) -> 
 
 
 @contextmanager
-def _foreign_failures(engine: Engine) -> Iterator[None]:
+def _plugin_errors(engine: Engine) -> Iterator[None]:
     """Turn any exception of another package's engine into an error of that engine; built-in engines raise as they do.
 
     Raises:

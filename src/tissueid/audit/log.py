@@ -120,7 +120,7 @@ class AuditLog:
                 folder = Message("file.no_folder", "there is no folder {folder}", folder=str(self.path.parent))
                 raise FileNotFoundError(errno.ENOENT, folder)
             private_folder(self.path.parent)
-            with _held(self.path) as descriptor:
+            with _open_locked(self.path) as descriptor:
                 end = _end_of(descriptor, self.path)
                 missing = _missing_head(end, self.path)
                 data, head = self._lines(end, missing, role, what, moment, subject=subject, old=old, new=new)
@@ -243,7 +243,7 @@ def _end_of(descriptor: int, path: Path) -> _End:
 
 
 @contextmanager
-def _held(path: Path) -> Iterator[int]:
+def _open_locked(path: Path) -> Iterator[int]:
     """Open the file for appending and lock it.
 
     Raises:

@@ -239,7 +239,7 @@ class _Walk:
             if self._place % _CANCEL_LINES == 0:
                 self._cancelled()
             self._place += 1
-            if (problem := self._take(raw)) is not None:
+            if (problem := self._check_line(raw)) is not None:
                 return problem
         if self._torn:
             self.remarks.append(
@@ -252,7 +252,7 @@ class _Walk:
             )
         return None
 
-    def _take(self, raw: bytes) -> Broken | None:
+    def _check_line(self, raw: bytes) -> Broken | None:
         number = 1 if self.last is None else self.last.number + 1
         line = read_line(raw.removesuffix(b"\n"))
         if line is None:

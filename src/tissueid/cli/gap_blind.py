@@ -65,15 +65,15 @@ def score_table(title: str, score: Score) -> Table:
         low, high = rate.interval
         rows.add_row(
             rate.what,
-            f"{'' if rate.at_least else 'at most '}{rate.asked:.0%}",
+            f"{'' if rate.at_least else 'at most '}{rate.target:.0%}",
             f"{rate.share:.0%}" if rate.cases else MISSING,
             f"{low:.0%} to {high:.0%}" if rate.cases else MISSING,
             str(rate.cases),
-            _kept(rate.kept),
+            _kept(rate.reached),
         )
     for figure in score.figures:
-        asked = MISSING if figure.asked is None else f"{'' if figure.at_least else 'at most '}{figure.asked:g}"
-        rows.add_row(figure.what, asked, f"{figure.value:.3g}", MISSING, str(figure.cases), _kept(figure.kept))
+        asked = MISSING if figure.target is None else f"{'' if figure.at_least else 'at most '}{figure.target:g}"
+        rows.add_row(figure.what, asked, f"{figure.value:.3g}", MISSING, str(figure.cases), _kept(figure.reached))
     return rows
 
 
@@ -91,8 +91,8 @@ def score_answer(score: Score) -> dict[str, Any]:
                 "interval": list(rate.interval),
                 "hits": rate.hits,
                 "cases": rate.cases,
-                "asked": rate.asked,
-                "kept": rate.kept,
+                "asked": rate.target,
+                "kept": rate.reached,
             }
             for rate in score.rates
         ],
@@ -101,8 +101,8 @@ def score_answer(score: Score) -> dict[str, Any]:
                 "what": figure.what,
                 "value": figure.value,
                 "cases": figure.cases,
-                "asked": figure.asked,
-                "kept": figure.kept,
+                "asked": figure.target,
+                "kept": figure.reached,
             }
             for figure in score.figures
         ],

@@ -83,7 +83,7 @@ def full_library(name: str) -> tuple[str, ...]:
 def answers(
     folder: Path,
     names: Sequence[str],
-    crew: Executor,
+    pool: Executor,
     done: Callable[[], None] = lambda: None,
     without: Callable[[str], tuple[str, ...]] = full_library,
     keep: bool = False,
@@ -101,7 +101,7 @@ def answers(
     for _ in known:
         done()
     left = [piece for piece in pieces if piece.name not in known]
-    fresh = crew.do(diagnosed, left, lambda: False, lambda piece: done())
+    fresh = pool.do(diagnosed, left, lambda: False, lambda piece: done())
     known |= {piece.name: answer for piece, answer in zip(left, fresh, strict=True)}
     return {name: known[name] for name in names}
 

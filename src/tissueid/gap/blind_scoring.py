@@ -18,7 +18,7 @@ SURVIVES = 1.2
 """Least ratio of the gap to the floor on held-out data of a gap that survives the refit."""
 SURE = 0.9
 CALIBRATION_BINS = 10
-DEALS = 20
+PERMUTATIONS = 20
 """Number of permutations of the labels in the control for chance."""
 
 
@@ -89,7 +89,7 @@ class Answered:
 
     @property
     def best_closed(self) -> float | None:
-        """Share that the refitted true form would close."""
+        """Share closed by the refitted true model."""
         before, floor = self._gap["before"], self._gap["floor"]
         if self.oracle is None or not before**2 > floor**2:
             return None
@@ -111,7 +111,7 @@ class Rate:
     what: str
     hits: int
     cases: int
-    asked: float
+    target: float
     at_least: bool = True
 
     @property
@@ -128,11 +128,11 @@ class Rate:
         return float(found.low), float(found.high)
 
     @property
-    def kept(self) -> bool | None:
+    def reached(self) -> bool | None:
         """Whether the target was reached; None where there were no cases."""
         if not self.cases:
             return None
-        return self.share >= self.asked if self.at_least else self.share <= self.asked
+        return self.share >= self.target if self.at_least else self.share <= self.target
 
 
 @dataclass(frozen=True)
@@ -142,19 +142,19 @@ class Measured:
     what: str
     value: float
     cases: int
-    asked: float | None = None
+    target: float | None = None
     at_least: bool = True
 
     @property
-    def kept(self) -> bool | None:
+    def reached(self) -> bool | None:
         """Whether the target was reached; None without a target or without cases."""
-        if self.asked is None or not self.cases:
+        if self.target is None or not self.cases:
             return None
-        return self.value >= self.asked if self.at_least else self.value <= self.asked
+        return self.value >= self.target if self.at_least else self.value <= self.target
 
 
 @dataclass(frozen=True)
-class Asked:
+class Targets:
     """Targets for one kind of session."""
 
     top1: float
@@ -170,12 +170,12 @@ class Asked:
     pairs: float
 
 
-SINGLE = Asked(0.75, 0.90, 0.95, 0.90, 0.95, 0.80, 0.05, 0.80, 0.03, 0.01, 0.75)
-FULL = Asked(0.90, 0.95, 0.98, 0.97, 0.98, 0.90, 0.03, 0.90, 0.01, 0.01, 0.90)
+SINGLE = Targets(0.75, 0.90, 0.95, 0.90, 0.95, 0.80, 0.05, 0.80, 0.03, 0.01, 0.75)
+FULL = Targets(0.90, 0.95, 0.98, 0.97, 0.98, 0.90, 0.03, 0.90, 0.01, 0.01, 0.90)
 
 
 PAIRS = marked("pairs: F1 of the named set")
-TAKEN_OUT = marked("true effect taken out: unexplained")
+TAKEN_OUT = marked("true effect removed from the library: unexplained")
 
 
 @dataclass(frozen=True)
@@ -193,12 +193,12 @@ class Score:
     """The first rate by chance, for a constant answer, and for a search without held-out data."""
 
 
-def score_of(cases: Sequence[Answered], asked: Asked, taken_out: Sequence[Answered] = ()) -> Score:
+def score_of(cases: Sequence[Answered], targets: Targets, taken_out: Sequence[Answered] = ()) -> Score:
     """Score answers against labels.
 
     Args:
         cases: answers with labels.
-        asked: targets for this kind of session.
+        targets: targets for this kind of session.
         taken_out: answers to some cases with the true effect removed from the library.
     """
     single = _single(cases)
@@ -207,15 +207,15 @@ def score_of(cases: Sequence[Answered], asked: Asked, taken_out: Sequence[Answer
     pairs = [case for case in cases if len(case.label.effects) > 1 and all(case.label.listed) and case.survives]
     above = [case for case in cases if case.label.effects and case.survives]
     rates = [
-        _rate(marked("top-1"), single, lambda case: _place(case) == 0, asked.top1),
-        _rate(marked("top-1 including inseparable effects"), single, _alike, asked.alike),
-        _rate(marked("top-3"), single, lambda case: _place(case) < 3, asked.top3),
-        _rate(marked("stage"), [*single, *unknown], lambda case: _stage(case) in case.label.stages, asked.stage),
+        _rate(marked("top-1"), single, lambda case: _place(case) == 0, targets.top1),
+        _rate(marked("top-1 including inseparable effects"), single, _alike, targets.alike),
+        _rate(marked("top-3"), single, lambda case: _place(case) < 3, targets.top3),
+        _rate(marked("stage"), [*single, *unknown], lambda case: _stage(case) in case.label.stages, targets.stage),
         _rate(
             marked("unknown effect: unexplained"),
             unknown,
             lambda case: case.verdict == "unexplained",
-            asked.unexplained,
+            targets.unexplained,
         ),
         _rate(
             marked("known effect: unexplained"),
@@ -224,27 +224,31 @@ def score_of(cases: Sequence[Answered], asked: Asked, taken_out: Sequence[Answer
             0.05,
             at_least=False,
         ),
-        _rate(marked("wrong name at 90 % or more"), above, _wrong_and_sure, asked.wrong_and_sure, at_least=False),
-        _rate(marked("the leading name alone"), above, _wrong_leader_and_sure, asked.wrong_and_sure, at_least=False),
+        _rate(marked("wrong name at 90 % or more"), above, _wrong_and_sure, targets.wrong_and_sure, at_least=False),
+        _rate(marked("the leading name alone"), above, _wrong_leader_and_sure, targets.wrong_and_sure, at_least=False),
         _rate(
-            marked("false alarms without effect"), none, lambda case: case.verdict != "no_gap", asked.false_alarm, False
+            marked("false alarms without effect"),
+            none,
+            lambda case: case.verdict != "no_gap",
+            targets.false_alarm,
+            False,
         ),
         _rate(marked("gap missed"), single, lambda case: case.verdict == "no_gap", 0.05, at_least=False),
     ]
     if taken_out:
         abstained = [case for case in taken_out if case.verdict == "unexplained"]
         rates += [
-            _rate(TAKEN_OUT, taken_out, lambda case: case.verdict == "unexplained", asked.unexplained),
+            _rate(TAKEN_OUT, taken_out, lambda case: case.verdict == "unexplained", targets.unexplained),
             _rate(
                 marked("of these the right stage"),
                 abstained,
                 lambda case: _stage(case) in case.label.stages,
-                asked.stage,
+                targets.stage,
             ),
         ]
     return Score(
         tuple(rates),
-        (*_figures(single, asked), *_pair_scores(pairs, asked)),
+        (*_figures(single, targets), *_pair_scores(pairs, targets)),
         _confusion(single),
         _risk_coverage(single),
         tuple(failure for case in cases if (failure := _failure(case))),
@@ -258,7 +262,7 @@ def permuted(cases: Sequence[Answered], seed: int = 0) -> list[Answered]:
     return [replace(case, label=cases[k].label) for case, k in zip(cases, order, strict=True)]
 
 
-def always(cases: Sequence[Answered], effect: str = "dry_friction") -> float:
+def constant_answer_share(cases: Sequence[Answered], effect: str = "dry_friction") -> float:
     """Return the share of single effects that a constant answer names correctly."""
     single = _single(cases)
     return float(np.mean([case.label.effects[0] == effect for case in single])) if single else float("nan")
@@ -271,12 +275,12 @@ def in_sample(cases: Sequence[Answered]) -> float:
 
 
 def _controls(cases: Sequence[Answered]) -> tuple[Measured, ...]:
-    dealt = [[_place(case) == 0 for case in _single(permuted(cases, seed))] for seed in range(DEALS)]
+    dealt = [[_place(case) == 0 for case in _single(permuted(cases, seed))] for seed in range(PERMUTATIONS)]
     shares = [float(np.mean(hits)) for hits in dealt if hits]
     count = len(_single(cases))
     return (
         Measured(marked("labels permuted"), float(np.mean(shares)) if shares else float("nan"), count),
-        Measured(marked("always dry_friction"), always(cases), count),
+        Measured(marked("always dry_friction"), constant_answer_share(cases), count),
         Measured(marked("best fit of the fitted samples"), in_sample(cases), count),
     )
 
@@ -286,9 +290,9 @@ def _single(cases: Sequence[Answered]) -> list[Answered]:
 
 
 def _rate(
-    what: str, cases: Sequence[Answered], hit: Callable[[Answered], bool], asked: float, at_least: bool = True
+    what: str, cases: Sequence[Answered], hit: Callable[[Answered], bool], target: float, at_least: bool = True
 ) -> Rate:
-    return Rate(what, sum(hit(case) for case in cases), len(cases), asked, at_least)
+    return Rate(what, sum(hit(case) for case in cases), len(cases), target, at_least)
 
 
 def _place(case: Answered) -> int:
@@ -316,42 +320,42 @@ def _wrong_leader_and_sure(case: Answered) -> bool:
     return bool(case.named) and leader not in case.label.effects and case.probability >= SURE
 
 
-def _figures(single: Sequence[Answered], asked: Asked) -> list[Measured]:
+def _figures(single: Sequence[Answered], targets: Targets) -> list[Measured]:
     explained = [case for case in single if case.verdict == "effect"]
     relative = np.array(
         [
-            shut / best
+            closed / best
             for case in explained
-            if (shut := case.closed) is not None and (best := case.best_closed or 1.0) > 0.05
+            if (closed := case.closed) is not None and (best := case.best_closed or 1.0) > 0.05
         ]
     )
     off = np.array(
         [
-            abs(said - shut)
+            abs(verdict - closed)
             for case in explained
-            if (said := case.predicted_closed) is not None and (shut := case.closed) is not None
+            if (verdict := case.predicted_closed) is not None and (closed := case.closed) is not None
         ]
     )
     sure = np.array([case.probability for case in single])
     right = np.array([_place(case) == 0 for case in single], np.float64)
     return [
         Measured(
-            marked("closed relative to the true form, median"),
+            marked("closed share relative to the true model, median"),
             float(np.median(relative)) if relative.size else float("nan"),
             relative.size,
-            asked.closed_median,
+            targets.closed_median,
         ),
         Measured(
-            marked("closed relative to the true form, 10th percentile"),
+            marked("closed share relative to the true model, 10th percentile"),
             float(np.quantile(relative, 0.1)) if relative.size else float("nan"),
             relative.size,
-            asked.closed_tenth,
+            targets.closed_tenth,
         ),
         Measured(
-            marked("announced less realised closed, median of the size"),
+            marked("predicted minus realised closed share, median magnitude"),
             float(np.median(off)) if off.size else float("nan"),
             off.size,
-            asked.predicted_closed,
+            targets.predicted_closed,
             at_least=False,
         ),
         Measured(marked("expected calibration error"), _calibration_error(sure, right), sure.size),
@@ -371,11 +375,11 @@ def _calibration_error(sure: np.ndarray, right: np.ndarray) -> float:
     return float(total / sure.size)
 
 
-def _pair_scores(pairs: Sequence[Answered], asked: Asked) -> tuple[Measured, Measured]:
+def _pair_scores(pairs: Sequence[Answered], targets: Targets) -> tuple[Measured, Measured]:
     # Targets hold for effects whose own gap survives the refit.
     both = [case for case in pairs if case.all_survive]
     return (
-        Measured(PAIRS, _f1(both), len(both), asked.pairs),
+        Measured(PAIRS, _f1(both), len(both), targets.pairs),
         Measured(marked("the same, with effects whose own gap does not survive"), _f1(pairs), len(pairs)),
     )
 
@@ -392,8 +396,8 @@ def _confusion(single: Sequence[Answered]) -> dict[str, dict[str, int]]:
     found: dict[str, dict[str, int]] = {}
     for case in single:
         row = found.setdefault(case.label.effects[0], {})
-        said = str(case.ranking[0]["effect"]) if case.verdict == "effect" and case.ranking else case.verdict
-        row[said] = row.get(said, 0) + 1
+        verdict = str(case.ranking[0]["effect"]) if case.verdict == "effect" and case.ranking else case.verdict
+        row[verdict] = row.get(verdict, 0) + 1
     return found
 
 
@@ -406,17 +410,17 @@ def _risk_coverage(single: Sequence[Answered]) -> tuple[tuple[float, float], ...
 def _failure(case: Answered) -> str:
     true = " + ".join(case.label.effects) or "nothing"
     first = case.ranking[0]["effect"] if case.ranking else "nothing"
-    said = " + ".join(sorted(case.named)) or case.verdict
+    verdict = " + ".join(sorted(case.named)) or case.verdict
     if not case.label.effects:
-        return "" if case.verdict == "no_gap" else f"{case.name}: {true}, but said {said}"
+        return "" if case.verdict == "no_gap" else f"{case.name}: {true}; diagnosed as {verdict}"
     if not case.survives:
         wrong = bool(case.named) and not case.named <= set(case.label.effects)
-        return f"{case.name}: {true} (does not survive the refit), but said {said}" if wrong else ""
+        return f"{case.name}: {true} (does not survive the refit); diagnosed as {verdict}" if wrong else ""
     known = all(case.label.listed)
     good = case.named == set(case.label.effects) if known else case.verdict == "unexplained"
     if good and _stage(case) in case.label.stages:
         return ""
     return (
-        f"{case.name}: {true}; said {said} (stage {_stage(case)}), leading {first} at {case.probability:.0%}, "
-        f"gap {case.answer['gap']['before']:.2%}"
+        f"{case.name}: {true}; diagnosed as {verdict} (stage {_stage(case)}), "
+        f"leading {first} at {case.probability:.0%}, gap {case.answer['gap']['before']:.2%}"
     )

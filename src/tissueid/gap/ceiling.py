@@ -62,8 +62,8 @@ def ceiling(baseline: Candidate) -> float:
         random = np.random.default_rng(0)
         waves = random.standard_normal((known.shape[1], FEATURES)) / (length * np.sqrt(known.shape[1]) / 2.0)
         phases = random.uniform(0.0, 2.0 * np.pi, FEATURES)
-        lifted = [_lifted((one.inputs - middle) / spread, waves, phases) for one in courses]
-        design = np.concatenate([rows[k] for rows, k in zip(lifted, chosen, strict=True)])
+        features = [_random_features((one.inputs - middle) / spread, waves, phases) for one in courses]
+        design = np.concatenate([rows[k] for rows, k in zip(features, chosen, strict=True)])
         inner = design.T @ design
         for name in dataset.channels:
             target = np.concatenate([one.left[name][k] for one, k in zip(courses, chosen, strict=True)])
@@ -72,11 +72,11 @@ def ceiling(baseline: Candidate) -> float:
             toward = design[good].T @ target[good]
             for ridge in RIDGES:
                 weights = np.linalg.solve(squares + ridge * good.sum() * np.eye(toward.size), toward)
-                said = [rows @ weights for rows in lifted]
-                error = _error(courses, said, name)
+                predicted = [rows @ weights for rows in features]
+                error = _error(courses, predicted, name)
                 if name not in best or error < best[name][0]:
-                    best[name] = (error, said)
-    after = _checked(courses, {name: said for name, (_, said) in best.items()}, baseline.checked_by)
+                    best[name] = (error, predicted)
+    after = _checked(courses, {name: predicted for name, (_, predicted) in best.items()}, baseline.checked_by)
     share = closed(before, gap(after, quiet), least)
     return max(share, 0.0)
 
@@ -99,28 +99,28 @@ def _past(values: FloatArray) -> list[FloatArray]:
     return [(sums[ends - a] - sums[ends - b]) / (b - a) for a, b in pairwise(_EDGES)]
 
 
-def _lifted(inputs: FloatArray, waves: FloatArray, phases: FloatArray) -> FloatArray:
+def _random_features(inputs: FloatArray, waves: FloatArray, phases: FloatArray) -> FloatArray:
     # The inputs themselves as linear features.
     turned = inputs @ waves + phases
     return np.concatenate([np.ones((inputs.shape[0], 1)), inputs, np.cos(turned)], axis=1)
 
 
-def _error(courses: Sequence[_Course], said: Sequence[FloatArray], name: str) -> float:
+def _error(courses: Sequence[_Course], predicted: Sequence[FloatArray], name: str) -> float:
     total = 0.0
-    for one, values in zip(courses, said, strict=True):
+    for one, values in zip(courses, predicted, strict=True):
         mask = one.test.serving(Purpose.CHOICE) & np.isfinite(one.left[name])
         total += float(np.sum((one.left[name][mask] - values[mask]) ** 2))
     return total
 
 
 def _checked(
-    courses: Sequence[_Course], said: dict[str, list[FloatArray]], before: Sequence[ChannelError]
+    courses: Sequence[_Course], predicted: dict[str, list[FloatArray]], before: Sequence[ChannelError]
 ) -> list[ChannelError]:
     places = {one.test.number: k for k, one in enumerate(courses)}
     found = []
     for item in before:
         k = places[item.test]
         mask = courses[k].test.serving(Purpose.CHECK) & np.isfinite(courses[k].left[item.channel])
-        rest = courses[k].left[item.channel][mask] - said[item.channel][k][mask]
+        rest = courses[k].left[item.channel][mask] - predicted[item.channel][k][mask]
         found.append(replace(item, square=float(np.mean(rest**2))))
     return found

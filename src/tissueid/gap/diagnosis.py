@@ -119,7 +119,7 @@ class Diagnosis:
 
 def diagnose(
     dataset: Dataset,
-    crew: Executor,
+    pool: Executor,
     *,
     known: Sequence[str] = (),
     candidates: Sequence[str] | None = None,
@@ -137,7 +137,7 @@ def diagnose(
         cancelled: callback that returns True to stop with ``CancelledError``.
     """
     began = time.monotonic()
-    search = Search(dataset, crew, candidates, progress, cancelled)
+    search = Search(dataset, pool, candidates, progress, cancelled)
     baseline = search.baseline(known)
     dataset = baseline.fit.parameters.dataset
     found = search.singles(baseline)

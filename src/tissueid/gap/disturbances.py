@@ -14,12 +14,12 @@ FloatArray = NDArray[np.float64]
 MAINS_HZ = (50.0, 60.0)
 _OFF_HZ = 0.3
 _HARMONICS = 12
-_LINE_TIMES = 30.0
+_LINE_POWER_RATIO = 30.0
 """Least power of a line relative to the median of its neighbours: exceeded by chance once in 10^9 (2^-30)."""
 _NEIGHBOURS = (3, 14)
 _BLOCK_S = 0.25
 _MOST_LAG = 60
-_MOST_STAYS = 0.3
+_MOST_REMAINING = 0.3
 """Largest remaining share of the squared difference once each block is shifted: lost samples only shift a record."""
 SETTLING_S = 0.5
 """Time at the start of a quiet record in which the probe comes to rest, s."""
@@ -47,7 +47,7 @@ def mains_lines(residual: FloatArray, rate_hz: float) -> Lines:
     values = interpolated(residual)
     found = [(_standing(values, hz, rate_hz), hz) for hz in MAINS_HZ]
     standing, hz = max(found, key=lambda item: sum(ratio for ratio, _ in item[0]))
-    chosen = [k for ratio, k in standing if ratio > _LINE_TIMES]
+    chosen = [k for ratio, k in standing if ratio > _LINE_POWER_RATIO]
     if not chosen:
         return none
     time = np.arange(residual.size) / rate_hz
@@ -122,7 +122,7 @@ def lags(reference: FloatArray, signal: FloatArray, rate_hz: float) -> tuple[NDA
 def lost_samples(reference: FloatArray, signal: FloatArray, rate_hz: float) -> int:
     """Return the shift of a signal against its reference over a test, samples; 0 where it is constant."""
     found, stays = lags(reference, signal, rate_hz)
-    if found.size < 4 or stays > _MOST_STAYS:
+    if found.size < 4 or stays > _MOST_REMAINING:
         return 0
     moved = int(found[-1] - found[0])
     # Losses accumulate: most changes of the lag have one sign.

@@ -35,7 +35,7 @@ DELAYS = 25
 MOST_DELAY_SAMPLES = 2.0
 _ROUNDS = 4
 _SEGMENTS = 8
-_HELD_IS_BETTER = 0.7
+_HELD_ERROR_RATIO = 0.7
 _LEAST = 1e-6
 
 
@@ -136,7 +136,7 @@ def equivalent(
     speed = float(np.sqrt(np.mean([np.var(np.diff(output)) for _, output in records]))) * sample_rate_hz
     lines = _response(records, sample_rate_hz)
     found = [(*_fitted(lines, sample_rate_hz, held), held) for held in (False, True)]
-    left, delay, figures, held = found[1] if found[1][0] < _HELD_IS_BETTER * found[0][0] else found[0]
+    left, delay, figures, held = found[1] if found[1][0] < _HELD_ERROR_RATIO * found[0][0] else found[0]
     del left
     slowness = motion / max(speed, 1e-30)
     output_m = min(max(MOTION_M, SPEED_M_S * slowness), MOST_MOTION_M) / motion

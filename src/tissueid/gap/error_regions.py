@@ -29,14 +29,14 @@ Direction = Literal["both", "into", "out"]
 
 SIZE = 0.01
 """Size of the test of all bins of one profile at squares of ``_EXCESS`` floors; it is smaller below."""
-_STRETCH_S = 0.25
+_BLOCK_S = 0.25
 _EXCESS = 1.44
 """Squared error in squared floors that counts as noise: the noise is known to about 5 %."""
 _ONE_SIDED = 3.0
 """Least ratio of the squared errors of the two directions for naming one of them."""
 _BINS = 12
 _BANDS_HZ = (0.5, 1.0, 2.0, 4.0, 8.0, 16.0, 32.0, 64.0, 100.0, 150.0, 200.0, 300.0, 450.0, 650.0, 1000.0)
-_RECENT_S = 0.1
+_AMPLITUDE_WINDOW_S = 0.1
 """Window of the size of the recent stimulus, s: several response times of the tissue."""
 _MAP = 14
 _POINTS = 70
@@ -198,7 +198,7 @@ def recent_size(test: DatasetTest, device: DeviceDescription) -> FloatArray:
     }[test.driven_by]
     total = np.concatenate([[0.0], np.cumsum((newtons * (test.command - test.command.mean())) ** 2)])
     last = np.arange(1, total.size)
-    first = np.maximum(last - max(round(_RECENT_S * test.sample_rate_hz), 1), 0)
+    first = np.maximum(last - max(round(_AMPLITUDE_WINDOW_S * test.sample_rate_hz), 1), 0)
     return np.asarray(np.sqrt(np.maximum(total[last] - total[first], 0.0) / (last - first)))
 
 
@@ -225,32 +225,32 @@ def _shown_in(dataset: Dataset, baseline: Fit) -> tuple[DatasetTest | None, str]
 def _profile(residual: FloatArray, along: FloatArray, test: DatasetTest, name: str) -> Profile:
     known = np.isfinite(residual)
     if name == "time_s":
-        edges = np.arange(0.0, along[-1] + _STRETCH_S, _STRETCH_S)
+        edges = np.arange(0.0, along[-1] + _BLOCK_S, _BLOCK_S)
     elif name == "mains_phase_rad":
         edges = np.linspace(0.0, 2.0 * np.pi, _BINS + 1)
     else:
         low, high = np.quantile(along[known], [0.002, 0.998])
         edges = np.linspace(low, max(high, low + 1e-9), _BINS + 1)
     place = np.clip(np.digitize(along, edges) - 1, 0, edges.size - 2)
-    seconds = {"time_s": 0.02, "amplitude_n": _RECENT_S}.get(name, _STRETCH_S)
-    stretch = _stretches(along.size, test.sample_rate_hz, seconds)
-    error, chance = np.full(edges.size - 1, np.nan), np.ones(edges.size - 1)
+    seconds = {"time_s": 0.02, "amplitude_n": _AMPLITUDE_WINDOW_S}.get(name, _BLOCK_S)
+    block = _block_numbers(along.size, test.sample_rate_hz, seconds)
+    error, p_values = np.full(edges.size - 1, np.nan), np.ones(edges.size - 1)
     for k in range(edges.size - 1):
         inside = known & (place == k)
         if inside.sum() < 8:
             continue
         error[k] = float(np.sqrt(np.mean(residual[inside] ** 2)))
-        chance[k] = _chance(residual[inside] ** 2, stretch[inside])
-    return Profile(edges, error, _holm(chance))
+        p_values[k] = _p_value(residual[inside] ** 2, block[inside])
+    return Profile(edges, error, _holm(p_values))
 
 
-def _stretches(size: int, rate_hz: float, seconds: float) -> NDArray[np.int64]:
+def _block_numbers(size: int, rate_hz: float, seconds: float) -> NDArray[np.int64]:
     return (np.arange(size) / (seconds * rate_hz)).astype(np.int64)
 
 
-def _chance(squares: FloatArray, stretch: NDArray[np.int64]) -> float:
+def _p_value(squares: FloatArray, block: NDArray[np.int64]) -> float:
     """Return the p-value of the squares at the floor: a one-sided test of the block means of their logarithm."""
-    means = np.array([squares[stretch == k].mean() for k in np.unique(stretch) if (stretch == k).sum() >= 4])
+    means = np.array([squares[block == k].mean() for k in np.unique(block) if (block == k).sum() >= 4])
     if means.size < 4:
         return 1.0
     logs = np.log(np.maximum(means, 1e-12) / _EXCESS)
@@ -258,11 +258,11 @@ def _chance(squares: FloatArray, stretch: NDArray[np.int64]) -> float:
     return float(student.sf(float(np.mean(logs)) / max(spread, 1e-9), means.size - 1))
 
 
-def _holm(chance: FloatArray) -> NDArray[np.bool_]:
-    order = np.argsort(chance)
-    above = np.zeros(chance.size, np.bool_)
+def _holm(p_values: FloatArray) -> NDArray[np.bool_]:
+    order = np.argsort(p_values)
+    above = np.zeros(p_values.size, np.bool_)
     for rank, k in enumerate(order):
-        if chance[k] > SIZE / (chance.size - rank):
+        if p_values[k] > SIZE / (p_values.size - rank):
             break
         above[k] = True
     return above
@@ -301,7 +301,7 @@ def _bands(
     level = floor**2 / (test.sample_rate_hz / 2.0)
     ratio = np.abs(spectra) ** 2 / norm / level
     edges = np.array([edge for edge in _BANDS_HZ if edge < test.sample_rate_hz / 2.0] + [test.sample_rate_hz / 2.0])
-    error, chance = np.full(edges.size - 1, np.nan), np.ones(edges.size - 1)
+    error, p_values = np.full(edges.size - 1, np.nan), np.ones(edges.size - 1)
     for k in range(edges.size - 1):
         inside = (hz >= edges[k]) & (hz < edges[k + 1])
         if not inside.any():
@@ -311,8 +311,8 @@ def _bands(
         logs = np.log(np.maximum(means, 1e-12) / _EXCESS)
         # Half-overlapping blocks with this window are almost independent.
         spread = max(float(np.std(logs, ddof=1)), 1.0 / np.sqrt(inside.sum())) / np.sqrt(0.9 * means.size)
-        chance[k] = float(student.sf(float(np.mean(logs)) / spread, max(means.size - 1, 1)))
-    profile = Profile(edges, error, _holm(chance))
+        p_values[k] = float(student.sf(float(np.mean(logs)) / spread, max(means.size - 1, 1)))
+    profile = Profile(edges, error, _holm(p_values))
     narrow = ((mains_hz - 0.5, mains_hz + 0.5),) if mains_hz in MAINS_HZ else ()
     return (*profile.intervals(), *narrow), profile
 

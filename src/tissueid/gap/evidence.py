@@ -34,21 +34,21 @@ FloatArray = NDArray[np.float64]
 
 MARGIN = 1.2
 """Largest error in floors that counts as noise: the noise is known to about 5 %."""
-_COARSE = 3.0
+_QUANTISATION_RATIO = 3.0
 """Least quantization step of the position that is a finding, in deviations of the noise."""
 _SETTLED = 40
 """Samples at the start of a test that are left out."""
 _RESTING_M = 3e-4
 """Largest deviation of the position in a quiet test on the skin, m."""
-_UNMOVED = 0.6
+_UNCHANGED_ERROR_SHARE = 0.6
 """Least share of the error that stays with the simulated motion before the recorded motion is tried."""
-_FAR = 20.0
+_REFIT_ERROR = 20.0
 """Error in floors above which a stage is refitted from the starting values."""
-_FOLLOWS_NOT = 0.4
+_LEAST_BACK_EMF_SHARE = 0.4
 """Largest share of the recorded motion in the back-EMF when the current fits without the position."""
-_CLEARLY = 0.2
+_PERIODIC_LEAD = 0.2
 """Lead of a periodic motion over forces of time and past, nats: it is flexible enough to imitate them."""
-_AS_GOOD = 0.9
+_STATIC_GAIN_SHARE = 0.9
 """Least gain of a static law relative to a periodic force for the law to be preferred."""
 _LEAST_GAIN = 0.02
 """Least gain of a kind of force on held-out data that is a finding, nats a sample."""
@@ -106,7 +106,7 @@ class _StageAnalysis:
     """The simulations of the stages in order; later ones use the results of earlier ones."""
 
     def __init__(self, dataset: Dataset, baseline: Fit) -> None:
-        self._observed, self._baseline = dataset, baseline
+        self._dataset, self._baseline = dataset, baseline
         self._noise = dataset.noise
         self._has = set(dataset.recorded)
         self._findings: list[StageFinding] = []
@@ -127,10 +127,10 @@ class _StageAnalysis:
         self._quiet()
         coil = self._coil()
         free, back_emf = self._free()
-        mechanics = self._ask_motion("spring", self._fixture, (*MOVING, *SPRING), on_tissue=False)
+        mechanics = self._simulate_motion("spring", self._fixture, (*MOVING, *SPRING), on_tissue=False)
         tests = [test for test in self._tissue if test.repeat_of is None]
-        tissue = self._ask_motion("tissue", tests, (*MOVING, *TISSUE), on_tissue=True)
-        self._judge(coil, free, back_emf, mechanics, tissue)
+        tissue = self._simulate_motion("tissue", tests, (*MOVING, *TISSUE), on_tissue=True)
+        self._assign_stage(coil, free, back_emf, mechanics, tissue)
         self._findings.sort(key=lambda item: -item.weight)
         return Evidence(
             tuple(self._findings),
@@ -155,7 +155,7 @@ class _StageAnalysis:
     # -- sensing and environment by themselves -----------------------------------------------------------------
 
     def _resolution(self) -> None:
-        if self._step > _COARSE * self._noise["position"]:
+        if self._step > _QUANTISATION_RATIO * self._noise["position"]:
             times = self._position_noise / self._noise["position"]
             what = Message(
                 "evidence.coarse_position", "Position in steps of {step_um:.3g} µm", step_um=1e6 * self._step
@@ -163,14 +163,16 @@ class _StageAnalysis:
             self._add("sensing", what, times, "position", self._noise["position"])
 
     def _impulses(self) -> None:
-        for name, whole in self._observed.impulsive.items():
+        for name, whole in self._dataset.impulsive.items():
             what = Message("evidence.outliers", "Isolated outliers in the {channel}", channel=name)
             self._add("sensing", what, whole / self._noise[name], name, self._noise[name])
 
     def _quiet(self) -> None:
-        quiet = [test for test in self._observed.tests if test.quiet]
+        quiet = [test for test in self._dataset.tests if test.quiet]
         # A probe that falls off the skin says nothing about the motion of the skin.
-        resting = [test for test in quiet if float(np.nanstd(test.signals["position"][_settled(test) :])) < _RESTING_M]
+        resting = [
+            test for test in quiet if float(np.nanstd(test.signals["position"][_settling_samples(test) :])) < _RESTING_M
+        ]
         restless = [quiet_motion(test.signals["position"], test.sample_rate_hz) for test in resting]
         floor = self._position_noise
         self._errors["quiet"] = max(restless, default=floor) / floor
@@ -201,7 +203,7 @@ class _StageAnalysis:
         if "voltage" not in self._has:
             return
         floor = self._noise["voltage"]
-        answer = simulate_stage(self._baseline, self._observed.tests, (), "voltage", DRIVE, floor)
+        answer = simulate_stage(self._baseline, self._dataset.tests, (), "voltage", DRIVE, floor)
         self._answers["drive"] = answer
         self._errors["drive"] = self._without_lines(answer, floor, _FROM_COMMAND)
         if self._errors["drive"] <= MARGIN:
@@ -226,7 +228,7 @@ class _StageAnalysis:
 
     def _coil_floor(self) -> float:
         instrument = self._baseline.parameters.instrument(self._baseline.theta)
-        rate = self._observed.tests[0].sample_rate_hz
+        rate = self._dataset.tests[0].sample_rate_hz
         from_motion = instrument.force_constant_n_per_a * velocity_noise(self._position_noise, rate)
         return float(
             np.hypot(self._noise["current"], np.hypot(from_motion, self._noise["voltage"]) / instrument.resistance_ohm)
@@ -235,7 +237,7 @@ class _StageAnalysis:
     def _coil(self) -> float:
         if not {"voltage", "current"} <= self._has:
             return 1.0
-        floor, tests = self._coil_floor(), self._observed.tests
+        floor, tests = self._coil_floor(), self._dataset.tests
         names = ("voltage", "motion")
         answer = simulate_stage(self._baseline, tests, names, "current", COIL, self._noise["current"])
         self._answers["coil"] = answer
@@ -272,7 +274,7 @@ class _StageAnalysis:
         carried = propagated_noise(self._baseline, tests, upstream[0], self._noise[upstream[0]])
         return float(np.hypot(self._position_noise, carried))
 
-    def _ask_motion(
+    def _simulate_motion(
         self, name: str, tests: Sequence[DatasetTest], free: Sequence[str], *, on_tissue: bool
     ) -> list[ForceFamily]:
         if not tests:
@@ -280,7 +282,7 @@ class _StageAnalysis:
         upstream = ("current",) if "current" in self._has else ("voltage",) if "voltage" in self._has else ()
         floor = self._floors[name] = self._motion_floor(tests, upstream)
         answer = simulate_stage(self._baseline, tests, upstream, "position", free, floor)
-        if _worst(answer) > _FAR * floor:
+        if _worst(answer) > _REFIT_ERROR * floor:
             # Another stage can have misled the baseline: fit again from the starting values.
             afresh = self._baseline.parameters.array("start")
             again = simulate_stage(self._baseline, tests, upstream, "position", free, floor, theta=afresh)
@@ -288,14 +290,14 @@ class _StageAnalysis:
         self._answers[name] = answer
         self._without_lines(answer, floor, _FROM_CURRENT)
         found = force_families(self._baseline, answer, tests, floor, on_tissue=on_tissue)
-        if found and found[0].left > _UNMOVED * found[0].before > _UNMOVED * MARGIN:
+        if found and found[0].left > _UNCHANGED_ERROR_SHARE * found[0].before > _UNCHANGED_ERROR_SHARE * MARGIN:
             # Far from the simulated motion, as behind a wall, only the recorded motion shows where the force acts.
             along = force_families(self._baseline, answer, tests, floor, on_tissue=on_tissue, recorded=True)
             found = along if along[0].left < found[0].left else found
         self._errors[name] = found[0].before if found else 1.0
         return _without_periodic_motion(found)
 
-    def _judge(
+    def _assign_stage(
         self,
         coil: float,
         free: float,
@@ -312,10 +314,11 @@ class _StageAnalysis:
         drive = self._errors.get("drive", 1.0)
         if coil > MARGIN and not self._slipped:
             # A voltage that the amplifier does not deliver is missing in the current.
-            resistance = self._observed.instrument.coil_resistance_ohm
+            resistance = self._dataset.instrument.coil_resistance_ohm
             from_drive = drive > MARGIN and drive * self._noise["voltage"] > coil * self._coil_floor() * resistance
             healed = (
-                free < max(MARGIN, 1.0 + 0.25 * (coil - 1.0)) and back_emf.share + 2.0 * back_emf.error < _FOLLOWS_NOT
+                free < max(MARGIN, 1.0 + 0.25 * (coil - 1.0))
+                and back_emf.share + 2.0 * back_emf.error < _LEAST_BACK_EMF_SHARE
             )
             # A true delay is the same on tissue and on the spring.
             asked = [item for item in (tissue, mechanics) if item and item[0].before > MARGIN]
@@ -358,7 +361,7 @@ class _StageAnalysis:
         if best.kind == PERIODIC and not on_fixture:
             # Over about one period a periodic force imitates any curved law, and a law of the tissue is likelier.
             law = next((item for item in found if item.kind == DEPTH), best)
-            best = law if law.gain >= _AS_GOOD * best.gain else best
+            best = law if law.gain >= _STATIC_GAIN_SHARE * best.gain else best
         ours = next((item for item in found if item.stage == "coil"), best)
         return ours if at_coil and ours.gain > 0.3 * best.gain else best
 
@@ -381,7 +384,7 @@ def _without_periodic_motion(found: Sequence[ForceFamily]) -> list[ForceFamily]:
     """Order periodic motion behind forces of time and past unless clearly better: it is flexible enough for both."""
     others = [item for item in found if item.kind in OF_TIME_AND_PAST]
     best = max((item.gain for item in others), default=-np.inf)
-    held_back = [item for item in found if item.stage == "environment" and item.gain < best + _CLEARLY]
+    held_back = [item for item in found if item.stage == "environment" and item.gain < best + _PERIODIC_LEAD]
     return sorted(found, key=lambda item: -(min(item.gain, best - 1e-6) if item in held_back else item.gain))
 
 
@@ -395,5 +398,5 @@ def _worst(answer: StageSimulation) -> float:
     return max(float(np.nanstd(answer.residual(test)[_SETTLED:])) for test in answer.tests)
 
 
-def _settled(test: DatasetTest) -> int:
+def _settling_samples(test: DatasetTest) -> int:
     return min(round(SETTLING_S * test.sample_rate_hz), test.command.size // 2)

@@ -108,10 +108,10 @@ def re_estimate(found: Fit, most_steps: int = MOST_STEPS, readings: int = ESTIMA
         if better.cost >= found.cost:
             break
         found, parameters = better, better.parameters
-    return _read_where_nothing_is_fitted(found) if again else found
+    return _with_held_out_estimates(found) if again else found
 
 
-def _read_where_nothing_is_fitted(found: Fit) -> Fit:
+def _with_held_out_estimates(found: Fit) -> Fit:
     # Per-test parameters of held-out tests are re-estimated at the final fit, without a refit.
     parameters = found.parameters
     held_out = [test for test in parameters.dataset.tests if not test.serving(Purpose.FIT).any()]

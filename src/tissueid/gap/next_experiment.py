@@ -37,7 +37,7 @@ LEAST_PROBABILITY = 0.01
 """Least probability of a candidate that is compared."""
 MOST_SAMPLES = 3000
 """Most samples of a test that are compared, evenly spaced."""
-WORTH_NATS = 0.05
+LEAST_GAIN_NATS = 0.05
 """Least expected gain for which a test is proposed, nats a channel."""
 _WORST = 1e6
 """Bound of a prediction, in noise deviations, where a simulation diverges."""
@@ -100,7 +100,7 @@ def next_experiment(
     factors = [_factor(rival) for rival in rivals]
     found = [(*_expected(item, rivals, factors, weights, noise), item) for item in items]
     gain, separation, chosen = max(found, key=lambda entry: entry[0])
-    if gain < WORTH_NATS:
+    if gain < LEAST_GAIN_NATS:
         return None
     names = tuple(dict.fromkeys(name for rival in rivals for name in _own(rival, rivals)))
     gains = {item.kind: each for each, _, item in found}

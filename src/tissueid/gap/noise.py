@@ -19,7 +19,7 @@ COARSE_M = 2e-6
 """Step of a position reading above which it is an effect, m; finer steps are the converter's."""
 _LAGS = 6
 """Samples over which a channel follows its upstream signal in the estimate of the noise."""
-_STRETCH = 256
+_BLOCK = 256
 """Samples of a block for a spectrum."""
 _MIDDLE_HALF = 0.693
 """Mean absolute value of the middle half of normal deviates, in standard deviations."""
@@ -115,11 +115,11 @@ def _level_by_neighbours(test: DatasetTest) -> float:
 
 
 def _level(values: FloatArray) -> float:
-    if np.isfinite(values).sum() < _STRETCH:
+    if np.isfinite(values).sum() < _BLOCK:
         return 0.0
     known = interpolated(values)[values.size // 10 :]
-    if known.size < _STRETCH:
+    if known.size < _BLOCK:
         return 0.0
     # The median over blocks ignores jumps at the start of a stimulus or at lost samples.
-    _, density = welch(known, 1.0, nperseg=_STRETCH, average="median")
+    _, density = welch(known, 1.0, nperseg=_BLOCK, average="median")
     return float(np.sqrt(0.5 * np.mean(density[round(0.84 * density.size) :])))

@@ -19,9 +19,9 @@ from tissueid.messages import Message
 
 FloatArray = NDArray[np.float64]
 
-_AROUND = np.array([-1.0, 4.0, 0.0, 4.0, -1.0]) / 6.0
+_NEIGHBOUR_WEIGHTS = np.array([-1.0, 4.0, 0.0, 4.0, -1.0]) / 6.0
 """Weights of the cubic through two readings on either side, which predicts the reading between them."""
-_SPREAD = float(np.sqrt(1.0 + _AROUND @ _AROUND))
+_SPREAD = float(np.sqrt(1.0 + _NEIGHBOUR_WEIGHTS @ _NEIGHBOUR_WEIGHTS))
 """Standard deviation of the distance from that cubic, in deviations of white noise."""
 _QUARTER = 0.3186
 """Lower quartile of the absolute value of a normal variable, in standard deviations.
@@ -90,6 +90,6 @@ def without_outliers(dataset: Dataset, fitted: Fit) -> Dataset:
 def _from_neighbours(left: FloatArray) -> FloatArray:
     # Distance of every reading from the cubic through its neighbours; NaN where one of them is missing.
     away = np.full_like(left, np.nan)
-    if left.size >= _AROUND.size:
-        away[2:-2] = left[2:-2] - np.convolve(left, _AROUND, "valid")
+    if left.size >= _NEIGHBOUR_WEIGHTS.size:
+        away[2:-2] = left[2:-2] - np.convolve(left, _NEIGHBOUR_WEIGHTS, "valid")
     return away

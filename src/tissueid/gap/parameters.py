@@ -80,7 +80,7 @@ TISSUE_COORDINATES = {name: name.removeprefix("tissue_") for name, *_ in _TISSUE
 LOGARITHMIC_TISSUE = tuple(item[0] for item in _TISSUE if item[4])
 SPRING_COORDINATES = {name: (likely, std) for name, likely, _, _, _, std in _SPRING}
 """Most probable value and standard deviation of the parameters of the spring."""
-_ABOVE_MOTION = ("amplifier_gain", "resistance_ohm", "inductance_h", "force_constant_n_per_a")
+_WITHOUT_INFLUENCE = ("amplifier_gain", "resistance_ohm", "inductance_h", "force_constant_n_per_a")
 """Parameters without influence where the current is the excitation: its force only scales mass, damping and stiffness.
 """
 _WIDE = 3.5
@@ -114,7 +114,7 @@ class Parametrisation:
         signals = [_signals(test, predicted) for test, predicted in zip(tests, predictions, strict=True)]
         fresh = {
             f"{effect.name}.{name}@{test.number}": value
-            for test, read in zip(tests, _read_all(tests, effect, signals), strict=True)
+            for test, read in zip(tests, _estimate_all(tests, effect, signals), strict=True)
             for name, value in read.items()
         }
         return replace(self, constants={name: fresh.get(name, value) for name, value in self.constants.items()})
@@ -217,7 +217,7 @@ def parametrise(
     for k, effect in enumerate(effects):
         start = starts[k] if k < len(starts) else effect.starts[0]
         has_been_read = known is not None and effect in known.effects
-        read = [{} for _ in signals] if has_been_read else _read_all(dataset.tests, effect, signals)
+        read = [{} for _ in signals] if has_been_read else _estimate_all(dataset.tests, effect, signals)
         for parameter, begin in zip(effect.parameters, start, strict=True):
             _add(dataset, effect, parameter, begin, read, found, constants)
     if any(effect.switches for effect in effects):
@@ -247,7 +247,7 @@ def _of_instrument(dataset: Dataset) -> list[Coordinate]:
     spread = dataset.instrument.calibration_relative_uncertainty
     wide = WITHIN_STDS * spread
     driven = {test.driven_by for test in dataset.tests}
-    left_out = _ABOVE_MOTION if driven == {"current"} else ("amplifier_gain",) if "command" not in driven else ()
+    left_out = _WITHOUT_INFLUENCE if driven == {"current"} else ("amplifier_gain",) if "command" not in driven else ()
     found = [
         Coordinate(ours, 0.0, -wide, wide, 1e-4, wide, 0.0, spread) for ours, _ in _INSTRUMENT if ours not in left_out
     ]
@@ -294,17 +294,17 @@ def _scaled(name: str, likely: float, low: float, high: float, logarithmic: bool
     return Coordinate(name, likely, low, high, 1e-3 * std, std, likely, std)
 
 
-def _read(effect: Effect, signals: Mapping[str, FloatArray], sample_rate_hz: float) -> Mapping[str, float]:
+def _estimate(effect: Effect, signals: Mapping[str, FloatArray], sample_rate_hz: float) -> Mapping[str, float]:
     if effect.estimate_from_record is None or not effect.needs <= set(signals):
         return {}
     return effect.estimate_from_record(signals, sample_rate_hz)
 
 
-def _read_all(
+def _estimate_all(
     tests: Sequence[DatasetTest], effect: Effect, signals: Sequence[Mapping[str, FloatArray]]
 ) -> list[Mapping[str, float]]:
     if effect.estimate_from_records is None:
-        return [_read(effect, known, test.sample_rate_hz) for test, known in zip(tests, signals, strict=True)]
+        return [_estimate(effect, known, test.sample_rate_hz) for test, known in zip(tests, signals, strict=True)]
     acts = [
         k
         for k, test in enumerate(tests)

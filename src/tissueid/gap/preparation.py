@@ -28,7 +28,7 @@ BLOCK_S = 0.25
 """Length of the blocks that alternate between fit, choice and check, s: several times the memory of the chain."""
 SETTLING_S = 0.010
 """Time at the start of a test that is left out of every score, s: the coil's state before it is not recorded."""
-LEFT_BEHIND_M = 2e-3
+OFF_TISSUE_M = 2e-3
 """Distance above the surface from which the probe counts as off the tissue, m."""
 SHORTEST_S = 0.5
 """Least duration of a test in addition to twice its preload, s: every purpose needs a part of the stimulus."""
@@ -79,7 +79,7 @@ def prepare(session: Session, fit: Sequence[int] = (), check: Sequence[int] = ()
     if known_instrument(session.instrument):
         tests = _usable(chosen, remarks, lambda test: excitation_of(test, session.instrument))
         other = None if (fit or check) else _other_amplitude([item.test for item in tests])
-        seen = tuple(_observed(item, fit, check, remarks, held_out=item.test is other) for item in tests)
+        seen = tuple(_dataset_test(item, fit, check, remarks, held_out=item.test is other) for item in tests)
         return Dataset(session.instrument, seen, channel_noise(seen), tuple(remarks))
     alike = [test for test, names in _usable(chosen, remarks, _bare_test) if names]
     fitting = [
@@ -101,7 +101,8 @@ def prepare(session: Session, fit: Sequence[int] = (), check: Sequence[int] = ()
     held_out = [test.number for test in alike if test is other or (test.number in check and test.number not in fit)]
     about, items = as_oscillator(alike, [test for test in alike if test.number not in held_out] or alike)
     seen = tuple(
-        _observed(item, fit, check, remarks, held_out=item.test is other, settling_s=about.settling_s) for item in items
+        _dataset_test(item, fit, check, remarks, held_out=item.test is other, settling_s=about.settling_s)
+        for item in items
     )
     remarks.append(about.remark)
     deviation = float(np.sqrt(np.mean([np.nanvar(test.signals["position"]) for test in seen])))
@@ -148,7 +149,7 @@ def _other_amplitude(tests: Sequence[Test]) -> Test | None:
     return stochastic[-1] if len(stochastic) > 1 else None
 
 
-def _observed(
+def _dataset_test(
     item: ExcitedTest,
     fit: Sequence[int],
     check: Sequence[int],
@@ -172,7 +173,7 @@ def _observed(
             )
         )
     signals = {name: values[:size] for name, values in item.signals.items()}
-    purpose = _turns(size, rate, settling_s, only_held_out, not check or test.number in check)
+    purpose = _alternating_purposes(size, rate, settling_s, only_held_out, not check or test.number in check)
     fixture: Fixture = {"spring": "spring", "free_air": "air"}.get(test.kind, "tissue")  # type: ignore[assignment]
     surface = test.surface_position_m
     if item.by == "input":
@@ -205,7 +206,9 @@ def _observed(
     )
 
 
-def _turns(size: int, rate_hz: float, settling_s: float, only_held_out: bool, also_held_out: bool) -> NDArray[np.int8]:
+def _alternating_purposes(
+    size: int, rate_hz: float, settling_s: float, only_held_out: bool, also_held_out: bool
+) -> NDArray[np.int8]:
     # Purposes of the alternating blocks, shape (size,).
     stretch = min(max(BLOCK_S, _MEMORIES * settling_s) * rate_hz, max(size / _LEAST_BLOCKS, BLOCK_S * rate_hz))
     turn = (np.arange(size) / max(min(stretch, size / 4), 1.0)).astype(np.int64) % 4
@@ -222,5 +225,5 @@ def _turns(size: int, rate_hz: float, settling_s: float, only_held_out: bool, al
 def _left_the_skin(position: NDArray[np.float64], surface_m: float) -> int:
     # The first sample at which the probe is far off the skin, where its position drifts freely and errors grow without
     # bound. The number of samples where the probe never is, or is from the beginning.
-    away = np.nan_to_num(position, nan=surface_m) < surface_m - LEFT_BEHIND_M
+    away = np.nan_to_num(position, nan=surface_m) < surface_m - OFF_TISSUE_M
     return int(np.argmax(away)) if away.any() and not away[0] else position.size

@@ -49,7 +49,7 @@ class Screen:
         """Return the signature of an effect at each starting point."""
         declared = starts_of(self._baseline.parameters.dataset, effect, self._baseline.predictions)
         found = []
-        for start in (*declared, *self._shows_best(effect)):
+        for start in (*declared, *self._most_visible_starts(effect)):
             added, slopes = differences(self._baseline, effect, start)
             span = self.surviving(np.column_stack([added, slopes]))
             sizes = np.linalg.norm(span, axis=0)
@@ -63,7 +63,7 @@ class Screen:
             found.append(Signature(effect.name, start, surviving, along))
         return found
 
-    def _shows_best(self, effect: Effect) -> list[tuple[float, ...]]:
+    def _most_visible_starts(self, effect: Effect) -> list[tuple[float, ...]]:
         # The point of the grid at which the effect, at any size, is closest to the residual of the baseline.
         def seen(start: tuple[float, ...]) -> float:
             return cosine(self.surviving(differences(self._baseline, effect, start, slopes=False)[0]), self._left)

@@ -24,7 +24,7 @@ R = TypeVar("R")
 SINGLES = 12
 """Most starting points refitted, best-aligned first."""
 LEAST_ALIGNMENT = 0.02
-FIRST = 4
+FIRST_STARTING_POINTS = 4
 """Starting points refitted first. Where one of them explains the gap, only close rivals follow."""
 RIVAL_ALIGNMENT = 0.5
 """Least alignment of a close rival, as a share of the best alignment."""
@@ -145,13 +145,13 @@ class Search:
     def __init__(
         self,
         dataset: Dataset,
-        crew: Executor,
+        pool: Executor,
         names: Sequence[str] | None = None,
         progress: Callable[[SearchProgress], None] = lambda _: None,
         cancelled: Callable[[], bool] = lambda: False,
     ) -> None:
-        self._observed = dataset
-        self._crew = crew
+        self._dataset = dataset
+        self._pool = pool
         self._names = [
             name
             for name, item in all_effects().items()
@@ -169,10 +169,10 @@ class Search:
         """
         self._progress(SearchProgress("baseline", 0, 1))
         effects = [effect(name) for name in known]
-        first = fit(self._observed, effects, cancelled=self._cancelled)
+        first = fit(self._dataset, effects, cancelled=self._cancelled)
         dataset = with_robust_noise(first)
-        if dataset is not self._observed:
-            self._observed = dataset
+        if dataset is not self._dataset:
+            self._dataset = dataset
             first = fit(dataset, effects, cancelled=self._cancelled)
         found = score_candidate(first)
         self._progress(SearchProgress("baseline", 1, 1))
@@ -182,11 +182,11 @@ class Search:
         """Fit each candidate effect alone."""
         signatures = self._screened(baseline.fit)
         worth = best_aligned(signatures)[:SINGLES]
-        short_fits = self._short_fits("likeliest candidates", baseline, worth[:FIRST])
+        short_fits = self._short_fits("likeliest candidates", baseline, worth[:FIRST_STARTING_POINTS])
         if short_fits and min(item.score for item in short_fits) <= THRESHOLDS.at_the_floor:
             # The gap is explained: only effects with a similar signature can be rivals.
             worth = [item for item in worth if item.alignment >= RIVAL_ALIGNMENT * worth[0].alignment]
-        short_fits += self._short_fits("candidates", baseline, worth[FIRST:])
+        short_fits += self._short_fits("candidates", baseline, worth[FIRST_STARTING_POINTS:])
         candidates = self._full_fits("leading candidates", short_fits, FULL_FITS)
         return SearchResult(baseline, tuple(signatures), self._with_nested(baseline, candidates))
 
@@ -211,21 +211,21 @@ class Search:
             return ()
         leader = candidates[0]
         tasks = [
-            self._with_another(leader.fit, held, other)
+            self._task_with_partner(leader.fit, held, other)
             for held in leader.fit.parameters.effects
             for other in map(effect, self._names)
             if held.name not in baseline.effects and other.name not in leader.effects and nested(held, other)
         ]
-        return _best_of_each([*candidates, *self._tell("near relations", refit, tasks)])
+        return _best_of_each([*candidates, *self._run_tasks("near relations", refit, tasks)])
 
-    def _with_another(self, near: Fit, held: Effect, other: Effect) -> Task:
+    def _task_with_partner(self, near: Fit, held: Effect, other: Effect) -> Task:
         # Start at the fit: parameters of the same name have the same meaning in both effects.
         values = near.parameters.effect_values(near.theta, held, near.parameters.dataset.tests[0].number)
         led = {item.name: float(value) for item, value in zip(held.parameters, values, strict=True)}
         there = tuple(led.get(item.name, at) for item, at in zip(other.parameters, other.starts[0], strict=True))
         effects = [other if item is held else item for item in near.parameters.effects]
         starts = tuple(there if item is other else item.starts[0] for item in effects)
-        return Task(self._observed, tuple(item.name for item in effects), starts, near, MOST_STEPS)
+        return Task(self._dataset, tuple(item.name for item in effects), starts, near, MOST_STEPS)
 
     def pairs_with(self, baseline: Candidate, leaders: Sequence[Candidate]) -> tuple[Candidate, ...]:
         """Fit the top candidates with one more effect each, best first; effects of the baseline stay.
@@ -247,12 +247,12 @@ class Search:
         """
         added = [name for name in pair.effects if name not in baseline.effects]
         alone = [
-            Task(self._observed, tuple(name for name in pair.effects if name != other), (), pair.fit, self._short_steps)
+            Task(self._dataset, tuple(name for name in pair.effects if name != other), (), pair.fit, self._short_steps)
             for other in added
         ]
         known = {frozenset(item.effects) for item in tried}
         short_fits = []
-        for member in self._tell("members of the pair", refit, alone):
+        for member in self._run_tasks("members of the pair", refit, alone):
             likely = self._likely_partners(member)
             fresh = [item for item in likely if frozenset((*member.effects, item.effect)) not in known]
             short_fits += self._short_fits("further pairs", member, fresh[:FURTHER_PARTNERS])
@@ -267,10 +267,10 @@ class Search:
         worth = [item for item in signatures if item.alignment >= LEAST_ALIGNMENT]
         before = [held.starts[0] for held in near.fit.parameters.effects]
         tasks = [
-            Task(self._observed, (*near.effects, item.effect), (*before, item.start), near.fit, self._short_steps)
+            Task(self._dataset, (*near.effects, item.effect), (*before, item.start), near.fit, self._short_steps)
             for item in worth
         ]
-        return self._tell(what, refit, tasks)
+        return self._run_tasks(what, refit, tasks)
 
     def _full_fits(self, what: Work, short_fits: Sequence[Candidate], count: int) -> tuple[Candidate, ...]:
         ranked = _best_of_each(short_fits)
@@ -282,18 +282,18 @@ class Search:
             for place, item in enumerate(ranked)
             if (place < count or any(item is other for other in fitting)) and item.fit.steps >= self._short_steps
         ]
-        tasks = [Task(self._observed, item.effects, (), item.fit, MOST_STEPS) for item in going_on]
-        finished = self._tell(what, refit, tasks)
+        tasks = [Task(self._dataset, item.effects, (), item.fit, MOST_STEPS) for item in going_on]
+        finished = self._run_tasks(what, refit, tasks)
         others = [item for item in ranked if all(item is not other for other in going_on)]
         return tuple(sorted((*finished, *others), key=lambda item: item.score))
 
     def _screened(self, near: Fit) -> list[Signature]:
         there = {item.name for item in near.parameters.effects}
         names = [name for name in self._names if name not in there]
-        found = self._tell("screening", partial(screen, near), names)
+        found = self._run_tasks("screening", partial(screen, near), names)
         return [item for items in found for item in items]
 
-    def _tell(self, what: Work, work: Callable[[T], R], things: Sequence[T]) -> list[R]:
+    def _run_tasks(self, what: Work, work: Callable[[T], R], things: Sequence[T]) -> list[R]:
         if not things:
             return []
         count = 0
@@ -304,7 +304,7 @@ class Search:
             self._progress(SearchProgress(what, count, len(things)))
 
         self._progress(SearchProgress(what, 0, len(things)))
-        return self._crew.do(work, things, self._cancelled, done)
+        return self._pool.do(work, things, self._cancelled, done)
 
 
 def _best_of_each(candidates: Sequence[Candidate]) -> tuple[Candidate, ...]:

@@ -126,13 +126,13 @@ def headline_of(found: Diagnosis) -> tuple[Message, Level]:
     return Message("gap.explained", "The gap is explained: {causes}", causes=causes), "good"
 
 
-def judged_alone(found: Diagnosis, name: str) -> bool:
+def has_ranking_probability(found: Diagnosis, name: str) -> bool:
     """Return whether a named effect of a combination has the probability of the ranking of single effects."""
     return len(found.combination) > 1 and name in found.combination and name not in found.conditional_odds
 
 
 def _with_rivals(found: Diagnosis, member: Member) -> Message:
-    alone = judged_alone(found, member.effect)
+    alone = has_ranking_probability(found, member.effect)
     named = with_probability(member.effect, member.probability, alone=alone)
     rivals = [with_probability(name, share) for name, share in member.rivals]
     return Message("gap.cause", "{names}", names=Listing((named, *rivals), marked(" or "), marked(" or ")))

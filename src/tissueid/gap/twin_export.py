@@ -19,7 +19,7 @@ from tissueid.messages import Message
 from tissueid.twin.effect import Effect
 from tissueid.twin.named_twin import NamedTwin
 
-DOUBT = 0.1
+RELATIVE_STD = 0.1
 """Standard deviation of an accepted parameter in the next diagnosis, relative to its value or range."""
 _MOST_STD = 1e6
 
@@ -156,7 +156,9 @@ def _of_effect(effect: Effect, values: NDArray[np.float64], stds: dict[str, floa
             continue
         std = stds.get(name, 0.0)
         if parameter.logarithmic:
-            found[name] = Prior(float(np.log(value)), float(np.hypot(std / value, DOUBT)))
+            found[name] = Prior(float(np.log(value)), float(np.hypot(std / value, RELATIVE_STD)))
         else:
-            found[name] = Prior(float(value), float(np.hypot(std, DOUBT * max(abs(value), 0.01 * parameter.high))))
+            found[name] = Prior(
+                float(value), float(np.hypot(std, RELATIVE_STD * max(abs(value), 0.01 * parameter.high)))
+            )
     return found

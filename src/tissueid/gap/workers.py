@@ -21,7 +21,7 @@ R = TypeVar("R")
 
 POLL_S = 0.2
 """Interval of the check for cancellation, s."""
-LEAVING_S = 2.0
+EXIT_TIMEOUT_S = 2.0
 """Time for a process to end on request before it is killed, s."""
 
 
@@ -87,7 +87,7 @@ class Pool:
         waiting = iter(range(len(things)))
         idle: list[Connection] = []
         try:
-            idle += self._staff(min(self._count, len(things)))
+            idle += self._ensure_workers(min(self._count, len(things)))
             while len(answers) < len(things):
                 while idle and (place := next(waiting, None)) is not None:
                     doing[idle[-1]] = place
@@ -103,7 +103,7 @@ class Pool:
         except (EOFError, OSError) as error:
             raise RuntimeError("a process that fits ended unexpectedly") from error
         finally:
-            self._dismiss(doing)
+            self._stop(doing)
         for place in range(len(things)):
             good, value = answers[place]
             if not good:
@@ -112,9 +112,9 @@ class Pool:
 
     def close(self) -> None:
         """End all processes."""
-        self._dismiss([pipe for _, pipe in self._members])
+        self._stop([pipe for _, pipe in self._members])
 
-    def _staff(self, wanted: int) -> list[Connection]:
+    def _ensure_workers(self, wanted: int) -> list[Connection]:
         # Pipes of at least this number of processes; start processes where there are fewer.
         context = spawn_context()
         while len(self._members) < wanted:
@@ -127,13 +127,13 @@ class Pool:
                 theirs.close()
         return [pipe for _, pipe in self._members]
 
-    def _dismiss(self, pipes: Collection[Connection]) -> None:
+    def _stop(self, pipes: Collection[Connection]) -> None:
         # End the processes of these pipes: a busy process would answer an outdated request.
         leaving = [(process, pipe) for process, pipe in self._members if pipe in pipes]
         for process, _ in leaving:
             process.terminate()
         for process, pipe in leaving:
-            process.join(LEAVING_S)
+            process.join(EXIT_TIMEOUT_S)
             if process.is_alive():
                 process.kill()
                 process.join()
@@ -156,7 +156,7 @@ def _serve(pipe: Connection) -> None:
     # Main function of a worker process until the pipe is closed. Ctrl+C reaches the whole group; the parent handles it.
     signal.signal(signal.SIGINT, signal.SIG_IGN)
     if (parent := parent_process()) is not None:
-        threading.Thread(target=_end_with, args=(parent,), daemon=True).start()
+        threading.Thread(target=_exit_with_parent, args=(parent,), daemon=True).start()
     with contextlib.suppress(EOFError, OSError):
         while True:
             work, thing = pipe.recv()
@@ -174,7 +174,7 @@ def _answer(work: Callable[[Any], Any], thing: Any) -> tuple[bool, Any]:
         return False, error
 
 
-def _end_with(parent: BaseProcess) -> None:
+def _exit_with_parent(parent: BaseProcess) -> None:
     # A busy process would outlive a killed parent.
     parent.join()
     os._exit(0)

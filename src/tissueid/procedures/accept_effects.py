@@ -61,7 +61,7 @@ def accept_effects(
 
 def _fitted(plan: AcceptPlan, name: str, baseline: TwinFile | None, control: Control) -> TwinFile:
     progress = functools.partial(show_search, control)
-    with executor(plan.workers) as crew:
+    with executor(plan.workers) as pool:
         return accept_named(
-            plan.session, plan.effects, name, baseline, crew, progress, plan.fit, plan.check, control.check
+            plan.session, plan.effects, name, baseline, pool, progress, plan.fit, plan.check, control.check
         )

@@ -164,8 +164,8 @@ def _checked(
     sealed(begun)
     names = scenario_names(folder)
     keep = plan.keep is not None
-    with executor(plan.workers) as crew:
-        found = answers(folder, names, crew, _counter(control, _DIAGNOSING, len(names)), full_library, keep)
+    with executor(plan.workers) as pool:
+        found = answers(folder, names, pool, _counter(control, _DIAGNOSING, len(names)), full_library, keep)
         _check_seal(folder, begun)
         labels = unseal(folder)
         if labels.keys() != set(names):
@@ -185,7 +185,7 @@ def _checked(
                 if len(case.label.effects) == 1 and case.label.listed[0] and case.survives
             }
             count = _counter(control, _TAKEN_OUT, len(known))
-            one_out = answers(folder, list(known), crew, count, known.__getitem__, keep)
+            one_out = answers(folder, list(known), pool, count, known.__getitem__, keep)
             again = with_labels(one_out, labels)
     check = BlindCheck(begun.seal, begun.n, begun.seed, dict(_scores(cases, again)))
     if plan.page is not None:

@@ -88,9 +88,9 @@ def diagnose_session(plan: DiagnosisPlan, control: Control) -> DiagnosedSession:
     known: tuple[str, ...] = ()
     if twin is not None:
         dataset, known = with_prior_twin(dataset, twin.twin), twin.twin.effects
-    with executor(plan.workers) as crew:
+    with executor(plan.workers) as pool:
         progress = functools.partial(show_search, control)
-        found = diagnose(dataset, crew, known=known, progress=progress, cancelled=control.check)
+        found = diagnose(dataset, pool, known=known, progress=progress, cancelled=control.check)
     diagnosed = DiagnosedSession(plan, session, twin, found)
     if plan.report is not None:
         from tissueid.reports.html import write_text_atomically
@@ -135,8 +135,8 @@ def diagnose_folder(plan: FolderPlan, control: Control, of: Callable[[Diagnosis]
         control.progress(count / len(files), counted(step, count, len(files)))
 
     control.progress(0.0, counted(step, 0, len(files)))
-    with executor(plan.workers) as crew:
-        answers = crew.do(functools.partial(_of_file, of), files, control.check, done)
+    with executor(plan.workers) as pool:
+        answers = pool.do(functools.partial(_of_file, of), files, control.check, done)
     return dict(zip(files, answers, strict=True))
 
 

@@ -64,7 +64,7 @@ def write_blind_report(check: BlindCheck, path: Path) -> None:
 def headline_of(check: BlindCheck) -> tuple[str, Level]:
     """Return the share of targets that were reached as a sentence, and its level."""
     items = [item for _, _, score in check.scores.values() for item in _items(score)]
-    judged = [item.kept for item in items if item.kept is not None]
+    judged = [item.reached for item in items if item.reached is not None]
     if not judged:
         return translated(Message("blind.none_judged", "No case could be judged")), "check"
     text = _("{reached} of {count} targets were reached").format(reached=sum(judged), count=len(judged))
@@ -77,7 +77,7 @@ def _items(score: Score) -> list[Rate | Measured]:
 
 def _sentences(check: BlindCheck) -> Iterator[str]:
     for title, count, score in check.scores.values():
-        missed = "; ".join(translated(item.what) for item in _items(score) if item.kept is False)
+        missed = "; ".join(translated(item.what) for item in _items(score) if item.reached is False)
         text = _("{kind}, {count} scenarios: all targets that could be judged were reached.")
         if missed:
             text = _("{kind}, {count} scenarios: not reached: {missed}.")
@@ -113,16 +113,16 @@ def _rows(score: Score) -> Iterator[Row]:
         cases = _("{hits} of {cases}").format(hits=rate.hits, cases=rate.cases)
         yield (
             translated(rate.what),
-            _target(_percent(rate.asked), at_least=rate.at_least),
+            _target(_percent(rate.target), at_least=rate.at_least),
             _percent(rate.share),
             interval if rate.cases else MISSING,
             cases,
-            _kept(rate.kept),
+            _kept(rate.reached),
         )
     for figure in score.figures:
-        target = MISSING if figure.asked is None else _target(number(figure.asked, 3), at_least=figure.at_least)
+        target = MISSING if figure.target is None else _target(number(figure.target, 3), at_least=figure.at_least)
         value = number(figure.value, 3)
-        yield translated(figure.what), target, value, MISSING, str(figure.cases), _kept(figure.kept)
+        yield translated(figure.what), target, value, MISSING, str(figure.cases), _kept(figure.reached)
 
 
 def _target(value: str, *, at_least: bool) -> str:

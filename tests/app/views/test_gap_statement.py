@@ -16,7 +16,7 @@ from tissueid.app.views.gap.page_content_builder import page_content_of
 from tissueid.app.views.gap.result_page import ResultPage
 from tissueid.cli.gap_diagnosis import summary_lines
 from tissueid.gap.diagnosis import Diagnosis, diagnose
-from tissueid.gap.statement import LIKELY, headline_of, judged_alone, members_of, ordered_candidates
+from tissueid.gap.statement import LIKELY, has_ranking_probability, headline_of, members_of, ordered_candidates
 from tissueid.gap.twin_export import twin_of, with_prior_twin
 from tissueid.gap.workers import SerialExecutor
 from tissueid.messages import code_of
@@ -131,7 +131,7 @@ def test_every_member_of_a_combination_is_listed_first_with_its_odds():
 
 def test_odds_of_the_leading_member_of_a_combination_are_said_to_be_those_of_a_single_cause():
     found = synthetic("pair")
-    assert [judged_alone(found, name) for name in (EFFECT, PARTNER, RIVAL)] == [True, False, False]
+    assert [has_ranking_probability(found, name) for name in (EFFECT, PARTNER, RIVAL)] == [True, False, False]
     headline = headline_of(found)[0]
     leading, partner = headline.split("; ")
     assert " % as a single cause)" in leading

@@ -25,8 +25,8 @@ from tissueid.gap.evidence import MARGIN
 from tissueid.gap.plots import UNITS, overlays_of, profile_values, spectrum_lines
 from tissueid.gap.statement import (
     effect_title,
+    has_ranking_probability,
     headline_of,
-    judged_alone,
     members_of,
     next_steps_of,
     ordered_candidates,
@@ -175,7 +175,7 @@ def _closed(found: Diagnosis, item: Ranked) -> str:
 
 def _odds(found: Diagnosis, item: Ranked) -> str:
     share = percent(item.probability)
-    if judged_alone(found, item.effect):
+    if has_ranking_probability(found, item.effect):
         return Message("gap.probability_alone", "{share} % alone", share=share)
     return f"{share} %"
 
