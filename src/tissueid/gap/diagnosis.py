@@ -130,7 +130,7 @@ def diagnose(
 
     Args:
         dataset: the tests.
-        crew: the executor of the fits.
+        pool: the executor of the fits.
         known: effects that the baseline already includes.
         candidates: effects to consider; all applicable effects where None.
         progress: callback for progress.

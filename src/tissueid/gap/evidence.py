@@ -152,7 +152,7 @@ class _StageAnalysis:
         stages: dict[str, Stage] = {"drive": "drive", "coil": "coil", "spring": "mechanics", "tissue": "tissue"}
         return {stage: self._errors[name] for name, stage in stages.items() if name in self._errors}
 
-    # -- sensing and environment by themselves -----------------------------------------------------------------
+    # -- sensing and environment alone -------------------------------------------------------------------------
 
     def _resolution(self) -> None:
         if self._step > _QUANTISATION_RATIO * self._noise["position"]:
@@ -169,7 +169,7 @@ class _StageAnalysis:
 
     def _quiet(self) -> None:
         quiet = [test for test in self._dataset.tests if test.quiet]
-        # A probe that falls off the skin says nothing about the motion of the skin.
+        # A probe off the skin does not measure the motion of the skin.
         resting = [
             test for test in quiet if float(np.nanstd(test.signals["position"][_settling_samples(test) :])) < _RESTING_M
         ]
@@ -291,7 +291,7 @@ class _StageAnalysis:
         self._without_lines(answer, floor, _FROM_CURRENT)
         found = force_families(self._baseline, answer, tests, floor, on_tissue=on_tissue)
         if found and found[0].left > _UNCHANGED_ERROR_SHARE * found[0].before > _UNCHANGED_ERROR_SHARE * MARGIN:
-            # Far from the simulated motion, as behind a wall, only the recorded motion shows where the force acts.
+            # Where recorded and simulated motion differ strongly, as at an end stop, the force depends on the recorded one.
             along = force_families(self._baseline, answer, tests, floor, on_tissue=on_tissue, recorded=True)
             found = along if along[0].left < found[0].left else found
         self._errors[name] = found[0].before if found else 1.0

@@ -49,13 +49,12 @@ _LEAST_BLOCKS = 16
 def prepare(session: Session, fit: Sequence[int] = (), check: Sequence[int] = ()) -> Dataset:
     """Prepare a session for the diagnosis.
 
-    Without ``fit`` and ``check`` blocks of a quarter of a second alternate: every second one is fitted, every fourth
-    serves the choice of candidates and every fourth the check; a stochastic test of another amplitude and seed is held
-    out completely. With them, whole tests are fitted and held out.
+    Without ``fit`` and ``check``, blocks of a quarter of a second alternate: every second one is fitted, every fourth
+    is used for the choice of candidates and every fourth for the check; a stochastic test of another amplitude and seed
+    is held out completely. With them, whole tests are fitted and held out.
 
     Raises:
-        UnusableInputError: the session holds no test with a position and something that drives it, or the tests
-            named do not exist.
+        UnusableInputError: the session has no test with a position and an excitation, or the named tests do not exist.
     """
     numbers = {test.number for test in session.tests}
     for number in (*fit, *check):

@@ -22,7 +22,7 @@ T = TypeVar("T")
 R = TypeVar("R")
 
 SINGLES = 12
-"""Most starting points refitted, best-aligned first."""
+"""Largest number of starting points refitted, best-aligned first."""
 LEAST_ALIGNMENT = 0.02
 FIRST_STARTING_POINTS = 4
 """Starting points refitted first. Where one of them explains the gap, only close rivals follow."""
@@ -43,10 +43,10 @@ FURTHER = 12
 FURTHER_FULL_FITS = 8
 """Starting points of the second round, and its full fits."""
 PARTNERS = 4
-"""Most partners refitted with each top candidate."""
+"""Largest number of partners refitted with each top candidate."""
 FULL_FITS_OF_PAIRS = 2
 FURTHER_PARTNERS = 6
-"""Most further partners refitted with each member of a pair that leaves much of the gap."""
+"""Most further partners refitted with each member of a pair with a large remaining gap."""
 
 
 Work = Literal[
@@ -136,7 +136,7 @@ class Search:
 
     Args:
         dataset: the tests.
-        crew: the executor of the fits.
+        pool: the executor of the fits.
         names: effects to try; all applicable effects of the library where None.
         progress: callback for progress.
         cancelled: callback that returns True to stop with ``CancelledError``.
@@ -193,7 +193,7 @@ class Search:
     def further(self, found: SearchResult) -> SearchResult:
         """Fit from more starting points, with more full fits.
 
-        For a first round that leaves much of the gap: a narrow minimum can have been missed.
+        For a first round with a large remaining gap: a narrow minimum can have been missed.
         """
         tried = best_aligned(found.signatures)[:SINGLES]
         others = [item for item in found.signatures if all(item is not other for other in tried)]
@@ -241,7 +241,7 @@ class Search:
         return self._with_nested(baseline, self._full_fits("leading pairs", short_fits, FULL_FITS_OF_PAIRS))
 
     def further_pairs(self, baseline: Candidate, pair: Candidate, tried: Sequence[Candidate]) -> tuple[Candidate, ...]:
-        """Fit more partners of each member of a pair that leaves much of the gap: one member can be wrong.
+        """Fit more partners of each member of a pair with a large remaining gap: one member can be wrong.
 
         The pairs ``tried`` before are not fitted again; the result includes them, best first.
         """
