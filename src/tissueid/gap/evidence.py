@@ -291,7 +291,7 @@ class _StageAnalysis:
         self._without_lines(answer, floor, _FROM_CURRENT)
         found = force_families(self._baseline, answer, tests, floor, on_tissue=on_tissue)
         if found and found[0].left > _UNCHANGED_ERROR_SHARE * found[0].before > _UNCHANGED_ERROR_SHARE * MARGIN:
-            # Where recorded and simulated motion differ strongly, as at an end stop, the force depends on the recorded one.
+            # If recorded and simulated motion differ much, as at an end stop, the force depends on the recorded one.
             along = force_families(self._baseline, answer, tests, floor, on_tissue=on_tissue, recorded=True)
             found = along if along[0].left < found[0].left else found
         self._errors[name] = found[0].before if found else 1.0
