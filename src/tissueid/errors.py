@@ -1,4 +1,4 @@
-"""The errors that a user can meet. Each message is one line and says what to do.
+"""Errors that are shown to the user. Each message is one line and says what to do.
 
 Anything that is not one of these and reaches the top of a command is a defect.
 """
@@ -51,7 +51,7 @@ class InstrumentError(TissueIDError):
 
 
 class ProtocolVersionError(InstrumentError):
-    """The instrument speaks a version of the wire protocol that this software does not."""
+    """The instrument uses a version of the wire protocol that this software does not support."""
 
 
 class LinkLostError(InstrumentError):

@@ -57,7 +57,7 @@ class Design:
 
     @cached_property
     def intended_amplitudes(self) -> Array | None:
-        """The amplitudes (n,) that were asked for, rising, in the unit of the stimulus; None where none were."""
+        """Specified amplitudes (n,), ascending, in the unit of the stimulus; None if not specified."""
         kind = self.specification
         if not isinstance(kind, Shaped):
             return None
@@ -76,7 +76,7 @@ class Design:
 
     @property
     def lags(self) -> int:
-        """Lags that are looked at."""
+        """Number of lags of the autocorrelation."""
         return int(getattr(self.specification, "lags", LAGS))
 
     @cached_property
@@ -98,7 +98,7 @@ class Design:
 
     @cached_property
     def target_power(self) -> tuple[Array, Array] | None:
-        """Frequencies, Hz, and power density of any scale that were asked for; None where none were."""
+        """Frequencies, Hz, and specified power density of any scale; None if not specified."""
         kind = self.specification
         if not isinstance(kind, Shaped):
             return None
@@ -120,7 +120,7 @@ class Design:
         kind, search = self.specification, self.search
         return {
             "amplitude_distance": self.amplitude_distance,
-            # What does not vary, as a quiet record, has none.
+            # A constant signal, such as that of a quiet test, has none.
             "autocorrelation_lags": self.autocorrelation.size - 1 if np.ptp(self.played) > 0.0 else None,
             "autocorrelation_error": self.autocorrelation_error,
             "interchange": None

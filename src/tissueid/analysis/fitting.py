@@ -131,7 +131,7 @@ def fit_split(specification: Engine, parts: Split) -> Analysis:
 
 
 def _without_spring(model: Model, spring_n_per_m: float) -> Model:
-    """Return the model with the external spring subtracted from its reported stiffness, and a finding that says so."""
+    """Return the model with the external spring subtracted from its reported stiffness, and add a finding about it."""
     report = model.report
     if not spring_n_per_m or not (has_stiffness(report.parameters) or model.depth_profile() is not None):
         return model

@@ -129,7 +129,7 @@ class AuditTrail:
                         line=_number(before),
                         path=str(self.log.path),
                     )
-            except Exception as error:  # noqa: BLE001 - reported by the future or by settle(); the thread goes on
+            except Exception as error:  # noqa: BLE001 - reported by the future or by settle(); the thread continues
                 if answer is not None:
                     answer.set_exception(error)
                 elif isinstance(error, AuditError):

@@ -39,7 +39,7 @@ def profile_curve(
 def depth_plots(analysis: Analysis) -> tuple[Plot, Plot, Plot]:
     """Return mass, damping and stiffness against position, each with one standard deviation.
 
-    A faint curve is that of the way out of the tissue, where it differs. An engine without a profile gives a point at
+    A faint curve shows retraction if it differs from indentation. An engine without a profile gives a point at
     the mean position.
 
     Raises:

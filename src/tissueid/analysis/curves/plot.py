@@ -1,4 +1,4 @@
-"""The data of a plot, whatever draws it: curves, surfaces and bars over labelled axes.
+"""The data of a plot, independent of the drawing library: curves, surfaces and bars over labelled axes.
 
 Values are in clinical display units (:func:`tissueid.units.display_unit`). Labels are English texts marked for
 translation, or messages; they are translated when they are drawn.
@@ -112,7 +112,7 @@ class Bars:
 
 @dataclass(frozen=True, eq=False)
 class Plot:
-    """Parts over a pair of axes. ``missing`` says why there is nothing to draw, ``note`` what a band means."""
+    """Parts over two axes. ``missing`` is the reason if there is nothing to draw, ``note`` explains a band."""
 
     title: str
     x: Axis
