@@ -59,6 +59,8 @@ class PlotCanvas(QFrame):
     def __init__(self, name: str = "", parent: QWidget | None = None) -> None:
         super().__init__(parent)
         self.setProperty("role", "card")
+        self.focus = Qt.FocusPolicy.StrongFocus
+        """How the plots take the focus once they are drawn."""
         self.plots: tuple[Plot, ...] = ()
         self.axes: list[Axes] = []
         self._name, self._relief, self._key, self._description = name, False, True, ""
@@ -346,7 +348,7 @@ class PlotCanvas(QFrame):
 
             make: Any = FigureCanvasQTAgg  # which has no annotations
             self._canvas = make(Figure(dpi=self.logicalDpiX()))
-            self._canvas.setFocusPolicy(Qt.FocusPolicy.StrongFocus)
+            self._canvas.setFocusPolicy(self.focus)
             self._canvas.setMouseTracking(True)
             self._canvas.setSizePolicy(QSizePolicy.Policy.Ignored, QSizePolicy.Policy.Ignored)
             self._canvas.installEventFilter(self)

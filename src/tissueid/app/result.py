@@ -188,6 +188,7 @@ class ResultPage(QScrollArea):
         )
         for card in self.cards:
             card.setMinimumHeight(_PLOT_HEIGHT)
+            card.focus = Qt.FocusPolicy.ClickFocus  # the page is scrolled by keys, not stop by stop
             if self._theme is not None:
                 card.apply_theme(self._theme)
         self._columns = None
