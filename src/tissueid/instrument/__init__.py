@@ -1,4 +1,4 @@
-"""Instruments: real ones on a port, simulated ones in this process, and replays of saved tests."""
+"""Instruments: devices on a port, in-process simulations, and replays of saved tests."""
 
 from __future__ import annotations
 

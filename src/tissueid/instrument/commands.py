@@ -18,7 +18,7 @@ CHUNK_CODES = 480
 """Converter codes in one frame, 960 bytes."""
 
 STAGE_TRIES = 100
-"""Attempts of STAGE, which is answered when the movement ends: 30 s, enough for the whole way."""
+"""Attempts of STAGE, whose answer arrives after the movement: 30 s, enough for the full travel."""
 
 
 def send_hello(channel: RequestChannel) -> None:
@@ -48,7 +48,7 @@ def send_stimulus(channel: RequestChannel, stimulus_id: int, codes: NDArray[np.i
 
 
 def send_following(channel: RequestChannel, stimulus_id: int, samples: int, hold_code: int) -> None:
-    """Announce ``samples`` set-points after the stimulus; ``hold_code`` is played where one is missing.
+    """Announce ``samples`` set-points after the stimulus; ``hold_code`` is played where a set-point is missing.
 
     Raises:
         InstrumentError: there are too many set-points, or the firmware is too old.
@@ -90,10 +90,10 @@ def send_limits(channel: RequestChannel, token: int, stimulus_id: int, limits: L
 
 
 def send_stage(channel: RequestChannel, position_m: float | None) -> bool:
-    """Move the stage to a position, m, or out of reach with None, and wait. Return False if there is no stage.
+    """Move the stage to a position, m, or out of reach with None, and wait. Return False without a stage.
 
     Raises:
-        InstrumentError: the stage cannot move there, or not now.
+        InstrumentError: the stage cannot move to this position, or not at this time.
     """
     payload = wire.pack(wire.STAGE, position_m=np.nan if position_m is None else position_m)
     result, detail = channel.result_of(MessageType.STAGE, payload, tries=STAGE_TRIES)

@@ -30,13 +30,13 @@ _SEED_DIGITS = 18
 _START_FIELD = 19
 """Index of the start time among the fields after the process name (proc(5))."""
 _SHOWN = 80
-"""Characters of an address that a message repeats."""
+"""Maximum number of characters of an address in a message."""
 _SIMULATION = Message("discovery.simulation", "simulation in this process")
 
 
 @dataclass(frozen=True)
 class FoundInstrument:
-    """An address where an instrument is, or may be."""
+    """Address with a known or possible instrument."""
 
     url: str
     what: str
@@ -44,7 +44,7 @@ class FoundInstrument:
     answers: bool | None
     """True: the handshake succeeded. False: it failed. None: not tried."""
     detail: str = ""
-    """Model, serial number and firmware of an instrument that answered, or why it did not answer."""
+    """Model, serial number and firmware of an instrument that answered, or the reason why it did not."""
     name: str = ""
     """Name for lists: model and serial number of an instrument that answered, else the kind of port."""
 

@@ -47,8 +47,9 @@ log = logging.getLogger(__name__)
 _Reply = TypeVar("_Reply")
 
 OVERDUE_SHARE, OVERDUE_S = 1.25, 5.0
-"""Longest duration of a run by the host's clock: share of its nominal duration, plus seconds. The clock of a device is
-off by a tenth at most; a simulated device stands still while its machine is busy."""
+"""Maximum duration of a run by the host's clock: factor on its nominal duration, plus seconds. The clock of a device
+deviates by at most 10 %; a simulated device stalls while its computer is busy.
+"""
 
 STOP_TRIES = 3
 """Attempts of STOP if the request before it was not answered; twice as many if it was."""
@@ -57,14 +58,14 @@ _HELLO_PUMP_S = 0.05
 
 
 class SerialInstrument:
-    """An instrument at the other end of a link. Opening it does the handshake and starts the stream of samples.
+    """Instrument on a link. Opening it performs the handshake and starts the stream of samples.
 
     Args:
-        link: the bytes from and to the device; closed with the instrument.
+        link: byte stream from and to the device; closed with the instrument.
         clock: monotonic time, s.
 
     Raises:
-        ProtocolVersionError: the firmware speaks other versions of the protocol.
+        ProtocolVersionError: the firmware uses other versions of the protocol.
         LinkLostError: no answer.
     """
 
@@ -120,11 +121,11 @@ class SerialInstrument:
         self.device = device
 
     def load(self, command_v: NDArray[np.float64]) -> None:
-        """Send a stimulus, shape (n,), V. Each chunk is acknowledged, and repeated if it is lost.
+        """Send a stimulus, shape (n,), V. Each chunk is acknowledged, and repeated if lost.
 
         Raises:
             LimitError: a voltage is outside the range of the converter.
-            InstrumentError: the firmware refuses the stimulus.
+            InstrumentError: the firmware rejects the stimulus.
         """
         codes = self._handshake.codes(command_v)
         self._wait_for_release()
@@ -450,7 +451,7 @@ class SerialInstrument:
             raise self._with_watchdog(error) from error
 
     def _with_watchdog(self, error: LinkLostError) -> LinkLostError:
-        """Return the error with the timeout of the watchdog: the coil may be energised, and cannot be asked."""
+        """Return the error with the timeout of the watchdog: the coil may still be energised."""
         if self._watchdog_s is None or error.watchdog_s is not None:
             return error
         return LinkLostError(

@@ -23,7 +23,7 @@ SILENCE_S = 1.0
 """Time without new usable samples after which the link counts as lost, s. A device sends samples every 10 ms."""
 
 UNJUDGED_S = 0.25
-"""Time without usable samples after which no heartbeat is sent, so that a watchdog fault is not the host's, s."""
+"""Time without usable samples after which no heartbeat is sent and a watchdog fault is attributed to the link, s."""
 
 
 class FrameReceiver:

@@ -23,7 +23,7 @@ SAMPLE = np.dtype([("index", "<u8"), *((name, "<f8") for name in SIGNALS), ("fla
 
 @dataclass(frozen=True)
 class Gap:
-    """``count`` samples from ``first_index`` that were not received."""
+    """Gap of ``count`` missing samples from ``first_index``."""
 
     first_index: int
     count: int
@@ -31,14 +31,14 @@ class Gap:
 
 @dataclass(frozen=True)
 class Run:
-    """One stimulus being played, from sample ``first_index`` to before ``end_index``."""
+    """Run of one stimulus, from sample ``first_index`` to before ``end_index``."""
 
     first_index: int
     samples: int
 
     @property
     def end_index(self) -> int:
-        """The first sample after the stimulus."""
+        """Index of the first sample after the stimulus."""
         return self.first_index + self.samples
 
 
@@ -47,10 +47,11 @@ Observer = Callable[[NDArray[np.void]], None]
 
 
 class Instrument(Protocol):
-    """An instrument. Sequence of a test: open, load, arm, start, poll until the run is over, release, close.
+    """Interface of an instrument. Sequence of a test: open, load, arm, start, poll until the run is over, release,
+    close.
 
     ``poll`` must be called at least every 100 ms while the coil is armed or running. Only ``poll`` sends the heartbeat
-    for the firmware's watchdog, so that a host that hangs releases the coil.
+    for the firmware's watchdog, so that the coil is released if the host hangs.
     """
 
     nominal: DeviceDescription

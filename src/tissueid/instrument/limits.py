@@ -15,10 +15,12 @@ from tissueid.errors import LimitError
 from tissueid.messages import Message
 
 FORCE_MARGIN = 1.05
-"""Ratio of the measured force that stops a test to its limit: noise must not stop a test at the limit."""
+"""Ratio of the measured force that stops a test to its limit, so that noise does not stop a test at the limit."""
 
 GENTLE_FORCE_N = 2.0
-"""Highest force limit, N, at which position limits may lie beyond the stroke: the search for the ends touches them."""
+"""Maximum force limit, N, with which position limits may lie beyond the stroke: the search for the
+ends touches them.
+"""
 
 BEYOND_STROKE_M = 1.0e-3
 """Greatest distance of position limits beyond an end of the stroke at gentle force, m."""

@@ -21,20 +21,22 @@ BLOCK_S = 0.01
 POSITION_BLOCKS = 10
 """Blocks over which position and force are compared."""
 FROZEN_SWING_N = 0.3
-"""Change of force over 100 ms, N, at which an intact position sensor does not read exactly the same value."""
+"""Change of force over 100 ms, N, above which the reading of an intact position sensor is not constant."""
 
 STILL_SWING_N, STILL_M = 3.0, 6.0e-6
 """Change of force over 100 ms, N, that moves an intact probe by more than the second value, m."""
 
 JUMP_M_PER_S = 10.0
-"""Speed between two samples that is impossible, m/s: over twice what full force reaches over the whole stroke."""
+"""Impossible speed between two samples, m/s: more than twice the maximum at full force over the whole stroke."""
 
 COIL_BLOCKS = 2
 OPEN_VOLTS, OPEN_SHARE = 2.0, 0.15
 """The coil is open if, over 20 ms at this voltage or more, the current is below this share of voltage / resistance."""
 
 CURRENT_BLOCKS, CURRENT_SWING_V = 5, 1.0
-"""The current sensor is frozen if it reads one value over these blocks while the voltage changes by this much, V."""
+"""The current sensor is frozen if its reading is constant over these blocks while the voltage changes
+by this value, V.
+"""
 
 STUCK_POSITION = Message(
     "sensor.position_stuck",
@@ -62,7 +64,9 @@ class Plausibility:
         self.begin()
 
     def begin(self, *, at_low_end: bool = False) -> None:
-        """Begin a run. With ``at_low_end`` the probe may rest on the near end of its stroke, where readings stop."""
+        """Begin a run. With ``at_low_end`` the probe may rest at the near end of its stroke, where readings are
+        constant.
+        """
         self._at_low_end = at_low_end
         self._pending = np.zeros((0, len(_COLUMNS)))
         self._seen: deque[dict[str, float]] = deque(maxlen=POSITION_BLOCKS)

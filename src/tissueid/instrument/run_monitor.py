@@ -1,4 +1,4 @@
-"""Monitor of a run: whether arriving samples and STATUS messages show that it continues, has ended or must end."""
+"""Monitor of a run: decides from arriving samples and STATUS messages whether it continues, has ended or must end."""
 
 from __future__ import annotations
 
@@ -76,7 +76,7 @@ class RunMonitor:
         self._unseen_end = None
 
     def end_of_start(self) -> None:
-        """START was answered, or its answer is no longer awaited."""
+        """Stop waiting for the answer to START."""
         self._starting = None
 
     def on_started(self, run: Run) -> None:

@@ -20,11 +20,11 @@ _NO_TEMPERATURE = Message(
 
 
 class SampleMonitor:
-    """One for each opening of an instrument, so that the calculated temperature carries over from test to test.
+    """Host-side checks of one opened instrument; the calculated temperature carries over from test to test.
 
     Args:
         nominal: the instrument's own properties; an active calibration can only make the checks stricter.
-        winding: whether to calculate the temperature; False for a simulation in this process, which has no coil.
+        winding: whether to calculate the temperature; False for an in-process simulation, which has no coil.
     """
 
     def __init__(self, nominal: DeviceDescription, *, winding: bool = True) -> None:

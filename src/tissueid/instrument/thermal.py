@@ -1,10 +1,10 @@
-"""Thermal model of the coil: temperature of the winding calculated from the measured current.
+"""Thermal model of the coil: winding temperature calculated from the measured current.
 
-The firmware has a model of its own. Both stop a test independently of the sensor: a sensor lags behind the winding,
-and a broken one reads room temperature.
+The firmware has an independent model. Both stop a test independently of the sensor: a sensor lags behind the winding,
+and a failed sensor may read room temperature.
 
-The constants are on the hot side of the desktop coil's estimates. Both devices use wire of the same gage, so heat
-capacity and cooling surface scale with the length of the wire, which scales with the resistance.
+The constants are conservative with respect to the estimates of the desktop coil. Both devices use wire of the same
+gauge, so heat capacity and cooling surface scale with the length of the wire, which scales with the resistance.
 """
 
 from __future__ import annotations
@@ -25,7 +25,7 @@ COPPER_PER_K = 0.0039
 """Relative increase of the resistance of copper per kelvin above 20 degC."""
 
 PLAUSIBLE_C = (-20.0, 150.0)
-"""Range of plausible sensor readings, degC; outside it the sensor is broken or unplugged."""
+"""Range of plausible sensor readings, degC; outside it the sensor has failed or is unplugged."""
 
 
 class WindingTemperature:

@@ -70,10 +70,12 @@ _SKIN_EFFECTS: Effects = {
     "viscoelasticity": {"ratio": 0.26, "time_s": 0.08, "decades": 1.0, "growth": 1.0, "tilt": 0.0},
     "contact_loss": {"slowing_s": 0.1, "adhesion_n": 0.02},
 }
-"""Effects of skin. Contact loss comes last because it acts on the sum of the others."""
+"""Effects of skin. Contact loss is last because it acts on the sum of the others."""
 
 _REPEATS = Variation(0.04, 0.02, 0.03, 0.03, 0.07, 0.1e-3)
-"""Chosen for the individual coefficients of variation of Chen 2010, Table 7.1, within a factor of 1.5."""
+"""Variation that reproduces the individual coefficients of variation of Chen 2010, Table 7.1, within a
+factor of 1.5.
+"""
 
 TISSUES = {
     # Chosen for a standard test to give nearly what Chen 2010 found on the posterior forearm: mass, damping, stiffness

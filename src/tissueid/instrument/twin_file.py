@@ -27,7 +27,7 @@ from tissueid.twin.simulation import ActiveEffect, values_by_name
 from tissueid.untrusted_input import toml_table
 
 MOST_NAMED = MOST_EFFECTS
-"""Most effects of a named twin."""
+"""Maximum number of effects of a named twin."""
 
 _Finite = Annotated[float, Field(allow_inf_nan=False, ge=-1e12, le=1e12)]
 _Figure = Annotated[str, Field(pattern=r"^[a-z][a-z0-9_]{0,63}$")]
@@ -46,7 +46,7 @@ _TISSUE_BOUNDS = {
     "stiffness_growth_per_m": (-1e4, 1e4),
 }
 _MOST_RADIANS = 1.5 * SUBSTEPS
-"""Largest phase of the mass on the surface stiffness per sample, rad; from 2 per step the simulation is unstable."""
+"""Maximum phase of the mass on the surface stiffness per sample, rad; from 2 per step the simulation is unstable."""
 
 
 class _Part(BaseModel):
@@ -54,7 +54,7 @@ class _Part(BaseModel):
 
 
 class Source(_Part):
-    """The diagnosis that a twin comes from."""
+    """Diagnosis from which a twin was accepted."""
 
     session_id: _Line = ""
     tests: Annotated[tuple[int, ...], Field(max_length=1000)] = ()
@@ -239,7 +239,7 @@ def content_of(twin: NamedTwin, source: Source, created: str, software: str) -> 
 
 
 def read_twin(path: Path) -> TwinFile:
-    """Read a twin from a file, which may come from another person.
+    """Read a twin from a file, whose content is validated.
 
     Raises:
         UnusableInputError: the file cannot be read, is too large, is not a twin, or has an invalid field.
@@ -307,7 +307,7 @@ def check_twin_name(name: str) -> None:
 
 
 def check_twin_writable(path: Path) -> None:
-    """Check that a twin can be written to ``path``, before any work.
+    """Check that a twin can be written to ``path``, before any computation.
 
     Raises:
         UnusableInputError: a folder, a missing folder, another suffix, or an existing file that is not a twin.

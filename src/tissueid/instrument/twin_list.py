@@ -1,4 +1,4 @@
-"""List of the named twins in a folder. Does not import the compiled code that simulates them."""
+"""List of the named twins in a folder. Does not import the compiled simulation code."""
 
 from __future__ import annotations
 
@@ -14,10 +14,10 @@ SUFFIX = ".toml"
 MOST_BYTES = 256 * 1024
 """Largest file of a twin that is read, bytes."""
 MOST_TWINS = 20
-"""Files of a folder that are read, newest first."""
+"""Maximum number of files read in a folder, newest first."""
 _SCHEME = "simulated://"
 _LONGEST = 60
-"""Characters of a name that are shown."""
+"""Maximum number of displayed characters of a name."""
 
 
 def twin_url(path: Path) -> str:

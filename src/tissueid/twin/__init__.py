@@ -1,4 +1,4 @@
-"""The twin: a model of the signal chain from command to recorded numbers. Pure: arrays in, arrays out."""
+"""Digital twin: simulation of the signal chain from command to recorded samples. Pure functions of arrays."""
 
 from __future__ import annotations
 

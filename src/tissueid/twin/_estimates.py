@@ -12,16 +12,16 @@ from scipy import optimize
 FloatArray = NDArray[np.float64]
 
 SETTLING_S = 0.3
-"""Time at the start of a test that is left out, s: the probe moves to its equilibrium."""
+"""Excluded time at the start of a test, s: the probe moves to its equilibrium."""
 _WINDOWS = (0, 1, 2, 3, 4, 6, 8, 11, 16, 23, 32, 45, 64, 91, 128, 181, 256, 362, 512)
 """Edges of windows in the past, samples; the means in the windows represent the memory of coil and mechanics."""
 
 
 def unexplained(signals: Mapping[str, FloatArray], name: str, sample_rate_hz: float) -> FloatArray:
-    """Return the unexplained part of a recorded signal, shape (n,); 0 where it was not received and during settling.
+    """Return the residual of a recorded signal, shape (n,); 0 where samples are missing and during settling.
 
-    The prediction of the baseline is subtracted where the signals include it. Otherwise a regression is subtracted: on
-    the past of the command (for the voltage) or of the voltage (for the others), and on its square and cube.
+    The prediction of the baseline is subtracted if the signals include it. Otherwise a regression is subtracted: on the
+    past of the command (for the voltage) or of the voltage (for the others), and on its square and cube.
     """
     recorded = np.asarray(signals[name], np.float64)
     known = np.isfinite(recorded)
@@ -74,7 +74,9 @@ def fitted(left: FloatArray, columns: FloatArray, orders: FloatArray) -> tuple[f
 def line(
     left: FloatArray, time: FloatArray, harmonics: Sequence[int], low_hz: float, high_hz: float
 ) -> tuple[float, FloatArray]:
-    """Return the frequency whose harmonics explain most, and their amplitudes (cosine, sine, cosine, ...)."""
+    """Return the fundamental frequency that explains most, Hz, and the amplitudes of its harmonics
+    (cosine, sine, ...).
+    """
     if time.size < 2 or not left.any():
         return 0.5 * (low_hz + high_hz), np.zeros(2 * len(harmonics))
     orders = np.repeat(np.asarray(harmonics, np.float64), 2)

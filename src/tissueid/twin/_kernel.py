@@ -1,4 +1,4 @@
-"""The compiled loop of the chain. Private to ``simulation``."""
+"""Compiled integration loop of the chain. Private to ``simulation``."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ from tissueid.twin import bus as b
 
 @intrinsic  # type: ignore[untyped-decorator]
 def address(typing_context: Any, array: Any, offset: Any) -> Any:
-    """Address of an element of a contiguous array of float64; the caller keeps the array alive."""
+    """Return the address of an element of a contiguous float64 array; the caller keeps the array alive."""
 
     def generate(context: Any, builder: Any, signature: Any, arguments: Any) -> Any:
         held = context.make_array(signature.args[0])(context, builder, arguments[0])
@@ -45,7 +45,7 @@ VOLTAGE_GIVEN, CURRENT_GIVEN, MOTION_GIVEN = range(3)
 OUT_VOLTAGE, OUT_CURRENT, OUT_POSITION, OUT_VELOCITY = range(4)
 
 MOST_EXPONENT = 12.0
-"""Largest exponent of growth with depth: beyond it there is no tissue and numbers would overflow."""
+"""Bound of the exponent of growth with depth, which prevents overflow."""
 
 
 @njit(cache=True, error_model="numpy")  # type: ignore[untyped-decorator]

@@ -18,7 +18,7 @@ FloatArray = NDArray[np.float64]
 FARTHEST_M = 0.045
 """Largest plausible position of a probe, m."""
 _OUTSIDE = 0.002
-"""Share of the readings at either end that is left out of the range."""
+"""Share of the readings at either end that is excluded from the range."""
 
 
 @njit(cache=True)  # type: ignore[untyped-decorator]

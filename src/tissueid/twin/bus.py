@@ -1,9 +1,8 @@
-"""Places where the compiled chain calls effects, and the numbers that effects can read and change there.
+"""Call sites of effects in the compiled chain, and the quantities that effects can read and change there.
 
-A hook is a plain function ``hook(where, bus, p, s, dt)``: the place of the call, the numbers of this step, the
-parameters in the order of their declaration, the effect's own state (zeros at the start of a test), and the step in
-seconds. It is compiled and gets addresses: it must not use Python objects, slices or sizes. Every number on the bus is
-SI.
+A hook is a plain function ``hook(where, bus, p, s, dt)``: the call site, the quantities of this step, the parameters in
+the order of their declaration, the effect's own state (zeros at the start of a test), and the step in seconds. It is
+compiled and receives addresses: it must not use Python objects, slices or sizes. All quantities are SI.
 """
 
 from __future__ import annotations
@@ -26,14 +25,14 @@ PLACES = 5
 
 # The bus.
 TIME = 0
-"""From the start of the test, at the start of this step."""
+"""Time from the start of the test to the start of this step."""
 VOLTAGE = 1
 CURRENT = 2
-"""At the start of the step when the coil is called, its mean over the step afterwards."""
+"""Current at the start of the step for coil hooks, its mean over the step afterwards."""
 POSITION = 3
-"""Of the probe on the actuator's scale, in the middle of the step."""
+"""Position of the probe on the actuator scale, at the middle of the step."""
 VELOCITY = 4
-"""Of the probe, at the start of the step."""
+"""Velocity of the probe at the start of the step."""
 SURFACE_POSITION = 5
 DEPTH = 6
 """POSITION minus SURFACE_POSITION; negative where the probe is off the surface."""
@@ -44,11 +43,11 @@ FORCE_CONSTANT = 9
 OPPOSING_VOLTAGE = 10
 """Voltage that opposes the current in addition to resistance, inductance and back-EMF."""
 FORCE = 11
-"""On the moving part, positive into the tissue, without tissue and viscous damping."""
+"""Force on the moving part, positive into the tissue, without tissue and viscous damping."""
 DAMPING = 12
-"""Viscous coefficient without the tissue's."""
+"""Viscous coefficient without that of the tissue."""
 MASS = 13
-"""Moving mass without the tissue's."""
+"""Moving mass without that of the tissue."""
 TISSUE_FORCE = 14
 """Force of the tissue without its damping, positive out of the tissue."""
 TISSUE_DAMPING = 15
@@ -58,10 +57,10 @@ STIFFNESS = 17
 STIFFNESS_GROWTH = 18
 """Exponent of the growth of stiffness with depth, 1/m."""
 ACCELERATION = 19
-"""Of the probe, in the previous step."""
+"""Acceleration of the probe in the previous step."""
 STROKE = 20
 SAMPLE = 21
-"""Number of the sample that this step belongs to, from 0."""
+"""Index of the sample of this step, from 0."""
 VOLTAGE_RISE = 22
 """Voltage at the end of the step, which is recorded, minus VOLTAGE, its mean over the step."""
 VOLTAGE_TILT = 23
@@ -76,9 +75,9 @@ POSITION_SHIFT = 27
 SIZE = 28
 
 MOST_EFFECTS = 4
-"""Most effects that can act at once. The compiled loop takes its size from here."""
+"""Maximum number of simultaneous effects; it determines the size of the compiled loop."""
 SLOTS = MOST_EFFECTS + 1
 """Effects in the compiled loop: one more for the end bumpers of a simulated instrument."""
 MOST_PARAMETERS = 40
 MOST_STATES = 512
-"""Size of an effect's own state, enough for the last milliseconds of a signal."""
+"""Size of the state of an effect, sufficient for the last milliseconds of a signal."""

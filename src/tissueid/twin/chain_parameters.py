@@ -53,10 +53,10 @@ class Tissue:
 
 
 def spring(rest_m: float, stiffness_n_per_m: float, mass_kg: float = 0.0, damping_n_s_per_m: float = 0.0) -> Tissue:
-    """Return the calibration spring in place of tissue, with its small moving mass and damping."""
+    """Return the parameters of the calibration spring, with its small moving mass and damping."""
     return Tissue(rest_m, mass_kg, damping_n_s_per_m, 0.0, stiffness_n_per_m, 0.0)
 
 
 def nothing() -> Tissue:
-    """Return parameters of free air."""
+    """Return the parameters of free air."""
     return Tissue(0.0, 0.0, 0.0, 0.0, 0.0, 0.0)

@@ -27,7 +27,7 @@ STAGE_NAMES: Mapping[Stage, str] = {
     "sensing": marked("sensors"),
     "environment": marked("surroundings"),
 }
-"""Names of the stages for people."""
+"""Displayed names of the stages."""
 
 FloatArray = NDArray[np.float64]
 Hook = Callable[[int, FloatArray, FloatArray, FloatArray, float], None]
@@ -93,7 +93,7 @@ class Effect:
     equation: str
     """Equation with its neutral value, as text."""
     signature: str
-    """Trace in the records: in which signals, when, at what frequencies."""
+    """Trace of the effect in the records: signals, times and frequencies."""
     source: str
     parameters: tuple[Parameter, ...]
     starts: tuple[tuple[float, ...], ...]
@@ -102,7 +102,7 @@ class Effect:
     hook: Hook | None = None
     recording: Recording | None = None
     needs: frozenset[str] = frozenset({"position"})
-    """Recorded signals that are needed to identify the effect."""
+    """Recorded signals that are required to identify the effect."""
     estimate_from_record: Callable[[Mapping[str, FloatArray], float], Mapping[str, float]] | None = None
     """Return starting values of ``per_test`` parameters, estimated from the signals and the sample rate of a test.
 
@@ -113,7 +113,7 @@ class Effect:
     estimate_from_records: (
         Callable[[Sequence[Mapping[str, FloatArray]], float], Sequence[Mapping[str, float]]] | None
     ) = None
-    """The same for all tests at once, for parameters that tests have in common, such as a rate of breathing."""
+    """The same for all tests at once, for parameters shared by the tests, such as a breathing rate."""
     re_estimate: bool = False
     """Whether ``estimate_from_record`` is repeated after a fit, with the prediction of the fit without the effect."""
     starts_from: Callable[[Sequence[Mapping[str, FloatArray]], float], tuple[tuple[float, ...], ...]] | None = None
@@ -127,28 +127,30 @@ class Effect:
     """Name of the effect that includes this one as a special case. Parameters of the same name have the same meaning.
     """
     irreducible: Callable[[FloatArray], Mapping[str, float]] | None = None
-    """Return the standard deviation by signal that the effect leaves at given parameters, however well it is known.
+    """Return the standard deviation by signal that the effect leaves at the given parameters even if they are exact.
 
-    It adds to the noise: otherwise a score would count it as a gap.
+    It is added to the noise: otherwise a score would count it as a gap.
     """
     jointly: bool = False
     """Whether it vanishes only when all parameters with a neutral value have it, as two quadratures do."""
     exact: bool = False
-    """Whether its law is the same in every instrument, so that the residual of the true cause is close to noise.
+    """Whether the law is the same in every instrument, so that the residual of the true cause is close to noise.
 
-    Laws of materials differ between specimens and leave more.
+    Laws of materials differ between specimens and leave a larger residual.
     """
     switches: bool = False
-    """Whether it contains events whose instants depend on its parameters.
+    """Whether the effect contains events whose times depend on its parameters.
 
-    A signal then has corners along a parameter, and derivatives are taken over wider steps.
+    A signal then has corners along a parameter, and derivatives use larger steps.
     """
     remedy: str = ""
-    """What a technician can do about it, in one sentence."""
+    """Advice to the technician, in one sentence."""
     on_spring: bool = True
     """Whether it acts in tests on the calibration spring and in free air as well."""
     models_lift_off: bool = False
-    """Whether it contains the end of contact. A simulation in real time then adds no one-sided contact of its own."""
+    """Whether the effect models the end of contact. A real-time simulation then adds no one-sided
+    contact of its own.
+    """
     in_laboratory: bool = True
     """Whether the simulated laboratory of the blind check has an independent effect of the same name."""
 

@@ -1,4 +1,4 @@
-"""A named twin: the parameters of one instrument on one tissue, with accepted effects."""
+"""Named twin: parameters of one instrument on one tissue, with accepted effects."""
 
 from __future__ import annotations
 

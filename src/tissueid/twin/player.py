@@ -1,4 +1,4 @@
-"""Simulation of the chain in pieces, as an instrument plays a command: the state continues from piece to piece."""
+"""Simulation of the chain in pieces, as an instrument plays a command: the state carries over between pieces."""
 
 from __future__ import annotations
 
@@ -64,21 +64,21 @@ would leave the housing without them.
 
 SUBSTEPS = 20
 """Integration steps in a sample: 25 us each at 2 kHz. Speed matters less than in a fit."""
-REMEMBERED = 512
+HISTORY_SAMPLES = 512
 """Past samples that effects on the recorded numbers (filters, clocks) get with every piece."""
 
 
 class Player:
-    """A simulation in progress. Any division of a command into pieces gives the same result.
+    """Running simulation. The result does not depend on how a command is divided into pieces.
 
     Args:
         instrument: parameters of amplifier, coil and moving part.
         tissue: parameters of the tissue.
-        start: state at the start.
+        start: initial state.
         acting: effects, at most ``bus.MOST_EFFECTS``; the end bumpers are added.
-        sample_rate_hz: samples a second.
-        on_tissue: whether effects of the stage ``tissue`` take part.
-        substeps: integration steps in a sample.
+        sample_rate_hz: sample rate, Hz.
+        on_tissue: whether effects of the stage ``tissue`` are active.
+        substeps: integration steps per sample.
 
     Raises:
         ValueError: too many effects.
@@ -111,7 +111,7 @@ class Player:
         return Start(float(self._state[0]), float(self._state[1]), float(self._state[2]))
 
     def set_surface(self, surface_m: float) -> None:
-        """Set where the tissue begins from now on, m."""
+        """Set the position of the tissue surface from now on, m."""
         self._tissue = replace(self._tissue, surface_m=surface_m)
 
     def set_parameters(self, tissue: Tissue, acting: Sequence[ActiveEffect]) -> None:
@@ -134,7 +134,7 @@ class Player:
         out = run(self._prepared, command, self._instrument, self._tissue, self._rate, self._substeps, self._state)
         self._samples += command.size
         raw = np.concatenate([self._past, out[:3]], axis=1)
-        self._past = raw[:, -REMEMBERED:]
+        self._past = raw[:, -HISTORY_SAMPLES:]
         if not any(item.effect.recording for item in self._acting):
             return raw[:, -command.size :]
         time = np.arange(self._samples - raw.shape[1] + 1, self._samples + 1) / self._rate

@@ -165,11 +165,11 @@ def prepared(acting: Sequence[ActiveEffect], on_tissue: bool) -> Prepared:
     """
     if len(acting) > bus.SLOTS:
         raise ValueError(f"at most {bus.SLOTS} effects act at once, not {len(acting)}")
-    hooks = tuple(compiled(item.effect.hook) if _takes_part(item, on_tissue) else compiled(_idle) for item in acting)
+    hooks = tuple(compiled(item.effect.hook) if _is_active(item, on_tissue) else compiled(_idle) for item in acting)
     places = np.zeros((bus.SLOTS, bus.PLACES), np.bool_)
     parameters = np.zeros((bus.SLOTS, bus.MOST_PARAMETERS))
     for k, item in enumerate(acting):
-        if _takes_part(item, on_tissue):
+        if _is_active(item, on_tissue):
             places[k, list(item.effect.places)] = True
             parameters[k, : item.values.size] = item.values
     states = np.zeros((bus.SLOTS + 1, bus.MOST_STATES))
@@ -219,7 +219,7 @@ def _any(given: MeasuredSignals) -> bool:
     return given.voltage is not None or given.current is not None or given.position is not None
 
 
-def _takes_part(item: ActiveEffect, on_tissue: bool) -> bool:
+def _is_active(item: ActiveEffect, on_tissue: bool) -> bool:
     effect = item.effect
     return effect.hook is not None and (on_tissue or (effect.stage != "tissue" and effect.on_spring))
 

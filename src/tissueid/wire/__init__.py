@@ -1,6 +1,6 @@
-"""The wire format: frames and messages between host and firmware. ``docs/protocol.md`` is its specification.
+"""Wire format: frames and messages between host and firmware, specified in ``docs/protocol.md``.
 
-This is the one module that host and firmware share, so it imports nothing of either.
+This is the only package shared by host and firmware; it imports nothing of either.
 """
 
 from tissueid.wire.frames import (

@@ -1,4 +1,4 @@
-"""Frames: header, payload and CRC-32, COBS encoded, ended by a zero byte (docs/protocol.md, section 2)."""
+"""Frames: header, payload and CRC-32, COBS encoded, terminated by a zero byte (docs/protocol.md, section 2)."""
 
 from __future__ import annotations
 
@@ -9,10 +9,10 @@ from dataclasses import dataclass, field
 from cobs import cobs
 
 PROTOCOL_VERSION = 1
-"""The version that this code writes. Versions are compared in the handshake, not frame by frame."""
+"""Version of the written frames. Versions are compared in the handshake, not for every frame."""
 
 HEADER = struct.Struct("<BBHQQ")
-"""version, type, sequence number, device time in microseconds, sample index."""
+"""Version, type, sequence number, device time in microseconds, sample index."""
 
 _CRC = struct.Struct("<I")
 MAX_PAYLOAD = 2048
@@ -23,7 +23,7 @@ _MAX_ENCODED = _MAX_FRAME + _MAX_FRAME // 254 + 1
 
 @dataclass(frozen=True, slots=True)
 class Frame:
-    """One decoded frame. ``type`` stays a number: a newer peer may send types that we do not know."""
+    """Decoded frame. ``type`` is a number, because a newer peer may send unknown types."""
 
     type: int
     sequence: int = 0
@@ -34,7 +34,7 @@ class Frame:
 
 
 def encode_frame(frame: Frame) -> bytes:
-    """Bytes on the wire, the ending zero included.
+    """Encode a frame, including the terminating zero byte.
 
     Raises:
         ValueError: the payload is longer than ``MAX_PAYLOAD``.
@@ -51,7 +51,7 @@ def encode_frame(frame: Frame) -> bytes:
 
 @dataclass(slots=True)
 class FrameStatistics:
-    """What a decoder has seen: frames accepted, and frames refused by reason."""
+    """Counters of a decoder: accepted frames, and rejected frames by reason."""
 
     accepted: int = 0
     bad_cobs: int = 0
@@ -60,20 +60,20 @@ class FrameStatistics:
 
     @property
     def refused(self) -> int:
-        """Frames that were not accepted, for whichever reason."""
+        """Total number of rejected frames."""
         return self.bad_cobs + self.bad_length + self.bad_crc
 
 
 @dataclass(slots=True)
 class FrameDecoder:
-    """Cuts a byte stream into frames. Damage costs the frames that it touches and nothing after them."""
+    """Decoder of a byte stream into frames. Damaged bytes affect only the frames that contain them."""
 
     statistics: FrameStatistics = field(default_factory=FrameStatistics)
     _buffer: bytearray = field(default_factory=bytearray)
     _overlong: bool = False
 
     def feed(self, data: bytes) -> list[Frame]:
-        """Take bytes in, give back the frames that they complete, in order."""
+        """Process bytes and return the frames that they complete, in order."""
         self._buffer += data
         *complete, rest = self._buffer.split(b"\0")
         frames = []

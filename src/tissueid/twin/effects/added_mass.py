@@ -1,4 +1,4 @@
-"""Mass of the tissue that is recruited with depth."""
+"""Tissue mass that is recruited with depth."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""A position channel that is sampled by another clock."""
+"""Position channel sampled by a different clock."""
 
 from __future__ import annotations
 

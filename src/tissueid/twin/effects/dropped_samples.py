@@ -1,4 +1,4 @@
-"""Samples lost without notice: everything recorded after a loss is early."""
+"""Undetected loss of samples: everything recorded after a loss is shifted."""
 
 from __future__ import annotations
 
@@ -14,31 +14,33 @@ from tissueid.twin.effect import Effect, FloatArray, Parameter, Readings
 
 IntArray = NDArray[np.int64]
 
-MOST_SLIP = 200
+MAX_LOST = 200
 """Most lost samples that are searched for."""
 JUMP_COST = 20.0
-"""Least gain of one loss in squared errors, in units of twice their variance."""
+"""Minimum gain of one loss in squared errors, in units of twice their variance."""
 BACK_EMF_JUMP_COST = 40.0
-"""The same for errors of the coil's equation, which other effects make coloured and not normal."""
-MOST_LEFT = 0.7
+"""The same for errors of the coil equation, which are coloured and not normal because of other effects."""
+MAX_RESIDUAL_SHARE = 0.7
 """Largest remaining share of the squared error with which a loss is accepted."""
-LEAST_MEMORY = 0.5
+MIN_CORRELATION = 0.5
 """Least correlation of successive differences of position that counts as motion rather than noise."""
 SETTLING = 600
-"""Samples at the start, in which the probe moves to its equilibrium and a slow command moves it fast."""
-FEW = 4
+"""Samples excluded at the start, in which the probe moves to its equilibrium and a slow command moves it fast."""
+MAX_CONSTANT_LAG = 4
 """Constant lead or lag of the position that is allowed, samples."""
-STRETCH = 1000
+SEGMENT = 1000
 """Samples from which the coil's parameters are first estimated: the best fitting ones, probably without a loss."""
-SLOW = 201
+SMOOTHING_WINDOW = 201
 """Window over which errors of the coil's equation are averaged to remove drift, samples."""
-MOST_ERROR = 8.0
+MAX_COST = 8.0
 """Bound of a squared error in units of twice the variance: four standard deviations."""
 
 
 @njit(cache=True)  # type: ignore[untyped-decorator]
 def _path(errors, jump_cost):  # type: ignore[no-untyped-def]
-    """Return the lag at each sample with the least cost, shape (n,), from costs of shape (n, lags); lags only grow."""
+    """Return the lag at each sample with the least total cost, shape (n,), from costs of shape (n, lags) (Viterbi
+    1967).
+    """
     size, lags = errors.shape
     came = np.empty((size, lags), np.int16)
     total = errors[0].copy()
@@ -62,14 +64,14 @@ def _path(errors, jump_cost):  # type: ignore[no-untyped-def]
     return path
 
 
-def of_record(command: FloatArray, voltage: FloatArray) -> list[tuple[int, int]]:
+def losses_in_record(command: FloatArray, voltage: FloatArray) -> list[tuple[int, int]]:
     """Return the losses of a whole record as ``(first sample after the loss, lost samples)``.
 
     The recorded voltage is compared with the command at any gain, offset and constant delay. A constant command shows
     no losses.
     """
     known = np.isfinite(voltage)
-    if not np.isfinite(command).all() or known.sum() < STRETCH:
+    if not np.isfinite(command).all() or known.sum() < SEGMENT:
         return []
     if np.std(voltage[known]) < 1e-3 or np.std(command) < 1e-3:
         return []
@@ -89,10 +91,10 @@ def of_record(command: FloatArray, voltage: FloatArray) -> list[tuple[int, int]]
             path = _lag_path(left, lags, JUMP_COST)
         found.append((float(np.nanmean(left[rows, path - lags[0]] ** 2)), path))
     after, path = min(found, key=lambda one: one[0])
-    return [*_unseen(path, command), *_changes(path)] if after < MOST_LEFT * before else []
+    return [*_loss_before_motion(path, command), *_lag_changes(path)] if after < MAX_RESIDUAL_SHARE * before else []
 
 
-def of_position(
+def losses_in_position(
     voltage: FloatArray, current: FloatArray, position: FloatArray, motion: FloatArray | None = None
 ) -> list[tuple[int, int]]:
     """Return losses of the position only, relative to the electrical record, by the back-EMF.
@@ -102,14 +104,16 @@ def of_position(
     """
     missing = _missing(position)
     # Samples missing at the end were lost earlier; a filter or a clock shifts a position by little.
-    lags = np.arange(-FEW, missing + FEW + 1) if 0 < missing <= MOST_SLIP else _lags(position)
+    lags = np.arange(-MAX_CONSTANT_LAG, missing + MAX_CONSTANT_LAG + 1) if 0 < missing <= MAX_LOST else _lags(position)
     gained = np.diff(position, prepend=position[0])
-    moves = _moves(gained) and int(np.isfinite(voltage + current).sum()) >= STRETCH
+    moves = _is_motion(gained) and int(np.isfinite(voltage + current).sum()) >= SEGMENT
     if motion is None:
-        return _changes(_by_back_emf(voltage, current, gained, lags, 0.0)) if moves else []
+        return _lag_changes(_by_back_emf(voltage, current, gained, lags, 0.0)) if moves else []
     costs = _costs(position[:, None] - _shifted(motion, lags))
-    return _changes(
-        _by_back_emf(voltage, current, gained, lags, costs) if moves else _cheapest(costs, lags, BACK_EMF_JUMP_COST)
+    return _lag_changes(
+        _by_back_emf(voltage, current, gained, lags, costs)
+        if moves
+        else _min_cost_path(costs, lags, BACK_EMF_JUMP_COST)
     )
 
 
@@ -125,17 +129,17 @@ def _by_back_emf(
     rows = np.arange(gained.size)
     path = np.zeros(gained.size, np.int64)
     whole = (rows >= SETTLING) & np.isfinite(moved).all(axis=1)
-    starts = range(SETTLING, rows.size, STRETCH // 2)
-    stretches = [whole & (rows >= start) & (rows < start + STRETCH) for start in starts]
+    starts = range(SETTLING, rows.size, SEGMENT // 2)
+    stretches = [whole & (rows >= start) & (rows < start + SEGMENT) for start in starts]
     for turn in range(4):
         index = np.clip(rows + path, 0, gained.size - 1)
         parts = stretches if turn == 0 else [whole]
         fits = [_coil_equation(columns[index], moved, voltage[index], part & known[index]) for part in parts]
         weights = min(fits, key=lambda fit: fit[0])[1]
         opposing = np.where(known, voltage - columns @ weights[:3], np.nan)
-        left = _fast(_shifted(opposing, lags)) - _fast(moved @ weights[3:])[:, None]
+        left = _high_passed(_shifted(opposing, lags)) - _high_passed(moved @ weights[3:])[:, None]
         left[:SETTLING] = np.nan
-        path = _cheapest(_costs(left) + added_costs, lags, BACK_EMF_JUMP_COST)
+        path = _min_cost_path(_costs(left) + added_costs, lags, BACK_EMF_JUMP_COST)
     return path
 
 
@@ -143,7 +147,7 @@ def _coil_equation(
     columns: FloatArray, moved: FloatArray, voltage: FloatArray, usable: NDArray[np.bool_]
 ) -> tuple[float, FloatArray]:
     """Return the errors' variance relative to the back-EMF, and weights of current, its change, 1 and motion."""
-    if usable.sum() < STRETCH // 4:
+    if usable.sum() < SEGMENT // 4:
         return np.inf, np.zeros(columns.shape[1] + moved.shape[1])
     both = np.concatenate((columns, moved), axis=1)[usable]
     weights: FloatArray = np.linalg.lstsq(both, voltage[usable], rcond=None)[0].astype(np.float64)
@@ -151,19 +155,19 @@ def _coil_equation(
     return float(np.var(voltage[usable] - both @ weights)) / max(back_emf, 1e-12), weights
 
 
-def _moves(gained: FloatArray) -> bool:
+def _is_motion(gained: FloatArray) -> bool:
     """Return whether differences of position are correlated, as in motion, or not, as in noise."""
-    fast = _fast(gained)[SETTLING:]
+    fast = _high_passed(gained)[SETTLING:]
     before, after = fast[:-1], fast[1:]
     known = np.isfinite(before + after)
-    if known.sum() < STRETCH or np.std(before[known]) < 1e-8:
+    if known.sum() < SEGMENT or np.std(before[known]) < 1e-8:
         return False
-    return float(np.corrcoef(before[known], after[known])[0, 1]) > LEAST_MEMORY
+    return float(np.corrcoef(before[known], after[known])[0, 1]) > MIN_CORRELATION
 
 
-def _fast(values: FloatArray) -> FloatArray:
-    """Subtract the moving mean over ``SLOW`` samples along the first axis."""
-    slow: FloatArray = uniform_filter1d(np.where(np.isfinite(values), values, 0.0), SLOW, axis=0)
+def _high_passed(values: FloatArray) -> FloatArray:
+    """Subtract the moving mean over ``SMOOTHING_WINDOW`` samples along the first axis."""
+    slow: FloatArray = uniform_filter1d(np.where(np.isfinite(values), values, 0.0), SMOOTHING_WINDOW, axis=0)
     return values - slow
 
 
@@ -174,7 +178,7 @@ def _missing(record: FloatArray) -> int:
 
 def _lags(record: FloatArray) -> IntArray:
     """Return the lags to search: the number of missing samples and a few more."""
-    most = min(max(40, _missing(record) + 20), MOST_SLIP, record.size // 4)
+    most = min(max(40, _missing(record) + 20), MAX_LOST, record.size // 4)
     return np.arange(-most // 2, most + 1)
 
 
@@ -200,10 +204,10 @@ def _line(x: FloatArray, y: FloatArray) -> tuple[float, float]:
 
 def _lag_path(left: FloatArray, lags: IntArray, jump_cost: float) -> IntArray:
     """Return the lag at each sample from the errors at each lag, shape (n, lags), NaN where not received."""
-    return _cheapest(_costs(left), lags, jump_cost)
+    return _min_cost_path(_costs(left), lags, jump_cost)
 
 
-def _cheapest(costs: FloatArray, lags: IntArray, jump_cost: float) -> IntArray:
+def _min_cost_path(costs: FloatArray, lags: IntArray, jump_cost: float) -> IntArray:
     path: IntArray = _path(costs, jump_cost) + lags[0]
     return path
 
@@ -216,24 +220,24 @@ def _costs(left: FloatArray) -> FloatArray:
     stretch = 64
     whole = squares[: squares.shape[0] // stretch * stretch].reshape(-1, stretch, left.shape[1]).mean(axis=1)
     variance = max(float(np.median(whole.min(axis=1))), 1e-18)
-    costs: FloatArray = np.minimum(squares / (2.0 * variance), MOST_ERROR)
+    costs: FloatArray = np.minimum(squares / (2.0 * variance), MAX_COST)
     return costs
 
 
-def _changes(path: IntArray) -> list[tuple[int, int]]:
+def _lag_changes(path: IntArray) -> list[tuple[int, int]]:
     """Return the changes of a path of lags. Its first lag is a constant delay and not a loss."""
     at = np.flatnonzero(np.diff(path)) + 1
     return [(int(n), int(path[n] - path[n - 1])) for n in at]
 
 
-def _unseen(path: IntArray, command: FloatArray) -> list[tuple[int, int]]:
+def _loss_before_motion(path: IntArray, command: FloatArray) -> list[tuple[int, int]]:
     """Return losses while the command was constant as one loss in the middle of that time."""
     moved = np.flatnonzero(command != command[0])
     still = int(moved[0]) if moved.size else 0
     return [(max(still // 2, 1), int(path[0]))] if path[0] > 0 else []
 
 
-def as_parameters(slips: list[tuple[int, int]], places: int) -> Mapping[str, float]:
+def losses_as_parameters(slips: list[tuple[int, int]], places: int) -> Mapping[str, float]:
     """Return losses by parameter name: the largest where there are too many; unused places get no sample."""
     kept = sorted(sorted(slips, key=lambda slip: -abs(slip[1]))[:places])
     found: dict[str, float] = {}
@@ -248,7 +252,7 @@ PLACES = 24
 
 
 def recording(readings: Readings, values: FloatArray) -> Readings:
-    """Shift all channels or only the position ahead after each loss; hold the end.
+    """Shift all channels, or only the position, after each loss; hold the last value.
 
     Losses are rounded to whole samples; they are not fitted by derivatives.
     """
@@ -265,12 +269,12 @@ def recording(readings: Readings, values: FloatArray) -> Readings:
 
 def estimate_from_record(signals: Mapping[str, FloatArray], sample_rate_hz: float) -> Mapping[str, float]:
     """Return losses of the whole record from the voltage, or else of the position from back-EMF and prediction."""
-    slips = of_record(signals["command"], signals["voltage"])
+    slips = losses_in_record(signals["command"], signals["voltage"])
     alone = not slips
     if alone:
         motion = signals.get("predicted_position")
-        slips = of_position(signals["voltage"], signals["current"], signals["position"], motion)
-    return {"position_alone": float(alone and bool(slips)), **as_parameters(slips, PLACES)}
+        slips = losses_in_position(signals["voltage"], signals["current"], signals["position"], motion)
+    return {"position_alone": float(alone and bool(slips)), **losses_as_parameters(slips, PLACES)}
 
 
 EFFECT = Effect(

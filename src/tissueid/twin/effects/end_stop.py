@@ -16,7 +16,7 @@ INNER, OUTER = 1.0, -1.0
 
 
 def hook(where: int, b: FloatArray, p: FloatArray, s: FloatArray, dt: float) -> None:
-    """Add a stop that pushes back and dissipates, and never pulls."""
+    """Add the force of a dissipative one-sided stop."""
     stop, force, exponent, loss = p[0], p[1], p[2], p[3]
     side = 1.0 if p[4] > 0.0 else -1.0
     past = (b[bus.POSITION] - stop) * side
@@ -29,7 +29,9 @@ def hook(where: int, b: FloatArray, p: FloatArray, s: FloatArray, dt: float) -> 
     b[bus.FORCE] -= side * force * into**exponent * min(max(1.0 + loss * velocity, 0.0), 20.0)
 
 
-def ends_met(tests: Sequence[Mapping[str, FloatArray]], sample_rate_hz: float) -> tuple[tuple[float, ...], ...]:
+def starts_at_travel_ends(
+    tests: Sequence[Mapping[str, FloatArray]], sample_rate_hz: float
+) -> tuple[tuple[float, ...], ...]:
     """Return starting points at both ends of the travel, for a hard stop and for a soft one further in."""
     found: list[tuple[float, ...]] = []
     travelled = [test["position"][np.isfinite(test["position"])] for test in tests if "position" in test]
@@ -85,7 +87,7 @@ EFFECT = Effect(
     mistaken_for=("tissue_stiffening", "sensor_nonlinearity", "amplifier_clipping"),
     places=(bus.MECHANICS,),
     hook=hook,
-    starts_from=ends_met,
+    starts_from=starts_at_travel_ends,
     remedy="Bring the device nearer to the surface, or press less deep, so that the probe does not reach the end of "
     "the stroke.",
 )

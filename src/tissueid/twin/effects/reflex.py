@@ -62,7 +62,9 @@ def hook(where: int, b: FloatArray, p: FloatArray, s: FloatArray, dt: float) -> 
     b[bus.TISSUE_FORCE] += force / (1.0 + abs(force) / p[5])
 
 
-def usual_stretch(tests: Sequence[Mapping[str, FloatArray]], sample_rate_hz: float) -> tuple[tuple[float, ...], ...]:
+def start_from_stretch(
+    tests: Sequence[Mapping[str, FloatArray]], sample_rate_hz: float
+) -> tuple[tuple[float, ...], ...]:
     """Return starting points with a threshold in the middle of the stretch of the deepest test."""
     pushed = [test["position"] for test in tests if "position" in test and np.isfinite(test["position"]).any()]
     if not pushed:
@@ -99,7 +101,7 @@ EFFECT = Effect(
     mistaken_for=("viscoelasticity", "physiological_motion", "mount_resonance", "contact_loss"),
     places=(bus.TISSUE,),
     hook=hook,
-    starts_from=usual_stretch,
+    starts_from=start_from_stretch,
     on_spring=False,
     remedy="Ask the person to relax, and test with smaller amplitude, below the reflex.",
 )

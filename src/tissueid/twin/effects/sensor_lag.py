@@ -1,4 +1,4 @@
-"""A position channel slower than the others."""
+"""Low-pass lag of the position channel."""
 
 from __future__ import annotations
 

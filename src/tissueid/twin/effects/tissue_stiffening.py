@@ -29,7 +29,7 @@ def hook(where: int, b: FloatArray, p: FloatArray, s: FloatArray, dt: float) -> 
     b[bus.TISSUE_FORCE] += force if into > 0.0 else -force
 
 
-def depths_that_were_reached(
+def starts_within_depths(
     tests: Sequence[Mapping[str, FloatArray]], sample_rate_hz: float
 ) -> tuple[tuple[float, ...], ...]:
     """Return starting points with the onset within the depths of the deepest test."""
@@ -67,7 +67,7 @@ EFFECT = Effect(
         (-0.1, 0.002, 1.5, CORNER_M),
         (0.02, 0.0005, 3.0, CORNER_M),
     ),
-    starts_from=depths_that_were_reached,
+    starts_from=starts_within_depths,
     mistaken_for=("end_stop", "cogging", "sensor_nonlinearity", "force_constant_position", "contact_loss"),
     places=(bus.TISSUE,),
     hook=hook,

@@ -18,7 +18,7 @@ _BEGUN = _WHOLE + 1
 
 
 def hook(where: int, b: FloatArray, p: FloatArray, s: FloatArray, dt: float) -> None:
-    """Add branches that follow changes of a depth-dependent force and relax with their own time constants."""
+    """Add relaxation branches, driven by changes of a depth-dependent force, each with its own time constant."""
     depth = b[bus.DEPTH]
     # In proportion to the static force (exponent 1, quasi-linear) or to depth (0), equal at the reference depth.
     exponent = b[bus.STIFFNESS_GROWTH] * (REFERENCE_M + p[3] * (depth - REFERENCE_M))
