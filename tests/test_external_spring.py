@@ -145,16 +145,14 @@ def test_a_configuration_is_chosen_on_the_command_line(tmp_path, capsys):
     options = ["--configuration", "surface", "--external-spring", "1000", "--max-force", "6"]
     assert main([*common, "--out", str(out), *options]) == 0
     assert read_session(out).test().notes["external_spring_n_per_m"] == 1000.0
-    for wrong, words in (
-        (["--configuration", "surface"], "needs an external spring"),
-        (["--probe", "thumb"], "the probe 'thumb' is unknown"),
-        (
-            ["--configuration", "surface", "--external-spring", "500", "--depth-range", "1:4"],
-            "--depth-range needs a depth: the configuration surface has none",
-        ),
+    surface = ["--configuration", "surface", "--external-spring", "500", "--depth-range", "1:4"]
+    for wrong, code, values in (
+        (["--configuration", "surface"], "configuration.no_spring", {}),
+        (["--probe", "thumb"], "configuration.unknown_probe", {"name": "thumb"}),
+        (surface, "plan.no_depth", {"name": "surface"}),
     ):
         assert main([*common, "--out", str(tmp_path / "t.h5"), *wrong]) == 2
-        assert words in capsys.readouterr().err
+        assert shows(capsys.readouterr().err, code, **values)
     assert not (tmp_path / "t.h5").exists()
 
 

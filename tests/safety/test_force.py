@@ -87,7 +87,7 @@ def test_motion_against_the_push_does_not_raise_the_force_beyond_its_limit(
 
 
 def test_without_foresight_the_same_waves_go_beyond_it(monkeypatch):
-    monkeypatch.setattr(Guard, "lowered", lambda _self, command_v, *_: command_v)
+    monkeypatch.setattr(Guard, "with_reduced_force", lambda _self, command_v, *_: command_v)
     waves = Squares(monkeypatch, "desktop", "buna", 0.02, 1, 4.0)
     assert 1.1 < waves.share < 1.13
     assert waves.firmware.faults == Fault.OVER_FORCE
@@ -123,6 +123,6 @@ def test_nonsense_of_a_position_never_raises_a_command(position_m):
     block = bench.block(command, energised=False)
     armed = type("Armed", (), {"max_force_n": 4.0})()
     with np.errstate(invalid="ignore", over="ignore"):
-        lowered = guard.lowered(command, block, armed)
+        lowered = guard.with_reduced_force(command, block, armed)
     assert np.all(np.abs(lowered) <= np.abs(command))
     assert np.all(lowered * command >= 0.0)

@@ -16,7 +16,7 @@ from tissueid import __version__
 from tissueid.device import DeviceDescription
 from tissueid.errors import UnusableInputError
 from tissueid.formatting import ANONYMOUS
-from tissueid.messages import Listing, Message, message_from
+from tissueid.messages import Listing, Message, codes_in, message_from
 from tissueid.records import Record
 from tissueid.untrusted_input import json_value
 
@@ -52,6 +52,28 @@ STAND_INS = {"force": "input", "position": "output"}
 """Signals of imported tests that replace a missing force or position; ``Test.units`` has their units."""
 _REASON_MESSAGE = "reason_message"
 """Note that holds code, template and values of the note ``reason`` as JSON."""
+_WORDS_OF_EARLIER_VERSIONS = {
+    "stopped in the window": "stop.button",
+    "stopped by key": "stop.key",
+    "released the coil": "instrument.released",
+    "restarted by itself": "instrument.restarted",
+    "the computer was silent for too long": "fault.watchdog",
+    "the force exceeded its limit": "fault.over_force",
+    "the probe reached the end of its stroke": "fault.stroke",
+    "the coil is too hot": "fault.over_temperature",
+    "the test lasted too long": "fault.over_time",
+    "the button was pressed": "fault.button",
+    "the computer sent the stimulus too late": "fault.starved",
+    "the supply voltage dropped": "fault.brown_out",
+    "the position reading does not follow the force": "fault.sensor",
+    "the coil current does not follow the voltage": "fault.open_coil",
+    "the force reached": "limit.force",
+    "by its current": "limit.winding_temperature",
+    "sent no usable samples": "link.unusable",
+    "went silent": "link.silent",
+    "the connection to": "link.broken",
+}
+"""Codes of the reasons that versions before the note ``reason_message`` stored as text only."""
 KINDS = ("stochastic", "quiet", "slow_ramp", "step_hold", "spring", "free_air")
 STATUSES = ("completed", "aborted", "recovered")
 
@@ -73,6 +95,14 @@ def reason_of(notes: Mapping[str, object]) -> str:
         return message_from(json_value(str(notes.get(_REASON_MESSAGE)).encode()), text)
     except ValueError:
         return text
+
+
+def reason_codes(reason: str) -> frozenset[str]:
+    """Return the codes of why a test ended; a plain text of an earlier version is recognised by its words."""
+    if isinstance(reason, Message):
+        return codes_in(reason)
+    text = reason.casefold()
+    return frozenset(code for words, code in _WORDS_OF_EARLIER_VERSIONS.items() if words in text)
 
 
 @dataclass(frozen=True)

@@ -9,8 +9,8 @@ import numpy as np
 from tissueid.acquisition.quality.prepared_test import PreparedTest, longest_run
 from tissueid.device import CALIBRATE_STATIC, CALIBRATE_SWEEP
 from tissueid.language import marked
-from tissueid.messages import Listing, Message, codes_in
-from tissueid.sessions.model import IMPORTED
+from tissueid.messages import Listing, Message
+from tissueid.sessions.model import IMPORTED, reason_codes
 from tissueid.sessions.quality import QualityFinding, Severity
 
 LOST_SHARE, LOST_REPEAT_SHARE = 0.01, 0.10
@@ -399,7 +399,7 @@ def check_temperature(prepared: PreparedTest) -> Iterator[QualityFinding]:
 
 def _too_hot(prepared: PreparedTest) -> bool:
     """Return whether the test was stopped because of the coil temperature, by the instrument or by the host."""
-    return prepared.test.status == "aborted" and not _TOO_HOT.isdisjoint(codes_in(prepared.test.reason))
+    return prepared.test.status == "aborted" and not _TOO_HOT.isdisjoint(reason_codes(prepared.test.reason))
 
 
 def check_calibration(prepared: PreparedTest) -> Iterator[QualityFinding]:

@@ -14,8 +14,9 @@ from tissueid.errors import TissueIDError
 from tissueid.formatting import clean, plain_text
 from tissueid.instrument.replies import FAULT_TEXTS
 from tissueid.language import _, marked
-from tissueid.messages import codes_in, translated
+from tissueid.messages import translated
 from tissueid.sessions import read_outline
+from tissueid.sessions.model import reason_codes
 
 MOST_FILES = 2000
 """Largest number of sessions that are read, newest first."""
@@ -151,7 +152,8 @@ def _of_line(line: Line) -> Event | None:
     if kind is None:
         return None
     subject = _short(line.subject)
-    return Event(moment(line.time), kind, subject, _said(reason), advice(kind, str(reason), _texts(new.get("codes"))))
+    codes = _texts(new.get("codes")) or reason_codes(str(reason))
+    return Event(moment(line.time), kind, subject, _said(reason), advice(kind, str(reason), codes))
 
 
 def _of_session(path: Path) -> Iterable[tuple[str, Event]]:
@@ -167,7 +169,7 @@ def _of_session(path: Path) -> Iterable[tuple[str, Event]]:
         test = item.test
         reason = test.reason
         kind = _BY_STATUS[test.status]
-        codes = codes_in(reason)
+        codes = reason_codes(reason)
         if kind is BROKEN and _RELEASED in codes:
             kind = FAULT
         elif kind is BROKEN and not _BY_A_PERSON.isdisjoint(codes):
