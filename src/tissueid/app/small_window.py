@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from PySide6.QtCore import QEvent, QObject, QRect, QSize, Qt
 from PySide6.QtGui import QResizeEvent
-from PySide6.QtWidgets import QBoxLayout, QFrame, QScrollArea, QSplitter, QWidget
+from PySide6.QtWidgets import QBoxLayout, QFrame, QLayoutItem, QScrollArea, QSplitter, QWidget
 
 _LEAST = 80
 """Width and height below which scrolling is no longer practical, pixels."""
@@ -82,29 +82,52 @@ class FoldingBox(QBoxLayout):
 
     def setGeometry(self, room: QRect) -> None:  # noqa: N802
         """Arrange the items in the room that is available."""
-        items = [item for k in range(self.count()) if (item := self.itemAt(k)) is not None and not item.isEmpty()]
-        needed = sum(item.minimumSize().width() for item in items) + max(0, len(items) - 1) * self.spacing()
-        margins = self.contentsMargins()
-        row = room.width() >= max(self._least, needed + margins.left() + margins.right())
+        row = self._is_row(room.width())
         wanted = QBoxLayout.Direction.LeftToRight if row else QBoxLayout.Direction.TopToBottom
         if wanted != self.direction():
             self.setDirection(wanted)
             self.update()  # its parents know the height that the other direction needed
         super().setGeometry(room)
 
+    def hasHeightForWidth(self) -> bool:  # noqa: N802
+        """Return True: a column is higher than a row."""
+        return True
+
+    def minimumHeightForWidth(self, width: int) -> int:  # noqa: N802
+        """Return the least height of the row or column that this width allows."""
+        if self._is_row(width) == (self.direction() == QBoxLayout.Direction.LeftToRight):
+            own = super()
+            return own.minimumHeightForWidth(width) if own.hasHeightForWidth() else own.minimumSize().height()
+        heights = [item.minimumSize().height() for item in self._items()]
+        margins = self.contentsMargins()
+        inner = max(heights, default=0) if self._is_row(width) else sum(heights) + self._gaps(len(heights))
+        return inner + margins.top() + margins.bottom()
+
     def sizeHint(self) -> QSize:  # noqa: N802
         """Return the width of the row, also while it is folded: what is around it knows when it can unfold."""
-        items = [item for k in range(self.count()) if (item := self.itemAt(k)) is not None and not item.isEmpty()]
-        width = sum(item.sizeHint().width() for item in items) + max(0, len(items) - 1) * self.spacing()
+        items = self._items()
+        width = sum(item.sizeHint().width() for item in items) + self._gaps(len(items))
         margins = self.contentsMargins()
         return QSize(width + margins.left() + margins.right(), super().sizeHint().height())
 
     def minimumSize(self) -> QSize:  # noqa: N802
         """Return the width of the widest item, and the height in the present direction."""
         margins = self.contentsMargins()
-        items = [item for k in range(self.count()) if (item := self.itemAt(k)) is not None and not item.isEmpty()]
-        widest = max((item.minimumSize().width() for item in items), default=0)
+        widest = max((item.minimumSize().width() for item in self._items()), default=0)
         return QSize(widest + margins.left() + margins.right(), super().minimumSize().height())
+
+    def _items(self) -> list[QLayoutItem]:
+        return [item for k in range(self.count()) if (item := self.itemAt(k)) is not None and not item.isEmpty()]
+
+    def _gaps(self, items: int) -> int:
+        return max(0, items - 1) * self.spacing()
+
+    def _is_row(self, width: int) -> bool:
+        """Return whether the items stand in a row where the layout is ``width`` pixels wide."""
+        items = self._items()
+        margins = self.contentsMargins()
+        needed = sum(item.minimumSize().width() for item in items) + self._gaps(len(items))
+        return width >= max(self._least, needed + margins.left() + margins.right())
 
 
 class FoldingSplitter(QSplitter):
