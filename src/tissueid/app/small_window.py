@@ -96,8 +96,8 @@ class FoldingBox(QBoxLayout):
     def minimumHeightForWidth(self, width: int) -> int:  # noqa: N802
         """Return the least height of the row or column that this width allows."""
         if self._is_row(width) == (self.direction() == QBoxLayout.Direction.LeftToRight):
-            own = super()
-            return own.minimumHeightForWidth(width) if own.hasHeightForWidth() else own.minimumSize().height()
+            folds_within = super().hasHeightForWidth()
+            return super().minimumHeightForWidth(width) if folds_within else super().minimumSize().height()
         heights = [item.minimumSize().height() for item in self._items()]
         margins = self.contentsMargins()
         inner = max(heights, default=0) if self._is_row(width) else sum(heights) + self._gaps(len(heights))
