@@ -38,6 +38,8 @@ _LABELS = {
     "clipped": "Share held at the ends of the range",
     "vaf_linear_percent": "VAF of the linear stage alone",
     "vaf_parametric_percent": "VAF of the second-order model",
+    "vaf_within_levels_median_percent": "Median VAF within the levels",
+    "vaf_within_levels_least_percent": "Smallest VAF within the levels",
 }
 
 

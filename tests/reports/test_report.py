@@ -67,7 +67,7 @@ SECTIONS = (
     "Warnings",
     "Against the plant’s own values",
     "Settings of test and analysis",
-    "Calibration in force",
+    "Active calibration",
     "Engine: Wiener",
 )
 

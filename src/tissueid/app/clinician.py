@@ -128,7 +128,7 @@ class Clinician(QObject):
             ui.result.pdf.setFocus()
 
     def cancel(self) -> None:
-        """Cancel the running jobs of these functions."""
+        """Cancel the comparison and the watch of the contact."""
         self._cancelled.set()
         self.watcher.cancel()
 

@@ -48,7 +48,7 @@ _CALLED = {
     "exponential": marked("Exponential"),
 }
 _LIKE_NAME = marked(
-    "This looks like a person's name. Better a pseudonym, such as P-001: files and reports keep what stands here."
+    "This looks like a person's name. Use a pseudonym, such as P-001: files and reports contain this text."
 )
 _UNDER_PROBE = {
     "": marked("Tissue or sample"),

@@ -243,7 +243,7 @@ class MainWindow(QMainWindow):
         self.ui.notice.say_everywhere(in_words(error))
 
     def _frame(self) -> None:
-        """Draw a frame, then record a heartbeat: a window that cannot draw is stopped."""
+        """Draw a frame, then record a heartbeat; without heartbeats the running test is stopped."""
         self._draw()
         self.ui.safety.show_key_reach(reach=QApplication.activeWindow() is not None)
         self._stop.beat()

@@ -26,7 +26,7 @@ class RoleChooser(QWidget):
         self._role: Role = role
         self.choice = QComboBox()
         self.choice.setAccessibleName(_("Role"))
-        self.choice.setToolTip(_("What is done is logged in this role; a technician can calibrate"))
+        self.choice.setToolTip(_("Actions are logged in this role; a technician can calibrate"))
         for name in ROLES:
             self.choice.addItem(_(ROLE_NAMES[name]), name)
         self.choice.setCurrentIndex(self.choice.findData(role))

@@ -27,7 +27,7 @@ class Region:
     high_m: float
 
     def holds(self, position_m: NDArray[np.float64]) -> bool:
-        """Return whether all finite positions, shape (k,), are inside."""
+        """Return whether all finite positions, shape (k,), are inside the limits; others are ignored."""
         known = position_m[np.isfinite(position_m)]
         return not known.size or (self.low_m <= float(known.min()) and float(known.max()) <= self.high_m)
 

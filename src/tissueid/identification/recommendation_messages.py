@@ -273,7 +273,10 @@ def doubts(basis: Basis) -> Iterator[Message]:
     elif (coarse := _coarsest(basis)) > _COARSE_POINTS:
         yield Message(
             "recommendation.coarse",
-            "Differences are known to only {points:.1f} points: a longer test would separate more models.",
+            (
+                "The differences in VAF between models are uncertain by {points:.1f} percentage points: a"
+                " longer test would separate more models."
+            ),
             points=coarse,
         )
     yield from _ranges(basis)

@@ -217,7 +217,10 @@ def _bring(instrument: Instrument, position_m: float, control: Control) -> None:
     control.instruct(
         Message(
             "calibration.move_spring",
-            "Move the spring so that the probe stands at {position:.1f} mm, and let go. It goes on by itself.",
+            (
+                "Move the spring so that the probe stands at {position:.1f} mm, and let go. The procedure"
+                " continues automatically."
+            ),
             position=1e3 * position_m,
         )
     )

@@ -69,8 +69,8 @@ def tables_of(found: Diagnosis, called: Callable[[str], str]) -> Iterator[Table]
         whole = ""
         if found.verdict == "no_gap":
             whole = _(
-                "The simulation as a whole leaves only noise. An error here is no gap: it is what noise of the "
-                "measured signals makes of one stage by itself."
+                "The simulation of the whole chain leaves only noise. An error here is no gap: noise of "
+                "the measured signals causes it in a single stage."
             )
         note = Message(
             "report.gap.not_shares",

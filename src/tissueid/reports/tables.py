@@ -237,7 +237,7 @@ def settings_tables(session: Session, test: Test, analyses: Mapping[str, Analysi
         ),
         Table(_("Instrument"), (), _instrument_rows(session.instrument)),
         Table(
-            _("Calibration in force"),
+            _("Active calibration"),
             (),
             _named_rows(_shown_calibration(session.instrument), _("None recorded: nominal figures were used.")),
         ),

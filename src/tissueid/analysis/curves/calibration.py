@@ -79,7 +79,7 @@ def stroke_plot(name: str, sweeps: Sequence[Calibration], colours: Sequence[str]
             parts.append(Curve(x, y, colour=colour, kind="points", width=1.5))
     position = Axis(marked("Position"), "mm")
     if not drawn:
-        missing = Message("plot.no_profile", "{quantity}: none of these sweeps holds it.", quantity=axis.label)
+        missing = Message("plot.no_profile", "{quantity}: not contained in any of these sweeps.", quantity=axis.label)
         return Plot(axis.label, position, axis, missing=missing)
     return Plot(axis.label, position, axis, tuple(parts))
 

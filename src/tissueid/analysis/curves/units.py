@@ -15,7 +15,7 @@ FREQUENCY = Axis(marked("Frequency"), "Hz", log=True)
 
 
 def signal_axis(name: str, si_unit: str, *, reverse: bool = False) -> Axis:
-    """Return the axis of a signal, or of a quantity in its unit, in the display unit."""
+    """Return label and display unit of the axis for a signal or another quantity, given with its SI unit."""
     label = label_and_unit(name)[0]
     label = label if len(label) <= _LONGEST_LABEL else label[:_LONGEST_LABEL] + "…"
     return Axis(label, display_unit(si_unit)[0], reverse=reverse)

@@ -182,7 +182,10 @@ def simulate_dpn(
         raise UnusableInputError(
             Message(
                 "dpn.too_stiff",
-                "curves with so much damping for their mass need {steps} steps per sample and cannot be simulated",
+                (
+                    "the fitted mass is so small for its damping that a simulation needs {steps} steps per "
+                    "sample, which is too many: use fewer functions or a longer record"
+                ),
                 steps=steps,
             )
         )

@@ -90,9 +90,10 @@ class LiveDepths:
 
 @dataclass(frozen=True, eq=False)
 class LiveCourse:
-    """History of the parameter estimates, shape (looks,) and (looks, 3) for mass, damping, stiffness.
+    """Mass, damping and stiffness as estimated during the test.
 
-    ``values`` and ``std`` are in kg, N s/m, N/m; an unknown standard deviation is infinite.
+    ``seconds`` has shape (estimates,), ``values`` and ``std`` (estimates, 3) in kg, N s/m and N/m; an unknown standard
+    deviation is infinite.
     """
 
     seconds: Array

@@ -257,7 +257,7 @@ def _normal_scores(values: Array) -> Array:
 
 
 def _share(model: Model, x: Array) -> float:
-    """Return parameters per direction of the linear kernel's error: 1 for a free kernel, less for few parameters."""
+    """Return the ratio of fitted parameters to independent directions of the kernel's error; 1 if every lag is free."""
     parameters, memory = model.report.n_parameters, model.memory_samples
     if parameters >= memory:
         return parameters / memory

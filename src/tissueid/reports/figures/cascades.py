@@ -259,7 +259,7 @@ def iterations(subject: Subject[HammersteinModel]) -> Drawn:
             right.plot(
                 passes, values / last, color=colour, marker=marker, markersize=3.5, label=_(label_and_unit(name)[0])
             )
-    right.set_ylabel(_("Relative to the last value"))
+    right.set_ylabel(_("Parameter / final value"))
     if right.lines:
         right.legend(loc="best")
     for axes in (left, right):

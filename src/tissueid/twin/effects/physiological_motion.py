@@ -163,7 +163,7 @@ class _Sway:
         return max(ways, key=lambda at: self.log_likelihood(at, SLOW))
 
     def read(self, rates: FloatArray) -> Mapping[str, float]:
-        """Rates and heights by name."""
+        """Return the rates, Hz, and heights, m, of breathing, pulse and tremor in the record, by parameter name."""
         values = np.zeros(_MOST.size)
         if self.enough:
             mean = self.mean_m + float(self.without(rates, ALL).left.mean())

@@ -170,7 +170,7 @@ class SignalChain(QWidget):
 
 
 class _Box(QAbstractButton):
-    """One stage."""
+    """Clickable box of one stage in the picture of the signal chain."""
 
     def __init__(self, stage: Stage, parent: QWidget) -> None:
         super().__init__(parent)

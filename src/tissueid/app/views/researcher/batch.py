@@ -48,7 +48,7 @@ def run(task: AnalysisTask, control: JobControl, history: AnalysisHistory, momen
     """Run a task and add it to the history; ``moment`` is its start in ISO 8601.
 
     Raises:
-        UnusableInputError: an option is refused, which costs all tests alike.
+        UnusableInputError: an option is invalid; no test is run, because it would fail for every one.
     """
     if task.kind == "run":
         task.specification()

@@ -115,7 +115,7 @@ class Browser(QWidget):
         self.picked = QLabel()
         folders = [Path(text) for text in load_texts(context.settings, _FOLDERS)]
         self.folders = FolderButton(folders or [context.services.folder], self)
-        self.again = QPushButton(_("Look again"))
+        self.again = QPushButton(_("Search again"))
         self.again.setToolTip(_("Look for new sessions in the folders (F5)"))
         self._restore()
         self._arrange()

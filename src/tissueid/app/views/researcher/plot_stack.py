@@ -207,7 +207,7 @@ class _Plot:
     def __init__(self, parent: QWidget) -> None:
         self.card = PlotCard(_("Signal"), "", "", parent=parent)
         self.card.setToolTip(
-            _("Drag over a stretch: the other plots look closer at it. A double click shows everything")
+            _("Drag to select a time interval: the other plots show it. A double click shows everything")
         )
         self.view = (0.0, 1.0)
         self._channel = Channel("", "")

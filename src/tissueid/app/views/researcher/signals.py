@@ -276,7 +276,7 @@ class SignalsPanel(QWidget):
             field.setDecimals(3)
             field.setSingleStep(_STEP_S)
             field.setKeyboardTracking(False)
-            field.setToolTip(_("What is brushed: the plots below look closer at it"))
+            field.setToolTip(_("Selected time interval: the plots below show it"))
         for label in (self.about, self.empty):
             label.setProperty("role", "muted")
             label.setTextFormat(Qt.TextFormat.PlainText)

@@ -50,9 +50,7 @@ WHAT_ROLES_DO: dict[Role, str] = {
         "Reopen sessions, fit and compare every model of the tissue, and see where a simulation of the "
         "same test would have been wrong."
     ),
-    "technician": marked(
-        "Look after the instrument: what it is and how it stands, calibrate its coil and its sensors."
-    ),
+    "technician": marked("Maintain the instrument: identity, health, calibration of coil and sensors."),
 }
 HINT = marked("No instrument? simulated://forearm plays one.")
 _LEVELS = {"instruments.ready": "good", "instruments.no_answer": "poor"}

@@ -105,7 +105,7 @@ class AuditTab(Tab):
         self.again.setAccessibleName(_("Read the audit log again"))
         self.again.clicked.connect(self.load)
         self.verify = QPushButton(_("Verify"))
-        self.verify.setToolTip(_("Goes through the log from its first line: is every one as it was written?"))
+        self.verify.setToolTip(_("Checks every line of the log for changes, from the first to the last"))
         self.verify.clicked.connect(self.begin_verifying)
         self.export = QPushButton(_("Export CSV…"))
         self.export.setToolTip(_("Writes the lines that are shown, for a spreadsheet"))
@@ -186,9 +186,11 @@ class AuditTab(Tab):
             )
             self._tell("poor", f"{translated(broken)} {remarks}".strip())
         elif not found.lines:
-            self._tell("check", f"{_('The log holds no whole line: nothing has been logged yet.')} {remarks}".strip())
+            self._tell(
+                "check", f"{_('The log contains no complete line: nothing has been logged yet.')} {remarks}".strip()
+            )
         else:
-            words = _("Whole: {lines} lines, all as they were written. Head {head}…").format(
+            words = _("Intact: {lines} lines, all unchanged. Head {head}…").format(
                 lines=grouped(found.lines), head=found.head[:22]
             )
             self._tell("check" if found.remarks else "good", " ".join(filter(None, [words, remarks, _(_BLIND)])))

@@ -153,10 +153,10 @@ class CalibrationsTab(Tab):
         if not rows:
             self.about.setText(_("There is no calibration yet: the nominal figures are used."))
         elif self._nominal is None:
-            self.about.setText(_("Ask the instrument under Health to see which of them are in force."))
+            self.about.setText(_("Read the instrument under Health to see which of them are active."))
         else:
             self.about.setText(
-                _("In force or not for {serial}.").format(serial=clean(self._nominal.serial_number)[:60])
+                _("Whether it is active for {serial}.").format(serial=clean(self._nominal.serial_number)[:60])
             )
         self._show_selected()
 

@@ -99,8 +99,8 @@ def light(checkup: Checkup | None, problem: str, fault: Event | None) -> Light:
     temperature = _("the coil is at {temperature} °C").format(temperature=fixed(checkup.temperature_c, 0))
     words = (
         _(
-            "It answers, {temperature}, nothing was lost on the way, and its calibration is in force. "
-            "Whether the coil pushes as it should only a test or a calibration can tell."
+            "The instrument answers; {temperature}; no data was lost; its calibration is active. Only"
+            " a test or a calibration shows whether the coil pushes correctly."
         ).format(temperature=temperature),
     )
     return Light("good", _("Nothing speaks against this instrument"), words)

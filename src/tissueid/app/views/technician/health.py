@@ -98,7 +98,7 @@ class HealthTab(Tab):
         self.ask.setToolTip(_("Opens the chosen instrument, listens for a second, closes it; the coil stays free (F5)"))
         self.ask.clicked.connect(self.begin_asking)
         self.identity = FactsCard(_("Instrument"))
-        self.state = FactsCard(_("Calibration in force"))
+        self.state = FactsCard(_("Active calibration"))
         self.link = FactsCard(_("Cable and samples"))
         self.trend = PlotCard(
             _("Force constant by date"),
@@ -193,7 +193,7 @@ class HealthTab(Tab):
             else _("No instrument is chosen on the page Measure.")
         )
         if self.checkup is not None and self.checkup.url != self.context.instrument():
-            words += _(" – what stands here is of {url}; ask again.").format(url=clean(self.checkup.url)[:120])
+            words += _(" – these values are of {url}: read them again.").format(url=clean(self.checkup.url)[:120])
         self.chosen.setText(words)
 
     @property

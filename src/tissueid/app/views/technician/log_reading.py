@@ -76,10 +76,10 @@ def read_log(path: Path, cancelled: Callable[[], object], most_bytes: int = MOST
             )
         )
     if damaged:
-        one = Message("audit.table.piece", "1 piece is no whole line and left out: Verify tells more.")
+        one = Message("audit.table.piece", "1 incomplete line is not shown: press Verify for details.")
         several = Message(
             "audit.table.pieces",
-            "{count} pieces are no whole lines and left out: Verify tells more.",
+            "{count} incomplete lines are not shown: press Verify for details.",
             count=grouped(damaged),
         )
         remarks.append(translated(one if damaged == 1 else several))

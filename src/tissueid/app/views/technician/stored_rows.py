@@ -16,7 +16,7 @@ from tissueid.formatting import clean
 from tissueid.language import _, marked
 from tissueid.messages import MISSING, Message, translated
 
-HEADERS = (marked("Date"), marked("Kind"), marked("Verdict"), marked("Age"), marked("In force"), marked("File"))
+HEADERS = (marked("Date"), marked("Kind"), marked("Verdict"), marked("Age"), marked("Active"), marked("File"))
 _LONGEST = 300
 _IN_FILES = (marked("static"), marked("sweep"), marked("passed"), marked("failed"))
 """What calibrations say of themselves."""
