@@ -150,7 +150,7 @@ def test_start_and_measure_are_german_and_the_choice_is_kept(open_window):
     shown = {label.text() for label in page.findChildren(QLabel)}
     shown |= {button.text() for button in page.findChildren(QAbstractButton)}
     assert {"Wer arbeitet?", "Letzte Sitzungen", "Geräte", "Sprache", "Ordner zeigen"} <= shown
-    assert page.cards["technician"].accessibleName().startswith("Technik: Das Gerät betreuen")
+    assert page.cards["technician"].accessibleName().startswith("Technik: Das Gerät warten")
     assert not shown & set(WHAT_ROLES_DO.values())
     heads = [page.recent.horizontalHeaderItem(column).text() for column in range(4)]
     assert heads == ["Datum", "Messort", "Person", "Qualitätsprüfung"]

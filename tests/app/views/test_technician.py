@@ -193,7 +193,7 @@ def test_each_calibration_says_whether_it_is_in_force_or_why_not(qtbot, page, ca
     write_calibration(calibrations / "d.toml", failed)
     (calibrations / "e.toml").write_bytes(b"\xff\x00 [[[")
     view = page(CALIBRATIONS)
-    assert "Ask the instrument" in view.calibrations.about.text()
+    assert "Read the instrument" in view.calibrations.about.text()
     choose(qtbot, view, HEALTH)
     press(qtbot, view.health.ask)
     rest(qtbot, view)

@@ -140,7 +140,7 @@ def test_verify_tells_a_whole_log_from_one_that_was_changed(qtbot, page, audit_f
     view = page(AUDIT)
     press(qtbot, view.audit.verify)
     rest(qtbot, view)
-    assert view.audit.words.text().startswith("Whole: 6 lines")
+    assert view.audit.words.text().startswith("Intact: 6 lines")
     assert view.audit.verdict.property("level") == "good"
     audit_file.write_bytes(audit_file.read_bytes().replace(b'"s2"', b'"x2"'))
     press(qtbot, view.audit.verify)
