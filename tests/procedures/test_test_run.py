@@ -103,7 +103,7 @@ def test_the_window_makes_the_session_of_the_command_line(tmp_path, audit_file, 
 
 
 class Stopping(TestControl):
-    """Cancels the test after so many samples."""
+    """Cancels the test after a given number of samples."""
 
     def __init__(self, most):
         self.left = most

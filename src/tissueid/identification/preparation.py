@@ -40,6 +40,25 @@ def memory_in_samples(memory: float, sample_rate_hz: float) -> int:
     return max(1, round(memory * sample_rate_hz))
 
 
+def checked_samples(u: Array, y: Array) -> tuple[Array, Array]:
+    """Return inputs (n,) and outputs (n,) as numbers.
+
+    Raises:
+        UnusableInputError: the two differ in shape.
+    """
+    u, y = np.asarray(u, dtype=np.float64), np.asarray(y, dtype=np.float64)
+    if u.ndim != 1 or u.shape != y.shape:
+        raise UnusableInputError(
+            Message(
+                "online.lengths",
+                "inputs and outputs must have the same length, got {inputs} and {outputs}",
+                inputs=int(u.size),
+                outputs=int(y.size),
+            )
+        )
+    return u, y
+
+
 def prepare(record: Record, fit_part: slice | None, memory: float, n_parameters: int | None = None) -> Prepared:
     """Select the samples that can be fitted, and check that there are enough.
 

@@ -126,8 +126,8 @@ def check_limits(limits: Limits, device: DeviceDescription) -> None:
     """Check the position limits against the stroke of the device.
 
     Raises:
-        LimitError: the upper limit is beyond the stroke, by more than ``BEYOND_STROKE_M`` for forces up to
-            ``GENTLE_FORCE_N`` and by anything for larger ones.
+        LimitError: the upper limit is beyond the stroke; where the force limit is at most ``GENTLE_FORCE_N``, it may be
+            beyond by up to ``BEYOND_STROKE_M``.
     """
     furthest = device.stroke_m + (BEYOND_STROKE_M if limits.max_force_n <= GENTLE_FORCE_N else 0.0)
     if limits.max_position_m > furthest:

@@ -25,7 +25,7 @@ _MOST_SPRING_KG = 0.2
 class CalibrationPlan(Plan):
     """What both calibrations have. ``folder`` None is the calibration folder of the user.
 
-    With ``all_files`` the report, and the recording of a sweep, are written beside the calibration under its name.
+    With ``all_files`` the report, and the recording of a sweep, are written next to the calibration, with its name.
     """
 
     kind: ClassVar[Kind]

@@ -16,7 +16,7 @@ from tissueid.identification.engines.lms import Lms, LmsModel
 from tissueid.identification.impulse_response import EXTRA_MEMORY_S, RIDGE, factor_input, with_extra_memory
 from tissueid.identification.lagged_gram import LaggedRegressors
 from tissueid.identification.live import sliding_sums
-from tissueid.identification.preparation import Prepared, memory_in_samples, prepare
+from tissueid.identification.preparation import Prepared, checked_samples, memory_in_samples, prepare
 from tissueid.messages import Message
 from tissueid.records import Record
 
@@ -115,16 +115,7 @@ class SlidingLms:
         Raises:
             UnusableInputError: the two differ in shape.
         """
-        u, y = np.asarray(u, dtype=np.float64), np.asarray(y, dtype=np.float64)
-        if u.ndim != 1 or u.shape != y.shape:
-            raise UnusableInputError(
-                Message(
-                    "online.lengths",
-                    "inputs and outputs must have the same length, got {inputs} and {outputs}",
-                    inputs=int(u.size),
-                    outputs=int(y.size),
-                )
-            )
+        u, y = checked_samples(u, y)
         done = 0
         while done < u.size:
             n = u.size - done if self._window is None else min(u.size - done, self._window - self._since_summed)

@@ -16,7 +16,7 @@ from pydantic import Field
 from tissueid.errors import UnusableInputError
 from tissueid.identification.base import Array, Engine, Model
 from tissueid.identification.correlation import convolve_at_rest
-from tissueid.identification.preparation import Prepared, memory_in_samples, prepare
+from tissueid.identification.preparation import Prepared, checked_samples, memory_in_samples, prepare
 from tissueid.identification.second_order import HOLD_DESCRIPTION, HOLD_TITLE, Hold
 from tissueid.identification.second_order_fit import SecondOrderFit
 from tissueid.language import marked
@@ -116,16 +116,7 @@ class Identifier(ABC):
         Raises:
             UnusableInputError: the two differ in shape.
         """
-        u, y = np.asarray(u, dtype=np.float64), np.asarray(y, dtype=np.float64)
-        if u.ndim != 1 or u.shape != y.shape:
-            raise UnusableInputError(
-                Message(
-                    "online.lengths",
-                    "inputs and outputs must have the same length, got {inputs} and {outputs}",
-                    inputs=int(u.size),
-                    outputs=int(y.size),
-                )
-            )
+        u, y = checked_samples(u, y)
         self._set_operating_point(u, y)
         errors = np.empty(u.size)
         done = 0

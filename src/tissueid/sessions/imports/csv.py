@@ -26,7 +26,7 @@ from tissueid.sessions.imports.text_cells import (
     shown,
 )
 from tissueid.units import known_unit
-from tissueid.untrusted_input import MAX_COLUMNS, MAX_SAMPLES
+from tissueid.untrusted_input import MAX_COLUMNS
 
 _LOOKED_AT = 400
 """Number of lines by which the layout is detected."""
@@ -170,17 +170,7 @@ def _load(
     path: Path, encoding: str, layout: _Layout, places: Sequence[int], rows: Rows
 ) -> tuple[list[NDArray[np.float64]], range]:
     total = sum(1 for _ in _data_lines(path, encoding, layout.start))
-    chosen = rows.within(total)
-    if len(chosen) > MAX_SAMPLES:
-        raise UnusableInputError(
-            Message(
-                "import.too_many_rows",
-                "has {count} rows; at most {most} make a test: select some ({rows})",
-                count=len(chosen),
-                most=MAX_SAMPLES,
-                rows=ROWS,
-            )
-        )
+    chosen = rows.of_a_test(total)
     lines = islice(_data_lines(path, encoding, layout.start), chosen.start, chosen.stop)
     blocks: list[list[NDArray[np.float64]]] = []
     for block in blocks_of(lines, lambda line: len(line[1])):

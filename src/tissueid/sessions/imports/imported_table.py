@@ -15,6 +15,7 @@ from tissueid.errors import UnusableInputError
 from tissueid.language import marked
 from tissueid.messages import Action, Message, Verbatim
 from tissueid.units import split_header
+from tissueid.untrusted_input import MAX_SAMPLES
 
 MAX_BYTES = 4_000_000_000
 _MOST_LISTED = 20
@@ -55,6 +56,25 @@ class Rows:
                 Message("import.no_rows", "rows {rows} of {total} are empty", rows=str(self), total=total)
             )
         return range(*ends)
+
+    def of_a_test(self, total: int) -> range:
+        """Return the selected rows of ``total``, at most ``MAX_SAMPLES``.
+
+        Raises:
+            UnusableInputError: there are no such rows, or too many.
+        """
+        chosen = self.within(total)
+        if len(chosen) > MAX_SAMPLES:
+            raise UnusableInputError(
+                Message(
+                    "import.too_many_rows",
+                    "has {count} rows; at most {most} make a test: select some ({rows})",
+                    count=len(chosen),
+                    most=MAX_SAMPLES,
+                    rows=ROWS,
+                )
+            )
+        return chosen
 
     def __str__(self) -> str:
         return f"{'' if self.first is None else self.first}:{'' if self.last is None else self.last}"

@@ -15,10 +15,10 @@ from numpy.typing import NDArray
 
 from tissueid.errors import UnusableInputError
 from tissueid.messages import Message
-from tissueid.sessions.imports.imported_table import ROWS, Column, ImportedTable, Rows
+from tissueid.sessions.imports.imported_table import Column, ImportedTable, Rows
 from tissueid.sessions.imports.text_cells import blocks_of, encoding_of, lines_of, numbers, shown
 from tissueid.units import known_unit
-from tissueid.untrusted_input import MAX_COLUMNS, MAX_SAMPLES
+from tissueid.untrusted_input import MAX_COLUMNS
 
 FIRST_LINE = "LabVIEW Measurement"
 _END = "***End_of_Header***"
@@ -243,17 +243,7 @@ def _header(lines: Iterator[tuple[int, str]], separator: str) -> dict[str, list[
 def _load(
     path: Path, encoding: str, total: int, places: Sequence[int], rows: Rows
 ) -> tuple[list[NDArray[np.float64]], range]:
-    chosen = rows.within(total)
-    if len(chosen) > MAX_SAMPLES:
-        raise UnusableInputError(
-            Message(
-                "import.too_many_rows",
-                "has {count} rows; at most {most} make a test: select some ({rows})",
-                count=len(chosen),
-                most=MAX_SAMPLES,
-                rows=ROWS,
-            )
-        )
+    chosen = rows.of_a_test(total)
     blocks: list[list[NDArray[np.float64]]] = []
     lines = islice(_rows(path, encoding), chosen.start, chosen.stop)
     row = chosen.start
