@@ -11,7 +11,7 @@ export OPENBLAS_NUM_THREADS ?= 1
 # Compiled code is kept, whatever the caller's habit: the tests start hundreds of processes.
 unexport PYTHONDONTWRITEBYTECODE
 
-.PHONY: help env demo test lint compiled translations bench soak run clean
+.PHONY: help env demo test lint mypy ruff layers compiled translations bench soak run clean
 
 help: ## list the targets
 	@grep -hE '^[a-z]+:.*##' $(MAKEFILE_LIST) | sed -E 's/^([a-z]+):.*## /  make \1\t/' | expand -t 16
@@ -25,13 +25,19 @@ demo: env ## run one guided test on a simulated forearm; leaves demo/report.html
 	@$(BIN)/tissueid demo --out demo
 
 test: env ## every check and test
-	@$(MAKE) --no-print-directory --jobs 2 lint compiled
+	@$(MAKE) --no-print-directory --jobs 2 mypy compiled layers ruff
 	@echo "== tests"
 	@QT_QPA_PLATFORM=offscreen $(BIN)/python -m pytest --numprocesses 2 --dist loadfile
 
-lint: env
+lint: ruff mypy layers
+
+ruff: env
 	@echo "== ruff"; $(BIN)/ruff check . && $(BIN)/ruff format --check .
+
+mypy: env
 	@echo "== mypy"; $(BIN)/mypy
+
+layers: env
 	@echo "== layers"; $(BIN)/lint-imports --no-cache
 
 compiled: env # what the tests compile on first use: once, on the processor that the checkers leave free

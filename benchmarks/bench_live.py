@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 from benchmarks import plain_live, records
 from benchmarks.base import Comparison
 from tissueid.identification.engines.lms import Lms
-from tissueid.identification.impulse_response import RIDGE
+from tissueid.identification.impulse_response import EXTRA_MEMORY_S, RIDGE
 from tissueid.identification.live.sliding import SlidingLms
 
 LAGS = 250
@@ -25,6 +25,7 @@ def comparisons() -> Iterable[Comparison]:
     samples = round(TOTAL_S * records.RATE)
     u, y = np.resize(record.input, samples), np.resize(record.output, samples)
     memory = LAGS / records.RATE
+    extra = round(EXTRA_MEMORY_S * records.RATE)
 
     def sliding(window_s: float) -> Array:
         identifier = SlidingLms(Lms(memory=memory), records.RATE, window_s)
@@ -39,7 +40,7 @@ def comparisons() -> Iterable[Comparison]:
             "sliding LMS",
             f"{LAGS} lags, {TOTAL_S:g} s of samples, a look every {EVERY}, window {window_s:g} s",
             lambda w=window_s: sliding(w),
-            lambda w=window_s: plain_live.responses(u, y, LAGS, round(w * records.RATE), EVERY, 0.05, RIDGE),
+            lambda w=window_s: plain_live.responses(u, y, LAGS, extra, round(w * records.RATE), EVERY, 0.05, RIDGE),
             lambda ours, theirs: float(np.linalg.norm(ours - theirs) / np.linalg.norm(theirs)),
             tolerance=1e-7,
         )

@@ -9,7 +9,7 @@ from scipy import linalg, signal
 
 from benchmarks import plain_volterra
 from benchmarks.base import Comparison
-from tissueid.identification.volterra.stimulus import VolterraStimulus, factor_stimulus
+from tissueid.identification.volterra.methods import VolterraStimulus, factor_stimulus
 
 MEMORY = 40
 ROWS = 2700

@@ -23,9 +23,8 @@ from tissueid.app.live_signals import decimated
 from tissueid.app.plotting import PlotCard
 from tissueid.app.theme import LIGHT
 from tissueid.app.views.researcher.plot_stack import PlotStack
-from tissueid.app.views.researcher.recorded_signal import RecordedSignal
 from tissueid.app.views.researcher.selected_test import SelectedTest
-from tissueid.app.views.researcher.signal_loading import Channel, LoadedTest
+from tissueid.app.views.researcher.signal_loading import Channel, LoadedTest, RecordedSignal
 
 Array = NDArray[np.float64]
 RATE = 2000.0

@@ -38,7 +38,7 @@ class Identity:
         stimulus_capacity: int,
         watchdog_s: float,
     ) -> bytes:
-        """Return the payload of HELLO_ACK, including the channel table."""
+        """Return the payload of HELLO_ACK, including the channel table and the corner of the filters."""
         head = wire.pack(
             wire.HELLO_ACK,
             protocol_min=self.protocol_min,
@@ -67,4 +67,4 @@ class Identity:
             wire.pack(wire.CHANNEL, name=name.encode(), unit=c.unit.encode(), gain=c.gain, offset=c.offset)
             for name, c in channels.items()
         )
-        return head + table
+        return head + table + wire.pack(wire.HELLO_ACK_FILTER, filter_corner_hz=coil.filter_cutoff_hz)

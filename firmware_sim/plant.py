@@ -98,7 +98,8 @@ class Plant:
     ``coil`` is the profile of the force constant along the stroke, also for the back-EMF. Two faults can be set at any
     time: with ``coil_open`` the coil is disconnected, without current and electrical damping; ``supply_share`` is the
     supply voltage of the amplifier relative to normal, which scales its limit. ``effects`` are added; without any, the
-    plain compiled loop is used.
+    plain compiled loop is used. ``start_s`` is the session time at the start, which determines the phase of hum and
+    body motion.
 
     Raises:
         ValueError: no sub-steps, an effect that is given twice, or an effect of tissue on a kind without depth.
@@ -114,6 +115,7 @@ class Plant:
         energised: bool = True,
         coil: CoilProfile = IDEAL,
         effects: Iterable[Effect] = (),
+        start_s: float = 0.0,
     ) -> None:
         if substeps < 1:
             raise ValueError(f"substeps must be 1 or more, not {substeps}")
@@ -125,7 +127,7 @@ class Plant:
         self.substeps = substeps
         self._interval_s = 1.0 / sample_rate_hz
         self._plant = np.concatenate([parameters.to_array(), [0.0], coil.to_array()])
-        self._acting = ActiveEffects(effects)
+        self._acting = ActiveEffects(effects, start_s)
         self.tissue = tissue
         self.state: NDArray[np.float64] = np.zeros(kernel.STATE_SIZE)
         self.rest()

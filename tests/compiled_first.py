@@ -7,6 +7,8 @@ from identification import simulated
 
 from firmware_sim.bench import Bench
 from firmware_sim.effects import read_effects
+from firmware_sim.second_laboratory.integrator import simulate as simulate_second
+from firmware_sim.second_laboratory.parameters import PlantModel
 from tissueid.identification import engine_names, get_engine
 from tissueid.twin.catalogue import all_effects
 from tissueid.twin.chain_parameters import Instrument, spring
@@ -17,6 +19,10 @@ def main() -> None:
     """Use once what many tests use; what a few files use alone is compiled there."""
     Bench().warm_up()
     Bench(effects=read_effects({"dry_friction": {"level": 0.5}})).warm_up()
+    second = PlantModel()
+    for name in ("resistance_ohm", "inductance_h", "mass_kg"):
+        second.values[name] = 1.0
+    simulate_second(second, 25e-6, (np.zeros(10), np.zeros(10)), np.zeros(11), np.zeros(11))
     simulate(np.zeros(10), 2000.0, Instrument(), spring(0.012, 1000.0, 0.005, 0.4), Start(0.0, 0.012))
     for effect in all_effects().values():
         if effect.hook is not None:

@@ -9,8 +9,9 @@ from pathlib import Path
 
 import hypothesis
 import pytest
+import support
 
-from tissueid.app.user_data import ENVIRONMENT as ANALYSES
+from tissueid.app.user_files import ENVIRONMENT as ANALYSES
 from tissueid.audit import ENVIRONMENT, ROLE_ENVIRONMENT
 from tissueid.calibration.store import VARIABLE as CALIBRATIONS
 from tools.translations import compile_stale
@@ -34,6 +35,14 @@ def pytest_collection() -> Generator[None, object, object]:
         gc.collect()
         gc.freeze()
         gc.set_threshold(20_000, 20, 20)  # numpy makes little garbage: seldom is soon enough
+
+
+@pytest.fixture(scope="module")
+def long_frames() -> Iterator[None]:
+    """Devices on a loopback link send frames of 50 ms instead of 10 ms, which takes half the processor time."""
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr("support.TICK_S", support.LONG_TICK_S)
+        yield
 
 
 @pytest.fixture(scope="session", autouse=True)

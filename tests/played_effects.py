@@ -45,6 +45,8 @@ def moved(name, values, position, dt, velocity=None, setting=None):
         numbers[:] = 0.0
         numbers[bus.TIME], numbers[bus.SAMPLE] = n * dt, n * dt * RATE
         numbers[bus.POSITION], numbers[bus.DEPTH], numbers[bus.VELOCITY] = x, x, v
+        if bus.LIFT_OFF in declared.places:
+            declared.hook(bus.LIFT_OFF, numbers, np.array(values, float), state, dt)
         if setting is not None:
             setting(numbers)
         declared.hook(declared.places[-1], numbers, np.array(values, float), state, dt)

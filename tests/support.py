@@ -20,7 +20,11 @@ from tissueid.instrument import SerialInstrument
 from tissueid.instrument.link import broken_error
 
 TICK_S = 0.01
+"""Step of the virtual clock, s: the device sends one frame in each."""
+
 SAMPLES_PER_TICK = 20
+LONG_TICK_S = 0.05
+"""For long recordings that depend on no timing of frames: 100 samples per frame, of which the protocol allows 128."""
 
 
 def softly(volts: np.ndarray, loaded: int | None = None) -> np.ndarray:
@@ -42,6 +46,7 @@ class LoopbackLink:
     def __init__(self, firmware: Firmware) -> None:
         self.name = "loopback"
         self.firmware = firmware
+        firmware.samples_per_frame = round(TICK_S * firmware.sample_rate_hz)
         self.now = 0.0
         self.plugged = True
         self.closed = False

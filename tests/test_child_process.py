@@ -13,11 +13,10 @@ import pytest
 
 import firmware_sim
 import tissueid
-from tissueid.acquisition.live_estimator import LiveSettings
-from tissueid.acquisition.live_process import LiveProcess
+from tissueid.acquisition.live_process import LiveProcess, LiveSettings
 from tissueid.child_process import run
 from tissueid.gap.workers import executor
-from tissueid.procedures.blind_check import record_scenarios
+from tissueid.procedures.blind_check import LaboratoryName, record_scenarios
 from tissueid.procedures.control import Control
 from tissueid.procedures.demo import firmware_process
 from tissueid.procedures.separate_process import run_in_process
@@ -34,6 +33,7 @@ HOSTILE = (
     "firmware_sim/__init__",
 )
 HOSTILE += ("firmware_sim/__main__", "firmware_sim/laboratory", "tissueid/__init__", "concurrent/__init__")
+HOSTILE += ("firmware_sim/second_laboratory",)
 STARTS = {
     "subprocess": {"Popen", "run", "call", "check_call", "check_output", "getoutput", "getstatusoutput"},
     "multiprocessing": {"Process", "Pool", "get_context", "set_start_method", "Manager"},
@@ -120,8 +120,11 @@ def test_the_demos_instrument_runs_nothing_of_the_folder(hostile: Path):
     assert ran_in(hostile) == ""
 
 
-def test_the_laboratory_of_the_blind_check_runs_nothing_of_the_folder(hostile: Path, tmp_path: Path):
-    record_scenarios(tmp_path / "sealed", 1, 1, 0.0)
+@pytest.mark.parametrize(("laboratory", "n"), [(LaboratoryName.FIRST, 1), (LaboratoryName.SECOND, 0)])
+def test_the_laboratory_of_the_blind_check_runs_nothing_of_the_folder(
+    hostile: Path, tmp_path: Path, laboratory: LaboratoryName, n: int
+):
+    record_scenarios(tmp_path / "sealed", n, 1, 0.0, laboratory)
     assert list((tmp_path / "sealed").iterdir())
     assert ran_in(hostile) == ""
 

@@ -17,6 +17,8 @@ from PIL import Image
 from PySide6.QtCore import QEventLoop, QTimer
 from PySide6.QtWidgets import QApplication, QWidget
 
+from tissueid.app.plot_canvas import PlotCanvas
+
 IMAGES = Path(__file__).parents[1] / "docs" / "images"
 COLOURS = 256
 LONGEST_S = 120.0
@@ -90,6 +92,8 @@ def take(widget: QWidget, name: str) -> None:
         focus.clearFocus()  # a blinking cursor would differ between runs
     check_for_defects()
     process_events_for(250)  # process a frame and a change of palette
+    canvases = widget.findChildren(PlotCanvas)
+    wait_until(lambda: not any(one.isVisible() and one.pending for one in canvases), "plots to be drawn")
     path = IMAGES / f"{name}.png"
     path.parent.mkdir(parents=True, exist_ok=True)
     widget.grab().save(str(path))

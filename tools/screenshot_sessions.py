@@ -14,15 +14,16 @@ from screenshot_scene import SetClock, set_clock
 from firmware_sim.effects import LISTED
 from firmware_sim.laboratory.scenario_generation import NOMINAL, draw_scenario
 from tissueid.acquisition import SessionRecorder
-from tissueid.app.emergency import BY_KEY, EmergencyStop
+from tissueid.app.emergency import EmergencyStop
 from tissueid.app.live_signals import LiveSignals
 from tissueid.app.live_test import LiveTest
-from tissueid.app.save_path import dated_path
+from tissueid.app.user_files import dated_path
 from tissueid.audit import AuditLog, AuditTrail
 from tissueid.calibration import Calibration, Quantity, write_calibration
 from tissueid.calibration.file import utc_date
 from tissueid.device import DeviceDescription
 from tissueid.instrument import SimulatedInstrument
+from tissueid.procedures.control import BY_KEY
 from tissueid.procedures.test_plan import TestPlan
 from tissueid.procedures.test_run import run_test
 from tissueid.sessions import Session, Subject, Test, write_session

@@ -18,8 +18,7 @@ from firmware_sim.plant import Plant, PlantParameters
 from firmware_sim.presets import load_preset, preset_names
 from tissueid.device import DeviceDescription
 from tissueid.identification import get_engine
-from tissueid.identification.live.precision import PARAMETERS, Precision, precision
-from tissueid.identification.live.stopping import StopRule
+from tissueid.identification.live.stopping import PARAMETERS, Precision, StopRule, precision
 from tissueid.records import Record
 from tissueid.stimuli.base import Stimulus, to_voltage, with_preload
 from tissueid.stimuli.kinds.designed import Designed

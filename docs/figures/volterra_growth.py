@@ -22,8 +22,8 @@ ROOT = Path(__file__).parents[2]
 sys.path.insert(0, str(ROOT))
 
 from benchmarks import plain_volterra  # noqa: E402
+from tissueid.identification.volterra.methods import factor_stimulus  # noqa: E402
 from tissueid.identification.volterra.regressors import coefficient_count  # noqa: E402
-from tissueid.identification.volterra.stimulus import factor_stimulus  # noqa: E402
 
 mpl.use("Agg")
 from matplotlib import pyplot as plt  # noqa: E402

@@ -6,7 +6,8 @@ instrument and the attributes of each test), and ``scenario-0001.f64``, its sign
 by test, signal by signal in the stated order. ``labels.json`` holds the withheld labels: effects with their parameters,
 and the true parameters of device and tissue. With ``--clean`` there are ``scenario-0001.clean.f64`` (no noise, no
 quantization) and ``scenario-0001.base.f64`` (also no effect) of the same layout; and for a pair
-``scenario-0001.alone-1.f64`` and ``scenario-0001.alone-2.f64``, recorded with one of the effects.
+``scenario-0001.alone-1.f64`` and ``scenario-0001.alone-2.f64``, recorded with one of the effects. With ``--later``
+several scenarios belong to one person and instrument: the key ``earlier`` names the files of an earlier session.
 """
 
 from __future__ import annotations
@@ -15,17 +16,16 @@ import argparse
 import hashlib
 import json
 import sys
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import asdict, dataclass
 from pathlib import Path
+from typing import Protocol
 
 import numpy as np
 
 from firmware_sim.effects import EFFECTS, LISTED, UNLISTED, in_order
 from firmware_sim.effects.base import Effect
 from firmware_sim.laboratory import (
-    PRELOAD_S,
-    SIGNALS,
     SPRING_SURFACE_M,
     BaselineParameters,
     Laboratory,
@@ -33,24 +33,30 @@ from firmware_sim.laboratory import (
     Recording,
     plan,
 )
-from firmware_sim.plant import SAMPLE_RATE_HZ
+from firmware_sim.laboratory.session_content import CALIBRATION_UNCERTAINTY, NOMINAL, described
+from firmware_sim.laboratory.skin import draw_later_sessions, draw_skin_scenarios
 
-CALIBRATION_UNCERTAINTY = 0.015
 _SHALLOW_SHARE = 0.1
-NOMINAL = {
-    "model": "desktop indenter",
-    "sample_rate_hz": SAMPLE_RATE_HZ,
-    "coil_resistance_ohm": 12.0,
-    "coil_inductance_h": 1e-3,
-    "force_constant_n_per_a": 3.0,
-    "moving_mass_kg": 0.060,
-    "bearing_damping_n_s_per_m": 3.5,
-    "amplifier_gain": 1.0,
-    "amplifier_limit_v": 48.0,
-    "stroke_m": 0.032,
-    "calibration_relative_uncertainty": CALIBRATION_UNCERTAINTY,
-    "calibration_spring_n_per_m": 1000.0,
-}
+
+
+class Scenario(Protocol):
+    """A session to be recorded, with its labels."""
+
+    @property
+    def earlier(self) -> Scenario | None:
+        """Session of the same person and instrument from which a twin is accepted; None where there is none."""
+
+    def labels(self) -> dict[str, object]:
+        """Return the labels for JSON."""
+
+    def record(self) -> tuple[Recording, ...]:
+        """Return all tests recorded."""
+
+    def companions(self) -> Iterator[tuple[str, tuple[Recording, ...]]]:
+        """Yield further recordings for the score by their kind, such as ``clean``."""
+
+    def described(self, number: int, recordings: Sequence[Recording]) -> dict[str, object]:
+        """Return the content of the session file, which has no labels."""
 
 
 @dataclass(frozen=True)
@@ -61,6 +67,7 @@ class DrawnScenario:
     figures: BaselineParameters
     effects: tuple[Effect, ...]
     tests: tuple[PlannedTest, ...]
+    earlier: None = None
 
     @property
     def full(self) -> bool:
@@ -83,6 +90,26 @@ class DrawnScenario:
         acting = self.effects if effects is None else tuple(effects)
         laboratory = Laboratory(acting, number, figures=self.figures, clean=clean)
         return tuple(laboratory.record(test.kind, test.command(number)) for test in self.tests)
+
+    def companions(self) -> Iterator[tuple[str, tuple[Recording, ...]]]:
+        """Yield the recordings without noise and without effects, and those of a pair with one effect each."""
+        yield "clean", self.record(clean=True)
+        yield "base", self.record(effects=(), clean=True)
+        for place, alone in enumerate(self.effects if len(self.effects) > 1 else (), 1):
+            yield f"alone-{place}", self.record(effects=(alone,))
+
+    def described(self, number: int, recordings: Sequence[Recording]) -> dict[str, object]:
+        """Return the content of the session file, which has no labels."""
+        tests = [
+            {
+                "surface_position_m": SPRING_SURFACE_M if test.kind == "spring" else recording.surface_m,
+                "repeat_of": "" if test.repeats is None else f"{test.repeats:04d}",
+                "seed": test.seed,
+                "stimulus": test.stimulus(),
+            }
+            for test, recording in zip(self.tests, recordings, strict=True)
+        ]
+        return described(number, NOMINAL, tests, recordings)
 
 
 def draw_baseline(random: np.random.Generator, *, shallow: bool = False) -> BaselineParameters:
@@ -196,38 +223,7 @@ def draw_many(
     return tuple(found)
 
 
-def described(scenario: DrawnScenario, number: int, recordings: Sequence[Recording]) -> dict[str, object]:
-    """Return the content of the session file, which has no labels."""
-    tests: list[dict[str, object]] = []
-    offset = 0
-    for test, recording in zip(scenario.tests, recordings, strict=True):
-        tests.append(
-            {
-                "name": f"{len(tests) + 1:04d}",
-                "kind": test.kind,
-                "configuration": "indentation",
-                "preload_s": PRELOAD_S,
-                "surface_position_m": SPRING_SURFACE_M if test.kind == "spring" else recording.surface_m,
-                "repeat_of": "" if test.repeats is None else f"{test.repeats:04d}",
-                "seed": test.seed,
-                "stimulus": test.stimulus(),
-                "sample_rate_hz": SAMPLE_RATE_HZ,
-                "first": offset,
-                "samples": recording.time.size,
-            }
-        )
-        offset += recording.time.size * len(SIGNALS)
-    return {
-        "format": "tissueid-laboratory 1",
-        "scenario": number,
-        "signals": list(SIGNALS),
-        "units": ["s", "V", "V", "A", "m", "degC"],
-        "instrument": NOMINAL,
-        "tests": tests,
-    }
-
-
-def write(scenarios: Sequence[DrawnScenario], folder: Path, *, clean: bool = False) -> str:
+def write(scenarios: Sequence[Scenario], folder: Path, *, clean: bool = False) -> str:
     """Record scenarios into a new or empty folder, the labels last; return the SHA-256 of the labels file.
 
     Raises:
@@ -238,16 +234,21 @@ def write(scenarios: Sequence[DrawnScenario], folder: Path, *, clean: bool = Fal
         if any(folder.iterdir()):
             raise ValueError(f"the folder {folder} is not empty; name a new one")
         labels: dict[str, object] = {}
+        before: list[Scenario] = []
         for number, scenario in enumerate(scenarios, 1):
             name = f"scenario-{number:04d}"
             recordings = scenario.record()
             _put(folder / f"{name}.f64", recordings)
             if clean:
-                _put(folder / f"{name}.clean.f64", scenario.record(clean=True))
-                _put(folder / f"{name}.base.f64", scenario.record(effects=(), clean=True))
-                for place, alone in enumerate(scenario.effects if len(scenario.effects) > 1 else (), 1):
-                    _put(folder / f"{name}.alone-{place}.f64", scenario.record(effects=(alone,)))
-            (folder / f"{name}.json").write_text(_text(described(scenario, number, recordings)), encoding="utf-8")
+                for kind, companion in scenario.companions():
+                    _put(folder / f"{name}.{kind}.f64", companion)
+            about = scenario.described(number, recordings)
+            if (earlier := scenario.earlier) is not None:
+                if earlier not in before:
+                    before.append(earlier)
+                    _write_session(folder, _earlier(len(before)), earlier.record(), earlier, len(before))
+                about["earlier"] = _earlier(before.index(earlier) + 1)
+            (folder / f"{name}.json").write_text(_text(about), encoding="utf-8")
             labels[name] = scenario.labels()
         content = _text(labels).encode()
         (folder / "labels.json").write_bytes(content)
@@ -258,6 +259,15 @@ def write(scenarios: Sequence[DrawnScenario], folder: Path, *, clean: bool = Fal
 
 def _put(path: Path, recordings: Sequence[Recording]) -> None:
     path.write_bytes(b"".join(r.stacked().astype("<f8").tobytes() for r in recordings))
+
+
+def _write_session(folder: Path, name: str, recordings: Sequence[Recording], scenario: Scenario, number: int) -> None:
+    _put(folder / f"{name}.f64", recordings)
+    (folder / f"{name}.json").write_text(_text(scenario.described(number, recordings)), encoding="utf-8")
+
+
+def _earlier(number: int) -> str:
+    return f"earlier-{number:04d}"
 
 
 def _text(value: object) -> str:
@@ -273,6 +283,8 @@ def main(arguments: Sequence[str] | None = None) -> int:
     parser.add_argument("--seed", type=int, default=0, help="random seed; equal seeds give equal scenarios")
     parser.add_argument("--n", type=int, default=10, help="number of scenarios")
     parser.add_argument("--out", type=Path, required=True, help="a new or empty folder")
+    parser.add_argument("--skin", action="store_true", help="forearms and upper arms with hidden instrument effects")
+    parser.add_argument("--later", action="store_true", help="with --skin: later sessions of the same people")
     parser.add_argument("--full-share", type=float, default=0.5, help="share with the full series of tests")
     parser.add_argument("--none-share", type=float, default=0.1, help="share without any effect")
     parser.add_argument("--pairs-share", type=float, default=0.1, help="share with two effects")
@@ -288,15 +300,20 @@ def main(arguments: Sequence[str] | None = None) -> int:
         print("--seed must be 0 or more, and --n 1 to 100000", file=sys.stderr)
         return 2
     try:
-        scenarios = draw_many(
-            given.seed,
-            given.n,
-            full_share=given.full_share,
-            none_share=given.none_share,
-            pairs_share=given.pairs_share,
-            unknown_share=given.unknown_share,
-            without=given.without,
-        )
+        scenarios: Sequence[Scenario]
+        if given.skin:
+            draw = draw_later_sessions if given.later else draw_skin_scenarios
+            scenarios = draw(given.seed, given.n, full_share=given.full_share, without=given.without)
+        else:
+            scenarios = draw_many(
+                given.seed,
+                given.n,
+                full_share=given.full_share,
+                none_share=given.none_share,
+                pairs_share=given.pairs_share,
+                unknown_share=given.unknown_share,
+                without=given.without,
+            )
         digest = write(scenarios, given.out, clean=given.clean)
     except ValueError as error:
         print(error, file=sys.stderr)

@@ -45,11 +45,18 @@ class DeviceDescription:
     amplifier_limit_v: float = 48.0
     stroke_m: float = 0.032
     sample_rate_hz: float = 2000.0
+    filter_corner_hz: float = 0.0
+    """Corner of the first-order anti-alias filter of every channel; 0 where there is none or it is unknown."""
     calibration_spring_n_per_m: float = 1000.0
     calibration_relative_uncertainty: float = 0.02
     firmware_version: str = ""
     protocol_version: str = ""
     calibration: dict[str, float | str] = field(default_factory=dict)
+
+    @property
+    def filter_time_s(self) -> float:
+        """Time constant of the anti-alias filters; 0 where there are none or they are unknown."""
+        return 0.5 / (math.pi * self.filter_corner_hz) if self.filter_corner_hz > 0.0 else 0.0
 
     @property
     def simulated(self) -> bool:

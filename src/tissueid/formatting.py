@@ -5,12 +5,14 @@ from __future__ import annotations
 import math
 import re
 from datetime import datetime
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 from tissueid.language import _
 from tissueid.messages import MISSING, signed
-from tissueid.records import Estimate
 from tissueid.units import Figure, display_unit, shown_si, split_name, unit_of
+
+if TYPE_CHECKING:  # imports numpy, which commands without numbers do not need
+    from tissueid.records import Estimate
 
 ANONYMOUS = "anonymous"
 """Pseudonym, in files, of a subject that has none."""

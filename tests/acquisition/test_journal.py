@@ -59,7 +59,7 @@ def test_a_finished_session_leaves_no_journal(tmp_path):
 
 def test_every_prefix_recovers_every_complete_batch(tmp_path):
     path = tmp_path / "s.h5"
-    record(path, 30, finish=False)
+    record(path, 6, finish=False)
     journal = journal_path(path)
     whole = journal.read_bytes()
     ends, offset = [], len(MAGIC)

@@ -135,7 +135,7 @@ def test_an_error_is_kept_and_does_not_end_the_test(samples, monkeypatch):
     def fails(*_):
         raise ZeroDivisionError("no such thing")
 
-    monkeypatch.setattr("tissueid.acquisition.live_estimator.view", fails)
+    monkeypatch.setattr("tissueid.acquisition.live_process.view", fails)
     live.feed(samples)
     live.step()
     assert says(live.problem, "live.defect", kind="ZeroDivisionError", error="no such thing")

@@ -14,7 +14,7 @@ from support import connect
 
 from tissueid.acquisition import GuidedTest, NoiseChoice, SessionRecorder, run_guided_test
 from tissueid.acquisition.quality import Quality, QualityFinding, QualityGate, gate, judge, judge_session, quality_of
-from tissueid.acquisition.quality.texts import AIR, SPRING, TISSUE
+from tissueid.acquisition.quality.prepared_test import AIR, SPRING, TISSUE
 from tissueid.device import DeviceDescription
 from tissueid.instrument.replies import released_by_faults
 from tissueid.language import set_language

@@ -8,7 +8,7 @@ import pytest
 from acquisition.simulated_tests import DEVICE, RATE, Desk, with_signal
 
 from tissueid.acquisition.quality import judge
-from tissueid.acquisition.quality.texts import SPRING
+from tissueid.acquisition.quality.prepared_test import SPRING
 from tissueid.stimuli.base import with_preload
 from tissueid.stimuli.kinds.noise import Noise
 

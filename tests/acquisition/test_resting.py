@@ -5,7 +5,7 @@ import math
 import numpy as np
 import pytest
 from coded import coded, says, shows
-from support import connect, connect_scenario
+from support import LONG_TICK_S, connect, connect_scenario
 
 from firmware_sim.scenario import Scenario
 from tissueid.acquisition import NoiseChoice
@@ -74,7 +74,7 @@ def test_rest_lasts_by_the_clock_of_the_instrument_and_can_be_cancelled():
 
 @pytest.fixture
 def desktop(monkeypatch):
-    monkeypatch.setattr("support.TICK_S", 0.02)
+    monkeypatch.setattr("support.TICK_S", LONG_TICK_S)
     monkeypatch.setattr("tissueid.procedures.test_run.open_instrument", lambda _: connect_scenario(Scenario(seed=3)))
 
 

@@ -13,7 +13,7 @@ import numpy as np
 import pytest
 from coded import coded
 
-from tissueid.acquisition.stimulus_file import load_stimulus, save_stimulus
+from tissueid.acquisition.stimulus_choice import load_stimulus, save_stimulus
 from tissueid.errors import UnusableInputError
 from tissueid.stimuli import Stimulus, get_stimulus, with_preload
 

@@ -1,13 +1,16 @@
 """Plots of calibrations, as the page Instrument draws them."""
 
+from dataclasses import replace
 from datetime import UTC, datetime, timedelta
 from types import SimpleNamespace
 
 import numpy as np
 import pytest
+from coded import coded
 
-from tissueid.analysis.curves.calibration import residual_plot, stroke_plot, trend_plot
+from tissueid.analysis.curves.calibration import line_plots, residual_plot, stroke_plot, trend_plot
 from tissueid.calibration.comparison import Residuals, Trend
+from tissueid.errors import UnusableInputError
 
 NOW = datetime(2026, 6, 1, tzinfo=UTC)
 
@@ -18,6 +21,19 @@ def test_residuals_are_shown_in_small_units_evenly_about_zero():
     np.testing.assert_allclose(points.y, [1.0, -2.0])
     assert (plot.x.unit, plot.y.unit, plot.y.zero) == ("V", "mA", True)
     assert plot.y.limits == pytest.approx((-2.3, 2.3))
+
+
+def test_a_line_has_its_readings_and_crosses_for_outliers():
+    x, off = np.array([1.0, 2.0, 3.0]), np.array([1e-3, 5e-3, -1e-3])
+    found = Residuals("Current", x, off, "V", "A", ("Voltage", "Current"), 0.1 * x + off, off > 2e-3)
+    left, right = line_plots(found)
+    line, points, crosses = left.curves
+    np.testing.assert_allclose((line.x, line.y), ([1.0, 3.0], [0.1, 0.3]))
+    np.testing.assert_allclose(points.x, [1.0, 3.0])
+    np.testing.assert_allclose((crosses.x, crosses.y), ([2.0], [0.205]))
+    assert (left.x.label, left.y.label, right.y.unit, crosses.marker) == ("Voltage", "Current", "mA", "X")
+    with pytest.raises(UnusableInputError, check=coded("report.no_readings")):
+        line_plots(replace(found, reading=None))
 
 
 def test_a_trend_stands_over_the_days_before_today_with_its_deviation():

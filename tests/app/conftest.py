@@ -45,6 +45,21 @@ def calibrations(tmp_path_factory):
 
 
 @pytest.fixture
+def plots_rendered():
+    """Whether plots get pixels: test files about pictures override this fixture."""
+    return False
+
+
+@pytest.fixture(autouse=True)
+def _plots_without_pixels(plots_rendered, monkeypatch):
+    """Build and lay out plots but do not render them: rendering takes a quarter of a test that shows a result."""
+    if not plots_rendered:
+        from matplotlib.backends.backend_qtagg import FigureCanvasQTAgg
+
+        monkeypatch.setattr(FigureCanvasQTAgg, "draw", lambda _canvas: None)
+
+
+@pytest.fixture
 def open_window(qtbot, tmp_path, bench, clock, calibrations, monkeypatch):
     """Opens windows; at the end each is closed, its work is waited for, and the garbage is collected in this thread."""
     windows = []

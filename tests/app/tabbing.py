@@ -4,8 +4,10 @@ from __future__ import annotations
 
 from itertools import pairwise
 
-from PySide6.QtCore import QCoreApplication, QPoint, QRect, Qt
+from PySide6.QtCore import QCoreApplication, QPoint, QRect, Qt, QTimer
 from PySide6.QtWidgets import QAbstractButton, QWidget
+
+from tissueid.app.plot_canvas import PlotCanvas
 
 MOST = 150
 SAME_LINE = 12
@@ -34,9 +36,17 @@ def stops(window):
     return [widget for widget in every if widget.isEnabled() and widget.focusProxy() is None]
 
 
+def _settled(window):
+    """Whether nothing that was put off is still to come: a canvas takes the focus from its first drawing on."""
+    canvases = (canvas.pending for canvas in window.findChildren(PlotCanvas) if canvas.isVisible())
+    delays = (timer.isActive() for timer in window.findChildren(QTimer) if timer.isSingleShot())
+    return not any(canvases) and not any(delays)
+
+
 def walked(qtbot, window, key=Qt.Key.Key_Tab):
     """All stops from the rail on, in order, until one comes again; that has to be the first."""
     QCoreApplication.processEvents()  # what was unfolded finds its place
+    qtbot.waitUntil(lambda: _settled(window))
     first = window.ui.rail.buttons[window.ui.page]
     first.setFocus()
     seen = [first]

@@ -10,13 +10,14 @@ from PySide6.QtCore import Qt
 from support import connect
 
 from firmware_sim.identity import Identity
-from tissueid.app.emergency import BY_BUTTON, BY_KEY, EmergencyStop
+from tissueid.app.emergency import BY_BUTTON, EmergencyStop
 from tissueid.app.operator_prompts import CalibrationOutcome, OperatorPrompts
 from tissueid.app.words import sentence
 from tissueid.audit import AuditLog, last_lines
 from tissueid.calibration import Calibration, Quantity, read_calibration
 from tissueid.calibration.store import free_name
 from tissueid.errors import CancelledError
+from tissueid.procedures.control import BY_KEY
 
 PROBLEM, REMARK = "the spring is not the one that was named", "2.0 mm was left out"
 

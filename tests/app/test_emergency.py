@@ -18,7 +18,6 @@ from tissueid.app.emergency import (
     BY_BUTTON,
     BY_CLOSING,
     BY_DEFECT,
-    BY_KEY,
     NO_ANSWER,
     EmergencyStop,
     seconds_since_boot,
@@ -27,6 +26,7 @@ from tissueid.app.session_jobs import find
 from tissueid.audit import AuditLog, last_lines
 from tissueid.errors import CancelledError
 from tissueid.instrument import CLINICAL, SimulatedInstrument
+from tissueid.procedures.control import BY_KEY
 
 pytestmark = [pytest.mark.qt_log_level_fail("WARNING"), pytest.mark.qt_log_ignore("This plugin does not support")]
 
@@ -138,8 +138,15 @@ def begin(qtbot, window, gate):
     assert gate.reached.is_set(), window.ui.notice.text.text()
 
 
-@pytest.mark.parametrize("key", [Qt.Key.Key_Escape, Qt.Key.Key_Space])
-@pytest.mark.parametrize("focus", ["tabs", "dismiss", "dialog"])
+@pytest.mark.parametrize(
+    ("focus", "key"),
+    [
+        ("tabs", Qt.Key.Key_Escape),
+        ("dismiss", Qt.Key.Key_Space),
+        ("dialog", Qt.Key.Key_Escape),
+        ("dialog", Qt.Key.Key_Space),
+    ],
+)
 def test_the_keys_stop_whatever_has_the_focus(qtbot, open_window, bench, tmp_path, key, focus):
     gate = Gate(passed=300)
     window = open_window(wait=gate.wait)

@@ -14,17 +14,15 @@ from PySide6.QtGui import QWheelEvent
 from PySide6.QtWidgets import QGraphicsView, QPushButton, QWidget
 
 from tissueid.acquisition import journal_path
-from tissueid.acquisition.contact import Contact
-from tissueid.app.disabled_reason import show_disabled_reason
-from tissueid.app.elided_label import ElidedLabel
+from tissueid.acquisition.surface_detection import Contact
 from tissueid.app.emergency import NO_ANSWER
 from tissueid.app.jobs import Jobs
-from tissueid.app.outcome import outcome_text
 from tissueid.app.plotting import PlotCard
 from tissueid.app.readouts import SafetyReadouts
 from tissueid.app.safety import Safety
-from tissueid.app.save_path import check_save_path
-from tissueid.app.words import sentence
+from tissueid.app.user_files import check_save_path
+from tissueid.app.widgets import ElidedLabel, show_disabled_reason
+from tissueid.app.words import outcome_text, sentence
 from tissueid.errors import CancelledError, UnusableInputError
 from tissueid.instrument.limits import PROFILES
 from tissueid.procedures.test_run import TestOutcome

@@ -29,7 +29,6 @@ from PySide6.QtWidgets import (
 from support import connect
 
 from firmware_sim.identity import Identity
-from tissueid.app.elided_label import ElidedLabel
 from tissueid.app.emergency import EmergencyStop
 from tissueid.app.import_dialog import ImportDialog, preview_of
 from tissueid.app.layout import SMALLEST
@@ -39,6 +38,7 @@ from tissueid.app.operator_prompts import CalibrationOutcome
 from tissueid.app.services import AppServices
 from tissueid.app.small_window import FoldingBox
 from tissueid.app.views.gap.diagnosis_run import result_of
+from tissueid.app.widgets import ElidedLabel
 from tissueid.calibration import Calibration, Quantity
 from tissueid.calibration.active import activate_calibration
 from tissueid.gap import diagnose, prepare
@@ -287,7 +287,7 @@ def diagnosis():
     every = shelf.all_effects()
     with pytest.MonkeyPatch.context() as patch:
         few = {name: every[name] for name in ("dry_friction", "directional_damping")}
-        patch.setattr("tissueid.gap.search.all_effects", lambda: few)
+        patch.setattr("tissueid.gap.machine_library.all_effects", lambda: few)
         return session, diagnose(prepare(session, (), ()), SerialExecutor())
 
 

@@ -10,8 +10,8 @@ from PySide6.QtCore import QLocale, QSettings
 from PySide6.QtWidgets import QAbstractButton, QComboBox, QLabel
 
 from tissueid import language
-from tissueid.app.help_panel import FOLDER
-from tissueid.app.language_choice import chosen
+from tissueid.app.panels import FOLDER
+from tissueid.app.preferences import chosen
 from tissueid.app.views.start.view import WHAT_ROLES_DO
 from tissueid.language import _, plural, set_language
 from tools import translations

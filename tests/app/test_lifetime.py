@@ -18,6 +18,11 @@ from tissueid.app.theme import DARK, LIGHT
 pytestmark = [pytest.mark.qt_log_level_fail("WARNING"), pytest.mark.qt_log_ignore("This plugin does not support")]
 
 
+@pytest.fixture
+def plots_rendered():
+    return True
+
+
 def live_and_die(qtbot, folder, saved, *, analyse):
     kept = functools.partial(QSettings, str(folder / "window.ini"), QSettings.Format.IniFormat)
     window = MainWindow(

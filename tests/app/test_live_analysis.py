@@ -14,7 +14,7 @@ from tissueid.app.live_analysis import LiveAnalysis
 from tissueid.app.theme import DARK, LIGHT
 from tissueid.app.words import sentence
 from tissueid.identification.live.live_view import METHODS, start_identifier, view
-from tissueid.identification.live.precision import precision
+from tissueid.identification.live.stopping import precision
 from tissueid.procedures.test_plan import TestPlan
 
 pytestmark = [pytest.mark.qt_log_level_fail("WARNING"), pytest.mark.qt_log_ignore("This plugin does not support")]

@@ -16,9 +16,8 @@ from tissueid.app.emergency import EmergencyStop
 from tissueid.app.form_choices import longest_stimulus_s
 from tissueid.app.live_signals import LiveSignals, decimated
 from tissueid.app.live_test import LiveTest
-from tissueid.app.outcome import outcome_text
-from tissueid.app.save_path import dated_path
-from tissueid.app.words import in_words, sentence
+from tissueid.app.user_files import dated_path
+from tissueid.app.words import in_words, outcome_text, sentence
 from tissueid.device import DeviceDescription
 from tissueid.errors import LimitError, LinkLostError, UnusableInputError
 from tissueid.instrument import PROFILES, SAMPLE, SimulatedInstrument

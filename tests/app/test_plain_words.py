@@ -6,7 +6,7 @@ from coded import shows
 from PySide6.QtCore import Qt
 from PySide6.QtWidgets import QLabel
 
-from tissueid.app.pseudonym import reads_like_name
+from tissueid.app.form_choices import reads_like_name
 
 pytestmark = [pytest.mark.qt_log_level_fail("WARNING"), pytest.mark.qt_log_ignore("This plugin does not support")]
 

@@ -16,6 +16,11 @@ KERNEL = Plot("Kernel", Axis("Lag", "ms"), Axis("Lag", "ms"), (Surface(X, X, np.
 
 
 @pytest.fixture
+def plots_rendered():
+    return True
+
+
+@pytest.fixture
 def canvas(qtbot):
     made = PlotCanvas()
     qtbot.addWidget(made)
@@ -123,3 +128,38 @@ def test_it_is_saved(canvas, tmp_path, ending, starts):
     shown(canvas, PLOT)
     canvas.save(tmp_path / f"plot{ending}")
     assert (tmp_path / f"plot{ending}").read_bytes().startswith(starts)
+
+
+def test_canvases_are_drawn_one_in_each_turn_of_the_event_loop(qtbot):
+    made = [PlotCanvas() for _ in range(3)]
+    for one in made:
+        qtbot.addWidget(one)
+        one.resize(400, 300)
+        one.show()
+        one.show_plots([PLOT])
+    assert [one.pending for one in made] == [False, True, True]
+    assert made[2].axes  # made when they are asked for
+    qtbot.waitUntil(lambda: not any(one.pending for one in made))
+
+
+def test_a_label_longer_than_its_axis_is_wrapped_and_stays_inside(canvas):
+    canvas.resize(300, 130)
+    inside = shown(canvas, Plot("", PLOT.x, Axis("Impulse response by depth", "mm/(N·s)"), PLOT.parts))
+    label = canvas.axes[0].yaxis.label
+    assert label.get_text() == "Impulse response\nby depth\n(mm/(N·s))"
+    box = label.get_window_extent()
+    assert box.y0 >= 0.0
+    assert box.y1 <= inside.figure.bbox.height
+    assert box.x0 >= 0.0
+    canvas.resize(600, 500)
+    canvas._settle()
+    assert canvas.axes[0].yaxis.label.get_text() == "Impulse response by depth (mm/(N·s))"
+
+
+def test_a_key_that_would_fill_its_axes_stands_beside_the_title(canvas):
+    canvas.resize(700, 130)
+    curves = tuple(Curve(X, np.sin(X + k), f"curve {k}") for k in range(6))
+    shown(canvas, Plot("By frequency", PLOT.x, PLOT.y, curves))
+    (axes,) = canvas.axes
+    assert axes.get_legend().get_window_extent().y0 >= axes.bbox.y1 - 1.0
+    assert len(axes.get_legend().get_texts()) == 6

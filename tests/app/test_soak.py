@@ -23,6 +23,11 @@ WARM = 40
 """Windows until caches of pyqtgraph, fonts and figures are filled."""
 
 
+@pytest.fixture
+def plots_rendered():
+    return True
+
+
 def live_and_die(qtbot, folder, saved, *, analyse):
     kept = functools.partial(QSettings, str(folder / "window.ini"), QSettings.Format.IniFormat)
     window = MainWindow(

@@ -11,7 +11,7 @@ from PySide6.QtCore import Qt
 from support import connect
 
 from tissueid.acquisition import SessionRecorder, journal_path
-from tissueid.app.instruments import Survey
+from tissueid.app.device_search import Survey
 from tissueid.app.quality_gate import UNJUDGED
 from tissueid.app.words import RESEARCH_USE
 from tissueid.instrument import FoundInstrument, Run, SimulatedInstrument

@@ -17,7 +17,7 @@ from tissueid.calibration.active import activate_calibration, corrections, use_s
 from tissueid.calibration.file import Quantity, utc_date
 from tissueid.calibration.labels import label_of, problems_of
 from tissueid.calibration.layers import NO_REGION
-from tissueid.calibration.plausibility import first_implausible
+from tissueid.calibration.status import first_implausible
 from tissueid.errors import InstrumentError
 from tissueid.instrument import Correction, SerialInstrument, SimulatedInstrument
 from tissueid.instrument.handshake import parse_hello

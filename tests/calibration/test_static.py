@@ -13,12 +13,14 @@ from tissueid.calibration.coil import Spring
 from tissueid.calibration.file import Quantity
 from tissueid.calibration.findings import Findings, mean_of_repeats
 from tissueid.calibration.labels import problems_of
-from tissueid.calibration.line_fit import straight_line
 from tissueid.calibration.sensors import mains, position_findings
 from tissueid.calibration.static_procedure import PUSH_ONLY
+from tissueid.calibration.step_levels import straight_line
 from tissueid.errors import CancelledError, FirmwareFaultError, LimitError, UnusableInputError
 from tissueid.instrument import SimulatedInstrument
 from tissueid.records import Estimate
+
+pytestmark = pytest.mark.usefixtures("long_frames")
 
 QUICK = ("electrical", "force")
 

@@ -39,15 +39,9 @@ TRUE = SPRING.model_copy(
         )
     }
 )
+pytestmark = pytest.mark.usefixtures("long_frames")
+
 SHORT = SweepPlan(from_m=0.014, to_m=0.018, step_m=4e-3, seconds=1.0)
-
-
-@pytest.fixture(scope="module", autouse=True)
-def _long_ticks():
-    """The virtual clock goes on in larger steps: nothing here depends on how fine they are."""
-    with pytest.MonkeyPatch.context() as patch:
-        patch.setattr("support.TICK_S", 0.02)
-        yield
 
 
 class Rehearsed:

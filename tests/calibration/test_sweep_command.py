@@ -24,11 +24,10 @@ SHORT = ["--from", "8", "--to", "24", "--step", "4", "--seconds", "1"]
 
 
 @pytest.fixture(scope="module", autouse=True)
-def _quicker():
-    """Larger steps of the virtual clock and shorter gentle tests: nothing here depends on either."""
+def _quicker(long_frames):
+    """Long frames and shorter gentle tests: nothing here depends on either."""
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr("support.TICK_S", 0.02)
-        patch.setattr("tissueid.calibration.sweep_amplitude.GENTLE_S", 0.5)
+        patch.setattr("tissueid.calibration.spring_points.GENTLE_S", 0.5)
         yield
 
 

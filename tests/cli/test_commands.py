@@ -217,7 +217,7 @@ def test_a_defect_leaves_its_details_in_a_file(monkeypatch, capsys, tmp_path):
     def fail(*_args, **_kwargs):
         raise ZeroDivisionError("a defect")
 
-    monkeypatch.setattr("tissueid.cli.devices.find_instruments", fail)
+    monkeypatch.setattr("tissueid.procedures.instrument_queries.find_instruments", fail)
     monkeypatch.setattr("tissueid.cli.user_log_path", lambda *_, **__: tmp_path)
     assert main(["devices"]) == 1
     printed = capsys.readouterr().err

@@ -19,6 +19,7 @@ from golden.golden_page import check_golden_page
 from firmware_sim.laboratory.scenario_generation import main as record
 from tissueid.cli import main
 from tissueid.gap.blind_check import BlindScenario
+from tissueid.gap.diagnosis import diagnose
 from tissueid.sessions import Session, write_session
 from tissueid.twin import catalogue as shelf
 
@@ -33,7 +34,7 @@ def _few_effects(monkeypatch: pytest.MonkeyPatch) -> None:
     """Three candidates are enough here, and quick."""
     everything = shelf.all_effects()
     few = {name: everything[name] for name in FEW}
-    monkeypatch.setattr("tissueid.gap.search.all_effects", lambda: few)
+    monkeypatch.setattr("tissueid.gap.machine_library.all_effects", lambda: few)
     monkeypatch.setattr("tissueid.gap.blind_check.all_effects", lambda: few)
 
 
@@ -262,6 +263,8 @@ def test_a_check_that_was_interrupted_goes_on(tmp_path: Path, capsys, monkeypatc
     assert main([*blind, "--n", "2", "--seed", "9", "--full-share", "0"]) == 130
     assert shows(capsys.readouterr().err, "blind.interrupted")
     assert shows(refused(capsys, *blind, "--resume", "--n", 3), "blind.other_option", option="--n", held=2.0, asked=3.0)
+    other = refused(capsys, *blind, "--resume", "--laboratory", "second")
+    assert shows(other, "blind.other_laboratory", folder=str(kept), held="first", asked="second")
     assert main([*blind, "--resume", "--seed", "9", "--out", str(page), "--json", str(out)]) == 0
     assert answered == ["scenario-0001", "interrupted", "scenario-0002"]
     found = json.loads(out.read_text())
@@ -274,6 +277,76 @@ def test_a_check_that_was_interrupted_goes_on(tmp_path: Path, capsys, monkeypatc
     assert shows(capsys.readouterr().err, "blind.other_labels", folder=str(kept))
     (kept / "labels.json").write_text("{}")
     assert shows(refused(capsys, *blind, "--resume"), "blind.altered")
+
+
+@pytest.mark.parametrize(("options", "module"), [([], "laboratory"), (["--laboratory", "second"], "second_laboratory")])
+def test_the_laboratory_that_is_asked_for_records(
+    options: list[str], module: str, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+):
+    def run(*command: str, **others: object) -> subprocess.CompletedProcess[str]:
+        return subprocess.CompletedProcess(command, 2, "", f"ran {command[1]}")
+
+    monkeypatch.setattr("tissueid.procedures.blind_check.run", run)
+    said = refused(capsys, "gap", "blind-check", "--n", 1, *options)
+    assert shows(said, "blind.laboratory_failed", why=f"ran firmware_sim.{module}")
+
+
+@pytest.mark.usefixtures("_recorded_here")
+def test_a_check_on_skin_scores_sets(tmp_path: Path, capsys, monkeypatch: pytest.MonkeyPatch):
+    kept, out = tmp_path / "kept", tmp_path / "score.json"
+    gap = {"before": 0.1, "after": 0.1, "floor": 0.05, "closed": None, "announced": None}
+    answer = {"verdict": "unexplained", "gap": gap, "where": {"stage": "tissue"}, "ranking": [], "combination": []}
+    monkeypatch.setattr(BlindScenario, "diagnosed", lambda piece: answer | {"oracle": 0.05})
+    blind = ["gap", "blind-check", "--workers", "1", "--keep", str(kept)]
+    assert main([*blind, "--n", "1", "--full-share", "0", "--skin", "--json", str(out)]) == 0
+    found = json.loads(out.read_text())
+    assert found["skin"] is True
+    figures = {item["what"]: item["value"] for item in found["kinds"]["single"]["figures"]}
+    assert figures["recall of the named set"] == 0.0
+    assert figures["closed share relative to the true set, median"] == 0.0
+    capsys.readouterr()
+    assert main([*blind, "--resume", "--json", str(out)]) == 0
+    assert json.loads(out.read_text())["skin"] is True
+    capsys.readouterr()
+    assert shows(refused(capsys, *blind, "--resume", "--take-out"), "blind.skin_alone", option="--take-out")
+
+
+@pytest.mark.usefixtures("_recorded_here")
+def test_a_check_against_a_twin_scores_new_effects(tmp_path: Path, capsys, monkeypatch: pytest.MonkeyPatch):
+    kept, out = tmp_path / "kept", tmp_path / "score.json"
+    searched: list[int] = []
+
+    def baseline_only(dataset, pool, *, known=(), candidates=None):  # type: ignore[no-untyped-def]
+        searched.append(len(dataset.priors))
+        return diagnose(dataset, pool, known=known, candidates=())
+
+    monkeypatch.setattr("tissueid.gap.blind_check.diagnose", baseline_only)
+    blind = ["gap", "blind-check", "--workers", "1", "--keep", str(kept)]
+    assert main([*blind, "--n", "2", "--full-share", "0", "--against-twin", "--json", str(out)]) == 0
+    found = json.loads(out.read_text())
+    assert (found["skin"], found["against_twin"]) == (True, True)
+    rates = {item["what"]: item["cases"] for item in found["kinds"]["single"]["rates"]}
+    assert set(rates) == {"new effect: top-1", "nothing new: false alarms"}
+    # One earlier session without a twin, then both later ones against its twin.
+    assert [count > 0 for count in searched] == [False, True, True]
+    assert all(answer["accepted"] == [] for answer in found["answers"].values())
+    assert (kept / "earlier-0001.toml").exists()
+    capsys.readouterr()
+    assert main([*blind, "--resume", "--json", str(out)]) == 0
+    assert len(searched) == 3
+    capsys.readouterr()
+    assert shows(
+        refused(capsys, "gap", "blind-check", "--against-twin", "--take-out"),
+        "blind.skin_alone",
+        kind="--against-twin",
+        option="--take-out",
+    )
+
+
+@pytest.mark.parametrize("options", [["--laboratory", "second"], ["--take-out"]])
+def test_a_check_on_skin_refuses_what_it_cannot_score(options: list[str], capsys):
+    said = refused(capsys, "gap", "blind-check", "--skin", *options)
+    assert shows(said, "blind.skin_alone", option=" ".join(options))
 
 
 def test_a_check_cannot_go_on_where_there_is_none(tmp_path: Path, capsys: pytest.CaptureFixture[str]):

@@ -6,6 +6,8 @@ import pytest
 import tomli_w
 
 from tissueid.cli import main
+from tissueid.twin.bus import MOST_EFFECTS
+from tissueid.twin.catalogue import all_effects
 from tissueid.twin.chain_parameters import Instrument, Tissue
 
 TWIN = {
@@ -19,7 +21,7 @@ TWIN = {
     "tissue": vars(Tissue()),
     "effects": [{"name": "reluctance_force", "parameters": {}}],
 }
-FIVE = [word for name in ("latency", "cogging", "reflex", "end_stop", "mains_hum") for word in ("--effect", name)]
+TOO_MANY = [word for name in list(all_effects())[: MOST_EFFECTS + 1] for word in ("--effect", name)]
 
 
 @pytest.fixture
@@ -65,7 +67,10 @@ def test_a_saved_twin_is_an_instrument(twin, tmp_path):
         (["gap", "accept", "SESSION", "--out", "FOLDER/a.txt"], "must end in .toml: a.txt"),
         (["gap", "accept", "SESSION", "--out", "FOLDER/a.toml", "--effect", "luck"], "no such file"),
         (["gap", "accept", "SESSION", "--out", "FOLDER/a.toml", *(2 * ["--effect", "latency"])], "is named twice"),
-        (["gap", "accept", "SESSION", "--out", "FOLDER/a.toml", *FIVE], "at most 4 effects, not 5"),
+        (
+            ["gap", "accept", "SESSION", "--out", "FOLDER/a.toml", *TOO_MANY],
+            f"at most {MOST_EFFECTS} effects, not {MOST_EFFECTS + 1}",
+        ),
         (
             ["gap", "accept", "SESSION", "--out", "FOLDER/a.toml", "--effect", "latency", "--fit", "one"],
             "--fit must be",

@@ -13,7 +13,7 @@ from support import connect_scenario
 
 from firmware_sim.scenario import Scenario
 from tissueid.acquisition import SessionRecorder
-from tissueid.acquisition.stimulus_file import save_stimulus
+from tissueid.acquisition.stimulus_choice import save_stimulus
 from tissueid.cli import main
 from tissueid.cli.test_summary import answer_of
 from tissueid.sessions import read_session

@@ -13,8 +13,9 @@ from contextlib import contextmanager
 import pytest
 from coded import coded
 
-from tissueid.cli.stop_key import BY_KEY, HINT, StopKey, stop_key
+from tissueid.cli.stop_key import HINT, StopKey, stop_key
 from tissueid.errors import CancelledError
+from tissueid.procedures.control import BY_KEY
 from tissueid.sessions import read_session
 
 pytestmark = pytest.mark.skipif(sys.platform == "win32", reason="there are no pseudo-terminals")

@@ -31,7 +31,6 @@ def run(folder: Path, shell: str, *more: str) -> subprocess.CompletedProcess[str
 @pytest.mark.parametrize(
     ("shell", "more", "status"),
     [
-        (">&-", (), 0),
         (">&- 2>&- <&-", (), 0),
         (">&-", ("--json", "-"), 2),
         pytest.param(">/dev/full", (), 2, marks=pytest.mark.skipif(not Path("/dev/full").exists(), reason="no such")),

@@ -10,7 +10,8 @@ from scipy.integrate import solve_ivp
 
 from firmware_sim.effects import EFFECTS, LISTED, UNLISTED
 from firmware_sim.laboratory import SIGNALS, BaselineParameters, Laboratory, PlannedTest, plan
-from firmware_sim.laboratory.scenario_generation import NOMINAL, draw_many, draw_scenario, main
+from firmware_sim.laboratory.scenario_generation import draw_many, draw_scenario, main
+from firmware_sim.laboratory.session_content import NOMINAL
 
 pytestmark = pytest.mark.timeout(600)  # the first test compiles the loop, on a busy machine for minutes
 

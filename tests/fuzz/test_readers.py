@@ -21,7 +21,7 @@ from fuzz.mutations import changed
 from known_calibrations import made
 from sessions import hostile
 
-from tissueid.acquisition.stimulus_file import load_stimulus, save_stimulus
+from tissueid.acquisition.stimulus_choice import load_stimulus, save_stimulus
 from tissueid.calibration.file import read_calibration, to_toml
 from tissueid.errors import TissueIDError
 from tissueid.instrument.twin_file import Source as TwinSource

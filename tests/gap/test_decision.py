@@ -10,10 +10,10 @@ import pytest
 
 from tissueid.gap.decision import (
     THRESHOLDS,
-    better_pair,
     cost,
     explains,
     is_gap,
+    is_needed,
     lead_of,
     probabilities,
     shows_in_the_check_alone,
@@ -132,13 +132,13 @@ def test_equal_candidates_are_equally_likely_and_the_simpler_is_likelier():
     assert simple > complicated
 
 
-def test_a_second_effect_must_be_worth_it():
-    assert better_pair(candidate(2.0, 1), candidate(0.1, 2), 0.5, 0.99)
-    assert not better_pair(candidate(2.0, 1), candidate(1.9, 2), 0.5, 0.99)
-    assert not better_pair(candidate(0.1, 1), candidate(0.0, 2), 0.5, 0.99)
+def test_a_member_of_a_set_must_be_needed():
+    assert is_needed(candidate(2.0, 1), candidate(0.1, 2), 0.5, 0.99)
+    assert not is_needed(candidate(2.0, 1), candidate(1.9, 2), 0.5, 0.99)
+    assert not is_needed(candidate(0.1, 1), candidate(0.0, 2), 0.5, 0.99)
     # A small gain suffices where it removes the rest, but not where it is chance.
-    assert better_pair(candidate(0.5, 1), candidate(0.1, 2), 0.97, 0.98)
-    assert not better_pair(candidate(0.3, 1), candidate(0.05, 2), 0.97, 0.99)
+    assert is_needed(candidate(0.5, 1), candidate(0.1, 2), 0.97, 0.98)
+    assert not is_needed(candidate(0.3, 1), candidate(0.05, 2), 0.97, 0.99)
     # The form of the effect can be wrong where a pair hardly lowers the gap.
-    assert not better_pair(candidate(2.0, 1), candidate(0.9, 2), 0.9, 0.95)
-    assert not better_pair(candidate(2.0, 1), candidate(0.1, 2), float("nan"), float("nan"))
+    assert not is_needed(candidate(2.0, 1), candidate(0.9, 2), 0.9, 0.95)
+    assert not is_needed(candidate(2.0, 1), candidate(0.1, 2), float("nan"), float("nan"))

@@ -9,9 +9,10 @@ import pytest
 from coded import coded, says
 from gap_records import DEVICE, RATE_HZ, changed, not_usable, observed, recorded
 
+from tissueid.device import GRAVITY_M_S2
 from tissueid.errors import UnusableInputError
 from tissueid.gap.dataset import Purpose
-from tissueid.gap.preparation import BLOCK_S, SETTLING_S, prepare
+from tissueid.gap.preparation import BLOCK_S, GRAVITY_STD_M_S2, SETTLING_S, prepare
 from tissueid.sessions import Session
 
 TRUE_NOISE = {
@@ -184,3 +185,14 @@ def test_noise_is_right_where_readings_are_missing():
     position[4000:4300] = np.nan
     noise = prepare(changed(recorded(samples=9000), position=position)).noise
     assert noise["position"] == pytest.approx(TRUE_NOISE["position"], rel=0.1)
+
+
+def test_measured_gravity_bounds_the_weight():
+    session = recorded("dry_friction")
+    known = {"gravity_along_stroke_m_s2": 4.9, "gravity_across_stroke_m_s2": 8.5}
+    upright = replace(session, tests=tuple(replace(test, notes=known) for test in session.tests))
+    assert prepare(session).gravity_m_s2 == (0.0, GRAVITY_M_S2)
+    assert prepare(upright).gravity_m_s2 == (4.9, GRAVITY_STD_M_S2)
+    assumed = {"gravity_along_stroke_m_s2": 9.8}
+    unmeasured = replace(session, tests=tuple(replace(test, notes=assumed) for test in session.tests))
+    assert prepare(unmeasured).gravity_m_s2 == (0.0, GRAVITY_M_S2)

@@ -14,28 +14,19 @@ from tissueid.errors import UnusableInputError
 from tissueid.gap.candidate_tests import candidate_tests
 from tissueid.gap.diagnosis import diagnose
 from tissueid.gap.fitting import fit
+from tissueid.gap.machine_library import effects_of
 from tissueid.gap.preparation import prepare
 from tissueid.gap.scoring import gap, score_candidate
 from tissueid.gap.search import applicable
 from tissueid.gap.workers import SerialExecutor
 from tissueid.sessions import Session, Test
+from tissueid.sessions.imports.export_attributes import unknown_device
 from tissueid.twin.catalogue import all_effects, effect
 
 RATE = 2000.0
 DEVICE = DeviceDescription()
 NAN = float("nan")
-UNKNOWN = replace(
-    DEVICE,
-    coil_resistance_ohm=NAN,
-    coil_inductance_h=NAN,
-    force_constant_n_per_a=NAN,
-    moving_mass_kg=NAN,
-    bearing_damping_n_s_per_m=NAN,
-    amplifier_gain=NAN,
-    amplifier_limit_v=NAN,
-    stroke_m=NAN,
-    calibration_relative_uncertainty=NAN,
-)
+UNKNOWN = unknown_device()
 
 
 def linear_test(seconds=3.0, seed=1):
@@ -144,8 +135,11 @@ def test_the_scale_of_a_bare_record_does_not_matter():
 
 def test_effects_that_a_record_cannot_show_are_left_out():
     observed = prepare(bare(duffing(0.0, seconds=4.0)))
-    stages = {item.stage for item in all_effects().values() if applicable(observed, item)}
-    assert stages == {"mechanics", "tissue", "sensing"}
+    known = {name: item.stage for name, item in effects_of(observed).items() if applicable(observed, item)}
+    assert set(known.values()) == {"drive", "mechanics", "tissue", "sensing"}
+    # Of the drive only a nonlinear law: a linear one is part of the oscillator.
+    assert {name for name, stage in known.items() if stage == "drive"} == {"amplifier_clipping", "amplifier_deadband"}
+    assert "sensor_backlash" in known
 
 
 @pytest.mark.parametrize(

@@ -13,6 +13,7 @@ from tissueid.gap.preparation import prepare
 from tissueid.gap.scoring import Candidate
 from tissueid.gap.search import Search, SearchProgress, SearchResult, applicable
 from tissueid.gap.workers import SerialExecutor
+from tissueid.twin.bus import MOST_EFFECTS
 from tissueid.twin.catalogue import all_effects, effect
 
 CANDIDATES = ("dry_friction", "directional_damping", "sensor_lag")
@@ -112,10 +113,10 @@ def test_the_same_twice():
     ]
 
 
-def test_a_candidate_with_all_effects_has_no_pairs():
-    full = Candidate(("cogging", "end_stop", "latency", "reflex"), found("dry_friction").baseline.fit, (), ())
+def test_a_candidate_with_the_most_effects_gets_no_more():
+    full = Candidate(tuple(all_effects())[:MOST_EFFECTS], found("dry_friction").baseline.fit, (), ())
     search = Search(observed("dry_friction"), SerialExecutor(), CANDIDATES)
-    assert search.pairs_with(found("dry_friction").baseline, [full]) == ()
+    assert search.add_to([full]) == ()
 
 
 def test_unknown_candidates_find_nothing():
@@ -157,3 +158,19 @@ def test_a_second_round_keeps_the_results_of_the_first():
     after = {item.effects: item.score for item in then.candidates}
     assert set(after) >= set(before)
     assert all(after[effects] <= score for effects, score in before.items())
+
+
+def test_a_set_of_three_is_named_with_its_budget():
+    names = {"dry_friction", "directional_damping", "latency"}
+    record = observed("dry_friction+directional_damping+latency")
+    result = diagnose(record, SerialExecutor(), candidates=(*names, "sensor_lag"))
+    assert (result.verdict, set(result.combination)) == ("effect", names)
+    budget = result.budget
+    assert budget is not None
+    assert {step.effect for step in budget.steps} == names
+    assert budget.after == pytest.approx(result.gap.after, rel=0.02)
+    assert (budget.before, budget.floor) == (result.gap.before, result.gap.floor)
+    assert sum(step.added for step in budget.steps) == pytest.approx(1.0 - budget.remains)
+    for step in budget.steps:
+        assert step.added_ci[0] <= step.added <= step.added_ci[1]
+        assert step.removed > 0.0

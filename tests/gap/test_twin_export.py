@@ -1,5 +1,6 @@
 """Named twins: written by a diagnosis, read with checks, simulated, and used by the next diagnosis."""
 
+from dataclasses import replace
 from datetime import UTC, datetime
 
 import numpy as np
@@ -11,8 +12,8 @@ from tissueid.device import DeviceDescription
 from tissueid.errors import UnusableInputError
 from tissueid.gap.fitting import fit
 from tissueid.gap.preparation import prepare
-from tissueid.gap.scoring import score_candidate
-from tissueid.gap.twin_export import twin_file_of, with_prior_twin
+from tissueid.gap.scoring import floor, score_candidate
+from tissueid.gap.twin_export import against_twin, check_same_instrument, twin_file_of, with_prior_twin
 from tissueid.instrument import open_instrument
 from tissueid.instrument.twin_file import read_twin, write_twin
 from tissueid.instrument.twin_list import MOST_BYTES
@@ -83,6 +84,46 @@ def test_a_saved_twin_provides_starting_values(observed, accepted, content):
     quick = fit(begun, [effect("dry_friction")], most_steps=3)
     assert quick.cost < 1.05 * accepted.fit.cost
     assert quick.value("resistance_ohm") == pytest.approx(np.log(12.2 / 12.0), abs=0.003)
+
+
+def test_what_the_instrument_is_known_to_be_is_kept_and_what_changes_with_the_temperature_is_refitted(
+    observed, content
+):
+    priors = with_prior_twin(observed, content.twin).priors
+    assert priors["moving_mass_kg"].std == pytest.approx(content.stds["moving_mass_kg"] / 0.06, rel=0.1)
+    assert priors["resistance_ohm"].std == pytest.approx(0.02, rel=0.01)
+    assert priors["tissue_stiffness_n_per_m"].std is None
+
+
+def test_what_a_twin_leaves_unmodelled_is_part_of_the_floor_of_later_sessions(observed, accepted):
+    bare = score_candidate(fit(observed))
+    content = twin_file_of(bare, "bare")
+    spread = observed.tests[0].spreads["position"]
+    parts = [next(item for item in part if item.channel == "position") for part in (bare.chosen_by, bare.checked_by)]
+    left = max(item.square - item.noise**2 for item in parts)
+    assert content.unmodelled["position"] == pytest.approx(np.sqrt(left) / spread)
+    assert content.unmodelled["position"] > 10.0 * twin_file_of(accepted, "arm").unmodelled["position"]
+    later, known = against_twin(observed, content)
+    assert known == ()
+    again = score_candidate(fit(later))
+    assert bare.score > 1.0
+    assert again.score < 0.1
+    assert floor(again.checked_by) > 5.0 * floor(bare.checked_by)
+    improved = twin_file_of(again, "bare")
+    assert improved.unmodelled["position"] == pytest.approx(content.unmodelled["position"], rel=0.1)
+
+
+def test_a_twin_of_another_instrument_is_refused(observed, content):
+    device = observed.instrument
+    check_same_instrument(replace(device, serial_number="A1"), content)
+    ours = content.model_copy(update={"source": content.source.model_copy(update={"serial_number": "B2"})})
+    check_same_instrument(device, ours)
+    check_same_instrument(replace(device, serial_number="TWIN-1"), ours)
+    with pytest.raises(UnusableInputError, check=coded("gap.other_serial", ours="A1", theirs="B2")):
+        check_same_instrument(replace(device, serial_number="A1"), ours)
+    for other in ({"stroke_m": 0.02}, {"moving_mass_kg": 0.08}, {"amplifier_limit_v": 24.0}):
+        with pytest.raises(UnusableInputError, check=coded("gap.other_instrument", name=next(iter(other)))):
+            against_twin(replace(observed, instrument=replace(device, **other)), content)
 
 
 def test_a_saved_twin_can_be_simulated(content, tmp_path):

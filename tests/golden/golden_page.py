@@ -177,7 +177,9 @@ def _text_of(widget: QWidget) -> str:
 def _lines_of_plots(canvas: PlotCanvas) -> Iterator[str]:
     """Return title, labels and key of every pair of axes."""
     for axes in canvas.axes:
-        yield " | ".join(filter(None, [axes.get_title(loc="left"), axes.get_xlabel(), axes.get_ylabel()]))
+        yield " | ".join(
+            filter(None, [axes.get_title(loc="left"), axes.get_xlabel(), axes.get_ylabel().replace("\n", " ")])
+        )
         legend = axes.get_legend()
         if legend is not None:
             yield " ".join(f"■ {text.get_text()}" for text in legend.get_texts())

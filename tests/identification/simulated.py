@@ -70,10 +70,10 @@ C1, C2, SURFACE = 0.00742, 0.191, 0.0102
 SCALED_MASS, SCALED_DAMPING = 1.94e-5, 4.84e-3
 
 
-def wiener_record(*seed: int, snr_db: float = 30.0, colour: float = 0.0) -> Record:
+def wiener_record(*seed: int, snr_db: float = 30.0, colour: float = 0.0, n: int = 8000) -> Record:
     """Second-order dynamics of unit gain about 4 N, then the exponential of Eq. 3.26."""
     rng = generator(*seed)
-    force, load = second_order(rng, SCALED_MASS, SCALED_DAMPING, 1.0)
+    force, load = second_order(rng, SCALED_MASS, SCALED_DAMPING, 1.0, n)
     force, load = 2.2 * force + 4.0, 2.2 * load + 4.0
     position = SURFACE + C1 * (1.0 - np.exp(-C2 * load))
     return Record(force, position + noise(rng, position, snr_db, colour), RATE)

@@ -13,8 +13,15 @@ from identification import simulated_blocks
 
 from tissueid.errors import UnusableInputError
 from tissueid.identification import validated
-from tissueid.identification.cascades.basis import lag_basis
-from tissueid.identification.cascades.blocks import Blocks, Structure, cascade_data, prepare_cascade, run, slopes
+from tissueid.identification.cascades.blocks import (
+    Blocks,
+    Structure,
+    cascade_data,
+    lag_basis,
+    prepare_cascade,
+    run,
+    slopes,
+)
 from tissueid.identification.cascades.fit import fit_structures
 from tissueid.identification.cascades.structure_selection import StructureCandidate, StructureChoice, structure_findings
 from tissueid.identification.engines.cascade import Cascade, CascadeModel

@@ -16,10 +16,10 @@ from tissueid.identification.correlation import (
     condition_number,
     convolve_at_rest,
     lagged_products,
+    long_run_covariance,
     toeplitz_inverse,
     toeplitz_solve,
 )
-from tissueid.identification.effective_samples import long_run_covariance
 from tissueid.identification.impulse_response import factor_input
 from tissueid.identification.preparation import prepare
 from tissueid.records import Record

@@ -12,7 +12,7 @@ from tissueid.identification.engines.als import Als
 from tissueid.identification.engines.lms import Lms
 from tissueid.identification.engines.rls import Rls
 from tissueid.identification.live.live_view import METHODS, LiveView, Method, start_identifier, view
-from tissueid.identification.live.precision import precision
+from tissueid.identification.live.stopping import precision
 from tissueid.messages import code_of
 from tissueid.records import Record
 

@@ -12,8 +12,7 @@ from pydantic import ValidationError
 
 from tissueid.errors import UnusableInputError
 from tissueid.identification.engines.lms import Lms
-from tissueid.identification.live.precision import PARAMETERS, WIDENING, Precision, precision
-from tissueid.identification.live.stopping import StopRule
+from tissueid.identification.live.stopping import PARAMETERS, WIDENING, Precision, StopRule, precision
 from tissueid.records import Record
 
 TRUTH = (simulated.MASS, simulated.DAMPING, simulated.STIFFNESS)

@@ -17,6 +17,7 @@ from tissueid.analysis import compare, specifications, split_records
 from tissueid.errors import UnusableInputError
 from tissueid.identification import Family
 from tissueid.identification import recommendation_messages as messages
+from tissueid.identification.candidates import Difference, difference
 from tissueid.identification.recommendation import (
     Candidate,
     Recommendation,
@@ -25,7 +26,6 @@ from tissueid.identification.recommendation import (
     recommend,
     sufficient,
 )
-from tissueid.identification.validation.paired_difference import Difference, difference
 from tissueid.language import set_language
 from tissueid.messages import Message, code_of, translated
 from tissueid.records import Record

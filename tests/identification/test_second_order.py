@@ -11,8 +11,7 @@ from identification import simulated, simulated_dpn
 from scipy import signal, stats
 
 from tissueid.errors import UnusableInputError
-from tissueid.identification.preparation import prepare
-from tissueid.identification.sample_masks import scored_samples
+from tissueid.identification.preparation import prepare, scored_samples
 from tissueid.identification.second_order import SecondOrder
 from tissueid.identification.second_order_fit import SecondOrderFit, fit_second_order
 from tissueid.messages import code_of

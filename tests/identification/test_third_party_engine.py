@@ -94,41 +94,64 @@ def site(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return folder
 
 
-def run(site: Path, *arguments: str) -> subprocess.CompletedProcess[str]:
+COMMANDS = """
+import contextlib, io, json, sys
+from tissueid.cli import main
+ended = {}
+for name, arguments in json.load(sys.stdin).items():
+    out, err = io.StringIO(), io.StringIO()
+    with contextlib.redirect_stdout(out), contextlib.redirect_stderr(err):
+        status = main(arguments)
+    ended[name] = status, out.getvalue(), err.getvalue()
+json.dump(ended, sys.stdout)
+"""
+
+
+@pytest.fixture(scope="module")
+def ended(site: Path) -> dict[str, tuple[int, str, str]]:
+    """Status, output and errors of some commands in one process that has the packages on its path."""
+    session = str(site / "session.h5")
+    commands = {
+        "identify": ["identify", session, "--engine", "spring", "--option", "ridge=0.1", "--json", "-"],
+        "compare": ["compare", session, "--engines", "spring,lms", "--json", "-"],
+        "misspelt": ["identify", session, "--engine", "sprung"],
+    }
     path = os.pathsep.join(filter(None, [str(site), os.environ.get("PYTHONPATH")]))
-    return subprocess.run(
-        [sys.executable, "-m", "tissueid", *arguments],
+    done = subprocess.run(
+        [sys.executable, "-c", COMMANDS],
         env=os.environ | {"PYTHONPATH": path},
+        input=json.dumps(commands),
         capture_output=True,
         text=True,
         timeout=100,
     )
-
-
-def test_it_is_identified_with(site: Path):
-    done = run(site, "identify", str(site / "session.h5"), "--engine", "spring", "--option", "ridge=0.1", "--json", "-")
     assert done.returncode == 0, done.stderr
-    answer = json.loads(done.stdout)
+    return json.loads(done.stdout)
+
+
+def test_it_is_identified_with(ended):
+    status, out, err = ended["identify"]
+    assert status == 0, err
+    answer = json.loads(out)
     assert answer["engine"] == "spring"
     assert answer["options"] == {"ridge": 0.1}
     assert answer["n_parameters"] == 2
     assert 0 < answer["vaf_validation_percent"] < 95
     assert answer["findings"] == ["a spring is all that was looked for"]
-    assert "'broken' (broken_tissue:Engine) was left out: half installed" in done.stderr
+    assert "'broken' (broken_tissue:Engine) was left out: half installed" in err
 
 
-def test_it_is_compared_with_ours(site: Path):
-    arguments = ("--engines", "spring,lms", "--json", "-")
-    done = run(site, "compare", str(site / "session.h5"), *arguments)
-    assert done.returncode == 0, done.stderr
-    answer = json.loads(done.stdout)
+def test_it_is_compared_with_ours(ended):
+    status, out, err = ended["compare"]
+    assert status == 0, err
+    answer = json.loads(out)
     assert [row["engine"] for row in answer["engines"]] == ["spring", "lms"]
     assert all(row["refused"] is None for row in answer["engines"])
     assert answer["engines"][0]["family"] == "linear"
     assert answer["recommendation"]["engine"] == "lms"
 
 
-def test_its_name_is_offered(site: Path):
-    done = run(site, "identify", str(site / "session.h5"), "--engine", "sprung")
-    assert done.returncode == 2
-    assert "spring" in done.stderr.splitlines()[-1]
+def test_its_name_is_offered(ended):
+    status, _, err = ended["misspelt"]
+    assert status == 2
+    assert "spring" in err.splitlines()[-1]

@@ -15,7 +15,7 @@ from tissueid.errors import UnusableInputError
 from tissueid.identification import FitReport, Model, aic, aicc, vaf_percent, validate, validated
 from tissueid.identification.base import PREDICTS_NOTHING, Array
 from tissueid.identification.engines.lms import Lms
-from tissueid.identification.sample_masks import complete_windows, scored_samples
+from tissueid.identification.preparation import complete_windows, scored_samples
 from tissueid.identification.validation import score
 from tissueid.records import Record
 

@@ -16,7 +16,8 @@ from tissueid.instrument.interface import SIGNALS
 from tissueid.messages import joined
 from tissueid.wire import MessageType
 
-FLOATS = [name for name in RANGES if wire.HELLO_ACK.fields[name][0] == np.dtype("<f8")]
+INTEGERS = ("samples_per_frame", "stimulus_capacity")
+FLOATS = [name for name in RANGES if name not in INTEGERS]
 ODD = [float("nan"), float("inf"), -float("inf"), -1.0, 1e300, -1e300]
 
 
@@ -39,6 +40,8 @@ def payload():
 
 
 def with_value(payload, name, value):
+    if name in wire.HELLO_ACK_FILTER.names:
+        return payload[: -wire.HELLO_ACK_FILTER.itemsize] + np.float64(value).tobytes()
     at = wire.HELLO_ACK.fields[name][1]
     data = np.array(value, wire.HELLO_ACK.fields[name][0]).tobytes()
     return payload[:at] + data + payload[at + len(data) :]
@@ -60,7 +63,8 @@ def problem_of(payload):
 
 
 def test_every_value_that_the_host_uses_has_a_range():
-    figures = {name for name in wire.HELLO_ACK.names if wire.HELLO_ACK.fields[name][0].kind == "f"}
+    fields = wire.HELLO_ACK.fields | wire.HELLO_ACK_FILTER.fields
+    figures = {name for name, (kind, *_) in fields.items() if kind.kind == "f"}
     assert figures == set(FLOATS)
     assert set(SPANS) == set(SIGNALS)
 
@@ -99,6 +103,11 @@ def test_an_implausible_scale_is_named(payload, signal, value):
 @pytest.mark.parametrize("value", [float("nan"), float("inf"), 1e300, -1e300])
 def test_an_implausible_offset_is_named(payload, value):
     assert says(problem_of(with_scale(payload, "position", "offset", value)), "handshake.offset", name="position")
+
+
+def test_the_corner_of_the_filters_is_optional(payload):
+    assert parse_hello(payload, "port").device.filter_corner_hz == 2000.0
+    assert parse_hello(payload[: -wire.HELLO_ACK_FILTER.itemsize], "port").device.filter_corner_hz == 0.0
 
 
 def test_unknown_channels_are_listed_up_to_a_limit(payload):

@@ -36,15 +36,6 @@ FORBIDDEN = {
 }
 """Names that are imported to open an instrument, to run a test, or to write a session, calibration, twin or result."""
 AUDIT_METHODS = {"record", "note", "submit"}
-EXCEPTIONS = {
-    "app/calibration_controller.py: opens an instrument": "for the procedure, so that the live plot sees its samples",
-    "app/services.py: AuditLog": "the audit log of the window, which tests replace; its entries are written elsewhere",
-    "app/services.py: find_instruments": "the search for instruments, which tests replace",
-    "app/services.py: open_instrument": "passed to the procedures; tests replace it",
-    "cli/audit_records.py: AuditLog": "the audit log of a command; its entries are written by procedures",
-    "cli/devices.py: find_instruments": "a query without a test: it lists what answers and closes it",
-}
-"""What remains, with the reason."""
 
 
 def found_in(path: Path) -> Iterator[str]:
@@ -63,7 +54,7 @@ def found_in(path: Path) -> Iterator[str]:
 
 def test_only_procedures_open_instruments_write_sessions_and_log():
     found = {item for part in ("app", "cli") for path in (PACKAGE / part).rglob("*.py") for item in found_in(path)}
-    assert found == set(EXCEPTIONS)
+    assert found == set()
 
 
 def test_the_procedures_do_what_is_forbidden_there():

@@ -10,8 +10,7 @@ from support import connect_scenario
 from firmware_sim.scenario import Scenario
 from tissueid.app.calibration_controller import calibrate
 from tissueid.app.emergency import BY_BUTTON, EmergencyStop
-from tissueid.app.live_calibration import LiveCalibration
-from tissueid.app.operator_prompts import OperatorPrompts
+from tissueid.app.operator_prompts import LiveCalibration, OperatorPrompts
 from tissueid.app.services import AppServices
 from tissueid.audit import AuditLog, AuditTrail, last_lines
 from tissueid.calibration import read_calibration
@@ -32,8 +31,8 @@ PLANS = {
 def spring(monkeypatch):
     """Opens a new device on the calibration spring, the same each time."""
     monkeypatch.setattr("support.TICK_S", 0.02)
-    monkeypatch.setattr("tissueid.calibration.sweep_amplitude.GENTLE_S", 0.5)
-    for module in ("acquisition.guided", "calibration.sweep_amplitude"):
+    monkeypatch.setattr("tissueid.calibration.spring_points.GENTLE_S", 0.5)
+    for module in ("acquisition.guided", "calibration.spring_points"):
         # The number of polls during other work depends on the computer, and each changes the noise of the device.
         monkeypatch.setattr(f"tissueid.{module}.run_while_polling", lambda _instrument, work, *_: work())
     scenario = Scenario(preset="calibration-spring", coil="finite", seed=5)
@@ -48,10 +47,10 @@ def spring(monkeypatch):
 
 
 def in_window(kind, folder, opener, audit_file, stop=None):
-    prompts = OperatorPrompts(stop or EmergencyStop())
+    prompts = OperatorPrompts(stop or EmergencyStop(), LiveCalibration(sweep=kind == "sweep"))
     plan = PLANS[kind].model_copy(update={"device": "spring", "folder": folder, "all_files": True})
     trail = AuditTrail(AuditLog(audit_file), "technician")
-    return calibrate(plan, prompts, trail, AppServices(opener=opener), LiveCalibration(sweep=kind == "sweep"))
+    return calibrate(plan, prompts, trail, AppServices(opener=opener))
 
 
 def content(path: Path):

@@ -8,10 +8,10 @@ from pathlib import Path
 import pytest
 from reports.synthetic_sitting import make_session, make_test
 
-from tissueid.app.job_control import JobControl
-from tissueid.app.views.researcher.analysis_history import AnalysisHistory
+from tissueid.app.jobs import JobControl
 from tissueid.app.views.researcher.analysis_task import AnalysisTask, TestRef
 from tissueid.app.views.researcher.batch import run
+from tissueid.app.views.researcher.results_store import AnalysisHistory
 from tissueid.cli import main
 from tissueid.errors import CancelledError
 from tissueid.procedures.comparison import ComparePlan, run_comparison

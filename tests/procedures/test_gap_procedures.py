@@ -12,8 +12,7 @@ import pytest
 from coded import coded
 from gap_records import recorded
 
-from tissueid.app.views.gap.diagnosis_export import accept_into_twin, export_json, write_report
-from tissueid.app.views.gap.diagnosis_result import DiagnosisResult
+from tissueid.app.views.gap.diagnosis_result import DiagnosisResult, accept_into_twin, export_json, write_report
 from tissueid.app.views.gap.diagnosis_run import run_diagnosis
 from tissueid.audit import AuditLog, AuditTrail, last_lines
 from tissueid.cli import main
@@ -34,7 +33,7 @@ SAMPLES = 3000
 @pytest.fixture(autouse=True)
 def _few_effects(monkeypatch: pytest.MonkeyPatch) -> None:
     everything = catalogue.all_effects()
-    monkeypatch.setattr("tissueid.gap.search.all_effects", lambda: {name: everything[name] for name in FEW})
+    monkeypatch.setattr("tissueid.gap.machine_library.all_effects", lambda: {name: everything[name] for name in FEW})
 
 
 @pytest.fixture(scope="module")
@@ -49,7 +48,7 @@ def shown(session_file: Path) -> DiagnosisResult:
     """The diagnosis as the window makes it."""
     with pytest.MonkeyPatch.context() as patch:
         everything = catalogue.all_effects()
-        patch.setattr("tissueid.gap.search.all_effects", lambda: {name: everything[name] for name in FEW})
+        patch.setattr("tissueid.gap.machine_library.all_effects", lambda: {name: everything[name] for name in FEW})
         return run_diagnosis(DiagnosisPlan(session=session_file), Control(), separate_process=False)
 
 

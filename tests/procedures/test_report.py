@@ -8,9 +8,9 @@ import pytest
 from app.fitted import analyse_once
 from reports.synthetic_sitting import make_session, make_test
 
+from tissueid.app.report_opener import write_paper
 from tissueid.app.session_jobs import find
 from tissueid.app.views.clinician.comparing import Comparison
-from tissueid.app.views.clinician.paper import write_paper
 from tissueid.cli import main
 from tissueid.errors import CancelledError, UnusableInputError
 from tissueid.procedures.control import Control

@@ -6,7 +6,7 @@ from procedures.same_session import assert_same_session
 from support import connect_scenario
 
 from firmware_sim.scenario import Scenario
-from tissueid.acquisition.stimulus_file import save_stimulus
+from tissueid.acquisition.stimulus_choice import save_stimulus
 from tissueid.app.emergency import EmergencyStop
 from tissueid.app.live_signals import LiveSignals
 from tissueid.app.live_test import LiveTest

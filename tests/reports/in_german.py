@@ -2,11 +2,13 @@
 
 import re
 from functools import cache
+from html import escape
 
 from matplotlib.figure import Figure
 from matplotlib.text import Text
 from reports.page_check import checked
 
+from tissueid.formatting import clean
 from tissueid.language import set_language
 from tools import translations
 
@@ -81,6 +83,16 @@ def texts_of(picture):
     """Return all texts of a picture: heading, caption, text for screen readers, and what is drawn."""
     drawn = picture.figure.findobj(Text) if isinstance(picture.figure, Figure) else ()
     return [picture.heading, picture.caption, picture.alt, picture.block.missing, *(item.get_text() for item in drawn)]
+
+
+def texts_as_svg(figure, _key, alt):
+    """Return an SVG element with the texts of a figure, numbers of the axes included, without drawing it."""
+    for axes in figure.axes:
+        axes.get_xticklabels()  # which sets their texts
+        axes.get_yticklabels()
+    texts = (item.get_text() for item in figure.findobj(Text) if item.get_visible())
+    inside = "".join(f"<text>{escape(clean(text))}</text>" for text in texts if text)
+    return f'<svg role="img" aria-label="{escape(clean(alt))}">{inside}</svg>'
 
 
 def english_in(texts, data=()):

@@ -99,27 +99,27 @@ def test_the_page_is_whole_and_says_what_was_found():
     assert len(page.named("svg")) == 3
 
 
-def test_the_thesis_stands_beside_what_was_found():
+def test_the_thesis_stands_beside_what_was_found(undrawn):
     page = checked(sweep_report(made()).html())
     for cell in ("95 to 98", "60 to 80", "3 to 4", "1000 to 1200", "100 to 7000"):
         assert cell in page.text
     assert "1000 to 1004" in page.text  # within the linear region
 
 
-def test_newton_per_ampere_is_not_written_as_not_available():
+def test_newton_per_ampere_is_not_written_as_not_available(undrawn):
     text = checked(sweep_report(made(repeats=3)).html()).text
     assert "N per A" in text
     assert "N/A" not in text
     assert display_unit("N/A") == ("N per A", 1.0)
 
 
-def test_repeats_get_a_table_and_a_figure():
+def test_repeats_get_a_table_and_a_figure(undrawn):
     page = checked(sweep_report(made(repeats=10)).html())
     assert "Repeatability over 10 sweeps" in page.text
     assert len(page.named("svg")) == 4
 
 
-def test_a_failed_one_says_why():
+def test_a_failed_one_says_why(undrawn):
     report = sweep_report(made(verdict="failed"))
     assert report.level == "poor"
     assert "the channels' scales disagree" in checked(report.html()).text

@@ -15,11 +15,11 @@ from reports.synthetic_sitting import RATE_HZ, make_session, make_test
 from scipy import signal
 
 from tissueid.analysis import EngineComparison, compare, known_ceiling, specifications, split
+from tissueid.analysis.curves.comparison import FEW_IMPULSE_RESPONSES, NO_MEMORY_SWEEP, memory_plots, score_plots
 from tissueid.errors import UnusableInputError
 from tissueid.reports import ComparisonReport, blocks, comparison_report
 from tissueid.reports.blocks import absent
 from tissueid.reports.comparison import NO_DEPTH_ENGINE
-from tissueid.reports.comparison_figures import FEW_IMPULSE_RESPONSES, NO_MEMORY_SWEEP, scores_figure, sweep_figure
 from tissueid.sessions import Session
 from tissueid.stimuli import with_preload
 from tissueid.stimuli.kinds.multisine import Multisine
@@ -125,19 +125,22 @@ def test_one_engine_says_what_takes_two(session: Session) -> None:
 
 def test_memory_sweep_is_drawn(session: Session) -> None:
     found = made(session, "lms", sweep=True)
-    figure = sweep_figure(found.memory_sweep)
-    assert [axes.get_ylabel() for axes in figure.axes] == ["VAF, fitted (%)", "VAF, held out (%)", "AICc (thousands)"]
+    (memory,) = (one for one in comparison_report(session, found).sections[0].pictures if one.key == "memory")
+    assert memory.figure is not None
+    labels = [axes.get_ylabel() for axes in memory.figure.axes]
+    assert labels == ["VAF, fitted (%)", "VAF, held out (%)", "AICc (thousands)"]
     with pytest.raises(UnusableInputError, check=coded("report.no_memory_sweep")):
-        sweep_figure(())
+        memory_plots(())
 
 
 def test_scores_hold_the_line_of_repeats(report: ComparisonReport) -> None:
-    figure = scores_figure(report.found)
-    _, labels = figure.axes[0].get_legend_handles_labels()
+    (scores,) = (one for one in report.sections[0].pictures if one.key == "scores")
+    assert scores.figure is not None
+    _, labels = scores.figure.axes[0].get_legend_handles_labels()
     assert message_of("compare.ceiling") in labels
     assert "held out, scheduled" in labels
-    _, without = scores_figure(replace(report.found, ceiling=None)).axes[0].get_legend_handles_labels()
-    assert message_of("compare.ceiling") not in without
+    without, _ = score_plots(replace(report.found, ceiling=None))
+    assert message_of("compare.ceiling") not in [curve.name for curve in without.curves]
 
 
 @pytest.mark.usefixtures("undrawn")

@@ -12,14 +12,17 @@ from reports.in_german import english_in, in_german, texts_of
 from reports.synthetic_sitting import make_session, make_test
 
 from tissueid.analysis import Analysis, fit_split, split, split_records
+from tissueid.analysis.curves.plot import depth_roles
 from tissueid.errors import UnusableInputError
 from tissueid.identification.base import Array, Engine, FitReport, Model
 from tissueid.identification.registry import engine_names, get_engine
 from tissueid.messages import Message, code_of
 from tissueid.records import Record, joined
-from tissueid.reports import blocks, panels
+from tissueid.reports import blocks
+from tissueid.reports.blocks import Picture
 from tissueid.reports.figures.registry import Declared, Subject, all_figures, figure, figures_of
-from tissueid.reports.style import DIVERGING, to_svg
+from tissueid.reports.plot_axes import PAGE
+from tissueid.reports.style import DEPTHS, DIVERGING, to_svg
 from tissueid.reports.tables import parameter_table, score_table, settings_tables
 
 SMALL: dict[str, dict[str, object]] = {
@@ -72,36 +75,37 @@ def drawn(subject: Subject[Model], key: str) -> tuple[Figure | None, str]:
     return picture.figure, picture.caption or picture.missing
 
 
-def test_every_engine_draws_all_its_figures(subjects: dict[str, Subject[Model]]) -> None:
+@pytest.fixture(scope="module")
+def german_pictures(subjects: dict[str, Subject[Model]]) -> list[tuple[Subject[Model], Declared, Picture]]:
+    """All figures of all engines, made once; in German, so that texts can be checked too."""
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        return in_german(
+            lambda: [
+                (subject, one, one.picture(subject)) for subject in subjects.values() for one in figures_of(subject)
+            ]
+        )
+
+
+def test_every_engine_draws_all_its_figures(german_pictures: list[tuple[Subject[Model], Declared, Picture]]) -> None:
     untried = set(ours())
-    for subject in subjects.values():
-        for one in figures_of(subject):
-            with warnings.catch_warnings():
-                warnings.simplefilter("error")
-                picture = one.picture(subject)
-            assert picture.figure is not None, (subject.name, one.key, picture.missing)
-            assert len(picture.caption) > 40
-            assert "nan" not in picture.caption.split()
-            assert len(picture.alt) > 20
-            shown = [axes for axes in picture.figure.axes if axes.get_visible() and axes.axison]
-            assert any(axes.get_xlabel() for axes in shown), (subject.name, one.key)
-            assert any(axes.get_ylabel() for axes in shown), (subject.name, one.key)
-            untried.discard(one)
+    for subject, one, picture in german_pictures:
+        assert picture.figure is not None, (subject.name, one.key, picture.missing)
+        assert len(picture.caption) > 40
+        assert "nan" not in picture.caption.split()
+        assert len(picture.alt) > 20
+        shown = [axes for axes in picture.figure.axes if axes.get_visible() and axes.axison]
+        assert any(axes.get_xlabel() for axes in shown), (subject.name, one.key)
+        assert any(axes.get_ylabel() for axes in shown), (subject.name, one.key)
+        untried.discard(one)
     assert {(one.model.__name__, one.key) for one in untried} == {("VolterraModel", "third-kernel")}
 
 
 def test_figures_of_every_engine_say_nothing_in_english(
-    subjects: dict[str, Subject[Model]], monkeypatch: pytest.MonkeyPatch
+    german_pictures: list[tuple[Subject[Model], Declared, Picture]], monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr(blocks, "to_svg", lambda _figure, _key, alt: alt)
-    texts = in_german(
-        lambda: [
-            text
-            for subject in subjects.values()
-            for one in figures_of(subject)
-            for text in texts_of(one.picture(subject))
-        ]
-    )
+    texts = in_german(lambda: [text for _, _, picture in german_pictures for text in texts_of(picture)])
     assert english_in(texts) == []
 
 
@@ -217,9 +221,9 @@ def test_images_are_clear_at_zero_and_even_about_it() -> None:
 
 
 def test_colours_go_from_shallow_to_deep() -> None:
-    assert len(set(panels.depth_colours(9))) == 9
-    assert panels.depth_colours(1) == [panels.DEPTHS[-1]]
-    assert panels.depth_colours(3)[0] == panels.DEPTHS[0]
+    assert [PAGE.colour(role) for role in depth_roles(9)] == list(DEPTHS)
+    assert [PAGE.colour(role) for role in depth_roles(1)] == [DEPTHS[-1]]
+    assert PAGE.colour(depth_roles(3)[0]) == DEPTHS[0]
 
 
 def test_keys_and_headings_fit_a_page() -> None:

@@ -16,7 +16,7 @@ from firmware_sim.effects import LISTED
 from firmware_sim.laboratory.scenario_generation import NOMINAL, draw_scenario
 from tissueid.device import DeviceDescription
 from tissueid.gap.diagnosis import Diagnosis, NextExperiment, diagnose
-from tissueid.gap.plots import largest_held_out_error
+from tissueid.gap.diagnosis_plots import largest_held_out_error
 from tissueid.gap.preparation import prepare
 from tissueid.gap.workers import SerialExecutor
 from tissueid.reports.gap import Origin, gap_html, headline_of, next_steps_of, write_gap_report
@@ -46,6 +46,7 @@ def as_effect() -> Diagnosis:
     return replace(found, verdict="effect", combination=(EFFECT,), ranking=ranking, next_experiment=step)
 
 
+@pytest.mark.usefixtures("undrawn")
 def test_the_page_tells_where_which_how_far_and_what_next():
     text = checked(gap_html(as_effect())).text
     for words in (
@@ -65,11 +66,12 @@ def test_the_page_tells_where_which_how_far_and_what_next():
 
 def test_every_picture_is_drawn():
     drawn = {panel.key: panel.picture() for panel in gap_panels(as_effect())}
-    always = {"chain", "frequency", "depth", "speed", "surface", "time", "ranking", "overlay"}
+    always = {"chain", "frequency", "depth", "speed", "surface", "time", "ranking", "budget", "overlay"}
     assert set(drawn) == always | {"current", "amplitude"}
     assert all(picture.figure is not None for picture in drawn.values())
 
 
+@pytest.mark.usefixtures("undrawn")
 def test_current_size_and_phase_of_the_mains_are_told_where_they_matter():
     found = as_effect()
     phases = replace(found.where.regions.profiles["depth_m"], edges=np.linspace(0.0, 2.0 * np.pi, 13))
@@ -89,6 +91,7 @@ def test_current_size_and_phase_of_the_mains_are_told_where_they_matter():
     assert "mains" in {panel.key for panel in gap_panels(found)}
 
 
+@pytest.mark.usefixtures("undrawn")
 def test_no_gap_and_unexplained_are_said_so():
     found = diagnosis()
     page = checked(gap_html(replace(found, verdict="no_gap", combination=(), best=None, ranking=())))
@@ -106,6 +109,7 @@ def test_remarks_and_names_from_files_are_text():
     assert "test 4 is left out" in checked(page).text
 
 
+@pytest.mark.usefixtures("undrawn")
 def test_the_page_is_written_whole_or_not_at_all(tmp_path):
     target = tmp_path / "gap.html"
     write_gap_report(as_effect(), target)
@@ -158,9 +162,9 @@ def test_parameters_have_three_digits_their_deviation_unit_and_meaning():
 def test_a_column_that_is_empty_in_every_row_is_left_out():
     full = as_effect()
     bare = tuple(replace(item, indistinguishable=(), closed_ci=(np.nan, np.nan)) for item in full.ranking)
-    assert '<th scope="col">Alike</th>' in gap_html(full)
+    assert '<th scope="col">Not separable</th>' in gap_html(full)
     page = gap_html(replace(full, ranking=bare))
-    assert '<th scope="col">Alike</th>' not in page
+    assert '<th scope="col">Not separable</th>' not in page
     assert '<th scope="col">95 %</th>' not in page
     assert '<th scope="col">Closed</th>' in page
 
@@ -181,6 +185,7 @@ def test_the_overlay_shows_a_stretch_in_which_the_signal_moves():
     assert np.std(shifted[chosen[1] : chosen[2]]) > 1e-4
 
 
+@pytest.mark.usefixtures("undrawn")
 def test_the_page_of_a_diagnosis_says_nothing_in_english():
     said = in_each_language(lambda: shown(gap_html(as_effect())))
     same = {"desktop indenter, <b>A&B</b>", "Tests", "Signal", "Position (µm/√Hz)", "linear", "Parameter", "Exponent"}

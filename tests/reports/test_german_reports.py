@@ -1,7 +1,7 @@
 """Reports in German: nothing that is a text in the English report is left in English."""
 
 import pytest
-from matplotlib.backends.backend_pdf import PdfPages
+from matplotlib.backends.backend_pdf import FigureCanvasPdf
 from matplotlib.text import Text
 from reports.in_german import SAME, in_both, in_each_language, shown
 
@@ -15,9 +15,11 @@ def paper(monkeypatch, tmp_path):
 
     def write(session, test, analyses):
         texts = []
-        monkeypatch.setattr(
-            PdfPages, "savefig", lambda _pages, page: texts.extend(found.get_text() for found in page.findobj(Text))
-        )
+
+        def collect(canvas, _pages):
+            texts.extend(found.get_text() for found in canvas.figure.findobj(Text))
+
+        monkeypatch.setattr(FigureCanvasPdf, "print_pdf", collect)
         write_pdf(tmp_path / "report.pdf", session, test, analyses)
         return texts
 
@@ -34,6 +36,7 @@ def test_the_paper_says_nothing_in_english(session, analyses, paper):
     assert {"Person", "Betrag der Nachgiebigkeit", "Impulsantwort", "Verzögerung (ms)"} <= set(said[1])
 
 
+@pytest.mark.usefixtures("undrawn")
 def test_the_page_of_a_test_says_nothing_in_english(session, analyses):
     device = session.instrument
     said = in_each_language(lambda: shown(report_html(session, analyses)))

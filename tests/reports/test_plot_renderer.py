@@ -8,10 +8,11 @@ import pytest
 from matplotlib.figure import Figure
 
 from tissueid.analysis.curves import Axis, Bars, Curve, Plot, Surface, plot_or_reason, thin
-from tissueid.analysis.curves.plot import as_csv
+from tissueid.analysis.curves.plot import as_csv, depth_roles
 from tissueid.errors import UnusableInputError
 from tissueid.messages import Message
-from tissueid.reports.plot_renderer import PAGE, Look, draw_plot, draw_plots, draw_relief
+from tissueid.reports.plot_axes import PAGE, Look
+from tissueid.reports.plot_renderer import draw_plot, draw_plots, draw_relief, draw_row
 
 NO_FORCE = Message("plot.test", "no {what} was recorded", what="force")
 X = np.linspace(1.0, 10.0, 50)
@@ -80,6 +81,36 @@ def test_levels_positions_bars_and_images_are_drawn():
     assert axes.images[0].get_array().shape == (20, 50)
     relief = draw_relief(Figure(), surface)
     assert relief.get_zlabel() == "Kernel (mm)"
+
+
+def test_named_rows_have_bars_along_the_abscissa_in_the_units_of_the_reader():
+    rows = np.array([2.0, 1.0])
+    bars = Curve(np.array([10.0, 20.0]), rows, kind="bars", low=np.array([9.0, 18.0]), high=rows + 20.0, across=True)
+    span = Curve(np.zeros(0), np.array([0.5, 1.5]), kind="spans", across=True)
+    y = Axis(limits=(0.5, 2.5), ticks=((2.0, "$a$"), (1.0, "b")))
+    axes, _ = draw(Plot("t", LAG, y, (bars, span)), units=lambda unit: ("s", 1e-3) if unit == "ms" else (unit, 1.0))
+    assert [label.get_text() for label in axes.get_yticklabels()] == ["$a$", "b"]
+    (segments,) = (part.get_segments() for part in axes.containers[0][2])
+    np.testing.assert_allclose(np.array(segments)[:, :, 0], [[0.009, 0.022], [0.018, 0.021]])
+    assert len(axes.patches) == 1
+
+
+def test_curves_by_depth_have_a_colour_bar():
+    roles = depth_roles(3)
+    curves = tuple(Curve(X, place + X, "", role) for place, role in enumerate(roles))
+    axes, _ = draw(Plot("t", LAG, RESPONSE, curves, depths=Axis("Depth", "mm", limits=(1.0, 4.0))))
+    assert [line.get_color() for line in axes.lines] == [PAGE.colour(role) for role in roles]
+    bar = axes.figure.axes[-1]
+    assert bar.get_ylabel() == "Depth (mm)"
+    assert [label.get_text() for label in bar.get_yticklabels()] == ["1.00", "2.00", "3.00", "4.00"]
+
+
+def test_plots_with_one_ordinate_share_it():
+    plots = [Plot(name, LAG, RESPONSE, (Curve(X, factor * X, "same"),)) for name, factor in (("a", 1.0), ("b", 5.0))]
+    left, right = draw_row(Figure(), plots)
+    assert left.get_ylim() == right.get_ylim()
+    assert (left.get_ylabel(), right.get_ylabel()) == ("mm/(N·s)", "")
+    assert (left.get_legend() is None, right.get_legend() is None) == (False, True)
 
 
 def test_plots_over_one_abscissa_share_it():

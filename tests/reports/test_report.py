@@ -19,18 +19,18 @@ from reports.page_check import checked
 from reports.synthetic_sitting import make_session, make_test
 
 from tissueid.analysis import Analysis, analyse, analyse_all
+from tissueid.analysis.curves.cascades import SINGLE_PASS
 from tissueid.analysis.curves.diagnostics import held_out_prediction, readable_stretch
+from tissueid.analysis.curves.validation import prediction_plots
 from tissueid.device import SIMULATED_LINE, DeviceDescription
 from tissueid.errors import UnusableInputError
 from tissueid.messages import MISSING, code_of
 from tissueid.records import Estimate
 from tissueid.reports import Comparison, ComparisonRow, html, report_html, write_report
-from tissueid.reports.captions import SINGLE_PASS
 from tissueid.reports.pdf import _PageWriter, write_pdf
 from tissueid.reports.signal_figures import signals_figure
 from tissueid.reports.style import to_svg
 from tissueid.reports.tables import parameter_table, readable_date, score_table, settings_tables
-from tissueid.reports.validation_figures import prediction_figure
 from tissueid.reports.verdict import FROM_ELSEWHERE, NOT_JUDGED, judge, key_numbers
 from tissueid.sessions import Session, Subject
 from tissueid.sessions.quality import HEADLINES, Quality
@@ -212,6 +212,7 @@ def test_stimulus_within_stimulus_is_laid_flat(session: Session) -> None:
     assert rows == {"Type": "guided", "Preload": "0.3 s", "Stimulus: Type": "noise", "Cutoff": "150 Hz"}
 
 
+@pytest.mark.usefixtures("undrawn")
 def test_force_and_position_alone_are_enough() -> None:
     whole = make_test(seconds=2.0)
     test = replace(
@@ -230,6 +231,7 @@ def test_force_and_position_alone_are_enough() -> None:
     assert found.text.count(made("report.engine_not_run", engine="Wiener")) == 2
 
 
+@pytest.mark.usefixtures("undrawn")
 def test_a_test_along_the_tissue_has_no_surface_below_which_it_goes(
     session: Session, analyses: Analyses, source: str
 ) -> None:
@@ -258,6 +260,7 @@ def test_what_cannot_be_told_from_zero_is_called_uncertain(analyses: Analyses) -
     assert "called uncertain" in table.note
 
 
+@pytest.mark.usefixtures("undrawn")
 def test_lost_samples_are_counted_and_left_out() -> None:
     test = make_test(seconds=2.0)
     signals = {name: values.copy() for name, values in test.signals.items()}
@@ -272,6 +275,7 @@ def test_lost_samples_are_counted_and_left_out() -> None:
     assert shows(found.text, "report.engine_not_run", engine="Wiener")
 
 
+@pytest.mark.usefixtures("undrawn")
 def test_very_short_test_says_what_is_missing() -> None:
     session = make_session(make_test(seconds=0.06))
     found = checked(report_html(session, {1: {"lms": analyse(session, "lms", {"memory": 0.005})}}))
@@ -280,6 +284,7 @@ def test_very_short_test_says_what_is_missing() -> None:
     assert "too few samples" in found.text
 
 
+@pytest.mark.usefixtures("undrawn")
 def test_other_signals_and_forms() -> None:
     session = make_session(make_test(seconds=2.0))
     options = {"nonlinearity": "polynomial", "iterations": 1, "refine": False}
@@ -305,7 +310,7 @@ def test_validation_on_another_test(session: Session) -> None:
     assert prediction.measured.size == len(session.test(2).record())
     stretch = readable_stretch(prediction)
     assert stretch.start >= prediction.memory_samples - 1 or np.isfinite(prediction.residual[stretch]).all()
-    assert prediction_figure([prediction]).axes
+    assert [len(plot.curves) for plot in prediction_plots([prediction])] == [2, 1]
 
 
 def test_nothing_to_report_is_refused(session: Session, analyses: Analyses) -> None:
@@ -391,6 +396,7 @@ def test_parameters_of_an_engine_that_predicts_nothing_are_left_out(session: Ses
     assert judge(session.test(1), found).level == "poor"
 
 
+@pytest.mark.usefixtures("undrawn")
 def test_html_and_pdf_of_a_simulation_say_so(session: Session, analyses: Analyses, tmp_path: Path) -> None:
     real = replace(session, instrument=DeviceDescription(serial_number="D-17"))
     played = replace(session, instrument=DeviceDescription(serial_number="TWIN-0"))

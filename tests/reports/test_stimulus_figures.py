@@ -14,7 +14,7 @@ from matplotlib.figure import Figure
 from reports.in_german import english_in, in_german, shown, texts_of
 from reports.page_check import checked
 
-from tissueid.analysis.design import Design
+from tissueid.analysis.stimulus_design import StimulusDesign
 from tissueid.device import DeviceDescription
 from tissueid.errors import UnusableInputError
 from tissueid.messages import code_of
@@ -33,7 +33,7 @@ from tissueid.stimuli.stimulus_check import assess_stimulus
 RATE = 2000.0
 
 
-def design(kind: str, preload: bool = False, **options: Any) -> Design:
+def design(kind: str, preload: bool = False, **options: Any) -> StimulusDesign:
     specification = get_stimulus(kind).from_options({"seconds": 1.0} | options if kind != "multisine" else options)
     search = None
     if isinstance(specification, Interchange):
@@ -43,10 +43,10 @@ def design(kind: str, preload: bool = False, **options: Any) -> Design:
         built = specification.build()
     built = with_preload(built) if preload else built
     found = assess_stimulus(built, DeviceDescription(), max_force_n=12.0, max_seconds=30.0, max_temperature_c=80.0)
-    return Design(built, DeviceDescription(), found, search)
+    return StimulusDesign(built, DeviceDescription(), found, search)
 
 
-def drawn(made: Design) -> dict[str, Figure]:
+def drawn(made: StimulusDesign) -> dict[str, Figure]:
     """The panels that can be drawn, by their keys."""
     pictures = [panel.picture() for panel in stimulus_panels(made)]
     return {picture.key: picture.figure for picture in pictures if picture.figure is not None}

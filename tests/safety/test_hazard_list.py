@@ -79,7 +79,7 @@ def test_nothing_is_promised():
 def test_the_figures_of_the_page_are_those_of_the_code():
     from firmware_sim import limits, plausibility, thermal
     from tissueid.instrument import limits as host_limits
-    from tissueid.instrument import plausibility as host_plausibility
+    from tissueid.instrument import sample_monitor as host_plausibility
     from tissueid.instrument import thermal as host_thermal
 
     protocol = (ROOT / "docs" / "protocol.md").read_text(encoding="utf-8")

@@ -12,7 +12,7 @@ from firmware_sim.presets import preset_names
 from tissueid.device import DeviceDescription
 from tissueid.errors import InstrumentError
 from tissueid.instrument import SAMPLE
-from tissueid.instrument.plausibility import Plausibility as InHost
+from tissueid.instrument.sample_monitor import Plausibility as InHost
 from tissueid.wire import Fault
 
 

@@ -15,7 +15,7 @@ from sessions import hostile
 from tissueid.cli import main
 from tissueid.errors import SessionFormatError
 from tissueid.sessions import read_outline, read_session, read_session_head
-from tissueid.sessions.hdf5_heap_check import check_heaps
+from tissueid.sessions.hdf5_members import check_heaps
 from tissueid.sessions.reader_process import ReaderProcess
 
 

@@ -11,7 +11,7 @@ from tissueid.acquisition.quality import judge_session
 from tissueid.app.views.technician.checkup import background
 from tissueid.sessions import read_session
 from tissueid.sessions.imports import Choices, Source, import_session, parse_map
-from tissueid.sessions.imports.recording_date import recording_date
+from tissueid.sessions.imports.imported_test import recording_date
 
 COLUMNS = parse_map(["time=1:s", "force=2:N", "position=3:mm"])
 LVM = "LabVIEW Measurement\nSeparator\tTab\nDate\t2009/07/14\nTime\t12:00:00,5\n***End_of_Header***\n\nChannels\t2\n"

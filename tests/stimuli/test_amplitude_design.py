@@ -9,7 +9,7 @@ import pytest
 from coded import coded
 
 from tissueid.errors import UnusableInputError
-from tissueid.identification.live.precision import PARAMETERS, precision
+from tissueid.identification.live.stopping import PARAMETERS, precision
 from tissueid.records import Estimate, Record
 from tissueid.stimuli import get_stimulus, rebuild
 from tissueid.stimuli.kinds.designed import Designed, LocalTissue, predicted_precision
@@ -93,8 +93,15 @@ def test_the_best_swing_is_a_valley():
 
 def test_a_tissue_that_does_not_bend_takes_all_the_range():
     assert predicted_precision(STRAIGHT, CUTOFF, DENSITY).optimal_rms_n == float("inf")
-    straight = Designed(stiffness_n_per_m=6000.0, stiffness_growth_per_m=0.0, damping_turn_n_s2_per_m2=0.0)
+    straight = Designed(stiffness_n_per_m=6000.0, stiffness_growth_per_m=0.0, damping_asymmetry_n_s2_per_m2=0.0)
     assert straight.amplitude_n == pytest.approx(5.0)
+
+
+def test_a_file_of_an_earlier_version_names_the_asymmetry_of_the_damping_differently():
+    described = Designed(damping_asymmetry_n_s2_per_m2=50.0).describe()
+    earlier = described | {"damping_turn_n_s2_per_m2": described["damping_asymmetry_n_s2_per_m2"]}
+    del earlier["damping_asymmetry_n_s2_per_m2"]
+    assert rebuild(earlier).description == described
 
 
 def test_four_times_as_long_is_twice_as_good():

@@ -6,11 +6,11 @@ import numpy as np
 import pytest
 from scipy import signal
 
-from tissueid.twin import Instrument, Player, Start, Tissue
+from tissueid.twin import Instrument, Player, Start, Tissue, bus
 from tissueid.twin.effects.contact_loss import EFFECT as CONTACT_LOSS
 from tissueid.twin.effects.dry_friction import EFFECT as DRY_FRICTION
 from tissueid.twin.effects.quantization import EFFECT as QUANTIZATION
-from tissueid.twin.simulation import ActiveEffect
+from tissueid.twin.simulation import ActiveEffect, simulate
 
 RATE = 2000.0
 DEVICE = Instrument()
@@ -107,11 +107,26 @@ def test_cutting_a_command_in_two_changes_nothing(acting):
     assert one.state == other.state
 
 
-def test_four_effects_and_the_end_bumpers_fit_and_five_do_not():
+def test_the_most_effects_and_the_end_bumpers_fit_and_one_more_does_not():
     friction = ActiveEffect(DRY_FRICTION, np.array(DRY_FRICTION.starts[0]))
-    assert np.isfinite(player(acting=[friction] * 4).play(np.full(20, 20.0))).all()
+    assert np.isfinite(player(acting=[friction] * bus.MOST_EFFECTS).play(np.full(20, 20.0))).all()
     with pytest.raises(ValueError, match="at most"):
-        player(acting=[friction] * 5)
+        player(acting=[friction] * (bus.MOST_EFFECTS + 1))
+
+
+@pytest.mark.parametrize("time_s", [8e-5, 1e-3 / 12.0, 4e-4])
+def test_readings_are_those_of_first_order_filters(time_s):
+    """Check against a fine simulation of a filter of the time constant of the coil, of a shorter and a longer one."""
+    volts = 10.0 * np.sign(np.sin(np.arange(400) / 7.0))
+    start, instrument = Start(0.0, 0.01), Instrument(inductance_h=1e-3, resistance_ohm=12.0)
+    found = simulate(volts, RATE, replace(instrument, filter_time_s=time_s), Tissue(), start, substeps=4).readings
+    times = 200
+    fine = simulate(np.repeat(volts, times), times * RATE, instrument, Tissue(), start, substeps=1).readings
+    kept = np.exp(-1.0 / (times * RATE * time_s))
+    for name, first in (("voltage", 0.0), ("current", 0.0), ("position", 0.01)):
+        true = getattr(fine, name)
+        expected, _ = signal.lfilter([1.0 - kept], [1.0, -kept], true, zi=[kept * first])
+        np.testing.assert_allclose(getattr(found, name), expected[times - 1 :: times], atol=5e-3 * np.std(true))
 
 
 def test_parameters_can_change_during_a_simulation_but_not_the_effects():

@@ -176,8 +176,6 @@ def test_the_compiled_hook_is_the_one_that_is_written(one):
         (bus.TISSUE_MASS, 0.015),
         (bus.STIFFNESS, 400.0),
         (bus.STIFFNESS_GROWTH, 250.0),
-        (bus.SURFACE_DAMPING, 4.0),
-        (bus.DAMPING_GROWTH, 150.0),
     ):
         given[:, at_] = value * (1.0 + 0.05 * rng.random(steps))
     # A hook with several places is called in their order, step by step.

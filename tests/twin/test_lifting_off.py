@@ -33,7 +33,6 @@ def lifted(then, velocity, taken, slowing_s=10.0):
 
     def pressing(numbers):
         numbers[bus.MASS], numbers[bus.TISSUE_MASS] = 0.06, taken
-        numbers[bus.STIFFNESS], numbers[bus.SURFACE_DAMPING] = 400.0, 4.0
         numbers[bus.TISSUE_FORCE], numbers[bus.TISSUE_DAMPING] = 400.0 * numbers[bus.DEPTH], 4.0
 
     return moved("contact_loss", (slowing_s, 1e-3), depth, 1e-4, speed, pressing)

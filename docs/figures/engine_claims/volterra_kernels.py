@@ -22,9 +22,9 @@ from tissueid.identification.validation import vaf_percent
 from tissueid.identification.volterra.kernel_regression import regression_kernels
 from tissueid.identification.volterra.lag_grid import smoothed
 from tissueid.identification.volterra.laguerre import laguerre_kernels
+from tissueid.identification.volterra.methods import factor_stimulus
 from tissueid.identification.volterra.prior import regularised_fit, roughness
 from tissueid.identification.volterra.regressors import Kernels, VolterraRegressors, kernels_of, lagged_inputs
-from tissueid.identification.volterra.stimulus import factor_stimulus
 from tissueid.records import Record
 from tissueid.sessions import read_session
 

@@ -15,9 +15,8 @@ from tissueid.acquisition.live import LiveIdentification
 from tissueid.device import DeviceDescription
 from tissueid.identification.engines.lms import Lms
 from tissueid.identification.live.live_view import METHODS, Method, start_identifier, view
-from tissueid.identification.live.precision import PARAMETERS, Precision, precision
 from tissueid.identification.live.sliding import SlidingLms
-from tissueid.identification.live.stopping import StopRule
+from tissueid.identification.live.stopping import PARAMETERS, Precision, StopRule, precision
 from tissueid.instrument import CLINICAL, SAMPLE, SerialInstrument, SerialLink
 from tissueid.records import Record
 from tissueid.stimuli.base import to_voltage, with_preload

@@ -321,7 +321,7 @@ def run_guided_test(
         CancelledError, LimitError, InstrumentError, JournalError, AuditError, UnusableInputError.
     """
     device = instrument.device
-    test = replace(test, limits=instrument.narrowed(test.limits))
+    test = replace(test, limits=instrument.effective_limits(test.limits))
     command = run_while_polling(instrument, lambda: check_test(test, device), cancelled)
     if surface_m is None:
         placement = place(instrument, test.limits, progress=progress, cancelled=cancelled)

@@ -8,8 +8,7 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from tissueid.acquisition.live_estimator import LiveEstimator, LiveSettings
-from tissueid.acquisition.live_process import LiveProcess
+from tissueid.acquisition.live_process import LiveEstimator, LiveProcess, LiveSettings
 from tissueid.device import DeviceDescription
 from tissueid.identification.live.live_view import LiveView, Method
 from tissueid.identification.live.stopping import StopRule

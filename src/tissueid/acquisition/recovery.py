@@ -14,7 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from tissueid.acquisition.journal import RECOVER, Damage, Entry, JournalError, journal_path, lock, read_entries
-from tissueid.acquisition.journal_contents import (
+from tissueid.acquisition.journal_entries import (
     ClosedContent,
     EventContent,
     SittingContent,

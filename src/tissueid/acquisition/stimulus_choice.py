@@ -1,17 +1,187 @@
-"""Stimulus of a test as selected on the command line and in the window."""
+"""Stimulus of a test as selected on the command line or in the window, and files of designed stimuli."""
 
 from __future__ import annotations
 
-from collections.abc import Callable
+import hashlib
+import json
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Any
 
-from tissueid.acquisition.stimulus_file import load_stimulus
+import numpy as np
+
+from tissueid import __version__
+from tissueid.atomic_write import atomic_file, open_regular
 from tissueid.errors import UnusableInputError
 from tissueid.messages import Message
+from tissueid.stimuli import build_from_specification
 from tissueid.stimuli.base import OpenLoopKind, Stimulus, StimulusKind, parse_description, with_preload
 from tissueid.stimuli.feedback import FeedbackKind
 from tissueid.stimuli.kinds.noise import Noise
+from tissueid.untrusted_input import json_value
+
+FORMAT = "tissueid-stimulus"
+FORMAT_VERSION = "1.0"
+_MAX_BYTES = 4 * 1024 * 1024
+"""Maximum size of a stimulus file, bytes."""
+
+
+def save_stimulus(path: Path, stimulus: Stimulus | FeedbackKind) -> None:
+    """Write a stimulus to a new file atomically.
+
+    Raises:
+        UnusableInputError: the file exists, the folder is missing, or the file cannot be written.
+    """
+    check_new(path)
+    text = json.dumps(_content(stimulus), indent=2, allow_nan=False) + "\n"
+    try:
+        with atomic_file(path, new=True, shared=True) as partial:
+            partial.write_text(text, encoding="utf-8")
+    except OSError as error:
+        raise UnusableInputError(
+            Message("file.not_writable", "cannot write {path}: {reason}", path=str(path), reason=str(error.strerror))
+        ) from error
+
+
+def check_new(path: Path) -> None:
+    """Check that a stimulus can be saved to a file.
+
+    Raises:
+        UnusableInputError: the file exists, or its folder does not.
+    """
+    if path.is_dir():
+        raise UnusableInputError(Message("file.is_folder", "{path} is a folder; name a file", path=str(path)))
+    if path.exists():
+        raise UnusableInputError(
+            Message("stimulus.exists", "{path} exists already; a saved stimulus is never overwritten", path=str(path))
+        )
+    if not path.parent.is_dir():
+        raise UnusableInputError(Message("file.no_folder", "there is no folder {folder}", folder=str(path.parent)))
+
+
+def load_stimulus(path: Path) -> Stimulus | FeedbackKind:
+    """Read a stimulus: rebuilt and verified, or the specification of a feedback stimulus.
+
+    Raises:
+        UnusableInputError: no such file, not a stimulus, too large, or built differently by this version.
+    """
+    content = _read(path)
+    description = content.get("description")
+    if not isinstance(description, dict):
+        raise UnusableInputError(
+            Message("stimulus.no_description", "{path} holds no description of a stimulus", path=str(path))
+        )
+    specification, preload_s = parse_description(description)
+    if isinstance(specification, FeedbackKind):
+        if preload_s is not None:
+            raise UnusableInputError(
+                Message(
+                    "stimulus.own_preload",
+                    "{path}: '{name}' takes its preload from the test, not from a file",
+                    path=str(path),
+                    name=specification.name,
+                )
+            )
+        return specification
+    built = build_from_specification(specification, preload_s)
+    _verify(path, content, built)
+    return built
+
+
+def checksum(stimulus: Stimulus) -> str:
+    """Return the SHA-256, hexadecimal, of the values as little-endian float64."""
+    return hashlib.sha256(np.ascontiguousarray(stimulus.values, dtype="<f8").tobytes()).hexdigest()
+
+
+def _content(stimulus: Stimulus | FeedbackKind) -> dict[str, Any]:
+    head = {"format": FORMAT, "format_version": FORMAT_VERSION, "software": f"tissueid {__version__}"}
+    if isinstance(stimulus, FeedbackKind):
+        return head | {
+            "description": stimulus.describe(),
+            "samples": None,
+            "sample_rate_hz": stimulus.sample_rate,
+            "unit": "N",
+            "sha256": None,
+        }
+    return head | {
+        "description": stimulus.description,
+        "samples": len(stimulus),
+        "sample_rate_hz": stimulus.sample_rate_hz,
+        "unit": stimulus.unit,
+        "sha256": checksum(stimulus),
+    }
+
+
+def _read(path: Path) -> dict[str, Any]:
+    """Return the JSON object in a stimulus file.
+
+    Raises:
+        UnusableInputError: it cannot be read, is too large, or is no stimulus file.
+    """
+    try:
+        with open_regular(path) as file:
+            data = file.read(_MAX_BYTES + 1)
+    except FileNotFoundError as error:
+        raise UnusableInputError(Message("file.missing", "{path}: no such file", path=str(path))) from error
+    except OSError as error:
+        raise UnusableInputError(
+            Message("file.not_readable", "cannot read {path}: {reason}", path=str(path), reason=str(error.strerror))
+        ) from error
+    if len(data) > _MAX_BYTES:
+        raise UnusableInputError(
+            Message(
+                "stimulus.too_large",
+                "{path} is larger than {most} MB: it is not a saved stimulus",
+                path=str(path),
+                most=_MAX_BYTES >> 20,
+            )
+        )
+    try:
+        content = json_value(data)
+    except ValueError as error:
+        raise UnusableInputError(
+            Message("stimulus.damaged", "{path} is damaged, or not a saved stimulus", path=str(path))
+        ) from error
+    if not isinstance(content, dict) or content.get("format") != FORMAT:
+        raise UnusableInputError(Message("stimulus.not_one", "{path} is not a saved stimulus", path=str(path)))
+    version = content.get("format_version")
+    if not isinstance(version, str) or version.split(".")[0] != FORMAT_VERSION.split(".")[0]:
+        raise UnusableInputError(
+            Message(
+                "stimulus.version",
+                "{path} has format version '{version}', but this software reads {known}: install a newer TissueID",
+                path=str(path),
+                version=str(version)[:20],
+                known=FORMAT_VERSION,
+            )
+        )
+    return content
+
+
+def _verify(path: Path, content: Mapping[str, Any], built: Stimulus) -> None:
+    """Compare the rebuilt stimulus with the stored properties.
+
+    Raises:
+        UnusableInputError: length, sample rate, unit or samples differ.
+    """
+    saved = (content.get("samples"), content.get("sample_rate_hz"), content.get("unit"))
+    if saved != (len(built), built.sample_rate_hz, built.unit):
+        raise UnusableInputError(
+            Message("stimulus.figures", "{path}: length, rate or unit contradict its description", path=str(path))
+        )
+    if content.get("sha256") != checksum(built):
+        by = str(content.get("software", "another version"))[:40]
+        raise UnusableInputError(
+            Message(
+                "stimulus.differs",
+                "{path}: the stimulus built from the description differs from the one that {software} saved: another "
+                "version or another processor computes it differently; design the stimulus again",
+                path=str(path),
+                software=by,
+            )
+        )
+
 
 FIXTURES = ("spring", "free_air")
 """Kinds of test in which the probe is not on tissue, as stored in a session."""

@@ -14,8 +14,8 @@ from tissueid.analysis.split import Split, split
 from tissueid.errors import UnusableInputError
 from tissueid.identification.base import Engine, Model
 from tissueid.identification.depth_profile import DepthProfile
-from tissueid.identification.external_spring import has_stiffness, profile_without_spring, without_spring
 from tissueid.identification.registry import get_engine, report_engines
+from tissueid.identification.second_order import has_stiffness, profile_without_spring, without_spring
 from tissueid.identification.validation import validated
 from tissueid.messages import Message
 from tissueid.records import Record

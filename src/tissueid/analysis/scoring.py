@@ -13,10 +13,10 @@ from tissueid.analysis.split import Split
 from tissueid.identification.base import Array, FitReport, Mask, Model
 from tissueid.identification.candidates import Candidate
 from tissueid.identification.model_family import Family
-from tissueid.identification.sample_masks import scored_samples
+from tissueid.identification.preparation import scored_samples
 from tissueid.identification.second_order_fit import SecondOrderFit
 from tissueid.identification.validation import aic, aicc, vaf_percent
-from tissueid.identification.validation.vaf_spread import unrelated_p_value
+from tissueid.identification.validation.scores import unrelated_p_value
 from tissueid.records import Record
 
 _SHARED = 0.5

@@ -116,6 +116,3 @@ def _reveal(button: QAbstractButton) -> None:
         if isinstance(part, QScrollArea):
             part.ensureWidgetVisible(button)
         part = parent
-
-
-__all__ = ["PALETTE_KEY", "Action", "declare", "install_shortcuts"]

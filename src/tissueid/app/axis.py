@@ -98,6 +98,3 @@ def _over(ground: QColor, colour: QColor) -> QColor:
         share * colour.greenF() + rest * ground.greenF(),
         share * colour.blueF() + rest * ground.blueF(),
     )
-
-
-__all__ = ["QuickAxis", "without_overlaps"]

@@ -16,10 +16,9 @@ from tissueid.app.context import AppContext
 from tissueid.app.emergency import EmergencyStop
 from tissueid.app.guidance import Guidance
 from tissueid.app.live_analysis import LiveAnalysis
-from tissueid.app.live_calibration import LiveCalibration
 from tissueid.app.navigation_bar import MEASURE
 from tissueid.app.notice import Notice
-from tissueid.app.operator_prompts import CalibrationOutcome, OperatorPrompts
+from tissueid.app.operator_prompts import CalibrationOutcome, LiveCalibration, OperatorPrompts
 from tissueid.app.readouts import SafetyReadouts
 from tissueid.app.services import AppServices
 from tissueid.app.signals import SignalPlots
@@ -28,7 +27,6 @@ from tissueid.audit import AuditTrail
 from tissueid.calibration.active import apply_calibrations
 from tissueid.calibration.store import create_calibration_folder, stored_calibrations
 from tissueid.errors import TissueIDError, UnusableInputError
-from tissueid.instrument import Instrument
 from tissueid.language import _
 from tissueid.messages import Message, translated
 from tissueid.procedures.calibration_plans import DynamicSweepPlan, Kind, StaticCalibrationPlan
@@ -81,11 +79,11 @@ class CalibrationController(QObject):
         self._safety.expect(calibrating=True)
         self._signals.clear()
         self._analysis.hide()
-        self._prompts = prompts = OperatorPrompts(stop)
-        self._live = live = LiveCalibration(sweep=kind == "sweep")
+        self._live = LiveCalibration(sweep=kind == "sweep")
+        self._prompts = prompts = OperatorPrompts(stop, self._live)
         self._page.expect(kind)
         self._guidance.say(_("Calibrating. Keep hands and cables clear of the probe."))
-        work = functools.partial(calibrate, plan, prompts, self._context.trail, self._context.services, live)
+        work = functools.partial(calibrate, plan, prompts, self._context.trail, self._context.services)
         why = _("A calibration is running on Measure: stop it there, or wait.")
         self._context.jobs.do(work, self._ended, self._failed, why=why)
 
@@ -154,23 +152,16 @@ def calibrate(
     prompts: OperatorPrompts,
     trail: AuditTrail,
     services: AppServices,
-    live: LiveCalibration,
 ) -> CalibrationOutcome:
-    """Run a calibration in the thread that owns the instrument; ``live`` gets the samples."""
-
-    def opened(url: str) -> Instrument:
-        instrument = services.opener(url)
-        live.watch(instrument)
-        return instrument
-
+    """Run a calibration in the thread that owns the instrument."""
     if isinstance(plan, StaticCalibrationPlan):
         from tissueid.procedures.static_calibration import run_static_calibration
 
-        result = run_static_calibration(plan, prompts, trail, opened, services.now)
+        result = run_static_calibration(plan, prompts, trail, services.opener, services.now)
     else:
         from tissueid.procedures.sweep import run_sweep
 
-        result = run_sweep(plan, prompts, trail, opened, services.now)
+        result = run_sweep(plan, prompts, trail, services.opener, services.now)
     remarks = (*result.notes, *prompts.notices)
     if result.report_error is not None:
         remarks += (

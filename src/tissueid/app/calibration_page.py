@@ -19,14 +19,14 @@ from PySide6.QtWidgets import (
     QWidget,
 )
 
-from tissueid.app.buttons import BigButton
-from tissueid.app.calibration_figures import figure_of
+from tissueid.app.calibration_state import figure_of
 from tissueid.app.live_signals import Array
 from tissueid.app.number_field import NumberField
 from tissueid.app.operator_prompts import CalibrationOutcome, PromptState
 from tissueid.app.plotting import PlotCard
 from tissueid.app.small_window import FoldingBox, PageScroll
 from tissueid.app.theme import Theme
+from tissueid.app.widgets import BigButton
 from tissueid.app.words import sentence
 from tissueid.calibration.file import Quantity
 from tissueid.calibration.labels import headline_of, problems_of

@@ -1,4 +1,4 @@
-"""State of an instrument's calibration in one line."""
+"""State and figures of an instrument's calibration as text."""
 
 from __future__ import annotations
 
@@ -7,9 +7,14 @@ from datetime import datetime
 
 from tissueid.app.words import sentence
 from tissueid.calibration.active import calibration_summary, warnings_of
+from tissueid.calibration.file import Quantity
+from tissueid.calibration.labels import readable
 from tissueid.device import DeviceDescription
+from tissueid.formatting import plus_minus
 from tissueid.language import marked
 from tissueid.messages import translated
+from tissueid.records import Estimate
+from tissueid.units import shown
 
 UNKNOWN = marked("Calibration: not known yet")
 
@@ -29,3 +34,14 @@ def calibration_state(device: DeviceDescription, now: datetime | None = None) ->
     warnings = tuple(sentence(translated(line)) for line in warnings_of(device))
     words = sentence(translated(calibration_summary(device, now))).removesuffix(".")
     return CalibrationState(words, "good" if good else "check", warnings)
+
+
+def figure_of(name: str, found: Quantity) -> tuple[str, str, str]:
+    """Return label, value with its deviation, and unit."""
+    label, value, unit = readable(name, found)
+    label = translated(label)
+    said, factor = shown(unit)
+    if factor == 1.0:
+        return label, value, said
+    # What is converted is shown without a prefix, and that is how a calibration keeps it.
+    return label, plus_minus(Estimate(found.value, found.std)), said

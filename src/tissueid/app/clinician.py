@@ -8,19 +8,18 @@ from pathlib import Path
 
 from PySide6.QtCore import QObject, Signal
 
-from tissueid.acquisition.contact import Contact
 from tissueid.acquisition.playback import Phase
-from tissueid.app.contact_watcher import Watcher
+from tissueid.acquisition.surface_detection import Contact
+from tissueid.app.contact_watcher import Watcher, contact_in_test
 from tissueid.app.context import AppContext
 from tissueid.app.findings import Findings
 from tissueid.app.layout import Layout
 from tissueid.app.live_signals import Snapshot
 from tissueid.app.navigation_bar import MEASURE
+from tissueid.app.report_opener import write_paper
 from tissueid.app.theme import Theme
 from tissueid.app.views.clinician.body_map import BodyMap
 from tissueid.app.views.clinician.comparing import Comparison, Shelf, compare_with
-from tissueid.app.views.clinician.contact import contact_in_test
-from tissueid.app.views.clinician.paper import write_paper
 from tissueid.app.views.clinician.sitting import VERDICTS, Repeat, Sitting, Standing, standing, values_of
 from tissueid.device import DeviceDescription
 from tissueid.formatting import ANONYMOUS

@@ -1,22 +1,100 @@
-"""Controller of the contact watch before a test; it starts the test that is requested meanwhile."""
+"""Contact of the probe with the skin: the contact light, the watch before a test, and the contact during it."""
 
 from __future__ import annotations
 
 import functools
 import threading
 
-from PySide6.QtCore import QObject, QTimer, Signal
+import numpy as np
+from PySide6.QtCore import QObject, Qt, QTimer, Signal
+from PySide6.QtGui import QAccessible, QAccessibleEvent
+from PySide6.QtWidgets import QCheckBox, QHBoxLayout, QLabel, QPushButton, QWidget
 
-from tissueid.acquisition.contact import Contact
+from tissueid.acquisition.playback import Phase
+from tissueid.acquisition.surface_detection import MARGIN_M, RECENT_S, Contact, contact_at, finite
 from tissueid.app.calibration_state import calibration_state
 from tissueid.app.context import AppContext
 from tissueid.app.form import PlanForm
+from tissueid.app.live_signals import Snapshot
 from tissueid.app.navigation_bar import MEASURE
 from tissueid.app.notice import Notice
 from tissueid.app.readouts import SafetyReadouts
-from tissueid.app.views.clinician.contact_lamp import ContactLamp
+from tissueid.device import DeviceDescription
 from tissueid.language import _, marked
 from tissueid.procedures.contact_watch import ContactWatch, WatchEnd, watch_contact
+
+
+def contact_in_test(snapshot: Snapshot, device: DeviceDescription) -> Contact:
+    """Return the contact during a test."""
+    if snapshot.phase is None:
+        return Contact.FINDING
+    if snapshot.phase is Phase.RELEASE:
+        return Contact.UNWATCHED
+    newest = snapshot.time_s[-1:] - RECENT_S
+    position = finite(snapshot.position_m[snapshot.time_s >= newest]) if newest.size else np.zeros(0)
+    if snapshot.phase is Phase.PLACE:
+        found = contact_at(position, device.stroke_m) if position.size else Contact.FINDING
+        return Contact.FINDING if found is Contact.MOVING else found
+    safety = snapshot.safety
+    if safety is None or safety.contact is None:
+        return Contact.FINDING
+    if not safety.contact:
+        return Contact.OFF
+    if position.size and float(position.max()) > safety.limits.max_position_m - MARGIN_M:
+        return Contact.TOO_DEEP
+    return Contact.ON
+
+
+class ContactLamp(QWidget):
+    """A light in the colour of what it says. ``watch`` and ``arm`` are for before a test."""
+
+    def __init__(self, parent: QWidget | None = None) -> None:
+        super().__init__(parent)
+        self.contact: Contact | None = None
+        self.light = QLabel("●")
+        self.light.setStyleSheet("font-size: 24pt;")
+        self.words = QLabel()
+        for label in (self.light, self.words):
+            label.setProperty("role", "headline")
+            label.setTextFormat(Qt.TextFormat.PlainText)
+        self.words.setWordWrap(True)
+        self.words.setMinimumWidth(1)
+        self.watch = QPushButton(_("Watch contact"))
+        self.watch.setCheckable(True)
+        self.watch.setToolTip(_("Read the instrument before the test; its coil stays free"))
+        self.arm = QCheckBox(_("Start by the instrument's button"))
+        self.arm.setToolTip(_("Press the button and let go of it: the test starts. During the test it stops."))
+        self.arm.hide()
+        row = QHBoxLayout(self)
+        row.setContentsMargins(0, 0, 0, 0)
+        row.setSpacing(8)
+        row.addWidget(self.light)
+        row.addWidget(self.words, 1)
+        row.addWidget(self.arm)
+        row.addWidget(self.watch)
+        self.setMinimumHeight(34)
+        self.show_contact(Contact.UNWATCHED)
+
+    def quiet(self, on: bool) -> None:
+        """Hide the text after a test: the instruction next to the lamp is sufficient."""
+        self.light.setVisible(not on)
+        self.words.setVisible(not on)
+
+    def show_contact(self, contact: Contact) -> None:
+        """Show how the probe stands."""
+        if contact is self.contact:
+            return
+        self.contact = contact
+        self.words.setText(_(contact.value))
+        self.words.setAccessibleName(_("Contact: {words}").format(words=_(contact.value)))
+        for label in (self.light, self.words):
+            label.setProperty("role", "muted" if contact is Contact.UNWATCHED else "headline")
+            label.setProperty("level", contact.level)
+            label.style().unpolish(label)
+            label.style().polish(label)
+        if contact.level:
+            QAccessible.updateAccessibility(QAccessibleEvent(self.words, QAccessible.Event.NameChanged))
+
 
 _LOOK_MS = 80
 NOT_ON_SKIN = marked("The button was pressed, but the probe does not stand on the skin: nothing was started.")

@@ -13,7 +13,6 @@ PATIENCE_S = 1.0
 """Longest time between two heartbeats of the window while the coil can be energised, s."""
 
 BY_BUTTON = Message("stop.button", "stopped in the window")
-BY_KEY = Message("stop.key", "stopped by key")
 BY_CLOSING = Message("stop.window_closed", "the window was closed")
 BY_DEFECT = Message("stop.defect", "a defect in the window")
 NO_ANSWER = Message("stop.no_answer", "the window did not answer; the coil was released")

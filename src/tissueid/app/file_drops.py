@@ -12,7 +12,7 @@ from PySide6.QtGui import QDropEvent
 from PySide6.QtWidgets import QWidget
 
 from tissueid.app.context import AppContext
-from tissueid.app.job_control import JobControl
+from tissueid.app.jobs import JobControl
 from tissueid.app.pages import Pages
 from tissueid.app.words import sentence
 from tissueid.atomic_write import private_folder, unused_path

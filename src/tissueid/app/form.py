@@ -27,11 +27,10 @@ from PySide6.QtWidgets import (
 from tissueid.acquisition.stimulus_choice import NoiseChoice
 from tissueid.app.chooser import InstrumentChooser
 from tissueid.app.configuring import ConfigurationChooser
-from tissueid.app.form_choices import DISTRIBUTIONS, MULTISTEP, SITES, longest_stimulus_s
+from tissueid.app.form_choices import DISTRIBUTIONS, MULTISTEP, SITES, longest_stimulus_s, reads_like_name
 from tissueid.app.number_field import NumberField
-from tissueid.app.pseudonym import reads_like_name
-from tissueid.app.save_path import dated_path
 from tissueid.app.stimulus_form import StimulusForm
+from tissueid.app.user_files import dated_path
 from tissueid.formatting import ANONYMOUS
 from tissueid.instrument import PROFILES
 from tissueid.language import _, marked

@@ -9,8 +9,8 @@ from PySide6.QtWidgets import QFrame, QHBoxLayout, QLabel, QProgressBar, QVBoxLa
 
 from tissueid.acquisition.playback import Phase
 from tissueid.acquisition.surface_detection import PLACE_S
+from tissueid.app.contact_watcher import ContactLamp
 from tissueid.app.live_signals import Snapshot
-from tissueid.app.views.clinician.contact_lamp import ContactLamp
 from tissueid.language import _, marked
 from tissueid.procedures.test_plan import TestPlan
 

@@ -225,7 +225,7 @@ class ImportDialog(QDialog):
     # -- the table ------------------------------------------------------------------------------------------
 
     def _make_table(self) -> QTableWidget:
-        heads = [_("Column"), _("Is"), _("Unit"), _("First values")]
+        heads = [_("Column"), _("Signal"), _("Unit"), _("First values")]
         table = QTableWidget(len(self._preview.columns), len(heads))
         table.setHorizontalHeaderLabels(heads)
         table.setAccessibleName(_("Columns of the record and the signals they become"))

@@ -25,14 +25,13 @@ from PySide6.QtWidgets import (
     QWidget,
 )
 
-from tissueid.app.buttons import BigButton
 from tissueid.app.calibration_page import CalibrationPage
 from tissueid.app.form import PlanForm
 from tissueid.app.guidance import Guidance
-from tissueid.app.help_panel import HelpPanel
 from tissueid.app.live_analysis import LiveAnalysis
 from tissueid.app.navigation_bar import MEASURE, NavigationBar
 from tissueid.app.notice import Notice, NoticeLine
+from tissueid.app.panels import HelpPanel
 from tissueid.app.quality_gate import QualityGate
 from tissueid.app.readouts import SafetyReadouts
 from tissueid.app.result import ResultPage
@@ -40,6 +39,7 @@ from tissueid.app.roles import RoleChooser
 from tissueid.app.signals import SignalPlots
 from tissueid.app.small_window import FoldingBox, PageScroll
 from tissueid.app.theme import Theme
+from tissueid.app.widgets import BigButton
 from tissueid.app.words import RESEARCH_USE
 from tissueid.audit import Role
 from tissueid.language import _

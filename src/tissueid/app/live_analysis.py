@@ -24,7 +24,7 @@ from tissueid.procedures.test_plan import TestPlan
 if TYPE_CHECKING:
     from tissueid.acquisition.live import LiveIdentification
     from tissueid.identification.live.live_view import LiveBode, LiveCourse, LiveCurve, LiveView
-    from tissueid.identification.live.precision import Parameter
+    from tissueid.identification.live.stopping import Parameter
 
 MM = 1e3
 MS = 1e3

@@ -31,7 +31,7 @@ class LiveTest(TestControl):
         """Return False, or raise if the stop was triggered."""
         return self._stop.check()
 
-    def opened(self, instrument: Instrument, limits: Limits) -> None:
+    def ready(self, instrument: Instrument, limits: Limits) -> None:
         """Watch the safety of this instrument."""
         self._live.greatest_force_n = greatest_force_n(instrument)
         winding = not isinstance(instrument, SimulatedInstrument)

@@ -19,34 +19,32 @@ from tissueid.app.clinician import Clinician
 from tissueid.app.command_palette import CommandPalette
 from tissueid.app.context import AppContext
 from tissueid.app.device_search import DeviceSearch
-from tissueid.app.disabled_reason import show_disabled_reason
-from tissueid.app.emergency import BY_BUTTON, BY_CLOSING, BY_DEFECT, BY_KEY, NO_ANSWER, EmergencyStop
+from tissueid.app.emergency import BY_BUTTON, BY_CLOSING, BY_DEFECT, NO_ANSWER, EmergencyStop
 from tissueid.app.file_drops import RECORDS, FileDrops, dropped_paths
 from tissueid.app.findings import Findings, whose
 from tissueid.app.jobs import Jobs
-from tissueid.app.language_choice import chosen
 from tissueid.app.layout import Layout
 from tissueid.app.live_signals import LiveSignals
 from tissueid.app.navigation_bar import MEASURE
-from tissueid.app.outcome import outcome_text
 from tissueid.app.pages import Pages
 from tissueid.app.panels import Panels
-from tissueid.app.readouts import NO_TEST
+from tissueid.app.preferences import chosen, take_kept
+from tissueid.app.readouts import NO_TEST, StopKeys
 from tissueid.app.report_opener import Reports
-from tissueid.app.save_path import check_save_path
 from tissueid.app.services import AppServices
 from tissueid.app.session_jobs import find, judge_and_analyse
-from tissueid.app.stop_keys import StopKeys
 from tissueid.app.theme import PaletteWatch, Theme, palette_of, style_sheet, theme_of
-from tissueid.app.unit_choice import take_kept
+from tissueid.app.user_files import check_save_path
+from tissueid.app.widgets import show_disabled_reason
 from tissueid.app.window_state import restore_window_state, save_role, save_window_state, saved_role
-from tissueid.app.words import in_words, sentence
+from tissueid.app.words import in_words, outcome_text, sentence
 from tissueid.atomic_write import private_folder
 from tissueid.audit import Role
 from tissueid.errors import TissueIDError
 from tissueid.language import _, set_language
 from tissueid.messages import code_of, translated
 from tissueid.procedures.audit_notes import NOT_LOGGED, record_role
+from tissueid.procedures.control import BY_KEY
 from tissueid.procedures.test_plan import TestPlan
 from tissueid.sessions import Session, Test
 from tissueid.sessions.quality import quality_of

@@ -289,6 +289,3 @@ def _rules(info: FieldInfo) -> Iterator[object]:
 def _inside(limit: float, way: float) -> float:
     """Return the nearest number inside an exclusive bound."""
     return limit + way * max(10.0**-_DECIMALS, 1e-9 * abs(limit))
-
-
-__all__ = ["OptionField"]

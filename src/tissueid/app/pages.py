@@ -14,13 +14,12 @@ from typing import Any
 from PySide6.QtCore import QObject, Signal
 from PySide6.QtWidgets import QLineEdit, QPlainTextEdit, QTextEdit, QWidget
 
-from tissueid.app.context import AppContext
-from tissueid.app.disabled_reason import show_disabled_reason
+from tissueid.app.context import AppContext, View
 from tissueid.app.layout import Layout
 from tissueid.app.navigation_bar import MEASURE
 from tissueid.app.theme import Theme, palette_of
 from tissueid.app.views.start.view import StartView
-from tissueid.app.views.view import View
+from tissueid.app.widgets import show_disabled_reason
 from tissueid.app.window_state import saved_page
 from tissueid.audit import Role
 from tissueid.formatting import clean

@@ -5,19 +5,20 @@ matplotlib is imported when the first plot is shown, so that the window starts w
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import asdict
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, TypeGuard, cast
 
 import numpy as np
-from PySide6.QtCore import QEvent, QObject, QPointF, Qt, QTimer
+from PySide6.QtCore import QEvent, QObject, QPointF, QSize, Qt, QTimer
 from PySide6.QtGui import QContextMenuEvent, QKeyEvent, QMouseEvent, QResizeEvent, QShowEvent, QWheelEvent
 from PySide6.QtWidgets import QFileDialog, QFrame, QLabel, QMenu, QScrollArea, QSizePolicy, QVBoxLayout, QWidget
 
+from tissueid.app.draw_queue import request_drawing
+from tissueid.app.plot_readout import extremes, unit_of_values, values_at
 from tissueid.app.theme import LIGHT, Theme
 from tissueid.app.words import sentence
-from tissueid.formatting import number
 from tissueid.language import _, marked
 from tissueid.messages import translated
 from tissueid.units import shown
@@ -27,9 +28,13 @@ if TYPE_CHECKING:
     from matplotlib.backend_bases import MouseButton
     from mpl_toolkits.mplot3d import Axes3D
 
-    from tissueid.analysis.curves import Plot, Surface
-    from tissueid.reports.plot_renderer import DrawnLine, Look
+    from tissueid.analysis.curves import Plot
+    from tissueid.analysis.curves.plot import Array
+    from tissueid.reports.plot_axes import Look
+    from tissueid.reports.plot_parts import DrawnLine
 
+Point = tuple[float, float]
+"""A place on a canvas, in pixels of the figure from its lower left corner."""
 FILES = {
     ".png": marked("PNG picture (*.png)"),
     ".svg": marked("SVG drawing (*.svg)"),
@@ -61,19 +66,24 @@ class PlotCanvas(QFrame):
         self.setProperty("role", "card")
         self.focus = Qt.FocusPolicy.StrongFocus
         """How the plots take the focus once they are drawn."""
+        self.pick: Callable[[Point, bool], bool] | None = None
+        """Called for a click at a point, with whether it is a double click; returns whether something lies there."""
+        self.tip: Callable[[Point], str] | None = None
+        """Returns what is said of a point under the cursor; "" for its coordinates."""
         self.plots: tuple[Plot, ...] = ()
-        self.axes: list[Axes] = []
+        self._axes: list[Axes] = []
         self._name, self._relief, self._key, self._description = name, False, True, ""
         self._theme: Theme = LIGHT
         self._canvas: Any = None
         self._long: list[list[DrawnLine]] = []
         self._home: list[tuple[Any, ...]] = []
         self._grabbed: Axes | None = None
-        self._stale = False
+        self._laid_out_for = QSize()
+        self._stale = self._unsettled = False
         self._relayout = QTimer(self)
         self._relayout.setSingleShot(True)
         self._relayout.setInterval(_SETTLED_MS)
-        self._relayout.timeout.connect(self._lay_out)
+        self._relayout.timeout.connect(self._settle)
         self._missing = QLabel()
         self._missing.setProperty("role", "muted")
         self._missing.setWordWrap(True)
@@ -90,6 +100,18 @@ class PlotCanvas(QFrame):
         self._inside.addWidget(self._missing, 1)
         self.setMinimumHeight(150)
         self.setAccessibleName(name)
+
+    @property
+    def axes(self) -> list[Axes]:
+        """The axes of the plots, from the top; what waits for its turn to be drawn is drawn first."""
+        if self.pending and self.isVisible():
+            self.draw_pending()
+        return self._axes
+
+    @property
+    def pending(self) -> bool:
+        """Whether something has to be drawn or laid out before the canvas shows its plots."""
+        return self._stale or self._unsettled
 
     def show_plots(
         self, plots: Sequence[Plot], *, relief: bool = False, key: bool = True, description: str = ""
@@ -114,9 +136,9 @@ class PlotCanvas(QFrame):
             self._canvas.setVisible(not empty)
         self._describe()
         self._stale = not empty
-        self.axes, self._long, self._home = [], [], []
+        self._axes, self._long, self._home = [], [], []
         if self._stale and self.isVisible():
-            self._draw()
+            request_drawing(self)
 
     def say_missing(self, text: str) -> None:
         """Show a text in place of plots."""
@@ -188,8 +210,8 @@ class PlotCanvas(QFrame):
     def showEvent(self, event: QShowEvent) -> None:  # noqa: N802
         """Draw what was given while hidden."""
         super().showEvent(event)
-        if self._stale:
-            self._draw()
+        if self.pending:
+            request_drawing(self)
 
     def resizeEvent(self, event: QResizeEvent) -> None:  # noqa: N802
         """Lay the plots out for the new size."""
@@ -198,7 +220,10 @@ class PlotCanvas(QFrame):
 
     def eventFilter(self, watched: QObject, event: QEvent) -> bool:  # noqa: N802
         """Zoom, pan and read values by the events of the canvas."""
-        if watched is not self._canvas or not self.axes:
+        if watched is self._canvas and isinstance(event, QResizeEvent):
+            self._take_size(event)
+            return True  # matplotlib would draw for every size that is passed through
+        if watched is not self._canvas or not self._axes:
             return super().eventFilter(watched, event)
         if isinstance(event, QWheelEvent):
             return self._wheel(event)
@@ -229,8 +254,11 @@ class PlotCanvas(QFrame):
         at, kind = self._pixels(event.position()), event.type()
         axes = self._axes_at(at)
         if kind == QEvent.Type.MouseButtonDblClick:
-            self.show_everything()
+            if self.pick is None or not self.pick(at, True):
+                self.show_everything()
             return True
+        if kind == QEvent.Type.MouseButtonPress and self.pick is not None:
+            self.pick(at, False)
         left = event.button() == Qt.MouseButton.LeftButton
         if kind == QEvent.Type.MouseButtonPress and left and axes is not None and not _in_space(axes):
             self._grabbed = axes
@@ -278,11 +306,8 @@ class PlotCanvas(QFrame):
         if axes is None or _in_space(axes):
             return
         x, y = axes.transData.inverted().transform(at)
-        plot = self.plots[self.axes.index(axes)]
-        ends = [(float(x), shown(plot.x.unit)[0]), (float(y), shown(plot.y.unit)[0])]
-        if plot.surface is not None:
-            ends.append(_value_at(plot, plot.surface, float(x), float(y)))
-        self.readout.setText("   ".join(f"{value:.4g} {unit}".strip() for value, unit in ends))
+        said = self.tip(at) if self.tip is not None else ""
+        self.readout.setText(said or values_at(self.plots[self.axes.index(axes)], float(x), float(y)))
         self.readout.adjustSize()
         self.readout.move(self.width() - self.readout.width() - 10, 6)
         self.readout.raise_()
@@ -321,24 +346,32 @@ class PlotCanvas(QFrame):
 
     # -- drawing ------------------------------------------------------------------------------------------
 
+    def draw_pending(self) -> None:
+        """Draw what was given since the plots were last drawn, or lay them out for a new size."""
+        if self._stale:
+            self._draw()
+        elif self._unsettled:
+            self._lay_out()
+
     def _draw(self) -> None:
         """Draw everything, and lay it out."""
         from tissueid.reports.plot_renderer import draw_plots, draw_relief
 
         canvas = self._make_canvas()
+        canvas.setVisible(True)
+        self._inside.activate()  # gives the canvas its size before the plots are laid out
         figure = canvas.figure
         self._stale, self._scale, self._grabbed = False, 1.0, None
         figure.clear()
         figure.set_facecolor(self._theme.panel)
         look = _look_of(self._theme, self.font().pointSizeF())
         if self._relief:
-            self.axes, self._long = [draw_relief(figure, self.plots[0], look, units=shown)], [[]]
+            self._axes, self._long = [draw_relief(figure, self.plots[0], look, units=shown)], [[]]
         else:
-            self.axes, self._long = draw_plots(figure, self.plots, look, units=shown, key=self._key)
-        canvas.setVisible(True)
+            self._axes, self._long = draw_plots(figure, self.plots, look, units=shown, key=self._key)
         self._lay_out()
         self._home = [
-            (one.get_xlim(), one.get_ylim(), (one.elev, one.azim) if _in_space(one) else None) for one in self.axes
+            (one.get_xlim(), one.get_ylim(), (one.elev, one.azim) if _in_space(one) else None) for one in self._axes
         ]
 
     def _make_canvas(self) -> Any:
@@ -347,7 +380,8 @@ class PlotCanvas(QFrame):
             from matplotlib.figure import Figure
 
             make: Any = FigureCanvasQTAgg  # which has no annotations
-            self._canvas = make(Figure(dpi=self.logicalDpiX()))
+            options: Any = {"layout": "none"}  # reports that are drawn in another thread set one for all figures
+            self._canvas = make(Figure(dpi=self.logicalDpiX(), **options))
             self._canvas.setFocusPolicy(self.focus)
             self._canvas.setMouseTracking(True)
             self._canvas.setSizePolicy(QSizePolicy.Policy.Ignored, QSizePolicy.Policy.Ignored)
@@ -356,21 +390,35 @@ class PlotCanvas(QFrame):
             self._describe()
         return self._canvas
 
+    def _take_size(self, event: QResizeEvent) -> None:
+        """Give the figure the size of its canvas."""
+        size, dots = event.size(), self._canvas.figure.dpi / self._canvas.device_pixel_ratio
+        self._canvas.figure.set_size_inches(size.width() / dots, size.height() / dots, forward=False)
+
     def _again(self) -> None:
         """Draw again what is shown, now or when it is shown."""
         if self.plots and not all(plot.missing for plot in self.plots):
             self._stale = True
             if self.isVisible():
-                self._draw()
+                request_drawing(self)
+
+    def _settle(self) -> None:
+        """Lay the plots out for a size that has settled."""
+        self._unsettled = bool(self._axes) and self._canvas.size() != self._laid_out_for
+        if self._unsettled and self.isVisible():
+            request_drawing(self)
 
     def _lay_out(self) -> None:
         """Make room for labels once, not in every frame."""
+        from tissueid.reports.plot_layout import lay_out
+
         canvas = self._canvas
+        self._unsettled = False
+        if canvas is not None:
+            self._laid_out_for = canvas.size()
         if canvas is not None and canvas.width() > 1 and canvas.height() > 1:
-            canvas.figure.set_layout_engine("constrained")
-            canvas.figure.get_layout_engine().execute(canvas.figure)
-            canvas.figure.set_layout_engine("none")
-            canvas.draw_idle()
+            lay_out(canvas.figure)
+            canvas.draw()
 
     def _follow(self) -> None:
         """Draw the visible part of long lines, and the frame."""
@@ -385,9 +433,8 @@ class PlotCanvas(QFrame):
         """Give the canvas its accessible name."""
         names = [self._name] if self._name else [translated(plot.title) for plot in self.plots]
         title = ", ".join(dict.fromkeys(filter(None, names)))
-        every = (plot.surface.unit if plot.surface else plot.y.unit for plot in self.plots)
-        units = ", ".join(dict.fromkeys(filter(None, (shown(unit)[0] for unit in every))))
-        description = self._description or " ".join(filter(None, (_extremes(plot) for plot in self.plots)))
+        units = ", ".join(dict.fromkeys(filter(None, (shown(unit_of_values(plot))[0] for plot in self.plots))))
+        description = self._description or " ".join(filter(None, (extremes(plot) for plot in self.plots)))
         if self._relief:
             description = f"{description} {_(_HOW)}"
         text = _("Plot: {title}, {unit}") if units else _("Plot: {title}")
@@ -411,40 +458,19 @@ class PlotCanvas(QFrame):
         x, y = self._canvas.mouseEventCoords(position)
         return float(x), float(y)
 
+    def pixels(self, x: Array, y: Array) -> Array:
+        """Return where points (n,) of the first plot, in its own units, lie on the canvas: (n, 2), pixels."""
+        plot = self.plots[0]
+        inside = np.column_stack([shown(plot.x.unit)[1] * x, shown(plot.y.unit)[1] * y])
+        return np.asarray(self.axes[0].transData.transform(inside), np.float64)
+
+    def values(self, at: Point) -> Point:
+        """Return abscissa and ordinate of a point on the canvas, in the units of the first plot."""
+        x, y = self.axes[0].transData.inverted().transform(at)
+        return float(x) / shown(self.plots[0].x.unit)[1], float(y) / shown(self.plots[0].y.unit)[1]
+
     def _axes_at(self, at: tuple[float, float]) -> Axes | None:
         return next((axes for axes in self.axes if axes.bbox.contains(*at)), None)
-
-
-def _extremes(plot: Plot) -> str:
-    """Return in words where the surface of a plot has its largest and its smallest value; "" without a surface."""
-    surface = plot.surface
-    if surface is None or not np.isfinite(surface.values).any():
-        return ""
-    words = []
-    for place, text in (
-        (np.nanargmax(surface.values), _("Greatest {value} at {x} and {y}.")),
-        (np.nanargmin(surface.values), _("Least {value} at {x} and {y}.")),
-    ):
-        row, column = np.unravel_index(place, surface.values.shape)
-        value = _value("", surface.unit, float(surface.values[row, column]))
-        x = _value(plot.x.label, plot.x.unit, float(surface.x[column]))
-        y = _value(plot.y.label, plot.y.unit, float(surface.y[row]))
-        words.append(text.format(value=value, x=x, y=y))
-    return " ".join(words)
-
-
-def _value(label: str, unit: str, value: float) -> str:
-    """Return quantity, value and unit."""
-    unit, factor = shown(unit)
-    return " ".join(filter(None, [translated(label), number(factor * value, 3), translated(unit)]))
-
-
-def _value_at(plot: Plot, surface: Surface, x: float, y: float) -> tuple[float, str]:
-    """Return the value of the surface of a plot nearest to a point in the active units, and its unit."""
-    column = int(np.argmin(np.abs(shown(plot.x.unit)[1] * surface.x - x)))
-    row = int(np.argmin(np.abs(shown(plot.y.unit)[1] * surface.y - y)))
-    unit, factor = shown(surface.unit)
-    return factor * float(surface.values[row, column]), unit
 
 
 def _in_space(axes: Axes) -> TypeGuard[Axes3D]:
@@ -465,9 +491,6 @@ def _look_at(axes: Axes, low: tuple[float, float], high: tuple[float, float]) ->
 
 def _look_of(theme: Theme, font_size: float) -> Look:
     """Return the colours of a theme for the renderer."""
-    from tissueid.reports.plot_renderer import Look
+    from tissueid.reports.plot_axes import Look
 
     return Look(theme.text, theme.muted, theme.line, theme.panel, max(7.0, 0.85 * font_size), asdict(theme))
-
-
-__all__ = ["FILES", "PlotCanvas"]

@@ -5,7 +5,6 @@ from __future__ import annotations
 import html
 import math
 from collections.abc import Collection
-from typing import Literal
 
 import numpy as np
 import pyqtgraph as pg
@@ -15,8 +14,8 @@ from PySide6.QtGui import QFont
 from PySide6.QtWidgets import QFrame, QHBoxLayout, QLabel, QSizePolicy, QVBoxLayout, QWidget
 
 from tissueid.app.axis import QuickAxis
-from tissueid.app.elided_label import ElidedLabel
 from tissueid.app.theme import Theme, faint
+from tissueid.app.widgets import ElidedLabel
 from tissueid.language import _
 from tissueid.units import shown, shown_label
 
@@ -48,7 +47,7 @@ class PlotCard(QFrame):
     """A plot under a heading that carries its unit, if it has one.
 
     What is drawn is in clinical units; ticks, heading and label below say it in those in force. ``unit`` is that of
-    the axis at the side ``unit_of``, or of colours; at the bottom it is otherwise the one in brackets in ``x_label``.
+    the ordinate; that of the abscissa is the one in brackets in ``x_label``.
     ``key`` maps what curves are called to the role of their colour.
     ``log_axes`` names the sides, "bottom" and "left", whose data are decimal logarithms.
     """
@@ -61,12 +60,11 @@ class PlotCard(QFrame):
         *,
         key: dict[str, str] | None = None,
         log_axes: Collection[str] = (),
-        unit_of: Literal["left", "bottom", "colours"] = "left",
         parent: QWidget | None = None,
     ) -> None:
         super().__init__(parent)
         self.setProperty("role", "card")
-        self._title, self._unit, self._unit_of = title, unit, unit_of
+        self._title, self._unit = title, unit
         self._key = key or {}
         self._pens: list[tuple[pg.PlotDataItem, str, int, int]] = []
         self._dots: list[tuple[pg.PlotDataItem, str]] = []
@@ -158,8 +156,7 @@ class PlotCard(QFrame):
     def take_units(self) -> None:
         """Show labels and ticks in the active units; the curves stay."""
         self._head()
-        if self._unit_of != "bottom":
-            self.plot.getAxis("bottom").setScale(shown_label(self._x_label)[1])
+        self.plot.getAxis("bottom").setScale(shown_label(self._x_label)[1])
         self._label_below()
 
     def _head(self) -> None:
@@ -170,8 +167,7 @@ class PlotCard(QFrame):
             if unit
             else _("Plot: {title}").format(title=title)
         )
-        if self._unit_of != "colours":
-            self.plot.getAxis(self._unit_of).setScale(factor)
+        self.plot.getAxis("left").setScale(factor)
 
     def _label_below(self) -> None:
         theme = self._theme

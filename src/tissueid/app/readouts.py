@@ -1,14 +1,45 @@
-"""Readouts next to STOP: force, coil temperature, contact, and whether this window gets the stop keys."""
+"""Readouts next to STOP: force, coil temperature, contact, and the power of this window. The stop keys."""
 
 from __future__ import annotations
 
-from PySide6.QtCore import Qt
+from PySide6.QtCore import QCoreApplication, QEvent, QObject, Qt, Signal
+from PySide6.QtGui import QKeyEvent
 from PySide6.QtWidgets import QFrame, QGridLayout, QLabel, QWidget
 
 from tissueid.app.safety import Safety
 from tissueid.formatting import fixed
 from tissueid.language import _
 from tissueid.messages import MISSING, Message, translated
+
+_KEYS = (Qt.Key.Key_Escape, Qt.Key.Key_Space)
+_MEANT = (QEvent.Type.ShortcutOverride, QEvent.Type.KeyPress)
+"""Events of a key: it is offered as a shortcut first. Accepting both keeps it from shortcuts and fields."""
+
+
+class StopKeys(QObject):
+    """An event filter of the application that sends ``pressed`` for each stop key while it listens.
+
+    A shortcut would not do: a dialog hides it, and a text field takes the Space.
+    """
+
+    pressed = Signal()
+
+    def listen(self, on: bool) -> None:
+        """Start or stop listening."""
+        application = QCoreApplication.instance()
+        if application is not None:
+            application.removeEventFilter(self)
+            if on:
+                application.installEventFilter(self)
+
+    def eventFilter(self, _watched: QObject, event: QEvent) -> bool:  # noqa: N802
+        """Intercept the stop keys of all widgets."""
+        if event.type() in _MEANT and isinstance(event, QKeyEvent) and event.key() in _KEYS:
+            event.accept()
+            self.pressed.emit()
+            return True
+        return False
+
 
 _EVERY = 8
 """Frames between two changes of a number: four a second can be read."""

@@ -19,14 +19,14 @@ from PySide6.QtWidgets import (
     QWidget,
 )
 
-from tissueid.app.elided_label import ElidedLabel
 from tissueid.app.findings import Findings, Number, whose
 from tissueid.app.plot_canvas import PlotCanvas
 from tissueid.app.small_window import FoldingBox
 from tissueid.app.theme import Theme
 from tissueid.app.views.clinician.comparison_card import ComparisonCard
+from tissueid.app.views.clinician.repeat_bar import SittingSummary
 from tissueid.app.views.clinician.sitting import Standing
-from tissueid.app.views.clinician.summary import SittingSummary
+from tissueid.app.widgets import ElidedLabel
 from tissueid.device import SIMULATED_LINE
 from tissueid.formatting import local_time, value_and_rest, zone_offset
 from tissueid.language import _, marked

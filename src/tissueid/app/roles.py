@@ -1,11 +1,13 @@
-"""The role of the user: it is logged with every action, and some roles see more controls."""
+"""The role of the user, its chooser and its cards. The role is logged, and some roles see more controls."""
 
 from __future__ import annotations
 
-from PySide6.QtCore import Signal
-from PySide6.QtWidgets import QComboBox, QWidget
+from PySide6.QtCore import QSize, Qt, Signal
+from PySide6.QtGui import QResizeEvent
+from PySide6.QtWidgets import QComboBox, QLabel, QSizePolicy, QVBoxLayout, QWidget
 
-from tissueid.app.labelled_row import labelled_row
+from tissueid.app.theme import Theme
+from tissueid.app.widgets import BigButton, labelled_row
 from tissueid.audit import ROLES, Role
 from tissueid.language import _, marked
 
@@ -42,3 +44,62 @@ class RoleChooser(QWidget):
         before, self._role = self._role, self.choice.currentData()
         if before != self._role:
             self.changed.emit(before, self._role)
+
+
+class RoleCard(BigButton):
+    """A button with a title and a sentence."""
+
+    def __init__(self, role: Role, sentence: str, parent: QWidget | None = None) -> None:
+        super().__init__("", parent)
+        self.role: Role = role
+        self._sentence = sentence
+        self.setSizePolicy(QSizePolicy.Policy.Expanding, QSizePolicy.Policy.Minimum)
+        self._title = QLabel(_(ROLE_NAMES[role]))
+        self._title.setProperty("role", "headline")
+        self._text = QLabel(sentence)
+        self._text.setWordWrap(True)
+        self._text.setMinimumWidth(1)
+        self._text.setAlignment(Qt.AlignmentFlag.AlignTop | Qt.AlignmentFlag.AlignLeft)
+        layout = QVBoxLayout(self)
+        layout.setContentsMargins(16, 10, 14, 12)
+        layout.setSpacing(4)
+        for label in (self._title, self._text):
+            label.setAttribute(Qt.WidgetAttribute.WA_TransparentForMouseEvents)
+            layout.addWidget(label)
+        layout.addStretch(1)
+        self.show_taken(False)
+
+    def show_taken(self, taken: bool) -> None:
+        """Show whether this is the current role."""
+        self.setProperty("taken", taken)
+        title = _(ROLE_NAMES[self.role])
+        self._title.setText(_("{role} · now").format(role=title) if taken else title)
+        self.setAccessibleName(f"{self._title.text()}: {self._sentence}")
+        self.style().unpolish(self)
+        self.style().polish(self)
+
+    def apply_theme(self, theme: Theme) -> None:
+        """Take on the colours of a theme."""
+        self.setStyleSheet(
+            f"RoleCard {{ background: {theme.panel}; border: 1px solid {theme.edge}; border-radius: 6px; }}"
+            f"RoleCard[taken='true'] {{ border-left: 5px solid {theme.accent}; }}"
+            f"RoleCard:hover {{ border-color: {theme.accent}; }}"
+            f"RoleCard:focus {{ border: 2px solid {theme.accent}; }}"
+            f"RoleCard[taken='true']:focus {{ border-left: 5px solid {theme.accent}; }}"
+        )
+
+    def sizeHint(self) -> QSize:  # noqa: N802
+        """Return the height that the description needs at the present width."""
+        layout = self.layout()
+        assert layout is not None
+        return QSize(240, layout.heightForWidth(max(200, self.width())))
+
+    def minimumSizeHint(self) -> QSize:  # noqa: N802
+        """A third of the smallest window."""
+        return QSize(200, self.sizeHint().height())
+
+    def resizeEvent(self, event: QResizeEvent) -> None:  # noqa: N802
+        """At another width the sentence needs another height."""
+        super().resizeEvent(event)
+        if event.size().width() != event.oldSize().width():
+            self.updateGeometry()

@@ -13,11 +13,10 @@ from PySide6.QtCore import QSettings, QUrl
 from PySide6.QtGui import QDesktopServices
 
 from tissueid.app.emergency import EmergencyStop
-from tissueid.app.save_path import default_folder
+from tissueid.app.user_files import default_folder
 from tissueid.atomic_write import private_folder
-from tissueid.audit import AuditLog, Role, default_path
-from tissueid.calibration.active import activate_calibration
-from tissueid.instrument import FoundInstrument, Instrument, find_instruments, open_instrument
+from tissueid.audit import Role
+from tissueid.procedures.instrument_access import InstrumentAccess
 
 if TYPE_CHECKING:
     from tissueid.instrument.simulated import Wait
@@ -33,28 +32,24 @@ def _settings() -> QSettings:
 
 
 @dataclass(frozen=True)
-class AppServices:
+class AppServices(InstrumentAccess):
     """Instruments, files, clocks, settings and other programs.
 
     ``wait`` None runs simulations in real time. With ``separate_process`` another process identifies a running test.
-    ``stop`` creates the emergency stop of one test; ``calibrate`` activates the newest calibration of an instrument;
-    ``calibrations`` is the folder of new calibrations, None for the default folder. ``first_page`` is the name of the
-    first page; empty means the last one shown. ``role`` None means the last role. ``settings`` opens the stored
-    settings. ``language`` is a language code; empty means the stored one, else the system's, else English.
+    ``stop`` creates the emergency stop of one test; ``calibrations`` is the folder of new calibrations, None for the
+    default folder. ``first_page`` is the name of the first page; empty means the last one shown. ``role`` None means
+    the last role. ``settings`` opens the stored settings. ``language`` is a language code; empty means the stored one,
+    else the system's, else English.
     """
 
-    opener: Callable[[str], Instrument] = open_instrument
-    finder: Callable[..., list[FoundInstrument]] = find_instruments
     folder: Path = field(default_factory=default_folder)
     wait: Wait | None = None
     separate_process: bool = True
     now: Callable[[], datetime] = datetime.now
     show_file: Callable[[Path], bool] = _show_file
     stop: Callable[[], EmergencyStop] = EmergencyStop
-    calibrate: Callable[[Instrument], object] = activate_calibration
     calibrations: Path | None = None
     role: Role | None = None
     first_page: str = ""
     settings: Callable[[], QSettings] = _settings
     language: str = ""
-    audit: AuditLog = field(default_factory=lambda: AuditLog(default_path()))

@@ -163,6 +163,3 @@ class FoldingSplitter(QSplitter):
     def _widths(self) -> list[int]:
         parts = [self.widget(k) for k in range(self.count())]
         return [part.minimumSizeHint().expandedTo(part.minimumSize()).width() for part in parts]
-
-
-__all__ = ["FoldingBox", "FoldingSplitter", "PageScroll"]

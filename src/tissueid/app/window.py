@@ -12,8 +12,8 @@ from types import FrameType, TracebackType
 from PySide6.QtCore import QLocale, QObject, QTimer
 from PySide6.QtWidgets import QApplication
 
-from tissueid.app.language_choice import qt_texts
 from tissueid.app.main_window import MainWindow
+from tissueid.app.preferences import qt_texts
 
 _HOUSEKEEPING_MS = 500
 _WARMING_AFTER_MS = 300
@@ -28,8 +28,10 @@ _WANTED_SOON = (
     "tissueid.analysis",
     "tissueid.reports.verdict",
     "tissueid.app.identifying",
+    "matplotlib.backends.backend_qtagg",
+    "tissueid.reports.plot_renderer",
 )
-"""What a test and its analysis need, in pieces that are short to wait for. None of it makes a widget."""
+"""What a test, its analysis and its plots need, in pieces that are short to wait for. None of it makes a widget."""
 
 
 class Housekeeping(QObject):
@@ -81,6 +83,8 @@ class WarmUp(QObject):
                 importlib.import_module(name)
             except ImportError:
                 return  # reported where the module is used
+        if not self._over.is_set():
+            importlib.import_module("tissueid.reports.plot_renderer").load_fonts()
 
     def end(self) -> None:
         """Import nothing more; returns when the piece at hand is done."""

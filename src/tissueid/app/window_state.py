@@ -2,6 +2,9 @@
 
 from __future__ import annotations
 
+import json
+from collections.abc import Sequence
+
 from PySide6.QtCore import QByteArray, QSettings
 from PySide6.QtWidgets import QMainWindow, QWidget
 
@@ -72,3 +75,23 @@ def _text(settings: QSettings, key: str) -> str:
     """Return a setting as one line of text; the file may contain anything."""
     kept = settings.value(key, "")
     return clean(kept).strip()[:_LONGEST] if isinstance(kept, str) else ""
+
+
+_MOST_TEXTS = 200
+_LONGEST_TEXT = 5000
+
+
+def save_texts(settings: QSettings, name: str, texts: Sequence[str]) -> None:
+    """Save texts as JSON, because QSettings may return a list of one text as a plain text."""
+    settings.setValue(name, json.dumps(list(texts)))
+
+
+def load_texts(settings: QSettings, name: str) -> list[str]:
+    """Return texts saved by :func:`save_texts`; an empty list if the content is invalid."""
+    try:
+        texts = json.loads(str(settings.value(name, "[]")))
+    except (ValueError, RecursionError):
+        return []
+    if not isinstance(texts, list) or len(texts) > _MOST_TEXTS:
+        return []
+    return [text for text in texts if isinstance(text, str) and len(text) <= _LONGEST_TEXT]

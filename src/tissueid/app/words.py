@@ -1,15 +1,21 @@
-"""Errors and texts as sentences for the window."""
+"""Errors, the end of a test and other texts as sentences for the window."""
 
 from __future__ import annotations
 
 import traceback
+from collections.abc import Sequence
+from typing import TYPE_CHECKING
 
 from platformdirs import user_log_path
 
+from tissueid.acquisition.journal import JournalError, journal_path
 from tissueid.atomic_write import private_folder, write_private
 from tissueid.errors import TissueIDError
 from tissueid.language import marked
 from tissueid.messages import Message, Verbatim, translated
+
+if TYPE_CHECKING:
+    from tissueid.procedures.test_run import TestOutcome
 
 RESEARCH_USE = marked("Research use only. Not a medical device.")
 
@@ -34,3 +40,64 @@ def in_words(error: BaseException) -> str:
     return translated(
         Message("window.defect", "This is a defect of the software; please report {path}", path=Verbatim(path))
     )
+
+
+_STOPPED = Message("outcome.stopped", "Stopped, and the coil is released.")
+_STOPPED_BY_BUTTON = Message(
+    "outcome.stopped_by_button", "Stopped by the button on the instrument, and the coil is released."
+)
+_NOTHING_YET = Message("outcome.nothing_yet", "Nothing was recorded yet.")
+_NOTHING = Message("outcome.nothing", "Nothing was recorded.")
+_START_AGAIN = Message(
+    "outcome.start_again", "Close other programs that keep the computer busy, then press Start again."
+)
+
+
+def outcome_text(outcome: TestOutcome, *, unanswered: bool = False, unlogged: Sequence[str] = ()) -> tuple[str, bool]:
+    """Return the message, empty for a completed test, and whether it reports a problem.
+
+    ``unanswered`` is whether the window stood still for too long, ``unlogged`` why the audit log lacks something.
+    """
+    trouble = _trouble(outcome)
+    problem = " ".join(filter(None, [_problem(outcome, trouble), trouble]))
+    kept = Message("outcome.saved", "The recorded part is saved in {path}.", path=Verbatim(outcome.path))
+    saved = translated(kept) if outcome.session else ""
+    stopped = outcome.by_button or (outcome.cancelled and not unanswered)
+    if stopped:
+        how = translated(_STOPPED_BY_BUTTON if outcome.by_button else _STOPPED)
+        words = [how, saved or trouble or translated(_NOTHING_YET)]
+    elif outcome.cancelled:
+        nothing = "" if trouble else translated(_NOTHING_YET)
+        words = [problem, saved or nothing, translated(_START_AGAIN)]
+    else:
+        words = [problem, saved if problem else ""]
+    failed = bool(trouble or unlogged or (problem and not stopped))
+    return " ".join(filter(None, [*words, *(sentence(translated(notice)) for notice in unlogged)])), failed
+
+
+def _problem(outcome: TestOutcome, trouble: str) -> str:
+    """Return the error of a test as a sentence; empty where ``trouble`` already reports the failed disk."""
+    error = outcome.error
+    if error is None:
+        return ""
+    if not isinstance(error, JournalError) or outcome.session is not None:
+        return in_words(error)
+    return "" if trouble else f"{_cause(error)} {translated(_NOTHING)}"
+
+
+def _trouble(outcome: TestOutcome) -> str:
+    """Return why the recording could not be saved, and where it is; "" if it was."""
+    if outcome.not_saved is None:
+        return ""
+    kept = Message(
+        "outcome.recording_stays",
+        "The recording stays in {path}; it is offered for recovery at the next start.",
+        path=Verbatim(journal_path(outcome.path)),
+    )
+    return f"{_cause(outcome.not_saved)} {translated(kept)}"
+
+
+def _cause(error: Exception) -> str:
+    """Return the cause of a failure; the recovery advice of a journal is meant for the command line."""
+    cause = error.__cause__ if isinstance(error, JournalError) else None
+    return in_words(cause if isinstance(cause, Exception) else error)

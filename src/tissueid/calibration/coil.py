@@ -9,9 +9,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from tissueid.calibration.findings import Findings, column, quantity
-from tissueid.calibration.line_fit import Line, straight_line
-from tissueid.calibration.plausibility import IMPLAUSIBLE
-from tissueid.calibration.step_levels import Levels, mean, noise_of_mean
+from tissueid.calibration.status import IMPLAUSIBLE
+from tissueid.calibration.step_levels import Levels, Line, mean, noise_of_mean, straight_line
 from tissueid.device import GRAVITY_M_S2, DeviceDescription
 from tissueid.errors import UnusableInputError
 from tissueid.language import marked

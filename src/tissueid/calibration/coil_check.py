@@ -9,8 +9,7 @@ import numpy as np
 
 from tissueid.calibration.coil import resistance_of
 from tissueid.calibration.file import utc_date
-from tissueid.calibration.line_fit import straight_line
-from tissueid.calibration.step_levels import hold_levels
+from tissueid.calibration.step_levels import hold_levels, straight_line
 from tissueid.instrument import CLINICAL, Instrument, Limits
 from tissueid.records import Estimate
 

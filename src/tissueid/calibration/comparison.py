@@ -52,13 +52,16 @@ _PROFILES = {
     "stiffness": ("sweep", "stiffness_n_per_m", "stiffness_std_n_per_m"),
     "vaf": ("sweep", "vaf_percent", ""),
 }
-PROFILE_NAMES = tuple(_PROFILES)
-"""Names of the profiles of a sweep along the stroke."""
+"""Profiles of a sweep along the stroke: table, column of values, column of standard deviations."""
 _RESIDUALS = (
-    ("electrical", "voltage_v", "residual_a", marked("Residual of current over voltage"), "V", "A"),
-    ("force", "current_a", "residual_m", marked("Residual of position over current"), "A", "m"),
-    ("position", "position_m", "residual_m", marked("Residual of the position reading"), "m", "m"),
-)
+    ("electrical", ("voltage_v", marked("Voltage"), "V"), ("current_a", marked("Current"), "A"), "residual_a",
+     marked("Residual of current over voltage")),
+    ("force", ("current_a", marked("Current"), "A"), ("position_m", marked("Position reading"), "m"), "residual_m",
+     marked("Residual of position over current")),
+    ("position", ("position_m", marked("Known position"), "m"), ("reading_m", marked("Reading"), "m"), "residual_m",
+     marked("Residual of the position reading")),
+)  # fmt: skip
+"""Lines of a static calibration: table; column, quantity and unit of abscissa and ordinate; column of the residuals."""
 _MAX_VALUE = 1e9
 """Largest value that is displayed, SI; files may contain anything."""
 _GRID = 101
@@ -178,7 +181,7 @@ def _significance(verdict: Verdict, known: ShownQuantity) -> Message:
 
 
 def profile_of(calibration: Calibration, name: str) -> Profile | None:
-    """Return one of the profiles in ``PROFILE_NAMES``; None if the calibration does not contain it."""
+    """Return one of the profiles in ``_PROFILES``; None if the calibration does not contain it."""
     table, values, stds = _PROFILES[name]
     columns = calibration.tables.get(table, {})
     if not columns.get("position_m") or values not in columns:
@@ -304,24 +307,46 @@ def _remarks(before: Calibration, now: Calibration) -> list[Message]:
 
 @dataclass(frozen=True, eq=False)
 class Residuals:
-    """Residuals of a line of a static calibration: ``x`` (n,) and ``y`` (n,), SI with their units."""
+    """Residuals of a line of a static calibration: ``x`` (n,) and ``y`` (n,), SI with their units.
+
+    ``reading`` (n,) is what the line was fitted to, None where the file does not contain it. ``outlier`` (n,) marks
+    readings that were not used. ``quantities`` are the names of ``x`` and ``reading``, ``table`` is that of the file.
+    """
 
     label: str
     x: Array
     y: Array
     x_unit: str
     y_unit: str
+    quantities: tuple[str, str] = ("", "")
+    reading: Array | None = None
+    outlier: NDArray[np.bool_] | None = None
+    table: str = ""
 
 
 def residuals(calibration: Calibration) -> tuple[Residuals, ...]:
     """Return the residuals in a static calibration; malformed tables are left out."""
     found = []
-    for table, across, off, label, x_unit, y_unit in _RESIDUALS:
+    for table, (across, x_name, x_unit), (along, y_name, y_unit), off, label in _RESIDUALS:
         columns = calibration.tables.get(table, {})
         x, y = np.array(columns.get(across, ())), np.array(columns.get(off, ()))
-        if x.size and x.size == y.size:
-            kept = (np.abs(x) < _MAX_VALUE) & (np.abs(y) < _MAX_VALUE)
-            found.append(Residuals(label, x[kept], y[kept], x_unit, y_unit))
+        if not x.size or x.size != y.size:
+            continue
+        kept = (np.abs(x) < _MAX_VALUE) & (np.abs(y) < _MAX_VALUE)
+        reading, outlier = np.array(columns.get(along, ())), np.array(columns.get("outlier", ())) > 0.0
+        found.append(
+            Residuals(
+                label,
+                x[kept],
+                y[kept],
+                x_unit,
+                y_unit,
+                (x_name, y_name),
+                reading[kept] if reading.size == x.size else None,
+                outlier[kept] if outlier.size == x.size else None,
+                table,
+            )
+        )
     return tuple(found)
 
 

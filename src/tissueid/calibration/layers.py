@@ -10,8 +10,7 @@ import numpy as np
 
 from tissueid.calibration.file import Calibration
 from tissueid.calibration.labels import label_of
-from tissueid.calibration.plausibility import BOUNDS, DEVICE_TOLERANCES
-from tissueid.calibration.status import State
+from tissueid.calibration.status import BOUNDS, DEVICE_TOLERANCES, State
 from tissueid.device import CALIBRATE_STATIC, CALIBRATE_SWEEP, DeviceDescription, warning_entries
 from tissueid.language import marked
 from tissueid.messages import Listing, Message, Quantity

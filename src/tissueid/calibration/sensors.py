@@ -11,8 +11,7 @@ from numpy.typing import NDArray
 
 from tissueid.calibration.findings import Findings, column, quantity
 from tissueid.calibration.labels import CHANNELS
-from tissueid.calibration.line_fit import Line, straight_line
-from tissueid.calibration.step_levels import Levels, mean, noise_of_mean
+from tissueid.calibration.step_levels import Levels, Line, mean, noise_of_mean, straight_line
 from tissueid.device import GRAVITY_M_S2, DeviceDescription
 from tissueid.errors import UnusableInputError
 from tissueid.language import marked

@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.interpolate import BSpline
 
-from tissueid.identification.effective_samples import dependence_samples, long_run_covariance
+from tissueid.identification.correlation import dependence_samples, long_run_covariance
 
 Array = NDArray[np.float64]
 

@@ -14,8 +14,8 @@ from tissueid import __version__
 from tissueid.calibration.file import Calibration, stored_messages, utc_date
 from tissueid.calibration.findings import mean_of_repeats
 from tissueid.calibration.labels import stored_text
-from tissueid.calibration.plausibility import first_implausible
 from tissueid.calibration.static_procedure import Ask, Procedure, Show, StaticPlan
+from tissueid.calibration.status import first_implausible
 from tissueid.instrument import Instrument
 from tissueid.messages import Message
 

@@ -11,7 +11,6 @@ from numpy.typing import NDArray
 from tissueid.acquisition.background_work import run_while_polling
 from tissueid.calibration.coil import Spring, electrical_findings, force_by_spring, force_by_weights, spring_line
 from tissueid.calibration.findings import Findings
-from tissueid.calibration.line_fit import Line
 from tissueid.calibration.sensors import (
     acceleration_findings,
     position_findings,
@@ -19,7 +18,7 @@ from tissueid.calibration.sensors import (
     supply_findings,
     temperature_findings,
 )
-from tissueid.calibration.step_levels import Levels, hold_levels, mean, rest_samples
+from tissueid.calibration.step_levels import Levels, Line, hold_levels, mean, rest_samples
 from tissueid.calibration.stroke import Crossing, balancing_current, cross_stroke, range_findings
 from tissueid.device import GRAVITY_M_S2
 from tissueid.errors import FirmwareFaultError, LimitError, UnusableInputError

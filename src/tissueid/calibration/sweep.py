@@ -16,8 +16,8 @@ import numpy as np
 from tissueid.acquisition import GuidedTest, Progress, SessionRecorder, run_guided_test
 from tissueid.acquisition.playback import never_stop
 from tissueid.acquisition.surface_detection import Orientation, Placement, find_orientation
+from tissueid.calibration.spring_points import MIN_SWING_M, gentle_test_model, max_swing, noise, noise_amplitude
 from tissueid.calibration.step_levels import mean, rest_samples
-from tissueid.calibration.sweep_amplitude import MIN_SWING_M, gentle_test_model, max_swing, noise, noise_amplitude
 from tissueid.calibration.sweep_test import SweepTest
 from tissueid.device import GRAVITY_M_S2
 from tissueid.errors import CancelledError, FirmwareFaultError, LimitError, TissueIDError, UnusableInputError

@@ -13,10 +13,10 @@ from tissueid.calibration.findings import quantity
 from tissueid.calibration.flux import FluxFit, fit_flux
 from tissueid.calibration.force_balance import BalanceFit, fit_balance
 from tissueid.calibration.force_constant_profile import ForceConstant, LinearRegion, combine_profiles, linear_region
-from tissueid.calibration.plausibility import IMPLAUSIBLE, first_implausible
 from tissueid.calibration.scale_agreement import ELECTRICAL_STD, Agreement, compare
 from tissueid.calibration.spline_basis import MIN_SPACING_M, SplineBasis
 from tissueid.calibration.spring_points import SpringPoint, identify_point
+from tissueid.calibration.status import IMPLAUSIBLE, first_implausible
 from tissueid.calibration.sweep_test import SweepTest
 from tissueid.device import DeviceDescription
 from tissueid.errors import UnusableInputError

@@ -2,21 +2,20 @@
 
 from __future__ import annotations
 
-from pathlib import Path
-from typing import Annotated
+from typing import TYPE_CHECKING
 
 import typer
 
-from tissueid.cli.plan_command import plan_command
-from tissueid.procedures.calibration_plans import DynamicSweepPlan, StaticCalibrationPlan
+from tissueid.cli.lazy_command import JsonFile, add_command
+
+if TYPE_CHECKING:  # plans are imported when their command is used
+    from tissueid.procedures.calibration_plans import DynamicSweepPlan, StaticCalibrationPlan
+    from tissueid.procedures.calibration_queries import CalibrationListPlan, ShowCalibrationPlan
 
 calibrate = typer.Typer(help="Calibrate an instrument; list and show calibrations.", no_args_is_help=True)
 
-JsonFile = Annotated[Path | None, typer.Option("--json", metavar="FILE", help="write the result as JSON; - prints it")]
 
-
-@calibrate.command()
-@plan_command
+@add_command(calibrate, "static", "calibration_plans")
 def static(plan: StaticCalibrationPlan, json_file: JsonFile = None) -> None:
     """Calibrate channels, force constant and range of motion.
 
@@ -27,8 +26,7 @@ def static(plan: StaticCalibrationPlan, json_file: JsonFile = None) -> None:
     print_static_calibration(plan, json_file)
 
 
-@calibrate.command()
-@plan_command
+@add_command(calibrate, "sweep", "calibration_plans")
 def sweep(plan: DynamicSweepPlan, json_file: JsonFile = None) -> None:
     """Find the linear region of the coil by a dynamic sweep.
 
@@ -39,35 +37,20 @@ def sweep(plan: DynamicSweepPlan, json_file: JsonFile = None) -> None:
     print_sweep(plan, json_file)
 
 
-@calibrate.command(name="list")
-def list_known(
-    folder: Annotated[
-        Path | None,
-        typer.Option("--calibrations", metavar="DIR", help="calibration folder; default: your own"),
-    ] = None,
-    serial: Annotated[
-        str | None, typer.Option("--serial", metavar="TEXT", help="only of the instrument with this serial number")
-    ] = None,
-    json_file: JsonFile = None,
-) -> None:
+@add_command(calibrate, "list", "calibration_queries")
+def list_command(plan: CalibrationListPlan, json_file: JsonFile = None) -> None:
     """List calibrations, newest first.
 
     Marks the newest of each kind that passed.
     """
-    from tissueid.cli.calibrate_list import list_calibrations
+    from tissueid.cli.calibrate_list import print_calibrations
 
-    list_calibrations(folder, serial, json_file)
+    print_calibrations(plan, json_file)
 
 
-@calibrate.command()
-def show(
-    file: Annotated[Path, typer.Argument(metavar="FILE", help="a calibration, TOML")],
-    report: Annotated[
-        Path | None, typer.Option("--report", metavar="FILE", help="write the report, one HTML page")
-    ] = None,
-    json_file: JsonFile = None,
-) -> None:
+@add_command(calibrate, "show", "calibration_queries")
+def show_command(plan: ShowCalibrationPlan, json_file: JsonFile = None) -> None:
     """Show one calibration: instrument, date, verdict, all values."""
-    from tissueid.cli.calibrate_list import show_calibration
+    from tissueid.cli.calibrate_list import print_calibration
 
-    show_calibration(file, report, json_file)
+    print_calibration(plan, json_file)

@@ -1,91 +1,76 @@
-"""``tissueid calibrate list`` and ``show``: list and show calibrations."""
+"""Output of ``tissueid calibrate list`` and ``show``."""
 
 from __future__ import annotations
 
-from datetime import UTC, datetime
 from pathlib import Path
 
-from tissueid.calibration.file import Calibration, read_calibration
 from tissueid.calibration.labels import headline_of, notes_of, readable
-from tissueid.calibration.status import FileStatus, file_status
-from tissueid.calibration.store import calibration_folder, stored_calibrations
 from tissueid.cli.output import check_json, human_output, message_json, table, write_json
-from tissueid.procedures.calibration_files import write_calibration_report
-from tissueid.procedures.output_files import HTML, check_new, check_output
+from tissueid.procedures.calibration_queries import (
+    CalibrationListPlan,
+    ListedCalibration,
+    ShowCalibrationPlan,
+    listed_calibrations,
+    saved_calibration,
+)
 
 
-def list_calibrations(folder: Path | None, serial: str | None, json_file: Path | None) -> None:
+def print_calibrations(plan: CalibrationListPlan, json_file: Path | None) -> None:
     """Print all calibrations of a folder, newest first, with their status.
 
-    Which of them an instrument uses also depends on its nominal values: it can refuse a calibration.
+    Raises:
+        UnusableInputError: the folder of the plan does not exist, or cannot be read.
     """
     check_json(json_file)
-    chosen = calibration_folder(folder)
-    now = datetime.now(UTC)
-    out = human_output(json_file)
-    if not out.is_terminal:
-        out.width = 120
-    rows = table(f"Calibrations in {chosen}", "file", "serial number", "kind", "date", "status")
+    folder, listed = listed_calibrations(plan)
+    out = human_output(json_file, width=120)
+    rows = table(f"Calibrations in {folder}", "file", "serial number", "kind", "date", "status")
     for column in rows.columns:
         column.justify = "left"
-    answers: list[dict[str, object]] = []
-    newest: set[tuple[str, str]] = set()
-    for item in stored_calibrations(chosen):
-        found = item.calibration
-        if serial is not None and (found is None or found.serial_number != serial):
-            continue
-        age = file_status(item, now)
-        key = ("", "") if found is None else (found.serial_number, found.kind)
-        is_newest = age.usable and key not in newest
-        if is_newest:
-            newest.add(key)
-        words = f"{age.words}; the newest that passed" if is_newest else age.words
-        rows.add_row(
-            item.path.name,
-            found.serial_number if found else "",
-            found.kind if found else "",
-            found.date[:10] if found else "",
-            words,
-        )
-        answers.append(_listed(item.path, found, age, is_newest))
-    if chosen is None:
+    for item in listed:
+        found, words = item.calibration, item.status.words
+        cells = ("", "", "") if found is None else (found.serial_number, found.kind, found.date[:10])
+        rows.add_row(item.path.name, *cells, f"{words}; the newest that passed" if item.newest else words)
+    if folder is None:
         out.print(
             "there are no calibrations yet: run 'tissueid calibrate static', or choose another folder by "
             "--calibrations DIR",
             markup=False,
         )
-    elif not answers:
-        out.print(f"there are no calibrations in {chosen}", markup=False, soft_wrap=True)
+    elif not listed:
+        out.print(f"there are no calibrations in {folder}", markup=False, soft_wrap=True)
     else:
         out.print(rows)
     if json_file is not None:
-        write_json(json_file, {"folder": None if chosen is None else str(chosen), "calibrations": answers})
+        answers = [_answer(item) for item in listed]
+        write_json(json_file, {"folder": None if folder is None else str(folder), "calibrations": answers})
 
 
-def _listed(path: Path, found: Calibration | None, age: FileStatus, is_newest: bool) -> dict[str, object]:
+def _answer(item: ListedCalibration) -> dict[str, object]:
+    found, status = item.calibration, item.status
     return {
-        "file": str(path),
+        "file": str(item.path),
         "serial_number": found.serial_number if found else None,
         "model": found.model if found else None,
         "kind": found.kind if found else None,
         "date": found.date if found else None,
         "verdict": found.verdict if found else None,
-        "state": age.state,
-        "words": age.words,
-        "message": message_json(age.words),
-        "newest_that_passed": is_newest,
+        "state": status.state,
+        "words": status.words,
+        "message": message_json(status.words),
+        "newest_that_passed": item.newest,
     }
 
 
-def show_calibration(file: Path, report: Path | None, json_file: Path | None) -> None:
-    """Print one calibration: instrument, date, verdict, all values."""
+def print_calibration(plan: ShowCalibrationPlan, json_file: Path | None) -> None:
+    """Print one calibration: instrument, date, verdict, all values.
+
+    Raises:
+        UnusableInputError: the file is not a calibration, or the report cannot be written.
+    """
     check_json(json_file)
-    check_output(report, HTML)
-    check_new(report)
-    calibration = read_calibration(file)
-    out = human_output(json_file)
-    if not out.is_terminal:
-        out.width = 120
+    calibration = saved_calibration(plan)
+    out = human_output(json_file, width=120)
     out.print(
         f"{calibration.kind} calibration of {calibration.model}, {calibration.serial_number}, {calibration.date}, "
         f"by {calibration.software}",
@@ -99,7 +84,5 @@ def show_calibration(file: Path, report: Path | None, json_file: Path | None) ->
     out.print(headline_of(calibration), markup=False)
     for line in (*calibration.problems, *notes_of(calibration)):
         out.print(f"- {line}", markup=False, soft_wrap=True)
-    if report is not None:
-        write_calibration_report(calibration, report)
     if json_file is not None:
         write_json(json_file, calibration.model_dump(mode="json"))

@@ -5,10 +5,10 @@ from __future__ import annotations
 from pathlib import Path
 
 from tissueid.calibration.labels import readable
-from tissueid.cli.audit_records import audit_trail
 from tissueid.cli.calibrate_output import answer, check_outputs, check_result, print_verdict, terminal_control
 from tissueid.cli.output import human_output, table, write_json
 from tissueid.procedures.calibration_plans import StaticCalibrationPlan
+from tissueid.procedures.instrument_access import audit_trail
 from tissueid.procedures.static_calibration import run_static_calibration
 
 
@@ -21,9 +21,7 @@ def print_static_calibration(plan: StaticCalibrationPlan, json_file: Path | None
     check_outputs(plan, json_file)
     with terminal_control() as control:
         result = run_static_calibration(plan, control, audit_trail("technician"))
-    out = human_output(json_file)
-    if not out.is_terminal:
-        out.width = 120
+    out = human_output(json_file, width=120)
     rows = table(f"Static calibration of {result.calibration.serial_number}", "quantity", "value", "unit")
     for name, quantity in result.calibration.quantities.items():
         rows.add_row(*readable(name, quantity))

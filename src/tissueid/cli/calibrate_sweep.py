@@ -9,11 +9,11 @@ import numpy as np
 from rich.console import Console
 
 from tissueid.calibration.sweep_analysis import SweepResult
-from tissueid.cli.audit_records import audit_trail
 from tissueid.cli.calibrate_output import answer, check_outputs, check_result, print_verdict, terminal_control
 from tissueid.cli.output import human_output, table, write_json
 from tissueid.formatting import fixed, plus_minus
 from tissueid.procedures.calibration_plans import DynamicSweepPlan
+from tissueid.procedures.instrument_access import audit_trail
 from tissueid.procedures.sweep import run_sweep
 from tissueid.records import Estimate
 

@@ -1,26 +1,31 @@
-"""Commands and their options; each command is implemented in its own module."""
+"""Commands of the first level; the plans of ``tissueid.procedures`` declare their options."""
 
 from __future__ import annotations
 
-from pathlib import Path
-from typing import Annotated
+import os
+from typing import TYPE_CHECKING, Annotated
 
 import typer
 
 from tissueid import __version__
-from tissueid.cli.audit import audit
-from tissueid.cli.audit_records import set_role
+from tissueid.cli.audit_commands import audit
 from tissueid.cli.calibrate import calibrate
 from tissueid.cli.gap import gap
-from tissueid.cli.import_export import export_command, import_command
-from tissueid.cli.plan_command import plan_command
+from tissueid.cli.lazy_command import JsonFile, add_command
 from tissueid.cli.twin_commands import twin
-from tissueid.procedures.comparison import ComparePlan
-from tissueid.procedures.demo import DemoPlan
-from tissueid.procedures.identification import IdentificationPlan
-from tissueid.procedures.recovery import RecoveryPlan
-from tissueid.procedures.report import ReportPlan
-from tissueid.procedures.test_plan import TestPlan
+from tissueid.errors import UnusableInputError
+
+if TYPE_CHECKING:  # plans are imported when their command is used
+    from tissueid.procedures.comparison import ComparePlan
+    from tissueid.procedures.demo import DemoPlan
+    from tissueid.procedures.identification import EnginesPlan, IdentificationPlan
+    from tissueid.procedures.import_export import ExportPlan, ImportPlan
+    from tissueid.procedures.instrument_queries import DevicesPlan
+    from tissueid.procedures.quality import QualityPlan
+    from tissueid.procedures.recovery import RecoveryPlan
+    from tissueid.procedures.report import ReportPlan
+    from tissueid.procedures.stimulus_design import StimulusPlan
+    from tissueid.procedures.test_plan import TestPlan
 
 app = typer.Typer(
     help="Measure living tissue with a voice coil and nonlinear system identification. Research use only.",
@@ -32,22 +37,25 @@ app.add_typer(calibrate, name="calibrate")
 app.add_typer(audit, name="audit")
 app.add_typer(gap, name="gap")
 app.add_typer(twin, name="twin")
-app.command("import")(import_command)
-app.command("export")(export_command)
-
-JsonFile = Annotated[Path | None, typer.Option("--json", metavar="FILE", help="write the result as JSON; - prints it")]
-DeviceUrl = Annotated[
-    str,
-    typer.Option(
-        "--device", metavar="URL", help="a port, socket://HOST:PORT or simulated://forearm; see 'tissueid devices'"
-    ),
-]
 
 
 def _version(requested: bool) -> None:
     if requested:
         typer.echo(f"tissueid {__version__}")
         raise typer.Exit
+
+
+def _set_role(role: str) -> None:
+    """Set the user role of this command and of the processes that it starts.
+
+    Raises:
+        UnusableInputError: the role is unknown.
+    """
+    from tissueid.audit import ROLE_ENVIRONMENT, ROLES
+
+    if role.strip().lower() not in ROLES:
+        raise UnusableInputError(f"--role must be {' or '.join(ROLES)}, got {role!r}")
+    os.environ[ROLE_ENVIRONMENT] = role
 
 
 @app.callback(invoke_without_command=True)
@@ -62,7 +70,7 @@ def open_window(
 ) -> int:
     """Open the application if no command is given."""
     if role is not None:
-        set_role(role)
+        _set_role(role)
     if context.invoked_subcommand is not None:
         return 0
     from tissueid.cli.window import open_application
@@ -70,8 +78,26 @@ def open_window(
     return open_application()
 
 
-@app.command()
-@plan_command
+@add_command(app, "import", "import_export")
+def import_command(plan: ImportPlan, json_file: JsonFile = None) -> None:
+    """Import CSV, MAT or LVM files as a session. Files of 'tissueid export' need no --map."""
+    from tissueid.cli.import_export import import_files
+
+    import_files(plan, json_file)
+
+
+@add_command(app, "export", "import_export")
+def export_command(plan: ExportPlan, json_file: JsonFile = None) -> None:
+    """Export a session for other programs, one file per test.
+
+    The attributes of each test are written as JSON next to it.
+    """
+    from tissueid.cli.import_export import export_tests
+
+    export_tests(plan, json_file)
+
+
+@add_command(app, "demo", "demo")
 def demo(plan: DemoPlan, json_file: JsonFile = None) -> None:
     """Run one guided test on a simulated forearm, without hardware.
 
@@ -82,19 +108,15 @@ def demo(plan: DemoPlan, json_file: JsonFile = None) -> None:
     demonstrate(plan, json_file)
 
 
-@app.command()
-def devices(
-    probe: Annotated[bool, typer.Option("--probe/--no-probe", help="connect to each instrument")] = True,
-    json_file: JsonFile = None,
-) -> None:
+@add_command(app, "devices", "instrument_queries")
+def devices(plan: DevicesPlan, json_file: JsonFile = None) -> None:
     """List connected and simulated instruments."""
     from tissueid.cli.devices import list_devices
 
-    list_devices(probe, json_file)
+    list_devices(plan, json_file)
 
 
-@app.command("test")
-@plan_command
+@add_command(app, "test", "test_plan")
 def run_test(plan: TestPlan, json_file: JsonFile = None) -> None:
     """Run a guided test: placement, preload, stimulus, release."""
     from tissueid.cli.test import run_tests
@@ -102,81 +124,29 @@ def run_test(plan: TestPlan, json_file: JsonFile = None) -> None:
     run_tests(plan, json_file)
 
 
-@app.command()
-def quality(
-    session: Annotated[Path, typer.Argument(metavar="SESSION", help="session file")],
-    test: Annotated[int | None, typer.Option("--test", metavar="N", help="one test; default: all")] = None,
-    json_file: JsonFile = None,
-) -> None:
+@add_command(app, "quality", "quality")
+def quality(plan: QualityPlan, json_file: JsonFile = None) -> None:
     """Check the quality of the tests of a saved session.
 
     The output says which tests to repeat, and why.
     """
-    from tissueid.cli.quality import run_quality
+    from tissueid.cli.quality import print_quality
 
-    run_quality(session, test, json_file)
+    print_quality(plan, json_file)
 
 
-@app.command()
-def stimulus(
-    what: Annotated[
-        str | None, typer.Argument(metavar="KIND|FILE", help="a kind or a saved stimulus; default: list the kinds")
-    ] = None,
-    option: Annotated[
-        list[str] | None,
-        typer.Option("--option", metavar="NAME=VALUE", help="another option of the kind; may be repeated"),
-    ] = None,
-    list_options: Annotated[
-        bool, typer.Option("--options", help="list the options of the kind with their bounds")
-    ] = False,
-    min_force: Annotated[float | None, typer.Option(metavar="NEWTON", help="lower end of the force range")] = None,
-    max_force: Annotated[float | None, typer.Option(metavar="NEWTON", help="upper end of the force range")] = None,
-    min_volts: Annotated[
-        float | None, typer.Option(metavar="VOLT", help="lower end of the voltage range, in place of force")
-    ] = None,
-    max_volts: Annotated[
-        float | None, typer.Option(metavar="VOLT", help="upper end of the voltage range, in place of force")
-    ] = None,
-    seconds: Annotated[float | None, typer.Option(metavar="SECONDS", help="length without preload")] = None,
-    seed: Annotated[
-        int | None, typer.Option(min=0, max=2**63 - 1, help="seed; the same seed gives the same samples")
-    ] = None,
-    out: Annotated[
-        Path | None, typer.Option("--out", metavar="FILE", help="save the stimulus for 'tissueid test'")
-    ] = None,
-    csv: Annotated[Path | None, typer.Option("--csv", metavar="FILE", help="write the samples as CSV")] = None,
-    plot: Annotated[
-        Path | None, typer.Option("--plot", metavar="FILE", help="write the figures as .html, .pdf, .png or .svg")
-    ] = None,
-    device: Annotated[
-        str | None,
-        typer.Option("--device", metavar="URL", help="instrument that plays it; default: the desktop device"),
-    ] = None,
-    limits: Annotated[str, typer.Option(help="clinical (12 N) or research (15 N)")] = "clinical",
-    json_file: JsonFile = None,
-) -> None:
+@add_command(app, "stimulus", "stimulus_design")
+def stimulus(plan: StimulusPlan, json_file: JsonFile = None) -> None:
     """Design a stimulus, or check a saved one.
 
     Prints its properties and the load on the coil, and writes its figures.
     """
-    from tissueid.cli.stimulus import run_stimulus
-    from tissueid.cli.stimulus_options import CommonOptions
-    from tissueid.cli.stimulus_output import Targets
+    from tissueid.cli.stimulus import print_stimulus
 
-    common = CommonOptions(
-        min_force=min_force,
-        max_force=max_force,
-        min_volts=min_volts,
-        max_volts=max_volts,
-        seconds=seconds,
-        seed=seed,
-    )
-    targets = Targets(out=out, csv=csv, plot=plot, json=json_file)
-    run_stimulus(what, common, option or [], list_options, targets, device, limits)
+    print_stimulus(plan, json_file)
 
 
-@app.command()
-@plan_command
+@add_command(app, "identify", "identification")
 def identify(plan: IdentificationPlan, json_file: JsonFile = None) -> None:
     """Fit one engine to one saved test, and validate it.
 
@@ -187,19 +157,15 @@ def identify(plan: IdentificationPlan, json_file: JsonFile = None) -> None:
     print_identification(plan, json_file)
 
 
-@app.command()
-def engines(
-    engine: Annotated[str | None, typer.Argument(metavar="[ENGINE]", help="engine whose options are listed")] = None,
-    json_file: JsonFile = None,
-) -> None:
+@add_command(app, "engines", "identification")
+def engines(plan: EnginesPlan, json_file: JsonFile = None) -> None:
     """List the identification engines, or the options of one."""
     from tissueid.cli.engines import list_engines
 
-    list_engines(engine, json_file)
+    list_engines(plan, json_file)
 
 
-@app.command()
-@plan_command
+@add_command(app, "compare", "comparison")
 def compare(plan: ComparePlan, json_file: JsonFile = None) -> None:
     """Fit all engines to one saved test and compare their scores.
 
@@ -210,8 +176,7 @@ def compare(plan: ComparePlan, json_file: JsonFile = None) -> None:
     compare_session(plan, json_file)
 
 
-@app.command()
-@plan_command
+@add_command(app, "recover", "recovery")
 def recover(plan: RecoveryPlan, json_file: JsonFile = None) -> None:
     """Recover a session after a crash.
 
@@ -222,8 +187,7 @@ def recover(plan: RecoveryPlan, json_file: JsonFile = None) -> None:
     recover_session(plan, json_file)
 
 
-@app.command()
-@plan_command
+@add_command(app, "report", "report")
 def report(plan: ReportPlan) -> None:
     """Write the report of one saved test as an HTML page.
 

@@ -7,10 +7,10 @@ from pathlib import Path
 from rich.console import Console
 
 from tissueid.analysis import Analysis
-from tissueid.cli.audit_records import audit_trail
 from tissueid.cli.identify import readable
 from tissueid.cli.output import check_json, console_control, human_output, table, write_json
 from tissueid.procedures.demo import DemoPlan, run_demo
+from tissueid.procedures.instrument_access import audit_trail
 from tissueid.records import Estimate
 from tissueid.reports import Comparison
 

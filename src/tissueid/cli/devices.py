@@ -6,15 +6,15 @@ from dataclasses import asdict
 from pathlib import Path
 
 from tissueid.cli.output import check_json, human_output, table, write_json
-from tissueid.instrument import find_instruments
+from tissueid.procedures.instrument_queries import DevicesPlan, listed_instruments
 
 _ANSWERS = {True: "yes", False: "no", None: "not probed"}
 
 
-def list_devices(probe: bool, json_file: Path | None) -> None:
+def list_devices(plan: DevicesPlan, json_file: Path | None) -> None:
     """Print the instruments that were found, and why some did not answer."""
     check_json(json_file)
-    found = find_instruments(probe=probe)
+    found = listed_instruments(plan)
     out = human_output(json_file)
     rows = table("Instruments", "device", "what", "answers")
     for column in rows.columns:

@@ -7,19 +7,20 @@ from typing import Any, get_args
 
 from tissueid.cli.output import check_json, human_output, table, write_json
 from tissueid.formatting import plain_text
-from tissueid.identification import Engine, engine_names, get_engine
+from tissueid.identification import Engine
+from tissueid.procedures.identification import EnginesPlan, listed_engines
 
 
-def list_engines(name: str | None, json_file: Path | None) -> None:
+def list_engines(plan: EnginesPlan, json_file: Path | None) -> None:
     """List all engines, or the options of one; write their declarations as JSON.
 
     Raises:
         UnusableInputError: there is no engine of that name, or the file cannot be written.
     """
     check_json(json_file)
-    kinds = [get_engine(one) for one in (engine_names() if name is None else (name,))]
+    kinds = listed_engines(plan)
     out = human_output(json_file)
-    if name is None:
+    if plan.engine is None:
         rows = table("Engines", "Engine", "Family", "Description")
         for kind in kinds:
             rows.add_row(kind.name, str(kind.family), kind.title)

@@ -3,21 +3,20 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import Annotated
+from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from tissueid.cli.plan_command import plan_command
-from tissueid.procedures.blind_check import BlindCheckPlan
-from tissueid.procedures.gap_plans import AcceptPlan, DiagnosisPlan, FolderPlan
+from tissueid.cli.lazy_command import JsonFile, add_command
+
+if TYPE_CHECKING:  # plans are imported when their command is used
+    from tissueid.procedures.blind_check import BlindCheckPlan
+    from tissueid.procedures.gap_plans import AcceptPlan, DiagnosisPlan, FolderPlan, WatchPlan
 
 gap = typer.Typer(help="Diagnose the gap between simulation and recording.", no_args_is_help=True)
 
-JsonFile = Annotated[Path | None, typer.Option("--json", metavar="FILE", help="write the result as JSON; - prints it")]
 
-
-@gap.command("diagnose")
-@plan_command
+@add_command(gap, "diagnose", "gap_plans")
 def diagnose_command(plan: DiagnosisPlan, json_file: JsonFile = None) -> None:
     """Locate the gap of a session and name its cause.
 
@@ -28,23 +27,32 @@ def diagnose_command(plan: DiagnosisPlan, json_file: JsonFile = None) -> None:
     run_diagnose(plan, json_file)
 
 
-@gap.command("batch")
-@plan_command
+@add_command(gap, "batch", "gap_plans")
 def batch_command(
     plan: FolderPlan,
     json_file: Annotated[Path, typer.Option("--json", metavar="FILE", help="write the results by file name")],
 ) -> None:
     """Diagnose every session of a folder.
 
-    For a file that cannot be used, the result is the reason.
+    For a file that cannot be used, the result is the reason. After a kill the same command continues.
     """
     from tissueid.cli.gap_diagnosis import run_batch
 
     run_batch(plan, json_file)
 
 
-@gap.command("accept")
-@plan_command
+@add_command(gap, "watch", "gap_plans")
+def watch_command(plan: WatchPlan, json_file: JsonFile = None) -> None:
+    """Show the gap of sessions over time against a twin.
+
+    Names the first session of the folder in which the gap grew, and what grew. After a kill the same command continues.
+    """
+    from tissueid.cli.gap_watch import run_watch
+
+    run_watch(plan, json_file)
+
+
+@add_command(gap, "accept", "gap_plans")
 def accept_command(
     plan: AcceptPlan,
     yes: Annotated[bool, typer.Option("--yes", help="accept all members of a combination, and do not ask")] = False,
@@ -59,7 +67,7 @@ def accept_command(
     run_accept(plan, json_file, yes=yes)
 
 
-@gap.command("effects")
+@add_command(gap, "effects")
 def effects_command(json_file: JsonFile = None) -> None:
     """List the effects that a diagnosis can name."""
     from tissueid.cli.gap_effects import list_effects
@@ -67,8 +75,7 @@ def effects_command(json_file: JsonFile = None) -> None:
     list_effects(json_file)
 
 
-@gap.command("blind-check")
-@plan_command
+@add_command(gap, "blind-check", "blind_check")
 def blind_check_command(plan: BlindCheckPlan, json_file: JsonFile = None) -> None:
     """Score the diagnosis on scenarios with sealed labels.
 

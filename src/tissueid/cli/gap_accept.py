@@ -5,7 +5,6 @@ from __future__ import annotations
 import sys
 from pathlib import Path
 
-from tissueid.cli.audit_records import audit_trail
 from tissueid.cli.output import check_json, console, console_control, human_output
 from tissueid.cli.twin_output import print_twin
 from tissueid.errors import CancelledError, UnusableInputError
@@ -15,6 +14,7 @@ from tissueid.gap.statement import members_of, percent
 from tissueid.procedures.accept_effects import accept_effects
 from tissueid.procedures.diagnosis import diagnose_session
 from tissueid.procedures.gap_plans import AcceptPlan
+from tissueid.procedures.instrument_access import audit_trail
 from tissueid.procedures.output_files import check_different
 
 

@@ -43,7 +43,8 @@ def check_blind(plan: BlindCheckPlan, json_file: Path | None) -> None:
         out.print(f"report: {plan.page}", markup=False)
     if json_file is not None:
         kinds = {kind: score_answer(score) for kind, (_, _, score) in check.scores.items()}
-        about = {"seal": check.seal, "n": check.n, "seed": check.seed}
+        about = {"seal": check.seal, "n": check.n, "seed": check.seed, "laboratory": check.laboratory}
+        about |= {"skin": check.skin, "against_twin": check.against_twin}
         write_json(json_file, about | {"kinds": kinds, "answers": checked.answers})
 
 
@@ -53,7 +54,8 @@ def _print_result(console: Console, title: str, count: int, score: Score) -> Non
         f"{item.what} {item.value:.0%}" if item.value == item.value else f"{item.what} {MISSING}"
         for item in score.controls
     )
-    console.print(f"  controls, top-1: {controls}", markup=False)
+    if score.controls:
+        console.print(f"  controls, top-1: {controls}", markup=False)
     for failure in score.failures:
         console.print(f"  failure: {failure}", markup=False)
 
@@ -109,5 +111,5 @@ def score_answer(score: Score) -> dict[str, Any]:
         "confusion": score.confusion,
         "risk_coverage": [list(point) for point in score.risk_coverage],
         "failures": list(score.failures),
-        **{key: item.value for key, item in zip(_CONTROLS, score.controls, strict=True)},
+        **{key: item.value for key, item in zip(_CONTROLS, score.controls, strict=bool(score.controls))},
     }

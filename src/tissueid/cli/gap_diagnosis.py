@@ -8,14 +8,15 @@ from typing import Any
 import numpy as np
 from rich.table import Table
 
-from tissueid.cli.audit_records import audit_trail
 from tissueid.cli.output import check_json, console_control, human_output, table, write_json
 from tissueid.gap import Diagnosis, as_answer
 from tissueid.gap.statement import headline_of, members_of, ordered_candidates, percent
 from tissueid.messages import MISSING
 from tissueid.procedures.accept_effects import accept_effects
-from tissueid.procedures.diagnosis import diagnose_folder, diagnose_session
+from tissueid.procedures.diagnosis import diagnose_session
+from tissueid.procedures.gap_folder import diagnose_folder
 from tissueid.procedures.gap_plans import AcceptPlan, DiagnosisPlan, FolderPlan
+from tissueid.procedures.instrument_access import audit_trail
 from tissueid.procedures.output_files import check_different
 from tissueid.twin.effect import STAGE_NAMES
 
@@ -59,13 +60,14 @@ def run_batch(plan: FolderPlan, json_file: Path) -> None:
     console = human_output(json_file)
     written: dict[str, Any] = {}
     for path, answer in answers.items():
-        line, written[path.name] = (answer, {"error": answer}) if isinstance(answer, str) else answer
+        line = answer if isinstance(answer, str) else answer.pop("line")
+        written[path.name] = {"error": answer} if isinstance(answer, str) else answer
         console.print(f"{path.name}: {line}", markup=False, soft_wrap=True)
     write_json(json_file, written)
 
 
-def _line_and_answer(found: Diagnosis) -> tuple[str, dict[str, Any]]:
-    return _short(found), as_answer(found)
+def _line_and_answer(found: Diagnosis) -> dict[str, Any]:
+    return {"line": _short(found)} | as_answer(found)
 
 
 def _short(found: Diagnosis) -> str:
@@ -90,6 +92,12 @@ def summary_lines(found: Diagnosis) -> list[str]:
             f"With {' and '.join(found.combination)}: {figures.after:.2%}, {figures.closed:.0%} of the gap closed "
             f"({_interval(figures.closed_ci)})."
         )
+    if found.budget is not None and len(found.budget.steps) > 1:
+        lines += [
+            f"  {step.effect}: closes {step.added:.0%} ({_interval(step.added_ci)}) when it is added, "
+            f"{step.removed:.0%} ({_interval(step.removed_ci)}) when it alone is removed."
+            for step in found.budget.steps
+        ]
     if np.isfinite(found.ceiling):
         lines.append(f"Ceiling: {found.ceiling:.0%}, closed by a flexible regression or by the best candidate.")
     if found.at_fault:

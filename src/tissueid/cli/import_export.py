@@ -4,11 +4,8 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any
+from typing import TYPE_CHECKING, Any
 
-import typer
-
-from tissueid.cli.audit_records import audit_trail
 from tissueid.cli.output import (
     ConsoleControl,
     check_json,
@@ -18,21 +15,22 @@ from tissueid.cli.output import (
     table,
     write_json,
 )
-from tissueid.cli.plan_command import plan_command
 from tissueid.formatting import clean, number
 from tissueid.procedures.import_export import ExportPlan, ImportPlan, run_export, run_import
+from tissueid.procedures.instrument_access import audit_trail
 from tissueid.procedures.output_files import check_different
 
 if TYPE_CHECKING:  # takes long to import
     from tissueid.sessions import Test
     from tissueid.sessions.imports import Imported
 
-_JsonFile = Annotated[Path | None, typer.Option("--json", metavar="FILE", help="write the result as JSON; - prints it")]
 
+def import_files(plan: ImportPlan, json_file: Path | None) -> None:
+    """Import files as a session, and print its tests.
 
-@plan_command
-def import_command(plan: ImportPlan, json_file: _JsonFile = None) -> None:
-    """Import CSV, MAT or LVM files as a session. Files of 'tissueid export' need no --map."""
+    Raises:
+        UnusableInputError: a file, a column or an option cannot be used.
+    """
     check_json(json_file)
     check_different(plan.out, json_file)
     with progress_bars() as show:
@@ -82,9 +80,7 @@ def _answer(item: Imported, test: Test) -> dict[str, Any]:
 
 
 def _print_result(path: Path, json_file: Path | None, tests: Sequence[dict[str, Any]], notices: Sequence[str]) -> None:
-    out = human_output(json_file)
-    if not out.is_terminal:
-        out.width = 120
+    out = human_output(json_file, width=120)
     rows = table(str(path), "test", "kind", "samples", "rate Hz", "signal", "column", "unit", "from", "to", "missing")
     for test in tests:
         first = [str(test["test"]), test["kind"], str(test["samples"]), number(test["sample_rate_hz"], 6)]
@@ -100,11 +96,11 @@ def _print_result(path: Path, json_file: Path | None, tests: Sequence[dict[str, 
         out.print(notice, markup=False, soft_wrap=True)
 
 
-@plan_command
-def export_command(plan: ExportPlan, json_file: _JsonFile = None) -> None:
-    """Export a session for other programs, one file per test.
+def export_tests(plan: ExportPlan, json_file: Path | None) -> None:
+    """Export a session, and print its files.
 
-    The attributes of each test are written as JSON next to it.
+    Raises:
+        UnusableInputError: the session, an option or the folder cannot be used.
     """
     check_json(json_file)
     check_different(plan.out, json_file)

@@ -43,9 +43,15 @@ _BETWEEN_LINES_S = 3.0
 """Interval of progress lines where standard error is not a terminal."""
 
 
-def human_output(json_file: Path | None) -> Console:
-    """Return the console for people: standard output, or standard error if JSON goes to standard output."""
-    return console if str(json_file) == "-" else PlainConsole(highlight=False)
+def human_output(json_file: Path | None, width: int | None = None) -> Console:
+    """Return the console for people: standard output, or standard error if JSON goes to standard output.
+
+    ``width`` is the number of characters of a line where the output is not a terminal; None for the usual one.
+    """
+    out = console if str(json_file) == "-" else PlainConsole(highlight=False)
+    if width is not None and not out.is_terminal:
+        out.width = width
+    return out
 
 
 def check_json(target: Path | None) -> None:

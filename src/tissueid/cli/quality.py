@@ -5,27 +5,25 @@ from __future__ import annotations
 from collections.abc import Iterable, Iterator
 from pathlib import Path
 
-from tissueid.acquisition.quality import Quality, judge_session, quality_of
+from tissueid.acquisition.quality import Quality, quality_of
 from tissueid.cli.output import check_json, human_output, table, write_json
 from tissueid.messages import Message
-from tissueid.sessions import Session, Test, read_session
+from tissueid.procedures.quality import QualityPlan, judge_tests
+from tissueid.sessions import Session, Test
 
 _MARKS = {"note": "note", "look": "look", "repeat": "REPEAT"}
 
 
-def run_quality(path: Path, number: int | None, json_file: Path | None) -> None:
-    """Judge the tests of a session by the current rules; the file is not changed.
+def print_quality(plan: QualityPlan, json_file: Path | None) -> None:
+    """Judge the tests of a session and print verdicts and findings.
 
     Raises:
         UnusableInputError: the file is not a session, or does not contain the test.
     """
     check_json(json_file)
-    session = read_session(path)
-    chosen = session.test(number).number if number is not None or not session.tests else None
-    judged = [(test, found) for test, found in judge_session(session) if chosen in (None, test.number)]
-    out = human_output(json_file)
-    if not out.is_terminal:
-        out.width = 120
+    checked = judge_tests(plan)
+    session, judged = checked.session, checked.tests
+    out = human_output(json_file, width=120)
     rows = table("Quality", "test", "site", "kind", "verdict", "when it was recorded")
     for test, found in judged:
         before = quality_of(test)
@@ -38,7 +36,7 @@ def run_quality(path: Path, number: int | None, json_file: Path | None) -> None:
             out.print(line, markup=False)
     if json_file is not None:
         answer = [_answer(test, found) for test, found in judged]
-        write_json(json_file, {"session": str(path), "session_id": session.session_id, "tests": answer})
+        write_json(json_file, {"session": str(plan.session), "session_id": session.session_id, "tests": answer})
 
 
 def _answer(test: Test, found: Quality) -> dict[str, object]:

@@ -4,8 +4,8 @@ from __future__ import annotations
 
 from pathlib import Path
 
-from tissueid.cli.audit_records import audit_trail
 from tissueid.cli.output import ConsoleControl, check_json, human_output, messages_json, progress_bars, write_json
+from tissueid.procedures.instrument_access import audit_trail
 from tissueid.procedures.recovery import RecoveryPlan, run_recovery
 
 

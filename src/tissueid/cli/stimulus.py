@@ -2,160 +2,87 @@
 
 from __future__ import annotations
 
-import io
+import json
 from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
-import numpy as np
 from rich.console import Console
+from rich.table import Table
 
-from tissueid.acquisition.stimulus_choice import PRELOAD_S
-from tissueid.acquisition.stimulus_file import checksum, load_stimulus, save_stimulus
-from tissueid.analysis.design import Design
-from tissueid.cli.output import ConsoleControl, human_output, message_json, progress_bars, write_json
-from tissueid.cli.stimulus_options import (
-    CommonOptions,
-    kinds_answer,
-    kinds_table,
-    options_answer,
-    options_table,
-)
-from tissueid.cli.stimulus_output import CSV_HEAD, Targets, draw, rows_table
-from tissueid.device import DeviceDescription
-from tissueid.errors import LimitError, UnusableInputError
-from tissueid.instrument import PROFILES, Limits
-from tissueid.procedures.instrument_queries import described_device
-from tissueid.procedures.output_files import write_text
-from tissueid.procedures.plan_options import name_and_value
-from tissueid.procedures.stimulus_design import design_stimulus
-from tissueid.procedures.test_plan import specified
-from tissueid.stimuli import FeedbackKind, OpenLoopKind, Stimulus, StimulusKind, get_stimulus, to_voltage
-from tissueid.stimuli.interchange import InterchangeResult
-from tissueid.stimuli.stimulus_check import StimulusCheck, assess_stimulus
+from tissueid.acquisition.stimulus_choice import checksum
+from tissueid.analysis.stimulus_design import StimulusDesign
+from tissueid.cli.output import check_json, console_control, human_output, message_json, table, write_json
+from tissueid.cli.stimulus_options import kinds_answer, kinds_table, options_answer, options_table
+from tissueid.procedures.output_files import check_different
+from tissueid.procedures.simulated_feedback import FeedbackTrial
+from tissueid.procedures.stimulus_design import StimulusPlan, run_stimulus
+from tissueid.reports.feedback_run import REPORT_NOTE
+from tissueid.stimuli import get_stimulus
 
 
-def run_stimulus(
-    what: str | None,
-    common: CommonOptions,
-    options: Sequence[str],
-    list_options: bool,
-    targets: Targets,
-    url: str | None,
-    limits_name: str,
-) -> None:
-    """List kinds or options; or design or read a stimulus, check it, print it and write the requested files."""
-    if limits_name not in PROFILES:
-        raise UnusableInputError(f"--limits must be {' or '.join(PROFILES)}, got {limits_name!r}")
-    targets.check()
-    out = human_output(targets.json)
-    if not out.is_terminal:
-        out.width = 120
-    if what is None or list_options:
-        _refuse_extras(common, options, targets)
-        _list(what, targets.json, out)
-        return
-    limits = PROFILES[limits_name]
-    if _is_file(what):
-        if options or common.given():
-            raise UnusableInputError(f"{what} is a saved stimulus and contains its options: leave out other options")
-        chosen: Stimulus | StimulusKind = load_stimulus(Path(what))
+def print_stimulus(plan: StimulusPlan, json_file: Path | None) -> None:
+    """List kinds or options; or design or read a stimulus, check it, print it and write the requested files.
+
+    Raises:
+        UnusableInputError: the kind, an option, the device or a file cannot be used.
+        LimitError: the instrument would refuse the stimulus.
+    """
+    check_json(json_file)
+    check_different(*plan.outputs, json_file)
+    out = human_output(json_file, width=120)
+    if plan.lists:
+        plan.check()
+        answer = _list(plan.what, out)
     else:
-        given = common.given()
-        if {"force_min_n", "force_max_n"} & given.keys() and {"voltage_min_v", "voltage_max_v"} & given.keys():
-            raise UnusableInputError("give the range either as force or as voltage")
-        chosen = specified(get_stimulus(what), [name_and_value(option) for option in options], given)
-    if isinstance(chosen, FeedbackKind):
-        from tissueid.cli.stimulus_feedback import show_feedback
-
-        show_feedback(chosen, url, limits, targets, out)
-    elif isinstance(chosen, Stimulus):
-        show_open_loop(chosen, None, described_device(url), limits, targets, out)
-    elif isinstance(chosen, OpenLoopKind):
-        device = described_device(url)
-        with progress_bars() as show:
-            built, search = design_stimulus(chosen, ConsoleControl(show))
-        show_open_loop(built, search, device, limits, targets, out)
-    else:
-        raise UnusableInputError(f"the stimulus {what!r} can be neither built nor generated")
-
-
-def _is_file(what: str) -> bool:
-    return what.lower().endswith(".json") or "/" in what or Path(what).is_file()
-
-
-def _refuse_extras(common: CommonOptions, options: Sequence[str], targets: Targets) -> None:
-    if options or common.given() or targets.out or targets.csv or targets.plot:
-        raise UnusableInputError("name a stimulus; 'tissueid stimulus' lists all")
-
-
-def _list(kind: str | None, json_file: Path | None, out: Console) -> None:
-    if kind is None:
-        out.print(kinds_table())
-        out.print("'tissueid stimulus KIND --options' lists the options of a kind.", style="dim")
-        answer: Any = kinds_answer()
-    else:
-        out.print(options_table(get_stimulus(kind)))
-        out.print("Lists are JSON, such as --option 'notches=[[45, 55]]'.", style="dim")
-        answer = options_answer(get_stimulus(kind))
+        with console_control() as control:
+            made = run_stimulus(plan, control)
+        if made.design is not None:
+            answer = _print_design(made.design, out)
+        if made.trial is not None:
+            answer = _print_trial(made.trial, out)
+        for label, path in (("saved", plan.out), ("samples", plan.csv), ("plot", plan.plot)):
+            if path is not None:
+                out.print(f"{label}: {path}", markup=False)
     if json_file is not None:
         write_json(json_file, answer)
 
 
-def show_open_loop(
-    stimulus: Stimulus,
-    search: InterchangeResult | None,
-    device: DeviceDescription,
-    limits: Limits,
-    targets: Targets,
-    out: Console,
-) -> None:
-    """Check a stimulus, print it and write the requested files.
+def _list(kind: str | None, out: Console) -> Any:
+    """Print all kinds, or the options of one; return them for JSON."""
+    if kind is None:
+        out.print(kinds_table())
+        out.print("'tissueid stimulus KIND --options' lists the options of a kind.", style="dim")
+        return kinds_answer()
+    out.print(options_table(get_stimulus(kind)))
+    out.print("Lists are JSON, such as --option 'notches=[[45, 55]]'.", style="dim")
+    return options_answer(get_stimulus(kind))
 
-    Raises:
-        LimitError: the instrument would refuse the stimulus.
-    """
-    found = assess_stimulus(
-        stimulus,
-        device,
-        max_force_n=limits.max_force_n,
-        max_seconds=limits.max_seconds - (0.0 if stimulus.preload_s else PRELOAD_S),
-        max_temperature_c=limits.max_temperature_c,
-    )
-    for concern in found.concerns:
-        if concern.severity == "refused":
-            said = concern.words.rstrip(".")
-            raise LimitError(f"the instrument would refuse this stimulus: {said[:1].lower()}{said[1:]}")
-    design = Design(stimulus, device, found, search)
-    out.print(rows_table(f"Stimulus {design.specification.name}", design.rows()))
-    for concern in found.concerns:
+
+def _print_design(design: StimulusDesign, out: Console) -> dict[str, Any]:
+    """Print a stimulus and its check; return them for JSON."""
+    out.print(_table(f"Stimulus {design.specification.name}", design.rows()))
+    for concern in design.appraisal.concerns:
         out.print(f"{concern.severity}: {concern.words}", markup=False)
-    if targets.plot is not None:
-        from tissueid.reports.stimulus_report import stimulus_report
-
-        draw(targets.plot, stimulus_report(design))
-    if targets.csv is not None:
-        write_text(targets.csv, _csv(stimulus, device))
-    if targets.out is not None:
-        save_stimulus(targets.out, stimulus)
-    targets.print_files(out)
-    if targets.json is not None:
-        write_json(targets.json, _answer(stimulus, found) | design.answer())
+    return _open_loop_answer(design)
 
 
-def _csv(stimulus: Stimulus, device: DeviceDescription) -> str:
-    """Return time, value and command of every sample as CSV, with numbers at full precision."""
-    command = to_voltage(stimulus.values, device, stimulus.unit)
-    quantity = "force_n" if stimulus.unit == "N" else "voltage_v"
-    text = io.StringIO()
-    text.write(f"{CSV_HEAD}{quantity},command_v\n")
-    time_s = np.arange(len(stimulus)) / stimulus.sample_rate_hz
-    for row in zip(time_s.tolist(), stimulus.values.tolist(), command.tolist(), strict=True):
-        text.write(f"{row[0]:.9g},{row[1]!r},{row[2]!r}\n")
-    return text.getvalue()
+def _print_trial(trial: FeedbackTrial, out: Console) -> dict[str, Any]:
+    """Print the trial of a feedback stimulus; return it for JSON."""
+    out.print(_table(f"Stimulus {trial.kind.name} on {trial.url}", trial.rows()))
+    return _trial_answer(trial)
 
 
-def _answer(stimulus: Stimulus, found: StimulusCheck) -> dict[str, Any]:
+def _table(title: str, rows: Sequence[tuple[str, str]]) -> Table:
+    drawn = table(title, "quantity", "value")
+    drawn.columns[1].justify = "left"
+    for row in rows:
+        drawn.add_row(*row)
+    return drawn
+
+
+def _open_loop_answer(design: StimulusDesign) -> dict[str, Any]:
+    stimulus, found = design.stimulus, design.appraisal
     return {
         "description": stimulus.description,
         "samples": len(stimulus),
@@ -184,4 +111,21 @@ def _answer(stimulus: Stimulus, found: StimulusCheck) -> dict[str, Any]:
             {"severity": concern.severity, "words": concern.words, "message": message_json(concern.words)}
             for concern in found.concerns
         ],
+    } | design.answer()
+
+
+def _trial_answer(trial: FeedbackTrial) -> dict[str, Any]:
+    test, run = trial.test, trial.run
+    return {
+        "description": trial.kind.describe(),
+        "device": trial.url,
+        "samples": int(run.force.size),
+        "sample_rate_hz": run.sample_rate_hz,
+        "unit": "N",
+        "kolmogorov_distance": run.distance,
+        "generating_share": trial.note("generating_share"),
+        "generating_longest_s": trial.note("generating_longest_s"),
+        "late_blocks": trial.note("late_blocks"),
+        "report": json.loads(str(test.notes[REPORT_NOTE])),
+        "depth_profile": None if run.profile is None else run.profile.as_rows(),
     }

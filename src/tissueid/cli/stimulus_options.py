@@ -1,11 +1,10 @@
-"""Kinds and options of ``tissueid stimulus``: tables, JSON, and parsing."""
+"""Kinds and options of ``tissueid stimulus``: tables and JSON."""
 
 from __future__ import annotations
 
 import re
 import types
 from collections.abc import Iterator
-from dataclasses import dataclass
 from typing import Any, Literal, Union, get_args, get_origin
 
 from pydantic.fields import FieldInfo
@@ -18,30 +17,6 @@ from tissueid.stimuli import FeedbackKind, StimulusKind, get_stimulus, stimulus_
 _BOUNDS = (("ge", "{} or more"), ("gt", "over {}"), ("le", "up to {}"), ("lt", "under {}"))
 _SOURCE = re.compile(r"\s*\([^()]*\d{4}[^()]*\)")
 _WORDS = {float: "number", int: "whole number", bool: "true or false", str: "text", tuple: "list"}
-
-
-@dataclass(frozen=True, kw_only=True)
-class CommonOptions:
-    """Options that many kinds share and that have their own names on the command line; None where not given."""
-
-    min_force: float | None = None
-    max_force: float | None = None
-    min_volts: float | None = None
-    max_volts: float | None = None
-    seconds: float | None = None
-    seed: int | None = None
-
-    def given(self) -> dict[str, tuple[str, float | int]]:
-        """Return name on the command line and value of the given options, by field of the specification."""
-        names = {
-            "force_min_n": ("--min-force", self.min_force),
-            "force_max_n": ("--max-force", self.max_force),
-            "voltage_min_v": ("--min-volts", self.min_volts),
-            "voltage_max_v": ("--max-volts", self.max_volts),
-            "seconds": ("--seconds", self.seconds),
-            "seed": ("--seed", self.seed),
-        }
-        return {field: (name, value) for field, (name, value) in names.items() if value is not None}
 
 
 def kinds_answer() -> list[dict[str, Any]]:

@@ -12,8 +12,8 @@ from contextlib import contextmanager
 from tissueid.cli.output import console
 from tissueid.errors import CancelledError
 from tissueid.messages import Message
+from tissueid.procedures.control import BY_KEY
 
-BY_KEY = Message("stop.key", "stopped by key")
 STOPS = b" \r\n\x1bqQ"
 """Bytes of the stop keys. Arrow keys and the like begin with Escape and therefore stop too."""
 HINT = "Space, Enter, q or Esc stops the test and releases the coil at once"

@@ -9,17 +9,18 @@ from tissueid.acquisition.journal import JournalError
 from tissueid.acquisition.live import LiveIdentification
 from tissueid.acquisition.playback import Progress
 from tissueid.calibration.active import calibration_summary, warnings_of
-from tissueid.cli.audit_records import audit_trail
 from tissueid.cli.output import ConsoleControl, check_json, console, human_output, progress_bars, write_json
 from tissueid.cli.quality import recorded_findings
 from tissueid.cli.stop_key import StopKey, stop_key
-from tissueid.cli.test_summary import answer_of, out_of_reach, tests_table
+from tissueid.cli.test_summary import answer_of, tests_table
 from tissueid.errors import UnusableInputError
 from tissueid.formatting import fixed, plus_minus
 from tissueid.identification.live.live_view import LiveView
 from tissueid.identification.live.stopping import StopRule
 from tissueid.instrument import Instrument, Limits
 from tissueid.messages import Message, joined
+from tissueid.procedures.depth_coverage import out_of_reach
+from tissueid.procedures.instrument_access import audit_trail
 from tissueid.procedures.output_files import check_different
 from tissueid.procedures.test_plan import TestPlan
 from tissueid.procedures.test_run import TestControl, TestOutcome, TestStep, run_test
@@ -79,9 +80,7 @@ def _answer(plan: TestPlan, session: Session, steps: tuple[TestStep, ...], json_
 
 
 def _print_result(plan: TestPlan, session: Session, json_file: Path | None) -> None:
-    console = human_output(json_file)
-    if not console.is_terminal:
-        console.width = 120
+    console = human_output(json_file, width=120)
     console.print(f"session: {plan.out}", markup=False)
     console.print(f"instrument: {calibration_summary(session.instrument)}", markup=False)
     for warning in warnings_of(session.instrument):
@@ -111,7 +110,7 @@ class _TerminalControl(ConsoleControl, TestControl):
         self._identification: LiveIdentification | None = None
         self._shown_s = 0.0
 
-    def opened(self, instrument: Instrument, limits: Limits) -> None:
+    def ready(self, instrument: Instrument, limits: Limits) -> None:
         """Read the stop keys from now on."""
         self._key = self._stack.enter_context(stop_key())
 

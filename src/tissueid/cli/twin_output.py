@@ -6,47 +6,40 @@ from pathlib import Path
 from typing import Any
 
 from tissueid.cli.output import check_json, human_output, table, write_json
-from tissueid.errors import UnusableInputError
 from tissueid.formatting import number
-from tissueid.instrument.twin_file import TwinFile, read_twin
-from tissueid.instrument.twin_list import SUFFIX
+from tissueid.instrument.twin_file import TwinFile
 from tissueid.messages import MISSING
+from tissueid.procedures.saved_twins import TwinFolderPlan, TwinPlan, saved_twin, saved_twins
 
 _PLAY = "simulated://"
 
 
-def show_twin(file: Path, json_file: Path | None) -> None:
+def show_twin(plan: TwinPlan, json_file: Path | None) -> None:
     """Print a twin.
 
     Raises:
         UnusableInputError: the file is not a twin.
     """
     check_json(json_file)
-    print_twin(file, read_twin(file), json_file)
+    print_twin(plan.file, saved_twin(plan), json_file)
 
 
-def list_twins(folder: Path, json_file: Path | None) -> None:
+def list_twins(plan: TwinFolderPlan, json_file: Path | None) -> None:
     """Print the twins in a folder.
 
     Raises:
         UnusableInputError: the folder does not exist.
     """
     check_json(json_file)
-    if not folder.is_dir():
-        raise UnusableInputError(f"there is no folder {folder}")
-    rows = table(str(folder), "file", "name", "version", "effects", "closed", "made")
+    rows = table(str(plan.folder), "file", "name", "version", "effects", "closed", "made")
     answers = []
-    for path in sorted(folder.glob(f"*{SUFFIX}")):
-        try:
-            content = read_twin(path)
-        except UnusableInputError:
-            continue
+    for path, content in saved_twins(plan).items():
         effects = ", ".join(item.name for item in content.effects)
         share = MISSING if content.source.closed is None else f"{content.source.closed:.0%}"
         rows.add_row(path.name, content.name, str(content.version), effects, share, content.created)
         answers.append({"file": str(path), **_answer(content)})
     out = human_output(json_file)
-    out.print(rows if answers else f"there are no twins in {folder}", markup=False)
+    out.print(rows if answers else f"there are no twins in {plan.folder}", markup=False)
     if json_file is not None:
         write_json(json_file, {"twins": answers})
 

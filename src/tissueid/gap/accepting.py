@@ -12,7 +12,7 @@ from tissueid.gap.diagnosis import Diagnosis
 from tissueid.gap.preparation import prepare
 from tissueid.gap.scoring import Candidate, closed, floor, gap, quiet_tests
 from tissueid.gap.search import Search, SearchProgress, applicable
-from tissueid.gap.twin_export import next_version, time_of_creation, twin_file_of, with_prior_twin
+from tissueid.gap.twin_export import against_twin, next_version, time_of_creation, twin_file_of
 from tissueid.gap.workers import Executor
 from tissueid.instrument.twin_file import MOST_NAMED, TwinFile
 from tissueid.language import marked
@@ -102,10 +102,7 @@ def accept_named(
             )
         )
     session = read_session(path)
-    dataset = prepare(session, fit, check)
-    known: tuple[str, ...] = ()
-    if before is not None:
-        dataset, known = with_prior_twin(dataset, before.twin), before.twin.effects
+    dataset, known = against_twin(prepare(session, fit, check), before)
     for name in names:
         if name in known:
             raise UnusableInputError(Message("accept.known", "the twin has the effect {effect} already", effect=name))
@@ -121,7 +118,7 @@ def accept_named(
     baseline = best = search.baseline(known)
     dataset = baseline.fit.parameters.dataset
     for name in names:
-        tried = Search(dataset, people, [name], progress, cancelled).pairs_with(best, [best])
+        tried = Search(dataset, people, [name], progress, cancelled).add_to([best])
         if not tried:
             raise UnusableInputError(
                 Message(

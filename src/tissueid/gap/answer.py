@@ -41,6 +41,7 @@ def as_answer(found: Diagnosis) -> dict[str, Any]:
             for item in found.ranking
         ],
         "combination": list(found.combination),
+        "budget": None if found.budget is None else found.budget.as_answer(),
         "members": [
             {
                 "effect": item.effect,

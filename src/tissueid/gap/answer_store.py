@@ -24,12 +24,16 @@ _KEYS = {"verdict", "gap", "where", "ranking", "combination"}
 
 @dataclass(frozen=True)
 class CheckInProgress:
-    """A check in progress: its draw, the SHA-256 of its labels, and the version of the software that answers."""
+    """A check in progress: its draw, the SHA-256 of its labels, its laboratory, whether its scenarios are on skin and
+    are diagnosed against an accepted twin, and the version that answers."""
 
     n: int
     seed: int
     full_share: float
     seal: str
+    laboratory: str = "first"
+    skin: bool = False
+    against_twin: bool = False
     software: str = __version__
 
 
@@ -59,7 +63,14 @@ def check_in_progress(folder: Path) -> CheckInProgress:
         )
     try:
         begun = CheckInProgress(
-            int(found["n"]), int(found["seed"]), float(found["full_share"]), str(found["seal"]), str(found["software"])
+            int(found["n"]),
+            int(found["seed"]),
+            float(found["full_share"]),
+            str(found["seal"]),
+            str(found["laboratory"]),
+            bool(found["skin"]),
+            bool(found["against_twin"]),
+            str(found["software"]),
         )
     except (KeyError, TypeError, ValueError) as error:
         raise UnusableInputError(

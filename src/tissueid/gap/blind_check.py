@@ -9,16 +9,19 @@ from typing import Any
 
 import numpy as np
 
+from tissueid.gap.accepting import named_effects
 from tissueid.gap.answer import as_answer
 from tissueid.gap.answer_store import store_answer, stored_answer
 from tissueid.gap.blind_scoring import Answered, Label, Score, survives
 from tissueid.gap.dataset import Dataset, Purpose
 from tissueid.gap.diagnosis import diagnose
 from tissueid.gap.preparation import prepare
-from tissueid.gap.scenarios import alone_sessions, read_scenario
+from tissueid.gap.scenarios import alone_sessions, earlier_session, read_scenario
 from tissueid.gap.scoring import ChannelError, floor, gap, quiet_tests
 from tissueid.gap.search import Search
+from tissueid.gap.twin_export import against_twin, twin_file_of
 from tissueid.gap.workers import Executor, SerialExecutor
+from tissueid.instrument.twin_file import TwinFile, read_twin, write_twin
 from tissueid.sessions import Session
 from tissueid.twin.catalogue import all_effects
 
@@ -56,18 +59,38 @@ class BlindScenario:
 
         ``oracle`` is the gap that the true signals leave. ``in_sample`` is the effect that fits the fitted samples
         best, which a search without held-out data would name. For a pair ``survive_alone`` holds for each effect
-        whether the session with that effect alone has a gap that survives the refit.
+        whether the session with that effect alone has a gap that survives the refit. ``accepted`` holds the effects of
+        the twin of the earlier session, where there is one.
         """
         dataset = prepare(read_scenario(self.folder, self.name))
         names = [name for name in all_effects() if name not in self.without] if self.without else None
-        found = diagnose(dataset, SerialExecutor(), candidates=names)
+        earlier = earlier_session(self.folder, self.name)
+        dataset, known = against_twin(dataset, None if earlier is None else accepted_twin(self.folder, earlier))
+        found = diagnose(dataset, SerialExecutor(), known=known, candidates=names)
         singles = found.found.singles
         greedy = min(singles, key=lambda item: item.fit.cost, default=None)
         return as_answer(found) | {
+            "accepted": list(known),
             "oracle": _oracle(dataset, read_scenario(self.folder, self.name, "clean")),
-            "in_sample": greedy.effects[0] if greedy is not None else None,
+            "in_sample": greedy.effects[-1] if greedy is not None else None,
             "survive_alone": [_survives(alone) for alone in alone_sessions(self.folder, self.name)],
         }
+
+
+def accepted_twin(folder: Path, earlier: str) -> TwinFile:
+    """Return the twin of an earlier session: with the effects that its diagnosis names, without any where it names
+    none. It is kept in the folder of the scenarios for the other sessions of the same person.
+
+    Raises:
+        UnusableInputError: the session cannot be diagnosed, or the twin cannot be read or written.
+    """
+    path = folder / f"{earlier}.toml"
+    if path.exists():
+        return read_twin(path)
+    found = diagnose(prepare(read_scenario(folder, earlier)), SerialExecutor())
+    twin = named_effects(found, earlier, None).twin or twin_file_of(found.found.baseline, earlier, session_id=earlier)
+    write_twin(path, twin)
+    return twin
 
 
 def diagnosed(piece: BlindScenario) -> dict[str, Any]:
@@ -108,8 +131,10 @@ def answers(
 
 @dataclass(frozen=True)
 class BlindCheck:
-    """A finished blind check: the SHA-256 of its labels, its draw, and a score for each kind of session.
+    """A finished blind check: the SHA-256 of its labels, its draw and laboratory, whether its
+    scenarios are on skin, and a score for each kind of session.
 
+    ``against_twin`` says whether they were diagnosed against the twin of an earlier session.
     ``scores`` holds title, number of scenarios and score, by ``single`` and ``full``.
     """
 
@@ -117,6 +142,9 @@ class BlindCheck:
     n: int
     seed: int
     scores: dict[str, tuple[str, int, Score]]
+    laboratory: str = "first"
+    skin: bool = False
+    against_twin: bool = False
 
 
 def with_labels(found: dict[str, dict[str, Any]], labels: dict[str, Label]) -> list[Answered]:

@@ -29,12 +29,17 @@ def survives(before: float | None, floor: float) -> bool:
 
 @dataclass(frozen=True)
 class Label:
-    """The truth of a scenario: effects by name with their stages, and whether the library includes each."""
+    """The truth of a scenario: effects by name with their stages, and whether the library includes each.
+
+    In scenarios on skin, ``hidden`` are those of the effects that the preset does not have, and ``preset`` its name.
+    """
 
     effects: tuple[str, ...]
     stages: tuple[str, ...]
     listed: tuple[bool, ...]
     full: bool
+    hidden: tuple[str, ...] = ()
+    preset: str = ""
 
 
 @dataclass(frozen=True)

@@ -12,9 +12,10 @@ from typing import Literal
 import numpy as np
 from numpy.typing import NDArray
 
-from tissueid.device import DeviceDescription
+from tissueid.device import GRAVITY_M_S2, DeviceDescription
 from tissueid.gap.equivalent_oscillator import Equivalent
-from tissueid.gap.excitation import UPSTREAM, DrivenBy
+from tissueid.gap.excitation import UPSTREAM, DrivenBy, interpolated
+from tissueid.twin.simulation import MeasuredSignals
 
 FloatArray = NDArray[np.float64]
 Fixture = Literal["tissue", "spring", "air"]
@@ -68,6 +69,24 @@ class DatasetTest:
         """Sample rate and hash of the command: equal for a test and its repeats."""
         return self.sample_rate_hz, blake2b(self.command.tobytes(), digest_size=16).digest()
 
+    def excitation(self, tracking_rad_s: float = 0.0) -> MeasuredSignals:
+        """Return the excitation if it was measured, and the position for an observer of a bandwidth above 0.
+
+        It is the same object every time.
+        """
+        if tracking_rad_s not in self._excitations:
+            self._excitations[tracking_rad_s] = MeasuredSignals(
+                voltage=self.command if self.driven_by == "voltage" else None,
+                current=self.command if self.driven_by == "current" else None,
+                position=interpolated(self.signals["position"]) if tracking_rad_s > 0.0 else None,
+                tracking_rad_s=tracking_rad_s,
+            )
+        return self._excitations[tracking_rad_s]
+
+    @cached_property
+    def _excitations(self) -> dict[float, MeasuredSignals]:
+        return {}
+
     @property
     def quiet(self) -> bool:
         """Whether the test has no stimulus."""
@@ -79,6 +98,11 @@ class DatasetTest:
         position = self.signals["position"]
         first = position[np.isfinite(position)][:3]
         return bool(first.size) and abs(float(np.median(first)) - self.surface_m) < AT_SURFACE_M
+
+    @cached_property
+    def spreads(self) -> dict[str, float]:
+        """Standard deviation of each recorded signal, SI."""
+        return {name: float(np.nanstd(values)) for name, values in self.signals.items()}
 
     def serving(self, purpose: Purpose) -> NDArray[np.bool_]:
         """Return True for samples of a purpose, shape (n,)."""
@@ -106,8 +130,15 @@ class Dataset:
     remarks: tuple[str, ...] = ()
     priors: Mapping[str, Prior] = field(default_factory=dict)
     """Priors of coordinates from a saved twin, by name."""
+    unmodelled: Mapping[str, float] = field(default_factory=dict)
+    """Error that a saved twin is known to leave in tests on tissue, by channel, as a share of the standard deviation of
+    the recorded signal."""
     equivalent: Equivalent | None = None
     """Conversion of input-output records to force and motion; None where the instrument is known."""
+    gravity_m_s2: tuple[float, float] = (0.0, GRAVITY_M_S2)
+    """Gravity along the stroke and its standard deviation; by default the device can have any orientation."""
+    tracking_rad_s: float = 0.0
+    """Bandwidth of an observer that pulls each simulated motion towards the recorded one; 0 in every result."""
     impulsive: Mapping[str, float] = field(default_factory=dict)
     """Noise with outliers of channels that have outliers; ``noise`` is then without."""
 

@@ -13,7 +13,7 @@ from typing import Literal
 
 import numpy as np
 
-from tissueid.gap.scoring import Candidate, score
+from tissueid.gap.scoring import Candidate, misfit, score
 
 Verdict = Literal["effect", "no_gap", "unexplained"]
 
@@ -39,10 +39,14 @@ class Thresholds:
     clear_share: float = 0.12
     """Largest share of the score that is left where more is required: for an effect with an exact law, and where the
     evidence by stages contradicts the candidate."""
-    pair_gain: float = 0.3
-    """Least decrease of the score by a second effect, nats."""
-    pair_leaves: float = 0.36
-    """Largest share of the gap of the single effect that a pair leaves, unless both are at the floor."""
+    set_gain: float = 0.3
+    """Least decrease of the score by a member of a set, nats."""
+    set_leaves: float = 0.36
+    """Largest share of the gap without a member that the set leaves, unless it is at the floor."""
+    structural: float = 0.9
+    """Closed share from which what a set leaves is taken as the structural error of its members, all of them right."""
+    growth: float = 0.03
+    """Least decrease of the misfit by a further effect that is followed, nats."""
     nearly_all: float = 0.985
     """Closed share above which the search ends."""
     temperature: float = 0.06
@@ -84,6 +88,11 @@ def probabilities(
     temperature = thresholds.temperature + thresholds.temperature_share * float(min(costs.min(), unlisted))
     weights = np.exp(-(np.append(costs, unlisted) - min(costs.min(), unlisted)) / temperature)
     return [float(value) for value in weights[:-1] / weights.sum()]
+
+
+def may_be_gap(baseline: Candidate, thresholds: Thresholds = THRESHOLDS) -> bool:
+    """Return whether there can be a gap, whatever the candidates: False where the baseline leaves only noise."""
+    return baseline.score >= thresholds.least_score
 
 
 def is_gap(baseline: Candidate, best: Candidate | None, thresholds: Thresholds = THRESHOLDS) -> bool:
@@ -135,20 +144,25 @@ def lead_of(best: Candidate, rivals: Sequence[Candidate], thresholds: Thresholds
     return min(others, default=np.inf) - cost(best, thresholds)
 
 
-def better_pair(
-    single: Candidate, pair: Candidate, closed: float, closed_by_pair: float, thresholds: Thresholds = THRESHOLDS
+def grows(smaller: Candidate, larger: Candidate, thresholds: Thresholds = THRESHOLDS) -> bool:
+    """Return whether a larger or other set is followed further in the search: more lenient than ``is_needed``."""
+    return misfit(smaller) - misfit(larger) >= thresholds.growth or cost(smaller) - cost(larger) >= thresholds.set_gain
+
+
+def is_needed(
+    without: Candidate, found: Candidate, closed_without: float, closed: float, thresholds: Thresholds = THRESHOLDS
 ) -> bool:
-    """Return whether a pair is named instead of a single effect.
+    """Return whether a member of a set is named, by what its removal costs.
 
     Args:
-        single: the best single effect.
-        pair: the best pair.
-        closed: share of the gap that the single effect closes.
-        closed_by_pair: share that the pair closes.
+        without: the set without the member, refitted.
+        found: the set.
+        closed_without: share of the gap that the set closes without the member.
+        closed: share that it closes with the member.
         thresholds: thresholds of the decision.
     """
-    if cost(single, thresholds) - cost(pair, thresholds) < thresholds.pair_gain:
+    if cost(without, thresholds) - cost(found, thresholds) < thresholds.set_gain:
         return False
-    if pair.score <= thresholds.at_the_floor:
-        return closed_by_pair >= closed
-    return 1.0 - closed_by_pair <= thresholds.pair_leaves * (1.0 - closed)
+    if found.score <= thresholds.at_the_floor:
+        return closed >= closed_without
+    return 1.0 - closed <= thresholds.set_leaves * (1.0 - closed_without)

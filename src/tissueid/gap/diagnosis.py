@@ -9,28 +9,31 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 from scipy import stats
 
+from tissueid.gap.budget import Budget, budget, removal_path
 from tissueid.gap.ceiling import ceiling
 from tissueid.gap.dataset import Dataset, Purpose
 from tissueid.gap.decision import (
     THRESHOLDS,
     Verdict,
-    better_pair,
     cost,
     explains,
+    grows,
     is_gap,
+    is_needed,
     lead_of,
+    may_be_gap,
     probabilities,
     shows_in_the_check_alone,
 )
 from tissueid.gap.localisation import Localisation, localise
 from tissueid.gap.next_experiment import NextExperiment, next_experiment
-from tissueid.gap.scoring import Candidate, ChannelError, closed, errors, floor, gap, quiet_tests
+from tissueid.gap.scoring import Candidate, ChannelError, closed, errors, floor, gap, misfit, quiet_tests, score
 from tissueid.gap.screening import Screen, cosine
 from tissueid.gap.search import Search, SearchProgress, SearchResult
 from tissueid.gap.workers import Executor
 from tissueid.messages import Message
 from tissueid.twin.catalogue import all_effects, effect
-from tissueid.twin.effect import Stage, nested
+from tissueid.twin.effect import Effect, Stage, nested
 
 RANKED = 10
 """Most candidates in the ranking."""
@@ -48,6 +51,8 @@ RARE = Message(
 )
 TOP_CANDIDATES = 2
 """Number of top single effects that are tried with a second effect."""
+MOST_MEMBERS = 6
+"""Most effects of a set, in addition to those of the baseline."""
 
 
 @dataclass(frozen=True)
@@ -98,6 +103,9 @@ class Diagnosis:
     """For a named effect of a combination: the probability of each candidate in its place, given the other named
     effects, most probable first."""
 
+    budget: Budget | None = None
+    """Share of the gap that each named effect closes; None where nothing is named."""
+
     def __post_init__(self) -> None:
         if self.verdict == "no_gap":
             object.__setattr__(self, "where", self.where.neutral())
@@ -140,14 +148,17 @@ def diagnose(
     search = Search(dataset, pool, candidates, progress, cancelled)
     baseline = search.baseline(known)
     dataset = baseline.fit.parameters.dataset
-    found = search.singles(baseline)
+    found = search.singles(baseline) if may_be_gap(baseline) else SearchResult(baseline, (), ())
     best = min(found.candidates, key=cost, default=None)
+    together: tuple[Candidate, ...] = ()
     if best is not None and is_gap(baseline, best) and not _settled(baseline, best):
-        found = search.further(found)
-        best = min(found.candidates, key=cost)
+        together = search.tissue_set(baseline)
+        if not together or not grows(_leaders(found)[0], together[0]):
+            found = search.further(found)
+            best = min(found.candidates, key=cost)
     there_is = is_gap(baseline, best)
     if there_is and best is not None:
-        found, best = _with_pairs(search, found, best)
+        found, best = _with_sets(search, found, best, together)
     figures = figures_of(dataset, baseline, best if there_is else None)
     verdict: Verdict = "no_gap"
     places = localise(dataset, baseline)
@@ -158,37 +169,49 @@ def diagnose(
     elif shows_in_the_check_alone(baseline):
         verdict, remarks = "unexplained", (*remarks, RARE)
     named = best if verdict == "effect" else None
+    shares = None if named is None else _budget(search, baseline, named)
+    odds = {} if named is None else _conditional_odds(found, named, ranking, places)
     return Diagnosis(
         verdict,
         figures,
         _with_stage_of_cause(places, named, known),
         ranking,
         () if named is None else tuple(name for name in named.effects if name not in known),
-        _next(dataset, found, ranking, places, verdict),
+        _next(dataset, found, ranking, places, verdict, odds),
         remarks,
         time.monotonic() - began,
         dataset,
         found,
         best,
         _ceiling(baseline, figures) if there_is else float("nan"),
-        {} if named is None else _conditional_odds(found, named, ranking, places),
+        odds,
+        shares,
     )
+
+
+def _budget(search: Search, baseline: Candidate, named: Candidate) -> Budget:
+    path, without = removal_path(named, baseline.effects, search.remove_from)
+    left = None if score(named.checked_by) <= THRESHOLDS.at_the_floor else localise(search.dataset, named)
+    remains_in = left.stage if left is not None and left.above_floor else None
+    return budget(baseline, path, without, remains_in, _stretches, widened)
 
 
 def _conditional_odds(
     found: SearchResult, best: Candidate, ranking: Sequence[Ranked], places: Localisation
 ) -> dict[str, tuple[tuple[str, float], ...]]:
-    # The top single effect keeps its probability of the ranking: not all its rivals were refitted with the others.
+    # A member keeps its probability of the ranking of single effects where no rival was refitted with the others.
     named = set(best.effects) - set(found.baseline.effects)
     if len(named) == 1:
         return {}
     clearly = needs_strict_fit(best, places, found.baseline.effects)
     odds = {}
-    for name in named - {item.effect for item in ranking[:1]}:
+    for name in named:
         others = set(best.effects) - {name}
         rivals = [
             item for item in found.candidates if others < set(item.effects) and len(item.effects) == len(others) + 1
         ]
+        if len(rivals) < 2 and name in {item.effect for item in ranking[:1]}:
+            continue
         shares = probabilities(found.baseline, rivals, clearly=clearly)
         pairs = [(next(iter(set(item.effects) - others)), share) for item, share in zip(rivals, shares, strict=True)]
         odds[name] = tuple(sorted(pairs, key=lambda pair: -pair[1]))
@@ -201,10 +224,18 @@ def _ceiling(baseline: Candidate, figures: GapFigures) -> float:
 
 
 def _next(
-    dataset: Dataset, found: SearchResult, ranking: Sequence[Ranked], places: Localisation, verdict: Verdict
+    dataset: Dataset,
+    found: SearchResult,
+    ranking: Sequence[Ranked],
+    places: Localisation,
+    verdict: Verdict,
+    odds: Mapping[str, tuple[tuple[str, float], ...]],
 ) -> NextExperiment | None:
-    # None where the result is certain: no gap, or one cause with a clear lead.
-    if verdict == "no_gap" or (verdict == "effect" and ranking and ranking[0].probability >= CERTAIN):
+    # None where the result is certain: no gap, or causes with a clear lead.
+    certain = bool(ranking) and ranking[0].probability >= CERTAIN
+    if odds:
+        certain = all(dict(rivals).get(name, 0.0) >= CERTAIN for name, rivals in odds.items())
+    if verdict == "no_gap" or (verdict == "effect" and certain):
         return None
     singles = found.singles
     return next_experiment(dataset, singles, _probabilities(found, singles, places))
@@ -250,39 +281,96 @@ def _with_stage_of_cause(found: Localisation, best: Candidate | None, known: Seq
 
 
 def _settled(baseline: Candidate, best: Candidate) -> bool:
-    # The residual does not justify a longer search.
-    return best.score <= THRESHOLDS.at_the_floor or predicted_closed(baseline, best) >= THRESHOLDS.nearly_all
+    # The residual does not justify a longer search. Against a twin, whose effects are accepted, one new effect is
+    # expected, and what it leaves is its structural error.
+    enough = THRESHOLDS.structural if baseline.effects else THRESHOLDS.nearly_all
+    return best.score <= THRESHOLDS.at_the_floor or predicted_closed(baseline, best) >= enough
 
 
-def _with_pairs(search: Search, found: SearchResult, best: Candidate) -> tuple[SearchResult, Candidate]:
-    # Pairs of a top candidate and a second effect, where enough is left; there are no triples.
+def _with_sets(
+    search: Search, found: SearchResult, best: Candidate, together: Sequence[Candidate]
+) -> tuple[SearchResult, Candidate]:
+    """Find a set of effects that is better than the best single one, by forward-backward selection.
+
+    It starts from the effects of the tissue ``together`` or from the best single effect, whichever leaves less.
+    """
     baseline = found.baseline
-    if cost(best) <= THRESHOLDS.pair_gain:
+    if cost(best) <= THRESHOLDS.set_gain or (baseline.effects and _settled(baseline, best)):
         return found, best
-    pairs = search.pairs_with(baseline, _top_candidates(found))
-    better = _better(baseline, best, pairs)
-    if better is not None and not _settled(baseline, better):
-        pairs = search.further_pairs(baseline, better, pairs)
-        better = _better(baseline, best, pairs)
-    candidates = tuple(sorted({item.effects: item for item in (*found.candidates, *pairs)}.values(), key=cost))
-    return SearchResult(baseline, found.signatures, candidates), better or best
+    tried: dict[frozenset[str], Candidate] = {frozenset(item.effects): item for item in found.candidates}
+
+    def keep(items: Sequence[Candidate]) -> Sequence[Candidate]:
+        for item in items:
+            held = tried.get(frozenset(item.effects))
+            if held is None or misfit(item) < misfit(held):
+                tried[frozenset(item.effects)] = item
+        return items
+
+    leaders = _leaders(found)
+    for item in keep(together):
+        if grows(leaders[0], item):
+            leaders = [_without_needless(search, baseline, item, keep)]
+    top = leaders[0]
+    for again in (False, True):
+        while len(_added(top, baseline)) < MOST_MEMBERS and cost(top) > THRESHOLDS.at_the_floor:
+            grown = min(keep(search.add_to(leaders)), key=misfit, default=None)
+            if grown is None or not grows(top, grown):
+                break
+            top = search.nested_with(baseline, grown)
+            leaders = [top]
+        top = _without_needless(search, baseline, top, keep)
+        if again or len(_added(top, baseline)) < 2 or predicted_closed(baseline, top) >= THRESHOLDS.structural:
+            break
+        # A member can be wrong: try others in its place.
+        smaller = keep(search.remove_from(top, _added(top, baseline)))
+        other = min(keep(search.replace_in(top, smaller)), key=misfit, default=None)
+        if other is None or not grows(top, other):
+            break
+        top = search.nested_with(baseline, other)
+        leaders = [top]
+    if len(_added(top, baseline)) > 1:
+        top = search.polish(baseline, top)
+    keep([top])
+    candidates = tuple(sorted(tried.values(), key=cost))
+    better = len(_added(top, baseline)) > 1 and is_needed(
+        best, top, predicted_closed(baseline, best), predicted_closed(baseline, top)
+    )
+    return SearchResult(baseline, found.signatures, candidates), top if better else best
 
 
-def _top_candidates(found: SearchResult) -> list[Candidate]:
-    # Of nested effects only the better one: both have the same partners, and nested effects of a pair are tried later.
+def _added(found: Candidate, baseline: Candidate) -> list[str]:
+    return [name for name in found.effects if name not in baseline.effects]
+
+
+def _without_needless(
+    search: Search, baseline: Candidate, top: Candidate, keep: Callable[[Sequence[Candidate]], Sequence[Candidate]]
+) -> Candidate:
+    # Remove all members that contribute nothing, then one at a time the least needed.
+    while len(_added(top, baseline)) > 1:
+        smaller = keep(search.remove_from(top, _added(top, baseline)))
+        names = _added(top, baseline)
+        idle = [name for name, without in zip(names, smaller, strict=True) if not grows(without, top)]
+        if len(idle) > 1:
+            without = keep(search.remove_all_from(top, idle))[0]
+            if not grows(without, top):
+                top = without
+                continue
+        least = min(smaller, key=cost)
+        if is_needed(least, top, predicted_closed(baseline, least), predicted_closed(baseline, top)):
+            break
+        top = least
+    return top
+
+
+def _leaders(found: SearchResult) -> list[Candidate]:
+    # Of nested effects only the better one: both have the same partners, and nested effects of a set are tried later.
     leaders: list[Candidate] = []
-    for item in sorted(found.candidates, key=cost):
-        if not any(nested(effect(item.effects[-1]), effect(other.effects[-1])) for other in leaders):
+    for item in (min(found.candidates, key=misfit), *sorted(found.candidates, key=cost)):
+        if all(
+            item is not other and not nested(effect(item.effects[-1]), effect(other.effects[-1])) for other in leaders
+        ):
             leaders.append(item)
     return leaders[:TOP_CANDIDATES]
-
-
-def _better(baseline: Candidate, best: Candidate, pairs: Sequence[Candidate]) -> Candidate | None:
-    # The best pair, if its second effect is worth naming.
-    pair = min(pairs, key=cost, default=None)
-    if pair is None or not better_pair(best, pair, predicted_closed(baseline, best), predicted_closed(baseline, pair)):
-        return None
-    return pair
 
 
 def figures_of(dataset: Dataset, baseline: Candidate, best: Candidate | None) -> GapFigures:
@@ -389,9 +477,14 @@ def _surviving(found: SearchResult, singles: Sequence[Candidate]) -> list[np.nda
     return [screen.surviving(found.baseline.fit.residuals - item.fit.residuals) for item in singles]
 
 
+def effect_in(candidate: Candidate, name: str) -> Effect:
+    """Return an effect as a candidate has it, or as the library declares it where the candidate is without it."""
+    return next((item for item in candidate.fit.parameters.effects if item.name == name), None) or effect(name)
+
+
 def parameters_of(candidate: Candidate, name: str) -> dict[str, float]:
     """Return the fitted parameters of one effect that all tests share, SI."""
-    chosen = effect(name)
+    chosen = effect_in(candidate, name)
     tests = candidate.fit.parameters.dataset.tests
     values = candidate.fit.parameters.effect_values(candidate.fit.theta, chosen, tests[0].number)
     return {

@@ -1,4 +1,6 @@
-"""Conversion of an input-output record to force and motion of a mass on a spring, of the size of an indenter.
+"""Conversion of an input-output record to force and motion of an equivalent machine, of the size of an indenter.
+
+The machine is a mass on a spring until ``machine_family`` chooses another one.
 
 Input and output are scaled to the range of the effects' bounds and starting points: the output becomes a motion of
 about a millimetre, the input a force of about a newton. Time is not scaled. Starting values of mass, damping and
@@ -8,8 +10,9 @@ Control 8 (1963) 56-58).
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
+from typing import Literal
 
 import numpy as np
 from numpy.typing import NDArray
@@ -21,6 +24,21 @@ from tissueid.language import marked
 from tissueid.messages import Message
 
 FloatArray = NDArray[np.float64]
+Family = Literal["oscillator", "free_mass", "velocity", "driven_mass", "far_mass"]
+"""Family of the machine.
+
+``oscillator``: a mass on a spring with a damper, of first order where the mass is negligible. ``free_mass``: a mass
+with viscous friction and no spring. ``velocity``: the same, its output is the velocity. ``driven_mass``, ``far_mass``:
+two masses with a flexible coupling; the output is the motion of the driven mass or of the other one.
+"""
+FAMILY_NAMES: Mapping[Family, str] = {
+    "oscillator": marked("a mass on a spring"),
+    "free_mass": marked("a mass with viscous friction and without a spring"),
+    "velocity": marked("a mass with viscous friction, whose velocity is the output"),
+    "driven_mass": marked("two masses with a flexible coupling, of which the driven one is the output"),
+    "far_mass": marked("two masses with a flexible coupling, of which the one that is not driven is the output"),
+}
+"""Displayed names of the families."""
 
 MOTION_M = 7e-4
 """Least standard deviation of the scaled motion, m."""
@@ -29,10 +47,18 @@ SPEED_M_S = 0.03
 MOST_MOTION_M = 0.01
 FORCE_N = 1.5
 """Standard deviation of the larger of input force and spring force, N."""
+VELOCITY_TIME_S = 0.02
+"""Motion that stands for a velocity, relative to it, s: a typical velocity of an indenter at its typical motion."""
+PEAK_V = 24.0
+"""Voltage that stands for the largest input, V, within the bounds of effects of the amplifier."""
 CALIBRATION_SPREAD = 0.02
 DELAYS = 25
 """Number of delays in the search, over ``MOST_DELAY_SAMPLES`` samples."""
 MOST_DELAY_SAMPLES = 2.0
+LONGEST_DELAY = 100
+"""Longest dead time, samples."""
+_FEW_LINES = 300
+"""Lines of the frequency response at which every dead time is tried."""
 _ROUNDS = 4
 _SEGMENTS = 8
 _HELD_ERROR_RATIO = 0.7
@@ -59,11 +85,35 @@ class Equivalent:
     mass_kg: float
     damping_n_s_per_m: float
     stiffness_n_per_m: float
+    family: Family = "oscillator"
+    restart_s: float | None = None
+    """Length of the windows of a prediction, each of which starts from the recorded motion, s; None: a free run."""
+    coupling: tuple[float, float, float, float] = (30.0, 0.05, 1.0, 1.0)
+    """Start of the coupling of two masses: resonance of the mass of the output against the other one at rest (Hz), its
+    damping ratio, the other mass relative to it, and the damping of the other mass by that mass (1/s)."""
+    input_middle_n: float = 0.0
+    """Mean of the input, which the simulated force does not include, N."""
+    volts_per_newton: float = 1.0
+
+    @property
+    def output_is_velocity(self) -> bool:
+        """Whether the output is the velocity of the mass, times ``VELOCITY_TIME_S``."""
+        return self.family == "velocity"
+
+    @property
+    def has_spring(self) -> bool:
+        """Whether the mass is on a spring to the ground."""
+        return self.family not in ("free_mass", "velocity")
+
+    @property
+    def has_coupling(self) -> bool:
+        """Whether there are two masses."""
+        return self.family in ("driven_mass", "far_mass")
 
     def device(self, sample_rate_hz: float) -> DeviceDescription:
         """Return the oscillator as an instrument, with neutral values of everything else."""
         return DeviceDescription(
-            model="equivalent mass on a spring",
+            model="equivalent machine",
             coil_resistance_ohm=1.0,
             coil_inductance_h=1e-9,
             force_constant_n_per_a=1.0,
@@ -92,7 +142,7 @@ class Equivalent:
         """Scales of input and output, for people."""
         return Message(
             "gap.equivalent_oscillator",
-            "{input} is treated as a force on a mass on a spring and {output} as its motion: 1 {input_unit} is "
+            "{input} is treated as a force on a mass and {output} as its motion: 1 {input_unit} is "
             "{newtons:.3g} N and 1 {output_unit} is {millimetres:.3g} mm. Parameters of effects are in these units; "
             "effects that need voltage and current cannot be identified",
             input=_with_unit(self.input_name, self.input_unit),
@@ -109,12 +159,16 @@ def _with_unit(name: str, unit: str) -> str:
 
 
 @dataclass(frozen=True)
-class _Line:
-    """Frequency response: shape (lines,)."""
+class FrequencyResponse:
+    """Frequency response from input to output: angular frequency (rad/s), value and weight, shape (lines,) each."""
 
     omega: FloatArray
     response: NDArray[np.complex128]
     weight: FloatArray
+
+    def every(self, step: int) -> FrequencyResponse:
+        """Return every line of a number ``step``."""
+        return FrequencyResponse(self.omega[::step], self.response[::step], self.weight[::step])
 
 
 def equivalent(
@@ -134,7 +188,7 @@ def equivalent(
     motion = float(np.sqrt(np.mean([np.var(output) for _, output in records])))
     force = float(np.sqrt(np.mean([np.var(given) for given, _ in records])))
     speed = float(np.sqrt(np.mean([np.var(np.diff(output)) for _, output in records]))) * sample_rate_hz
-    lines = _response(records, sample_rate_hz)
+    lines = frequency_response(records, sample_rate_hz)
     found = [(*_fitted(lines, sample_rate_hz, held), held) for held in (False, True)]
     left, delay, figures, held = found[1] if found[1][0] < _HELD_ERROR_RATIO * found[0][0] else found[0]
     del left
@@ -159,7 +213,8 @@ def equivalent(
     )
 
 
-def _response(records: Sequence[tuple[FloatArray, FloatArray]], rate: float) -> _Line:
+def frequency_response(records: Sequence[tuple[FloatArray, FloatArray]], rate: float) -> FrequencyResponse:
+    """Return the frequency response of records of input and output, at the lines with power and coherence."""
     size = min(8192, max(64, min(given.size for given, _ in records) // _SEGMENTS))
     lines = size // 2 + 1
     power, cross, output_power, count = np.zeros(lines), np.zeros(lines, np.complex128), np.zeros(lines), 0
@@ -177,18 +232,29 @@ def _response(records: Sequence[tuple[FloatArray, FloatArray]], rate: float) -> 
     if used.sum() < 8:
         used = (hz > 0.0) & (hz < 0.45 * rate)
     response = np.asarray(cross[used] / power[used], np.complex128)
-    return _Line(np.asarray(2.0 * np.pi * hz[used], np.float64), response, power[used] * coherence[used])
+    return FrequencyResponse(np.asarray(2.0 * np.pi * hz[used], np.float64), response, power[used] * coherence[used])
 
 
-def _fitted(lines: _Line, rate: float, held: bool) -> tuple[float, float, tuple[float, float, float]]:
+def _fitted(lines: FrequencyResponse, rate: float, held: bool) -> tuple[float, float, tuple[float, float, float]]:
     """Return residual, delay and (stiffness, damping, mass) with the least residual on a grid of delays."""
-    return min(
+    short = min(
         (_at_delay(lines, samples / rate, rate, held) for samples in np.linspace(-1.0, MOST_DELAY_SAMPLES, DELAYS)),
-        key=lambda item: item[0],
+        key=_left,
     )
+    few = lines.every(max(1, lines.omega.size // _FEW_LINES))
+    coarse = min((_at_delay(few, samples / rate, rate, held) for samples in range(3, LONGEST_DELAY)), key=_left)
+    near = coarse[1] * rate + np.linspace(-1.0, 1.0, 9)
+    long = min((_at_delay(lines, samples / rate, rate, held) for samples in near), key=_left)
+    return long if long[0] < _HELD_ERROR_RATIO * short[0] else short
 
 
-def _at_delay(lines: _Line, delay: float, rate: float, held: bool) -> tuple[float, float, tuple[float, float, float]]:
+def _left(item: tuple[float, float, tuple[float, float, float]]) -> float:
+    return item[0]
+
+
+def _at_delay(
+    lines: FrequencyResponse, delay: float, rate: float, held: bool
+) -> tuple[float, float, tuple[float, float, float]]:
     way = np.exp(-1j * lines.omega * delay)
     if held:
         half = 0.5 * lines.omega / rate
@@ -205,8 +271,8 @@ def _at_delay(lines: _Line, delay: float, rate: float, held: bool) -> tuple[floa
         real = np.concatenate([design.real, design.imag])
         figures = nnls(real, np.concatenate([target.real, target.imag]))[0] / size
         denominator = np.abs(figures[0] - figures[2] * lines.omega**2 + 1j * figures[1] * lines.omega)
-        if not denominator.any():
-            break
+        if not denominator.all():
+            return np.inf, delay, (0.0, 0.0, 0.0)
     model = way / (figures[0] - figures[2] * lines.omega**2 + 1j * figures[1] * lines.omega + 1e-300)
     left = float(np.sum(lines.weight * np.abs(lines.response - model) ** 2))
     return left, delay, (float(figures[0]), float(figures[1]), float(figures[2]))

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Literal
 
 import numpy as np
@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from tissueid.device import DeviceDescription
 from tissueid.errors import UnusableInputError
-from tissueid.gap.equivalent_oscillator import Equivalent, equivalent
+from tissueid.gap.equivalent_oscillator import PEAK_V, Equivalent, equivalent
 from tissueid.messages import Message
 from tissueid.sessions import Test
 
@@ -158,8 +158,10 @@ def as_oscillator(tests: Sequence[Test], fitted: Sequence[Test]) -> tuple[Equiva
     records = [(interpolated(test.signals[given]), interpolated(test.signals[output])) for test in fitted]
     units = tests[0].unit(given), tests[0].unit(output)
     about = equivalent(records, tests[0].sample_rate_hz, (given, output), units)
+    peak = max(float(np.max(np.abs(values))) for values, _ in records)
     rest = float(np.mean(np.concatenate([values for _, values in records])))
     middle = float(np.mean(np.concatenate([values for values, _ in records])))
+    about = replace(about, input_middle_n=about.input_n * middle, volts_per_newton=PEAK_V / (about.input_n * peak))
     found = []
     for test in tests:
         force = about.input_n * (interpolated(test.signals[given]) - middle)

@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 
 from tissueid.gap.dataset import Dataset
 from tissueid.gap.fitting import Fit
-from tissueid.gap.noise import coarse_step
+from tissueid.gap.noise import channel_noise, coarse_step
 from tissueid.messages import Message
 
 FloatArray = NDArray[np.float64]
@@ -51,6 +51,10 @@ def with_robust_noise(fitted: Fit) -> Dataset:
     """Return the tests with the robust noise of channels with outliers; the same object where there are none."""
     dataset = fitted.parameters.dataset
     ordinary = robust_noise(fitted)
+    if dataset.equivalent is not None:
+        # Its noise is no less than a share of the motion, which says nothing about outliers.
+        measured = channel_noise(dataset.tests)
+        ordinary = {name: level for name, level in ordinary.items() if measured[name] >= dataset.noise[name]}
     heavy = {
         name: level for name, level in ordinary.items() if 0.0 < HEAVY * level < dataset.noise[name] and level < np.inf
     }

@@ -14,6 +14,7 @@ from numpy.typing import NDArray
 
 from tissueid.gap.dataset import Dataset, DatasetTest, Prior, Purpose
 from tissueid.gap.equivalent_oscillator import FORCE_N, MOST_DELAY_SAMPLES
+from tissueid.twin._coupling import COUPLING
 from tissueid.twin.chain_parameters import STANDARD_GRAVITY, Instrument, Tissue, nothing, spring
 from tissueid.twin.effect import Effect, Parameter
 from tissueid.twin.simulation import ActiveEffect
@@ -86,6 +87,9 @@ _WITHOUT_INFLUENCE = ("amplifier_gain", "resistance_ohm", "inductance_h", "force
 _WIDE = 3.5
 """Bounds of the equivalent oscillator around its least-squares estimate, in powers of e."""
 _REST_M = 2e-4
+_COUPLING = ("coupling_hz", "coupling_damping_ratio", "coupling_mass_ratio", "coupling_drag_1_s")
+"""Coordinates of the coupling of two masses, logarithmic."""
+_COUPLING_RANGES = (1.2, 3.5, 3.5, 6.0)
 
 
 @dataclass(frozen=True)
@@ -131,6 +135,7 @@ class Parametrisation:
             amplifier_limit_v=device.amplifier_limit_v,
             weight_n=self._at(theta, "weight_n"),
             stroke_m=device.stroke_m,
+            filter_time_s=device.filter_time_s,
             **figures,
         )
 
@@ -144,6 +149,8 @@ class Parametrisation:
             mass, damping = self._at(theta, "spring_mass_kg"), self._at(theta, "spring_damping_n_s_per_m")
             return spring(test.surface_m, stiffness, mass, damping)
         if self.dataset.equivalent is not None:
+            if not self.dataset.equivalent.has_spring:
+                return nothing()
             rest = test.surface_m + self._at(theta, "rest_m")
             return spring(rest, float(np.exp(self._at(theta, "tissue_stiffness_n_per_m"))))
         values = [
@@ -154,8 +161,20 @@ class Parametrisation:
         return Tissue(test.surface_m + shift, *values)
 
     def acting(self, theta: FloatArray, test: DatasetTest) -> list[ActiveEffect]:
-        """Return the effects with their parameters in a test."""
-        return [ActiveEffect(effect, self.effect_values(theta, effect, test.number)) for effect in self.effects]
+        """Return the effects with their parameters in a test, after the coupling of an equivalent machine."""
+        found = [ActiveEffect(effect, self.effect_values(theta, effect, test.number)) for effect in self.effects]
+        about = self.dataset.equivalent
+        if about is None or not about.has_coupling:
+            return found
+        values = [float(np.exp(self._at(theta, name))) for name in _COUPLING]
+        return [ActiveEffect(COUPLING, np.array([*values, float(about.family == "far_mass")])), *found]
+
+    def fastest(self, theta: FloatArray) -> float:
+        """Return the angular frequency of the coupling of an equivalent machine, rad/s; 0 without a coupling."""
+        if _COUPLING[0] not in self.index:
+            return 0.0
+        lighter = min(float(np.exp(self._at(theta, _COUPLING[2]))), 1.0)
+        return 2.0 * np.pi * float(np.exp(self._at(theta, _COUPLING[0]))) * float(np.sqrt(1.0 + 1.0 / lighter))
 
     def effect_values(self, theta: FloatArray, effect: Effect, test: int) -> FloatArray:
         """Return the parameters of an effect in a test, SI, in the order of their declaration."""
@@ -170,13 +189,22 @@ class Parametrisation:
         return values
 
     def irreducible(self, theta: FloatArray, test: int) -> dict[str, float]:
-        """Return the standard deviation by channel, SI, that effects leave in a test, however well known they are."""
-        squares: dict[str, float] = {}
+        """Return the standard deviation by channel, SI, that effects leave in a test, however well known they are.
+
+        It includes the error that a saved twin is known to leave.
+        """
+        squares = {name: std**2 for name, std in self._unmodelled(test).items()}
         for effect in self.effects:
             if effect.irreducible is not None:
                 for name, std in effect.irreducible(self.effect_values(theta, effect, test)).items():
                     squares[name] = squares.get(name, 0.0) + std**2
         return {name: float(np.sqrt(square)) for name, square in squares.items()}
+
+    def _unmodelled(self, number: int) -> dict[str, float]:
+        test = next((test for test in self.dataset.tests if test.number == number), None)
+        if test is None or test.fixture != "tissue":
+            return {}
+        return {name: share * test.spreads.get(name, 0.0) for name, share in self.dataset.unmodelled.items()}
 
     def value(self, theta: FloatArray, name: str) -> float:
         """Return a coordinate by name in fitted units; where it is not fitted, its constant value (0 by default)."""
@@ -252,8 +280,10 @@ def _of_instrument(dataset: Dataset) -> list[Coordinate]:
         Coordinate(ours, 0.0, -wide, wide, 1e-4, wide, 0.0, spread) for ours, _ in _INSTRUMENT if ours not in left_out
     ]
     weight = dataset.instrument.moving_mass_kg * STANDARD_GRAVITY
-    # The device can have any orientation, which the session does not record.
-    found.append(Coordinate("weight_n", 0.0, -1.1 * weight, 1.1 * weight, 1e-3, weight, 0.0, weight))
+    along, uncertainty = dataset.gravity_m_s2
+    likely = dataset.instrument.moving_mass_kg * along
+    std = float(np.hypot(dataset.instrument.moving_mass_kg * uncertainty, spread * likely))
+    found.append(Coordinate("weight_n", likely, -1.1 * weight, 1.1 * weight, 1e-3, weight, likely, std))
     if any(test.fixture == "tissue" for test in dataset.tests):
         found += [_scaled(*item) for item in _TISSUE]
     if any(test.fixture == "tissue" and not test.starts_at_surface for test in dataset.tests):
@@ -264,20 +294,28 @@ def _of_instrument(dataset: Dataset) -> list[Coordinate]:
 
 
 def _of_mass(dataset: Dataset) -> list[Coordinate]:
-    """Return the coordinates of an equivalent oscillator, its rest position, and the delay of the input."""
+    """Return the coordinates of an equivalent machine, its rest position, and the delay of the input."""
     about = dataset.equivalent
     assert about is not None
     rate = dataset.tests[0].sample_rate_hz
     stiffness = float(np.log(about.stiffness_n_per_m))
     late = MOST_DELAY_SAMPLES / rate
-    return [
+    found = [
         Coordinate("moving_mass_kg", 0.0, -_WIDE, _WIDE, 1e-4, 0.3),
         Coordinate("bearing_damping_n_s_per_m", 0.0, -_WIDE, _WIDE, 1e-3, 0.5),
-        Coordinate("tissue_stiffness_n_per_m", stiffness, stiffness - _WIDE, stiffness + _WIDE, 1e-4, 0.3),
         Coordinate("weight_n", 0.0, -3.0 * FORCE_N, 3.0 * FORCE_N, 1e-3, FORCE_N, 0.0, FORCE_N),
-        Coordinate("rest_m", 0.0, -5.0 * _REST_M, 5.0 * _REST_M, 1e-6, _REST_M, 0.0, _REST_M),
         Coordinate(DELAY, about.delay_s, about.delay_s - late, about.delay_s + late, 1e-3 / rate, 0.2 / rate),
     ]
+    if about.has_spring:
+        found[2:2] = [
+            Coordinate("tissue_stiffness_n_per_m", stiffness, stiffness - _WIDE, stiffness + _WIDE, 1e-4, 0.3)
+        ]
+        found[4:4] = [Coordinate("rest_m", 0.0, -5.0 * _REST_M, 5.0 * _REST_M, 1e-6, _REST_M, 0.0, _REST_M)]
+    if about.has_coupling:
+        for name, start, wide in zip(_COUPLING, about.coupling, _COUPLING_RANGES, strict=True):
+            at = float(np.log(start))
+            found.append(Coordinate(name, at, at - wide, at + wide, 1e-3, 0.3))
+    return found
 
 
 def _signals(test: DatasetTest, predicted: Mapping[str, FloatArray]) -> dict[str, FloatArray]:

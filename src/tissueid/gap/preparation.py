@@ -8,6 +8,7 @@ from typing import TypeVar
 import numpy as np
 from numpy.typing import NDArray
 
+from tissueid.device import GRAVITY_M_S2
 from tissueid.errors import UnusableInputError
 from tissueid.gap.dataset import Dataset, DatasetTest, Fixture, Purpose
 from tissueid.gap.excitation import (
@@ -40,6 +41,8 @@ MOST_HELD_OUT = 65_536
 """Most samples of a test that is held out."""
 BARE_NOISE = 2e-3
 """Least noise of an input-output record as a share of its deviation: its sampling and filters are unknown."""
+GRAVITY_STD_M_S2 = 0.15
+"""Standard deviation of gravity as measured by the accelerometer of the instrument, m/s^2: 1.5 % of its scale."""
 _MEMORIES = 4.0
 """Length of the blocks of an input-output record, in settling times."""
 _LEAST_BLOCKS = 16
@@ -79,7 +82,10 @@ def prepare(session: Session, fit: Sequence[int] = (), check: Sequence[int] = ()
         tests = _usable(chosen, remarks, lambda test: excitation_of(test, session.instrument))
         other = None if (fit or check) else _other_amplitude([item.test for item in tests])
         seen = tuple(_dataset_test(item, fit, check, remarks, held_out=item.test is other) for item in tests)
-        return Dataset(session.instrument, seen, channel_noise(seen), tuple(remarks))
+        noise = channel_noise(seen)
+        return Dataset(
+            session.instrument, seen, noise, tuple(remarks), gravity_m_s2=_gravity([item.test for item in tests])
+        )
     alike = [test for test, names in _usable(chosen, remarks, _bare_test) if names]
     fitting = [
         test
@@ -107,6 +113,20 @@ def prepare(session: Session, fit: Sequence[int] = (), check: Sequence[int] = ()
     deviation = float(np.sqrt(np.mean([np.nanvar(test.signals["position"]) for test in seen])))
     noise = {name: max(level, BARE_NOISE * deviation) for name, level in channel_noise(seen).items()}
     return Dataset(about.device(alike[0].sample_rate_hz), seen, noise, tuple(remarks), equivalent=about)
+
+
+def _gravity(tests: Sequence[Test]) -> tuple[float, float]:
+    """Return gravity along the stroke and its standard deviation, m/s^2, as measured before the tests.
+
+    Where it was not measured, or changed between the tests, any orientation is possible.
+    """
+    found = [
+        test.notes.get("gravity_along_stroke_m_s2") for test in tests if "gravity_across_stroke_m_s2" in test.notes
+    ]
+    known = [value for value in found if isinstance(value, float) and np.isfinite(value)]
+    if len(known) < len(tests) or np.ptp(known) > 2.0 * GRAVITY_STD_M_S2:
+        return 0.0, GRAVITY_M_S2
+    return float(np.mean(known)), GRAVITY_STD_M_S2
 
 
 def _bare_test(test: Test) -> tuple[Test, tuple[str, str]]:

@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import hashlib
 import json
+import re
 from dataclasses import fields
 from pathlib import Path
 from typing import Any
@@ -49,6 +50,20 @@ def read_scenario(folder: Path, name: str, kind: str = "") -> Session:
     return Session(instrument, tests=tests)
 
 
+def earlier_session(folder: Path, name: str) -> str | None:
+    """Return the name of the earlier session of a scenario's person and instrument; None where there is none.
+
+    Raises:
+        UnusableInputError: the file is missing or damaged.
+    """
+    found = _read_json(folder / f"{name}.json").get("earlier")
+    if found is None:
+        return None
+    if not isinstance(found, str) or re.fullmatch(r"earlier-\d{4,6}", found) is None:
+        raise UnusableInputError(f"{folder / name}.json names no earlier session")
+    return found
+
+
 def alone_sessions(folder: Path, name: str) -> list[Session]:
     """Return a pair's sessions with one effect each, in the order of its effects; none where there are no companions.
 
@@ -73,6 +88,7 @@ def _test(about: dict[str, Any], names: list[str], numbers: np.ndarray) -> Test:
         stimulus=dict(about["stimulus"]),
         seed=int(about["seed"]),
         repeat_of=int(about["repeat_of"]) if about["repeat_of"] else None,
+        notes=dict(about.get("notes", {})),
     )
 
 
@@ -107,6 +123,8 @@ def _label(about: dict[str, Any]) -> Label:
         tuple(item["stage"] for item in effects),
         tuple(bool(item["listed"]) for item in effects),
         bool(about["full"]),
+        tuple(item["name"] for item in effects if item.get("hidden", False)),
+        str(about.get("preset", "")),
     )
 
 

@@ -25,7 +25,8 @@ class ChannelError:
 
     ``square`` is the mean squared error (SI squared), ``noise`` the sensor noise (std, SI), ``spread`` the standard
     deviation of the recorded signal over the whole test, ``samples`` the number of samples. ``irreducible`` (std, SI)
-    is the part that an effect leaves however well it is known, such as rounding.
+    is the part that an effect leaves however well it is known, such as rounding, or that a saved twin is known to
+    leave.
     """
 
     test: int
@@ -91,8 +92,8 @@ def gap(found: Sequence[ChannelError], quiet: Sequence[int] = ()) -> float:
 
 
 def floor(found: Sequence[ChannelError], quiet: Sequence[int] = ()) -> float:
-    """Return the gap that sensor noise alone causes."""
-    return _pooled(found, quiet, lambda item: item.noise**2)
+    """Return the gap that sensor noise and irreducible errors alone cause."""
+    return _pooled(found, quiet, lambda item: item.noise**2 + item.irreducible**2)
 
 
 def _pooled(found: Sequence[ChannelError], quiet: Sequence[int], square) -> float:  # type: ignore[no-untyped-def]
@@ -136,6 +137,16 @@ class Candidate:
     def orders(self) -> tuple[int, ...]:
         """Number of fitted parameters of each effect."""
         return tuple(effect.order for effect in self.fit.parameters.effects)
+
+
+def misfit(candidate: Candidate) -> float:
+    """Return half the logarithm of the mean squared error in noise deviations on the samples for the choice, nats.
+
+    It pools the channels as the fit does. Far from the noise floor, where a fit trades an error of one channel for that
+    of another, a further effect of a set always lowers it; the score (see ``score``) can rise.
+    """
+    found = candidate.chosen_by
+    return 0.5 * float(np.log(sum(item.ratio * item.samples for item in found) / sum(item.samples for item in found)))
 
 
 def score_candidate(fitted: Fit) -> Candidate:

@@ -3,19 +3,21 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import partial
 from typing import Literal, TypeVar
 
 from tissueid.gap.dataset import Dataset, Purpose
 from tissueid.gap.decision import THRESHOLDS
 from tissueid.gap.fitting import ESTIMATES, MOST_STEPS, Fit, fit, re_estimate
+from tissueid.gap.machine_family import with_best_family
+from tissueid.gap.machine_library import acts_on_machine, effects_of
 from tissueid.gap.outliers import with_robust_noise
-from tissueid.gap.scoring import Candidate, score_candidate
+from tissueid.gap.scoring import Candidate, misfit, score_candidate
 from tissueid.gap.screening import Screen, Signature, best_aligned
 from tissueid.gap.workers import Executor
 from tissueid.twin.bus import MOST_EFFECTS
-from tissueid.twin.catalogue import all_effects, effect
+from tissueid.twin.catalogue import effect
 from tissueid.twin.effect import Effect, nested
 
 T = TypeVar("T")
@@ -36,6 +38,19 @@ SHORT_STEPS_OF_MANY = 10
 """Optimiser steps of a short fit to several tests, whose minima are narrower."""
 ESTIMATES_IN_A_SHORT_FIT = 1
 """Re-estimates of an effect from the record in a short fit; a full fit repeats them."""
+STEPS_OF_A_REMOVAL = 30
+"""Optimiser steps of a refit without a member of a set; a large set gets a short fit."""
+LARGE_SET = 5
+TRACKING_RAD_S, STEPS_OF_TRACKING = 100.0, 40
+"""Bandwidth of the observer with which a fit of several effects begins, and most steps of this fit.
+
+The error of a free run has many minima where several effects are far from their values; tracked, it has few.
+"""
+ROUNDS_OF_RESTARTS = 3
+STARTS_OF_A_MEMBER = 2
+"""Starting points of each member from which the final set is fitted again."""
+WORTH_A_ROUND = 0.9
+"""Cost relative to the last round below which another round of restarts follows."""
 FULL_FITS = 4
 FULL_FITS_BY_COST = 2
 """Full fits of candidates with the least cost on the fitted samples, in addition to those with the best score."""
@@ -43,10 +58,10 @@ FURTHER = 12
 FURTHER_FULL_FITS = 8
 """Starting points of the second round, and its full fits."""
 PARTNERS = 4
-"""Largest number of partners refitted with each top candidate."""
-FULL_FITS_OF_PAIRS = 2
-FURTHER_PARTNERS = 6
-"""Most further partners refitted with each member of a pair with a large remaining gap."""
+"""Largest number of further effects refitted with a set."""
+FULL_FITS_OF_SETS = 2
+FURTHER_PARTNERS = 4
+"""Most rivals refitted in the place of a member."""
 
 
 Work = Literal[
@@ -58,11 +73,12 @@ Work = Literal[
     "further starting points",
     "further candidates",
     "near relations",
-    "pairs",
-    "leading pairs",
-    "members of the pair",
-    "further pairs",
-    "further leading pairs",
+    "tissue",
+    "additions",
+    "leading additions",
+    "removals",
+    "replacements",
+    "leading replacements",
 ]
 """Steps of a search."""
 
@@ -85,6 +101,8 @@ class Task:
     starts: tuple[tuple[float, ...], ...]
     near: Fit
     most_steps: int
+    tracking_rad_s: float = 0.0
+    """Bandwidth of an observer of the motion in a first fit, from which the fit of the free run starts."""
 
     def __str__(self) -> str:
         return " + ".join(self.names)
@@ -92,23 +110,29 @@ class Task:
 
 def refit(task: Task) -> Candidate:
     """Run one fit; called in a worker process."""
-    effects = [effect(name) for name in task.names]
-    found = fit(task.dataset, effects, task.starts, near=task.near, most_steps=task.most_steps)
+    library = effects_of(task.dataset)
+    effects = [library[name] for name in task.names]
+    near, starts = task.near, task.starts
+    if task.tracking_rad_s > 0.0 and task.dataset.equivalent is None:
+        tracked = replace(task.dataset, tracking_rad_s=task.tracking_rad_s)
+        # Its slopes are a first guess for the free run, recomputed after the first step that gains less than predicted.
+        near = fit(tracked, effects, starts, near=near, most_steps=STEPS_OF_TRACKING)
+    found = fit(task.dataset, effects, starts, near=near, most_steps=task.most_steps)
     readings = ESTIMATES if task.most_steps == MOST_STEPS else ESTIMATES_IN_A_SHORT_FIT
     return score_candidate(re_estimate(found, task.most_steps, readings))
 
 
 def screen(near: Fit, name: str) -> list[Signature]:
     """Return the signatures of an effect on the residual of a fit; called in a worker process."""
-    return Screen(near).signatures(effect(name))
+    return Screen(near).signatures(effects_of(near.parameters.dataset)[name])
 
 
 def applicable(dataset: Dataset, item: Effect) -> bool:
     """Return whether the recorded signals can identify an effect."""
+    if dataset.equivalent is not None:
+        return acts_on_machine(dataset, item)
     has = set(dataset.channels)
     if not item.needs <= has | {"command"}:
-        return False
-    if dataset.equivalent is not None and item.stage == "environment":
         return False
     if item.stage == "drive":
         return "voltage" in has
@@ -152,15 +176,17 @@ class Search:
     ) -> None:
         self._dataset = dataset
         self._pool = pool
-        self._names = [
-            name
-            for name, item in all_effects().items()
-            if (names is None or name in names) and applicable(dataset, item)
-        ]
+        self._wanted = names
         several = sum(bool(test.serving(Purpose.FIT).any()) for test in dataset.tests) > 1
         self._short_steps = SHORT_STEPS_OF_MANY if several else SHORT_STEPS
         self._progress = progress
         self._cancelled = cancelled
+        self._known: tuple[str, ...] = ()
+
+    @property
+    def dataset(self) -> Dataset:
+        """The tests, from the baseline on without outliers in the noise floor."""
+        return self._dataset
 
     def baseline(self, known: Sequence[str] = ()) -> Candidate:
         """Refit the baseline, with the ``known`` effects of a saved twin.
@@ -168,6 +194,8 @@ class Search:
         From then on outliers are not part of the noise floor.
         """
         self._progress(SearchProgress("baseline", 0, 1))
+        self._dataset = with_best_family(self._dataset)
+        self._known = tuple(known)
         effects = [effect(name) for name in known]
         first = fit(self._dataset, effects, cancelled=self._cancelled)
         dataset = with_robust_noise(first)
@@ -177,6 +205,15 @@ class Search:
         found = score_candidate(first)
         self._progress(SearchProgress("baseline", 1, 1))
         return found
+
+    @property
+    def _names(self) -> list[str]:
+        # Effects to try, in the order of the library.
+        return [
+            name
+            for name, item in effects_of(self._dataset).items()
+            if (self._wanted is None or name in self._wanted) and applicable(self._dataset, item)
+        ]
 
     def singles(self, baseline: Candidate) -> SearchResult:
         """Fit each candidate effect alone."""
@@ -213,7 +250,7 @@ class Search:
         tasks = [
             self._task_with_partner(leader.fit, held, other)
             for held in leader.fit.parameters.effects
-            for other in map(effect, self._names)
+            for other in map(effects_of(self._dataset).__getitem__, self._names)
             if held.name not in baseline.effects and other.name not in leader.effects and nested(held, other)
         ]
         return _best_of_each([*candidates, *self._run_tasks("near relations", refit, tasks)])
@@ -227,37 +264,101 @@ class Search:
         starts = tuple(there if item is other else item.starts[0] for item in effects)
         return Task(self._dataset, tuple(item.name for item in effects), starts, near, MOST_STEPS)
 
-    def pairs_with(self, baseline: Candidate, leaders: Sequence[Candidate]) -> tuple[Candidate, ...]:
-        """Fit the top candidates with one more effect each, best first; effects of the baseline stay.
+    def tissue_set(self, baseline: Candidate) -> tuple[Candidate, ...]:
+        """Fit the effects of living tissue together, each from a weak start; none where there is nothing to fit.
 
-        A candidate with ``MOST_EFFECTS`` effects gets no more.
+        There is nothing to fit where the twin has some of them already: it was accepted with all that were found.
+
+        Living tissue shows several at once, and each conceals the others: together they have a wide minimum that adding
+        one after the other misses.
         """
+        if all(test.fixture != "tissue" for test in self._dataset.tests) or self._dataset.equivalent is not None:
+            return ()
+        if any(effect(name).in_living_tissue for name in baseline.effects):
+            return ()
+        found = [effect(name) for name in self._names]
+        chosen = [item for item in found if item.in_living_tissue][: MOST_EFFECTS - len(baseline.effects)]
+        if len(chosen) < 2:
+            return ()
+        names = (*baseline.effects, *(item.name for item in chosen))
+        found_sets = self._run_tasks("tissue", refit, self._from_weak_starts(baseline, names))
+        return (min(found_sets, key=lambda item: item.fit.cost),)
+
+    def _from_weak_starts(self, baseline: Candidate, names: Sequence[str]) -> list[Task]:
+        held = {item.name: item.starts[0] for item in baseline.fit.parameters.effects}
+        return [
+            Task(
+                self._dataset,
+                tuple(names),
+                tuple(held.get(name) or effects_of(self._dataset)[name].weak_starts[k] for name in names),
+                baseline.fit,
+                MOST_STEPS,
+                TRACKING_RAD_S,
+            )
+            for k in range(2)
+        ]
+
+    def add_to(self, leaders: Sequence[Candidate]) -> tuple[Candidate, ...]:
+        """Fit the leaders with one more effect each, best first; a leader with ``MOST_EFFECTS`` effects has no room."""
         short_fits = [
-            pair
+            larger
             for leader in leaders
             if len(leader.effects) < MOST_EFFECTS
-            for pair in self._short_fits("pairs", leader, self._likely_partners(leader)[:PARTNERS])
+            for larger in self._short_fits("additions", leader, self._likely_partners(leader)[:PARTNERS])
         ]
-        return self._with_nested(baseline, self._full_fits("leading pairs", short_fits, FULL_FITS_OF_PAIRS))
+        return self._full_fits("leading additions", short_fits, FULL_FITS_OF_SETS)
 
-    def further_pairs(self, baseline: Candidate, pair: Candidate, tried: Sequence[Candidate]) -> tuple[Candidate, ...]:
-        """Fit more partners of each member of a pair with a large remaining gap: one member can be wrong.
+    def remove_from(self, found: Candidate, names: Sequence[str]) -> list[Candidate]:
+        """Refit a set without each of ``names``, in their order."""
+        tasks = [self._smaller(found, (name,)) for name in names]
+        return self._run_tasks("removals", refit, tasks)
 
-        The pairs ``tried`` before are not fitted again; the result includes them, best first.
+    def remove_all_from(self, found: Candidate, names: Sequence[str]) -> list[Candidate]:
+        """Refit a set without all of ``names``."""
+        return self._run_tasks("removals", refit, [self._smaller(found, names)])
+
+    def _smaller(self, found: Candidate, names: Sequence[str]) -> Task:
+        kept = tuple(name for name in found.effects if name not in names)
+        steps = STEPS_OF_A_REMOVAL if len(kept) < LARGE_SET else self._short_steps
+        return Task(self._dataset, kept, (), found.fit, steps)
+
+    def polish(self, baseline: Candidate, found: Candidate) -> Candidate:
+        """Fit a set to the end, from where it is, from weak starts, and from other starts of each member.
+
+        A set has many minima: where one member is at a wrong one, the others compensate for it.
         """
-        added = [name for name in pair.effects if name not in baseline.effects]
-        alone = [
-            Task(self._dataset, tuple(name for name in pair.effects if name != other), (), pair.fit, self._short_steps)
-            for other in added
-        ]
-        known = {frozenset(item.effects) for item in tried}
+        tasks = [Task(self._dataset, found.effects, (), found.fit, MOST_STEPS)]
+        tasks += self._from_weak_starts(baseline, found.effects)
+        best = min((found, *self._run_tasks("leading additions", refit, tasks)), key=_fitted_cost)
+        for _ in range(ROUNDS_OF_RESTARTS):
+            added = [name for name in best.effects if name not in baseline.effects]
+            restarts = [
+                Task(self._dataset, (*without.effects, name), (*held, item.start), without.fit, self._short_steps)
+                for name, without in zip(added, self.remove_from(best, added), strict=True)
+                for held in [[kept.starts[0] for kept in without.fit.parameters.effects]]
+                for item in sorted(screen(without.fit, name), key=lambda item: -item.alignment)[:STARTS_OF_A_MEMBER]
+            ]
+            short_fits = sorted(self._run_tasks("replacements", refit, restarts), key=_fitted_cost)
+            tasks = [
+                Task(self._dataset, item.effects, (), item.fit, MOST_STEPS) for item in short_fits[:FULL_FITS_OF_SETS]
+            ]
+            better = min((best, *self._run_tasks("leading replacements", refit, tasks)), key=_fitted_cost)
+            if better.fit.cost > WORTH_A_ROUND * best.fit.cost:
+                return better
+            best = better
+        return best
+
+    def replace_in(self, found: Candidate, smaller: Sequence[Candidate]) -> tuple[Candidate, ...]:
+        """Fit rivals in the place of the member that each of the ``smaller`` sets lacks, best first."""
         short_fits = []
-        for member in self._run_tasks("members of the pair", refit, alone):
-            likely = self._likely_partners(member)
-            fresh = [item for item in likely if frozenset((*member.effects, item.effect)) not in known]
-            short_fits += self._short_fits("further pairs", member, fresh[:FURTHER_PARTNERS])
-        full_fits = self._full_fits("further leading pairs", short_fits, FULL_FITS_OF_PAIRS)
-        return self._with_nested(baseline, _best_of_each([*tried, *full_fits]))
+        for without in smaller:
+            fresh = [item for item in self._likely_partners(without) if item.effect not in found.effects]
+            short_fits += self._short_fits("replacements", without, fresh[:FURTHER_PARTNERS])
+        return self._full_fits("leading replacements", short_fits, FULL_FITS_OF_SETS)
+
+    def nested_with(self, baseline: Candidate, found: Candidate) -> Candidate:
+        """Return the set, or a better one with a special case or the general form of a member in its place."""
+        return min(self._with_nested(baseline, [found]), key=misfit)
 
     def _likely_partners(self, leader: Candidate) -> list[Signature]:
         # Screen all starting points: alignment changes when another effect is in the model.
@@ -266,8 +367,9 @@ class Search:
     def _short_fits(self, what: Work, near: Candidate, signatures: Sequence[Signature]) -> list[Candidate]:
         worth = [item for item in signatures if item.alignment >= LEAST_ALIGNMENT]
         before = [held.starts[0] for held in near.fit.parameters.effects]
+        begin = _from_twin(near.fit) if near.effects == self._known else near.fit
         tasks = [
-            Task(self._dataset, (*near.effects, item.effect), (*before, item.start), near.fit, self._short_steps)
+            Task(self._dataset, (*near.effects, item.effect), (*before, item.start), begin, self._short_steps)
             for item in worth
         ]
         return self._run_tasks(what, refit, tasks)
@@ -305,6 +407,24 @@ class Search:
 
         self._progress(SearchProgress(what, 0, len(things)))
         return self._pool.do(work, things, self._cancelled, done)
+
+
+def _from_twin(baseline: Fit) -> Fit:
+    """Return a refitted baseline with the values of its twin, where there is one, from which candidates are fitted.
+
+    The baseline absorbs what it can of a new effect: it moves the parameters of the accepted effects, and from there a
+    fit with the new effect ends in another minimum. The weight is that of the new session.
+    """
+    parameters = baseline.parameters
+    theta = baseline.theta.copy()
+    for k, item in enumerate(parameters.coordinates):
+        if item.name in parameters.dataset.priors and item.name != "weight_n":
+            theta[k] = item.start
+    return replace(baseline, theta=theta)
+
+
+def _fitted_cost(found: Candidate) -> float:
+    return found.fit.cost
 
 
 def _best_of_each(candidates: Sequence[Candidate]) -> tuple[Candidate, ...]:

@@ -64,6 +64,10 @@ class StageSimulation:
         return np.asarray(test.signals[name] - self.predicted[test.number][name], np.float64)
 
 
+def _only(name: str, values: FloatArray) -> MeasuredSignals:
+    return MeasuredSignals(voltage=values) if name == "voltage" else MeasuredSignals(current=values)
+
+
 def upstream(test: DatasetTest, *names: str) -> MeasuredSignals:
     """Return measured signals of a test without gaps: ``voltage``, ``current``, and ``motion`` for position and
     velocity."""
@@ -212,9 +216,9 @@ def propagated_noise(baseline: Fit, tests: Sequence[DatasetTest], name: str, noi
     squares = []
     for test in tests:
         clean = interpolated(predicted[test.number][name])
-        quiet = simulate_test(parameters, baseline.theta, test, MeasuredSignals(**{name: clean})).position
+        quiet = simulate_test(parameters, baseline.theta, test, _only(name, clean)).position
         for seed in range(_DRAWS):
             noisy = clean + np.random.default_rng(seed).normal(0.0, noise, clean.size)
-            moved = simulate_test(parameters, baseline.theta, test, MeasuredSignals(**{name: noisy})).position
+            moved = simulate_test(parameters, baseline.theta, test, _only(name, noisy)).position
             squares.append(float(np.nanvar(moved - quiet)))
     return float(np.sqrt(np.mean(squares))) if squares else 0.0

@@ -9,19 +9,29 @@ import numpy as np
 from numpy.typing import NDArray
 
 from tissueid import __version__
+from tissueid.device import DeviceDescription
 from tissueid.errors import UnusableInputError
-from tissueid.gap.dataset import Dataset, Prior
+from tissueid.gap.dataset import Dataset, Prior, Purpose
 from tissueid.gap.fitting import Fit
-from tissueid.gap.parameters import INSTRUMENT_COORDINATES, LOGARITHMIC_TISSUE, TISSUE_COORDINATES
-from tissueid.gap.scoring import Candidate
+from tissueid.gap.parameters import INSTRUMENT_COORDINATES, LOGARITHMIC_TISSUE, TISSUE_COORDINATES, WITHIN_STDS
+from tissueid.gap.scoring import Candidate, errors
 from tissueid.instrument.twin_file import Source, TwinFile, content_of
-from tissueid.messages import Message
+from tissueid.messages import Message, Verbatim
 from tissueid.twin.effect import Effect
 from tissueid.twin.named_twin import NamedTwin
 
 RELATIVE_STD = 0.1
 """Standard deviation of an accepted parameter in the next diagnosis, relative to its value or range."""
+CHANGE_OF_THE_INSTRUMENT = {
+    "resistance_ohm": 0.02,
+    "force_constant_n_per_a": 0.006,
+    "bearing_damping_n_s_per_m": 0.05,
+}
+"""Relative standard deviation of a parameter from one session to the next, for 5 K: 0.39 %/K for copper, 0.12 %/K for
+neodymium magnets, 1 %/K for the viscosity of a lubricant."""
 _MOST_STD = 1e6
+_SAME = 1e-6
+"""Relative difference of two equal parameters."""
 
 
 def twin_of(candidate: Candidate, name: str, version: int = 1) -> NamedTwin:
@@ -48,7 +58,27 @@ def twin_of(candidate: Candidate, name: str, version: int = 1) -> NamedTwin:
         tuple(parameters.acting(theta, test)),
         test.sample_rate_hz,
         _stds(candidate.fit, test.number),
+        _unmodelled(candidate.fit),
     )
+
+
+def _unmodelled(fitted: Fit) -> dict[str, float]:
+    # The larger error of both held-out parts: in a later session each of them alone can show a gap, and a rare event,
+    # such as lift-off, can be absent from one. Effects' own irreducible errors are part of the twin already.
+    dataset = fitted.parameters.dataset
+    alone = replace(fitted, parameters=replace(fitted.parameters, dataset=replace(dataset, unmodelled={})))
+    on_tissue = {test.number for test in dataset.tests if test.fixture == "tissue" and not test.quiet}
+    shares: dict[str, float] = {}
+    for purpose in (Purpose.CHOICE, Purpose.CHECK):
+        found = [item for item in errors(alone, purpose) if item.test in on_tissue and item.spread > 0.0]
+        for name in dataset.channels:
+            of_channel = [item for item in found if item.channel == name]
+            if not of_channel:
+                continue
+            left = sum((item.square - item.noise**2 - item.irreducible**2) * item.samples for item in of_channel)
+            whole = sum(item.spread**2 * item.samples for item in of_channel)
+            shares[name] = max(shares.get(name, 0.0), float(np.sqrt(max(left, 0.0) / whole)))
+    return shares
 
 
 def _stds(fitted: Fit, test: int) -> dict[str, float]:
@@ -103,6 +133,7 @@ def twin_file_of(
         closed=closed if closed is not None and np.isfinite(closed) else None,
         probability=probability,
         improves="" if before is None else f"{before.name}, version {before.version}",
+        serial_number=_serial_number(candidate.fit.parameters.dataset.instrument),
     )
     twin = twin_of(candidate, name, next_version(name, before))
     return content_of(twin, source, time_of_creation(now), f"tissueid {__version__}")
@@ -118,11 +149,79 @@ def time_of_creation(now: datetime | None = None) -> str:
     return (now or datetime.now(UTC)).astimezone(UTC).strftime("%Y-%m-%dT%H:%M:%SZ")
 
 
+def _serial_number(device: DeviceDescription) -> str:
+    return "" if device.simulated or device.serial_number == "unknown" else device.serial_number
+
+
+def check_same_instrument(device: DeviceDescription, twin: TwinFile) -> None:
+    """Check that a twin can describe the instrument of a session.
+
+    The serial numbers agree where both are known, and the twin's parameters lie within the bounds of the fit around the
+    nominal ones.
+
+    Raises:
+        UnusableInputError: it is another instrument.
+    """
+    serial, theirs = _serial_number(device), twin.source.serial_number
+    if serial and theirs and serial != theirs:
+        raise UnusableInputError(
+            Message(
+                "gap.other_serial",
+                "the twin {twin} is of another instrument: serial number {theirs}, that of the session is {ours}",
+                twin=twin.name,
+                theirs=Verbatim(theirs),
+                ours=Verbatim(serial),
+            )
+        )
+    for ours, name in INSTRUMENT_COORDINATES.items():
+        value, nominal = twin.instrument[ours], getattr(device, name)
+        least = nominal * np.exp(-_reach(device))
+        most = nominal * np.exp(_reach(device))
+        if not least <= value <= most:
+            raise _other_instrument(twin, ours, value, float(least), float(most))
+    for name in ("stroke_m", "amplifier_limit_v"):
+        value, nominal = twin.instrument[name], getattr(device, name)
+        if not np.isclose(value, nominal, rtol=_SAME):
+            raise _other_instrument(twin, name, value, nominal, nominal)
+
+
+def _reach(device: DeviceDescription) -> float:
+    return WITHIN_STDS * device.calibration_relative_uncertainty + _SAME
+
+
+def _other_instrument(twin: TwinFile, name: str, value: float, least: float, most: float) -> UnusableInputError:
+    return UnusableInputError(
+        Message(
+            "gap.other_instrument",
+            "the twin {twin} is of another instrument: its {name} is {value:.4g}, that of the session {least:.4g} to "
+            "{most:.4g}",
+            twin=twin.name,
+            name=Verbatim(name),
+            value=value,
+            least=least,
+            most=most,
+        )
+    )
+
+
+def against_twin(dataset: Dataset, twin: TwinFile | None) -> tuple[Dataset, tuple[str, ...]]:
+    """Return the tests with a saved twin as prior, and its effects; the tests alone where there is no twin.
+
+    Raises:
+        UnusableInputError: the twin is of another instrument, or the record is an input-output record.
+    """
+    if twin is None:
+        return dataset, ()
+    prior = with_prior_twin(dataset, twin.twin)
+    check_same_instrument(dataset.instrument, twin)
+    return prior, twin.twin.effects
+
+
 def with_prior_twin(dataset: Dataset, twin: NamedTwin) -> Dataset:
-    """Return the same tests with a saved twin as prior: its instrument, its tissue and its effects.
+    """Return the same tests with a saved twin as prior: its instrument, its tissue, its effects and its errors.
 
     Parameters of the instrument have the twin's uncertainty, at most the calibration's. The tissue is refitted in every
-    session, from the twin's values.
+    session, from the twin's values. What the twin left unmodelled in its session is part of the noise floor.
 
     Raises:
         UnusableInputError: the record is an input-output record.
@@ -135,14 +234,15 @@ def with_prior_twin(dataset: Dataset, twin: NamedTwin) -> Dataset:
     for ours, theirs in INSTRUMENT_COORDINATES.items():
         value, nominal = getattr(twin.instrument, ours), getattr(dataset.instrument, theirs)
         std = twin.stds.get(ours)
-        priors[ours] = Prior(float(np.log(value / nominal)), None if std is None else max(std / value, 1e-4))
+        spread = None if std is None else max(np.hypot(std / value, CHANGE_OF_THE_INSTRUMENT.get(ours, 0.0)), 1e-4)
+        priors[ours] = Prior(float(np.log(value / nominal)), spread)
     priors["weight_n"] = Prior(twin.instrument.weight_n)
     for ours, theirs in TISSUE_COORDINATES.items():
         value = getattr(twin.tissue, theirs)
         priors[ours] = Prior(float(np.log(max(value, 1e-9))) if ours in LOGARITHMIC_TISSUE else value)
     for item in twin.acting:
         priors |= _of_effect(item.effect, item.values, twin.stds)
-    return replace(dataset, priors=priors)
+    return replace(dataset, priors=priors, unmodelled=twin.unmodelled)
 
 
 def _of_effect(effect: Effect, values: NDArray[np.float64], stds: dict[str, float]) -> dict[str, Prior]:

@@ -11,7 +11,7 @@ from scipy import ndimage
 
 from tissueid.errors import UnusableInputError
 from tissueid.identification.base import Array, Mask
-from tissueid.identification.sample_masks import finite_runs
+from tissueid.identification.preparation import finite_runs
 from tissueid.messages import Message
 
 _STEP = 7.0

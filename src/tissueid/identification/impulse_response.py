@@ -20,8 +20,7 @@ from tissueid.identification.correlation import (
     toeplitz_inverse,
     toeplitz_solve,
 )
-from tissueid.identification.preparation import Prepared
-from tissueid.identification.sample_masks import scored_samples
+from tissueid.identification.preparation import Prepared, scored_samples
 from tissueid.messages import Message
 
 RIDGE = 1e-3

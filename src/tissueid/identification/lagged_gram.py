@@ -14,7 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from tissueid.identification.base import Array, Mask
-from tissueid.identification.sample_masks import finite_runs
+from tissueid.identification.preparation import finite_runs
 
 _ROWS_AT_ONCE = 2048
 

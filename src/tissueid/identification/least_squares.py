@@ -89,11 +89,6 @@ class Factor:
         half = self.scale[:, None] * self.solver.half_inverse()
         return np.asarray(half @ half.T, dtype=np.float64)
 
-    def diag_of_inverse(self) -> Array:
-        """Return the diagonal (p,) of :meth:`inverse`."""
-        half = self.scale[:, None] * self.solver.half_inverse()
-        return np.asarray(np.einsum("ij,ij->i", half, half), dtype=np.float64)
-
 
 def factor(gram: Array, regressors: Regressors) -> Factor:
     """Factor regressors P from their Gram matrix P'P (p, p), or from P itself if that matrix is not accurate enough.

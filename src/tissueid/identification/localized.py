@@ -12,7 +12,7 @@ from tissueid.identification.depth_levels import Level
 from tissueid.identification.depth_profile import DepthProfile
 from tissueid.identification.dpn.simulation import Curves, simulate_dpn, tabulate_curves
 from tissueid.identification.partitions.parameters import LocalParameters
-from tissueid.identification.sample_masks import complete_windows
+from tissueid.identification.preparation import complete_windows
 from tissueid.identification.second_order import Hold
 from tissueid.identification.second_order_fit import SecondOrderFit, fit_second_order
 from tissueid.messages import Message

@@ -18,10 +18,9 @@ import numpy as np
 from tissueid.errors import UnusableInputError
 from tissueid.identification import recommendation_messages as messages
 from tissueid.identification.base import Array
-from tissueid.identification.candidates import Candidate, Standing, SufficientOption
+from tissueid.identification.candidates import Candidate, Difference, Standing, SufficientOption, difference
 from tissueid.identification.model_family import Family
 from tissueid.identification.validation import vaf_percent
-from tissueid.identification.validation.paired_difference import Difference, difference
 from tissueid.language import marked
 from tissueid.messages import Message, stored
 from tissueid.records import Record

@@ -6,15 +6,48 @@ overdamped tissue.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-from typing import Literal, Self
+from collections.abc import Mapping
+from dataclasses import dataclass, replace
+from typing import Literal, Self, TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
 from scipy import fft
 
 from tissueid.identification.base import Array
+from tissueid.identification.depth_profile import DepthProfile
 from tissueid.language import marked
+from tissueid.records import Estimate
+
+Name = TypeVar("Name", bound=str)
+
+_STIFFNESS = "stiffness_n_per_m"
+
+
+def has_stiffness(parameters: Mapping[str, Estimate]) -> bool:
+    """Return whether the parameters include a stiffness in N/m."""
+    return any(name.endswith(_STIFFNESS) for name in parameters)
+
+
+def without_spring(parameters: Mapping[Name, Estimate], spring_n_per_m: float) -> dict[Name, Estimate]:
+    """Return the parameters with the spring subtracted from every stiffness in N/m; standard deviations are unchanged.
+
+    Natural frequency, damping ratio and relative growth of stiffness with depth still describe tissue and spring.
+    """
+    return {
+        name: replace(found, value=found.value - spring_n_per_m) if _is_stiffness(name) else found
+        for name, found in parameters.items()
+    }
+
+
+def profile_without_spring(profile: DepthProfile, spring_n_per_m: float) -> DepthProfile:
+    """Return the depth profile with the spring subtracted from its stiffness."""
+    return replace(profile, stiffness=profile.stiffness - spring_n_per_m)
+
+
+def _is_stiffness(name: str) -> bool:
+    return name == "stiffness" or name.endswith(_STIFFNESS)
+
 
 Complex = NDArray[np.complex128]
 Hold = Literal["band-limited", "zero-order"]

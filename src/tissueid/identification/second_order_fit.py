@@ -20,10 +20,9 @@ from scipy import fft
 
 from tissueid.errors import UnusableInputError
 from tissueid.identification.base import Array, Mask
-from tissueid.identification.correlation import Correlator
-from tissueid.identification.effective_samples import dependence_samples, long_run_covariance
+from tissueid.identification.correlation import Correlator, dependence_samples, long_run_covariance
 from tissueid.identification.levenberg_marquardt import Bounds, minimise
-from tissueid.identification.sample_masks import finite_runs
+from tissueid.identification.preparation import finite_runs
 from tissueid.identification.second_order import (
     Complex,
     Hold,

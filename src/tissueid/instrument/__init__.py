@@ -4,12 +4,12 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING
 
-from tissueid.instrument.correction import Correction
 from tissueid.instrument.discovery import FoundInstrument, find_instruments, open_instrument
 from tissueid.instrument.driver import SerialInstrument
 from tissueid.instrument.interface import (
     SAMPLE,
     SIGNALS,
+    Correction,
     Gap,
     Instrument,
     Observer,

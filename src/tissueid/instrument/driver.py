@@ -14,7 +14,28 @@ from numpy.typing import NDArray
 from tissueid import wire
 from tissueid.device import DeviceDescription
 from tissueid.errors import InstrumentError, LinkLostError, TissueIDError
-from tissueid.instrument.commands import (
+from tissueid.instrument.frame_receiver import FrameReceiver
+from tissueid.instrument.handshake import Handshake, parse_hello
+from tissueid.instrument.interface import (
+    SIGNALS,
+    Corrections,
+    Observer,
+    Run,
+    calibration_while_running,
+    check_corrections,
+    checked_descriptions,
+    corrected,
+    nothing_loaded,
+    stage_while_running,
+    unexpected_set_points,
+)
+from tissueid.instrument.limits import Limits, check_command, check_limits, check_stimulus
+from tissueid.instrument.link import Link
+from tissueid.instrument.replies import Status
+from tissueid.instrument.requests import (
+    ANSWER_S,
+    TRIES,
+    RequestChannel,
     send_following,
     send_hello,
     send_limits,
@@ -22,20 +43,6 @@ from tissueid.instrument.commands import (
     send_stage,
     send_stimulus,
 )
-from tissueid.instrument.correction import Corrections, check_corrections, checked_descriptions, corrected
-from tissueid.instrument.frame_receiver import FrameReceiver
-from tissueid.instrument.handshake import Handshake, parse_hello
-from tissueid.instrument.interface import SIGNALS, Observer, Run
-from tissueid.instrument.limits import Limits, check_command, check_limits, check_stimulus
-from tissueid.instrument.link import Link
-from tissueid.instrument.misuse import (
-    calibration_while_running,
-    nothing_loaded,
-    stage_while_running,
-    unexpected_set_points,
-)
-from tissueid.instrument.replies import Status
-from tissueid.instrument.requests import ANSWER_S, TRIES, RequestChannel
 from tissueid.instrument.run_monitor import RunMonitor
 from tissueid.instrument.sample_stream import SampleStream
 from tissueid.instrument.setpoints import SetpointSender
@@ -165,9 +172,9 @@ class SerialInstrument:
         self._monitor.checks.expect_command(command_v)
         send_setpoints(self._channel, self._sender, self._token, offset, self._handshake.codes(command_v))
 
-    def narrowed(self, limits: Limits) -> Limits:
+    def effective_limits(self, limits: Limits) -> Limits:
         """Return ``limits``, reduced to the fixed limits of the instrument."""
-        return self._handshake.narrowed(limits)
+        return self._handshake.effective_limits(limits)
 
     def arm(self, limits: Limits) -> None:
         """Set the limits of the next run, here and in the firmware, reduced to the fixed limits of the device.
@@ -180,7 +187,7 @@ class SerialInstrument:
         if self._monitor.error is not None:
             raise self._monitor.error
         check_limits(limits, self.nominal)
-        limits = self.narrowed(limits)
+        limits = self.effective_limits(limits)
         for description in checked_descriptions(self.nominal, self.device):
             check_stimulus(self._command, description, limits, self._following)
             if self._following:

@@ -9,7 +9,7 @@ from typing import Any
 from tissueid import wire
 from tissueid.device import DeviceDescription
 from tissueid.errors import LinkLostError, ProtocolVersionError, TissueIDError
-from tissueid.instrument.correction import Corrections, corrected
+from tissueid.instrument.interface import Corrections, corrected
 from tissueid.instrument.replies import Status, parse_status
 from tissueid.instrument.run_monitor import RunMonitor
 from tissueid.instrument.sample_stream import SampleStream

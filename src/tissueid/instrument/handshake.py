@@ -34,7 +34,7 @@ class Handshake:
     max_temperature_c: float
     watchdog_s: float
 
-    def narrowed(self, limits: Limits) -> Limits:
+    def effective_limits(self, limits: Limits) -> Limits:
         """Return ``limits``, reduced to the fixed limits of the device."""
         return replace(
             limits,
@@ -70,6 +70,7 @@ RANGES = {
     "amplifier_gain": (0.01, 100.0),
     "amplifier_limit_v": (1.0, 120.0),
     "stroke_m": (0.001, 0.5),
+    "filter_corner_hz": (0.0, 1e6),
     "max_force_n": (0.1, 100.0),
     "max_temperature_c": (30.0, 150.0),
 }
@@ -157,10 +158,13 @@ def parse_hello(payload: bytes, port: str) -> Handshake:
         raise ProtocolVersionError(message)
     try:
         fields, table = wire.unpack(wire.HELLO_ACK, payload, tail=True)
-        if len(table) != fields["channels"] * wire.CHANNEL.itemsize:
-            raise wire.PayloadError(
-                f"the channel table has {len(table)} bytes, not {fields['channels'] * wire.CHANNEL.itemsize}"
-            )
+        size = fields["channels"] * wire.CHANNEL.itemsize
+        if len(table) < size:
+            raise wire.PayloadError(f"the channel table has {len(table)} bytes, not {size}")
+        table, rest = table[:size], table[size:]
+        fields["filter_corner_hz"] = 0.0
+        if len(rest) >= wire.HELLO_ACK_FILTER.itemsize:
+            fields |= wire.unpack(wire.HELLO_ACK_FILTER, rest, tail=True)[0]
     except wire.PayloadError as error:
         raise InstrumentError(
             Message("handshake.damaged", "the handshake of {port} is damaged: {why}", port=port, why=str(error))

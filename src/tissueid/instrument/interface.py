@@ -1,8 +1,8 @@
-"""Interface of every instrument, real, simulated or replayed, and the samples that it delivers."""
+"""Interface of every instrument, real, simulated or replayed, its samples, and errors of calls in a wrong state."""
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Protocol
 
@@ -10,9 +10,106 @@ import numpy as np
 from numpy.typing import NDArray
 
 from tissueid.device import DeviceDescription
-from tissueid.instrument.correction import Correction
+from tissueid.errors import InstrumentError
 from tissueid.instrument.limits import Limits
+from tissueid.messages import Message
 from tissueid.wire import Flag
+
+
+@dataclass(frozen=True)
+class Correction:
+    """The reading of a channel is ``gain`` * true value + ``offset``.
+
+    Raises:
+        InstrumentError: the gain is not between 0.5 and 2, or the offset is not finite.
+    """
+
+    gain: float = 1.0
+    offset: float = 0.0
+
+    def __post_init__(self) -> None:
+        if not (0.5 < self.gain < 2.0 and np.isfinite(self.offset)):
+            raise InstrumentError(
+                Message(
+                    "calibration.implausible_correction",
+                    "a channel cannot have a gain of {gain:g} and an offset of {offset:g}",
+                    gain=self.gain,
+                    offset=self.offset,
+                )
+            )
+
+
+Corrections = Mapping[str, Correction]
+"""Corrections by channel name. A channel without one needs no correction."""
+
+
+def corrected(samples: NDArray[np.void], corrections: Corrections) -> NDArray[np.void]:
+    """Return corrected samples, shape (k,) of SAMPLE; the argument is not changed."""
+    if not corrections:
+        return samples
+    result = samples.copy()
+    for name, correction in corrections.items():
+        result[name] -= correction.offset
+        result[name] /= correction.gain
+    return result
+
+
+def check_corrections(corrections: Corrections, channels: Sequence[str]) -> dict[str, Correction]:
+    """Return a copy of the corrections.
+
+    Raises:
+        InstrumentError: a correction is not for one of the measured ``channels``.
+    """
+    for name in corrections:
+        if name not in channels or name == "command":
+            raise InstrumentError(
+                Message("calibration.unknown_channel", "there is no channel {name} to correct", name=name)
+            )
+    return dict(corrections)
+
+
+def checked_descriptions(nominal: DeviceDescription, device: DeviceDescription) -> tuple[DeviceDescription, ...]:
+    """Return the descriptions for which limits must hold, so that a calibration never loosens a limit."""
+    return (nominal,) if device is nominal else (nominal, device)
+
+
+def calibration_while_running() -> InstrumentError:
+    """Return the error for a calibration applied while a test is armed or running."""
+    return InstrumentError(
+        Message("instrument.calibration_in_test", "a calibration can be applied between two tests only")
+    )
+
+
+def nothing_loaded() -> InstrumentError:
+    """Return the error for set-points announced before a stimulus is loaded."""
+    return InstrumentError(
+        Message("instrument.nothing_loaded", "load the stimulus that comes before the set-points first")
+    )
+
+
+def not_armed() -> InstrumentError:
+    """Return the error for a start without a loaded and armed stimulus."""
+    return InstrumentError(Message("instrument.not_armed", "load and arm the stimulus before starting"))
+
+
+def unexpected_set_points(first: int, end: int) -> InstrumentError:
+    """Return the error for set-points that were not announced."""
+    return InstrumentError(
+        Message(
+            "instrument.unexpected_set_points",
+            "set-points {first} to {end} were not announced: call follow and arm first",
+            first=first,
+            end=end,
+        )
+    )
+
+
+def stage_while_running() -> InstrumentError:
+    """Return the error for a stage movement while a test is armed or running."""
+    return InstrumentError(
+        Message("instrument.stage_in_test", "the stage moves only while the coil is free: end the test first")
+    )
+
 
 SIGNALS = ("command", "voltage", "current", "position", "temperature", "acceleration_x", "acceleration_y")
 """The recorded channels, SI: V, V, A, m, degC, m/s^2, m/s^2."""
@@ -102,7 +199,7 @@ class Instrument(Protocol):
     def finish(self) -> int:
         """End the run now by its soft release, and return the number of samples played."""
 
-    def narrowed(self, limits: Limits) -> Limits:
+    def effective_limits(self, limits: Limits) -> Limits:
         """Return ``limits``, reduced to the fixed limits of the instrument."""
 
     def arm(self, limits: Limits) -> None:

@@ -9,10 +9,8 @@ from numpy.typing import NDArray
 
 from tissueid.device import DeviceDescription
 from tissueid.errors import InstrumentError, UnusableInputError
-from tissueid.instrument.correction import Correction
-from tissueid.instrument.interface import SAMPLE, SIGNALS, Gap, Observer, Run
+from tissueid.instrument.interface import SAMPLE, SIGNALS, Correction, Gap, Observer, Run, not_armed
 from tissueid.instrument.limits import Limits
-from tissueid.instrument.misuse import not_armed
 from tissueid.messages import Message
 from tissueid.wire import Flag
 
@@ -87,7 +85,7 @@ class ReplayInstrument:
         self._running = False
         return min(self._cursor, self._loaded)
 
-    def narrowed(self, limits: Limits) -> Limits:
+    def effective_limits(self, limits: Limits) -> Limits:
         """Return ``limits``: a replay has none of its own."""
         return limits
 

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections import deque
+
 import numpy as np
 from numpy.typing import NDArray
 
@@ -9,9 +11,139 @@ from tissueid.device import DeviceDescription
 from tissueid.errors import InstrumentError, LimitError
 from tissueid.instrument.interface import Run
 from tissueid.instrument.limits import LIFT_S, Limits, check_samples, coil_too_hot
-from tissueid.instrument.plausibility import Plausibility
 from tissueid.instrument.thermal import PLAUSIBLE_C, WindingTemperature
 from tissueid.messages import Message
+
+BLOCK_S = 0.01
+"""Length of a block, s."""
+
+POSITION_BLOCKS = 10
+"""Blocks over which position and force are compared."""
+FROZEN_SWING_N = 0.3
+"""Change of force over 100 ms, N, above which the reading of an intact position sensor is not constant."""
+
+STILL_SWING_N, STILL_M = 3.0, 6.0e-6
+"""Change of force over 100 ms, N, that moves an intact probe by more than the second value, m."""
+
+JUMP_M_PER_S = 10.0
+"""Impossible speed between two samples, m/s: more than twice the maximum at full force over the whole stroke."""
+
+COIL_BLOCKS = 2
+OPEN_VOLTS, OPEN_SHARE = 2.0, 0.15
+"""The coil is open if, over 20 ms at this voltage or more, the current is below this share of voltage / resistance."""
+
+CURRENT_BLOCKS, CURRENT_SWING_V = 5, 1.0
+"""The current sensor is frozen if its reading is constant over these blocks while the voltage changes
+by this value, V.
+"""
+
+STUCK_POSITION = Message(
+    "sensor.position_stuck",
+    "the position reading does not change although the force does: check the plug and cable of the position sensor",
+)
+JUMPING_POSITION = Message(
+    "sensor.position_jumps",
+    "the position reading jumps further than the probe can move: check the plug and cable of the position sensor",
+)
+DEAD_COIL = Message(
+    "sensor.no_current", "the coil current does not follow the voltage: check the plug and cable of the coil"
+)
+
+_COLUMNS = ("command", "voltage", "current", "position")
+
+
+class Plausibility:
+    """Checks the samples of a run as they arrive. Blocks with lost samples are skipped."""
+
+    def __init__(self, device: DeviceDescription) -> None:
+        self._block = max(1, round(BLOCK_S * device.sample_rate_hz))
+        self._jump_m = JUMP_M_PER_S / device.sample_rate_hz
+        self._resistance_ohm = device.coil_resistance_ohm
+        self._force_constant = device.force_constant_n_per_a
+        self.begin()
+
+    def begin(self, *, at_low_end: bool = False) -> None:
+        """Begin a run. With ``at_low_end`` the probe may rest at the near end of its stroke, where readings are
+        constant.
+        """
+        self._at_low_end = at_low_end
+        self._pending = np.zeros((0, len(_COLUMNS)))
+        self._seen: deque[dict[str, float]] = deque(maxlen=POSITION_BLOCKS)
+        self._last_m = np.nan
+
+    def check(self, samples: NDArray[np.void]) -> None:
+        """Check the next samples of the run, shape (k,), in order.
+
+        Raises:
+            InstrumentError: the readings are implausible.
+        """
+        if samples.size == 0:
+            return
+        position = np.append(self._last_m, samples["position"])
+        self._last_m = float(position[-1])
+        if np.any(np.abs(np.diff(position)) > self._jump_m):  # NaN next to a lost sample: no jump
+            raise InstrumentError(JUMPING_POSITION)
+        rows = np.stack([samples[name] for name in _COLUMNS], axis=1)
+        self._pending = np.concatenate((self._pending, rows))
+        while self._pending.shape[0] >= self._block:
+            block, self._pending = self._pending[: self._block], self._pending[self._block :]
+            if np.isfinite(block).all():
+                self._seen.append(_summary(block))
+                self._judge_position()
+                self._judge_current()
+
+    def _judge_position(self) -> None:
+        if len(self._seen) < POSITION_BLOCKS:
+            return
+        low, high = min(row["lowest_m"] for row in self._seen), max(row["highest_m"] for row in self._seen)
+        if self._at_low_end and low <= 0.0:
+            return
+        swing = _spread([row["current"] for row in self._seen]) * self._force_constant
+        frozen = low == high and swing >= FROZEN_SWING_N
+        still = _spread([row["position"] for row in self._seen]) <= STILL_M and swing >= STILL_SWING_N
+        if frozen or still:
+            raise InstrumentError(STUCK_POSITION)
+
+    def _judge_current(self) -> None:
+        newest = list(self._seen)[-COIL_BLOCKS:]
+        asked, measured, drawn = (
+            sum(row[name] for row in newest) / len(newest) for name in ("asked_v", "measured_v", "drawn_a")
+        )
+        weak = drawn * self._resistance_ohm < OPEN_SHARE * measured
+        if len(newest) == COIL_BLOCKS and min(asked, measured) >= OPEN_VOLTS and weak:
+            raise InstrumentError(DEAD_COIL)
+        newest = list(self._seen)[-CURRENT_BLOCKS:]
+        frozen = min(row["lowest_a"] for row in newest) == max(row["highest_a"] for row in newest)
+        swing = _spread([row["voltage"] for row in newest])
+        if len(newest) == CURRENT_BLOCKS and frozen and swing >= CURRENT_SWING_V:
+            raise InstrumentError(DEAD_COIL)
+
+
+def _spread(few: list[float]) -> float:
+    # Ten times as fast as numpy for ten numbers.
+    return max(few) - min(few)
+
+
+def _summary(block: NDArray[np.float64]) -> dict[str, float]:
+    """Return means, mean magnitudes and extremes of a block, by name."""
+    columns = np.ascontiguousarray(block.T)
+    _, voltage, current, position = columns.mean(axis=1).tolist()
+    asked, measured, drawn, _ = np.abs(columns).mean(axis=1).tolist()
+    _, _, lowest_a, lowest_m = columns.min(axis=1).tolist()
+    _, _, highest_a, highest_m = columns.max(axis=1).tolist()
+    return {
+        "asked_v": asked,
+        "measured_v": measured,
+        "drawn_a": drawn,
+        "voltage": voltage,
+        "current": current,
+        "position": position,
+        "lowest_a": lowest_a,
+        "highest_a": highest_a,
+        "lowest_m": lowest_m,
+        "highest_m": highest_m,
+    }
+
 
 _NO_TEMPERATURE = Message(
     "sensor.no_temperature",

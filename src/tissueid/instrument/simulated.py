@@ -12,16 +12,23 @@ from numpy.typing import NDArray
 from tissueid.device import SIMULATED_SERIAL, DeviceDescription
 from tissueid.errors import InstrumentError, TissueIDError, UnusableInputError
 from tissueid.formatting import clean
-from tissueid.instrument.correction import Corrections, check_corrections, checked_descriptions, corrected
-from tissueid.instrument.interface import SAMPLE, SIGNALS, Gap, Observer, Run
-from tissueid.instrument.limits import Limits, check_command, check_limits, check_stimulus
-from tissueid.instrument.misuse import (
+from tissueid.instrument.interface import (
+    SAMPLE,
+    SIGNALS,
+    Corrections,
+    Gap,
+    Observer,
+    Run,
     calibration_while_running,
+    check_corrections,
+    checked_descriptions,
+    corrected,
     not_armed,
     nothing_loaded,
     stage_while_running,
     unexpected_set_points,
 )
+from tissueid.instrument.limits import Limits, check_command, check_limits, check_stimulus
 from tissueid.instrument.playback import Playback
 from tissueid.instrument.replies import released_by_faults
 from tissueid.instrument.sample_monitor import SampleMonitor
@@ -187,7 +194,7 @@ class SimulatedInstrument:
             check_command(command_v, description, self._limits)
         self._playback.take(offset, command_v)
 
-    def narrowed(self, limits: Limits) -> Limits:
+    def effective_limits(self, limits: Limits) -> Limits:
         """Return ``limits``: the simulation has none of its own."""
         return limits
 

@@ -32,6 +32,7 @@ MOST_NAMED = MOST_EFFECTS
 _Finite = Annotated[float, Field(allow_inf_nan=False, ge=-1e12, le=1e12)]
 _Figure = Annotated[str, Field(pattern=r"^[a-z][a-z0-9_]{0,63}$")]
 _Std = Annotated[float, Field(ge=0.0, le=1e12, allow_inf_nan=False)]
+_Share = Annotated[float, Field(ge=0.0, le=1e3, allow_inf_nan=False)]
 _Line = Annotated[str, Field(max_length=200, pattern=r"^[^\x00-\x1f\x7f]*$")]
 _NAME = r"[A-Za-z0-9][A-Za-z0-9 ._-]{0,79}"
 _POSITIVE = ("resistance_ohm", "inductance_h", "force_constant_n_per_a", "moving_mass_kg", "amplifier_gain", "stroke_m")
@@ -64,6 +65,8 @@ class Source(_Part):
     probability: Annotated[float, Field(ge=0.0, le=1.0)] | None = None
     improves: _Line = ""
     """Name and version of the twin that it extends."""
+    serial_number: _Line = ""
+    """Serial number of the instrument; empty where it is unknown or the instrument is simulated."""
 
 
 class EffectPart(_Part):
@@ -102,6 +105,8 @@ class TwinFile(_Part):
     tissue: dict[_Figure, _Finite]
     stds: Annotated[dict[_Figure, _Std], Field(max_length=64)] = Field(default_factory=dict)
     effects: Annotated[tuple[EffectPart, ...], Field(max_length=MOST_NAMED)] = ()
+    unmodelled: Annotated[dict[_Figure, _Share], Field(max_length=16)] = Field(default_factory=dict)
+    """Error that the twin leaves of each signal beyond the sensor noise, as a share of its standard deviation."""
 
     @field_validator("instrument")
     @classmethod
@@ -152,6 +157,7 @@ class TwinFile(_Part):
             tuple(_acting(item) for item in self.effects),
             self.sample_rate_hz,
             stds,
+            dict(self.unmodelled),
         )
 
 
@@ -233,6 +239,7 @@ def content_of(twin: NamedTwin, source: Source, created: str, software: str) -> 
             tissue=asdict(twin.tissue),
             stds={name: value for name, value in twin.stds.items() if "." not in name},
             effects=effects,
+            unmodelled=twin.unmodelled,
         )
     except ValidationError as error:
         raise UnusableInputError(validation_reason(error)) from error

@@ -6,6 +6,7 @@ import subprocess
 import tempfile
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
+from enum import StrEnum
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
@@ -25,7 +26,19 @@ if TYPE_CHECKING:  # each takes long to import
     from tissueid.gap.blind_check import BlindCheck
     from tissueid.gap.blind_scoring import Answered, Score
 
-LABORATORY = "firmware_sim.laboratory"
+
+class LaboratoryName(StrEnum):
+    """The simulated laboratory that records the scenarios."""
+
+    FIRST = "first"
+    SECOND = "second"
+
+    @property
+    def module(self) -> str:
+        """Module that records scenarios in its own process."""
+        return "firmware_sim.laboratory" if self is LaboratoryName.FIRST else "firmware_sim.second_laboratory"
+
+
 MOST_SECONDS = 3600.0
 """Time limit of the simulated laboratory."""
 _N, _SEED, _FULL_SHARE = 40, 1, 0.3
@@ -47,6 +60,20 @@ class BlindCheckPlan(Plan):
         Option("--full-share", help="share of full sessions, default 0.3; the others are single tests"),
         Field(ge=0.0, le=1.0),
     ] = None
+    laboratory: Annotated[
+        LaboratoryName | None,
+        Option("--laboratory", help="simulated laboratory, default first; second has other machines, stimuli and laws"),
+    ] = None
+    skin: Annotated[
+        bool, Option("--skin", help="forearms and upper arms with 0 to 2 hidden instrument effects; scores sets")
+    ] = False
+    against_twin: Annotated[
+        bool,
+        Option(
+            "--against-twin",
+            help="later sessions of people with 0 or 1 new instrument effect, diagnosed against the accepted twin",
+        ),
+    ] = False
     take_out: Annotated[bool, Option("--take-out", help="repeat without the true effect in the library")] = False
     keep: Annotated[
         Path | None, Option("--keep", metavar="DIR", help="keep recordings, labels and answers in this folder")
@@ -85,6 +112,10 @@ def run_blind_check(
         raise UnusableInputError(
             Message("blind.no_folder", "--resume needs the folder of the interrupted check: add --keep DIR")
         )
+    if plan.against_twin and (plan.laboratory is LaboratoryName.SECOND or plan.take_out):
+        raise _not_with("--against-twin", "--take-out" if plan.take_out else "--laboratory second")
+    if plan.skin and (plan.laboratory is LaboratoryName.SECOND or plan.take_out):
+        raise _not_with("--skin", "--take-out" if plan.take_out else "--laboratory second")
     try:
         if plan.keep is not None:
             return _checked(plan, plan.keep, control, sealed)
@@ -92,6 +123,17 @@ def run_blind_check(
             return _checked(plan, Path(scratch), control, sealed)
     except (KeyboardInterrupt, CancelledError):
         raise CancelledError(_interrupted(plan.keep)) from None
+
+
+def _not_with(kind: str, option: str) -> UnusableInputError:
+    return UnusableInputError(
+        Message(
+            "blind.skin_alone",
+            "{kind} cannot be combined with {option}: omit one of the two",
+            kind=Verbatim(kind),
+            option=option,
+        )
+    )
 
 
 def _interrupted(keep: Path | None) -> str:
@@ -119,8 +161,10 @@ def _begin(plan: BlindCheckPlan, folder: Path) -> CheckInProgress:
         n = _N if plan.n is None else plan.n
         seed = _SEED if plan.seed is None else plan.seed
         share = _FULL_SHARE if plan.full_share is None else plan.full_share
-        record_scenarios(folder, n, seed, share)
-        begun = CheckInProgress(n, seed, share, seal(folder))
+        laboratory = plan.laboratory or LaboratoryName.FIRST
+        skin = plan.skin or plan.against_twin
+        record_scenarios(folder, n, seed, share, laboratory, skin=skin, later=plan.against_twin)
+        begun = CheckInProgress(n, seed, share, seal(folder), laboratory.value, skin, plan.against_twin)
         begin_check(folder, begun)
         return begun
     begun = check_in_progress(folder)
@@ -140,6 +184,31 @@ def _begin(plan: BlindCheckPlan, folder: Path) -> CheckInProgress:
                     asked=asked,
                 )
             )
+    if plan.laboratory is not None and plan.laboratory != begun.laboratory:
+        raise UnusableInputError(
+            Message(
+                "blind.other_laboratory",
+                "the check in {folder} was begun with --laboratory {held}, not {asked}",
+                folder=str(folder),
+                held=begun.laboratory,
+                asked=plan.laboratory.value,
+            )
+        )
+    for option, asked_for, has in (
+        ("--skin", plan.skin, begun.skin),
+        ("--against-twin", plan.against_twin, begun.against_twin),
+    ):
+        if asked_for and not has:
+            raise UnusableInputError(
+                Message(
+                    "blind.not_begun_so",
+                    "the check in {folder} was begun without {option}: omit it",
+                    folder=str(folder),
+                    option=Verbatim(option),
+                )
+            )
+    if plan.take_out and begun.skin:
+        raise _not_with("--skin", "--take-out")
     _check_seal(folder, begun)
     return begun
 
@@ -187,7 +256,8 @@ def _checked(
             count = _counter(control, _TAKEN_OUT, len(known))
             one_out = answers(folder, list(known), pool, count, known.__getitem__, keep)
             again = with_labels(one_out, labels)
-    check = BlindCheck(begun.seal, begun.n, begun.seed, dict(_scores(cases, again)))
+    scores = dict(_scores(cases, again, begun))
+    check = BlindCheck(begun.seal, begun.n, begun.seed, scores, begun.laboratory, begun.skin, begun.against_twin)
     if plan.page is not None:
         from tissueid.reports.gap_blind import write_blind_report
 
@@ -198,8 +268,11 @@ def _checked(
     return CheckedDiagnoses(check, found)
 
 
-def _scores(cases: Sequence[Answered], again: Sequence[Answered]) -> Iterator[tuple[str, tuple[str, int, Score]]]:
+def _scores(
+    cases: Sequence[Answered], again: Sequence[Answered], begun: CheckInProgress
+) -> Iterator[tuple[str, tuple[str, int, Score]]]:
     from tissueid.gap.blind_scoring import FULL, SINGLE, score_of
+    from tissueid.gap.set_scoring import score_of_later_sessions, score_of_sets
 
     for key, title, full, asked in (
         ("single", "One stochastic test", False, SINGLE),
@@ -207,19 +280,33 @@ def _scores(cases: Sequence[Answered], again: Sequence[Answered]) -> Iterator[tu
     ):
         chosen = [case for case in cases if case.label.full == full]
         if chosen:
-            score = score_of(chosen, asked, [case for case in again if case.label.full == full])
+            out = [case for case in again if case.label.full == full]
+            if begun.against_twin:
+                score = score_of_later_sessions(chosen)
+            else:
+                score = score_of_sets(chosen) if begun.skin else score_of(chosen, asked, out)
             yield key, (title, len(chosen), score)
 
 
-def record_scenarios(folder: Path, n: int, seed: int, full_share: float) -> None:
-    """Record scenarios of the simulated laboratory, which runs in its own process.
+def record_scenarios(
+    folder: Path,
+    n: int,
+    seed: int,
+    full_share: float,
+    laboratory: LaboratoryName = LaboratoryName.FIRST,
+    *,
+    skin: bool = False,
+    later: bool = False,
+) -> None:
+    """Record scenarios of a simulated laboratory, which runs in its own process; with ``skin`` those of people's skin,
+    with ``later`` as well later sessions of the same people.
 
     Raises:
         UnusableInputError: it cannot be run, or failed.
     """
     private_folder(folder)
-    command = ["-m", LABORATORY, "--seed", str(seed), "--n", str(n), "--out", str(folder), "--clean"]
-    command += ["--full-share", str(full_share)]
+    command = ["-m", laboratory.module, "--seed", str(seed), "--n", str(n), "--out", str(folder), "--clean"]
+    command += ["--full-share", str(full_share), *(["--skin"] if skin else []), *(["--later"] if later else [])]
     try:
         done = run(*command, capture_output=True, text=True, timeout=MOST_SECONDS, check=False)
     except (OSError, subprocess.TimeoutExpired) as error:

@@ -10,7 +10,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from tissueid.acquisition.contact import RECENT_S, Contact, contact_of_free
+from tissueid.acquisition.surface_detection import RECENT_S, Contact, contact_of_free
 from tissueid.device import DeviceDescription
 from tissueid.instrument import SAMPLE, Instrument
 from tissueid.procedures.instrument_queries import greatest_force_n

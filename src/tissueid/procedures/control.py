@@ -2,11 +2,19 @@
 
 from __future__ import annotations
 
+from typing import TYPE_CHECKING
+
 from tissueid.errors import CANCELLED, CancelledError
 from tissueid.messages import Message
 
+if TYPE_CHECKING:  # takes long to import
+    from tissueid.instrument import Instrument
+
 COUNTED = "procedure.counted"
 """Code of a step with the number of its items that are done."""
+
+BY_KEY = Message("stop.key", "stopped by key")
+"""Reason of a stop by a key, at a terminal or in the window."""
 
 
 def counted(step: str, done: int, total: int) -> Message:
@@ -29,6 +37,9 @@ class Control:
 
     def instruct(self, prompt: str) -> None:
         """Show an instruction that needs no confirmation; "" removes it."""
+
+    def opened(self, instrument: Instrument) -> None:
+        """Take the instrument that a procedure has opened, to follow its samples."""
 
     @property
     def attended(self) -> bool:

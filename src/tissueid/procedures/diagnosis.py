@@ -1,30 +1,24 @@
-"""Diagnosis of the gap of a session, and of all sessions of a folder."""
+"""Diagnosis of the gap of a session."""
 
 from __future__ import annotations
 
 import functools
-from collections.abc import Callable, Mapping
+from collections.abc import Mapping
 from dataclasses import dataclass
-from pathlib import Path
-from typing import TYPE_CHECKING, TypeVar
+from typing import TYPE_CHECKING
 
-from tissueid.errors import UnusableInputError
 from tissueid.gap import Diagnosis, diagnose, executor, prepare
 from tissueid.gap.accepting import NamedEffects, named_effects
-from tissueid.gap.twin_export import with_prior_twin
-from tissueid.gap.workers import SerialExecutor
+from tissueid.gap.twin_export import against_twin
 from tissueid.instrument.twin_file import TwinFile, check_twin_writable, read_twin
 from tissueid.language import marked
-from tissueid.messages import Message
 from tissueid.procedures.control import Control, counted
-from tissueid.procedures.gap_plans import DiagnosisPlan, FolderPlan
+from tissueid.procedures.gap_plans import DiagnosisPlan
 from tissueid.procedures.output_files import HTML, check_different, check_output, check_report, unwritable
 from tissueid.sessions import Session, read_session
 
 if TYPE_CHECKING:
     from tissueid.gap.search import SearchProgress, Work
-
-R = TypeVar("R")
 
 STEPS: Mapping[Work, str] = {
     "baseline": marked("Fitting the baseline twin"),
@@ -35,14 +29,17 @@ STEPS: Mapping[Work, str] = {
     "further starting points": marked("Fitting from further starting points"),
     "further candidates": marked("Fitting further effects to the end"),
     "near relations": marked("Fitting near relations of what leads"),
-    "pairs": marked("Fitting pairs of effects"),
-    "leading pairs": marked("Fitting the leading pairs to the end"),
-    "members of the pair": marked("Fitting each half of the best pair"),
-    "further pairs": marked("Fitting further pairs of effects"),
-    "further leading pairs": marked("Fitting further pairs to the end"),
+    "tissue": marked("Fitting the effects of living tissue together"),
+    "additions": marked("Fitting sets with one more effect"),
+    "leading additions": marked("Fitting the leading sets to the end"),
+    "removals": marked("Fitting the set without each effect"),
+    "replacements": marked("Fitting other effects in place of each"),
+    "leading replacements": marked("Fitting the leading replacements to the end"),
 }
 """Text of each step of the search."""
-_ENDS: frozenset[Work] = frozenset({"leading candidates", "near relations", "leading pairs", "further leading pairs"})
+_ENDS: frozenset[Work] = frozenset(
+    {"leading candidates", "near relations", "leading additions", "leading replacements"}
+)
 _LAST = marked("Working out where, which and how far")
 _READING = marked("Reading the session")
 
@@ -84,10 +81,7 @@ def diagnose_session(plan: DiagnosisPlan, control: Control) -> DiagnosedSession:
     twin = None if plan.twin is None else read_twin(plan.twin)
     session = read_session(plan.session)
     check_report(plan.report, session)
-    dataset = prepare(session, plan.fit, plan.check)
-    known: tuple[str, ...] = ()
-    if twin is not None:
-        dataset, known = with_prior_twin(dataset, twin.twin), twin.twin.effects
+    dataset, known = against_twin(prepare(session, plan.fit, plan.check), twin)
     with executor(plan.workers) as pool:
         progress = functools.partial(show_search, control)
         found = diagnose(dataset, pool, known=known, progress=progress, cancelled=control.check)
@@ -111,38 +105,3 @@ def show_search(control: Control, progress: SearchProgress) -> None:
         control.progress(done / total, counted(STEPS[progress.what], done, total))
     else:
         control.progress(None, STEPS[progress.what])
-
-
-def diagnose_folder(plan: FolderPlan, control: Control, of: Callable[[Diagnosis], R]) -> dict[Path, R | str]:
-    """Diagnose every session of a folder, and return ``of`` each diagnosis; the reason for a file that cannot be used.
-
-    ``of`` must be picklable: it is called in the processes that diagnose.
-
-    Raises:
-        UnusableInputError: there are no session files.
-        CancelledError: it was cancelled.
-    """
-    files = sorted(plan.folder.glob("*.h5"))
-    if not files:
-        raise UnusableInputError(
-            Message("gap.no_sessions", "there are no session files in {folder}", folder=str(plan.folder))
-        )
-    step, count = marked("Diagnosing sessions"), 0
-
-    def done(_path: Path) -> None:
-        nonlocal count
-        count += 1
-        control.progress(count / len(files), counted(step, count, len(files)))
-
-    control.progress(0.0, counted(step, 0, len(files)))
-    with executor(plan.workers) as pool:
-        answers = pool.do(functools.partial(_of_file, of), files, control.check, done)
-    return dict(zip(files, answers, strict=True))
-
-
-def _of_file(of: Callable[[Diagnosis], R], path: Path) -> R | str:
-    # One process per session is faster than all processes on one session after another.
-    try:
-        return of(diagnose(prepare(read_session(path)), SerialExecutor()))
-    except UnusableInputError as error:
-        return error.message

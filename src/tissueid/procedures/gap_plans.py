@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from functools import partial
 from pathlib import Path
 from typing import Annotated
 
@@ -31,29 +32,22 @@ def read_test_number(option: str, text: str) -> int:
         ) from None
 
 
+def _test_numbers(name: str, about: str) -> Option:
+    """Return the declaration of an option with test numbers, separated by commas."""
+    return Option(name, metavar="N,...", help=about, separator=",", read=partial(read_test_number, name))
+
+
 class GapPlan(Plan):
     """What is diagnosed: a session, the tests to fit and to check, and the twin to start from."""
 
     session: Annotated[Path, Option(argument=True, metavar="SESSION", help="a session file")]
     fit: Annotated[
         tuple[int, ...],
-        Option(
-            "--fit",
-            metavar="N,...",
-            help="tests to fit; default: chosen automatically",
-            separator=",",
-            read=lambda text: read_test_number("--fit", text),
-        ),
+        _test_numbers("--fit", "tests to fit; default: chosen automatically"),
     ] = ()
     check: Annotated[
         tuple[int, ...],
-        Option(
-            "--check",
-            metavar="N,...",
-            help="tests to hold out; default: chosen automatically",
-            separator=",",
-            read=lambda text: read_test_number("--check", text),
-        ),
+        _test_numbers("--check", "tests to hold out; default: chosen automatically"),
     ] = ()
     twin: Annotated[Path | None, Option("--twin", metavar="FILE", help="saved twin to start from")] = None
     workers: Annotated[
@@ -95,7 +89,7 @@ class AcceptPlan(GapPlan):
 
 
 class FolderPlan(Plan):
-    """Diagnosis of all sessions of a folder."""
+    """Diagnosis of all sessions of a folder. After a kill the same plan continues where it was."""
 
     folder: Annotated[Path, Option(argument=True, metavar="FOLDER", help="a folder of session files")]
     workers: Annotated[
@@ -103,3 +97,10 @@ class FolderPlan(Plan):
         Option("--workers", metavar="N", help="number of processes; default: one per core"),
         Field(ge=1, le=64),
     ] = None
+
+
+class WatchPlan(FolderPlan):
+    """Diagnosis of all sessions of a folder against an accepted twin, in order of time."""
+
+    twin: Annotated[Path, Option("--twin", metavar="FILE", help="accepted twin to compare with")]
+    report: Annotated[Path | None, Option("--out", metavar="PAGE", help="write the report, one HTML page")] = None

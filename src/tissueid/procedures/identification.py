@@ -13,6 +13,7 @@ from tissueid.procedures.plan_options import Option, Plan, parse_options
 
 if TYPE_CHECKING:  # each takes long to import
     from tissueid.analysis import Analysis
+    from tissueid.identification import Engine
     from tissueid.identification.validation.residual_tests import ResidualTests
     from tissueid.sessions import Session
 
@@ -51,6 +52,25 @@ class IdentificationPlan(FitPlan):
         tuple[str, ...],
         Option("--option", metavar="NAME=VALUE", help="another option of the engine; may be repeated"),
     ] = ()
+
+
+class EnginesPlan(Plan):
+    """The engine whose options are listed; None for all engines."""
+
+    engine: Annotated[str | None, Option(argument=True, metavar="[ENGINE]", help="engine whose options are listed")] = (
+        None
+    )
+
+
+def listed_engines(plan: EnginesPlan) -> list[type[Engine]]:
+    """Return the engine of a plan, or all.
+
+    Raises:
+        UnusableInputError: there is no engine of that name.
+    """
+    from tissueid.identification import engine_names, get_engine
+
+    return [get_engine(name) for name in ((plan.engine,) if plan.engine is not None else engine_names())]
 
 
 @dataclass(frozen=True)

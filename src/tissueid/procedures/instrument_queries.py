@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
+from typing import Annotated
 
 import numpy as np
 
@@ -16,9 +17,11 @@ from tissueid.instrument import (
     Instrument,
     Limits,
     SerialInstrument,
+    find_instruments,
     open_instrument,
 )
 from tissueid.instrument.replies import describe_faults
+from tissueid.procedures.plan_options import Option, Plan
 
 LISTEN_S = 1.0
 """Duration over which samples are read, s."""
@@ -27,6 +30,17 @@ _MOST_POLLS = 400
 
 Opener = Callable[[str], Instrument]
 Calibrate = Callable[[Instrument], object]
+
+
+class DevicesPlan(Plan):
+    """A search for instruments."""
+
+    probe: Annotated[bool, Option(help="connect to each instrument")] = True
+
+
+def listed_instruments(plan: DevicesPlan) -> list[FoundInstrument]:
+    """Return connected and simulated instruments; a probed one is closed again."""
+    return find_instruments(probe=plan.probe)
 
 
 def described_device(url: str | None) -> DeviceDescription:
@@ -46,7 +60,7 @@ def described_device(url: str | None) -> DeviceDescription:
 
 def greatest_force_n(instrument: Instrument) -> float:
     """Return the maximum force of an instrument, N in whole tenths, by its amplifier and its own limits."""
-    own = math.floor(10.0 * instrument.narrowed(RESEARCH).max_force_n) / 10.0
+    own = math.floor(10.0 * instrument.effective_limits(RESEARCH).max_force_n) / 10.0
     return min(instrument.device.greatest_force_n, own)
 
 
@@ -146,7 +160,7 @@ def run_checkup(url: str, opener: Opener, calibrate: Calibrate, check: Callable[
             url,
             instrument.nominal,
             device,
-            {name: instrument.narrowed(limits) for name, limits in PROFILES.items()},
+            {name: instrument.effective_limits(limits) for name, limits in PROFILES.items()},
             samples,
             lost,
             float(np.mean(temperatures)) if temperatures else np.nan,

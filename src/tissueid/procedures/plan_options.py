@@ -12,7 +12,7 @@ from __future__ import annotations
 
 import contextlib
 import json
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -59,6 +59,21 @@ class Plan(BaseModel):
             super().__init__(**values)
         except ValidationError as error:
             raise UnusableInputError(option_error("the plan", type(self).model_fields, error)) from error
+
+
+def named_values(plan: Plan, fields: Mapping[str, str]) -> dict[str, tuple[str, Any]]:
+    """Return name on the command line and value of the fields of a plan that are not None.
+
+    Args:
+        plan: the plan.
+        fields: field of the plan, by the key of the result.
+    """
+    named = {}
+    for key, field in fields.items():
+        option = option_of(type(plan).model_fields[field])
+        if option is not None and (value := getattr(plan, field)) is not None:
+            named[key] = option.name, value
+    return named
 
 
 def option_of(field: FieldInfo) -> Option | None:

@@ -48,6 +48,7 @@ def run_static_calibration(
         )
     instrument = (opener or open_instrument)(plan.device or "")
     try:
+        control.opened(instrument)
         control.check()
         serial_number = instrument.device.serial_number
         path = calibration_path(plan, serial_number, now)

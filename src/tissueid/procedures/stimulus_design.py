@@ -1,14 +1,283 @@
-"""Building of a stimulus, which may take long: with progress, and cancellable."""
+"""Design of a stimulus, or check of a saved one, and the files that are written of it."""
 
 from __future__ import annotations
 
+import io
 import math
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Any
 
+from pydantic import Field
+
+from tissueid.errors import LimitError, UnusableInputError
 from tissueid.messages import Message, Verbatim
 from tissueid.procedures.control import Control
-from tissueid.stimuli import OpenLoopKind, Stimulus
-from tissueid.stimuli.interchange import InterchangeProgress, InterchangeResult
-from tissueid.stimuli.kinds.interchange import Interchange
+from tissueid.procedures.output_files import check_different, check_output, unwritable, write_text
+from tissueid.procedures.plan_options import Option, Plan, name_and_value, named_values
+
+if TYPE_CHECKING:  # each takes long to import
+    from tissueid.analysis.stimulus_design import StimulusDesign
+    from tissueid.device import DeviceDescription
+    from tissueid.instrument import Limits
+    from tissueid.procedures.simulated_feedback import FeedbackTrial
+    from tissueid.reports.stimulus_report import StimulusReport
+    from tissueid.stimuli import FeedbackKind, OpenLoopKind, Stimulus, StimulusKind
+    from tissueid.stimuli.interchange import InterchangeProgress, InterchangeResult
+
+CSV_HEAD = "time_s,"
+"""First characters of a file of samples."""
+_RANGES = (("min_force_n", "max_force_n"), ("min_volts", "max_volts"))
+_FIELDS = {
+    "force_min_n": "min_force_n",
+    "force_max_n": "max_force_n",
+    "voltage_min_v": "min_volts",
+    "voltage_max_v": "max_volts",
+    "seconds": "seconds",
+    "seed": "seed",
+}
+"""Option of a stimulus: field of the plan."""
+
+
+class StimulusPlan(Plan):
+    """A kind of stimulus with its options, or a saved stimulus; None to list all kinds.
+
+    ``options`` are options of the kind without a field here. With ``list_options`` nothing is designed. ``device`` None
+    is the desktop device, or for a feedback stimulus a simulated tissue.
+    """
+
+    what: Annotated[
+        str | None,
+        Option(argument=True, metavar="KIND|FILE", help="a kind or a saved stimulus; default: list the kinds"),
+    ] = None
+    options: Annotated[
+        tuple[tuple[str, Any], ...],
+        Option(
+            "--option", metavar="NAME=VALUE", help="another option of the kind; may be repeated", read=name_and_value
+        ),
+    ] = ()
+    list_options: Annotated[bool, Option("--options", help="list the options of the kind with their bounds")] = False
+    min_force_n: Annotated[
+        float | None, Option("--min-force", metavar="NEWTON", help="lower end of the force range")
+    ] = None
+    max_force_n: Annotated[
+        float | None, Option("--max-force", metavar="NEWTON", help="upper end of the force range")
+    ] = None
+    min_volts: Annotated[
+        float | None,
+        Option("--min-volts", metavar="VOLT", help="lower end of the voltage range, in place of force"),
+    ] = None
+    max_volts: Annotated[
+        float | None,
+        Option("--max-volts", metavar="VOLT", help="upper end of the voltage range, in place of force"),
+    ] = None
+    seconds: Annotated[float | None, Option("--seconds", metavar="SECONDS", help="length without preload")] = None
+    seed: Annotated[
+        int | None, Option("--seed", help="seed; the same seed gives the same samples"), Field(ge=0, le=2**63 - 1)
+    ] = None
+    out: Annotated[Path | None, Option("--out", metavar="FILE", help="save the stimulus for 'tissueid test'")] = None
+    csv: Annotated[Path | None, Option("--csv", metavar="FILE", help="write the samples as CSV")] = None
+    plot: Annotated[
+        Path | None, Option("--plot", metavar="FILE", help="write the figures as .html, .pdf, .png or .svg")
+    ] = None
+    device: Annotated[
+        str | None,
+        Option("--device", metavar="URL", help="instrument that plays it; default: the desktop device"),
+    ] = None
+    limits: Annotated[str, Option("--limits", help="clinical (12 N) or research (15 N)")] = "clinical"
+
+    @property
+    def outputs(self) -> tuple[Path | None, ...]:
+        """Files that are named for output."""
+        return self.out, self.csv, self.plot
+
+    @property
+    def lists(self) -> bool:
+        """Whether kinds or options are listed, and nothing is designed."""
+        return self.what is None or self.list_options
+
+    @property
+    def given(self) -> dict[str, tuple[str, float]]:
+        """Name on the command line and value of the options that are given, by option of the stimulus."""
+        return named_values(self, _FIELDS)
+
+    @property
+    def profile(self) -> Limits:
+        """Limits that the stimulus must keep.
+
+        Raises:
+            UnusableInputError: there is no profile of that name.
+        """
+        from tissueid.procedures.test_plan import limits_of
+
+        return limits_of(self.limits)
+
+    def check(self) -> None:
+        """Check options and files before any work.
+
+        Raises:
+            UnusableInputError: the limits are unknown, an option has no stimulus, or a file cannot be written.
+        """
+        from tissueid.acquisition.stimulus_choice import check_new
+
+        _ = self.profile
+        if "-" in (str(self.csv), str(self.plot)):
+            raise UnusableInputError(
+                Message(
+                    "stimulus.standard_output",
+                    "only JSON can go to standard output; name a file for samples and plots",
+                )
+            )
+        check_different(*self.outputs)
+        check_output(self.csv, (CSV_HEAD,))
+        if self.out is not None:
+            check_new(self.out)
+        if self.plot is not None:
+            # imported here because it imports Matplotlib
+            from tissueid.reports.stimulus_report import FORMS, output_suffix
+
+            check_output(self.plot, FORMS[output_suffix(self.plot)])
+        if self.lists and (self.options or self.given or any(self.outputs)):
+            raise UnusableInputError(Message("stimulus.no_name", "name a stimulus; 'tissueid stimulus' lists all"))
+
+    def chosen(self) -> Stimulus | StimulusKind:
+        """Return the saved stimulus, or the specification of a kind with its options.
+
+        Raises:
+            UnusableInputError: the kind, the file or an option cannot be used.
+        """
+        from tissueid.acquisition.stimulus_choice import load_stimulus
+        from tissueid.procedures.test_plan import saved_stimulus_options, specified
+        from tissueid.stimuli import get_stimulus
+
+        what = self.what or ""
+        if what.lower().endswith(".json") or "/" in what or Path(what).is_file():
+            if self.options or self.given:
+                raise saved_stimulus_options(Path(what))
+            return load_stimulus(Path(what))
+        if all(any(getattr(self, field) is not None for field in ends) for ends in _RANGES):
+            raise UnusableInputError(Message("stimulus.two_ranges", "give the range either as force or as voltage"))
+        return specified(get_stimulus(what), list(self.options), self.given)
+
+
+@dataclass(frozen=True)
+class DesignedStimulus:
+    """A stimulus with the figures of its check, or the trial of a feedback stimulus: one of the two."""
+
+    design: StimulusDesign | None
+    trial: FeedbackTrial | None
+
+
+def run_stimulus(plan: StimulusPlan, control: Control) -> DesignedStimulus:
+    """Design or read a stimulus, check it, and write the files of the plan.
+
+    Raises:
+        UnusableInputError: the kind, an option, the device or a file cannot be used.
+        LimitError: the instrument would refuse the stimulus.
+        CancelledError: it was cancelled.
+    """
+    from tissueid.procedures.instrument_queries import described_device
+    from tissueid.stimuli import FeedbackKind, OpenLoopKind, Stimulus
+
+    plan.check()
+    chosen = plan.chosen()
+    if isinstance(chosen, FeedbackKind):
+        return DesignedStimulus(None, _tried(plan, chosen, control))
+    device = described_device(plan.device)
+    search: InterchangeResult | None = None
+    if isinstance(chosen, Stimulus):
+        stimulus = chosen
+    elif isinstance(chosen, OpenLoopKind):
+        stimulus, search = design_stimulus(chosen, control)
+    else:
+        raise UnusableInputError(
+            Message(
+                "stimulus.not_usable",
+                "the stimulus '{name}' can be neither built nor generated",
+                name=Verbatim(plan.what),
+            )
+        )
+    design = _checked(plan, stimulus, device, search)
+    if plan.plot is not None:
+        from tissueid.reports.stimulus_report import stimulus_report
+
+        _draw(plan.plot, stimulus_report(design))
+    if plan.csv is not None:
+        write_text(plan.csv, _csv(design))
+    _save(plan, stimulus)
+    return DesignedStimulus(design, None)
+
+
+def _checked(
+    plan: StimulusPlan, stimulus: Stimulus, device: DeviceDescription, search: InterchangeResult | None
+) -> StimulusDesign:
+    from tissueid.acquisition.stimulus_choice import PRELOAD_S
+    from tissueid.analysis.stimulus_design import StimulusDesign
+    from tissueid.stimuli.stimulus_check import assess_stimulus
+
+    limits = plan.profile
+    found = assess_stimulus(
+        stimulus,
+        device,
+        max_force_n=limits.max_force_n,
+        max_seconds=limits.max_seconds - (0.0 if stimulus.preload_s else PRELOAD_S),
+        max_temperature_c=limits.max_temperature_c,
+    )
+    for concern in found.concerns:
+        if concern.severity == "refused":
+            reason = concern.words.rstrip(".")
+            raise LimitError(f"the instrument would refuse this stimulus: {reason[:1].lower()}{reason[1:]}")
+    return StimulusDesign(stimulus, device, found, search)
+
+
+def _tried(plan: StimulusPlan, kind: FeedbackKind, control: Control) -> FeedbackTrial:
+    from tissueid.procedures.simulated_feedback import try_on_tissue
+    from tissueid.reports.stimulus_report import feedback_report
+
+    if plan.csv is not None:
+        raise UnusableInputError(
+            Message(
+                "stimulus.no_samples",
+                "the feedback stimulus {name} has no samples before its test: leave out --csv",
+                name=Verbatim(kind.name),
+            )
+        )
+    trial = try_on_tissue(kind, plan.device, plan.profile, control)
+    if plan.plot is not None:
+        _draw(plan.plot, feedback_report(kind, [trial.run], trial.rows()))
+    _save(plan, kind)
+    return trial
+
+
+def _save(plan: StimulusPlan, stimulus: Stimulus | FeedbackKind) -> None:
+    from tissueid.acquisition.stimulus_choice import save_stimulus
+
+    if plan.out is not None:
+        save_stimulus(plan.out, stimulus)
+
+
+def _draw(path: Path, report: StimulusReport) -> None:
+    try:
+        report.write(path)
+    except OSError as error:
+        raise unwritable(path, error) from error
+
+
+def _csv(design: StimulusDesign) -> str:
+    """Return time, value and command of every sample as CSV, with numbers at full precision."""
+    import numpy as np
+
+    from tissueid.stimuli import to_voltage
+
+    stimulus = design.stimulus
+    command = to_voltage(stimulus.values, design.device, stimulus.unit)
+    quantity = "force_n" if stimulus.unit == "N" else "voltage_v"
+    text = io.StringIO()
+    text.write(f"{CSV_HEAD}{quantity},command_v\n")
+    time_s = np.arange(len(stimulus)) / stimulus.sample_rate_hz
+    for row in zip(time_s.tolist(), stimulus.values.tolist(), command.tolist(), strict=True):
+        text.write(f"{row[0]:.9g},{row[1]!r},{row[2]!r}\n")
+    return text.getvalue()
 
 
 def design_stimulus(specification: OpenLoopKind, control: Control) -> tuple[Stimulus, InterchangeResult | None]:
@@ -18,6 +287,8 @@ def design_stimulus(specification: OpenLoopKind, control: Control) -> tuple[Stim
         UnusableInputError: the stimulus cannot be built.
         CancelledError: it was cancelled.
     """
+    from tissueid.stimuli.kinds.interchange import Interchange
+
     specification.check_size()
     step = Message("stimulus.designing", "designing {name}", name=Verbatim(specification.name))
     control.progress(0.0, step)

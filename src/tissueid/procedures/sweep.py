@@ -147,6 +147,7 @@ def _record(
     """Run a sweep and save its recording."""
     instrument = (opener or open_instrument)(plan.device or "")
     try:
+        control.opened(instrument)
         control.check()
         device = instrument.device
         path = calibration_path(plan, device.serial_number, now)

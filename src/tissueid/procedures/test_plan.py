@@ -13,10 +13,11 @@ from tissueid.errors import UnusableInputError
 from tissueid.formatting import ANONYMOUS
 from tissueid.language import marked
 from tissueid.messages import Message, Verbatim
-from tissueid.procedures.plan_options import Option, Plan, name_and_value, option_of
+from tissueid.procedures.plan_options import Option, Plan, name_and_value, named_values
 
 if TYPE_CHECKING:  # each takes long to import
     from tissueid.identification.live.stopping import StopRule
+    from tissueid.instrument.limits import Limits
     from tissueid.stimuli import StimulusKind
     from tissueid.stimuli.depth_uniform import DepthDesign
 
@@ -170,17 +171,7 @@ class TestPlan(Plan):
         Raises:
             UnusableInputError: a value is missing, not valid, or does not fit the others.
         """
-        from tissueid.instrument.limits import PROFILES
-
-        if self.limits not in PROFILES:
-            raise UnusableInputError(
-                Message(
-                    "plan.limits",
-                    "the limits must be one of {known}, got '{name}'",
-                    known=Verbatim(", ".join(PROFILES)),
-                    name=Verbatim(self.limits),
-                )
-            )
+        limits_of(self.limits)
         if not self.url:
             raise UnusableInputError(NO_INSTRUMENT)
         if not self.site.strip():
@@ -219,13 +210,7 @@ class TestPlan(Plan):
         if self.stimulus_file is None:
             self.specification(_ANY_RATE_HZ)
         elif self._own_stimulus or any(getattr(self, name) is not None for name in _SPECIFIED.values()):
-            raise UnusableInputError(
-                Message(
-                    "plan.saved_stimulus",
-                    "{path} is a saved stimulus and contains its options: leave out other stimulus options",
-                    path=Verbatim(self.stimulus_file),
-                )
-            )
+            raise saved_stimulus_options(self.stimulus_file)
 
     def _check_depths(self) -> None:
         configuration = self.set_up()
@@ -351,12 +336,7 @@ class TestPlan(Plan):
 
     def _given(self) -> dict[str, tuple[str, float]]:
         """Return name on the command line and value of the stimulus options that are given, by option of the kind."""
-        given = {}
-        for name, field in _SPECIFIED.items():
-            option = option_of(type(self).model_fields[field])
-            if option is not None and (value := getattr(self, field)) is not None:
-                given[name] = option.name, value
-        return given
+        return named_values(self, _SPECIFIED)
 
     def within(self, greatest_n: float) -> Self:
         """Return this plan for an instrument with a maximum force of ``greatest_n``, N: the usual force is lowered."""
@@ -397,6 +377,37 @@ class TestPlan(Plan):
         from tissueid.acquisition.stimulus_choice import PRELOAD_S
 
         return (PRELOAD_S + self.stimulus_s) * (self.multistep or 1)
+
+
+def limits_of(name: str) -> Limits:
+    """Return the profile of limits with this name.
+
+    Raises:
+        UnusableInputError: there is none.
+    """
+    from tissueid.instrument.limits import PROFILES
+
+    if name not in PROFILES:
+        raise UnusableInputError(
+            Message(
+                "plan.limits",
+                "the limits must be one of {known}, got '{name}'",
+                known=Verbatim(", ".join(PROFILES)),
+                name=Verbatim(name),
+            )
+        )
+    return PROFILES[name]
+
+
+def saved_stimulus_options(path: Path) -> UnusableInputError:
+    """Return the error for options that are given together with a saved stimulus."""
+    return UnusableInputError(
+        Message(
+            "plan.saved_stimulus",
+            "{path} is a saved stimulus and contains its options: leave out other stimulus options",
+            path=Verbatim(path),
+        )
+    )
 
 
 def specified(

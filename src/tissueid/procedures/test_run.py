@@ -51,7 +51,7 @@ class TestControl(Control):
 
     __test__ = False  # not a test case for pytest
 
-    def opened(self, instrument: Instrument, limits: Limits) -> None:
+    def ready(self, instrument: Instrument, limits: Limits) -> None:
         """Take note that the instrument answers, its calibration is active, and these limits hold."""
 
     def planned(self, total_s: float) -> None:
@@ -204,8 +204,8 @@ class _Run:
         if trail is not None and isinstance(in_force, ActiveCalibration):
             trail.note("calibration.in_force", subject=instrument.device.serial_number, new=in_force.words)
         self._instrument = instrument
-        self._limits = limits = instrument.narrowed(PROFILES[plan.limits])
-        control.opened(instrument, limits)
+        self._limits = limits = instrument.effective_limits(PROFILES[plan.limits])
+        control.ready(instrument, limits)
         self._plan = plan = self._lowered(plan)
         device = instrument.device
         self._test: GuidedTest | MultistepTest

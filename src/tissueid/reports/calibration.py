@@ -2,18 +2,19 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 
 import numpy as np
 from numpy.typing import NDArray
 
+from tissueid.analysis.curves.sweep import Columns, Region
 from tissueid.calibration.file import Calibration
 from tissueid.calibration.labels import label_of, notes_of, problems_of, verdict_of
 from tissueid.errors import UnusableInputError
 from tissueid.formatting import fixed, number
 from tissueid.language import _, marked
 from tissueid.messages import Message, translated
-from tissueid.reports.calibration_panels import Columns, Region, sweep_panels
+from tissueid.reports.calibration_panels import sweep_panels
 from tissueid.reports.calibration_static import calibration_facts, condition_rows, quantity_row
 from tissueid.reports.stimulus_report import StimulusReport
 from tissueid.reports.tables import Table
@@ -112,7 +113,7 @@ def _region(calibration: Calibration) -> Region:
     return Region(low, high, plateau, believed if isinstance(believed, float) else None)
 
 
-def _tables(calibration: Calibration, tables: dict[str, Columns], region: Region) -> Iterator[Table]:
+def _tables(calibration: Calibration, tables: Mapping[str, Columns], region: Region) -> Iterator[Table]:
     sweep = tables["sweep"]
     inside = (sweep["position_m"] >= region.min_m) & (sweep["position_m"] <= region.max_m)
     yield Table(
@@ -146,7 +147,7 @@ def _span(values: NDArray[np.float64], digits: int) -> str:
     return low if low == high else _("{low} to {high}").format(low=low, high=high)
 
 
-def _by_position(tables: dict[str, Columns]) -> Table:
+def _by_position(tables: Mapping[str, Columns]) -> Table:
     sweep, profile = tables["sweep"], tables["force_constant"]
     here = np.interp(sweep["position_m"], profile["position_m"], profile["value_n_per_a"])
     rows = []

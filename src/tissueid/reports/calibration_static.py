@@ -4,8 +4,10 @@ from __future__ import annotations
 
 import numpy as np
 from matplotlib.figure import FigureBase
-from numpy.typing import NDArray
 
+from tissueid.analysis.curves.calibration import REPEATED, line_plots, static_repeat_plot
+from tissueid.analysis.curves.sweep import Columns
+from tissueid.calibration.comparison import Residuals, residuals
 from tissueid.calibration.file import Calibration, Quantity
 from tissueid.calibration.labels import headline_of, label_of, notes_of, problems_of, readable
 from tissueid.errors import UnusableInputError
@@ -13,12 +15,9 @@ from tissueid.formatting import number
 from tissueid.language import _, marked
 from tissueid.messages import Message, translated
 from tissueid.reports.panel_sheet import Panel
-from tissueid.reports.panels import markers
+from tissueid.reports.plot_renderer import draw_plot, draw_row, key_over
 from tissueid.reports.stimulus_report import StimulusReport
-from tissueid.reports.style import BLUE, GREEN, INK, LOST, MUTED, ORANGE
 from tissueid.reports.tables import Table, named_text, readable_date
-
-Columns = dict[str, NDArray[np.float64]]
 
 _GROUPS = (
     (marked("Voltage to current"), ("coil_resistance", "current_", "voltage_")),
@@ -27,7 +26,6 @@ _GROUPS = (
     (marked("Thermometer and accelerometer"), ("temperature_", "heat_", "acceleration_", "gravity_")),
     (marked("Supplies, noise and mains"), ("supply_", "noise_", "mains_")),
 )
-_REPEATED = ("coil_resistance_ohm", "force_constant_n_per_a", "voltage_gain", "position_gain")
 
 
 def static_report(calibration: Calibration) -> StimulusReport:
@@ -105,7 +103,7 @@ def _tables(calibration: Calibration) -> list[Table]:
 
 def _repeats_table(columns: dict[str, tuple[float, ...]]) -> Table:
     rows = []
-    for name in _REPEATED:
+    for name in REPEATED:
         if name in columns:
             values = np.array(columns[name])
             spread = float(np.std(values, ddof=1)) / abs(float(values.mean()))
@@ -117,122 +115,60 @@ def _repeats_table(columns: dict[str, tuple[float, ...]]) -> Table:
 
 
 def _panels(calibration: Calibration) -> list[Panel]:
-    tables = {
-        name: {key: np.array(values) for key, values in columns.items()} for name, columns in calibration.tables.items()
-    }
-    panels = []
-    if "electrical" in tables:
-        panels.append(_electrical(tables["electrical"]))
-    if "force" in tables:
-        panels.append(_force(tables["force"]))
-    if "position" in tables:
-        panels.append(_position(tables["position"]))
-    if "repeats" in tables:
-        panels.append(_repeats(tables["repeats"]))
+    panels = [_line_panel(found) for found in residuals(calibration)]
+    if "repeats" in calibration.tables:
+        columns = {name: np.array(values) for name, values in calibration.tables["repeats"].items()}
+        panels.append(_repeats_panel(columns))
     return panels
 
 
-def _electrical(columns: Columns) -> Panel:
-    return Panel(
-        "electrical",
-        _("Voltage to current"),
-        _("Current against voltage at every steady level with the fitted line, and the residuals of the levels."),
-        _(
+_LINES = {
+    "electrical": (
+        marked("Voltage to current"),
+        marked("Current against voltage at every steady level with the fitted line, and the residuals of the levels."),
+        marked(
             "Each point is a steady level; all but the outermost were approached from below and from above. Right: "
             "residual from the line. Crosses: outliers, not used for the line."
         ),
-        lambda figure: _line(
-            figure,
-            (columns["voltage_v"], _("Voltage (V)")),
-            (columns["current_a"], _("Current (A)")),
-            (1e3 * columns["residual_a"], _("Residual (mA)")),
-            columns["outlier"] > 0,
-            BLUE,
-        ),
-        height=2.9,
-    )
-
-
-def _force(columns: Columns) -> Panel:
-    return Panel(
-        "force",
-        _("Current to force, against the spring"),
-        _("Position against current at every steady level with the fitted line, and the residuals of the levels."),
-        _(
+    ),
+    "force": (
+        marked("Current to force, against the spring"),
+        marked("Position against current at every steady level with the fitted line, and the residuals of the levels."),
+        marked(
             "The spring converts force to position: the slope times its stiffness is the force constant. Two points "
             "at one current are the same level, approached from either side."
         ),
-        lambda figure: _line(
-            figure,
-            (columns["current_a"], _("Current (A)")),
-            (1e3 * columns["position_m"], _("Position reading (mm)")),
-            (1e6 * columns["residual_m"], _("Residual (µm)")),
-            columns["outlier"] > 0,
-            ORANGE,
-        ),
-        height=2.9,
-    )
+    ),
+    "position": (
+        marked("Position along the stroke"),
+        marked("Reading of the position sensor at known positions with the fitted line, and the residuals."),
+        marked("Readings at rest at known positions of the fixture, with the coil released."),
+    ),
+}
+"""Heading, text for screen readers and caption of the line of each table."""
 
 
-def _position(columns: Columns) -> Panel:
-    return Panel(
-        "position",
-        _("Position along the stroke"),
-        _("Reading of the position sensor at known positions with the fitted line, and the residuals."),
-        _("Readings at rest at known positions of the fixture, with the coil released."),
-        lambda figure: _line(
-            figure,
-            (1e3 * columns["position_m"], _("Known position (mm)")),
-            (1e3 * columns["reading_m"], _("Reading (mm)")),
-            (1e6 * columns["residual_m"], _("Residual (µm)")),
-            columns["outlier"] > 0,
-            GREEN,
-        ),
-        height=2.9,
-    )
+def _line_panel(found: Residuals) -> Panel:
+    """Return a line with its readings, and their residuals on the right."""
+    heading, alt, caption = (_(text) for text in _LINES[found.table])
+
+    def draw(figure: FigureBase) -> None:
+        draw_row(figure, line_plots(found))
+
+    return Panel(found.table, heading, alt, caption, draw, height=2.9)
 
 
-def _repeats(columns: Columns) -> Panel:
+def _repeats_panel(columns: Columns) -> Panel:
+    def draw(figure: FigureBase) -> None:
+        axes = figure.subplots()
+        draw_plot(axes, static_repeat_plot(columns), key=False)
+        key_over(figure, axes)
+
     return Panel(
         "repeats",
         _("Repeatability"),
         _("Deviation of each repeat from the mean, in percent, for resistance, force constant and gains."),
         _("Every run of the calibration relative to the mean of all runs."),
-        lambda figure: _draw_repeats(figure, columns),
+        draw,
         height=2.9,
     )
-
-
-def _line(
-    figure: FigureBase,
-    x: tuple[NDArray[np.float64], str],
-    y: tuple[NDArray[np.float64], str],
-    off: tuple[NDArray[np.float64], str],
-    outlier: NDArray[np.bool_],
-    colour: str,
-) -> None:
-    """Draw points and line on the left, residuals on the right; ``x``, ``y`` and ``off`` are values and label."""
-    left, right = figure.subplots(1, 2)
-    kept = ~outlier
-    slope, intercept = np.polyfit(x[0][kept], y[0][kept], 1)
-    ends = np.array([x[0].min(), x[0].max()])
-    left.plot(ends, intercept + slope * ends, color=MUTED, linewidth=1.0)
-    right.axhline(0.0, color=MUTED, linewidth=1.0)
-    for axes, values in ((left, y), (right, off)):
-        markers(axes, x[0][kept], values[0][kept], label="", colour=colour, marker="o")
-        axes.plot(x[0][outlier], values[0][outlier], color=LOST, linestyle="none", marker="x", markersize=6.0)
-        axes.set_xlabel(x[1])
-        axes.set_ylabel(values[1])
-
-
-def _draw_repeats(figure: FigureBase, columns: Columns) -> None:
-    axes = figure.subplots()
-    for name, colour, marker in zip(_REPEATED, (BLUE, ORANGE, GREEN, INK), ("o", "s", "^", "D"), strict=True):
-        if name in columns:
-            share = 100.0 * (columns[name] / columns[name].mean() - 1.0)
-            axes.plot(columns["run"], share, color=colour, linewidth=0.8, alpha=0.6)
-            markers(axes, columns["run"], share, label=translated(label_of(name)), colour=colour, marker=marker)
-    axes.axhline(0.0, color=MUTED, linewidth=1.0)
-    axes.set_xlabel(_("Run"))
-    axes.set_ylabel(_("From the mean (%)"))
-    axes.legend(loc="center left", bbox_to_anchor=(1.0, 0.5))

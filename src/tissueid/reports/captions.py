@@ -20,7 +20,6 @@ from tissueid.sessions import Test
 from tissueid.units import display_unit
 
 NO_HELD_OUT_OUTPUT = Message("report.no_held_out_output", "no held-out output was received")
-SINGLE_PASS = Message("report.single_pass", "the iteration made only one pass")
 
 
 def joined(*parts: str) -> str:

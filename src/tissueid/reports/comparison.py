@@ -9,6 +9,7 @@ from pathlib import Path
 from matplotlib.figure import Figure
 
 from tissueid.analysis import EngineComparison, Entry
+from tissueid.analysis.curves.comparison import distortion_plot, memory_plots, response_plots, score_plots
 from tissueid.analysis.distortion import described_levels, distortion_of, is_multisine
 from tissueid.atomic_write import atomic_file, private_folder
 from tissueid.device import SIMULATED_LINE
@@ -19,19 +20,13 @@ from tissueid.language import _, marked
 from tissueid.messages import Message, translated
 from tissueid.reports import captions
 from tissueid.reports.blocks import FigureGroup, Picture, absent, picture
-from tissueid.reports.comparison_figures import (
-    depth_profiles,
-    distortion_figure,
-    impulse_responses_figure,
-    scores_figure,
-    sweep_figure,
-)
 from tissueid.reports.comparison_tables import compared_parameters, compared_scores, notes_of
 from tissueid.reports.configured import captions_for_configuration, surface_of
 from tissueid.reports.depth_panels import depth_panels
 from tissueid.reports.figures.registry import Group, Subject, figures_of
 from tissueid.reports.html import RESEARCH_LINE, template, write_text_atomically
 from tissueid.reports.material import Material
+from tissueid.reports.plot_renderer import column_figure, row_figure
 from tissueid.reports.record_pictures import distributions_picture, power_picture, signals_picture
 from tissueid.reports.style import plain_image
 from tissueid.reports.tables import readable_date, settings_tables
@@ -126,36 +121,37 @@ def comparison_report(
 
 
 def _overview(found: EngineComparison, surface_position_m: float) -> Section:
-    profiles = depth_profiles(found)
+    profiles = {engine_label(name): analysis.depth_profile() for name, analysis in found.analyses.items()}
+    known = {name: profile for name, profile in profiles.items() if profile is not None}
     pictures = (
         picture(
             "scores",
             _("Scores"),
             _("Dots for each engine: variance accounted for on fitted and on held-out samples. Right: bars of AICc."),
-            lambda: (scores_figure(found), _scores_caption(found)),
+            lambda: (_scores_figure(found), _scores_caption(found)),
         ),
         picture(
             "memory",
             _("Scores against memory"),
             _("Lines for each engine against memory: variance accounted for, fitted and held out, and AICc."),
-            lambda: (sweep_figure(found.memory_sweep), _(_SWEEP)),
+            lambda: (row_figure(memory_plots(found.memory_sweep), 3.9, over=True), _(_SWEEP)),
         ),
         picture(
             "depth",
             _("Mass, damping and stiffness against depth"),
             _("Three panels against depth: mass, damping and stiffness of every engine with a depth profile."),
             lambda: (
-                depth_panels(profiles, surface_position_m, found.split.record.output[found.split.fit_part]),
+                depth_panels(known, surface_position_m, found.split.record.output[found.split.fit_part]),
                 _(_DEPTH),
             ),
         )
-        if profiles
+        if known
         else absent("depth", _("Mass, damping and stiffness against depth"), NO_DEPTH_ENGINE),
         picture(
             "impulse-responses",
             _("Impulse responses side by side"),
             _("Left: impulse responses of the linear engines against lag. Right: measured against predicted output."),
-            lambda: (impulse_responses_figure(found), _(_IMPULSES)),
+            lambda: (row_figure(response_plots(found), 3.9, widths=(1.5, 1.0)), _(_IMPULSES)),
         ),
     )
     return Section("overview", _("Side by side"), (), (), pictures)
@@ -189,7 +185,8 @@ def _distortion(material: Material) -> Picture:
             "nonlinearity, such as stiffness that increases with depth; power at odd lines that were not driven is "
             "odd nonlinearity."
         )
-        return distortion_figure(levels, record), captions.joined(caption, said, captions.findings(levels.findings))
+        drawn = column_figure([distortion_plot(levels, record)], 3.9, wide=True, over=True)
+        return drawn, captions.joined(caption, said, captions.findings(levels.findings))
 
     alt = _("Levels of the output against frequency: at driven lines, at odd and even lines between, and the noise.")
     return picture("distortion", _(_DISTORTION), alt, make)
@@ -217,6 +214,11 @@ def _ceiling(found: EngineComparison) -> str:
         limit=limit, count=found.ceiling.repeats
     )
     return captions.joined(text, captions.findings(found.ceiling.left_out))
+
+
+def _scores_figure(found: EngineComparison) -> Figure:
+    scores, aicc = score_plots(found)
+    return row_figure((scores, aicc), 1.4 + 0.3 * len(scores.y.ticks), widths=(2.2, 1.0), over=True)
 
 
 def _scores_caption(found: EngineComparison) -> str:

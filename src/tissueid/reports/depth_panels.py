@@ -7,32 +7,12 @@ from collections.abc import Mapping, Sequence
 import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure, FigureBase
-from numpy.typing import NDArray
 
-from tissueid.analysis.curves.diagnostics import Array
-from tissueid.analysis.curves.plot import CONFIDENCE
-from tissueid.errors import UnusableInputError
+from tissueid.analysis.curves.depth import profile_plots
+from tissueid.analysis.curves.plot import Array, Plot
 from tissueid.identification.depth_profile import DepthProfile
-from tissueid.language import _, marked
-from tissueid.messages import Message
-from tissueid.reports.style import DASHES, FULL_WIDTH, MUTED, SERIES, SHADE, drawing, new_figure
-
-_MARKERS = "osD^vP"
-_DENSE = 25
-"""Number of rows above which a profile is drawn as a curve with a band, not as points with bars."""
-_WIDEST = 1.5
-"""Largest ratio of half bar to value for which a bar counts for the limits of a panel."""
-_DIRECTION_OFFSET = 0.01
-"""Shift of each direction, as a share of the range of depths, so that neither hides the other."""
-_Series = tuple[str, DepthProfile, NDArray[np.intp]]
-"""A title, a profile, and the indices of its rows: one colour and marker in a panel."""
-
-_QUANTITIES = (
-    ("mass", marked("Mass (g)"), 1e3),
-    ("damping", marked("Damping (N·s/m)"), 1.0),
-    ("stiffness", marked("Stiffness (N/m)"), 1.0),
-)
-_WAYS = {1: marked("inwards"), -1: marked("outwards")}
+from tissueid.reports.plot_renderer import draw_plot, key_over
+from tissueid.reports.style import FULL_WIDTH, SHADE, drawing, new_figure
 
 
 @drawing
@@ -66,91 +46,27 @@ def draw_depth_panels(
     Raises:
         UnusableInputError: no row holds a value.
     """
-    known = {name: p for name, p in profiles.items() if np.isfinite(p.stiffness).any() or np.isfinite(p.mass).any()}
-    if not known:
-        raise UnusableInputError(
-            Message("report.no_profile", "mass, damping and stiffness could not be estimated at any depth")
-        )
-    origin = surface_position_m if np.isfinite(surface_position_m) else 0.0
-    every = figure.subplots(2, 3, sharex=True, height_ratios=(3.2, 1.0))
-    series = _series(known)
-    for axes, (name, label, scale) in zip(every[0], _QUANTITIES, strict=True):
-        limits = []
-        for place, (title, profile, rows) in enumerate(series):
-            limits.append(_draw(axes, place, title, profile, rows, name, scale, origin))
-        _limit(axes, np.concatenate(limits))
-        axes.set_ylabel(_(label))
-    for axes in every[1]:
-        _draw_sample_counts(axes, series, origin, visited)
-        axes.set_xlabel(_("Depth (mm)") if np.isfinite(surface_position_m) else _("Position (mm)"))
-    every[1, 0].set_ylabel(_("Samples"))
+    *quantities, samples = profile_plots(profiles, surface_position_m, visited)
+    key_over(figure, draw_over_samples(figure, quantities, samples)[0])
+
+
+def draw_over_samples(figure: FigureBase, plots: Sequence[Plot], samples: Plot, *, key: bool = False) -> list[Axes]:
+    """Draw plots beside each other and the number of samples below each; return the axes of the plots.
+
+    Args:
+        figure: the figure to draw into.
+        plots: plots over the same abscissa as ``samples``.
+        samples: bars of the number of samples.
+        key: whether plots with several named curves get a key.
+    """
+    grid = np.atleast_2d(figure.subplots(2, len(plots), sharex=True, height_ratios=(3.2, 1.0)))
+    for axes, plot in zip(grid[0], plots, strict=True):
+        draw_plot(axes, plot, key=key and sum(bool(curve.name) for curve in plot.curves) > 1)
+        axes.set_xlabel("")
+    for axes in grid[1]:
+        draw_plot(axes, samples)
+        axes.set_facecolor(SHADE)
+        axes.locator_params(axis="y", nbins=3)
+        axes.set_ylabel("" if axes is not grid[1, 0] else axes.get_ylabel())
     figure.align_ylabels()
-    if len(series) > 1:
-        handles, labels = every[0, 0].get_legend_handles_labels()
-        figure.legend(handles, labels, loc="outside upper left", ncols=min(6, len(labels)))
-
-
-def _series(profiles: Mapping[str, DepthProfile]) -> list[_Series]:
-    """Return every direction of every profile as a series."""
-    found = []
-    for name, profile in profiles.items():
-        for way in (0, 1, -1):
-            rows = np.flatnonzero(profile.direction == way)
-            if rows.size:
-                found.append((f"{name}, {_(_WAYS[way])}" if way else name, profile, rows))
-    return found
-
-
-def _draw(
-    axes: Axes,
-    place: int,
-    title: str,
-    profile: DepthProfile,
-    rows: NDArray[np.intp],
-    name: str,
-    scale: float,
-    origin: float,
-) -> Array:
-    """Draw one series into one panel, and return the values that its limits must contain."""
-    colour = (*SERIES, MUTED)[place % (len(SERIES) + 1)]
-    dash, marker = DASHES[place % len(DASHES)], _MARKERS[place % len(_MARKERS)]
-    depth = 1e3 * (profile.position[rows] - origin)
-    depth = depth + _DIRECTION_OFFSET * float(profile.direction[rows[0]]) * float(np.ptp(depth))
-    value = scale * getattr(profile, name)[rows]
-    half = CONFIDENCE * scale * getattr(profile, f"{name}_std")[rows]
-    bars = np.where(np.isfinite(half), half, 0.0)
-    if rows.size > _DENSE:
-        axes.fill_between(depth, value - bars, value + bars, color=colour, alpha=0.2, linewidth=0.0)
-        axes.plot(depth, value, color=colour, linestyle=dash, linewidth=1.6, label=title)
-    else:
-        low, high = 1e3 * (profile.low[rows] - origin), 1e3 * (profile.high[rows] - origin)
-        axes.hlines(value, low, high, color=colour, linewidth=0.8, alpha=0.6)
-        axes.errorbar(
-            depth, value, bars, color=colour, linestyle="none", marker=marker, markersize=4.5, capsize=2.0, label=title
-        )
-        axes.plot(depth, value, color=colour, linestyle=dash, linewidth=0.8, alpha=0.6)
-    ends = np.where(bars < _WIDEST * np.abs(value), bars, 0.0)
-    return np.concatenate([value - ends, value + ends])
-
-
-def _limit(axes: Axes, values: Array) -> None:
-    """Set limits that begin at zero where the values allow it."""
-    finite = values[np.isfinite(values)]
-    if finite.size:
-        low, high = min(0.0, float(finite.min())), max(0.0, float(finite.max()))
-        axes.set_ylim(1.1 * low, 1.1 * high or 1.0)
-
-
-def _draw_sample_counts(axes: Axes, series: Sequence[_Series], origin: float, visited: Array | None) -> None:
-    """Draw the number of samples at each depth."""
-    if visited is not None:
-        seen = 1e3 * (visited[np.isfinite(visited)] - origin)
-        axes.hist(seen, bins=50, color=MUTED, alpha=0.5, histtype="stepfilled")
-    else:
-        for place, (_title, profile, rows) in enumerate(series):
-            low, high = 1e3 * (profile.low[rows] - origin), 1e3 * (profile.high[rows] - origin)
-            colour = SERIES[place % len(SERIES)]
-            width = (high - low) / len(series)
-            axes.bar(low + place * width, profile.support[rows], width, align="edge", color=colour, alpha=0.5)
-    axes.set_facecolor(SHADE)
-    axes.locator_params(axis="y", nbins=3)
+    return list(grid[0])

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from matplotlib.axes import Axes
@@ -11,15 +11,16 @@ from matplotlib.figure import FigureBase
 from scipy import stats
 
 from tissueid.analysis.curves.diagnostics import Array
-from tissueid.analysis.curves.plot import thin
+from tissueid.analysis.curves.plot import Axis, thin
+from tissueid.analysis.curves.validation import cloud_plot
 from tissueid.errors import UnusableInputError
 from tissueid.identification.depth_profile import DepthProfile
 from tissueid.identification.engines.lms import Lms
-from tissueid.language import _
+from tissueid.language import _, marked
 from tissueid.messages import Message
 from tissueid.records import Record
 from tissueid.reports.depth_panels import draw_depth_panels
-from tissueid.reports.panels import residual_cloud
+from tissueid.reports.plot_renderer import draw_plot
 from tissueid.reports.style import (
     BLUE,
     DASHES,
@@ -27,7 +28,6 @@ from tissueid.reports.style import (
     INK,
     MUTED,
     ORANGE,
-    POINTS,
 )
 
 _BINS = 30
@@ -113,8 +113,9 @@ def draw_feedback_distributions(figure: FigureBase, runs: Sequence[FeedbackRun])
         response.plot(lag_ms, 1e3 * model.impulse_response, color=BLUE, linewidth=1.2)
         response.set_xlim(0.0, float(lag_ms[-1]))
         response.set_ylabel(_("Response ({unit})").format(unit="mm/(N·s)"))
-        residual_cloud(bend, 1e3 * model.simulate(run.force), 1e3 * run.depth, POINTS[2])
-        bend.set_ylabel(_("Depth (mm)"))
+        cloud = cloud_plot(model.simulate(run.force), run.depth, "m", colour="good")
+        depth_axis = Axis(marked("Depth"), "mm")
+        draw_plot(bend, replace(cloud, x=Axis(), y=depth_axis, parts=cloud.parts[:-1], square=False))
         if len(runs) > 1:
             force.set_title(run.label)
     labels = (_("Force (N)"), _("Depth (mm)"), _("Lag (ms)"), _("Linear prediction (mm)"))

@@ -46,7 +46,9 @@ def gap_html(found: Diagnosis, title: str = "", origin: Origin | None = None) ->
     groups = (
         FigureGroup("g-where", _("Where it lies"), tuple(figures[key] for key in places if key in figures)),
         FigureGroup("g-which", _("Which cause"), tuple(figures[key] for key in ("ranking",) if key in figures)),
-        FigureGroup("g-far", _("How far it closes"), tuple(figures[key] for key in ("overlay",) if key in figures)),
+        FigureGroup(
+            "g-far", _("How far it closes"), tuple(figures[key] for key in ("budget", "overlay") if key in figures)
+        ),
     )
     headline, level = headline_of(found)
     return template("gap.html.j2").render(
@@ -106,7 +108,7 @@ def _facts(found: Diagnosis, origin: Origin | None) -> Iterator[tuple[str, str]]
     yield _("Instrument"), f"{device.model}, {device.serial_number}"
     yield _("Tests"), ", ".join(f"{test.number} {_kind(test.kind)}" for test in tests)
     yield _("Signals"), ", ".join(_(name) for name in found.dataset.channels)
-    yield _("Took"), f"{fixed(found.seconds, 0)} s"
+    yield _("Computing time"), f"{fixed(found.seconds, 0)} s"
 
 
 def _kind(kind: str) -> str:
@@ -159,12 +161,16 @@ def _ranking(found: Diagnosis) -> Table | None:
         return None
     places = {item.effect: str(place) for place, item in enumerate(candidates, 1)}
     rows = tuple(_ranked(item, places) for item in candidates)
-    head = ("", _("Effect"), _("Stage"), _("Probability"), _("Closed"), "95 %", _("Alike"))
+    head = ("", _("Effect"), _("Stage"), _("Probability"), _("Closed"), "95 %", _("Not separable"))
     # A column that says nothing in any row only makes the others narrow.
     kept = [place for place in range(len(head)) if place == 0 or any(row[place] for row in rows)]
     narrowed = tuple(tuple(row[place] for place in kept) for row in rows)
     shown = tuple(head[place] for place in kept)
-    note = _("Alike: candidates, by number, that this data cannot separate from it.") if _("Alike") in shown else ""
+    note = (
+        _("Not separable: candidates, by number, that this data cannot separate from it.")
+        if _("Not separable") in shown
+        else ""
+    )
     return Table(_("Candidates"), shown, narrowed, note)
 
 

@@ -17,7 +17,7 @@ _PLACES: tuple[tuple[Stage, str, float, float], ...] = (
     ("mechanics", marked("Moving part\n(mechanics)"), 5.0, 1.0),
     ("sensing", marked("Sensors"), 7.0, 1.0),
     ("tissue", marked("Tissue"), 5.0, 0.0),
-    ("environment", marked("Surroundings"), 7.0, 0.0),
+    ("environment", marked("Environment"), 7.0, 0.0),
 )
 """Stage, what it is, and the middle of its box."""
 _SIGNALS = (

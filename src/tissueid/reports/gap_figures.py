@@ -8,13 +8,12 @@ import numpy as np
 
 from tissueid.errors import UnusableInputError
 from tissueid.formatting import fixed, label_and_unit, number, with_unit
-from tissueid.gap.diagnosis import Diagnosis, parameters_of
+from tissueid.gap.diagnosis import Diagnosis, effect_in, parameters_of
 from tissueid.gap.scoring import Candidate
 from tissueid.gap.twin_export import twin_of
 from tissueid.language import _, marked
 from tissueid.messages import Message, translated
 from tissueid.reports.tables import Table
-from tissueid.twin.catalogue import effect
 from tissueid.twin.effect import STAGE_NAMES, STAGES
 from tissueid.units import display_unit
 
@@ -83,7 +82,8 @@ def tables_of(found: Diagnosis, called: Callable[[str], str]) -> Iterator[Table]
 
 
 def _parameters(best: Candidate, name: str, words: str) -> Table | None:
-    values, known = parameters_of(best, name), {item.name: item for item in effect(name).parameters}
+    values = parameters_of(best, name)
+    known = {item.name: item for item in effect_in(best, name).parameters}
     try:
         stds = twin_of(best, "twin").stds
     except UnusableInputError:

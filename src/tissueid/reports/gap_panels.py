@@ -13,8 +13,10 @@ from numpy.typing import NDArray
 from tissueid.analysis.curves.plot import Axis, Plot, Surface
 from tissueid.errors import UnusableInputError
 from tissueid.gap.diagnosis import Diagnosis
-from tissueid.gap.plots import (
+from tissueid.gap.diagnosis_plots import (
     TIMES_NOISE,
+    budget_plot,
+    budget_rows,
     overlay_plots,
     overlays_of,
     profile_plot,
@@ -128,6 +130,18 @@ def gap_panels(found: Diagnosis) -> Iterator[Panel]:
             lambda figure: draw_ranking(figure, found),
             height=0.9 + 0.28 * min(len(candidates), _LISTED),
         )
+    rows = budget_rows(found)
+    yield Panel(
+        "budget",
+        _("Gap budget"),
+        _("Waterfall of the gap from before to after, with the share of each named effect, and the noise."),
+        _(
+            "Error over the signals' deviation on data held out for the check. Each effect closes the share between "
+            "the ends of its bar when it is added to those above it."
+        ),
+        lambda figure: draw_budget(figure, found),
+        height=0.9 + 0.3 * len(rows),
+    )
     yield Panel(
         "overlay",
         _("Before and after"),
@@ -227,6 +241,11 @@ def draw_ranking(figure: FigureBase, found: Diagnosis) -> None:
     right.set_xlabel(_("Closed (%)"))
     for axes in (left, right):
         axes.grid(visible=False, axis="y")
+
+
+def draw_budget(figure: FigureBase, found: Diagnosis) -> None:
+    """Gap budget as a waterfall."""
+    draw_plot(figure.subplots(1, 1), budget_plot(budget_rows(found)), title=False, key=False)
 
 
 def draw_overlay(figure: FigureBase, found: Diagnosis) -> None:

@@ -7,6 +7,7 @@ from dataclasses import dataclass
 
 from tissueid.analysis import Analysis
 from tissueid.analysis.curves.diagnostics import Prediction, held_out_prediction
+from tissueid.analysis.curves.validation import correlation_plots, prediction_plots, scatter_plots
 from tissueid.identification import engine_label, report_engines
 from tissueid.identification.engines.wiener import WienerModel
 from tissueid.language import _
@@ -16,9 +17,9 @@ from tissueid.reports.blocks import FigureGroup, Picture, absent, picture, repor
 from tissueid.reports.configured import captions_for_configuration, spring_line, surface_of
 from tissueid.reports.figures.registry import Group, all_figures, figures_of
 from tissueid.reports.material import Material
+from tissueid.reports.plot_renderer import column_figure, row_figure
 from tissueid.reports.record_pictures import distributions_picture, power_picture, signals_picture
 from tissueid.reports.tables import Table, parameter_table, score_table
-from tissueid.reports.validation_figures import prediction_figure, residuals_figure, scatter_figure
 from tissueid.reports.verdict import KeyNumber, Verdict, judge, key_numbers, linear_engine, visited
 from tissueid.sessions import Session, Test
 from tissueid.sessions.quality import Quality, quality_of
@@ -204,7 +205,10 @@ def _prediction(material: Material, key: str) -> Picture:
         f"{key}-prediction",
         _("Measured and predicted"),
         _("Measured output as dots with the simulations of the models as lines, and the residuals below."),
-        lambda: (prediction_figure(material.predictions), captions.prediction(material.analyses)),
+        lambda: (
+            column_figure(prediction_plots(material.predictions), 4.2, wide=True, heights=(2.2, 1.0), over=True),
+            captions.prediction(material.analyses),
+        ),
     )
 
 
@@ -213,7 +217,7 @@ def _scatter(material: Material, key: str) -> Picture:
         f"{key}-scatter",
         _("Measured against predicted"),
         _("Clouds of measured against predicted output for each model, with the diagonal of perfect agreement."),
-        lambda: (scatter_figure(material.predictions), captions.scatter(material.predictions)),
+        lambda: (row_figure(scatter_plots(material.predictions), 3.3), captions.scatter(material.predictions)),
     )
 
 
@@ -222,5 +226,5 @@ def _residuals(material: Material, key: str) -> Picture:
         f"{key}-residuals",
         _("What the models leave over"),
         _("Left: autocorrelation of the residuals. Right: their correlation with the input. Both with 95 % bands."),
-        lambda: (residuals_figure(material.predictions), _(captions.RESIDUALS)),
+        lambda: (row_figure(correlation_plots(material.predictions), 3.0), _(captions.RESIDUALS)),
     )

@@ -8,7 +8,7 @@ import warnings
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 
-from matplotlib.backends.backend_pdf import PdfPages
+from matplotlib.backends.backend_pdf import FigureCanvasPdf, PdfPages
 from matplotlib.figure import Figure
 
 from tissueid.analysis import Analysis
@@ -110,7 +110,7 @@ def _write(
             page.text(_LEFT / _WIDTH, 0.45 / _HEIGHT, _(RESEARCH_LINE), fontsize=8.0, color=MUTED, fontweight="bold")
             count = _("TissueID · page {number} of {count}").format(number=number, count=len(paper.pages))
             page.text(_RIGHT / _WIDTH, 0.45 / _HEIGHT, count, fontsize=8.0, color=MUTED, ha="right")
-            pages.savefig(page)
+            FigureCanvasPdf(page).print_pdf(pages)  # type: ignore[no-untyped-call] # savefig draws a page twice
 
 
 class _PageWriter:

@@ -16,7 +16,6 @@ from tissueid.errors import UnusableInputError
 from tissueid.formatting import superscript
 from tissueid.language import _
 from tissueid.messages import Message, Verbatim, translated
-from tissueid.reports.panels import markers
 from tissueid.reports.style import (
     BLUE,
     DASHES,
@@ -260,7 +259,8 @@ def draw_lines(figure: FigureBase, multisine: Multisine, stimulus: Stimulus) -> 
     ):
         if lines.size:
             heights = np.maximum(amplitude[lines], floor)
-            markers(axes, lines * multisine.resolution_hz, heights, label=label, colour=colour, marker=marker)
+            axes.plot(lines * multisine.resolution_hz, heights, color=colour, linestyle="none", marker=marker,
+                      markersize=3.5, markeredgewidth=0.0, label=label)  # fmt: skip
     for low, high in multisine.notches:
         axes.axvspan(low, high, color=SHADE, zorder=0)
     axes.set_xlim(0.0, (shown + 1) * multisine.resolution_hz)

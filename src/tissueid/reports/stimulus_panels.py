@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 
-from tissueid.analysis.design import Design
+from tissueid.analysis.stimulus_design import StimulusDesign
 from tissueid.formatting import number
 from tissueid.language import _, marked
 from tissueid.reports import captions
@@ -23,7 +23,7 @@ _AMPLITUDES = marked("Left: histogram of the amplitudes. Right: share of samples
 _INTENDED = marked("Dashed: intended amplitudes, counted in the same bins.")
 
 
-def stimulus_panels(design: Design) -> Iterator[Panel]:
+def stimulus_panels(design: StimulusDesign) -> Iterator[Panel]:
     """Yield the panels that apply to a stimulus."""
     yield _time_series(design)
     yield _amplitudes(design)
@@ -35,7 +35,7 @@ def stimulus_panels(design: Design) -> Iterator[Panel]:
         yield _swaps(design)
 
 
-def _time_series(design: Design) -> Panel:
+def _time_series(design: StimulusDesign) -> Panel:
     return Panel(
         "time-series",
         _("Over time"),
@@ -46,7 +46,7 @@ def _time_series(design: Design) -> Panel:
     )
 
 
-def _amplitudes(design: Design) -> Panel:
+def _amplitudes(design: StimulusDesign) -> Panel:
     wanted = design.intended_amplitudes
     return Panel(
         "amplitudes",
@@ -58,7 +58,7 @@ def _amplitudes(design: Design) -> Panel:
     )
 
 
-def _lines(design: Design, multisine: Multisine) -> Panel:
+def _lines(design: StimulusDesign, multisine: Multisine) -> Panel:
     return Panel(
         "lines",
         _("Lines of one period"),
@@ -71,7 +71,7 @@ def _lines(design: Design, multisine: Multisine) -> Panel:
     )
 
 
-def _power(design: Design) -> Panel:
+def _power(design: StimulusDesign) -> Panel:
     found = design.appraisal
     edges = [(hz, label) for hz, label in ((found.power_95_hz, "95 %"), (found.power_99_hz, "99 %")) if hz is not None]
     target = design.target_power
@@ -90,7 +90,7 @@ def _power(design: Design) -> Panel:
     )
 
 
-def _autocorrelation(design: Design) -> Panel:
+def _autocorrelation(design: StimulusDesign) -> Panel:
     rate, error = design.stimulus.sample_rate_hz, design.autocorrelation_error
     caption = _("Autocorrelation of the played values about their mean, divided by its value at lag 0.")
     if error is not None:
@@ -106,7 +106,7 @@ def _autocorrelation(design: Design) -> Panel:
     )
 
 
-def _swaps(design: Design) -> Panel:
+def _swaps(design: StimulusDesign) -> Panel:
     return Panel(
         "swaps",
         _("Convergence of the interchange"),

@@ -8,7 +8,7 @@ from pathlib import Path
 from typing import Any, Literal
 
 from tissueid import __version__
-from tissueid.analysis.design import Design
+from tissueid.analysis.stimulus_design import StimulusDesign
 from tissueid.atomic_write import atomic_file
 from tissueid.errors import UnusableInputError
 from tissueid.formatting import fixed, grouped
@@ -110,7 +110,7 @@ def judged(found: StimulusCheck) -> tuple[str, Literal["good", "check", "poor"]]
     return marked("The stimulus can be played"), "good"
 
 
-def stimulus_report(design: Design) -> StimulusReport:
+def stimulus_report(design: StimulusDesign) -> StimulusReport:
     """Return the report of a stimulus that is designed before its test."""
     stimulus, found, kind = design.stimulus, design.appraisal, design.specification
     headline, level = judged(found)

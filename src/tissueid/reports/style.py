@@ -16,6 +16,7 @@ from typing import IO, Any, Literal, ParamSpec, TypeVar
 import numpy as np
 from matplotlib import style as matplotlib_style
 from matplotlib.axes import Axes
+from matplotlib.backend_bases import get_registered_canvas_class
 from matplotlib.colors import LinearSegmentedColormap
 from matplotlib.figure import Figure
 from matplotlib.ticker import FuncFormatter, LogLocator, NullFormatter, NullLocator
@@ -198,7 +199,19 @@ def plain_image(
     """
     with _report_style(), warnings.catch_warnings():
         warnings.filterwarnings("ignore", message="Glyph", category=UserWarning)
-        figure.savefig(target, format=form, dpi=dots_per_inch, metadata=_UNDATED[form])
+        _write(figure, target, form, dots_per_inch)
+
+
+def _write(figure: Figure, target: IO[Any] | Path, form: Literal["svg", "png", "pdf"], dots_per_inch: float) -> None:
+    """Write the figure as ``Figure.savefig`` does, which draws it twice: the first time for the layout alone."""
+    before, shown_on = figure.dpi, figure.canvas
+    figure.set_dpi(dots_per_inch)
+    try:
+        canvas = get_registered_canvas_class(form)(figure)
+        getattr(canvas, f"print_{form}")(target, metadata=_UNDATED[form])
+    finally:
+        figure.set_dpi(before)
+        figure.set_canvas(shown_on)
 
 
 # -- pages ----------------------------------------------------------------------------------------------------
@@ -222,7 +235,7 @@ def to_svg(figure: Figure, key: str, alt: str) -> str:
     with _report_style(), warnings.catch_warnings():
         # Letters that Matplotlib's own font lacks are drawn by the reader's browser, which has them.
         warnings.filterwarnings("ignore", message="Glyph", category=UserWarning)
-        figure.savefig(buffer, format="svg", dpi=144, metadata={"Date": None})
+        _write(figure, buffer, "svg", 144.0)
     text = buffer.getvalue()
     text = _CLUTTER.sub("", text[text.index("<svg") :])
     text = _COORDINATES.sub(lambda found: _LONG_NUMBER.sub(r"\1", found.group()), text)

@@ -3,8 +3,7 @@
 from tissueid.sessions.hdf5_reading import read_session as read_own_session
 from tissueid.sessions.hdf5_writing import write_session
 from tissueid.sessions.isolated_reading import read_outline, read_session, read_session_head, read_test
-from tissueid.sessions.model import KINDS, SIGNAL_UNITS, Session, Subject, Test
-from tissueid.sessions.outline import Outline, TestOutline
+from tissueid.sessions.model import KINDS, SIGNAL_UNITS, Outline, Session, Subject, Test, TestOutline
 from tissueid.untrusted_input import MAX_NUMBERS, MAX_TESTS
 
 __all__ = [

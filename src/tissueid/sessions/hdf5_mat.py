@@ -12,8 +12,7 @@ from numpy.typing import NDArray
 
 from tissueid.errors import UnusableInputError
 from tissueid.messages import Message, Verbatim
-from tissueid.sessions.hdf5_heap_check import check_heaps
-from tissueid.sessions.hdf5_members import check_dataset
+from tissueid.sessions.hdf5_members import check_dataset, check_heaps
 from tissueid.untrusted_input import MAX_COLUMNS, MAX_SAMPLES, allowed_unpacked_bytes
 
 _NUMERIC = frozenset(

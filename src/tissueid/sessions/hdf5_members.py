@@ -4,10 +4,11 @@ from __future__ import annotations
 
 import math
 import shlex
+import struct
 from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
-from typing import Any
+from typing import Any, BinaryIO
 
 import h5py
 import numpy as np
@@ -15,8 +16,58 @@ import numpy as np
 from tissueid.errors import SessionFormatError
 from tissueid.language import marked
 from tissueid.messages import Action, Message, code_of
-from tissueid.sessions.hdf5_heap_check import check_heaps
-from tissueid.untrusted_input import MAX_CHUNK_BYTES, MAX_MEMBERS, MAX_TEXT, json_value, storable_text
+from tissueid.untrusted_input import MAX_CHUNK_BYTES, MAX_HEAP_BYTES, MAX_MEMBERS, MAX_TEXT, json_value, storable_text
+
+_MARK = b"GCOL\x01\0\0\0"
+"""Signature, version and reserved bytes. Other data contain these eight bytes by chance once in 10^19."""
+_HEAD = len(_MARK) + 8
+_OBJECT = struct.Struct("<HHIQ")
+_BLOCK = 16 << 20
+
+
+def check_heaps(path: Path) -> None:
+    """Check that the objects of every global heap collection are consecutive and within it.
+
+    Raises:
+        SessionFormatError: an object is not, or a collection is too large.
+        OSError: the file cannot be read.
+    """
+    with path.open("rb") as file:
+        start, tail = 0, b""
+        while block := file.read(_BLOCK):
+            data = tail + block
+            place = data.find(_MARK)
+            while place >= 0:
+                _check(file, start - len(tail) + place)
+                place = data.find(_MARK, place + 1)
+            start += len(block)
+            tail = data[-len(_MARK) + 1 :]
+            file.seek(start)
+
+
+def _check(file: BinaryIO, place: int) -> None:
+    file.seek(place)
+    head = file.read(_HEAD)
+    size = int.from_bytes(head[len(_MARK) :], "little")
+    if size > MAX_HEAP_BYTES:
+        raise SessionFormatError(
+            Message(
+                "session.heap",
+                "its texts take {size} bytes in one piece; at most {most} are read",
+                size=size,
+                most=MAX_HEAP_BYTES,
+            )
+        )
+    body = file.read(max(0, size - _HEAD))
+    if len(head) < _HEAD or len(body) < size - _HEAD:
+        raise SessionFormatError(Message("session.heap_truncated", "is damaged: the file ends within its texts"))
+    at = 0
+    while len(body) - at >= _OBJECT.size:
+        index, _, _, length = _OBJECT.unpack_from(body, at)
+        at += _OBJECT.size + length + -length % 8 if index else max(1, length) if length else len(body) + 1
+        if at > len(body):
+            raise SessionFormatError(Message("session.heap_overlap", "is damaged: its texts overlap"))
+
 
 _READABLE = (h5py.h5t.INTEGER, h5py.h5t.FLOAT, h5py.h5t.STRING, h5py.h5t.ENUM)
 """Types of attributes that are read; others, such as references, are not used by sessions."""

@@ -25,8 +25,7 @@ from tissueid.sessions.hdf5_members import (
     subgroup,
     text_of,
 )
-from tissueid.sessions.model import SIGNAL_UNITS, STATUSES, Session, Subject, Test
-from tissueid.sessions.outline import Outline, TestOutline
+from tissueid.sessions.model import SIGNAL_UNITS, STATUSES, Outline, Session, Subject, Test, TestOutline
 from tissueid.untrusted_input import MAX_SAMPLES, MAX_TESTS, RATES_HZ, allowed_numbers
 
 FORMAT = "tissueid-session"

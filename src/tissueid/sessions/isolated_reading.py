@@ -5,8 +5,7 @@ from __future__ import annotations
 from dataclasses import replace
 from pathlib import Path
 
-from tissueid.sessions.model import Session, Test
-from tissueid.sessions.outline import Outline
+from tissueid.sessions.model import Outline, Session, Test
 from tissueid.sessions.reader_process import read_in_child
 
 

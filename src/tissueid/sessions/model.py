@@ -226,3 +226,27 @@ class Session:
                 numbers=", ".join(str(test.number) for test in self.tests),
             )
         )
+
+
+@dataclass(frozen=True)
+class TestOutline:
+    """A test without its signals: ``test.signals`` is empty. ``signals`` are their names, ``samples`` their length."""
+
+    __test__ = False
+
+    test: Test
+    samples: int
+    signals: tuple[str, ...]
+
+    @property
+    def seconds(self) -> float:
+        """Length of the test, s."""
+        return self.samples / self.test.sample_rate_hz
+
+
+@dataclass(frozen=True)
+class Outline:
+    """A session without its tests (``head``), and the outlines of the tests in the order of their numbers."""
+
+    head: Session
+    tests: tuple[TestOutline, ...]

@@ -34,7 +34,7 @@ def offset(typing_context: Any, pointer: Any, count: Any) -> Any:
 
 
 # Parameters of the instrument, in the order of ``Instrument``.
-GAIN, LIMIT, RESISTANCE, INDUCTANCE, FORCE_CONSTANT, MASS, DAMPING, WEIGHT, STROKE = range(9)
+GAIN, LIMIT, RESISTANCE, INDUCTANCE, FORCE_CONSTANT, MASS, DAMPING, WEIGHT, STROKE, FILTER_TIME = range(10)
 # Parameters of the tissue, in the order of ``Tissue``.
 SURFACE_M, TISSUE_MASS, TISSUE_DAMPING, DAMPING_GROWTH, STIFFNESS, STIFFNESS_GROWTH = range(6)
 # The state; the acceleration is that of the previous step.
@@ -58,19 +58,45 @@ def grown(value, growth, depth):  # type: ignore[no-untyped-def]
 
 
 @njit(cache=True, error_model="numpy")  # type: ignore[untyped-decorator]
-def _call(place, effects, places, bus, p, wide, s, deep, step):  # type: ignore[no-untyped-def]
-    for k in range(b.SLOTS):
-        if places[k, place]:
-            effects[k](place, bus, offset(p, k * wide), offset(s, k * deep), step)
+def _call(place, effects, called, bus, p, wide, s, deep, step):  # type: ignore[no-untyped-def]
+    for j in range(called[place, b.SLOTS]):
+        k = called[place, j]
+        effects[k](place, bus, offset(p, k * wide), offset(s, k * deep), step)
+
+
+@njit(cache=True, error_model="numpy")  # type: ignore[untyped-decorator]
+def _calls(places):  # type: ignore[no-untyped-def]
+    # The effects at each place, and their number in the last column.
+    called = np.zeros((b.PLACES, b.SLOTS + 1), np.int64)
+    for place in range(b.PLACES):
+        for k in range(b.SLOTS):
+            if places[k, place]:
+                called[place, called[place, b.SLOTS]] = k
+                called[place, b.SLOTS] += 1
+    return called
 
 
 @njit(cache=True, error_model="numpy")  # type: ignore[untyped-decorator]
 def integrate(  # type: ignore[no-untyped-def]
-    command, measured, given, figures, tissue, period, substeps, state, effects, places, parameters, states, out
+    command,
+    measured,
+    given,
+    figures,
+    tissue,
+    period,
+    substeps,
+    state,
+    effects,
+    places,
+    parameters,
+    states,
+    out,
+    tracking,
 ):
     """Simulate commands that are held over each sample; fill ``out``, shape (4, n), with readings at the end of each.
 
     The current is solved exactly within a step and viscous motion implicitly; both are of second order in the step.
+    With ``tracking``, rad/s, an observer of this bandwidth pulls the motion towards the measured position; 0: free run.
     ``measured``, shape (4, n), holds voltage, current, position and velocity for the signals that are ``given``.
     """
     step = period / substeps
@@ -79,10 +105,14 @@ def integrate(  # type: ignore[no-untyped-def]
     wide, deep = parameters.shape[1], states.shape[1]
     at_parameters = address(parameters, 0)
     at_states = address(states, 0)
-    used = np.zeros(b.PLACES, np.bool_)
-    for k in range(b.SLOTS):
-        used |= places[k]
+    called = _calls(places)
+    used = called[:, b.SLOTS] > 0
     current, position, velocity, acceleration = state
+    # Anti-alias filters of the readings; measured signals are filtered already.
+    filtered = figures[FILTER_TIME] > 0.0 and not (given[VOLTAGE_GIVEN] or given[CURRENT_GIVEN] or given[MOTION_GIVEN])
+    filter_ratio = step / figures[FILTER_TIME] if filtered else 1.0
+    filter_kept = math.exp(-filter_ratio)
+    read_voltage, read_current, read_position = figures[RESISTANCE] * current, current, position
     # Samples of earlier pieces of the command.
     first = bus[b.SAMPLE]
     for n in range(command.size):
@@ -102,7 +132,7 @@ def integrate(  # type: ignore[no-untyped-def]
                 bus[b.VOLTAGE] = measured[0, n]
             else:
                 if used[b.AMPLIFIER]:
-                    _call(b.AMPLIFIER, effects, places, at_bus, at_parameters, wide, at_states, deep, step)
+                    _call(b.AMPLIFIER, effects, called, at_bus, at_parameters, wide, at_states, deep, step)
 
             if given[MOTION_GIVEN]:
                 share = (m + 0.5) / substeps
@@ -111,11 +141,16 @@ def integrate(  # type: ignore[no-untyped-def]
                 acceleration = 0.0
                 bus[b.VELOCITY] = velocity
             else:
+                if tracking > 0.0:
+                    share = m / substeps
+                    error = measured[2, before] + share * (measured[2, n] - measured[2, before]) - position
+                    position += step * 2.0 * tracking * error
+                    velocity += step * tracking * tracking * error
                 half = position + 0.5 * step * velocity
             bus[b.POSITION] = half
             bus[b.SURFACE_POSITION] = tissue[SURFACE_M]
             if used[b.SURFACE]:
-                _call(b.SURFACE, effects, places, at_bus, at_parameters, wide, at_states, deep, step)
+                _call(b.SURFACE, effects, called, at_bus, at_parameters, wide, at_states, deep, step)
             depth = half - bus[b.SURFACE_POSITION]
             bus[b.DEPTH] = depth
 
@@ -125,7 +160,7 @@ def integrate(  # type: ignore[no-untyped-def]
             bus[b.OPPOSING_VOLTAGE] = 0.0
             bus[b.FORCE] = figures[WEIGHT]
             if used[b.COIL]:
-                _call(b.COIL, effects, places, at_bus, at_parameters, wide, at_states, deep, step)
+                _call(b.COIL, effects, called, at_bus, at_parameters, wide, at_states, deep, step)
             decay = bus[b.RESISTANCE] * step / bus[b.INDUCTANCE]
             if given[CURRENT_GIVEN]:
                 # Between two readings the current settles with the coil's time constant, well within the interval.
@@ -134,6 +169,7 @@ def integrate(  # type: ignore[no-untyped-def]
                 current = measured[1, n] + left * math.exp(-decay)
             else:
                 middle = velocity + 0.5 * step * acceleration
+                before_step = current
                 driving = bus[b.VOLTAGE] - bus[b.OPPOSING_VOLTAGE] - bus[b.FORCE_CONSTANT] * middle
                 settled = driving / bus[b.RESISTANCE]
                 kept = math.exp(-decay)
@@ -143,6 +179,16 @@ def integrate(  # type: ignore[no-untyped-def]
                 tilted = bus[b.VOLTAGE_TILT] / bus[b.RESISTANCE] * (1.0 + kept - 2.0 * (1.0 - kept) / decay)
                 current += tilted
                 mean -= tilted / decay
+                if filtered:
+                    difference = filter_ratio - decay
+                    if abs(difference) < 1e-6:
+                        share = filter_ratio * filter_kept
+                    else:
+                        share = filter_ratio * (kept - filter_kept) / difference
+                    read_current = (
+                        settled + (read_current - settled) * filter_kept + (before_step - settled) * share + tilted
+                    )
+                    read_voltage = bus[b.VOLTAGE] + (read_voltage - bus[b.VOLTAGE]) * filter_kept
             bus[b.CURRENT] = mean
 
             if not given[MOTION_GIVEN]:
@@ -150,18 +196,19 @@ def integrate(  # type: ignore[no-untyped-def]
                 bus[b.DAMPING] = figures[DAMPING]
                 bus[b.MASS] = figures[MASS]
                 if used[b.MECHANICS]:
-                    _call(b.MECHANICS, effects, places, at_bus, at_parameters, wide, at_states, deep, step)
+                    _call(b.MECHANICS, effects, called, at_bus, at_parameters, wide, at_states, deep, step)
                 bus[b.STIFFNESS] = tissue[STIFFNESS]
                 bus[b.STIFFNESS_GROWTH] = tissue[STIFFNESS_GROWTH]
-                bus[b.SURFACE_DAMPING] = tissue[TISSUE_DAMPING]
-                bus[b.DAMPING_GROWTH] = tissue[DAMPING_GROWTH]
+                if used[b.LIFT_OFF]:
+                    _call(b.LIFT_OFF, effects, called, at_bus, at_parameters, wide, at_states, deep, step)
+                    depth = bus[b.DEPTH]
                 bus[b.TISSUE_FORCE] = grown(tissue[STIFFNESS], tissue[STIFFNESS_GROWTH], depth) * depth
                 bus[b.TISSUE_DAMPING] = grown(tissue[TISSUE_DAMPING], tissue[DAMPING_GROWTH], depth)
                 bus[b.TISSUE_MASS] = tissue[TISSUE_MASS]
                 if used[b.TISSUE]:
                     bus[b.VELOCITY_JUMP] = 0.0
                     bus[b.POSITION_SHIFT] = 0.0
-                    _call(b.TISSUE, effects, places, at_bus, at_parameters, wide, at_states, deep, step)
+                    _call(b.TISSUE, effects, called, at_bus, at_parameters, wide, at_states, deep, step)
                     velocity += bus[b.VELOCITY_JUMP]
                     half += 0.5 * step * bus[b.VELOCITY_JUMP] + bus[b.POSITION_SHIFT]
                 mass = bus[b.MASS] + bus[b.TISSUE_MASS]
@@ -170,11 +217,20 @@ def integrate(  # type: ignore[no-untyped-def]
                 then = (velocity * (1.0 - drag) + push) / (1.0 + drag)
                 acceleration = (then - velocity) / step
                 velocity = then
+                earlier = position
                 position = half + 0.5 * step * velocity
+                if filtered:
+                    # The position as a ramp over the step.
+                    late = (position - earlier) / filter_ratio
+                    read_position = position - late + (read_position - earlier + late) * filter_kept
         out[OUT_VOLTAGE, n] = bus[b.VOLTAGE] + bus[b.VOLTAGE_RISE]
         out[OUT_CURRENT, n] = current
         out[OUT_POSITION, n] = measured[2, n] if given[MOTION_GIVEN] else position
         out[OUT_VELOCITY, n] = velocity
+        if filtered:
+            out[OUT_VOLTAGE, n] = read_voltage
+            out[OUT_CURRENT, n] = read_current
+            out[OUT_POSITION, n] = read_position
     state[CURRENT] = current
     state[POSITION] = position
     state[VELOCITY] = velocity

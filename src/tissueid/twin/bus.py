@@ -21,7 +21,10 @@ TISSUE = 4
 
 Called on tissue only, never on the calibration spring.
 """
-PLACES = 5
+LIFT_OFF = 5
+"""Before the tissue's laws: may change DEPTH, VELOCITY and ACCELERATION to those of a surface that the probe has left.
+The same effect restores them when it is called at TISSUE, after all others."""
+PLACES = 6
 
 # The bus.
 TIME = 0
@@ -65,16 +68,14 @@ VOLTAGE_RISE = 22
 """Voltage at the end of the step, which is recorded, minus VOLTAGE, its mean over the step."""
 VOLTAGE_TILT = 23
 """Half the rise of a voltage that changes linearly within the step; it affects the current at the end."""
-SURFACE_DAMPING = 24
-"""The tissue's damping at the surface, N s/m."""
-DAMPING_GROWTH = 25
+# Numbers once given stay: compiled hooks are cached with them. 24 and 25 are free.
 VELOCITY_JUMP = 26
 """Velocity that an impact adds at the start of the step, for instance when two bodies meet."""
 POSITION_SHIFT = 27
 """Correction of the position for an impact after the start of the step."""
 SIZE = 28
 
-MOST_EFFECTS = 4
+MOST_EFFECTS = 10
 """Maximum number of simultaneous effects; it determines the size of the compiled loop."""
 SLOTS = MOST_EFFECTS + 1
 """Effects in the compiled loop: one more for the end bumpers of a simulated instrument."""

@@ -26,9 +26,10 @@ class Instrument:
     bearing_damping_n_s_per_m: float = 3.5
     weight_n: float = 0.060 * STANDARD_GRAVITY
     stroke_m: float = 0.032
+    filter_time_s: float = 0.0
 
     def to_array(self) -> NDArray[np.float64]:
-        """Return all parameters in order, shape (9,)."""
+        """Return all parameters in order, shape (10,)."""
         return np.array(astuple(self), np.float64)
 
 

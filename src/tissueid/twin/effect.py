@@ -147,6 +147,8 @@ class Effect:
     """Advice to the technician, in one sentence."""
     on_spring: bool = True
     """Whether it acts in tests on the calibration spring and in free air as well."""
+    in_living_tissue: bool = False
+    """Whether living tissue in general shows it: a search fits all such effects together."""
     models_lift_off: bool = False
     """Whether the effect models the end of contact. A real-time simulation then adds no one-sided
     contact of its own.
@@ -173,9 +175,26 @@ class Effect:
         return (values,) if self.jointly else tuple({name: value} for name, value in values.items())
 
     @property
+    def weak_starts(self) -> tuple[tuple[float, ...], tuple[float, ...]]:
+        """The middle and the last starting point, each ten times closer to vanishing."""
+        middle, last = self.starts[len(self.starts) // 2], self.starts[-1]
+        return self._weakened(middle), self._weakened(last)
+
+    def _weakened(self, start: tuple[float, ...]) -> tuple[float, ...]:
+        return tuple(_weakened(item, value) for item, value in zip(self.parameters, start, strict=True))
+
+    @property
     def order(self) -> int:
         """Number of fitted parameters; a parameter with a value for each test counts once."""
         return sum(not parameter.fixed for parameter in self.parameters)
+
+
+def _weakened(parameter: Parameter, value: float) -> float:
+    if parameter.neutral is None or parameter.fixed or np.isinf(parameter.neutral):
+        # Near infinity, as without any lift-off, nothing would change with the parameter.
+        return value
+    weak = parameter.neutral + 0.1 * (value - parameter.neutral)
+    return min(max(weak, parameter.low), parameter.high)
 
 
 def nested(one: Effect, other: Effect) -> bool:

@@ -63,6 +63,8 @@ class MeasuredSignals:
     current: NDArray[np.float64] | None = None
     position: NDArray[np.float64] | None = None
     velocity: NDArray[np.float64] | None = None
+    tracking_rad_s: float = 0.0
+    """Bandwidth of an observer that pulls the simulated motion towards ``position``, in place of replacing it."""
 
 
 NOTHING_MEASURED = MeasuredSignals()
@@ -165,6 +167,8 @@ def prepared(acting: Sequence[ActiveEffect], on_tissue: bool) -> Prepared:
     """
     if len(acting) > bus.SLOTS:
         raise ValueError(f"at most {bus.SLOTS} effects act at once, not {len(acting)}")
+    # An effect that models lift-off needs the force of all others.
+    acting = sorted(acting, key=lambda item: item.effect.models_lift_off)
     hooks = tuple(compiled(item.effect.hook) if _is_active(item, on_tissue) else compiled(_idle) for item in acting)
     places = np.zeros((bus.SLOTS, bus.PLACES), np.bool_)
     parameters = np.zeros((bus.SLOTS, bus.MOST_PARAMETERS))
@@ -195,7 +199,8 @@ def run(
     for row, values in enumerate((given.voltage, given.current, given.position, given.velocity)):
         if values is not None:
             measured[row] = values
-    flags = np.array([given.voltage is not None, given.current is not None, given.position is not None])
+    replaced = given.position is not None and given.tracking_rad_s == 0.0
+    flags = np.array([given.voltage is not None, given.current is not None, replaced])
     out = np.empty((4, size))
     _kernel.integrate(
         command,
@@ -211,6 +216,7 @@ def run(
         effects.parameters,
         effects.states,
         out,
+        given.tracking_rad_s,
     )
     return out
 

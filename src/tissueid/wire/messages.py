@@ -129,6 +129,8 @@ HELLO_ACK = np.dtype(
 
 CHANNEL = np.dtype([("name", "S16"), ("unit", "S8"), ("gain", "<f8"), ("offset", "<f8")])
 """Physical value = gain * code + offset."""
+HELLO_ACK_FILTER = np.dtype([("filter_corner_hz", "<f8")])
+"""Follows the channel table, where the device knows its anti-alias filters: first order, the same in every channel."""
 
 STREAM = np.dtype([("on", "u1")])
 STIMULUS_BEGIN = np.dtype([("stimulus_id", "<u4"), ("samples", "<u4"), ("crc32", "<u4")])

@@ -17,7 +17,7 @@ from tissueid.app.services import AppServices
 from tissueid.app.theme import LIGHT
 from tissueid.app.views.researcher import batch
 from tissueid.app.views.researcher.analysis import AnalysisPanel
-from tissueid.app.views.researcher.analysis_history import AnalysisHistory
+from tissueid.app.views.researcher.results_store import AnalysisHistory
 from tissueid.app.views.researcher.selected_test import SelectedTest
 from tissueid.sessions import read_session, write_session
 

@@ -8,12 +8,12 @@ from app.benches import WAIT_MS
 from PySide6.QtCore import Qt
 
 from tissueid.acquisition import Phase
-from tissueid.acquisition.contact import Contact, contact_of_free
+from tissueid.acquisition.surface_detection import Contact, contact_of_free
+from tissueid.app.contact_watcher import contact_in_test
 from tissueid.app.form_choices import SITES
 from tissueid.app.live_signals import Snapshot
 from tissueid.app.safety import Safety
 from tissueid.app.views.clinician.body_map import HEIGHT, SPOTS, WIDTH, outline
-from tissueid.app.views.clinician.contact import contact_in_test
 from tissueid.device import DeviceDescription
 from tissueid.errors import LinkLostError
 from tissueid.instrument import CLINICAL, SAMPLE, SimulatedInstrument
@@ -208,7 +208,7 @@ class Scripted:
         self._script = list(script)
         self._stop = stop
 
-    def narrowed(self, limits):
+    def effective_limits(self, limits):
         return limits
 
     def poll(self, timeout_s):

@@ -137,7 +137,7 @@ def handheld(url):
     from tissueid.instrument.limits import PROFILES
 
     class Handheld(SimulatedInstrument):
-        def narrowed(self, limits):
+        def effective_limits(self, limits):
             return replace(limits, max_force_n=min(limits.max_force_n, 7.8))
 
     instrument = Handheld("forearm", seed=3)

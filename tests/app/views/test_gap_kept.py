@@ -5,6 +5,7 @@ import os
 import stat
 from dataclasses import replace
 from datetime import UTC, datetime, timedelta
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -14,7 +15,7 @@ from gap_records import recorded
 from PySide6.QtCore import Qt
 from PySide6.QtWidgets import QFileDialog
 
-from tissueid.app.file_stamp import stamp_of
+from tissueid.app.user_files import stamp_of
 from tissueid.app.views.gap.diagnosis_result import new_key
 from tissueid.app.views.gap.diagnosis_run import result_of
 from tissueid.app.views.gap.diagnosis_store import MOST_KEPT, default_folder, keep, read_kept
@@ -51,10 +52,16 @@ def friction(tmp_path):
     return path
 
 
-@pytest.fixture
-def diagnosed(found, friction):
+@pytest.fixture(scope="module")
+def made(found):
+    """What the page keeps of the diagnosis; its report is drawn once."""
     session = recorded("dry_friction", samples=SAMPLES)
-    return result_of(DiagnosedSession(DiagnosisPlan(session=friction), session, None, found), stamp_of(friction))
+    return result_of(DiagnosedSession(DiagnosisPlan(session=Path("friction.h5")), session, None, found), None)
+
+
+@pytest.fixture
+def diagnosed(made, friction):
+    return replace(made, asked=DiagnosisPlan(session=friction), stamp=stamp_of(friction))
 
 
 @pytest.fixture
@@ -108,7 +115,7 @@ def test_a_diagnosis_is_there_at_the_next_start_with_headline_odds_chain_and_cur
     qtbot, shown, friction, monkeypatch
 ):
     every = all_effects()
-    monkeypatch.setattr("tissueid.gap.search.all_effects", lambda: {name: every[name] for name in FEW})
+    monkeypatch.setattr("tissueid.gap.machine_library.all_effects", lambda: {name: every[name] for name in FEW})
     window, page = shown()
     press(qtbot, page.asking.run)
     idle(qtbot, window)

@@ -14,9 +14,9 @@ from golden.golden_page import check_golden_page, lines_of_widget
 from PySide6.QtCore import Qt
 from PySide6.QtWidgets import QAbstractButton, QComboBox, QFileDialog, QLabel, QLineEdit, QTableWidget
 
-from tissueid.app.file_stamp import stamp_of
+from tissueid.app.user_files import stamp_of
 from tissueid.app.views.gap import diagnosis_run
-from tissueid.app.views.gap.diagnosis_export import why_not_accepted
+from tissueid.app.views.gap.diagnosis_result import why_not_accepted
 from tissueid.app.views.gap.displayed_text import STAGE_TITLES, VERDICT_TITLES
 from tissueid.app.views.gap.effect_dialog import EffectDialog
 from tissueid.app.views.gap.next_test import session_url
@@ -49,7 +49,7 @@ SAMPLES = 3000
 @pytest.fixture(autouse=True)
 def _few_effects(monkeypatch):
     everything = shelf.all_effects()
-    monkeypatch.setattr("tissueid.gap.search.all_effects", lambda: {name: everything[name] for name in FEW})
+    monkeypatch.setattr("tissueid.gap.machine_library.all_effects", lambda: {name: everything[name] for name in FEW})
 
 
 def press(qtbot, widget):
@@ -278,7 +278,7 @@ def test_no_gap_says_so_and_makes_no_twin(qtbot, open_window, tmp_path):
     assert says(page.history.result.story.headline, "gap.none")
     assert page.history.list.item(0).text().splitlines() == ["clean.h5", "No gap"]
     press(qtbot, page.result.accept)
-    assert says(why_not_accepted(page.history.result), "gap.accept_no_gap")
+    assert says(why_not_accepted(page.history.result), "accept.no_gap")
     assert page.history.result.story.verdict == "no_gap"
     assert page.findChild(QFileDialog) is None
     press(qtbot, page.history.remove)

@@ -12,6 +12,11 @@ from tissueid.app.views.researcher.kernel_plot import KernelPlot
 pytestmark = [pytest.mark.qt_log_level_fail("WARNING"), pytest.mark.qt_log_ignore("This plugin does not support")]
 
 
+@pytest.fixture
+def plots_rendered():
+    return True
+
+
 @pytest.fixture(autouse=True)
 def clinical_again():
     yield

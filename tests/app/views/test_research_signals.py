@@ -33,8 +33,8 @@ def test_signals_of_selected_tests_are_laid_over_one_another(qtbot, opened):
     assert [table.item(row, 0).text()[-2:] for row in range(3)] == ["#1", "#1", "#2"]
     # A sine of 2 mm deviates by 2 / sqrt(2) mm from its mean.
     assert table.item(0, 3).text() == "14.0 ± 1.4"
-    x, y = view.signals.spectrum.card.plot.listDataItems()[0].getData()
-    assert 10.0 ** x[np.argmax(y)] == pytest.approx(50.0, abs=2.0)
+    curve = view.signals.spectrum.card.plots[0].curves[0]
+    assert curve.x[np.argmax(curve.y)] == pytest.approx(50.0, abs=2.0)
     tree = view.browser.tree
     tree.clearSelection()
     qtbot.waitUntil(view.signals.empty.isVisible, timeout=WAIT_MS)

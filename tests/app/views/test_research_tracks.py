@@ -8,9 +8,8 @@ import pytest
 
 from tissueid.app.theme import LIGHT
 from tissueid.app.views.researcher.plot_stack import PlotStack
-from tissueid.app.views.researcher.recorded_signal import RecordedSignal
 from tissueid.app.views.researcher.selected_test import SelectedTest
-from tissueid.app.views.researcher.signal_loading import Channel, LoadedTest
+from tissueid.app.views.researcher.signal_loading import Channel, LoadedTest, RecordedSignal
 
 RATE = 2000.0
 

@@ -11,12 +11,10 @@ from PySide6.QtWidgets import QComboBox
 from tissueid.analysis import analyse
 from tissueid.analysis.curves.prediction import output_plots
 from tissueid.app.views.researcher.engine_outcome import EngineOutcome, keys_of
-from tissueid.app.views.researcher.labels_of_tests import distinguishing_labels, short_label
 from tissueid.app.views.researcher.pictures import in_the_middle
 from tissueid.app.views.researcher.plot_data import OUTPUT
-from tissueid.app.views.researcher.recorded_signal import RecordedSignal
-from tissueid.app.views.researcher.selected_test import SelectedTest, timestamp_of
-from tissueid.app.views.researcher.signal_loading import Channel, LoadedTest
+from tissueid.app.views.researcher.selected_test import SelectedTest, distinguishing_labels, short_label, timestamp_of
+from tissueid.app.views.researcher.signal_loading import Channel, LoadedTest, RecordedSignal
 from tissueid.app.views.researcher.statistics_table import StatisticsTable
 from tissueid.identification.validation import vaf_percent
 from tissueid.sessions import read_session

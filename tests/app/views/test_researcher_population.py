@@ -7,7 +7,6 @@ from pathlib import Path
 import numpy as np
 import pytest
 from app.views.research_panels import run
-from PySide6.QtCore import QPointF
 
 from tissueid.app.theme import DARK, LIGHT
 from tissueid.app.views.researcher.engine_outcome import EngineOutcome
@@ -137,9 +136,7 @@ def choose(view, across, by="", parameter="mass_kg"):
 
 
 def scene_of(view, x, y):
-    box = view.card.plot.getViewBox()
-    box.updateAutoRange()
-    return box.mapViewToScene(QPointF(x, y))
+    return tuple(view.card.pixels(np.array([x]), np.array([y]))[0])
 
 
 def test_a_histogram_counts_tests_and_one_engine_with_its_options_can_be_chosen(view):
@@ -168,10 +165,11 @@ def test_every_view_of_three_hundred_fits_says_how_many_are_drawn(view):
             assert view.count.text().startswith(
                 "299 of 300 fits drawn of 299 tests; 1 predict nothing; LMS, default options"
             )
-            drawn = sum(points.data.size for points in view._points)
+            (plot,) = view.card.plots
+            drawn = sum(curve.x.size for curve in plot.curves if curve.kind == "points")
             assert drawn == (0 if across == DISTRIBUTION else 299)
     choose(view, DISTRIBUTION, SITE)
-    assert sum(int(steps.yData.sum()) for steps in view._steps) == 299
+    assert sum(int(bars.height.sum()) for bars in view.card.plots[0].parts) == 299
     assert "calf" in view.key.text()
     assert "n = 100" in view.key.text()
     view.apply_theme(DARK)
@@ -196,8 +194,8 @@ def test_a_point_names_its_test_and_a_double_click_asks_for_it(qtbot, view):
 
 def test_axes_hold_the_points_alone(view):
     choose(view, DATE, SITE)
-    view.card.plot.getViewBox().updateAutoRange()
-    (low, high), (bottom, _top) = view.card.plot.getViewBox().viewRange()
+    (axes,) = view.card.axes
+    (low, high), (bottom, _top) = axes.get_xlim(), axes.get_ylim()
     assert low > NOON - 20 * DAY
     assert high < NOON + 100 * DAY
     assert bottom > 30.0

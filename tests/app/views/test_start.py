@@ -14,10 +14,9 @@ from PySide6.QtCore import QSettings, Qt
 from PySide6.QtGui import QGuiApplication
 
 from tissueid.acquisition import journal_path
-from tissueid.app.help_panel import FOLDER
-from tissueid.app.panels import HELP_KEY, MOST_LINES
-from tissueid.app.views.start.parts import brief
+from tissueid.app.panels import FOLDER, HELP_KEY, MOST_LINES
 from tissueid.app.views.start.recent import MOST_SHOWN, look_into
+from tissueid.app.views.start.rows import brief
 from tissueid.instrument import FoundInstrument
 from tissueid.sessions import read_session, write_session
 from tissueid.sessions.accepted_result import AcceptedResult, AcceptedTest, AcceptedValue, write_result

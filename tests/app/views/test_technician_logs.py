@@ -23,12 +23,12 @@ from coded import begins, shows
 from PySide6.QtCore import Qt
 from PySide6.QtWidgets import QAbstractButton, QLabel
 
-from tissueid.app.emergency import BY_KEY
 from tissueid.app.words import sentence
 from tissueid.audit import AuditLog
 from tissueid.calibration import write_calibration
 from tissueid.instrument.replies import FAULT_TEXTS, released_by_faults
 from tissueid.messages import codes_in
+from tissueid.procedures.control import BY_KEY
 from tissueid.sessions import read_session, write_session
 from tissueid.sessions.model import reason_notes
 from tissueid.wire import Fault

@@ -2,15 +2,22 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping, Sequence
+from dataclasses import replace
+
 import numpy as np
 from numpy.typing import NDArray
 
 from tissueid.analysis import Analysis
-from tissueid.analysis.curves.plot import Array, Axis, Curve, Plot
+from tissueid.analysis.curves.plot import CONFIDENCE, Array, Axis, Bars, Curve, Kind, Plot, cloud
+from tissueid.analysis.curves.units import signal_axis
 from tissueid.errors import UnusableInputError
 from tissueid.identification.depth_profile import DepthProfile
+from tissueid.identification.dpn.confidence_bands import CurveBand
+from tissueid.identification.engines.dpn import DpnModel
 from tissueid.language import marked
 from tissueid.messages import Message
+from tissueid.records import Record
 
 QUANTITIES = {
     "mass": (Axis(marked("Mass"), "g"), "mass_kg", 1e3),
@@ -18,6 +25,21 @@ QUANTITIES = {
     "stiffness": (Axis(marked("Stiffness"), "N/m"), "stiffness_n_per_m", 1.0),
 }
 """Axis, name of the parameter, and factor from SI to the unit of the axis."""
+
+_COLOURS = ("measured", "model", "good", "check", "muted")
+_KINDS: tuple[Kind, ...] = ("line", "dashed", "dotted", "dashdot")
+_MARKERS = "osD^vP"
+_DENSE = 25
+"""Number of rows above which a profile is drawn as a curve with a band, not as points with bars."""
+_WIDEST = 1.5
+"""Largest ratio of half bar to value for which a bar counts for the limits of a plot."""
+_DIRECTION_OFFSET = 0.01
+"""Shift of each direction, as a share of the range of depths, so that neither hides the other."""
+_BINS = 50
+_DPN_BINS = 60
+_WAYS = {1: marked("inwards"), -1: marked("outwards")}
+_Series = tuple[str, DepthProfile, NDArray[np.intp]]
+"""A name, a profile, and the indices of its rows: one colour and marker."""
 
 
 def profile_curve(
@@ -72,3 +94,169 @@ def _point(analysis: Analysis, quantity: str) -> Curve:
     _axis, name, scale = QUANTITIES[quantity]
     where: Array = np.array([1e3 * float(np.nanmean(record.output))])
     return Curve(where, np.array([scale * found[name].value]), colour="model", kind="points", width=2.0)
+
+
+def profile_plots(
+    profiles: Mapping[str, DepthProfile], surface_position_m: float = float("nan"), visited: Array | None = None
+) -> tuple[Plot, Plot, Plot, Plot]:
+    """Return mass, damping and stiffness against depth with 95 % bars or bands, and the number of samples.
+
+    Args:
+        profiles: profiles by their name in the key.
+        surface_position_m: origin of depth, m; NaN for positions on the actuator.
+        visited: output (n,), m, whose samples are counted; None for the support of the profiles.
+
+    Raises:
+        UnusableInputError: no row holds a value.
+    """
+    known = {name: p for name, p in profiles.items() if np.isfinite(p.stiffness).any() or np.isfinite(p.mass).any()}
+    if not known:
+        raise UnusableInputError(
+            Message("report.no_profile", "mass, damping and stiffness could not be estimated at any depth")
+        )
+    x, origin = depth_axis(surface_position_m)
+    series = _series(known)
+    made = []
+    for quantity, (axis, _name, _scale) in QUANTITIES.items():
+        parts: list[Curve] = []
+        ends: list[Array] = []
+        for place, one in enumerate(series):
+            curve = _series_curve(one, quantity, origin)
+            parts += _styled(curve, one, place, origin)
+            ends.append(_range_of(curve))
+        made.append(Plot(axis.label, x, replace(axis, limits=_limits(np.concatenate(ends))), tuple(parts)))
+    counts = [_support(one, place, len(series), origin) for place, one in enumerate(series)]
+    if visited is not None:
+        counts = [sample_counts(visited, origin, _BINS)]
+    samples = Axis(marked("Samples"))
+    return made[0], made[1], made[2], Plot(samples.label, x, samples, tuple(counts))
+
+
+def dpn_plots(model: DpnModel, positions: Array, surface_position_m: float) -> tuple[Plot, Plot, Plot, Plot]:
+    """Return mass, damping and stiffness of the dynamic-parameter nonlinearity with 95 % bands, and its samples.
+
+    Args:
+        model: a model of force and position.
+        positions: where the curves are evaluated (k,), m.
+        surface_position_m: origin of depth, m; NaN for positions on the actuator.
+    """
+    known = model.known
+    x, origin = depth_axis(surface_position_m)
+    mass = [(known.mass(positions), marked("mass"))]
+    if known.curves.direction.size:
+        inwards, outwards = marked("into the tissue"), marked("out of the tissue")
+        damping = [(known.damping(positions, 1), inwards), (known.damping(positions, -1), outwards)]
+    else:
+        damping = [(known.damping(positions, 0), marked("damping"))]
+    stiffness = [(known.stiffness(positions), marked("tangent, dF/dy"))]
+    if model.surface_position_m is not None:
+        stiffness.append((known.secant(positions, model.surface_position_m), marked("secant, F over depth")))
+    made = []
+    for bands, (axis, _name, scale) in zip((mass, damping, stiffness), QUANTITIES.values(), strict=True):
+        parts = [
+            _band_curve(band, 1e3 * (positions - origin), scale, place, name)
+            for place, (band, name) in enumerate(bands)
+        ]
+        tops = np.concatenate([part.y if part.high is None else part.high for part in parts])
+        top = float(np.max(tops[np.isfinite(tops)], initial=0.0))
+        made.append(Plot(axis.label, x, replace(axis, limits=(0.0, 1.05 * top or 1.0)), tuple(parts)))
+    samples = Axis(marked("Samples"))
+    counts = sample_counts(known.position, origin, _DPN_BINS)
+    return made[0], made[1], made[2], Plot(samples.label, x, samples, (counts,))
+
+
+def static_force_plot(model: DpnModel, record: Record, positions: Array, surface_position_m: float) -> Plot:
+    """Return the force at rest against depth with its 95 % band, over the samples of a record.
+
+    Arguments as :func:`dpn_plots`.
+    """
+    x, origin = depth_axis(surface_position_m)
+    samples = cloud(1e3 * (record.output - origin), record.input)
+    force = _band_curve(model.known.force(positions), 1e3 * (positions - origin), 1.0, 1, marked("at rest, F(y)"))
+    force = replace(force, kind="line", width=1.5)
+    return Plot("", x, signal_axis(record.input_name, record.input_unit), (samples, force))
+
+
+def _band_curve(band: CurveBand, depth_mm: Array, scale: float, place: int, name: str) -> Curve:
+    """Return a parameter curve; its band closes on it where the band is unknown."""
+    known = np.isfinite(band.low + band.high)
+    low, high = np.where(known, band.low, band.value), np.where(known, band.high, band.value)
+    colour, kind = _COLOURS[place], _KINDS[place]
+    return Curve(depth_mm, scale * band.value, name, colour, kind, scale * low, scale * high, width=1.2)
+
+
+def depth_axis(surface_position_m: float) -> tuple[Axis, float]:
+    """Return the axis of depth, or of position where the surface is unknown (NaN), and its origin, m."""
+    known = bool(np.isfinite(surface_position_m))
+    return Axis(marked("Depth") if known else marked("Position"), "mm"), surface_position_m if known else 0.0
+
+
+def sample_counts(positions: Array, origin_m: float, bins: int) -> Bars:
+    """Return how many of some positions (n,), m, lie in each of equal ranges of depth."""
+    heights, edges = np.histogram(1e3 * (positions[np.isfinite(positions)] - origin_m), bins=bins)
+    middles = 0.5 * (edges[:-1] + edges[1:])
+    return Bars(middles, heights.astype(np.float64), np.diff(edges), colour="muted", opacity=0.5)
+
+
+def _series(profiles: Mapping[str, DepthProfile]) -> Sequence[_Series]:
+    """Return every direction of every profile as a series."""
+    found = []
+    for name, profile in profiles.items():
+        for way in (0, 1, -1):
+            rows = np.flatnonzero(profile.direction == way)
+            if rows.size:
+                found.append((_one_direction(name, way), profile, rows))
+    return found
+
+
+def _one_direction(name: str, way: int) -> str:
+    """Return the name of a profile with its direction, if it has one."""
+    return Message("plot.direction", "{name}, {direction}", name=name, direction=_WAYS[way]) if way else name
+
+
+def _series_curve(series: _Series, quantity: str, origin_m: float) -> Curve:
+    _name, profile, rows = series
+    curve = profile_curve(profile, quantity, rows, deviations=CONFIDENCE, origin_m=origin_m)
+    shift = _DIRECTION_OFFSET * float(profile.direction[rows[0]]) * float(np.ptp(curve.x))
+    return replace(curve, x=curve.x + shift)
+
+
+def _styled(curve: Curve, series: _Series, place: int, origin_m: float) -> list[Curve]:
+    """Return the curves that show one series: a band, or bars with the range of depths of each row."""
+    name, profile, rows = series
+    colour, kind = _COLOURS[place % len(_COLOURS)], _KINDS[place % len(_KINDS)]
+    if rows.size > _DENSE:
+        return [replace(curve, name=name, colour=colour, kind=kind, width=1.2)]
+    gap = np.full(rows.size, np.nan)
+    ranges = np.stack([1e3 * (profile.low[rows] - origin_m), 1e3 * (profile.high[rows] - origin_m), gap], axis=1)
+    return [
+        Curve(ranges.ravel(), np.repeat(curve.y, 3), colour=colour, width=0.6, opacity=0.6),
+        replace(curve, name=name, colour=colour, kind="bars", marker=_MARKERS[place % len(_MARKERS)]),
+        Curve(curve.x, curve.y, colour=colour, kind=kind, width=0.6, opacity=0.6),
+    ]
+
+
+def _range_of(curve: Curve) -> Array:
+    """Return the values that the limits of a plot must contain: those of a curve and of its bars, unless too wide."""
+    high = curve.y if curve.high is None else curve.high
+    half = high - curve.y
+    ends = np.where(half < _WIDEST * np.abs(curve.y), half, 0.0)
+    return np.concatenate([curve.y - ends, curve.y + ends])
+
+
+def _limits(values: Array) -> tuple[float, float] | None:
+    """Return limits that begin at zero where the values allow it; None where no value is finite."""
+    finite = values[np.isfinite(values)]
+    if not finite.size:
+        return None
+    return 1.1 * min(0.0, float(finite.min())), 1.1 * max(0.0, float(finite.max())) or 1.0
+
+
+def _support(series: _Series, place: int, count: int, origin_m: float) -> Bars:
+    """Return the support of the rows of one of ``count`` series, beside each other in each range of depths."""
+    _name, profile, rows = series
+    low, high = 1e3 * (profile.low[rows] - origin_m), 1e3 * (profile.high[rows] - origin_m)
+    width = (high - low) / count
+    heights = profile.support[rows].astype(np.float64)
+    colour = _COLOURS[place % (len(_COLOURS) - 1)]
+    return Bars(low + (place + 0.5) * width, heights, width, colour=colour, opacity=0.5)

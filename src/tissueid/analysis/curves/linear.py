@@ -8,12 +8,15 @@ import numpy as np
 from numpy.typing import NDArray
 
 from tissueid.analysis import Analysis
-from tissueid.analysis.curves.plot import CONFIDENCE, Array, Axis, Curve, Plot
+from tissueid.analysis.curves.diagnostics import power_edge
+from tissueid.analysis.curves.plot import CONFIDENCE, Array, Axis, Curve, Kind, Plot
 from tissueid.analysis.curves.units import FREQUENCY, LAG, kernel_unit, ratio_unit
 from tissueid.errors import UnusableInputError
 from tissueid.identification.base import Model
 from tissueid.identification.engines.lms import LmsModel
+from tissueid.identification.engines.rls import RlsModel
 from tissueid.identification.engines.spectral import Spectra, Spectral, SpectralModel
+from tissueid.identification.online.identifier import OnlineModel
 from tissueid.identification.partitions.model import PartitionedModel
 from tissueid.identification.second_order_fit import SecondOrderFit
 from tissueid.identification.volterra.model import VolterraModel
@@ -46,6 +49,42 @@ def impulse_response(model: LmsModel, record: Record) -> Plot:
     fit = second_order_curve(model.second_order, float(model.lag_s[-1]), record)
     lag = replace(LAG, limits=(0.0, 1e3 * float(model.lag_s[-1]) or 1.0))
     return Plot(title, lag, Axis(title, unit, zero=True), (estimate, fit))
+
+
+def online_response(model: OnlineModel, record: Record) -> Plot:
+    """Return the impulse response used in simulation, its 95 % band where known, and the second-order fit."""
+    std = model.impulse_response_std if isinstance(model, RlsModel) else None
+    title, band = marked("Impulse response"), CONFIDENCE * std if std is not None else None
+    points = _banded(model.lag_s, model.impulse_response, band, record, marked("each lag by itself"), "points")
+    return _response_plot(
+        title, model.lag_s, (points, second_order_curve(model.second_order, float(model.lag_s[-1]), record)), record
+    )
+
+
+def first_kernel_plot(model: VolterraModel, record: Record) -> Plot:
+    """Return the first-order kernel with its 95 % band, and the linear system (Chen 2010, Figs. 4.6a and 4.12)."""
+    assert model.kernel1 is not None
+    title, band = marked("First-order kernel"), None if model.kernel1_std is None else CONFIDENCE * model.kernel1_std
+    parts = [
+        replace(_banded(model.lag_s, model.kernel1, band, record, marked("first-order kernel"), "line"), marker=".")
+    ]
+    if model.second_order is not None:
+        fit = second_order_curve(model.second_order, float(model.lag_s[-1]), record)
+        parts.append(replace(fit, name=marked("linear system")))
+    return _response_plot(title, model.lag_s, tuple(parts), record)
+
+
+def _banded(lag_s: Array, response: Array, half: Array | None, record: Record, name: str, kind: Kind) -> Curve:
+    """Return a response (lags,), in SI units, with a band of half a width ``half``."""
+    scale = kernel_unit(record)[1]
+    y, reach = scale * response, None if half is None else scale * np.where(np.isfinite(half), half, 0.0)
+    low, high = (None, None) if reach is None else (y - reach, y + reach)
+    return Curve(1e3 * lag_s, y, name, "measured", kind, low, high, marked("95 % band"))
+
+
+def _response_plot(title: str, lag_s: Array, parts: tuple[Curve, ...], record: Record) -> Plot:
+    lag = replace(LAG, limits=(0.0, 1e3 * float(lag_s[-1]) or 1.0))
+    return Plot(title, lag, Axis(title, kernel_unit(record)[0], zero=True), parts)
 
 
 def impulse_curve(model: Model, record: Record, analysis: Analysis | None = None) -> Curve:
@@ -201,6 +240,31 @@ def _raised(curve: Curve, by: float) -> Curve:
 def coherence_curve(spectra: Spectra, shown: NDArray[np.bool_] | slice) -> Curve:
     """Return the mean squared coherence at some frequencies."""
     return Curve(spectra.frequency_hz[shown], spectra.coherence[shown], colour="model")
+
+
+def power_band(spectra: Spectra) -> NDArray[np.bool_]:
+    """Return a mask (bins,) of the frequencies that contain 99 % of the input power, without zero."""
+    edge = power_edge(spectra.frequency_hz, spectra.input_psd)
+    return (spectra.frequency_hz > 0.0) & (spectra.frequency_hz <= edge)
+
+
+def coherence_plot(spectra: Spectra) -> Plot:
+    """Return the mean squared coherence, the level that unrelated signals seldom exceed, and where there is no input.
+
+    Chen 2010, Fig. 3.2b, Eq. 3.1.
+    """
+    frequency_hz = spectra.frequency_hz[1:]
+    ends = float(frequency_hz[0]), float(frequency_hz[-1])
+    edge = float(spectra.frequency_hz[power_band(spectra)].max(initial=ends[0]))
+    floor = np.array([spectra.coherence_floor])
+    parts = [
+        replace(coherence_curve(spectra, slice(1, None)), colour="measured"),
+        Curve(floor, floor, marked("5 % significance level"), "model", "level"),
+    ]
+    if edge < ends[1]:
+        parts.insert(0, Curve(np.array([edge, ends[1]]), np.zeros(0), "", "muted", "spans", opacity=0.1))
+    title = marked("Mean squared coherence")
+    return Plot(title, replace(FREQUENCY, limits=ends), Axis(title, limits=(0.0, 1.06)), tuple(parts))
 
 
 def _measured_response(spectra: Spectra, record: Record) -> tuple[Curve, Curve]:

@@ -2,11 +2,13 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 
 from tissueid.analysis import Analysis
 from tissueid.analysis.curves.plot import CONFIDENCE, Array, Axis, Curve, Plot
-from tissueid.analysis.curves.units import signal_axis
+from tissueid.analysis.curves.units import is_mechanical, signal_axis
 from tissueid.errors import UnusableInputError
 from tissueid.identification.cascades.curves import curve_slopes
 from tissueid.identification.engines.cascade import CascadeModel
@@ -19,18 +21,25 @@ from tissueid.records import Record
 from tissueid.units import display_unit
 
 _FINE = 200
+_NEAR = 0.6
+"""Largest distance of the surface from the shallowest sample, as a share of their range, at which it is marked."""
+_LEAST_SLOPE = 1e-3
+"""Share of the steepest slope below which its inverse is not shown."""
 _MOST_POINTS = 4000
 _STRETCHES = 40
 _FEWEST = 8
 
 
-def wiener_nonlinearity(model: WienerModel, record: Record, part: slice | None = None) -> Plot:
+def wiener_nonlinearity(
+    model: WienerModel, record: Record, part: slice | None = None, surface_position_m: float = float("nan")
+) -> Plot:
     """Return the static nonlinearity of a Wiener cascade and the samples about it (Chen 2010, Fig. 3.8, Eq. 3.26).
 
     Args:
         model: the cascade.
         record: input and output; the points are its received samples.
         part: which of them were fitted.
+        surface_position_m: position of the tissue surface, m, which is marked where it is near; NaN if unknown.
 
     Raises:
         UnusableInputError: no sample lies where the model can be run.
@@ -39,6 +48,10 @@ def wiener_nonlinearity(model: WienerModel, record: Record, part: slice | None =
     in_scale, out_scale = display_unit(record.input_unit)[1], display_unit(record.output_unit)[1]
     some = slice(None, None, max(1, -(-z.size // _MOST_POINTS)))
     fine = np.linspace(z.min(), z.max(), _FINE)
+    surface: tuple[Curve, ...] = ()
+    if record.output_name == "position" and measured.min() - surface_position_m < _NEAR * np.ptp(measured):
+        at = np.array([out_scale * surface_position_m])
+        surface = (Curve(np.zeros(1), at, marked("surface"), "muted", "level"),)
     return Plot(
         marked("Static nonlinearity"),
         signal_axis("predicted_linear_output", record.input_unit),
@@ -52,7 +65,33 @@ def wiener_nonlinearity(model: WienerModel, record: Record, part: slice | None =
                 "model",
                 width=1.5,
             ),
+            *surface,
         ),
+    )
+
+
+def stiffness_plot(model: WienerModel, record: Record, part: slice | None, surface_position_m: float) -> Plot:
+    """Return the inverse slope of the nonlinearity against depth, over 99 % of the samples (Chen 2010, Eq. 3.27).
+
+    Arguments as :func:`wiener_nonlinearity`; ``surface_position_m`` is the origin of depth, NaN if unknown.
+    """
+    ends = np.quantile(linear_output(model, record, part)[0], (0.005, 0.995))
+    low, high = model.nonlinearity.monotone_range
+    z = np.linspace(max(low, float(ends[0])), min(high, float(ends[1])), _FINE)
+    slope = np.abs(model.nonlinearity.slope(z))
+    clear = slope > _LEAST_SLOPE * slope.max()
+    known = np.isfinite(surface_position_m) and record.output_name == "position"
+    out_scale = display_unit(record.output_unit)[1]
+    depth = out_scale * (model.nonlinearity(z[clear]) - (surface_position_m if known else 0.0))
+    inverse = display_unit(record.input_unit)[1] / slope[clear]
+    y = Axis(marked("Inverse slope"), f"{record.input_unit}/{record.output_unit}")
+    if is_mechanical(record):
+        y = Axis(marked("Stiffness"), "N/m")
+    return Plot(
+        "",
+        signal_axis("depth_below_the_surface" if known else record.output_name, record.output_unit),
+        replace(y, limits=(0.0, 1.05 * float(inverse.max(initial=0.0)) or 1.0)),
+        (Curve(depth, inverse, colour="good", width=1.4),),
     )
 
 

@@ -18,19 +18,26 @@ from numpy.typing import NDArray
 from tissueid.errors import UnusableInputError
 
 Array = NDArray[np.float64]
-Kind = Literal["line", "dashed", "dotted", "points", "circles", "level", "position", "spans"]
+Kind = Literal["line", "dashed", "dotted", "dashdot", "points", "circles", "bars", "level", "position", "spans"]
 """How a curve is drawn. A level is a horizontal line at ``y``, a position a vertical one at ``x``. Circles are hollow
-points. Spans are shaded from ``x[0]`` to ``x[1]``, from ``x[2]`` to ``x[3]`` and so on."""
+points. Bars are points with error bars from ``low`` to ``high``. Spans are shaded from ``x[0]`` to ``x[1]``, from
+``x[2]`` to ``x[3]`` and so on."""
 
 CONFIDENCE = 1.96
 """Half width, in standard deviations, of an interval that holds 95 % of a normal quantity."""
+DEPTHS = 9
+"""Number of roles of colours from shallow to deep, "depth-1" to "depth-9"."""
+_MOST_POINTS = 3000
+"""Largest number of points of a cloud that are drawn."""
+_MOST_TICKS = 8
+"""Largest number of ticks at whole numbers."""
 
 
 @dataclass(frozen=True)
 class Axis:
     """Quantity and unit of an axis; ``limits`` are None where they follow from the data.
 
-    ``zero`` marks zero of an ordinate by a thin line.
+    ``zero`` marks zero of an ordinate by a thin line. ``ticks`` are positions and their texts; "" for a line without.
     """
 
     label: str = ""
@@ -39,6 +46,7 @@ class Axis:
     limits: tuple[float, float] | None = None
     reverse: bool = False
     zero: bool = False
+    ticks: tuple[tuple[float, str], ...] = ()
 
 
 @dataclass(frozen=True, eq=False)
@@ -49,13 +57,15 @@ class Curve:
         x: abscissa; a curve of kind "level" ignores it.
         y: ordinate; a curve of kind "position" ignores it. NaN interrupts a line.
         name: text in the key; "" for none.
-        colour: role of the colour: "measured", "model", "muted", or another field of a theme.
+        colour: role of the colour: "measured", "model", "muted", another field of a theme, or one of ``depth_roles``.
         kind: how it is drawn.
         low: lower edge of the band.
         high: upper edge of the band.
         band: text of the band in the key; "" for none.
         width: width of a line or size of a point, relative to the usual one.
         opacity: 1 hides what is below, 0 shows nothing.
+        marker: shape of points, and of the points of a line that has them, such as "o", "s", "D", "^", "v" or "*".
+        across: whether error bars lie along the abscissa, from ``low`` to ``high``, and spans along the ordinate.
     """
 
     x: Array
@@ -68,6 +78,8 @@ class Curve:
     band: str = ""
     width: float = 1.0
     opacity: float = 1.0
+    marker: str = ""
+    across: bool = False
 
 
 @dataclass(frozen=True, eq=False)
@@ -97,7 +109,10 @@ class Surface:
 
 @dataclass(frozen=True, eq=False)
 class Bars:
-    """Heights (n,) at ``x`` (n,), or under ``names`` (n,); ``error`` (n,) is half an error bar."""
+    """Heights (n,) at ``x`` (n,), or under ``names`` (n,); ``error`` (n,) is half an error bar.
+
+    A bar begins at ``base`` (n,), or at 0. Bars ``across`` have their ``x`` along the ordinate.
+    """
 
     x: Array
     height: Array
@@ -108,11 +123,16 @@ class Bars:
     error: Array | None = None
     across: bool = False
     opacity: float = 1.0
+    base: Array | None = None
 
 
 @dataclass(frozen=True, eq=False)
 class Plot:
-    """Parts over two axes. ``missing`` is the reason if there is nothing to draw, ``note`` explains a band."""
+    """Parts over two axes. ``missing`` is the reason if there is nothing to draw, ``note`` explains a band.
+
+    Axes of a ``square`` plot have the same length. ``depths`` is the quantity that colours curves from shallow to deep,
+    with its limits; it is drawn as a colour bar.
+    """
 
     title: str
     x: Axis
@@ -120,6 +140,8 @@ class Plot:
     parts: tuple[Curve | Surface | Bars, ...] = ()
     missing: str = ""
     note: str = ""
+    square: bool = False
+    depths: Axis | None = None
 
     @property
     def curves(self) -> tuple[Curve, ...]:
@@ -176,6 +198,24 @@ def _rows_of(part: Curve | Surface | Bars, plot: Plot) -> list[tuple[object, ...
     count = max(np.size(part.x), np.size(y))
     columns = [[""] * count if v is None else np.broadcast_to(v, count).tolist() for v in (part.x, y, low, high)]
     return [(x, ends[0], y, ends[1], low, high, "", "") for x, y, low, high in zip(*columns, strict=True)]
+
+
+def depth_roles(count: int) -> list[str]:
+    """Return ``count`` roles of colours from shallow to deep; a single one is the deepest."""
+    return [f"depth-{1 + round((k if count > 1 else 1) * (DEPTHS - 1) / max(1, count - 1))}" for k in range(count)]
+
+
+def whole_ticks(first: int, last: int) -> tuple[tuple[float, str], ...]:
+    """Return ticks at whole numbers from ``first`` to ``last``, evenly spaced and not too many."""
+    step = max(1, -(-(last - first + 1) // _MOST_TICKS))
+    return tuple((float(place), str(place)) for place in range(first, last + 1, step))
+
+
+def cloud(x: Array, y: Array, colour: str = "measured") -> Curve:
+    """Return points (n,) as a pale cloud: those that are known, evenly chosen where they are very many."""
+    known = np.flatnonzero(np.isfinite(x) & np.isfinite(y))
+    some = known[:: max(1, -(-known.size // _MOST_POINTS))]
+    return Curve(x[some], y[some], "", colour, "points", opacity=0.5)
 
 
 def thin(x: Array, values: Array, columns: int = 900) -> tuple[Array, Array]:

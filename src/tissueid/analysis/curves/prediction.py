@@ -56,7 +56,12 @@ def output_plots(analysis: Analysis) -> tuple[Plot, Plot]:
     )
     difference = marked("Measured less simulated")
     return (
-        Plot(marked("Measured and simulated output, held out"), time, Axis("", unit), (measured, *upper)),
+        Plot(
+            marked("Measured and simulated output, held out"),
+            time,
+            signal_axis(found.output_name, found.output_unit),
+            (measured, *upper),
+        ),
         Plot(difference, time, Axis(difference, unit), tuple(lower)),
     )
 

@@ -1,1 +1,1 @@
-"""The pages of the window, a folder each; ``view`` defines their interface."""
+"""The pages of the window, a folder each; ``tissueid.app.context`` defines their interface."""

@@ -28,10 +28,9 @@ from tissueid.identification.cascades.blocks import (
     run,
     slopes,
 )
-from tissueid.identification.cascades.fit import fit_linear
-from tissueid.identification.cascades.refinement import Fitted, refine
+from tissueid.identification.cascades.fit import Fitted, fit_linear, refine
 from tissueid.identification.cascades.starting_points import solve_with_ridge
-from tissueid.identification.effective_samples import dependence_samples, long_run_covariance
+from tissueid.identification.correlation import dependence_samples, long_run_covariance
 from tissueid.identification.validation import aicc
 from tissueid.language import marked
 from tissueid.messages import Listing, Message

@@ -7,10 +7,10 @@ from dataclasses import dataclass
 import numpy as np
 
 from tissueid.identification.base import Array
+from tissueid.identification.correlation import dependence_samples, long_run_covariance
 from tissueid.identification.depth_profile import DepthProfile
 from tissueid.identification.dpn.curves import LogCurves
 from tissueid.identification.dpn.fit import PRIOR, DpnData, Fitted, prior_weights
-from tissueid.identification.effective_samples import dependence_samples, long_run_covariance
 from tissueid.records import Estimate
 
 NORMAL_95 = 1.959964

@@ -17,7 +17,7 @@ from tissueid.identification import levenberg_marquardt
 from tissueid.identification.base import Array
 from tissueid.identification.dpn.curves import LogCurves
 from tissueid.identification.dpn.simulation import MOST_STEPS, NO_OWNERS, NO_SLOPES, integrate, intersample
-from tissueid.identification.sample_masks import finite_runs
+from tissueid.identification.preparation import finite_runs
 from tissueid.identification.second_order import Hold
 from tissueid.records import Record
 

@@ -14,10 +14,10 @@ from collections.abc import Collection
 import numpy as np
 
 from tissueid.identification.base import Array
+from tissueid.identification.correlation import dependence_samples, long_run_covariance
 from tissueid.identification.dpn.confidence_bands import coefficient_covariance
 from tissueid.identification.dpn.curves import LogCurves
 from tissueid.identification.dpn.fit import TOLERANCE, DpnData, Fitted, minimise
-from tissueid.identification.effective_samples import dependence_samples, long_run_covariance
 
 SERIES = ("mass", "damping", "stiffness", "direction", "inertia")
 

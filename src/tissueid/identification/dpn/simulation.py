@@ -17,7 +17,7 @@ from scipy import fft, interpolate
 from tissueid.errors import UnusableInputError
 from tissueid.identification.base import Array
 from tissueid.identification.dpn import kernel
-from tissueid.identification.sample_masks import finite_runs
+from tissueid.identification.preparation import finite_runs
 from tissueid.identification.second_order import Hold
 from tissueid.messages import Message
 

@@ -23,11 +23,12 @@ from tissueid.identification.cascades.fit import fit_structures, refine_until_co
 from tissueid.identification.cascades.normalisation import (
     Normalised,
     Uncertainty,
+    fit_linearised,
     has_steady_gains,
     normalise_gains,
+    parameters_at_rest,
     uncertainty,
 )
-from tissueid.identification.cascades.parameters import fit_linearised, parameters_at_rest
 from tissueid.identification.cascades.structure_selection import (
     StructureChoice,
     choose,

@@ -18,9 +18,14 @@ from tissueid.identification.dpn.report import curve_warnings, dpn_parameters, f
 from tissueid.identification.dpn.selection import score_gains, select_degrees
 from tissueid.identification.dpn.simulation import FreeRun, simulate_dpn
 from tissueid.identification.model_family import Family
-from tissueid.identification.preparation import SAMPLES_PER_PARAMETER, Prepared, prepare
+from tissueid.identification.preparation import (
+    SAMPLES_PER_PARAMETER,
+    Prepared,
+    complete_windows,
+    prepare,
+    scored_samples,
+)
 from tissueid.identification.registry import engine
-from tissueid.identification.sample_masks import complete_windows, scored_samples
 from tissueid.identification.second_order import HOLD_DESCRIPTION, HOLD_TITLE, Hold
 from tissueid.identification.second_order_fit import fit_second_order
 from tissueid.identification.validation import aic, aicc, vaf_percent

@@ -12,10 +12,8 @@ from tissueid.errors import UnusableInputError
 from tissueid.identification.base import Array, Engine, FitReport, Mask, Model
 from tissueid.identification.cascades.blocks import Blocks, CascadeData, cascade_data, input_levels, prepare_cascade
 from tissueid.identification.cascades.curves import with_offset
-from tissueid.identification.cascades.fit import fit_linear, hammerstein_passes
-from tissueid.identification.cascades.normalisation import has_steady_gains, normalise_gains, uncertainty
-from tissueid.identification.cascades.parameters import FLAT
-from tissueid.identification.cascades.refinement import Fitted, refine
+from tissueid.identification.cascades.fit import Fitted, fit_linear, hammerstein_passes, refine
+from tissueid.identification.cascades.normalisation import FLAT, has_steady_gains, normalise_gains, uncertainty
 from tissueid.identification.correlation import convolve_at_rest
 from tissueid.identification.impulse_response import memory_warnings
 from tissueid.identification.model_family import Family
@@ -25,7 +23,7 @@ from tissueid.identification.second_order import HOLD_DESCRIPTION, HOLD_TITLE, H
 from tissueid.identification.second_order_fit import SecondOrderFit, fit_second_order
 from tissueid.identification.static_nonlinearity import Form, StaticNonlinearity, coefficient_count
 from tissueid.identification.validation import aic, aicc, vaf_percent
-from tissueid.identification.wiener.parameters import derived, wiener_parameters
+from tissueid.identification.wiener.refinement import derived, wiener_parameters
 from tissueid.language import marked
 from tissueid.messages import Listing, Message
 from tissueid.records import Record

@@ -15,9 +15,8 @@ from tissueid.errors import UnusableInputError
 from tissueid.identification.base import Array, Engine, FitReport, Model
 from tissueid.identification.correlation import convolve_at_rest
 from tissueid.identification.model_family import Family
-from tissueid.identification.preparation import Prepared, prepare
+from tissueid.identification.preparation import Prepared, finite_runs, prepare
 from tissueid.identification.registry import engine
-from tissueid.identification.sample_masks import finite_runs
 from tissueid.identification.second_order import HOLD_DESCRIPTION, HOLD_TITLE, Complex, Hold
 from tissueid.identification.second_order_fit import SecondOrderFit, fit_second_order
 from tissueid.identification.validation import aic, aicc, vaf_percent

@@ -21,13 +21,14 @@ from tissueid.identification.validation import aic, aicc, vaf_percent
 from tissueid.identification.volterra.lag_grid import LagGrid, automatic_grid, lag_grid, smoothed, whiteness
 from tissueid.identification.volterra.methods import (
     Solved,
+    VolterraStimulus,
     exact_least_squares,
+    factor_stimulus,
     laguerre_least_squares,
     regularised_least_squares,
 )
 from tissueid.identification.volterra.model import VolterraModel
 from tissueid.identification.volterra.regressors import VolterraRegressors, coefficient_count
-from tissueid.identification.volterra.stimulus import VolterraStimulus, factor_stimulus
 from tissueid.identification.volterra.structure import kernel_structure
 from tissueid.language import marked
 from tissueid.messages import Message

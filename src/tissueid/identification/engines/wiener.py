@@ -26,8 +26,13 @@ from tissueid.identification.wiener.iteration import (
     hunter_korenberg,
     linear_output,
 )
-from tissueid.identification.wiener.parameters import fit_linear_stage, straightness_warning, wiener_parameters
-from tissueid.identification.wiener.refinement import coefficient_covariance, refine
+from tissueid.identification.wiener.refinement import (
+    coefficient_covariance,
+    fit_linear_stage,
+    refine,
+    straightness_warning,
+    wiener_parameters,
+)
 from tissueid.language import marked
 from tissueid.messages import Message
 from tissueid.records import Record

@@ -20,12 +20,12 @@ from tissueid.identification.engines.als import Als, AlsIdentifier
 from tissueid.identification.engines.lms import Lms
 from tissueid.identification.engines.rls import Rls, RlsIdentifier
 from tissueid.identification.engines.spectral import Spectral
-from tissueid.identification.external_spring import without_spring
 from tissueid.identification.impulse_response import kernel_std
-from tissueid.identification.live.precision import PARAMETERS, Parameter, Precision
 from tissueid.identification.live.sliding import SlidingLms
+from tissueid.identification.live.stopping import PARAMETERS, Parameter, Precision
 from tissueid.identification.online.identifier import RECENT_S
 from tissueid.identification.preparation import Prepared, prepare
+from tissueid.identification.second_order import without_spring
 from tissueid.identification.second_order_fit import SecondOrderFit
 from tissueid.identification.static_nonlinearity import fit_exponential
 from tissueid.identification.validation import vaf_percent

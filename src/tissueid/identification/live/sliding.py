@@ -7,6 +7,7 @@ from dataclasses import dataclass, replace
 from functools import cached_property
 
 import numpy as np
+from numba import njit
 from scipy import linalg, signal
 
 from tissueid.errors import UnusableInputError
@@ -15,10 +16,72 @@ from tissueid.identification.correlation import condition_number, toeplitz_inver
 from tissueid.identification.engines.lms import Lms, LmsModel
 from tissueid.identification.impulse_response import EXTRA_MEMORY_S, RIDGE, factor_input, with_extra_memory
 from tissueid.identification.lagged_gram import LaggedRegressors
-from tissueid.identification.live import sliding_sums
 from tissueid.identification.preparation import Prepared, checked_samples, memory_in_samples, prepare
 from tissueid.messages import Message
 from tissueid.records import Record
+
+
+@njit(cache=True, nogil=True)
+def slide(x: Array, y: Array, first: int, end: int, new: int, window: int, gained: Array, lost: Array) -> int:
+    """Add the next ``new`` samples to sums over the samples from ``first`` to ``end``; return the new ``first``.
+
+    Args:
+        x: inputs, including the new ones.
+        y: outputs, including the new ones.
+        first: index of the oldest sample in the sums.
+        end: index after the newest sample in the sums.
+        new: number of samples to add.
+        window: largest number of samples in the sums.
+        gained: sums of x[n] x[n - k] and y[n] x[n - k] over all n that entered, (2, lags), the longest lag first.
+        lost: the same over all n - k that left, lag 0 first.
+    """
+    lags = gained.shape[1]
+    auto_in, cross_in, auto_out, cross_out = gained[0], gained[1], lost[0], lost[1]
+    for n in range(end, end + new):
+        if n - first == window:
+            held = min(lags, n - first)
+            x_later, y_later, x_old = x[first : first + held], y[first : first + held], x[first]
+            for k in range(held):
+                auto_out[k] += x_old * x_later[k]
+                cross_out[k] += x_old * y_later[k]
+            first += 1
+        held = min(lags, n - first + 1)
+        x_before, x_new, y_new = x[n + 1 - held : n + 1], x[n], y[n]
+        auto_some, cross_some = auto_in[lags - held :], cross_in[lags - held :]
+        for k in range(held):
+            auto_some[k] += x_new * x_before[k]
+            cross_some[k] += y_new * x_before[k]
+    return first
+
+
+# Reordering of sums is allowed, so that the compiler can use vector instructions.
+@njit(cache=True, nogil=True, fastmath={"reassoc", "contract"})
+def fade_ends(x: Array, y: Array, fade: Array, faded: int, auto: Array, cross: Array) -> None:
+    """Turn sums over a window into those of the tapered signals.
+
+    Args:
+        x: inputs of the window (n,), minus their mean.
+        y: outputs of the window (n,), minus their mean.
+        fade: taper (n,) of both.
+        faded: number of samples at each end where the taper is not 1.
+        auto: sums of x[n] x[n - k], shape (lags,), changed in place.
+        cross: sums of y[n] x[n - k], shape (lags,), changed in place.
+    """
+    size = x.size
+    x_faded, y_faded = x * fade, y * fade
+    for k in range(auto.size):
+        for low, high in ((0, min(faded, size - k)), (max(faded, size - faded - k), size - k)):
+            count = max(0, high - low)
+            x_there, xf_there = x[low : low + count], x_faded[low : low + count]
+            x_later, xf_later = x[low + k : low + k + count], x_faded[low + k : low + k + count]
+            y_later, yf_later = y[low + k : low + k + count], y_faded[low + k : low + k + count]
+            auto_change = cross_change = 0.0
+            for m in range(count):
+                auto_change += xf_there[m] * xf_later[m] - x_there[m] * x_later[m]
+                cross_change += xf_there[m] * yf_later[m] - x_there[m] * y_later[m]
+            auto[k] += auto_change
+            cross[k] += cross_change
+
 
 _INITIAL_CAPACITY_S = 8.0
 """Initial capacity, s, if the window has no limit."""
@@ -207,7 +270,7 @@ class SlidingLms:
     def _slide(self, first: int, end: int, new: int) -> int:
         x, y = self._counted
         window = self._window or x.size
-        return int(sliding_sums.slide(x, y, first, end, new, window, self._gained, self._lost))
+        return int(slide(x, y, first, end, new, window, self._gained, self._lost))
 
     def _make_room(self, n: int) -> None:
         """Make room for ``n`` samples: move the window to the front of the buffer, or enlarge the buffer if there is no
@@ -253,7 +316,7 @@ class SlidingLms:
             fade = signal.windows.tukey(size, taper)
             faded = min(size // 2, int(np.count_nonzero(fade[: size // 2] < 1.0)) + 1)
             about = record.input - prepared.input_mean, record.output - prepared.output_mean
-            sliding_sums.fade_ends(*about, fade, faded, auto, cross)
+            fade_ends(*about, fade, faded, auto, cross)
         column = auto / size
         if taper > 0.0:
             column[0] *= 1.0 + RIDGE

@@ -17,7 +17,7 @@ from scipy import signal
 
 from tissueid.errors import UnusableInputError
 from tissueid.identification.base import Array
-from tissueid.identification.sample_masks import finite_runs
+from tissueid.identification.preparation import finite_runs
 from tissueid.language import marked
 from tissueid.messages import Message
 

@@ -15,7 +15,7 @@ import numpy as np
 
 from tissueid.errors import UnusableInputError
 from tissueid.identification.base import Array, Mask
-from tissueid.identification.effective_samples import dependence_samples, long_run_covariance
+from tissueid.identification.correlation import dependence_samples, long_run_covariance
 from tissueid.identification.partitions.cells import Partitions
 from tissueid.identification.partitions.parameters import LocalParameters, local_parameters
 from tissueid.identification.partitions.regression import PartitionedKernels, solve_along_lags

@@ -21,13 +21,11 @@ from tissueid.identification.partitions.cells import (
     place_breakpoints,
 )
 from tissueid.identification.partitions.estimation import DepthEstimator, LocalEstimates
-from tissueid.identification.partitions.model import PartitionedModel, equilibrium
+from tissueid.identification.partitions.model import PartitionedModel, equilibrium, free_run
 from tissueid.identification.partitions.parameters import local_parameters
 from tissueid.identification.partitions.regression import PartitionedKernels, solve_along_lags, solve_at_output
 from tissueid.identification.partitions.report import details_of, findings, fit_warnings, named_parameters, profile_of
-from tissueid.identification.partitions.simulation import free_run
-from tissueid.identification.preparation import SAMPLES_PER_PARAMETER, Prepared, prepare
-from tissueid.identification.sample_masks import complete_windows
+from tissueid.identification.preparation import SAMPLES_PER_PARAMETER, Prepared, complete_windows, prepare
 from tissueid.identification.second_order import Hold
 from tissueid.identification.second_order_fit import SecondOrderFit, fit_second_order
 from tissueid.identification.validation import aic, aicc, vaf_percent

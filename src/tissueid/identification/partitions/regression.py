@@ -14,7 +14,7 @@ import numpy as np
 
 from tissueid.errors import UnusableInputError
 from tissueid.identification.base import Array, Mask
-from tissueid.identification.effective_samples import dependence_samples
+from tissueid.identification.correlation import dependence_samples
 from tissueid.identification.lagged_gram import LaggedRegressors
 from tissueid.identification.least_squares import Factor, factor
 from tissueid.identification.partitions.cells import Cells

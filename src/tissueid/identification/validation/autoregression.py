@@ -11,7 +11,7 @@ from scipy import linalg
 from tissueid.errors import UnusableInputError
 from tissueid.identification.base import Array, Mask
 from tissueid.identification.correlation import lagged_products
-from tissueid.identification.sample_masks import complete_windows
+from tissueid.identification.preparation import complete_windows
 from tissueid.messages import Message
 
 _LARGEST_ORDER = 60

@@ -18,8 +18,8 @@ from numpy.typing import NDArray
 
 from tissueid.errors import CancelledError, UnusableInputError
 from tissueid.identification.base import Array, Engine, Model
-from tissueid.identification.effective_samples import dependence_samples
-from tissueid.identification.sample_masks import complete_windows, part_mask, scored_samples
+from tissueid.identification.correlation import dependence_samples
+from tissueid.identification.preparation import complete_windows, part_mask, scored_samples
 from tissueid.messages import Message
 from tissueid.records import Record
 

@@ -15,11 +15,10 @@ from numpy.typing import NDArray
 
 from tissueid.errors import UnusableInputError
 from tissueid.identification.base import Array, Model, check_horizon
-from tissueid.identification.sample_masks import complete_windows, scored_samples
+from tissueid.identification.preparation import complete_windows, scored_samples
 from tissueid.identification.validation import vaf_percent
 from tissueid.identification.validation.autoregression import Autoregression, fit_autoregression
-from tissueid.identification.validation.scores import NO_SAMPLE
-from tissueid.identification.validation.vaf_spread import vaf_std_percent
+from tissueid.identification.validation.scores import NO_SAMPLE, vaf_std_percent
 from tissueid.messages import Message
 from tissueid.records import Record
 

@@ -17,9 +17,8 @@ from tissueid.errors import UnusableInputError
 from tissueid.identification.base import Array
 from tissueid.identification.correlation import convolve_at_rest
 from tissueid.identification.impulse_response import factor_input, with_extra_memory
-from tissueid.identification.preparation import memory_in_samples, prepare
-from tissueid.identification.sample_masks import part_mask
-from tissueid.identification.validation.vaf_spread import ratio_std
+from tissueid.identification.preparation import memory_in_samples, part_mask, prepare
+from tissueid.identification.validation.scores import ratio_std
 from tissueid.messages import Listing, Message
 from tissueid.records import Estimate, Record
 

@@ -17,7 +17,7 @@ from scipy import special
 from tissueid.errors import UnusableInputError
 from tissueid.identification.base import Array, Mask, Model
 from tissueid.identification.correlation import Correlator
-from tissueid.identification.sample_masks import scored_samples
+from tissueid.identification.preparation import scored_samples
 from tissueid.identification.validation.autoregression import fit_autoregression
 from tissueid.identification.validation.residual_scores import (
     LEVEL,

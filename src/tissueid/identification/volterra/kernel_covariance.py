@@ -11,6 +11,7 @@ from __future__ import annotations
 import numpy as np
 from numba import njit
 from numpy.typing import NDArray
+from scipy import linalg, optimize
 
 from tissueid.identification.base import Array
 
@@ -137,3 +138,202 @@ def _separable(lag: Array, scale: float, decay: float, rate: float) -> Tables:
     size = scale * fading[:, None] * fading
     correlation, slope = matern(np.abs(lag[:, None] - lag), rate)
     return size * correlation, -decay * (lag[:, None] + lag) * size * correlation, size * slope
+
+
+_SEARCH_STEPS, _TOLERANCE = 40, 2e-6
+
+_DECAY, _RATE = (1e-3, 2.0), (3e-3, 3.0)
+"""Bounds of decays and correlation rates, per lag."""
+
+_SHAPES = FIRST + 2
+"""Number of hyperparameters before the scales of the higher orders."""
+
+_NAMES = (
+    "first_std",
+    "first_decay",
+    "first_rate",
+    "smooth_decay",
+    "smooth_rate",
+    "second_std",
+    "second_diagonal_std",
+    "third_std",
+    "third_diagonal_std",
+)
+
+_SCALE_DOWN, _SCALE_UP = 14.0, 8.0
+
+_EXPECTED = (100.0, 20.0, 5.0)
+"""Initial ratio of output power to noise power for each order."""
+
+_ON_DIAGONAL = 0.01
+"""Initial share of that ratio for the diagonal parts."""
+
+_EXPLAINED = 1e-10
+"""Share of the output's power below which the unexplained part is rounding."""
+
+
+class OutputCovariance:
+    """Covariance of the outputs of kernels of order 1 to ``order``.
+
+    A kernel of higher order is the sum of a smooth part and a diagonal part; a static curve before the dynamics gives
+    the latter, which a smooth covariance cannot represent. The hyperparameters are the logarithms of c, a, b of h1;
+    then a and b of all smooth parts; then for each higher order the scales of its smooth part and of its diagonal part,
+    which decays as h1: (3,), (7,) or (9,). Scales are relative to the noise variance of a row.
+    """
+
+    def __init__(self, lags: int, order: int) -> None:
+        self.order = order
+        self._lag_covariance = FirstOrderCovariance(lags)
+
+    def scales(self, hyper: Array) -> tuple[Array, Array]:
+        """Return the scales of the smooth and of the diagonal parts of order 2 and higher, (order - 1,) each."""
+        return np.exp(hyper[_SHAPES::2]), np.exp(hyper[_SHAPES + 1 :: 2])
+
+    def lag_covariances(self, hyper: Array) -> tuple[Array, Array, Array]:
+        """Return P of h1 with its scale, and P of the smooth and of the diagonal parts without scales, (L, L) each."""
+        first = self._lag_covariance.matrix(hyper[:FIRST])
+        if self.order == 1:
+            return first, first, first
+        return first, self._lag_covariance.matrix(self._smooth(hyper)), first * np.exp(-hyper[0])
+
+    def between(self, hyper: Array, windows: Array, others: Array) -> Array:
+        """Return the covariance (n, m) of the outputs of lagged inputs (n, L) with those of others (m, L)."""
+        first, smooth, diagonal = self.lag_covariances(hyper)
+        total = np.asarray((windows @ first) @ others.T)
+        if self.order > 1:
+            product = (windows @ smooth) @ others.T
+            power = product.copy()
+            for order, (scale, on_diagonal) in enumerate(zip(*self.scales(hyper), strict=True), start=2):
+                power *= product
+                total += scale * power
+                total += (windows**order @ (on_diagonal * diagonal)) @ (others**order).T
+        return total
+
+    def slopes(self, hyper: Array, windows: Array, weight: Array) -> Array:
+        """Return the derivatives of sum(weight * covariance) with respect to the hyperparameters, for a symmetric
+        weight (n, n).
+        """
+        found = np.zeros(hyper.size)
+        found[:FIRST] = self._lag_covariance.slopes(hyper[:FIRST], windows.T @ (weight @ windows))
+        if self.order > 1:
+            product = (windows @ self.lag_covariances(hyper)[1]) @ windows.T
+            by_product = np.zeros_like(product)
+            power = np.asarray(weight * product)  # weight times the product to the order less one
+            for order, scale in enumerate(self.scales(hyper)[0], start=2):
+                place = _SHAPES + 2 * (order - 2)
+                by_product += order * scale * power
+                power *= product
+                found[place] = scale * float(power.sum())
+                raised = windows**order
+                shape = np.array([hyper[place + 1], *hyper[1:FIRST]])
+                on_diagonal = self._lag_covariance.slopes(shape, raised.T @ (weight @ raised))
+                found[place + 1] = on_diagonal[0]
+                found[1:FIRST] += on_diagonal[1:]
+            smooth = self._lag_covariance.slopes(self._smooth(hyper), windows.T @ (by_product @ windows))
+            found[FIRST:_SHAPES] = smooth[1:]
+        return found
+
+    def initial(self, windows: Array, rows: float) -> Array:
+        """Return initial hyperparameters: kernels decay within the memory and explain most of the output."""
+        lags = windows.shape[1]
+        decay, rate = np.log(min(4.0 / lags, 1.0)), np.log(min(6.0 / lags, 1.0))
+        shape = self._lag_covariance.matrix(np.array([0.0, decay, rate]))
+
+        def powers(inputs: Array) -> Array:
+            return np.asarray(np.einsum("ij,ij->i", inputs @ shape, inputs))
+
+        hyper = [float(np.log(_EXPECTED[0] * rows / np.sum(powers(windows)))), decay, rate]
+        if self.order > 1:
+            hyper += [decay, rate]
+        for order in range(2, self.order + 1):
+            expected = _EXPECTED[order - 1] * rows
+            hyper.append(float(np.log(expected / np.sum(powers(windows) ** order))))
+            hyper.append(float(np.log(_ON_DIAGONAL * expected / np.sum(powers(windows**order)))))
+        return np.array(hyper)
+
+    def bounds(self, begin: Array) -> list[tuple[float, float]]:
+        """Return the bounds of the hyperparameters; those of the scales are relative to ``begin``."""
+        shape = [(float(np.log(low)), float(np.log(high))) for low, high in (_DECAY, _RATE)]
+        scales = [(float(begin[k] - _SCALE_DOWN), float(begin[k] + _SCALE_UP)) for k in self._scale_places(begin)]
+        return [scales[0], *shape, *(shape if self.order > 1 else []), *scales[1:]]
+
+    def rescaled(self, hyper: Array, factor: float) -> Array:
+        """Return the hyperparameters with all scales multiplied."""
+        changed = hyper.copy()
+        changed[self._scale_places(hyper)] += np.log(factor)
+        return changed
+
+    def named(self, hyper: Array, density: float) -> dict[str, float]:
+        """Return the hyperparameters by name, scales as standard deviations of the kernels at lag 0."""
+        values = np.exp(hyper)
+        values[self._scale_places(hyper)] = np.sqrt(values[self._scale_places(hyper)] * density)
+        return dict(zip(_NAMES, values.tolist(), strict=False))
+
+    @staticmethod
+    def _scale_places(hyper: Array) -> list[int]:
+        return [0, *range(_SHAPES, hyper.size)]
+
+    @staticmethod
+    def _smooth(hyper: Array) -> Array:
+        return np.concatenate([[0.0], hyper[FIRST:_SHAPES]])
+
+
+def search(
+    covariance: OutputCovariance, windows: Array, output: Array, dependence: float, begin: Array | None = None
+) -> tuple[Array, float, float]:
+    """Return hyperparameters, noise variance and log marginal likelihood for lagged inputs (n, L) and an output (n,).
+
+    ``dependence`` is the number of these rows per independent row. The scales are relative to ``dependence`` times the
+    noise variance. The constant is integrated out.
+    """
+    rows = output.size / dependence - 1.0
+    ones = np.ones(output.size)
+    centred = output - output.mean()
+    whole = float(centred @ centred)
+    least = _EXPLAINED * whole
+
+    def deviance(hyper: Array) -> tuple[float, Array]:
+        z = covariance.between(hyper, windows, windows)
+        z[np.diag_indices_from(z)] += 1.0
+        try:
+            inverse, logarithms = _inverse(z)
+        except linalg.LinAlgError:  # the step was too long: the noise vanishes
+            return 1e3 * rows, np.zeros(hyper.size)
+        by_ones = inverse @ ones
+        total = float(by_ones.sum())
+        weights = inverse @ centred
+        weights -= by_ones * (float(weights.sum()) / total)
+        power = max(float(centred @ weights), least)
+        value = 0.5 * (rows * np.log(power / whole) + logarithms + np.log(total))
+        inverse -= np.outer(by_ones, by_ones / total)
+        inverse -= np.outer(weights, weights * (rows / power))
+        return float(value), 0.5 * covariance.slopes(hyper, windows, inverse)
+
+    initial = covariance.initial(windows, rows)
+    bounds = covariance.bounds(initial)
+    low, high = np.array(bounds).T
+    found = optimize.minimize(
+        deviance,
+        np.clip(initial if begin is None else begin, low, high),
+        jac=True,
+        method="L-BFGS-B",
+        bounds=bounds,
+        options={"maxiter": _SEARCH_STEPS, "ftol": _TOLERANCE},
+    )
+    hyper = np.asarray(found.x, dtype=np.float64)
+    z = covariance.between(hyper, windows, windows)
+    z[np.diag_indices_from(z)] += 1.0
+    weights = linalg.solve(z, np.column_stack([centred, ones]), assume_a="pos", check_finite=False)
+    weights = weights[:, 0] - weights[:, 1] * (weights[:, 0].sum() / weights[:, 1].sum())
+    noise = max(float(centred @ weights), least) / (dependence * rows)
+    evidence = 0.5 * rows * (np.log(dependence * rows / whole) - np.log(2.0 * np.pi) - 1.0) - float(found.fun)
+    return hyper, noise, evidence
+
+
+def _inverse(z: Array) -> tuple[Array, float]:
+    """Return the inverse of a positive definite matrix, which is overwritten, and the logarithm of its determinant."""
+    factor = linalg.cholesky(z, lower=True, overwrite_a=True, check_finite=False)
+    logarithms = 2.0 * float(np.sum(np.log(np.diag(factor))))
+    inverse, _ = linalg.lapack.dpotri(factor, lower=1, overwrite_c=1)
+    lower = np.tril(inverse, -1)
+    return np.asarray(np.tril(inverse) + lower.T), logarithms

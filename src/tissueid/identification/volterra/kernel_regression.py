@@ -16,7 +16,7 @@ from scipy import linalg
 
 from tissueid.errors import UnusableInputError
 from tissueid.identification.base import Array, Mask
-from tissueid.identification.volterra.kernel_regression_evidence import OutputCovariance, search
+from tissueid.identification.volterra.kernel_covariance import OutputCovariance, search
 from tissueid.identification.volterra.prior import residual_dependence
 from tissueid.identification.volterra.regressors import lagged_inputs
 from tissueid.messages import Message

@@ -8,8 +8,7 @@ import numpy as np
 from scipy import fft, linalg, signal
 
 from tissueid.identification.base import Array
-from tissueid.identification.preparation import memory_in_samples
-from tissueid.identification.sample_masks import finite_runs
+from tissueid.identification.preparation import finite_runs, memory_in_samples
 
 POWER_EDGE = 0.99
 """Share of the input power that must lie below the Nyquist frequency of an automatic grid."""

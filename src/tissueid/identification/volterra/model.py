@@ -7,7 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from tissueid.identification.base import Array, Model
-from tissueid.identification.sample_masks import complete_windows
+from tissueid.identification.preparation import complete_windows
 from tissueid.identification.second_order_fit import SecondOrderFit
 from tissueid.identification.volterra.kernel_regression import simulate_third
 from tissueid.identification.volterra.regressors import Kernels

@@ -20,7 +20,7 @@ from tissueid.errors import UnusableInputError
 from tissueid.identification.base import Array
 from tissueid.identification.correlation import ROWS_AT_ONCE, Correlator, convolve_at_rest
 from tissueid.identification.impulse_response import ImpulseResponses
-from tissueid.identification.sample_masks import finite_runs
+from tissueid.identification.preparation import finite_runs
 from tissueid.identification.static_nonlinearity import Form, StaticNonlinearity, fit_nonlinearity
 from tissueid.messages import Message
 

@@ -2,17 +2,13 @@
 
 from __future__ import annotations
 
-from matplotlib.figure import Figure
-
 from tissueid.analysis.curves.linear import impulse_response
 from tissueid.formatting import number
 from tissueid.identification.engines.lms import Lms, LmsModel
 from tissueid.language import _, marked
-from tissueid.records import Record
 from tissueid.reports.captions import second_order
 from tissueid.reports.figures.registry import Drawn, Subject, figure
-from tissueid.reports.plot_renderer import draw_plot
-from tissueid.reports.style import HALF_WIDTH, drawing, new_figure
+from tissueid.reports.plot_renderer import column_figure
 
 
 @figure(
@@ -26,15 +22,7 @@ from tissueid.reports.style import HALF_WIDTH, drawing, new_figure
     standard=Lms.name,
 )
 def _impulse_response(subject: Subject[LmsModel]) -> Drawn:
-    return impulse_response_figure(subject.model, subject.record), _caption(subject.model)
-
-
-@drawing
-def impulse_response_figure(model: LmsModel, record: Record) -> Figure:
-    """Draw the impulse response, its deviation at every lag, and the second-order fit (Chen 2010, Fig. 3.5)."""
-    figure = new_figure(HALF_WIDTH, 4.6)
-    draw_plot(figure.subplots(), impulse_response(model, record))
-    return figure
+    return column_figure([impulse_response(subject.model, subject.record)], 4.6), _caption(subject.model)
 
 
 def _caption(model: LmsModel) -> str:

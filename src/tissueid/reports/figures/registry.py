@@ -19,6 +19,8 @@ from typing import Any, Generic, Literal, TypeVar
 from matplotlib.figure import Figure
 
 from tissueid.analysis import Analysis
+from tissueid.analysis.curves.plot import Axis, Curve, Plot
+from tissueid.analysis.curves.validation import ROLES
 from tissueid.identification import LineFigure, engine_label, engine_names, get_engine
 from tissueid.identification.base import Array, Model
 from tissueid.identification.depth_profile import DepthProfile
@@ -26,7 +28,8 @@ from tissueid.language import _
 from tissueid.messages import translated
 from tissueid.records import Record
 from tissueid.reports.blocks import Picture, picture
-from tissueid.reports.style import FULL_WIDTH, SERIES, drawing, new_figure
+from tissueid.reports.plot_renderer import column_figure
+from tissueid.reports.style import drawing
 
 M_co = TypeVar("M_co", bound=Model, covariant=True)
 M = TypeVar("M", bound=Model)
@@ -165,16 +168,11 @@ def _of_engine(name: str, one: LineFigure) -> Declared:
     """Return the declaration of a figure that an engine describes by its curves."""
 
     def draw(subject: Subject[Any]) -> Drawn:
-        drawn = new_figure(FULL_WIDTH, 4.2)
-        axes = drawn.subplots()
-        for place, curve in enumerate(one.curves(subject.model)):
-            style: dict[str, Any] = {"linestyle": "none", "marker": "."} if curve.points else {}
-            colour = SERIES[place % len(SERIES)]
-            axes.plot(curve.x, curve.y, color=colour, label=translated(curve.label) or None, **style)
-        axes.set_xlabel(translated(one.x_label))
-        axes.set_ylabel(translated(one.y_label))
-        if axes.get_legend_handles_labels()[1]:
-            axes.legend(loc="best")
+        curves = [
+            Curve(curve.x, curve.y, curve.label, ROLES[place % len(ROLES)], "points" if curve.points else "line")
+            for place, curve in enumerate(one.curves(subject.model))
+        ]
+        drawn = column_figure([Plot("", Axis(one.x_label), Axis(one.y_label), tuple(curves))], 4.2, wide=True)
         return drawn, translated(one.caption)
 
     return Declared(

@@ -2,28 +2,22 @@
 
 from __future__ import annotations
 
+from typing import Any
+
 import numpy as np
 from matplotlib.figure import Figure
-from numpy.typing import NDArray
 
-from tissueid.analysis.curves.diagnostics import power_edge
-from tissueid.analysis.curves.linear import frequency_response
+from tissueid.analysis.curves.linear import coherence_plot, frequency_response, power_band
 from tissueid.formatting import fixed
 from tissueid.identification.engines.spectral import Spectral, SpectralModel
 from tissueid.language import _, marked
-from tissueid.records import Record
 from tissueid.reports.captions import second_order
 from tissueid.reports.figures.registry import Drawn, Subject, figure
-from tissueid.reports.plot_renderer import draw_plots
+from tissueid.reports.plot_renderer import column_figure, draw_plot
 from tissueid.reports.style import (
-    BLUE,
-    DASHES,
     HALF_WIDTH,
     MUTED,
-    ORANGE,
-    SHADE,
     drawing,
-    frequency_axis,
     new_figure,
 )
 
@@ -55,65 +49,26 @@ def _coherence(subject: Subject[SpectralModel]) -> Drawn:
     short=True,
 )
 def _bode(subject: Subject[SpectralModel]) -> Drawn:
-    return bode_figure(subject.model, subject.record), _bode_caption(subject.model)
-
-
-def excited_band(model: SpectralModel) -> NDArray[np.bool_]:
-    """Return a mask (bins,) of the frequencies that contain 99 % of the input power, without zero."""
-    spectra = model.spectra
-    edge = power_edge(spectra.frequency_hz, spectra.input_psd)
-    return (spectra.frequency_hz > 0.0) & (spectra.frequency_hz <= edge)
+    return column_figure(frequency_response(subject.model, subject.record), 4.6), _bode_caption(subject.model)
 
 
 @drawing
 def coherence_figure(model: SpectralModel) -> Figure:
     """Mean squared coherence with the level that unrelated signals seldom exceed (Chen 2010, Fig. 3.2b, Eq. 3.1)."""
-    spectra = model.spectra
     figure = new_figure(HALF_WIDTH, 3.3)
-    axes = figure.subplots()
-    frequency_hz = spectra.frequency_hz[1:]
-    edge = float(spectra.frequency_hz[excited_band(model)].max(initial=frequency_hz[0]))
-    if edge < frequency_hz[-1]:
-        axes.axvspan(edge, frequency_hz[-1], color=SHADE, zorder=0)
-        axes.annotate(
-            _("hardly\nany input"),
-            (frequency_hz[-1], 1.0),
-            (-3, 0),
-            textcoords="offset points",
-            ha="right",
-            va="top",
-            color=MUTED,
-            fontsize=8.5,
-        )
-    axes.plot(frequency_hz, spectra.coherence[1:], color=BLUE)
-    floor = spectra.coherence_floor
-    axes.axhline(floor, color=ORANGE, linewidth=1.0, linestyle=DASHES[1], label=_("5 % significance level"))
-    frequency_axis(axes, float(frequency_hz[0]), float(frequency_hz[-1]))
-    axes.set_ylim(0.0, 1.06)
-    axes.set_ylabel(_("Mean squared coherence"))
-    axes.legend(loc="lower left", bbox_to_anchor=(0.0, min(0.7, floor + 0.01)))
-    return figure
-
-
-@drawing
-def bode_figure(model: SpectralModel, record: Record) -> Figure:
-    """Compliance and phase over the band with input power, 95 % bands, and the second-order fit (Chen 2010, Fig. 3.3).
-
-    Args:
-        model: the spectra and the second-order fit.
-        record: what was fitted, for the units.
-
-    Raises:
-        UnusableInputError: the input has power at fewer than three frequencies.
-    """
-    figure = new_figure(HALF_WIDTH, 4.6)
-    draw_plots(figure, frequency_response(model, record))
+    axes, plot = figure.subplots(), coherence_plot(model.spectra)
+    draw_plot(axes, plot)
+    if any(curve.kind == "spans" for curve in plot.curves):
+        words, end = _("hardly\nany input"), float(model.spectra.frequency_hz[-1])
+        look: dict[str, Any] = {"textcoords": "offset points", "ha": "right", "va": "top", "fontsize": 8.5}
+        axes.annotate(words, (end, 1.0), (-3, 0), color=MUTED, **look)
+    axes.legend(loc="lower left", bbox_to_anchor=(0.0, min(0.7, model.spectra.coherence_floor + 0.01)))
     return figure
 
 
 def _coherence_caption(model: SpectralModel) -> str:
     """Under the coherence."""
-    band = excited_band(model)
+    band = power_band(model.spectra)
     mean = float(np.mean(model.spectra.coherence[band])) if band.any() else None
     return _(
         "Near one where a linear system explains the motion; lower where nonlinearity, drift or noise takes part. "

@@ -9,8 +9,10 @@ import numpy as np
 
 from tissueid.analysis.curves.diagnostics import Array
 from tissueid.analysis.curves.kernels import second_order_kernel
+from tissueid.analysis.curves.linear import first_kernel_plot
 from tissueid.analysis.curves.plot import CONFIDENCE, Axis, Plot, Surface
 from tissueid.analysis.curves.units import kernel_unit
+from tissueid.analysis.curves.validation import ROLES, cloud_plot
 from tissueid.errors import UnusableInputError
 from tissueid.formatting import axis_label, fixed, number, with_unit
 from tissueid.identification.volterra.model import VolterraModel
@@ -18,17 +20,13 @@ from tissueid.language import _, marked
 from tissueid.messages import Message, translated
 from tissueid.reports import captions
 from tissueid.reports.figures.registry import Drawn, Subject, figure
-from tissueid.reports.panels import diagonal, residual_cloud
-from tissueid.reports.plot_renderer import draw_kernel, draw_plot
+from tissueid.reports.plot_renderer import column_figure, draw_kernel, draw_plot, row_figure
 from tissueid.reports.style import (
-    BLUE,
     DASHES,
     FULL_WIDTH,
     HALF_WIDTH,
     INK,
     MUTED,
-    ORANGE,
-    POINTS,
     SERIES,
     new_figure,
 )
@@ -55,26 +53,7 @@ def first_kernel(subject: Subject[VolterraModel]) -> Drawn:
     model = subject.model
     if model.kernel1 is None:
         raise UnusableInputError(_NO_KERNELS)
-    unit, scale = kernel_unit(subject.record)
-    drawn = new_figure(HALF_WIDTH, 3.9)
-    axes = drawn.subplots()
-    lag_ms, kernel = 1e3 * model.lag_s, scale * model.kernel1
-    axes.axhline(0.0, color=MUTED, linewidth=0.8)
-    if model.kernel1_std is not None:
-        half = CONFIDENCE * scale * model.kernel1_std
-        axes.fill_between(
-            lag_ms, kernel - half, kernel + half, color=BLUE, alpha=0.22, linewidth=0.0, label=_("95 % band")
-        )
-    axes.plot(lag_ms, kernel, color=BLUE, marker=".", markersize=4.0, label=_("first-order kernel"))
-    if model.second_order is not None:
-        fine = np.linspace(0.0, float(model.lag_s[-1]), 300)
-        fitted = scale * model.second_order.sign * model.second_order.system.impulse_response(fine)
-        axes.plot(1e3 * fine, fitted, color=ORANGE, linestyle=DASHES[1], label=_("linear system"))
-    axes.set_xlim(0.0, float(lag_ms[-1]) or 1.0)
-    axes.set_xlabel(_("Lag (ms)"))
-    axes.set_ylabel(_("First-order kernel ({unit})").format(unit=unit))
-    axes.legend(loc="upper right")
-    return drawn, _(
+    return column_figure([first_kernel_plot(model, subject.record)], 3.9), _(
         "Close to an impulse response, at {lags} lags. It differs from the best linear system (dashed) by what the "
         "higher orders describe. It should decay before the last lag, and the band should be narrow there."
     ).format(lags=model.lag_s.size)
@@ -202,22 +181,16 @@ def contributions(subject: Subject[VolterraModel]) -> Drawn:
         raise UnusableInputError(_NO_KERNELS)
     shown = _cumulated(model, record.input)
     part = subject.analysis.fit_part
-    unit, scale = display_unit(record.output_unit)
-    measured = scale * record.output[part]
+    measured = record.output[part]
     known = np.isfinite(measured)
     if not known.any():
         raise UnusableInputError(Message("report.no_output", "no output was received in the fitted part"))
-    low, high = float(measured[known].min()), float(measured[known].max())
-    drawn = new_figure(FULL_WIDTH, 3.7 if len(shown) < 4 else 3.1)
-    every = drawn.subplots(1, max(2, len(shown)), sharex=True, sharey=True)
-    for place, (axes, (label, modelled)) in enumerate(zip(every, shown, strict=False)):
-        residual_cloud(axes, scale * modelled[part], measured, POINTS[place % len(POINTS)])
-        diagonal(axes, low, high)
-        axes.set_title(label)
-        axes.set_xlabel(axis_label("modelled", unit))
-    for axes in every[len(shown) :]:
-        axes.set_visible(False)
-    every[0].set_ylabel(axis_label("measured", unit))
+    ends = float(measured[known].min()), float(measured[known].max())
+    plots = [
+        cloud_plot(modelled[part], measured, record.output_unit, label, ROLES[place % len(ROLES)], ends=ends)
+        for place, (label, modelled) in enumerate(shown)
+    ]
+    drawn = row_figure(plots, 3.7 if len(shown) < 4 else 3.1)
     return drawn, _(
         "A bend about the diagonal is a nonlinearity that is not described; each panel adds kernels to the previous "
         "one. The line is the mean of the cloud. Samples of the fitted part."

@@ -9,12 +9,13 @@ from typing import cast
 import numpy as np
 
 from tissueid.analysis import Analysis
-from tissueid.analysis.curves.diagnostics import held_out_prediction, power_spectrum, readable_stretch
+from tissueid.analysis.curves.diagnostics import held_out_prediction, power_spectrum
 from tissueid.analysis.curves.kernels import second_order_kernel
 from tissueid.analysis.curves.plot import Axis, Plot, Surface
 from tissueid.analysis.curves.units import LAG
+from tissueid.analysis.curves.validation import ROLES, cloud_plot, prediction_plots
 from tissueid.errors import UnusableInputError
-from tissueid.formatting import axis_label, fixed
+from tissueid.formatting import fixed
 from tissueid.identification.base import Model
 from tissueid.identification.engines.volterra import Volterra
 from tissueid.identification.validation import vaf_percent
@@ -23,15 +24,12 @@ from tissueid.language import _, marked
 from tissueid.messages import Message
 from tissueid.reports import captions
 from tissueid.reports.figures.registry import Drawn, Subject, figure
-from tissueid.reports.panels import diagonal, residual_cloud
-from tissueid.reports.plot_renderer import draw_plot
+from tissueid.reports.plot_renderer import column_figure, draw_plot, row_figure
 from tissueid.reports.style import (
     DASHES,
     FULL_WIDTH,
     HALF_WIDTH,
-    INK,
     MUTED,
-    POINTS,
     SERIES,
     frequency_axis,
     log_axis,
@@ -100,26 +98,7 @@ def processing(subject: Subject[VolterraModel]) -> Drawn:
 def processing_output(subject: Subject[VolterraModel]) -> Drawn:
     """Draw the simulations over a stretch of held-out samples (Chen 2010, Figs. 4.7 and 4.11)."""
     runs = [held_out_prediction(label, _analysis_of(subject, model)) for label, model in _strategies(subject)]
-    stretch = readable_stretch(runs[0], _STRETCH_S)
-    unit, scale = display_unit(subject.record.output_unit)
-    drawn = new_figure(FULL_WIDTH, 3.0)
-    axes = drawn.subplots()
-    time_s = runs[0].time_s[stretch]
-    axes.plot(
-        time_s,
-        scale * runs[0].measured[stretch],
-        color=INK,
-        linestyle="none",
-        marker=".",
-        markersize=3.0,
-        label=_("measured"),
-    )
-    for run, colour, dash in zip(runs, SERIES, DASHES, strict=False):
-        axes.plot(time_s, scale * run.predicted[stretch], color=colour, linestyle=dash, label=_(run.label))
-    axes.set_xlim(float(time_s[0]), float(time_s[-1]))
-    axes.set_xlabel(_("Time (s)"))
-    axes.set_ylabel(axis_label(subject.record.output_name, unit))
-    axes.legend(loc="lower left", bbox_to_anchor=(0.0, 1.0), ncols=4, borderaxespad=0.2)
+    drawn = column_figure(prediction_plots(runs, _STRETCH_S)[:1], 3.0, wide=True, over=True)
     return drawn, _(
         "A stretch of held-out data. Where the filtered kernel differs from the raw one, the filter removed more than "
         "noise."
@@ -138,19 +117,16 @@ def processing_output(subject: Subject[VolterraModel]) -> Drawn:
 def processing_residual(subject: Subject[VolterraModel]) -> Drawn:
     """Draw the residual nonlinearity before and after smoothing (Chen 2010, Fig. 4.10)."""
     runs = [held_out_prediction(label, _analysis_of(subject, model)) for label, model in _strategies(subject)]
-    unit, scale = display_unit(subject.record.output_unit)
-    measured = scale * runs[0].measured
+    measured = runs[0].measured
     known = np.isfinite(measured)
     if not known.any():
         raise UnusableInputError(captions.NO_HELD_OUT_OUTPUT)
-    drawn = new_figure(FULL_WIDTH, 3.7)
-    every = drawn.subplots(1, max(2, len(runs)), sharex=True, sharey=True)
-    for place, (axes, run) in enumerate(zip(every, runs, strict=False)):
-        residual_cloud(axes, scale * run.predicted, scale * run.measured, POINTS[place])
-        diagonal(axes, float(measured[known].min()), float(measured[known].max()))
-        axes.set_title(_(run.label))
-        axes.set_xlabel(axis_label("modelled", unit))
-    every[0].set_ylabel(axis_label("measured", unit))
+    ends = float(measured[known].min()), float(measured[known].max())
+    plots = [
+        cloud_plot(run.predicted, run.measured, run.output_unit, run.label, colour, ends=ends)
+        for run, colour in zip(runs, ROLES, strict=False)
+    ]
+    drawn = row_figure(plots, 3.7)
     return drawn, _("All held-out samples. Smoothing should not make the clouds wider or more bent.")
 
 

@@ -2,7 +2,6 @@
 
 from tissueid.sessions.imports.column_mapping import ROLES, guessed_role, parse_map
 from tissueid.sessions.imports.export import FORMATS, export_session
-from tissueid.sessions.imports.format_detection import is_record, open_foreign
 from tissueid.sessions.imports.imported_session import (
     ImportedSession,
     assembled,
@@ -10,7 +9,7 @@ from tissueid.sessions.imports.imported_session import (
     import_session,
     instrument_figures,
 )
-from tissueid.sessions.imports.imported_test import Choices, Imported, Source, import_test
+from tissueid.sessions.imports.imported_test import Choices, Imported, Source, import_test, is_record, open_foreign
 from tissueid.units import alternatives
 
 __all__ = [

@@ -195,25 +195,19 @@ def doubts(role: str, unit: Unit, values: NDArray[np.float64], *, quiet: bool = 
         least, most = _PLAUSIBLE[role]
         if spread > most or size > _LARGEST[role] or (spread < least and not quiet):
             others = _better(unit, spread, least, most)
-            shown = {"role": role, "low": low, "high": high, "si": unit.si, "unit": unit.symbol}
-            if others:
-                notices.append(
-                    Message(
-                        "import.implausible",
-                        "{role} ranges from {low:.4g} to {high:.4g} {si}, which is implausible: is it in {unit}? It "
-                        "would fit {others}.",
-                        **shown,
-                        others=", ".join(others),
-                    )
+            notices.append(
+                Message(
+                    "import.implausible",
+                    "{role} ranges from {low:.4g} to {high:.4g} {si}, which is implausible: is it in {unit}? Units "
+                    "that would fit: {others}.",
+                    role=role,
+                    low=low,
+                    high=high,
+                    si=unit.si,
+                    unit=unit.symbol,
+                    others=", ".join(others) or marked("none"),
                 )
-            else:
-                notices.append(
-                    Message(
-                        "import.implausible",
-                        "{role} ranges from {low:.4g} to {high:.4g} {si}, which is implausible: is it in {unit}?",
-                        **shown,
-                    )
-                )
+            )
     return notices
 
 

@@ -1,4 +1,4 @@
-"""Import a test from a file of another program."""
+"""Import of a test from a file of another program: its format, its date and its signals."""
 
 from __future__ import annotations
 
@@ -6,7 +6,9 @@ import json
 import re
 from collections.abc import Sequence
 from dataclasses import dataclass, fields, replace
+from datetime import UTC, datetime
 from pathlib import Path
+from typing import Literal
 
 import numpy as np
 from numpy.typing import NDArray
@@ -15,13 +17,95 @@ from tissueid.errors import UnusableInputError
 from tissueid.messages import Message, Verbatim
 from tissueid.sessions.hdf5_members import located
 from tissueid.sessions.imports.column_mapping import Mapped, doubts, mapped, time_column
+from tissueid.sessions.imports.csv import open_csv
 from tissueid.sessions.imports.export_attributes import Attributes, attributes_beside
-from tissueid.sessions.imports.format_detection import open_foreign
-from tissueid.sessions.imports.imported_table import MAP, RATE, ROWS, TIME, ImportedTable, Rows, sha256_of
-from tissueid.sessions.imports.recording_date import recording_date
+from tissueid.sessions.imports.imported_table import MAP, RATE, ROWS, TIME, ImportedTable, Rows, checked_size, sha256_of
+from tissueid.sessions.imports.lvm import FIRST_LINE, open_lvm
+from tissueid.sessions.imports.mat import HDF5_MARK, MARK, open_mat
 from tissueid.sessions.imports.sample_clock import Clock, clock_of, resampled, steady
 from tissueid.sessions.model import DATE_NOTE, SIGNAL_UNITS, Test
 from tissueid.units import Unit
+
+_SESSIONS = (".h5", ".hdf5", ".hdf")
+
+
+def is_record(path: Path) -> bool:
+    """Return whether a file, by its name, must be imported instead of opened as a session."""
+    return path.suffix.lower() not in (*_SESSIONS, "")
+
+
+def open_foreign(path: Path) -> ImportedTable:
+    """Open a file of another program: CSV, MAT or LVM.
+
+    Raises:
+        UnusableInputError: it is missing, or in none of these formats; the message does not name the file.
+        OSError: the disk failed, or the file may not be read.
+    """
+    checked_size(path)
+    with path.open("rb") as file:
+        head = file.read(520)
+    if path.suffix.lower() == ".mat" or head.startswith((MARK, HDF5_MARK)) or head[512:].startswith(HDF5_MARK):
+        return open_mat(path)
+    if path.suffix.lower() == ".lvm" or head.removeprefix(b"\xef\xbb\xbf").startswith(FIRST_LINE.encode()):
+        return open_lvm(path)
+    if path.suffix.lower() in (".pkl", ".pickle", ".npy", ".npz", ".joblib"):
+        raise UnusableInputError(
+            Message("import.program", "can contain programs, and is not read: save it as CSV or MAT")
+        )
+    return open_csv(path)
+
+
+Origin = Literal["header", "modified"]
+_HEAD = 8_192
+"""Bytes that contain the date: the first segment of an LVM file, the first 116 bytes of a MAT file."""
+_LVM_DATE = re.compile(r"^Date[\t,;](\d{4})[/.-](\d{1,2})[/.-](\d{1,2})", re.MULTILINE)
+_LVM_TIME = re.compile(r"^Time[\t,;](\d{1,2}):(\d{2}):(\d{2})", re.MULTILINE)
+_MAT = re.compile(r"Created on: \w{3} (\w{3}) +(\d{1,2}) (\d{2}):(\d{2}):(\d{2}) (\d{4})")
+_MONTHS = ("Jan", "Feb", "Mar", "Apr", "May", "Jun", "Jul", "Aug", "Sep", "Oct", "Nov", "Dec")
+
+
+def recording_date(path: Path, file_format: str) -> tuple[str, Origin]:
+    """Return the date of a record in UTC, and its origin.
+
+    Headers state the local time of the computer that wrote them; the zone of this computer is assumed.
+
+    Raises:
+        OSError: the file cannot be read.
+    """
+    with path.open("rb") as file:
+        head = file.read(_HEAD).decode("latin-1").replace("\r\n", "\n")
+    found = {"lvm": _of_lvm, "mat": _of_mat}.get(file_format, lambda _head: None)(head)
+    origin: Origin = "header"
+    if found is None:
+        found, origin = datetime.fromtimestamp(path.stat().st_mtime), "modified"
+    return found.astimezone(UTC).strftime("%Y-%m-%dT%H:%M:%SZ"), origin
+
+
+def _of_lvm(head: str) -> datetime | None:
+    """Return the last date before the rows: that of the first segment, or of the file if the segment has none."""
+    head = re.split(r"^X_Value", head, maxsplit=1, flags=re.MULTILINE)[0]
+    days, times = _LVM_DATE.findall(head), _LVM_TIME.findall(head)
+    if not days:
+        return None
+    time = times[-1] if times else ("0", "0", "0")
+    return _moment(*map(int, (*days[-1], *time)))
+
+
+def _of_mat(head: str) -> datetime | None:
+    match = _MAT.search(head[:116])
+    if match is None or match[1] not in _MONTHS:
+        return None
+    return _moment(int(match[6]), _MONTHS.index(match[1]) + 1, *map(int, match.group(2, 3, 4, 5)))
+
+
+def _moment(*parts: int) -> datetime | None:
+    """Return a date, or None if it is invalid or from a clock that was never set (1904 or 1970)."""
+    try:
+        found = datetime(*parts)  # type: ignore[arg-type]
+    except ValueError:
+        return None
+    return found if found.year > 1970 else None
+
 
 _SI = Unit("", "")
 _SELECTED = re.compile(r"(?P<path>.+)@(?P<first>-?\d{1,12})?:(?P<last>-?\d{1,12})?", re.DOTALL)

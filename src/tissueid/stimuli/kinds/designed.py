@@ -15,7 +15,7 @@ from typing import ClassVar, Self
 
 import numpy as np
 from numpy.typing import NDArray
-from pydantic import Field, model_validator
+from pydantic import AliasChoices, Field, model_validator
 from scipy import fft, optimize
 
 from tissueid.errors import UnusableInputError
@@ -221,8 +221,10 @@ class Designed(OpenLoopKind):
     stiffness_growth_per_m: float = Field(
         _GROWTH_PER_M, ge=0.0, le=1e5, description=marked("Growth of the logarithm of the stiffness with depth, 1/m")
     )
-    damping_turn_n_s2_per_m2: float = Field(
+    damping_asymmetry_n_s2_per_m2: float = Field(
         70.0,
+        # files of earlier versions have the second name
+        validation_alias=AliasChoices("damping_asymmetry_n_s2_per_m2", "damping_turn_n_s2_per_m2"),
         ge=0.0,
         le=1e4,
         description=marked("Asymmetry of the damping between indentation and retraction, N s2/m2"),
@@ -282,7 +284,7 @@ class Designed(OpenLoopKind):
             self.damping_n_s_per_m,
             stiffness,
             self.stiffness_growth_per_m,
-            self.damping_turn_n_s2_per_m2,
+            self.damping_asymmetry_n_s2_per_m2,
         )
 
     @property

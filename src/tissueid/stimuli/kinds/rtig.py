@@ -13,15 +13,12 @@ from tissueid.language import marked
 from tissueid.messages import Message
 from tissueid.stimuli.base import MAX_SAMPLES, Array, stimulus
 from tissueid.stimuli.feedback import BLOCK, FeedbackKind
-from tissueid.stimuli.rtig.averages import Averages
 from tissueid.stimuli.rtig.histogram import DepthHistogram
-from tissueid.stimuli.rtig.identified import OnlineIdentification
-from tissueid.stimuli.rtig.identified_control import IdentifiedController
+from tissueid.stimuli.rtig.identified import Averages, OnlineIdentification
+from tissueid.stimuli.rtig.identified_control import IdentifiedController, TargetSweep
 from tissueid.stimuli.rtig.local_identification import LocalIdentification
-from tissueid.stimuli.rtig.source import RtigSource, SourceParameters
+from tissueid.stimuli.rtig.source import RtigSource, SourceParameters, StochasticStream
 from tissueid.stimuli.rtig.static_map import StaticMap
-from tissueid.stimuli.rtig.stochastic import StochasticStream
-from tissueid.stimuli.rtig.target_sweep import TargetSweep
 from tissueid.stimuli.spectra import check_settling
 
 _PRELOAD_SHARE = 0.1

@@ -39,5 +39,6 @@ EFFECT = Effect(
     places=(bus.TISSUE,),
     hook=hook,
     on_spring=False,
+    in_living_tissue=True,
     remedy="Report mass by depth; a smaller probe recruits less.",
 )

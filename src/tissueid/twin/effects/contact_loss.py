@@ -16,7 +16,8 @@ LEAST_DAMPING = 1e-3
 """Least damping of the free surface, N s/m: without damping and mass it would return at once."""
 
 # Places in the state.
-OFF, SURFACE, SURFACE_VELOCITY, TIME_OFF, GAP, PULLED = range(6)
+OFF, SURFACE, SURFACE_VELOCITY, SURFACE_ACCELERATION, TIME_OFF, GAP, PULLED = range(7)
+PROBE_DEPTH, PROBE_VELOCITY, PROBE_ACCELERATION = range(7, 10)
 
 
 @njit(cache=True)  # type: ignore[untyped-decorator]
@@ -35,7 +36,23 @@ def pull(one: float, other: float) -> float:
 
 def hook(where: int, b: FloatArray, p: FloatArray, s: FloatArray, dt: float) -> None:
     """Apply loss of contact; ``p`` holds the slowing time and the adhesion, ``s`` is as numbered above."""
+    if where == bus.LIFT_OFF:
+        if s[OFF] != 0.0:
+            # The laws of the tissue act on the free surface, at its midpoint.
+            s[PROBE_DEPTH], s[PROBE_VELOCITY], s[PROBE_ACCELERATION] = (
+                b[bus.DEPTH],
+                b[bus.VELOCITY],
+                b[bus.ACCELERATION],
+            )
+            b[bus.DEPTH] = s[SURFACE] + 0.5 * dt * s[SURFACE_VELOCITY]
+            b[bus.VELOCITY], b[bus.ACCELERATION] = s[SURFACE_VELOCITY], s[SURFACE_ACCELERATION]
+        return
     mass, taken = b[bus.MASS], b[bus.TISSUE_MASS]
+    if s[OFF] != 0.0:
+        surface = b[bus.DEPTH]
+        b[bus.DEPTH], b[bus.VELOCITY], b[bus.ACCELERATION] = s[PROBE_DEPTH], s[PROBE_VELOCITY], s[PROBE_ACCELERATION]
+    else:
+        surface = b[bus.DEPTH]
     middle = b[bus.VELOCITY] + 0.5 * dt * b[bus.ACCELERATION]
     # Contact force while probe and tissue move together.
     resisting = b[bus.TISSUE_FORCE] + b[bus.TISSUE_DAMPING] * middle
@@ -47,16 +64,13 @@ def hook(where: int, b: FloatArray, p: FloatArray, s: FloatArray, dt: float) -> 
         s[SURFACE] = b[bus.DEPTH]
         s[SURFACE_VELOCITY] = middle
     else:
-        # The free surface, with its law at the midpoint.
         before = s[SURFACE_VELOCITY]
-        surface = s[SURFACE] + 0.5 * dt * before
-        stiffness = grown(b[bus.STIFFNESS], b[bus.STIFFNESS_GROWTH], surface)
-        damping = grown(b[bus.SURFACE_DAMPING], b[bus.DAMPING_GROWTH], surface)
-        damping = max(damping * (1.0 + (s[TIME_OFF] + 0.5 * dt) / p[0]), LEAST_DAMPING)
+        damping = max(b[bus.TISSUE_DAMPING] * (1.0 + (s[TIME_OFF] + 0.5 * dt) / p[0]), LEAST_DAMPING)
         pulled = p[1] * pull(s[GAP], max(s[GAP] + dt * (before - middle), 0.0))
-        settled = -(stiffness * surface + pulled) / damping
+        settled = -(b[bus.TISSUE_FORCE] + pulled) / damping
         kept = math.exp(-dt * damping / taken) if taken > 0.0 else 0.0
         s[SURFACE_VELOCITY] = settled + (before - settled) * kept
+        s[SURFACE_ACCELERATION] = (s[SURFACE_VELOCITY] - before) / dt
         s[SURFACE] += 0.5 * dt * (before + s[SURFACE_VELOCITY])
         s[TIME_OFF] += dt
         gap = s[SURFACE] - b[bus.DEPTH]
@@ -68,6 +82,11 @@ def hook(where: int, b: FloatArray, p: FloatArray, s: FloatArray, dt: float) -> 
             b[bus.TISSUE_DAMPING] = 0.0
             b[bus.TISSUE_MASS] = 0.0
             return
+        # The tissue was evaluated at the free surface and now yields to the probe.
+        probe, growth = b[bus.DEPTH], b[bus.STIFFNESS_GROWTH]
+        yielding = grown(b[bus.STIFFNESS], growth, probe) * probe - grown(b[bus.STIFFNESS], growth, surface) * surface
+        b[bus.TISSUE_FORCE] += yielding
+        pressing += yielding * mass / (mass + taken)
         # Inelastic contact at a fraction of a step: the motion since then is corrected, so that the result does not
         # depend on the position of the contact within a step.
         since = -gap / (s[GAP] - gap) if s[GAP] > 0.0 else 0.0
@@ -90,6 +109,7 @@ def hook(where: int, b: FloatArray, p: FloatArray, s: FloatArray, dt: float) -> 
         s[SURFACE] = b[bus.DEPTH]
         s[SURFACE_VELOCITY] = middle + jump
     s[OFF] = 1.0
+    s[SURFACE_ACCELERATION] = 0.0
     s[TIME_OFF] = 0.0
     s[GAP] = 0.0
     s[PULLED] = p[1]
@@ -118,10 +138,11 @@ EFFECT = Effect(
     ),
     starts=((0.1, 0.01), (0.1, 0.1), (0.5, 0.2)),
     mistaken_for=("directional_damping", "tissue_hysteresis", "tissue_stiffening", "reflex"),
-    places=(bus.TISSUE,),
+    places=(bus.LIFT_OFF, bus.TISSUE),
     hook=hook,
     switches=True,
     models_lift_off=True,
     on_spring=False,
+    in_living_tissue=True,
     remedy="Raise the mean of the command or lower its amplitude so that the probe stays on the surface.",
 )

@@ -26,10 +26,11 @@ EFFECT = Effect(
         Parameter("difference", "1", 0.0, -0.98, 0.98, meaning="(in − out) / (in + out)"),
         Parameter("speed_m_s", "m/s", None, 1e-4, 0.1, True, meaning="speed over which the damping changes"),
     ),
-    starts=((0.3, 0.01), (-0.3, 0.01)),
+    starts=((0.3, 0.01), (-0.3, 0.01), (0.3, 0.06)),
     mistaken_for=("directional_friction", "quadratic_drag", "added_mass", "reflex"),
     places=(bus.TISSUE,),
     hook=hook,
     on_spring=False,
+    in_living_tissue=True,
     remedy="Report damping in and out separately.",
 )

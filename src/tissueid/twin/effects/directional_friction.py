@@ -5,9 +5,8 @@ from __future__ import annotations
 import math
 
 from tissueid.twin import bus
-from tissueid.twin._iwan_friction import friction_share
 from tissueid.twin.effect import Effect, FloatArray, Parameter
-from tissueid.twin.effects.dry_friction import STRIBECK_SPEED_M_S
+from tissueid.twin.effects.dry_friction import STRIBECK_SPEED_M_S, friction_share
 
 
 def hook(where: int, b: FloatArray, p: FloatArray, s: FloatArray, dt: float) -> None:

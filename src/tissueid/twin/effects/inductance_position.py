@@ -6,7 +6,7 @@ from collections.abc import Mapping, Sequence
 
 from tissueid.messages import Message
 from tissueid.twin import bus
-from tissueid.twin._stroke_curve import along, travelled_range
+from tissueid.twin._interpolation import along, travelled_range
 from tissueid.twin.effect import Effect, FloatArray, Parameter
 
 KNOTS = 5

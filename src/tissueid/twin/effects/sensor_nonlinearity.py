@@ -9,7 +9,7 @@ import numpy as np
 
 from tissueid.messages import Message
 from tissueid.twin import _estimates
-from tissueid.twin._stroke_curve import curve, travelled_range
+from tissueid.twin._interpolation import curve, travelled_range
 from tissueid.twin.effect import Effect, FloatArray, Parameter, Readings
 
 KNOTS = 13

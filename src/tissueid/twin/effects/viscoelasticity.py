@@ -24,7 +24,9 @@ def hook(where: int, b: FloatArray, p: FloatArray, s: FloatArray, dt: float) -> 
     exponent = b[bus.STIFFNESS_GROWTH] * (REFERENCE_M + p[3] * (depth - REFERENCE_M))
     force = b[bus.STIFFNESS] * math.exp(min(max(exponent, -12.0), 12.0)) * depth
     if s[_BEGUN] == 0.0:
+        # Relaxed at the start of a test.
         s[_BEGUN] = 1.0
+        s[_FORCE] = force
         for k in range(BRANCHES):
             longer = 10.0 ** (p[2] * (k / (BRANCHES - 1.0) - 0.5))
             ratio = dt / (p[1] * longer)
@@ -64,5 +66,6 @@ EFFECT = Effect(
     places=(bus.TISSUE,),
     hook=hook,
     on_spring=False,
+    in_living_tissue=True,
     remedy="Report the relaxation times with the stiffness; let the tissue rest under the mean before the test.",
 )

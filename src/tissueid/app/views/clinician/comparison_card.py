@@ -2,32 +2,36 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+from dataclasses import replace
+
 import numpy as np
-import pyqtgraph as pg
 from PySide6.QtCore import Qt
 from PySide6.QtGui import QResizeEvent
 from PySide6.QtWidgets import QFrame, QLabel, QPushButton, QVBoxLayout, QWidget
 
-from tissueid.app.plotting import PlotCard
+from tissueid.analysis.curves.plot import Axis, Plot
+from tissueid.analysis.curves.population import rows_plot
+from tissueid.app.plot_canvas import PlotCanvas
 from tissueid.app.small_window import FoldingBox
 from tissueid.app.theme import Theme
-from tissueid.app.views.clinician.comparing import Comparison
+from tissueid.app.views.clinician.comparing import Comparison, Sighting
 from tissueid.app.views.clinician.sitting import QUANTITIES
 from tissueid.formatting import label_and_unit
 from tissueid.language import _, marked
-from tissueid.messages import translated
+from tissueid.messages import Verbatim, translated
 from tissueid.units import display_unit
 
 _ROW = 17
-_AROUND = 62
-_LABELS, _NARROW_LABELS = 250, 220
+_AROUND = 75
+"""Height of a row, and of what is around the rows, pixels."""
 _ONE_ROW = 600
 """Width below which the plots stand below each other, pixels."""
 _LEGEND = marked(
     "Bars: one standard deviation, of the estimate where a sitting has one test, of its repeats otherwise."
 )
 READING = marked("Reading the subject's other sittings…")
-THIS = marked("this sitting")
+THIS, _OTHERS = marked("this sitting"), marked("others")
 
 
 class ComparisonCard(QFrame):
@@ -49,14 +53,12 @@ class ComparisonCard(QFrame):
         top.addWidget(self.heading)
         top.addWidget(self.words, 1)
         top.addWidget(self.cancel)
-        self.cards: list[PlotCard] = []
-        self._parts: list[tuple[list[pg.PlotDataItem], list[pg.PlotDataItem]]] = []
+        self.cards: list[PlotCanvas] = []
+        self._plots: list[Plot] = []
         self._layout = layout = QVBoxLayout(self)
         layout.setContentsMargins(0, 0, 0, 0)
         layout.setSpacing(3)
         layout.addLayout(top)
-        self.setToolTip(_(_LEGEND))
-        self._ticks: list[tuple[float, str]] = []
         self._folded = False
         self._theme: Theme | None = None
         self.hide()
@@ -82,28 +84,11 @@ class ComparisonCard(QFrame):
             return
         self._build_plots()
         self.words.setText(" ".join(map(translated, filter(None, [comparison.remark, comparison.left_out]))))
-        rows = range(len(sightings), 0, -1)
-        self._ticks = [(row, one.label) for row, one in zip(rows, sightings, strict=True)]
-        for card, (bars, dots), quantity in zip(self.cards, self._parts, QUANTITIES, strict=True):
-            scale = display_unit(label_and_unit(quantity)[1])[1]
-            for which, (bar, dot) in enumerate(zip(bars, dots, strict=True)):
-                x, y, ends, heights = [], [], [], []
-                for row, one in zip(rows, sightings, strict=True):
-                    found = one.values.get(quantity)
-                    if found is None or one.this is not bool(which):
-                        continue
-                    x.append(scale * found.value)
-                    y.append(float(row))
-                    reach = scale * (found.std or 0.0)
-                    ends += [x[-1] - reach, x[-1] + reach, np.nan]
-                    heights += [float(row), float(row), np.nan]
-                dot.setData(np.array(x), np.array(y))
-                bar.setData(np.array(ends), np.array(heights))
-            card.plot.setYRange(0.5, len(sightings) + 0.5, padding=0.0)
-            card.plot.enableAutoRange(axis="x")
+        self._plots = [_plot_of(quantity, sightings) for quantity in QUANTITIES]
+        for card in self.cards:
             card.setFixedHeight(_AROUND + _ROW * max(3, len(sightings)))
             card.show()
-        self._label()
+        self._show_plots()
         said = "; ".join(f"{one.label}{', ' + _(THIS) if one.this else ''}" for one in sightings)
         self.setAccessibleName(_("Comparison of {count} sittings: {said}").format(count=len(sightings), said=said))
         self.show()
@@ -114,14 +99,10 @@ class ComparisonCard(QFrame):
         row = FoldingBox(_ONE_ROW)
         row.setSpacing(8)
         for place, quantity in enumerate(QUANTITIES):
-            name, si_unit = label_and_unit(quantity)
-            key = {_(THIS): "model", _("others"): "measured"} if place == 0 else {}
-            card = PlotCard(_(name), _("± one SD"), display_unit(si_unit)[0], key=key, unit_of="bottom")
-            bars = [card.line(role, width=2) for role in ("measured", "model")]
-            dots = [card.dots(role, size) for role, size in (("measured", 8), ("model", 11))]
+            card = PlotCanvas(_(label_and_unit(quantity)[0]))
+            card.focus = Qt.FocusPolicy.ClickFocus  # the page is scrolled by keys, not stop by stop
             if self._theme is not None:
                 card.apply_theme(self._theme)
-            self._parts.append((bars, dots))
             self.cards.append(card)
             row.addWidget(card, 0 if place else 1)
             row.setStretch(place, 30 if place else 47)
@@ -134,17 +115,31 @@ class ComparisonCard(QFrame):
         if folded != self._folded:
             self._folded = folded
             self.heading.setWordWrap(folded)
-            self._label()
+            self._show_plots()
 
-    def _label(self) -> None:
-        for place, card in enumerate(self.cards):
+    def _show_plots(self) -> None:
+        """Draw the plots; those right of another one have neither names of the rows nor a key."""
+        for place, (card, plot) in enumerate(zip(self.cards, self._plots, strict=False)):
             named = place == 0 or self._folded
-            axis = card.plot.getAxis("left")
-            axis.setWidth((_NARROW_LABELS if self._folded else _LABELS) if named else 8)
-            axis.setTicks([self._ticks if named else [(row, "") for row, _ in self._ticks], []])
+            ticks = plot.y.ticks if named else tuple((row, "") for row, _name in plot.y.ticks)
+            card.show_plots([replace(plot, y=replace(plot.y, ticks=ticks))], key=place == 0)
 
     def apply_theme(self, theme: Theme) -> None:
         """Take on the colours of a theme."""
         self._theme = theme
         for card in self.cards:
             card.apply_theme(theme)
+
+
+def _plot_of(quantity: str, sightings: Sequence[Sighting]) -> Plot:
+    """Return the plot of a quantity: a row for each sitting."""
+    label, si_unit = label_and_unit(quantity)
+    unit, scale = display_unit(si_unit)
+    found = [one.values.get(quantity) for one in sightings]
+    values = np.array([np.nan if one is None else scale * one.value for one in found])
+    std = np.array([np.nan if one is None or one.std is None else scale * one.std for one in found])
+    this = np.array([one.this for one in sightings])
+    groups = ((_OTHERS, "measured", np.flatnonzero(~this)), (THIS, "model", np.flatnonzero(this)))
+    names = [Verbatim(one.label) for one in sightings]
+    plot = rows_plot(label, Axis(marked("± one SD"), unit), names, values, std, groups)
+    return replace(plot, note=_LEGEND)

@@ -9,7 +9,7 @@ from PySide6.QtWidgets import QFrame, QHBoxLayout, QScrollArea, QVBoxLayout, QWi
 from tissueid.app.theme import Theme
 from tissueid.app.views.gap.bar_table import BarTable
 from tissueid.app.views.gap.displayed_text import STAGE_TITLES, as_sentence, as_title
-from tissueid.app.views.gap.labels import plain_label
+from tissueid.app.widgets import plain_label
 from tissueid.formatting import plus_minus, with_unit
 from tissueid.language import _
 from tissueid.messages import Message, translated

@@ -12,14 +12,16 @@ from PySide6.QtWidgets import QComboBox, QFrame, QHBoxLayout, QLabel, QSizePolic
 from tissueid.app.plot_canvas import PlotCanvas
 from tissueid.app.small_window import FoldingBox
 from tissueid.app.theme import LIGHT, Theme
-from tissueid.app.views.gap.labels import plain_label
+from tissueid.app.widgets import plain_label
 from tissueid.formatting import number
 from tissueid.language import _
 from tissueid.messages import translated
 
 if TYPE_CHECKING:
-    from tissueid.app.views.gap.page_content import Overlay, PageContent
+    from tissueid.app.views.gap.page_content import BudgetContent, Overlay, PageContent
 
+_NAMES = 0.5
+"""Most of the width that the names of the bars take."""
 _SIDE, _ONE_ROW = 270, 660
 """Least width of the figures, and the width below which the plots stand below them, pixels."""
 
@@ -40,7 +42,7 @@ class ClosureTab(QWidget):
 
     def show_story(self, story: PageContent) -> None:
         """Draw the result of a diagnosis."""
-        self.bars.show_gap(*story.gap)
+        self.bars.show_rows(story.budget)
         self.closing.setText(translated(story.closing))
         self._overlays = story.overlays
         self.channel.blockSignals(True)
@@ -91,21 +93,19 @@ class ClosureTab(QWidget):
 
 
 class _GapBars(QWidget):
-    """Bars with values: gap before, gap after, noise alone."""
+    """Waterfall with values: gap before, what each named effect closes, gap after, noise alone."""
 
     def __init__(self) -> None:
         super().__init__()
         self._theme = LIGHT
-        self._rows: list[tuple[str, float, str]] = []
+        self._rows: tuple[BudgetContent, ...] = ()
         self.setSizePolicy(QSizePolicy.Policy.Expanding, QSizePolicy.Policy.Fixed)
 
-    def show_gap(self, before: float, after: float | None, noise: float) -> None:
-        """Show the shares; ``after`` is None if no effect was fitted."""
-        self._rows = [(_("Before"), before, "model")]
-        if after is not None:
-            self._rows.append((_("After"), after, "measured"))
-        self._rows.append((_("Noise alone"), noise, "check"))
-        values = ", ".join(f"{name} {_percent(share)}" for name, share, _level in self._rows)
+    def show_rows(self, rows: tuple[BudgetContent, ...]) -> None:
+        """Show the rows from top to bottom."""
+        self._rows = rows
+        values = ", ".join(f"{translated(row.name)} {_percent(row.high - row.low)}" for row in rows)
+        self.setToolTip("\n".join(f"{translated(row.name)}: {_percent(row.high - row.low)}" for row in rows))
         self.setAccessibleName(_("Gap: {values}").format(values=values))
         self.updateGeometry()
         self.update()
@@ -122,20 +122,23 @@ class _GapBars(QWidget):
     def paintEvent(self, event: QPaintEvent) -> None:  # noqa: N802
         """Draw the bars."""
         painter = QPainter(self)
-        known = [share for _, share, _ in self._rows if np.isfinite(share)]
-        most = max(known, default=1.0) or 1.0
+        most = max((row.high for row in self._rows if np.isfinite(row.high)), default=1.0) or 1.0
         letters = self.fontMetrics()
-        name_width = 8.0 + max((letters.horizontalAdvance(name) for name, _, _ in self._rows), default=0)
+        names = [translated(row.name) for row in self._rows]
+        widest = max((letters.horizontalAdvance(name) for name in names), default=0)
+        name_width = min(8.0 + widest, _NAMES * self.width())
         figure_width = 62.0
         room = max(self.width() - name_width - figure_width, 10.0)
-        for place, (name, share, role) in enumerate(self._rows):
+        for place, (name, row) in enumerate(zip(names, self._rows, strict=True)):
             top = 26.0 * place
             painter.setPen(QColor(self._theme.text))
-            painter.drawText(QRectF(0, top, name_width, 22), Qt.AlignmentFlag.AlignVCenter, name)
-            width = max(room * share / most, 1.0) if np.isfinite(share) else 0.0
-            painter.fillRect(QRectF(name_width, top + 4, width, 14), QColor(getattr(self._theme, role)))
-            figure = QRectF(name_width + width + 6, top, figure_width, 22)
-            painter.drawText(figure, Qt.AlignmentFlag.AlignVCenter, _percent(share))
+            shown = letters.elidedText(name, Qt.TextElideMode.ElideRight, int(name_width - 8.0))
+            painter.drawText(QRectF(0, top, name_width, 22), Qt.AlignmentFlag.AlignVCenter, shown)
+            left, right = (room * value / most if np.isfinite(value) else 0.0 for value in (row.low, row.high))
+            width = max(right - left, 1.0)
+            painter.fillRect(QRectF(name_width + left, top + 4, width, 14), QColor(getattr(self._theme, row.role)))
+            figure = QRectF(name_width + left + width + 6, top, figure_width, 22)
+            painter.drawText(figure, Qt.AlignmentFlag.AlignVCenter, _percent(row.high - row.low))
 
 
 def _percent(share: float) -> str:

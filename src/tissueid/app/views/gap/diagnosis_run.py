@@ -5,7 +5,7 @@ from __future__ import annotations
 import functools
 from typing import TYPE_CHECKING
 
-from tissueid.app.file_stamp import Stamp, stamp_of
+from tissueid.app.user_files import Stamp, stamp_of
 from tissueid.app.views.gap.diagnosis_result import DiagnosisResult
 from tissueid.procedures.control import Control
 from tissueid.procedures.gap_plans import DiagnosisPlan
@@ -57,6 +57,6 @@ def result_of(diagnosed: DiagnosedSession, stamp: Stamp | None = None) -> Diagno
         finite(as_answer(found)),
         diagnosed.report_html,
         named.twin,
-        "" if named.twin is None and not named.effects else named.refused,
+        named.refused,
         stamp,
     )

@@ -16,8 +16,7 @@ from typing import Annotated, Any, Literal
 
 from pydantic import AwareDatetime, BaseModel, ConfigDict, Field, model_validator
 
-from tissueid.app.stored_text import StoredText
-from tissueid.app.user_data import default_path
+from tissueid.app.user_files import StoredText, default_path
 from tissueid.app.views.gap.diagnosis_result import DiagnosisResult
 from tissueid.app.views.gap.page_content import PageContent
 from tissueid.atomic_write import open_regular, private_folder, write_private

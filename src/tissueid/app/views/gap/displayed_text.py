@@ -18,7 +18,7 @@ STAGE_TITLES: dict[Stage, str] = {
     "mechanics": marked("Moving part"),
     "tissue": marked("Tissue"),
     "sensing": marked("Sensors"),
-    "environment": marked("Surroundings"),
+    "environment": marked("Environment"),
 }
 SIGNALS = (marked("Voltage"), marked("Current"), marked("Position"), marked("current"), marked("position"))
 """Names of the compared signals; ``voltage`` is marked in the chain."""

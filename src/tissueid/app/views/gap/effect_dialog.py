@@ -8,7 +8,7 @@ from PySide6.QtCore import Signal
 from PySide6.QtWidgets import QCheckBox, QDialog, QDialogButtonBox, QVBoxLayout, QWidget
 
 from tissueid.app.views.gap.displayed_text import as_title
-from tissueid.app.views.gap.labels import plain_label
+from tissueid.app.widgets import plain_label
 from tissueid.language import _
 
 

@@ -10,7 +10,7 @@ from PySide6.QtWidgets import QFrame, QHBoxLayout, QPushButton, QVBoxLayout, QWi
 from tissueid.app.theme import Theme
 from tissueid.app.views.gap.bar_table import BarTable
 from tissueid.app.views.gap.displayed_text import as_sentence, as_title
-from tissueid.app.views.gap.labels import plain_label
+from tissueid.app.widgets import plain_label
 from tissueid.language import _, marked
 
 if TYPE_CHECKING:

@@ -14,7 +14,8 @@ import numpy as np
 from numpy.typing import NDArray
 from pydantic import AfterValidator, Field, PlainSerializer, PlainValidator
 
-from tissueid.app.stored_text import LONGEST_TEXT, StoredText
+from tissueid.app.user_files import LONGEST_TEXT, StoredText
+from tissueid.language import marked
 from tissueid.records import Estimate
 from tissueid.twin.effect import STAGES, Stage
 
@@ -123,7 +124,7 @@ class SpectrumContent:
     @property
     def plot(self) -> Plot:
         """The spectrum as it is drawn."""
-        from tissueid.gap.plots import spectrum_plot
+        from tissueid.gap.diagnosis_plots import spectrum_plot
 
         lines = {name: 10.0**values for name, values in self.lines.items()}
         bands = [(10.0**low, 10.0**high) for low, high in self.bands]
@@ -146,7 +147,7 @@ class ProfileContent:
 
     def plot(self, name: str) -> Plot:
         """Return the profile of a name as it is drawn."""
-        from tissueid.gap.plots import profile_plot
+        from tissueid.gap.diagnosis_plots import profile_plot
 
         return profile_plot(name, self.middle, 10.0**self.error, self.above)
 
@@ -178,7 +179,7 @@ class Overlay:
     @property
     def plots(self) -> tuple[Plot, Plot]:
         """The signals, and what the simulation leaves, as they are drawn."""
-        from tissueid.gap.plots import SignalOverlay, overlay_plots
+        from tissueid.gap.diagnosis_plots import SignalOverlay, overlay_plots
 
         curves = self.time, self.recorded, self.before, self.after, self.left_before, self.left_after
         return overlay_plots(SignalOverlay(self.channel, *curves, self.noise))
@@ -227,6 +228,16 @@ class Proposal:
 
 
 @dataclass(frozen=True)
+class BudgetContent:
+    """One bar of the gap budget, from ``low`` to ``high`` as shares of the signals' deviation, NaN where unknown."""
+
+    name: StoredText
+    low: float
+    high: float
+    role: Literal["model", "measured", "check"]
+
+
+@dataclass(frozen=True)
 class PageContent:
     """A diagnosis as the page shows it. ``gap`` is before, after (None without a candidate) and noise, as shares."""
 
@@ -249,7 +260,17 @@ class PageContent:
     offered: Annotated[tuple[tuple[Name, StoredText, bool], ...], Field(max_length=_MOST_ROWS)]
     """Effects to accept: name, title with its probability, and whether the diagnosis names it."""
 
+    budget: Annotated[tuple[BudgetContent, ...], Field(max_length=_MOST_ROWS)] = ()
+    """The waterfall from the gap before to the noise."""
+
     def __post_init__(self) -> None:
+        if not self.budget:
+            # A file of an earlier version.
+            before, after, noise = self.gap
+            rows = [BudgetContent(marked("Before"), 0.0, before, "model")]
+            rows += [] if after is None else [BudgetContent(marked("After"), 0.0, after, "measured")]
+            rows.append(BudgetContent(marked("Noise alone"), 0.0, noise, "check"))
+            object.__setattr__(self, "budget", tuple(rows))
         if [item.stage for item in self.stages] != list(STAGES):
             raise ValueError("the stages are not those of the signal chain")
         if not set(self.profiles) <= _PROFILES:

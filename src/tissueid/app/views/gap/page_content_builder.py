@@ -9,6 +9,7 @@ import numpy as np
 
 from tissueid.app.views.gap.next_test import proposal_of
 from tissueid.app.views.gap.page_content import (
+    BudgetContent,
     Fitted,
     Overlay,
     PageContent,
@@ -20,9 +21,9 @@ from tissueid.app.views.gap.page_content import (
 from tissueid.errors import UnusableInputError
 from tissueid.formatting import number
 from tissueid.gap.diagnosis import Diagnosis, Ranked, parameters_of
+from tissueid.gap.diagnosis_plots import UNITS, budget_rows, overlays_of, profile_values, spectrum_lines
 from tissueid.gap.error_regions import Profile, Spectrum
 from tissueid.gap.evidence import MARGIN
-from tissueid.gap.plots import UNITS, overlays_of, profile_values, spectrum_lines
 from tissueid.gap.statement import (
     effect_title,
     has_ranking_probability,
@@ -69,6 +70,7 @@ def page_content_of(found: Diagnosis, session: Session) -> PageContent:
         _overlays(found),
         proposal_of(found, session),
         tuple(_offered(found)),
+        tuple(BudgetContent(row.name, row.low, row.high, row.role) for row in budget_rows(found)),
     )
 
 

@@ -22,10 +22,10 @@ from PySide6.QtWidgets import (
     QWidget,
 )
 
-from tissueid.app.buttons import BigButton
 from tissueid.app.small_window import FoldingBox
-from tissueid.app.views.gap.session_titles import unique_titles
-from tissueid.app.views.researcher.text_settings import load_texts, save_texts
+from tissueid.app.views.gap.diagnosis_loader import unique_titles
+from tissueid.app.widgets import BigButton
+from tissueid.app.window_state import load_texts, save_texts
 from tissueid.formatting import clean
 from tissueid.language import _, marked
 from tissueid.messages import translated

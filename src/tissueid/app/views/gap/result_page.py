@@ -12,10 +12,10 @@ from tissueid.app.theme import Theme
 from tissueid.app.views.gap.candidates_tab import CandidatesTab
 from tissueid.app.views.gap.closure_tab import ClosureTab
 from tissueid.app.views.gap.displayed_text import STAGE_TITLES, as_sentence, as_title
-from tissueid.app.views.gap.labels import plain_label, show_level
 from tissueid.app.views.gap.localisation_tab import LocalisationTab
 from tissueid.app.views.gap.next_test_tab import NextTestTab
 from tissueid.app.views.gap.signal_chain import SignalChain
+from tissueid.app.widgets import plain_label, show_level
 from tissueid.language import _, marked
 
 if TYPE_CHECKING:

@@ -19,28 +19,26 @@ from PySide6.QtWidgets import (
     QWidget,
 )
 
-from tissueid.app.context import AppContext
-from tissueid.app.disabled_reason import show_disabled_reason
-from tissueid.app.job_control import JobControl
+from tissueid.app.context import AppContext, View
+from tissueid.app.jobs import JobControl
 from tissueid.app.theme import Theme
-from tissueid.app.views.gap.background_reading import BackgroundReading
-from tissueid.app.views.gap.diagnosis_export import (
+from tissueid.app.views.gap.diagnosis_list import DiagnosisList
+from tissueid.app.views.gap.diagnosis_loader import DiagnosisLoader
+from tissueid.app.views.gap.diagnosis_result import (
+    DiagnosisResult,
     accept_into_twin,
     export_json,
     proposed_twin,
     why_not_accepted,
     write_report,
 )
-from tissueid.app.views.gap.diagnosis_list import DiagnosisList
-from tissueid.app.views.gap.diagnosis_result import DiagnosisResult
 from tissueid.app.views.gap.diagnosis_run import run_diagnosis
 from tissueid.app.views.gap.diagnosis_store import KeptDiagnoses, default_folder, keep, remove
 from tissueid.app.views.gap.effect_dialog import EffectDialog
-from tissueid.app.views.gap.labels import plain_label
 from tissueid.app.views.gap.next_test import prepared_words, session_url
 from tissueid.app.views.gap.request_panel import RequestPanel
 from tissueid.app.views.gap.result_page import ResultPage
-from tissueid.app.views.view import View
+from tissueid.app.widgets import plain_label, show_disabled_reason
 from tissueid.app.words import in_words
 from tissueid.errors import CancelledError, UnusableInputError
 from tissueid.language import _, marked
@@ -70,7 +68,7 @@ class GapView(View):
         self._running = self._over = False
         self._next: DiagnosisPlan | None = None
         self._kept_in = default_folder()
-        self.background = BackgroundReading(context.jobs, self._kept_in, self)
+        self.background = DiagnosisLoader(context.jobs, self._kept_in, self)
         self._busy = self._testing = False
         self._looking = QTimer(self)
         self._looking.setInterval(_LOOK_MS)
@@ -187,7 +185,7 @@ class GapView(View):
             why = _("A diagnosis is running on Gap: cancel it there, or wait.")
             self.context.jobs.do(functools.partial(self._diagnose, asked), self._ended, self._failed, why=why)
         elif self.isVisible():
-            self.background.go_on(self.asking.session.untitled)
+            self.background.load_next(self.asking.session.untitled)
 
     def _diagnose(self, asked: DiagnosisPlan) -> tuple[DiagnosisResult | None, str]:
         """Diagnose and store the result; return the result and why it was not stored. Runs in a thread."""

@@ -23,12 +23,9 @@ from PySide6.QtWidgets import (
 )
 
 from tissueid.app.context import AppContext
-from tissueid.app.disabled_reason import show_disabled_reason
-from tissueid.app.elided_label import ElidedLabel
-from tissueid.app.job_control import JobControl
+from tissueid.app.jobs import JobControl
 from tissueid.app.small_window import FoldingSplitter
 from tissueid.app.theme import Theme
-from tissueid.app.views.researcher.analysis_history import AnalysisHistory
 from tissueid.app.views.researcher.analysis_task import MOST_TESTS, AnalysisTask, TestRef
 from tissueid.app.views.researcher.batch import Batch, refit, run, run_folder
 from tissueid.app.views.researcher.engine_form import EngineForm
@@ -38,10 +35,18 @@ from tissueid.app.views.researcher.panel_state import STATE, restore_state, save
 from tissueid.app.views.researcher.pictures import Pictures
 from tissueid.app.views.researcher.population_view import PopulationView
 from tissueid.app.views.researcher.recommendation_view import RecommendationView
-from tissueid.app.views.researcher.results_store import MOST_RESULTS, NAME, StoredResults, read_results, write_results
+from tissueid.app.views.researcher.results_store import (
+    MOST_RESULTS,
+    NAME,
+    AnalysisHistory,
+    StoredResults,
+    read_results,
+    write_results,
+)
 from tissueid.app.views.researcher.results_table import SERIES, ResultsTable
 from tissueid.app.views.researcher.save_dialog import SaveDialog
 from tissueid.app.views.researcher.selected_test import SelectedTest
+from tissueid.app.widgets import ElidedLabel, show_disabled_reason
 from tissueid.app.words import in_words, sentence
 from tissueid.errors import TissueIDError
 from tissueid.language import _, plural

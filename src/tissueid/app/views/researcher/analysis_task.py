@@ -81,6 +81,3 @@ class AnalysisTask(_Specification):
         """
         options: dict[str, Any] = dict(self.options)
         return get_engine(self.engines[0]).from_options(options)
-
-
-__all__ = ["AnalysisTask", "TestRef"]

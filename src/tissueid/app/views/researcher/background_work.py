@@ -5,8 +5,8 @@ from __future__ import annotations
 from PySide6.QtCore import QSize, QTimer
 from PySide6.QtWidgets import QHBoxLayout, QProgressBar, QPushButton, QWidget
 
-from tissueid.app.elided_label import ElidedLabel
-from tissueid.app.job_control import JobControl
+from tissueid.app.jobs import JobControl
+from tissueid.app.widgets import ElidedLabel
 from tissueid.language import _
 
 _LOOK_MS = 60
@@ -91,6 +91,3 @@ class ProgressStrip(QWidget):
     def _look(self) -> None:
         if self._errand is not None:
             self._bar.setValue(round(_STEPS * (self._errand.fraction or 0.0)))
-
-
-__all__ = ["BackgroundWork", "ProgressStrip"]

@@ -8,12 +8,12 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 
 from tissueid.analysis import EngineComparison, analyse, specifications
-from tissueid.app.file_stamp import stamp_of
-from tissueid.app.job_control import JobControl
-from tissueid.app.views.researcher.analysis_history import AnalysisHistory, HistoryEntry
+from tissueid.app.jobs import JobControl
+from tissueid.app.user_files import stamp_of
 from tissueid.app.views.researcher.analysis_task import MOST_TESTS, AnalysisTask, TestRef
 from tissueid.app.views.researcher.comparison_summary import ComparisonSummary, summary_of
 from tissueid.app.views.researcher.engine_outcome import EngineOutcome
+from tissueid.app.views.researcher.results_store import AnalysisHistory, HistoryEntry
 from tissueid.app.views.researcher.selected_test import SelectedTest, timestamp_of
 from tissueid.app.words import in_words, sentence
 from tissueid.errors import CancelledError, TissueIDError, UnusableInputError

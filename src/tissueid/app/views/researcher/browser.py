@@ -17,12 +17,11 @@ from tissueid.app.theme import Theme
 from tissueid.app.views.researcher.background_work import ProgressStrip
 from tissueid.app.views.researcher.filter_bar import FilterBar
 from tissueid.app.views.researcher.selected_test import SelectedTest
-from tissueid.app.views.researcher.session_filter import SessionFilter
 from tissueid.app.views.researcher.session_model import DATE, ITEM, SessionModel
 from tissueid.app.views.researcher.session_search import SessionEntry, SessionSearch, TestEntry
-from tissueid.app.views.researcher.session_tree import SessionTree
-from tissueid.app.views.researcher.text_settings import load_texts, save_texts
-from tissueid.app.views.researcher.tool_tips import plain_tip
+from tissueid.app.views.researcher.session_tree import SessionFilter, SessionTree
+from tissueid.app.widgets import plain_tip
+from tissueid.app.window_state import load_texts, save_texts
 from tissueid.formatting import clean, grouped, subject_text
 from tissueid.language import _, plural
 from tissueid.messages import Message, translated
@@ -365,6 +364,3 @@ class Browser(QWidget):
         timer.setSingleShot(single)
         timer.timeout.connect(what)
         return timer
-
-
-__all__ = ["Browser"]

@@ -12,6 +12,3 @@ _DARK_SERIES = ("#62b3e4", "#f2a155", "#58c491", "#c39bea", "#e0cf4a", "#f07ab0"
 def series(theme: Theme) -> tuple[str, ...]:
     """Return the colours of overlaid tests for a theme."""
     return _DARK_SERIES if theme is DARK else _LIGHT_SERIES
-
-
-__all__ = ["series"]

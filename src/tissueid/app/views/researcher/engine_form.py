@@ -22,7 +22,7 @@ from PySide6.QtWidgets import (
 )
 
 from tissueid.app.option_field import OptionField
-from tissueid.app.views.researcher.labels_of_tests import signal_title
+from tissueid.app.views.researcher.selected_test import signal_title
 from tissueid.app.words import in_words
 from tissueid.errors import UnusableInputError
 from tissueid.identification import engine_label, engine_names, get_engine, report_engines

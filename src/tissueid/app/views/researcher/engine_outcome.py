@@ -1,17 +1,17 @@
-"""Result of an engine on a test, without the record."""
+"""Result of an engine on a test, without the record, and the text for its changed options."""
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from typing import Any
 
 from tissueid.analysis import Analysis
-from tissueid.app.file_stamp import Stamp
-from tissueid.app.views.researcher.labels_of_tests import distinguishing_labels, short_label
+from tissueid.app.user_files import Stamp
 from tissueid.app.views.researcher.plot_data import PlotData
-from tissueid.app.views.researcher.selected_test import SelectedTest
-from tissueid.identification import FitReport, engine_label
+from tissueid.app.views.researcher.selected_test import SelectedTest, distinguishing_labels, short_label
+from tissueid.formatting import plain_text
+from tissueid.identification import FitReport, engine_label, engine_names, get_engine
 from tissueid.language import _, marked
 
 
@@ -91,3 +91,18 @@ def keys_of(outcomes: Sequence[EngineOutcome]) -> tuple[str, list[str]]:
     if len(outcomes) > 1 and len(set(engines)) == 1:
         return ", ".join(filter(None, [engines[0], common])), labels
     return common, [", ".join(filter(None, pair)) for pair in zip(engines, labels, strict=True)]
+
+
+def changed_options(engine: str, options: Mapping[str, object]) -> dict[str, object]:
+    """Return the options that differ from the defaults; all of them, where the engine is not installed any more."""
+    if engine not in engine_names():
+        return dict(options)
+    defaults = get_engine(engine)().options()
+    return {name: value for name, value in options.items() if value != defaults.get(name, object())}
+
+
+def variant_of(outcome: EngineOutcome) -> str:
+    """Return the engine of a fit and its options that differ from the defaults."""
+    changed = changed_options(outcome.engine, outcome.options)
+    options = plain_text(changed) if changed else _("default options")
+    return f"{engine_label(outcome.engine)}, {options}"

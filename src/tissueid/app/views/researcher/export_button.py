@@ -13,6 +13,7 @@ from tissueid.app.context import AppContext
 from tissueid.app.views.researcher.background_work import BackgroundWork, ProgressStrip
 from tissueid.app.views.researcher.selected_test import SelectedTest
 from tissueid.app.words import in_words, sentence
+from tissueid.atomic_write import unused_path
 from tissueid.audit import AuditTrail
 from tissueid.errors import CancelledError, TissueIDError
 from tissueid.language import _, marked
@@ -69,7 +70,7 @@ class SessionExport(BackgroundWork):
 
     def _export(self, path: Path, numbers: Sequence[int]) -> None:
         self.check()
-        folder = self._free_name(path.stem)
+        folder = unused_path(self._folder / f"{path.stem}-{self._kind}", separator="-")
         plan = ExportPlan(session=path, out=folder, kind=self._kind, tests=tuple(numbers))
         run_export(plan, self, self._trail)
         self.written.append(folder)
@@ -77,15 +78,6 @@ class SessionExport(BackgroundWork):
     def progress(self, fraction: float | None, step: str) -> None:
         """Keep the completed share of all sessions."""
         super().progress(self._begun + (fraction or 0.0) / len(self._tests), step)
-
-    def _free_name(self, stem: str) -> Path:
-        """Return an unused folder."""
-        folder = self._folder / f"{stem}-{self._kind}"
-        count = 1
-        while folder.exists():
-            count += 1
-            folder = self._folder / f"{stem}-{self._kind}-{count}"
-        return folder
 
 
 class ExportButton(QPushButton):
@@ -144,6 +136,3 @@ class ExportButton(QPushButton):
     def _failed(self, words: str) -> None:
         self._strip.clear()
         self._context.say(words, problem=True)
-
-
-__all__ = ["EXPORTS", "ExportButton", "SessionExport"]

@@ -8,7 +8,7 @@ from PySide6.QtCore import Qt, Signal
 from PySide6.QtWidgets import QComboBox, QHBoxLayout, QLineEdit, QPushButton, QVBoxLayout, QWidget
 
 from tissueid.app.views.researcher.session_search import SessionEntry
-from tissueid.app.views.researcher.tool_tips import plain_tip
+from tissueid.app.widgets import plain_tip
 from tissueid.formatting import clean, subject_text
 from tissueid.language import _, marked
 
@@ -113,6 +113,3 @@ class FilterBar(QWidget):
     def _clear(self) -> None:
         self.ask("", "", "", "")
         self.words.setFocus()
-
-
-__all__ = ["FilterBar"]

@@ -17,9 +17,9 @@ from PySide6.QtWidgets import (
     QWidget,
 )
 
-from tissueid.app.views.researcher.analysis_history import MOST_ENTRIES, HistoryEntry
 from tissueid.app.views.researcher.analysis_task import AnalysisTask
-from tissueid.app.views.researcher.engine_variants import changed_options
+from tissueid.app.views.researcher.engine_outcome import changed_options
+from tissueid.app.views.researcher.results_store import MOST_ENTRIES, HistoryEntry
 from tissueid.formatting import clean, plain_text
 from tissueid.identification import engine_label
 from tissueid.language import _, marked

@@ -92,6 +92,3 @@ class KernelPlot(QWidget):
             self.canvas.say_missing(_(_MISSING))
         else:
             self.canvas.show_plots([plot], relief=self.turned)
-
-
-__all__ = ["KernelPlot"]

@@ -77,6 +77,3 @@ def overlay(plots: Sequence[Plot], colours: Sequence[str], names: Sequence[str],
         reasons = dict.fromkeys(sentence(translated(plot.missing)) for plot in plots if plot.missing)
         return replace(plots[0], parts=tuple(over), missing=" ".join(reasons))
     return replace(first, parts=(*under, *over))
-
-
-__all__ = ["KERNELS", "OUTPUT", "PICTURES", "Array", "PlotData", "overlay"]

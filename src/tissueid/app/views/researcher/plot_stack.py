@@ -296,6 +296,3 @@ class _Plot:
         if self._theme is not None:
             for curve, colour in zip(self._curves, series(self._theme), strict=False):
                 curve.setPen(pg.mkPen(colour, width=1))
-
-
-__all__ = ["MOST_PLOTS", "SHORTEST_S", "PlotStack"]

@@ -12,12 +12,14 @@ from pathlib import Path
 import numpy as np
 from scipy.stats import t as student
 
+from tissueid.analysis.curves.plot import Axis, Plot
+from tissueid.analysis.curves.population import Centre, histogram_plot, points_plot
 from tissueid.app.views.researcher.engine_outcome import EngineOutcome
 from tissueid.app.views.researcher.plot_data import Array
 from tissueid.formatting import axis_label, clean, label_and_unit, subject_text
 from tissueid.identification import engine_label
 from tissueid.language import _, marked
-from tissueid.messages import MISSING
+from tissueid.messages import MISSING, Verbatim
 from tissueid.records import Estimate
 from tissueid.units import display_unit
 
@@ -45,6 +47,7 @@ _SPREAD = 0.32
 _GOLDEN = 0.5 * (math.sqrt(5.0) - 1.0)
 _MOST_BINS = 60
 _LONGEST = 40
+_MOST_DATES = 6
 
 
 @dataclass(frozen=True)
@@ -176,6 +179,41 @@ def population(
     )
 
 
+def population_plot(found: Population, across: str, spread: str, colours: Sequence[str], names: Sequence[str]) -> Plot:
+    """Return the points of a population and the means of its groups, or its histogram.
+
+    Args:
+        found: the population.
+        across: what it is drawn against.
+        spread: the error bars: "std", "interval", or "" for no means.
+        colours: colour of each group.
+        names: name of each group in the key.
+    """
+    parameter = Axis(found.title, found.unit)
+    masks = [found.group == place for place in range(len(found.groups))]
+    if across == DISTRIBUTION:
+        groups = [found.y[mask] for mask in masks]
+        return histogram_plot((parameter, Axis(found.counted)), groups, found.edges, colours, names)
+    centres = [
+        Centre(mean.group, mean.x, mean.y, mean.std if spread == "std" else mean.half_interval)
+        for mean in (found.means if spread else ())
+    ]
+    points = [(found.x[mask], found.y[mask]) for mask in masks]
+    label, unit = label_and_unit(across) if across not in (*ACROSS, *SCORES) else (found.x_label, "")
+    x = Axis(label, display_unit(unit)[0], ticks=_ticks(found, across))
+    return points_plot((x, parameter), points, colours, names, centres)
+
+
+def _ticks(found: Population, across: str) -> tuple[tuple[float, str], ...]:
+    """Return the names of categories, or some dates."""
+    if across != DATE or not found.x.size:
+        return tuple((float(place), Verbatim(name)) for place, name in enumerate(found.places))
+    low, high = float(found.x.min()), float(found.x.max())
+    times = np.linspace(low, high, _MOST_DATES) if high > low else np.array([low])
+    named = {day(float(time)): float(time) for time in times}
+    return tuple((time, name) for name, time in named.items())
+
+
 def _titled(parameter: str) -> tuple[str, str]:
     return (_(SCORES[parameter]), "") if parameter in SCORES else label_and_unit(parameter)
 
@@ -300,18 +338,3 @@ def day(when: float) -> str:
         return datetime.fromtimestamp(when).strftime("%Y-%m-%d")
     except (ValueError, OverflowError, OSError):
         return MISSING
-
-
-__all__ = [
-    "ACROSS",
-    "DATE",
-    "DISTRIBUTION",
-    "GROUPS",
-    "SCORES",
-    "Mean",
-    "Population",
-    "day",
-    "estimate_of",
-    "parameters_of",
-    "population",
-]

@@ -5,51 +5,49 @@ from __future__ import annotations
 import html
 import math
 from collections.abc import Mapping, Sequence
+from dataclasses import replace
+from typing import TYPE_CHECKING
 
 import numpy as np
-import pyqtgraph as pg
-from pyqtgraph.GraphicsScene.mouseEvents import MouseClickEvent
-from PySide6.QtCore import QPointF, Qt, Signal
-from PySide6.QtGui import QColor
+from PySide6.QtCore import Qt, Signal
 from PySide6.QtWidgets import QComboBox, QGridLayout, QLabel, QPushButton, QVBoxLayout, QWidget
 
-from tissueid.app.elided_label import ElidedLabel
-from tissueid.app.plotting import PlotCard
-from tissueid.app.theme import Theme, faint
-from tissueid.app.views.researcher.engine_outcome import EngineOutcome
-from tissueid.app.views.researcher.engine_variants import variant_of
+from tissueid.app.plot_canvas import PlotCanvas, Point
+from tissueid.app.theme import LIGHT, Theme
+from tissueid.app.views.researcher.engine_outcome import EngineOutcome, variant_of
 from tissueid.app.views.researcher.population import (
     ACROSS,
-    DATE,
     DISTRIBUTION,
     GROUPS,
     SCORES,
-    Mean,
     Population,
-    day,
     estimate_of,
     parameters_of,
     population,
+    population_plot,
 )
 from tissueid.app.views.researcher.result_figures import PopulationFigure
 from tissueid.app.views.researcher.results_table import SERIES
-from tissueid.app.views.researcher.tool_tips import plain_tip
+from tissueid.app.widgets import ElidedLabel
 from tissueid.formatting import axis_label, grouped, label_and_unit, plus_minus, with_unit
 from tissueid.language import _, marked, plural
+from tissueid.messages import Verbatim
 from tissueid.records import Estimate
 from tissueid.units import display_unit, shown, shown_si
+
+if TYPE_CHECKING:
+    from tissueid.analysis.curves import Plot
 
 SPREADS: Mapping[str, str] = {
     "std": marked("Mean ± standard deviation"),
     "interval": marked("Mean, 95 % confidence"),
     "": marked("No mean"),
 }
-_NOTHING = np.zeros(0)
-_POINT, _MEAN = 7, 11
+_REACH_PX = 7.0
+"""Distance from a point within which it is picked."""
 _CHARACTERS = 9
 _TICK_PX = 7
 """Pixels that a letter of a tick takes."""
-_MOST_TICKS = 6
 _MOST_NAMED = 12
 _LONGEST = 16
 
@@ -78,18 +76,8 @@ class PopulationView(QWidget):
         self.save_figure = QPushButton(_("Figure…"))
         self.save_figure.setAccessibleName(_("Save the figure of the population"))
         self.save_figure.setToolTip(_("Save the figure as PDF, SVG or PNG with 300 dpi"))
-        self.card = PlotCard(_("Population"), " ", "")
-        self.card.plot.getAxis("left").setWidth(60)
-        self.card.setToolTip(_("Click on a point: its test is named below. A double click selects it in the table"))
-        self._points = [self._scatter(_POINT) for _role in SERIES]
-        self._steps = [self._bar() for _role in SERIES]
-        self._bars = [pg.ErrorBarItem(x=_NOTHING, y=_NOTHING, height=_NOTHING, beam=0.0) for _role in SERIES]
-        for bar in self._bars:
-            bar.setZValue(5)
-            self.card.plot.addItem(bar)
-        self._centres = self._scatter(_MEAN, hoverable=False)
-        self._centres.setZValue(6)
-        self.card.plot.scene().sigMouseClicked.connect(self._clicked)
+        self.card = PlotCanvas(_("Population"))
+        self.card.pick, self.card.tip = self._clicked, self._tip
         self.key = QLabel()
         self.key.setTextFormat(Qt.TextFormat.RichText)
         self.key.setWordWrap(True)
@@ -140,12 +128,6 @@ class PopulationView(QWidget):
         """Apply the colours of a theme."""
         self._theme = theme
         self.card.apply_theme(theme)
-        for role, points, steps, bar in zip(SERIES, self._points, self._steps, self._bars, strict=True):
-            colour = getattr(theme, role)
-            points.setBrush(faint(colour, 150))
-            steps.setPen(pg.mkPen(colour, width=1))
-            steps.setBrush(faint(colour, 70))
-            bar.setData(pen=pg.mkPen(colour, width=2))
         self._show()
 
     @property
@@ -154,11 +136,11 @@ class PopulationView(QWidget):
         found = self.shown
         if found is None or not found.outcomes:
             return None
-        parameter, across = str(self.parameter.currentData()), str(self.across.currentData())
         names = [f"{name}: {mean}" if name else mean for name, mean in zip(found.groups, _overall(found), strict=True)]
         title = f"{self.parameter.currentText()} {self.across.currentText()}"
-        spread = str(self.spread.currentData())
-        return PopulationFigure(title, found, across, _heading(parameter), spread, names, self.count.text())
+        across, spread = str(self.across.currentData()), str(self.spread.currentData())
+        plot = population_plot(found, across, spread, [getattr(LIGHT, role) for role in SERIES], names)
+        return PopulationFigure(title, plot, self.count.text())
 
     # -- choosing --------------------------------------------------------------------------------------------
 
@@ -205,18 +187,13 @@ class PopulationView(QWidget):
             return
         found = population(self._wanted_fits(), parameter, across, str(self.group.currentData()), len(SERIES))
         self.shown = found
-        self.card.say_missing("" if found.outcomes else _("No fit has this parameter."))
-        histogram = across == DISTRIBUTION
-        if histogram:
-            self.card.retitle(found.counted, "")
-            self.card.relabel(_heading(parameter, clinical=True))
+        if found.outcomes:
+            spread = str(self.spread.currentData())
+            plot = population_plot(found, across, spread, SERIES, [""] * len(SERIES))
+            note = _("Click on a point: its test is named below. A double click selects it in the table")
+            self.card.show_plots([replace(self._with_room(plot, found), note=note)], key=False)
         else:
-            self.card.retitle(found.title, found.unit)
-            self.card.relabel(found.x_label)
-        self._draw_points(found, histogram=histogram)
-        self._draw_means(found, histogram=histogram)
-        self._label_ticks(found, across)
-        self.card.plot.enableAutoRange()
+            self.card.say_missing(_("No fit has this parameter."))
         self._say(found)
 
     def _wanted_fits(self) -> list[EngineOutcome]:
@@ -224,47 +201,14 @@ class PopulationView(QWidget):
         wanted = self.engine.currentData()
         return [outcome for outcome in self._outcomes if not wanted or variant_of(outcome) == wanted]
 
-    def _draw_points(self, found: Population, *, histogram: bool) -> None:
-        edges = found.edges
-        for place in range(len(SERIES)):
-            mask = found.group == place
-            there = bool(mask.any())
-            if histogram:
-                counts = np.histogram(found.y[mask], edges)[0].astype(np.float64)
-                self._points[place].clear()
-                self._steps[place].setData(*((edges, counts) if there else (np.zeros(1), _NOTHING)), stepMode="center")
-                self._steps[place].setVisible(there)
-            else:
-                self._steps[place].setVisible(False)
-                self._steps[place].setData(np.zeros(1), _NOTHING, stepMode="center")
-                self._points[place].setData(found.x[mask], found.y[mask], data=np.flatnonzero(mask))
-
-    def _draw_means(self, found: Population, *, histogram: bool) -> None:
-        spread = self.spread.currentData()
-        means = [mean for mean in found.means if spread and not histogram]
-        for place, bar in enumerate(self._bars):
-            own = [mean for mean in means if mean.group == place and mean.count > 1]
-            half = np.array([_half(mean, spread) for mean in own])
-            x, y = np.array([mean.x for mean in own]), np.array([mean.y for mean in own])
-            bar.setData(x=x, y=y, height=2.0 * half)
-            bar.setVisible(bool(own))  # an empty one would stretch the axes to zero
-        brushes = [QColor(getattr(self._theme, SERIES[mean.group])) for mean in means] if self._theme else None
-        self._centres.setData([mean.x for mean in means], [mean.y for mean in means], brush=brushes)
-
-    def _label_ticks(self, found: Population, across: str) -> None:
-        axis = self.card.plot.getAxis("bottom")
-        if across == DATE and found.x.size:
-            low, high = float(found.x.min()), float(found.x.max())
-            times = np.linspace(low, high, _MOST_TICKS) if high > low else np.array([low])
-            named = {day(float(time)): float(time) for time in times}
-            axis.setTicks([[(time, name) for name, time in named.items()]])
-        elif found.places:
-            width = max(len(name[:_LONGEST]) for name in found.places) * _TICK_PX
-            step = max(1, math.ceil(width * len(found.places) / max(200, self.card.plot.width() - 80)))
-            ticks = [(float(place), name[:_LONGEST]) for place, name in enumerate(found.places) if place % step == 0]
-            axis.setTicks([ticks])
-        else:
-            axis.setTicks(None)
+    def _with_room(self, plot: Plot, found: Population) -> Plot:
+        """Return the plot with as many names of categories as stand side by side."""
+        if not found.places:
+            return plot
+        width = max(len(name[:_LONGEST]) for name in found.places) * _TICK_PX
+        step = max(1, math.ceil(width * len(found.places) / max(200, self.card.width() - 80)))
+        ticks = tuple((place, Verbatim(name[:_LONGEST])) for place, name in plot.x.ticks[::step])
+        return replace(plot, x=replace(plot.x, ticks=ticks))
 
     def _say(self, found: Population) -> None:
         total = len(self._wanted_fits())
@@ -288,31 +232,29 @@ class PopulationView(QWidget):
 
     # -- pointing --------------------------------------------------------------------------------------------
 
-    def _clicked(self, click: MouseClickEvent) -> None:
-        found = self._at(click.scenePos())
-        if not found:
-            return
-        self.name(found)
-        if click.double():
-            self.wanted.emit(found)
+    def _clicked(self, at: Point, double: bool) -> bool:
+        found = self._at(at)
+        if found:
+            self.name(found)
+            if double:
+                self.wanted.emit(found)
+        return bool(found)
 
-    def _at(self, scene: QPointF) -> list[EngineOutcome]:
-        """Return the fit at a position in the plot, or all fits of a bar of the histogram."""
+    def _at(self, at: Point) -> list[EngineOutcome]:
+        """Return the fit at a place on the canvas, or all fits of a bar of the histogram."""
         found = self.shown
-        if found is None:
+        if found is None or not found.outcomes:
             return []
-        where = self.card.plot.getViewBox().mapSceneToView(scene)
         if self.across.currentData() == DISTRIBUTION:
-            edges = found.edges
-            if not edges[0] <= where.x() <= edges[-1] or where.y() < 0.0:
+            edges, (x, y) = found.edges, self.card.values(at)
+            if not edges[0] <= x <= edges[-1] or y < 0.0:
                 return []
             bins = np.clip(np.searchsorted(edges, found.y, "right") - 1, 0, edges.size - 2)
-            bin_there = min(int(np.searchsorted(edges, where.x(), "right")) - 1, edges.size - 2)
+            bin_there = min(int(np.searchsorted(edges, x, "right")) - 1, edges.size - 2)
             return [found.outcomes[place] for place in np.flatnonzero(bins == bin_there)]
-        for points in reversed(self._points):
-            for spot in points.pointsAt(points.mapFromScene(scene)):
-                return [found.outcomes[int(spot.data())]]
-        return []
+        away = np.hypot(*(self.card.pixels(found.x, found.y) - at).T)
+        nearest = int(np.argmin(away))
+        return [found.outcomes[nearest]] if away[nearest] <= _REACH_PX else []
 
     def name(self, outcomes: Sequence[EngineOutcome]) -> None:
         """Show the label and value of a fit, or the number of fits."""
@@ -326,23 +268,9 @@ class PopulationView(QWidget):
         estimate = estimate_of(outcome, parameter)
         return f"{outcome.label}: {_figure(parameter, estimate)}" if estimate is not None else outcome.label
 
-    def _tip(self, x: float, y: float, data: object) -> str:
-        found = self.shown
-        place = int(data)  # type: ignore[call-overload]
-        return plain_tip(self._words(found.outcomes[place])) if found is not None else ""
-
-    # -- building --------------------------------------------------------------------------------------------
-
-    def _scatter(self, size: int, *, hoverable: bool = True) -> pg.ScatterPlotItem:
-        item = pg.ScatterPlotItem(size=size, pen=None, pxMode=True, hoverable=hoverable, tip=self._tip, hoverSize=9)
-        self.card.plot.addItem(item)
-        return item
-
-    def _bar(self) -> pg.PlotCurveItem:
-        item = pg.PlotCurveItem(np.zeros(1), _NOTHING, stepMode="center", fillLevel=0.0)
-        item.hide()
-        self.card.plot.addItem(item)
-        return item
+    def _tip(self, at: Point) -> str:
+        found = self._at(at) if self.across.currentData() != DISTRIBUTION else []
+        return self._words(found[0]) if found else ""
 
 
 def _choice(name: str) -> QComboBox:
@@ -354,16 +282,11 @@ def _choice(name: str) -> QComboBox:
     return choice
 
 
-def _heading(parameter: str, *, clinical: bool = False) -> str:
-    """Return a parameter with its unit: the active one, or the one in which it is drawn."""
+def _heading(parameter: str) -> str:
+    """Return a parameter with its unit."""
     if parameter in SCORES:
         return _(SCORES[parameter])
-    unit = display_unit(label_and_unit(parameter)[1])[0]
-    return axis_label(parameter, unit if clinical else shown(unit)[0])
-
-
-def _half(mean: Mean, spread: object) -> float:
-    return mean.std if spread == "std" else mean.half_interval
+    return axis_label(parameter, shown(display_unit(label_and_unit(parameter)[1])[0])[0])
 
 
 def _overall(found: Population) -> list[str]:
@@ -383,6 +306,3 @@ def _figure(parameter: str, estimate: Estimate) -> str:
         return f"{estimate.value:.2f} %"
     unit, scale = shown_si(label_and_unit(parameter)[1])
     return with_unit(plus_minus(estimate, scale), unit)
-
-
-__all__ = ["SPREADS", "PopulationView"]

@@ -132,7 +132,7 @@ class RecommendationView(QWidget):
         self.headline.show()
         self.headline.setText(verdict.headline)
         parts = [verdict.judged_on, *verdict.reasons]
-        parts += ["", _("Doubts"), *verdict.doubts] if verdict.doubts else []
+        parts += ["", _("Caveats"), *verdict.doubts] if verdict.doubts else []
         parts += ["", _("Suggested tests"), *verdict.experiments] if verdict.experiments else []
         self.words.setPlainText("\n".join(parts))
         self.standings.setRowCount(len(verdict.rows))

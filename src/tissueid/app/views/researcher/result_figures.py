@@ -4,18 +4,15 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from datetime import datetime
-from typing import TYPE_CHECKING, Any
-
-import numpy as np
+from typing import TYPE_CHECKING
 
 from tissueid.app.theme import LIGHT
 from tissueid.app.views.researcher.engine_outcome import EngineOutcome
-from tissueid.app.views.researcher.plot_data import PICTURES, Array, overlay
-from tissueid.app.views.researcher.population import DATE, DISTRIBUTION, Population
+from tissueid.app.views.researcher.plot_data import PICTURES, overlay
 from tissueid.app.views.researcher.results_table import SERIES
 from tissueid.language import _
-from tissueid.units import shown, shown_label
+from tissueid.messages import translated
+from tissueid.units import shown
 
 if TYPE_CHECKING:  # matplotlib is imported when the first figure is drawn
     from matplotlib.axes import Axes
@@ -26,6 +23,8 @@ if TYPE_CHECKING:  # matplotlib is imported when the first figure is drawn
 _WIDTH, _PANEL, _REST = 7.2, 2.1, 0.8
 """Inches: width of a figure, height of a panel, and of a legend and an axis label."""
 _LEGEND_LINE = 0.2
+_MOST_LEVEL = 8
+"""Number of names below an axis above which they are turned upright."""
 _LONG = 44
 """Letters of a label beyond which the legend has one column."""
 
@@ -91,64 +90,26 @@ class KernelFigure:
 
 @dataclass(frozen=True, eq=False)
 class PopulationFigure:
-    """The population as it is shown: ``across`` is what it is drawn against, ``spread`` what the bars are."""
+    """The population as it is shown; ``note`` says what is drawn."""
 
     title: str
-    found: Population
-    across: str
-    x_label: str
-    spread: str
-    labels: Sequence[str]
+    plot: Plot
     note: str
 
     def draw(self) -> Figure:
         """Draw points or bars, the means of groups, and the number of fits."""
+        from tissueid.reports.plot_renderer import draw_plot
         from tissueid.reports.style import new_figure
 
-        figure = new_figure(_WIDTH, 4.2 + _LEGEND_LINE * len(self.labels))
-        axes, found = figure.subplots(), self.found
-        unit, factor = shown(found.unit)
-        colours = [getattr(LIGHT, role) for role in SERIES]
-        for place, (label, colour) in enumerate(zip(self.labels, colours, strict=False)):
-            mask = found.group == place
-            if self.across == DISTRIBUTION:
-                counts = np.histogram(found.y[mask], found.edges)[0]
-                axes.stairs(counts, factor * found.edges, color=colour, fill=True, alpha=0.35, label=_legible(label))
-                axes.stairs(counts, factor * found.edges, color=colour)
-            else:
-                x = self._across(found.x[mask])
-                axes.plot(
-                    x, factor * found.y[mask], "o", color=colour, alpha=0.5, markersize=3.5, label=_legible(label)
-                )
-        if self.across == DISTRIBUTION:
-            axes.set_ylabel(found.counted)
-            axes.set_xlabel(self.x_label)
-        else:
-            self._draw_means(axes, factor, colours)
-            axes.set_ylabel(f"{found.title} ({unit})" if unit else found.title)
-            axes.set_xlabel(shown_label(found.x_label)[0])
-        if found.places and self.across != DATE:
-            axes.set_xticks(range(len(found.places)), [_legible(place) for place in found.places])
-            if len(found.places) > 8:
-                axes.tick_params("x", labelrotation=90)
-        elif self.across == DATE:
-            figure.autofmt_xdate()
+        labels = [translated(part.name) for part in self.plot.parts if part.name]
+        figure = new_figure(_WIDTH, 4.2 + _LEGEND_LINE * len(labels))
+        axes = figure.subplots()
+        draw_plot(axes, self.plot, units=shown, key=False)
+        if len(self.plot.x.ticks) > _MOST_LEVEL:
+            axes.tick_params("x", labelrotation=90)
         axes.set_title(self.note)
-        _draw_legend(figure, axes, "", self.labels)
+        _draw_legend(figure, axes, "", labels or [""])
         return figure
-
-    def _draw_means(self, axes: Axes, factor: float, colours: Sequence[str]) -> None:
-        for mean in self.found.means if self.spread else ():
-            half = factor * (mean.std if self.spread == "std" else mean.half_interval)
-            bar = None if np.isnan(half) else half
-            x = self._across(np.array([mean.x]))
-            colour = colours[mean.group]
-            axes.errorbar(x, [factor * mean.y], yerr=bar, fmt="o", color=colour, markeredgecolor=LIGHT.panel, zorder=4)
-
-    def _across(self, x: Array) -> Any:
-        if self.across == DATE:
-            return [datetime.fromtimestamp(float(when)) for when in x]
-        return x if self.found.places else shown_label(self.found.x_label)[1] * x
 
 
 def _draw_legend(figure: Figure, axes: Axes, common: str, labels: Sequence[str]) -> None:
@@ -161,6 +122,3 @@ def _draw_legend(figure: Figure, axes: Axes, common: str, labels: Sequence[str])
 def _legible(text: str) -> str:
     """Return a label that matplotlib draws; it would skip one that begins with an underscore."""
     return f"\u200a{text}" if text.startswith("_") else text
-
-
-__all__ = ["KernelFigure", "PictureFigure", "PopulationFigure"]

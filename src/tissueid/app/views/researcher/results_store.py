@@ -1,28 +1,120 @@
-"""Results of analyses in a file of JSON lines. Its content is validated when it is read.
-
-Specifications, scores and parameters are kept, curves are not: those are fitted again when they are asked for.
-"""
+"""Results of analyses and their history, in files of JSON lines. Their content is validated when it is read."""
 
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator, Mapping, Sequence
+import os
+import threading
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, fields
 from pathlib import Path
 from typing import Annotated, Any
 
-from pydantic import BaseModel, ConfigDict, Field, ValidationError
+from pydantic import AwareDatetime, BaseModel, ConfigDict, Field, ValidationError
 
-from tissueid.app.file_stamp import Stamp, stamp_of
-from tissueid.app.views.researcher.analysis_task import MOST_TESTS, Name, TestRef, Text, Value
+from tissueid.app.user_files import Stamp, StoredText, default_path, stamp_of
+from tissueid.app.views.researcher.analysis_task import MOST_TESTS, AnalysisTask, Name, TestRef, Text, Value
 from tissueid.app.views.researcher.engine_outcome import EngineOutcome
 from tissueid.app.views.researcher.plot_data import PlotData
 from tissueid.app.views.researcher.selected_test import SelectedTest
-from tissueid.atomic_write import atomic_file, open_regular, private_folder
+from tissueid.atomic_write import atomic_file, open_regular, private_folder, private_opener
 from tissueid.identification import FitReport
 from tissueid.language import marked
 from tissueid.messages import message_from, stored
 from tissueid.records import Estimate
+
+MOST_ENTRIES = 500
+_LONGEST_HISTORY_LINE = 2_000_000
+_LONGEST_HISTORY = 8_000_000
+"""What is read of a file, from its end; when it has grown past this it is cut to its latest lines."""
+
+
+class HistoryEntry(BaseModel):
+    """One run: time, task and headline."""
+
+    model_config = ConfigDict(frozen=True, extra="forbid")
+
+    time: AwareDatetime
+    task: AnalysisTask
+    headline: StoredText = ""
+
+
+class AnalysisHistory:
+    """The history file. ``add`` is thread-safe."""
+
+    def __init__(self, path: Path | None = None) -> None:
+        self.path = path or default_path()
+        self._lock = threading.Lock()
+
+    def read(self) -> tuple[list[HistoryEntry], int]:
+        """Return the latest entries, newest first, and the number of unreadable lines. A missing file is empty.
+
+        Raises:
+            OSError: it is there and cannot be read.
+        """
+        lines = self._tail()
+        entries: list[HistoryEntry] = []
+        bad = 0
+        for line in reversed(lines):
+            if len(entries) == MOST_ENTRIES:
+                break
+            try:
+                if len(line) > _LONGEST_HISTORY_LINE:
+                    raise ValueError("too long")
+                entries.append(HistoryEntry.model_validate_json(line))
+            except (ValidationError, ValueError, RecursionError):
+                bad += 1
+        return entries, bad
+
+    def add(self, entry: HistoryEntry) -> None:
+        """Append an entry.
+
+        Raises:
+            OSError: the file cannot be written.
+        """
+        with self._lock:
+            private_folder(self.path.parent)
+            line = entry.model_dump_json().encode() + b"\n"
+            if self.path.exists() and self.path.stat().st_size + len(line) > _LONGEST_HISTORY:
+                self._replace(self._tail()[-MOST_ENTRIES // 2 :])
+            with open(self.path, "ab", opener=private_opener) as file:
+                file.write(line if _ends_a_line(self.path) else b"\n" + line)
+
+    def clear(self) -> None:
+        """Remove all entries.
+
+        Raises:
+            OSError: the file cannot be written.
+        """
+        with self._lock:
+            if self.path.exists():
+                self._replace(())
+
+    def _replace(self, lines: Iterable[bytes]) -> None:
+        with atomic_file(self.path) as partial:
+            partial.write_bytes(b"".join(line + b"\n" for line in lines))
+
+    def _tail(self) -> list[bytes]:
+        try:
+            with self.path.open("rb") as file:
+                size = file.seek(0, os.SEEK_END)
+                start = max(0, size - _LONGEST_HISTORY)
+                file.seek(start)
+                data = file.read(_LONGEST_HISTORY)
+        except FileNotFoundError:
+            return []
+        lines = data.split(b"\n")
+        return [line for line in (lines[1:] if start else lines) if line.strip()]
+
+
+def _ends_a_line(path: Path) -> bool:
+    """Return whether the file is empty or ends with a newline."""
+    with path.open("rb") as file:
+        if file.seek(0, os.SEEK_END) == 0:
+            return True
+        file.seek(-1, os.SEEK_END)
+        return file.read(1) == b"\n"
+
 
 NAME = "results.jsonl"
 MOST_RESULTS = 5000
@@ -222,6 +314,3 @@ def _restored(messages: Mapping[str, Sequence[Any]], name: str, texts: Sequence[
 
 def _finite(value: float | None) -> float | None:
     return None if value is None or not math.isfinite(value) else float(value)
-
-
-__all__ = ["MOST_RESULTS", "NAME", "StoredResults", "read_results", "write_results"]

@@ -168,6 +168,3 @@ def _take_ending(dialog: QFileDialog, words: Mapping[str, str], kind: str) -> No
         path = Path(name)
         if path.suffix.lower() in FIGURES and ending:
             dialog.selectFile(path.with_suffix(ending).name)
-
-
-__all__ = ["FIGURES", "SavableFigure", "SaveDialog", "free_name", "write_figure", "write_table"]

@@ -1,11 +1,16 @@
-"""A selected test of a session file."""
+"""A selected test of a session file, and labels of tests: the parts that differ, and the common part once."""
 
 from __future__ import annotations
 
 import math
+from collections import Counter
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 from datetime import UTC, datetime
 from pathlib import Path
+
+from tissueid.formatting import clean, subject_text
+from tissueid.language import _, marked
 
 
 @dataclass(frozen=True)
@@ -34,4 +39,75 @@ def timestamp_of(created: str) -> float | None:
     return seconds if math.isfinite(seconds) else None
 
 
-__all__ = ["SelectedTest", "timestamp_of"]
+_LONGEST = 60
+_LONGEST_SIGNAL = 40
+SIGNALS = (
+    marked("Acceleration x"),
+    marked("Acceleration y"),
+    marked("Acceleration z"),
+    marked("Input"),
+    marked("Output"),
+)
+"""Titles of signals; the others are marked where the window measures them."""
+
+
+def local_time(when: float | None) -> str:
+    """Return local date and time of day to the second; "" if the time is unknown."""
+    if when is None:
+        return ""
+    try:
+        return datetime.fromtimestamp(when).strftime("%Y-%m-%d %H:%M:%S")
+    except (ValueError, OverflowError, OSError):
+        return ""
+
+
+def signal_title(name: str) -> str:
+    """Return the name of a signal in the language of the window, with a capital, e.g. "Acceleration x"."""
+    plain = clean(name).replace("_", " ")[:_LONGEST_SIGNAL]
+    return _(plain[:1].upper() + plain[1:])
+
+
+def short_label(test: SelectedTest) -> str:
+    """Return date, time and number of a test; its label if the date is unknown."""
+    date = local_time(test.when)
+    return f"{date} #{test.number}" if date else clean(test.label)
+
+
+def distinguishing_labels(groups: Sequence[Sequence[SelectedTest]]) -> tuple[str, list[str]]:
+    """Return the common part of the labels of groups of tests, and the distinguishing part of each.
+
+    The parts of a name are subject, site, date and time, and number of the test; file and folder are added where these
+    are not enough. Groups of the same tests have the same label. With one distinct group nothing is in common, and the
+    label is the whole name.
+    """
+    names = [_parts(group) for group in groups]
+    distinct = list(dict.fromkeys(names))
+    if len(distinct) < 2:
+        return "", [_joined(name[:-2]) or name[-2] for name in names]
+    usual = range(len(distinct[0]) - 2)
+    differing = [place for place in usual if len({name[place] for name in distinct}) > 1]
+    for more in range(len(usual), len(distinct[0])):
+        if max(Counter(_of(name, differing) for name in distinct).values()) < 2:
+            break
+        differing.append(more)
+    common = _joined(distinct[0][place] for place in usual if place not in differing)
+    return common, [_joined(_of(name, differing)) for name in names]
+
+
+def _of(name: tuple[str, ...], places: Sequence[int]) -> tuple[str, ...]:
+    return tuple(name[place] for place in places)
+
+
+def _parts(group: Sequence[SelectedTest]) -> tuple[str, ...]:
+    """Return subject, site, date, number, file and folder of a group of tests."""
+    first = group[0]
+    numbers = " ".join(f"#{test.number}" for test in group[:4]) + (" …" if len(group) > 4 else "")
+    files = dict.fromkeys(test.path for test in group)
+    more = _(" and {count} more").format(count=len(files) - 1) if len(files) > 1 else ""
+    date = local_time(first.when)
+    parts = subject_text(first.pseudonym), clean(first.site), date, numbers, clean(first.path.stem) + more
+    return *(part[:_LONGEST] for part in parts), clean(str(first.path.parent))
+
+
+def _joined(parts: Iterable[str]) -> str:
+    return ", ".join(part for part in parts if part)

@@ -12,7 +12,7 @@ from PySide6.QtGui import QColor
 
 from tissueid.app.theme import Theme
 from tissueid.app.views.researcher.session_search import VERDICTS, SessionEntry, TestEntry
-from tissueid.app.views.researcher.tool_tips import plain_tip
+from tissueid.app.widgets import plain_tip
 from tissueid.formatting import clean, subject_text
 from tissueid.language import _, marked
 from tissueid.messages import MISSING
@@ -251,21 +251,3 @@ def _date(when: float) -> str:
 def _joined(texts: Iterable[str]) -> str:
     named = list(dict.fromkeys(clean(text) for text in texts))
     return ", ".join(named[:_MOST_NAMED]) + (", …" if len(named) > _MOST_NAMED else "")
-
-
-__all__ = [
-    "COLUMNS",
-    "CONFIGURATION",
-    "DATE",
-    "DURATION",
-    "FILE",
-    "ITEM",
-    "KIND",
-    "QUALITY",
-    "SITE",
-    "SORT",
-    "SUBJECT",
-    "TESTS",
-    "WORDS",
-    "SessionModel",
-]

@@ -142,6 +142,3 @@ class SessionSearch(BackgroundWork):
                         )
                         return
                     yield Path(root, name)
-
-
-__all__ = ["ENDINGS", "MOST_FILES", "VERDICTS", "SessionEntry", "SessionSearch", "TestEntry", "entry_of"]

@@ -2,17 +2,130 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
+import numpy as np
+from numpy.typing import NDArray
+from scipy import signal as scipy_signal
+
+from tissueid.app.live_signals import decimated
 from tissueid.app.views.researcher.background_work import BackgroundWork
-from tissueid.app.views.researcher.labels_of_tests import signal_title
-from tissueid.app.views.researcher.recorded_signal import RecordedSignal
-from tissueid.app.views.researcher.selected_test import SelectedTest
+from tissueid.app.views.researcher.selected_test import SelectedTest, signal_title
 from tissueid.app.words import in_words
 from tissueid.errors import CancelledError, TissueIDError
 from tissueid.language import _, plural
 from tissueid.sessions import read_test
+
+Array = NDArray[np.float64]
+
+_BLOCK = 256
+_SEGMENT = 4096
+_PIECE, _PIECES = 2 * _SEGMENT, 16
+_LEAST = 16
+_NOTHING = np.zeros(0)
+
+
+@dataclass(frozen=True)
+class IntervalStatistics:
+    """Statistics of the received samples of an interval, in the unit of the signal; NaN if there are none."""
+
+    mean: float
+    std: float
+    samples: int
+    lost: int
+
+
+class RecordedSignal:
+    """A signal: ``values`` of shape (n,) in SI units, NaN for lost samples; ``sample_rate_hz`` is its sample rate.
+
+    Sums and extremes of blocks are worked out once, so that twenty million samples take no longer to look at than some
+    thousands.
+    """
+
+    def __init__(self, values: Array, sample_rate_hz: float) -> None:
+        self.values = np.where(np.isfinite(values), values, np.nan)
+        self.sample_rate_hz = sample_rate_hz
+        known = np.isfinite(self.values)
+        self._middle = float(self.values[known].mean()) if known.any() else 0.0
+        padding = np.full(-self.values.size % _BLOCK, np.nan)
+        whole = np.concatenate([self.values, padding]).reshape(-1, _BLOCK)  # (blocks, _BLOCK)
+        self._low, self._high = np.fmin.reduce(whole, axis=1), np.fmax.reduce(whole, axis=1)
+        centred = whole - self._middle
+        self._count = np.isfinite(whole).sum(axis=1)
+        self._sum, self._square = np.nansum(centred, axis=1), np.nansum(centred**2, axis=1)
+
+    @property
+    def seconds(self) -> float:
+        """Duration, s."""
+        return self.values.size / self.sample_rate_hz
+
+    def places(self, low_s: float, high_s: float) -> tuple[int, int]:
+        """Return the first sample at or after ``low_s``, and the first at or after ``high_s``."""
+        first, last = (math.ceil(round(time * self.sample_rate_hz, 6)) for time in (low_s, high_s))
+        return max(0, min(first, self.values.size)), max(0, min(last, self.values.size))
+
+    def stretch(self, low_s: float, high_s: float) -> IntervalStatistics:
+        """Return mean and standard deviation of the received samples from ``low_s`` to ``high_s``."""
+        first, last = self.places(low_s, high_s)
+        if last <= first:
+            return IntervalStatistics(math.nan, math.nan, 0, 0)
+        head, tail = min(last, -(-first // _BLOCK) * _BLOCK), max(first, last // _BLOCK * _BLOCK)
+        loose = self.values[first:last]
+        blocks = slice(0, 0)
+        if head < tail:
+            loose = np.concatenate([self.values[first:head], self.values[tail:last]])
+            blocks = slice(head // _BLOCK, tail // _BLOCK)
+        centred = loose[np.isfinite(loose)] - self._middle
+        count = centred.size + int(self._count[blocks].sum())
+        if not count:
+            return IntervalStatistics(math.nan, math.nan, 0, last - first)
+        mean = float(centred.sum() + self._sum[blocks].sum()) / count
+        square = float((centred**2).sum() + self._square[blocks].sum()) / count
+        return IntervalStatistics(
+            self._middle + mean, math.sqrt(max(0.0, square - mean**2)), count, last - first - count
+        )
+
+    def outline(self, low_s: float, high_s: float, columns: int) -> tuple[Array, Array]:
+        """Return times and values to draw: minimum and maximum in each of ``columns`` columns."""
+        first, last = self.places(low_s, high_s)
+        first, last = max(0, first - 1), min(self.values.size, last + 1)
+        if last - first > 4 * _BLOCK * columns:
+            rows = slice(first // _BLOCK, -(-last // _BLOCK))
+            times = np.arange(rows.start, rows.stop) * (_BLOCK / self.sample_rate_hz)
+            ends = np.stack([self._low[rows], self._high[rows]], axis=1).reshape(-1)
+            return decimated(np.repeat(times, 2), ends, low_s, high_s, columns)
+        times = np.arange(first, last) / self.sample_rate_hz
+        return decimated(times, self.values[first:last], low_s, high_s, columns)
+
+    def spectrum(self, low_s: float, high_s: float) -> tuple[Array, Array]:
+        """Return frequencies (Hz) and power spectral density (unit²/Hz) of an interval: Welch, Hann windows.
+
+        Lost samples are bridged by straight lines. Of a long stretch some pieces are taken, evenly spread. Empty where
+        there are too few samples.
+        """
+        first, last = self.places(low_s, high_s)
+        size = last - first
+        if size < _LEAST or 2 * self.stretch(low_s, high_s).samples < size:
+            return _NOTHING, _NOTHING
+        segment = min(size, max(256, min(_SEGMENT, 1 << (size // 4).bit_length() - 1)))
+        if size > _PIECES * _PIECE:
+            starts = np.linspace(first, last - _PIECE, _PIECES).astype(int)
+            pieces = [self._bridged(start, start + _PIECE) for start in starts]
+        else:
+            pieces = [self._bridged(first, last)]
+        found = [scipy_signal.welch(piece, self.sample_rate_hz, nperseg=segment) for piece in pieces]
+        return found[0][0][1:], np.mean([density for _, density in found], axis=0)[1:]
+
+    def _bridged(self, first: int, last: int) -> Array:
+        values = self.values[first:last]
+        known = np.isfinite(values)
+        if known.all() or not known.any():
+            return np.nan_to_num(values)
+        places = np.arange(values.size)
+        return np.interp(places, places[known], values[known])
+
 
 MOST_TESTS = 8
 """Maximum number of overlaid tests."""
@@ -96,6 +209,3 @@ class SignalLoading(BackgroundWork):
             if name != "time"
         }
         return LoadedTest(one, test.preload_s, tracks)
-
-
-__all__ = ["MOST_TESTS", "Channel", "LoadedTest", "SignalLoading"]

@@ -17,7 +17,6 @@ from PySide6.QtWidgets import (
 )
 
 from tissueid.app.context import AppContext
-from tissueid.app.elided_label import ElidedLabel
 from tissueid.app.small_window import FoldingBox
 from tissueid.app.theme import Theme
 from tissueid.app.views.researcher.background_work import ProgressStrip
@@ -28,7 +27,8 @@ from tissueid.app.views.researcher.signal_figure import SignalFigure
 from tissueid.app.views.researcher.signal_loading import MOST_TESTS, Channel, LoadedTest, SignalLoading
 from tissueid.app.views.researcher.spectrum_card import SpectrumCard
 from tissueid.app.views.researcher.statistics_table import StatisticsTable
-from tissueid.app.views.researcher.text_settings import load_texts, save_texts
+from tissueid.app.widgets import ElidedLabel
+from tissueid.app.window_state import load_texts, save_texts
 from tissueid.formatting import fixed, grouped
 from tissueid.language import _, marked
 
@@ -318,6 +318,3 @@ class SignalsPanel(QWidget):
         rows.addLayout(top)
         rows.addWidget(self.parts, 1)
         rows.addWidget(self.empty, 1)
-
-
-__all__ = ["NOTHING", "SignalsPanel"]

@@ -2,26 +2,19 @@
 
 from __future__ import annotations
 
-import math
 from collections.abc import Sequence
+from typing import TYPE_CHECKING
 
-import numpy as np
-import pyqtgraph as pg
 from PySide6.QtWidgets import QComboBox, QVBoxLayout, QWidget
 
-from tissueid.app.plotting import PlotCard
-from tissueid.app.theme import Theme
+from tissueid.app.plot_canvas import PlotCanvas
+from tissueid.app.theme import LIGHT, Theme
 from tissueid.app.views.researcher.colours import series
 from tissueid.app.views.researcher.signal_loading import Channel, LoadedTest
-from tissueid.formatting import superscript
-from tissueid.language import _, marked
-from tissueid.units import display_unit, shown
+from tissueid.language import _
 
-_NOTHING = np.zeros(0)
-_TICKS = 4
-_DECADES = 9.0
-"""Decades below the maximum that are shown; lower values are rounding errors."""
-TOO_SHORT = marked("Too few samples for a spectrum.")
+if TYPE_CHECKING:
+    from tissueid.analysis.curves import Plot
 
 
 class SpectrumCard(QWidget):
@@ -33,9 +26,8 @@ class SpectrumCard(QWidget):
         self.choice.setAccessibleName(_("Signal of the spectrum"))
         self.choice.setSizeAdjustPolicy(QComboBox.SizeAdjustPolicy.AdjustToMinimumContentsLengthWithIcon)
         self.choice.setMinimumContentsLength(10)
-        self.card = PlotCard(_("Power spectrum"), _("Frequency (Hz)"), "", log_axes=("bottom", "left"))
-        self._curves: list[pg.PlotDataItem] = []
-        self._theme: Theme | None = None
+        self.card = PlotCanvas(_("Power spectrum"))
+        self._theme: Theme = LIGHT
         self._shown: tuple[Sequence[LoadedTest], tuple[float, float]] = ((), (0.0, 1.0))
         self._wanted = "position"
         rows = QVBoxLayout(self)
@@ -63,53 +55,38 @@ class SpectrumCard(QWidget):
         """Show the spectrum between two times, s."""
         self._shown = loaded, (low_s, high_s)
         channel = self.channel
-        while len(self._curves) < len(loaded):
-            self._curves.append(self.card.plot.plot(_NOTHING, _NOTHING, connect="finite"))
-            self._colour()
-        unit, scale = display_unit(channel.unit) if channel else ("", 1.0)
-        self.card.retitle(_("Power spectrum"), f"{unit}²/Hz" if unit else "1/Hz")
-        low, last, bottom, top = np.inf, -np.inf, np.inf, -np.inf
-        for place, curve in enumerate(self._curves):
-            track = loaded[place].tracks.get(channel) if channel and place < len(loaded) else None
-            frequency, density = track.spectrum(low_s, high_s) if track else (_NOTHING, _NOTHING)
-            if not density.size or not density.max() > 0.0:
-                curve.setData(_NOTHING, _NOTHING)
-                continue
-            floor = density.max() * 10.0**-_DECADES
-            x, y = np.log10(frequency), np.log10(np.maximum(density, floor)) + 2.0 * np.log10(scale)
-            curve.setData(x, y)
-            low, last = min(low, float(x[0])), max(last, float(x[-1]))
-            bottom, top = min(bottom, float(y.min())), max(top, float(y.max()))
-        self.card.say_missing("" if low < last else _(TOO_SHORT) if loaded else "")
-        if low < last:
-            self.card.plot.setXRange(low, last, padding=0.02)
-            self.card.plot.setYRange(bottom, top, padding=0.05)
-            shift = round(math.log10(shown(f"{unit}²/Hz")[1]))
-            step = max(1, math.ceil((top - bottom) / _TICKS))
-            powers = range(math.floor(top), math.floor(bottom) - 1, -step)
-            self.card.plot.getAxis("left").setTicks([[(power, f"10{superscript(power + shift)}") for power in powers]])
+        if channel is None or not loaded:
+            self.card.say_missing("")
+            return
+        self.card.show_plots([spectrum_of(channel, loaded, (low_s, high_s), series(self._theme))])
 
     def take_units(self) -> None:
         """Show the values in the active unit system."""
-        loaded, (low, high) = self._shown
-        self.show_stretch(loaded, low, high)
+        self.card.take_units()
 
     def apply_theme(self, theme: Theme) -> None:
         """Apply the colours of a theme."""
         self._theme = theme
         self.card.apply_theme(theme)
-        self._colour()
+        self._show_again()
 
     def _choose(self) -> None:
         channel = self.channel
         if channel is not None:
             self._wanted = channel.name
-        self.take_units()
+        self._show_again()
 
-    def _colour(self) -> None:
-        if self._theme is not None:
-            for curve, colour in zip(self._curves, series(self._theme), strict=False):
-                curve.setPen(pg.mkPen(colour, width=1))
+    def _show_again(self) -> None:
+        loaded, (low_s, high_s) = self._shown
+        self.show_stretch(loaded, low_s, high_s)
 
 
-__all__ = ["TOO_SHORT", "SpectrumCard"]
+def spectrum_of(
+    channel: Channel, loaded: Sequence[LoadedTest], ends_s: tuple[float, float], colours: Sequence[str]
+) -> Plot:
+    """Return the power spectra of one signal of tests between two times."""
+    from tissueid.analysis.curves.signals import spectrum_plot
+
+    tracks = [test.tracks.get(channel) for test in loaded]
+    spectra = [track.spectrum(*ends_s) if track else None for track in tracks]
+    return spectrum_plot(_("Power spectrum"), channel.unit, spectra, colours)

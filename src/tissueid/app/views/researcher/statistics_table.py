@@ -10,9 +10,9 @@ from PySide6.QtWidgets import QHeaderView, QTableWidget, QTableWidgetItem, QWidg
 
 from tissueid.app.theme import Theme
 from tissueid.app.views.researcher.colours import series
-from tissueid.app.views.researcher.labels_of_tests import distinguishing_labels
+from tissueid.app.views.researcher.selected_test import distinguishing_labels
 from tissueid.app.views.researcher.signal_loading import Channel, LoadedTest
-from tissueid.app.views.researcher.tool_tips import plain_tip
+from tissueid.app.widgets import plain_tip
 from tissueid.formatting import plus_minus
 from tissueid.language import _
 from tissueid.messages import MISSING
@@ -109,6 +109,3 @@ def _figure(test: LoadedTest, channel: Channel, low_s: float, high_s: float) -> 
     lost = _(", {lost} lost").format(lost=stretch.lost) if stretch.lost else ""
     item.setToolTip(_("{samples} samples{lost}").format(samples=stretch.samples, lost=lost))
     return item
-
-
-__all__ = ["StatisticsTable"]

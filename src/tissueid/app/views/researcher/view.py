@@ -7,14 +7,13 @@ from pathlib import Path
 from PySide6.QtCore import QByteArray, QTimer
 from PySide6.QtWidgets import QAbstractButton, QSplitter, QTabWidget, QVBoxLayout, QWidget
 
-from tissueid.app.context import AppContext
+from tissueid.app.context import AppContext, View
 from tissueid.app.theme import Theme
 from tissueid.app.views.researcher.analysis import AnalysisPanel
 from tissueid.app.views.researcher.background_work import ProgressStrip
 from tissueid.app.views.researcher.browser import Browser
 from tissueid.app.views.researcher.export_button import ExportButton
 from tissueid.app.views.researcher.signals import SignalsPanel
-from tissueid.app.views.view import View
 from tissueid.language import _
 
 _SPLIT, _TAB = "research/split", "research/tab"
@@ -146,6 +145,3 @@ class ResearchView(View):
             self.split.restoreState(split)
         if str(self.context.settings.value(_TAB, "0")) == "1":
             self.tabs.setCurrentWidget(self.analysis)
-
-
-__all__ = ["ResearchView"]

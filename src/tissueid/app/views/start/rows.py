@@ -1,4 +1,4 @@
-"""A table of whole rows, for the keyboard as for the mouse."""
+"""Tables of whole rows and the other small widgets of the first page."""
 
 from __future__ import annotations
 
@@ -6,9 +6,20 @@ from collections.abc import Sequence
 
 from PySide6.QtCore import Qt, Signal
 from PySide6.QtGui import QColor, QKeyEvent, QResizeEvent
-from PySide6.QtWidgets import QAbstractItemView, QHeaderView, QTableWidget, QTableWidgetItem, QWidget
+from PySide6.QtWidgets import (
+    QAbstractItemView,
+    QHBoxLayout,
+    QHeaderView,
+    QLabel,
+    QPushButton,
+    QTableWidget,
+    QTableWidgetItem,
+    QVBoxLayout,
+    QWidget,
+)
 
 from tissueid.app.theme import LIGHT, Theme
+from tissueid.app.views.start.recent import Recent
 
 Cell = tuple[str, str]
 """What a cell says, and the level of its colour: good, check, poor, or none."""
@@ -136,3 +147,46 @@ class Rows(QTableWidget):
             for column in range(self.columnCount()):
                 if (item := self.item(row, column)) is not None:
                     item.setForeground(QColor(colours.get(item.data(_LEVEL), self._theme.text)))
+
+
+def cells(item: Recent) -> tuple[tuple[str, str], ...]:
+    """Return the cells of a row for a session."""
+    return (item.date, ""), (item.site, ""), (item.subject, ""), (item.verdict, item.level)
+
+
+def brief(health: str) -> str:
+    """Return a problem without its advice, which is in the tooltip of the row."""
+    return health.partition(";")[0]
+
+
+def heading(text: str) -> QLabel:
+    """A heading."""
+    label = QLabel(text)
+    label.setProperty("role", "heading")
+    return label
+
+
+def words() -> QLabel:
+    """A label for words of files and people: plain, wrapped, and to be copied from."""
+    label = QLabel()
+    label.setWordWrap(True)
+    label.setMinimumWidth(1)
+    label.setTextFormat(Qt.TextFormat.PlainText)
+    label.setTextInteractionFlags(Qt.TextInteractionFlag.TextSelectableByMouse)
+    return label
+
+
+def under_heading(title: str, about: QLabel, table: Rows, *buttons: QPushButton) -> QVBoxLayout:
+    """A table under a heading with buttons next to the heading."""
+    about.setProperty("role", "muted")
+    top = QHBoxLayout()
+    top.setSpacing(8)
+    top.addWidget(heading(title))
+    top.addWidget(about, 1)
+    for button in buttons:
+        top.addWidget(button)
+    column = QVBoxLayout()
+    column.setSpacing(4)
+    column.addLayout(top)
+    column.addWidget(table, 1)
+    return column

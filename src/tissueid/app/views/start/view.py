@@ -24,17 +24,14 @@ from PySide6.QtWidgets import (
 
 from tissueid.app.calibration_state import CalibrationState
 from tissueid.app.chooser import TYPED
-from tissueid.app.context import AppContext
-from tissueid.app.elided_label import ElidedLabel
+from tissueid.app.context import AppContext, View
+from tissueid.app.preferences import LanguageChooser, UnitChooser
+from tissueid.app.roles import RoleCard
 from tissueid.app.theme import Theme
-from tissueid.app.views.start.language_chooser import LanguageChooser
-from tissueid.app.views.start.parts import brief, cells, heading, under_heading, words
 from tissueid.app.views.start.recent import FolderLook, KnownDates, look_into
-from tissueid.app.views.start.role_card import RoleCard
-from tissueid.app.views.start.rows import Rows
+from tissueid.app.views.start.rows import Rows, brief, cells, heading, under_heading, words
 from tissueid.app.views.start.storage_locations import storage_locations
-from tissueid.app.views.start.unit_chooser import UnitChooser
-from tissueid.app.views.view import View
+from tissueid.app.widgets import ElidedLabel
 from tissueid.app.words import RESEARCH_USE
 from tissueid.audit import Role
 from tissueid.formatting import clean

@@ -15,8 +15,7 @@ from tissueid.app.jobs import PageJob
 from tissueid.app.theme import Theme
 from tissueid.app.views.technician.events import moment
 from tissueid.app.views.technician.log_reading import LogPage, haystack, read_log, shown, write_csv
-from tissueid.app.views.technician.pieces import PiecesModel, table_of
-from tissueid.app.views.technician.tab import Tab, mark_level, plain_label
+from tissueid.app.views.technician.tab import PiecesModel, Tab, mark_level, plain_label, table_of
 from tissueid.app.words import sentence
 from tissueid.audit import ROLES, Line, Verification, verify
 from tissueid.errors import UnusableInputError

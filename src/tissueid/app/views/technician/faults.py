@@ -14,8 +14,7 @@ from tissueid.app.theme import Theme
 from tissueid.app.views.technician.checkup import newest_first
 from tissueid.app.views.technician.events import COMPLETED, KINDS, LEVELS, Event, Events, read_events
 from tissueid.app.views.technician.log_reading import read_log
-from tissueid.app.views.technician.pieces import PiecesModel, table_of
-from tissueid.app.views.technician.tab import Tab, mark_level, plain_label
+from tissueid.app.views.technician.tab import PiecesModel, Tab, mark_level, plain_label, table_of
 from tissueid.formatting import clean, grouped
 from tissueid.language import _, marked
 

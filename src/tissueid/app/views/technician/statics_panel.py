@@ -8,11 +8,10 @@ from datetime import UTC, datetime
 from PySide6.QtWidgets import QComboBox, QHBoxLayout, QVBoxLayout, QWidget
 
 from tissueid.analysis.curves.calibration import residual_plot, trend_plot
-from tissueid.app.calibration_figures import figure_of
+from tissueid.app.calibration_state import figure_of
 from tissueid.app.plot_canvas import PlotCanvas
 from tissueid.app.theme import Theme
-from tissueid.app.views.technician.pieces import PiecesModel, table_of
-from tissueid.app.views.technician.tab import mark_level, plain_label, tip
+from tissueid.app.views.technician.tab import PiecesModel, mark_level, plain_label, table_of, tip
 from tissueid.app.words import sentence
 from tissueid.calibration.comparison import Residuals, residuals, trend
 from tissueid.calibration.file import Calibration

@@ -10,11 +10,10 @@ from PySide6.QtCore import Qt
 from PySide6.QtWidgets import QComboBox, QFrame, QGridLayout, QHBoxLayout, QLabel, QTabWidget, QVBoxLayout, QWidget
 
 from tissueid.analysis.curves.calibration import ALONG_STROKE, stroke_plot
-from tissueid.app.calibration_figures import figure_of
+from tissueid.app.calibration_state import figure_of
 from tissueid.app.plot_canvas import PlotCanvas
 from tissueid.app.theme import Theme
-from tissueid.app.views.technician.pieces import PiecesModel, table_of
-from tissueid.app.views.technician.tab import mark_level, plain_label
+from tissueid.app.views.technician.tab import PiecesModel, mark_level, plain_label, table_of
 from tissueid.calibration.comparison import (
     SIGNIFICANT_STD,
     Comparison,
@@ -95,7 +94,7 @@ class SweepsPanel(QWidget):
         card.setProperty("role", "card")
         inside = QVBoxLayout(card)
         inside.setContentsMargins(12, 8, 12, 8)
-        inside.addWidget(plain_label(_("Key"), "heading"))
+        inside.addWidget(plain_label(_("Legend"), "heading"))
         inside.addWidget(self.key)
         inside.addStretch(1)
         page = QWidget()

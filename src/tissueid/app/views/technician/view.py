@@ -8,7 +8,7 @@ from PySide6.QtCore import Qt, QTimer
 from PySide6.QtGui import QKeySequence, QShortcut, QShowEvent
 from PySide6.QtWidgets import QAbstractButton, QHBoxLayout, QLabel, QPushButton, QTabWidget, QVBoxLayout, QWidget
 
-from tissueid.app.context import AppContext
+from tissueid.app.context import AppContext, View
 from tissueid.app.jobs import PageJob
 from tissueid.app.theme import Theme
 from tissueid.app.views.technician.audit_table import AuditTab
@@ -16,7 +16,6 @@ from tissueid.app.views.technician.calibrations import CalibrationsTab
 from tissueid.app.views.technician.faults import FaultsTab
 from tissueid.app.views.technician.health import HealthTab
 from tissueid.app.views.technician.tab import Tab
-from tissueid.app.views.view import View
 from tissueid.language import _, marked
 
 _TAB = "instrument/tab"

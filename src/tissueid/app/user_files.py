@@ -1,0 +1,88 @@
+"""Files of the window's user: paths of new sessions, file stamps, the folder of analyses, and stored texts."""
+
+from __future__ import annotations
+
+import os
+from datetime import datetime
+from pathlib import Path
+from typing import Annotated, Any
+
+from platformdirs import user_data_path, user_documents_path
+from pydantic import PlainSerializer, PlainValidator
+
+from tissueid.atomic_write import unused_path
+from tissueid.errors import UnusableInputError
+from tissueid.messages import Message, message_from
+from tissueid.procedures.session_path import check_session_path
+
+SUFFIX = ".h5"
+
+
+def check_save_path(path: Path) -> None:
+    """Check that a new session can be saved to a path that ends in .h5. Nothing is written.
+
+    Raises:
+        UnusableInputError: it cannot; the message says why.
+    """
+    if path.name and not path.is_dir() and path.suffix.lower() != SUFFIX:
+        raise UnusableInputError(
+            Message("save_path.suffix", "the name of a session ends in .h5, {name} does not", name=path.name)
+        )
+    check_session_path(path)
+
+
+def default_folder() -> Path:
+    """Return the default folder of sessions."""
+    return user_documents_path() / "TissueID"
+
+
+def dated_path(folder: Path, moment: datetime) -> Path:
+    """Return an unused path of a session, named by date and time, that has no journal either."""
+    return unused_path(
+        folder / f"{moment:%Y-%m-%d_%H-%M-%S}{SUFFIX}",
+        separator="_",
+        taken=lambda path: path.exists() or path.with_name(f"{path.name}.journal").exists(),
+    )
+
+
+Stamp = tuple[int, int]
+"""When a file was last changed, ns, and its size."""
+
+
+def stamp_of(path: Path) -> Stamp | None:
+    """Return the stamp of a file, None where it is not there."""
+    try:
+        status = path.stat()
+    except (OSError, ValueError):
+        return None
+    return status.st_mtime_ns, status.st_size
+
+
+ENVIRONMENT = "TISSUEID_ANALYSES"
+"""Environment variable with the file of analyses; results and diagnoses are in the same folder."""
+
+
+def default_path() -> Path:
+    """Return the file of analyses: ``TISSUEID_ANALYSES``, or a file in the user's data folder."""
+    named = os.environ.get(ENVIRONMENT)
+    return Path(named) if named else user_data_path("tissueid", appauthor=False) / "analyses.jsonl"
+
+
+LONGEST_TEXT = 5000
+"""Maximum length of a stored text, in characters."""
+
+
+def _read(stored: object) -> str:
+    if isinstance(stored, dict):
+        stored = message_from(stored, stored.get("text", ""))
+    if not isinstance(stored, str) or len(stored) > LONGEST_TEXT:
+        raise ValueError(f"a text is a string or a message of at most {LONGEST_TEXT} characters")
+    return stored
+
+
+def _plain(text: str) -> Any:
+    return {"text": str(text), **text.as_dict()} if isinstance(text, Message) else text
+
+
+StoredText = Annotated[str, PlainValidator(_read), PlainSerializer(_plain)]
+"""Field type of pydantic models: a ``str``, or a ``Message`` stored with its code, template and values."""

@@ -1,0 +1,119 @@
+"""Small widgets of the window: buttons, elided and plain labels, labelled rows, and tool tips."""
+
+from __future__ import annotations
+
+import html
+from collections.abc import Iterable
+
+from PySide6.QtCore import QEvent, QSize, Qt
+from PySide6.QtGui import QHelpEvent, QKeyEvent, QPainter, QPaintEvent
+from PySide6.QtWidgets import QHBoxLayout, QLabel, QPushButton, QToolTip, QWidget
+
+from tissueid.formatting import clean
+
+
+class BigButton(QPushButton):
+    """A button that Return presses as well as Space, once for each time that the key goes down."""
+
+    def keyPressEvent(self, event: QKeyEvent) -> None:  # noqa: N802
+        """Press; a key that is held down is not pressed again."""
+        if event.isAutoRepeat():
+            return
+        if event.key() in (Qt.Key.Key_Return, Qt.Key.Key_Enter):
+            self.click()
+            return
+        super().keyPressEvent(event)
+
+
+class ElidedLabel(QLabel):
+    """An elided label. ``text`` and accessible text stay complete; the tooltip of an elided text shows all of it."""
+
+    def __init__(self, parent: QWidget | None = None) -> None:
+        super().__init__(parent)
+        self.setTextFormat(Qt.TextFormat.PlainText)
+        self.setMinimumWidth(1)
+
+    @property
+    def shown(self) -> str:
+        """The elided text as shown."""
+        return self.fontMetrics().elidedText(self.text(), Qt.TextElideMode.ElideMiddle, self.contentsRect().width())
+
+    def minimumSizeHint(self) -> QSize:  # noqa: N802
+        """Return a size hint that allows any width."""
+        return QSize(1, super().minimumSizeHint().height())
+
+    def paintEvent(self, _event: QPaintEvent) -> None:  # noqa: N802
+        """Draw the elided text in the colour of the style."""
+        painter = QPainter(self)
+        self.style().drawItemText(
+            painter,
+            self.contentsRect(),
+            int(self.alignment()),
+            self.palette(),
+            self.isEnabled(),
+            self.shown,
+            self.foregroundRole(),
+        )
+
+    def event(self, event: QEvent) -> bool:
+        """Show the complete text as the tooltip where it is elided and has no other tooltip."""
+        if isinstance(event, QHelpEvent) and event.type() == QEvent.Type.ToolTip and self.shown != self.text():
+            QToolTip.showText(event.globalPos(), self.text(), self)
+            return True
+        return super().event(event)
+
+
+def labelled_row(
+    holder: QWidget, name: str, control: QWidget, *, role: str = "field", spacing: int = 14
+) -> QHBoxLayout:
+    """Fill ``holder`` with a label in the style ``role`` and a control, ``spacing`` pixels from each other."""
+    label = QLabel(name)
+    label.setProperty("role", role)
+    row = QHBoxLayout(holder)
+    row.setContentsMargins(0, 0, 0, 0)
+    row.setSpacing(spacing)
+    row.addWidget(label)
+    row.addWidget(control)
+    return row
+
+
+_OWN = "own_tip"
+
+
+def show_disabled_reason(controls: Iterable[QWidget], why: str) -> None:
+    """Set the tooltip of disabled controls to ``why``, and restore the tooltip of the others.
+
+    ``why`` is empty if no job runs. A tooltip that was changed meanwhile is kept as the control's own.
+    """
+    for control in controls:
+        shown = control.accessibleDescription()
+        if not shown or control.toolTip() != shown:
+            control.setProperty(_OWN, control.toolTip())
+        waits = bool(why) and not control.isEnabled()
+        control.setToolTip(why if waits else str(control.property(_OWN)))
+        control.setAccessibleDescription(why if waits else "")
+
+
+def plain_tip(text: str) -> str:
+    """Return a tool tip that shows the lines as plain text, because Qt renders texts that look like HTML."""
+    lines = "<br>".join(html.escape(clean(line)) for line in text.split("\n"))
+    return f"<qt>{lines}</qt>" if text else ""
+
+
+def plain_label(role: str = "") -> QLabel:
+    """Return an empty label that wraps plain text and allows copying."""
+    label = QLabel()
+    if role:
+        label.setProperty("role", role)
+    label.setWordWrap(True)
+    label.setMinimumWidth(1)
+    label.setTextFormat(Qt.TextFormat.PlainText)
+    label.setTextInteractionFlags(Qt.TextInteractionFlag.TextSelectableByMouse)
+    return label
+
+
+def show_level(widget: object, level: str) -> None:
+    """Set the colour level of a widget: good, check or poor."""
+    widget.setProperty("level", level)  # type: ignore[attr-defined]
+    widget.style().unpolish(widget)  # type: ignore[attr-defined]
+    widget.style().polish(widget)  # type: ignore[attr-defined]

@@ -1,0 +1,155 @@
+"""Gap budget: the share of the gap that each named effect closes, and what remains.
+
+A share depends on the order in which effects are added. Two are given for each: when it is added in the order of the
+waterfall, and when it alone is removed from the complete set. Both are measured on the samples for the check.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from tissueid.gap.scoring import Candidate, ChannelError, closed, floor, gap, quiet_tests
+from tissueid.twin.catalogue import effect
+from tissueid.twin.effect import Stage
+
+RESAMPLES = 400
+Interval = tuple[float, float]
+
+
+@dataclass(frozen=True)
+class BudgetStep:
+    """One effect of the waterfall: the gap with it, and its closed shares with 95 % intervals (NaN where unknown)."""
+
+    effect: str
+    stage: Stage
+    gap_after: float
+    added: float
+    added_ci: Interval
+    removed: float
+    removed_ci: Interval
+
+
+@dataclass(frozen=True)
+class Budget:
+    """The gap from the baseline to the noise floor, on the samples for the check.
+
+    ``remains`` is the share that the set leaves, ``remains_in`` the stage that shows it; None where it is noise.
+    """
+
+    before: float
+    after: float
+    floor: float
+    steps: tuple[BudgetStep, ...]
+    remains: float
+    remains_in: Stage | None
+
+    def as_answer(self) -> dict[str, Any]:
+        """Return plain values for JSON, SI."""
+        return {
+            "before": self.before,
+            "after": self.after,
+            "floor": self.floor,
+            "steps": [
+                {
+                    "effect": step.effect,
+                    "stage": step.stage,
+                    "gap_after": step.gap_after,
+                    "added": step.added,
+                    "added_ci": list(step.added_ci),
+                    "removed": step.removed,
+                    "removed_ci": list(step.removed_ci),
+                }
+                for step in self.steps
+            ],
+            "remains": self.remains,
+            "remains_in": self.remains_in,
+        }
+
+
+def removal_path(
+    found: Candidate, known: Sequence[str], remove: Callable[[Candidate, Sequence[str]], Sequence[Candidate]]
+) -> tuple[tuple[Candidate, ...], dict[str, Candidate]]:
+    """Return nested sets from one effect to all, and the set without each effect.
+
+    At each step the effect is removed whose removal widens the gap least, so that the first step of the waterfall is
+    that of the most important effect.
+
+    Args:
+        found: the complete set.
+        known: effects of the baseline, which stay.
+        remove: refits a set without each of some effects.
+    """
+    quiet = quiet_tests(found.fit.parameters.dataset.tests)
+    path: list[Candidate] = [found]
+    without: dict[str, Candidate] = {}
+    while len(names := [name for name in path[-1].effects if name not in known]) > 1:
+        smaller = remove(path[-1], names)
+        if not without:
+            without = dict(zip(names, smaller, strict=True))
+        path.append(min(smaller, key=lambda item: gap(item.checked_by, quiet)))
+    return tuple(reversed(path)), without
+
+
+def budget(
+    baseline: Candidate,
+    path: Sequence[Candidate],
+    without: dict[str, Candidate],
+    remains_in: Stage | None,
+    stretches_of: Callable[[Candidate], list[list[ChannelError]]],
+    interval: Callable[[float, np.ndarray, int], Interval],
+) -> Budget:
+    """Return the budget of nested sets, from the smallest to the complete one.
+
+    Args:
+        baseline: the baseline without effects.
+        path: nested sets, each with one effect more.
+        without: the complete set without each effect.
+        remains_in: stage that shows what the complete set leaves.
+        stretches_of: returns the errors of every block of the check.
+        interval: returns the 95 % interval from a share, its bootstrap draws, shape (draws,), and the number of blocks.
+    """
+    complete = path[-1]
+    quiet = quiet_tests(baseline.fit.parameters.dataset.tests)
+    blocks = {id(item): stretches_of(item) for item in (baseline, *path, *without.values())}
+    count = len(blocks[id(baseline)])
+    random = np.random.default_rng(0)
+    draws = random.integers(count, size=(RESAMPLES, count)) if count > 1 else np.zeros((0, 0), np.int64)
+
+    def share(item: Candidate, chosen: np.ndarray | None = None) -> float:
+        def read(of: Candidate) -> Sequence[ChannelError]:
+            if chosen is None:
+                return of.checked_by
+            return [error for k in chosen for error in blocks[id(of)][k]]
+
+        before = read(baseline)
+        return closed(gap(before, quiet), gap(read(item), quiet), floor(before, quiet))
+
+    def difference(more: Candidate, less: Candidate | None) -> tuple[float, Interval]:
+        middle = share(more) - (0.0 if less is None else share(less))
+        drawn = np.array([share(more, chosen) - (0.0 if less is None else share(less, chosen)) for chosen in draws])
+        drawn = drawn[np.isfinite(drawn)]
+        if drawn.size < RESAMPLES // 2:
+            return middle, (float("nan"), float("nan"))
+        return middle, interval(middle, drawn, count)
+
+    steps, before = [], baseline
+    for item in path:
+        name = next(name for name in item.effects if name not in before.effects)
+        added, added_ci = difference(item, None if before is baseline else before)
+        removed, removed_ci = difference(complete, without[name]) if name in without else (added, added_ci)
+        steps.append(
+            BudgetStep(name, effect(name).stage, gap(item.checked_by, quiet), added, added_ci, removed, removed_ci)
+        )
+        before = item
+    return Budget(
+        gap(baseline.checked_by, quiet),
+        gap(complete.checked_by, quiet),
+        floor(baseline.checked_by, quiet),
+        tuple(steps),
+        1.0 - share(complete),
+        remains_in,
+    )

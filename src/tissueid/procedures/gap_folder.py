@@ -1,0 +1,174 @@
+"""Diagnosis of all sessions of a folder, which continues after a kill.
+
+Each process stores its answers at once, in the user's cache. They are removed when the procedure ends or is cancelled;
+after a kill the same procedure on the same files takes them from there.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import functools
+import hashlib
+import shutil
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+from platformdirs import user_cache_path
+
+from tissueid import __version__
+from tissueid.errors import CancelledError, UnusableInputError
+from tissueid.gap import Diagnosis, as_answer, diagnose, executor, prepare
+from tissueid.gap.answer_store import store_answer, stored_answer
+from tissueid.gap.history import GapHistory, HistoryEntry
+from tissueid.gap.twin_export import against_twin
+from tissueid.gap.workers import SerialExecutor
+from tissueid.instrument.twin_file import TwinFile, read_twin
+from tissueid.language import marked
+from tissueid.messages import Message, Verbatim
+from tissueid.procedures.control import Control, counted
+from tissueid.procedures.gap_plans import FolderPlan, WatchPlan
+from tissueid.procedures.output_files import HTML, check_output, write_text
+from tissueid.sessions import read_session
+
+_DIAGNOSING = marked("Diagnosing sessions")
+_CREATED, _REASON = "created", "reason"
+
+
+@dataclass(frozen=True)
+class WatchedFolder:
+    """The history of the gap against a twin."""
+
+    plan: WatchPlan
+    twin: TwinFile
+    history: GapHistory
+
+    @property
+    def report_html(self) -> str:
+        """The report as HTML, in the language in force."""
+        from tissueid.reports.gap_watch import watch_html
+
+        return watch_html(self.history, self.twin)
+
+
+def watch_folder(plan: WatchPlan, control: Control) -> WatchedFolder:
+    """Diagnose every session of a folder against a twin, and write the report if one is named.
+
+    Raises:
+        UnusableInputError: the twin, or every session, or a file cannot be used.
+        CancelledError: it was cancelled; nothing was written.
+    """
+    check_output(plan.report, HTML)
+    twin = read_twin(plan.twin)
+    answers = _diagnosed(_session_files(plan.folder), twin, plan.workers, control, as_answer)
+    entries = [_entry(path, answer) for path, answer in answers.items()]
+    if all(entry.answer is None for entry in entries):
+        raise UnusableInputError(
+            Message(
+                "gap.nothing_watched",
+                "no session of {folder} can be compared with the twin; {file}: {reason}",
+                folder=str(plan.folder),
+                file=Verbatim(entries[0].file),
+                reason=entries[0].reason,
+            )
+        )
+    watched = WatchedFolder(plan, twin, GapHistory.of(entries))
+    if plan.report is not None:
+        write_text(plan.report, watched.report_html)
+    return watched
+
+
+def diagnose_folder(
+    plan: FolderPlan, control: Control, of: Callable[[Diagnosis], dict[str, Any]]
+) -> dict[Path, dict[str, Any] | str]:
+    """Diagnose every session of a folder, and return ``of`` each diagnosis; the reason for a file that cannot be used.
+
+    ``of`` must be picklable: it is called in the processes that diagnose. It returns an answer for JSON.
+
+    Raises:
+        UnusableInputError: there are no session files.
+        CancelledError: it was cancelled.
+    """
+    answers = _diagnosed(_session_files(plan.folder), None, plan.workers, control, of)
+    return {path: answer.get(_REASON) or answer for path, answer in answers.items()}
+
+
+def _entry(path: Path, answer: dict[str, Any]) -> HistoryEntry:
+    created = answer.pop(_CREATED)
+    if (reason := answer.get(_REASON)) is not None:
+        return HistoryEntry(path.name, created, None, reason)
+    return HistoryEntry(path.name, created, answer)
+
+
+def _session_files(folder: Path) -> list[Path]:
+    files = sorted(folder.glob("*.h5"))
+    if not files:
+        raise UnusableInputError(
+            Message("gap.no_sessions", "there are no session files in {folder}", folder=str(folder))
+        )
+    return files
+
+
+def _diagnosed(
+    files: Sequence[Path],
+    twin: TwinFile | None,
+    workers: int | None,
+    control: Control,
+    of: Callable[[Diagnosis], dict[str, Any]],
+) -> dict[Path, dict[str, Any]]:
+    kept = _kept_answers(files, twin, of)
+    count = 0
+
+    def done(_path: Path) -> None:
+        nonlocal count
+        count += 1
+        control.progress(count / len(files), counted(_DIAGNOSING, count, len(files)))
+
+    control.progress(0.0, counted(_DIAGNOSING, 0, len(files)))
+    try:
+        with executor(workers) as pool:
+            work = functools.partial(_of_file, of, twin, kept)
+            answers = pool.do(work, files, control.check, done)
+    except (CancelledError, KeyboardInterrupt):
+        shutil.rmtree(kept, ignore_errors=True)
+        raise
+    shutil.rmtree(kept, ignore_errors=True)
+    return dict(zip(files, answers, strict=True))
+
+
+def _kept_answers(files: Sequence[Path], twin: TwinFile | None, of: Callable[[Diagnosis], dict[str, Any]]) -> Path:
+    # One folder for each folder of sessions, twin, kind of answer and version.
+    about = (str(files[0].resolve().parent), "" if twin is None else twin.model_dump_json(), of.__qualname__)
+    digest = hashlib.sha256("\0".join((*about, __version__)).encode()).hexdigest()
+    return user_cache_path("tissueid", appauthor=False) / "gap" / digest[:32]
+
+
+def _of_file(
+    of: Callable[[Diagnosis], dict[str, Any]], twin: TwinFile | None, kept: Path, path: Path
+) -> dict[str, Any]:
+    # One process per session is faster than all processes on one session after another.
+    try:
+        key = hashlib.sha256(path.read_bytes()).hexdigest()
+    except OSError as error:
+        reason = Message("gap.unreadable", "{path} cannot be read: {why}", path=path.name, why=str(error.strerror))
+        return {_CREATED: "", _REASON: reason}
+    if (before := _kept_answer(kept, key)) is not None:
+        return before
+    created = ""
+    try:
+        session = read_session(path)
+        created = session.created
+        dataset, known = against_twin(prepare(session), twin)
+        answer = of(diagnose(dataset, SerialExecutor(), known=known)) | {_CREATED: created}
+    except UnusableInputError as error:
+        return {_CREATED: created, _REASON: error.message}
+    with contextlib.suppress(UnusableInputError):  # without a cache, the procedure begins again after a kill
+        store_answer(kept, key, answer)
+    return answer
+
+
+def _kept_answer(kept: Path, key: str) -> dict[str, Any] | None:
+    with contextlib.suppress(UnusableInputError):  # a damaged file is replaced
+        return stored_answer(kept, key)
+    return None

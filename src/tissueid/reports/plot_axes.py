@@ -1,0 +1,224 @@
+"""Axes of plots: colours, labels, limits, ticks.
+
+Every property is set on the artists themselves, so that the window can draw while a report is drawn in another thread,
+which changes matplotlib's global settings.
+"""
+
+from __future__ import annotations
+
+import textwrap
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, field
+from typing import Any, cast
+
+import numpy as np
+from matplotlib.axes import Axes
+from matplotlib.cm import ScalarMappable
+from matplotlib.collections import QuadMesh
+from matplotlib.colorbar import Colorbar
+from matplotlib.colors import BoundaryNorm, ListedColormap
+from matplotlib.text import Text
+from matplotlib.ticker import MaxNLocator, MultipleLocator
+from mpl_toolkits.mplot3d import Axes3D
+
+from tissueid.analysis.curves.plot import Axis, Bars, Plot, depth_roles
+from tissueid.formatting import clean
+from tissueid.messages import translated
+from tissueid.reports.style import (
+    BLUE,
+    DEPTHS,
+    GREEN,
+    GRID,
+    INK,
+    LOST,
+    MUTED,
+    ORANGE,
+    PAPER,
+    SERIES,
+    frequency_axis,
+    log_axis,
+)
+
+Units = Callable[[str], tuple[str, float]]
+"""Gives the symbol of a unit as it is to be shown, and the factor that converts to it."""
+
+
+def clinical(unit: str) -> tuple[str, float]:
+    """Return a unit as it is."""
+    return unit, 1.0
+
+
+@dataclass(frozen=True)
+class Look:
+    """Colours of the page and of the roles of curves. ``points`` are those of rasterised points."""
+
+    ink: str = INK
+    muted: str = MUTED
+    grid: str = GRID
+    paper: str = PAPER
+    font_size: float = 9.0
+    roles: Mapping[str, str] = field(
+        default_factory=lambda: {
+            "measured": BLUE,
+            "model": ORANGE,
+            "good": GREEN,
+            "poor": LOST,
+            "check": SERIES[3],
+            "text": INK,
+            "muted": MUTED,
+        }
+    )
+
+    def colour(self, role: str) -> str:
+        """Return the colour of a role; a colour of its own stays."""
+        return self.roles.get(role) or _DEPTH_ROLES.get(role, role)
+
+
+PAGE = Look()
+"""The look of reports on white; pages replace its colours by those of their style sheet."""
+_DEPTH_ROLES = dict(zip(depth_roles(len(DEPTHS)), DEPTHS, strict=True))
+_WRAP = 48
+
+
+def label_of(axis: Axis, units: Units = clinical) -> str:
+    """Return quantity and unit of an axis as they are shown."""
+    label, unit = translated(axis.label), translated(units(axis.unit)[0])
+    return f"{label} ({unit})" if label and unit else label or unit
+
+
+def dress(axes: Axes, look: Look) -> None:
+    """Give axes the colours and sizes of a look; again for another look."""
+    small = look.font_size - 0.5
+    axes.set_facecolor(look.paper if not isinstance(axes, Axes3D) else "none")
+    axes.tick_params(which="both", colors=look.muted, labelcolor=look.ink, labelsize=small, width=0.8)
+    if not isinstance(axes, Axes3D):
+        for side, spine in axes.spines.items():
+            spine.set_color(look.muted)
+            spine.set_linewidth(0.8)
+            spine.set_visible(side in ("left", "bottom"))
+        if axes.images or any(isinstance(one, QuadMesh) for one in axes.collections):
+            axes.grid(visible=False)
+        elif axes.axison:
+            axes.grid(visible=True, color=look.grid, linewidth=0.7)
+        axes.set_axisbelow(True)
+    titles = [axes.title, getattr(axes, "_left_title", None), getattr(axes, "_right_title", None)]
+    labels: list[Any] = [axes.xaxis.label, axes.yaxis.label, *titles]
+    if isinstance(axes, Axes3D):
+        labels.append(axes.zaxis.label)
+        for axis in cast(Any, axes)._axis_map.values():  # there is no public way to colour this grid
+            axis._axinfo["grid"].update(color=look.grid, linewidth=0.7)
+    for text in labels:
+        if isinstance(text, Text):
+            text.set(color=look.ink, fontsize=look.font_size)
+            text.set_parse_math(False)
+    legend = axes.get_legend()
+    if legend is not None:
+        legend.set_frame_on(False)
+        for text in legend.get_texts():
+            text.set(color=look.ink, fontsize=small)
+            text.set_parse_math(False)
+
+
+def depth_bar(axes: Axes, depths: Axis, units: Units, look: Look) -> None:
+    """Add the colour bar of a quantity that colours curves from shallow to deep, between its limits."""
+    ends = units(depths.unit)[1] * np.array(depths.limits or (0.0, 1.0))
+    norm = BoundaryNorm(np.linspace(ends[0], ends[1], len(DEPTHS) + 1), len(DEPTHS))
+    drawn = ScalarMappable(norm, ListedColormap(list(DEPTHS)))  # type: ignore[arg-type]
+    bar = axes.figure.colorbar(drawn, ax=axes, pad=0.02, shrink=0.9)
+    places, decimals = np.linspace(ends[0], ends[1], 4), 2 if np.ptp(ends) < 10.0 else 0
+    bar.set_ticks([float(place) for place in places], labels=[f"{place:.{decimals}f}" for place in places])
+    finish_bar(bar, label_of(depths, units), look)
+
+
+def finish_bar(bar: Colorbar, label: str, look: Look) -> None:
+    """Give a colour bar its label and the colours of a look."""
+    bar.outline.set_visible(False)
+    bar.set_label(label, color=look.ink, fontsize=look.font_size)
+    bar.ax.tick_params(which="both", colors=look.muted, labelcolor=look.ink, labelsize=look.font_size - 0.5)
+
+
+def say_missing(axes: Axes, text: str, look: Look) -> None:
+    """Show a text in place of a plot."""
+    axes.set_axis_off()
+    words = textwrap.fill(clean(text[:1].upper() + text[1:]), _WRAP)
+    axes.text(0.5, 0.5, words, color=look.muted, fontsize=look.font_size, transform=axes.transAxes, ha="center",
+              va="center", parse_math=False)  # fmt: skip
+
+
+def _hold_bands(axes: Axes, plot: Plot, factor: float) -> None:
+    """Extend the range to the bands, unless they are much wider than the curves."""
+    banded = [curve for curve in plot.curves if curve.low is not None and curve.high is not None]
+    if any(curve.kind == "bars" for curve in banded):
+        return  # which matplotlib holds
+    every = [np.ravel(curve.y) for curve in plot.curves if curve.kind not in ("position", "spans")]
+    values = factor * np.concatenate(every) if every else np.zeros(0)
+    values = values[np.isfinite(values) & ((values > 0.0) | (not plot.y.log))]
+    if not banded or not values.size:
+        return
+    edges = factor * np.concatenate([part for curve in banded for part in (curve.low, curve.high) if part is not None])
+    edges = edges[np.isfinite(edges)]
+    low, high = float(values.min()), float(values.max())
+    if plot.y.log:
+        axes.set_ylim(max(float(edges.min(initial=low)), 0.5 * low), min(float(edges.max(initial=high)), 2.0 * high))
+        return
+    reach = float(np.median(np.abs(values)))
+    low = max(float(edges.min(initial=low)), low - reach)
+    high = min(float(edges.max(initial=high)), high + reach)
+    if high > low:
+        axes.set_ylim(low - 0.06 * (high - low), high + 0.06 * (high - low))
+
+
+def scale_axes(axes: Axes, plot: Plot, factors: tuple[float, float], look: Look) -> None:
+    """Give axes the limits, scales and ticks of a plot; ``factors`` convert its units to those of the reader."""
+    if plot.x.log:
+        known = [
+            factors[0] * np.asarray(c.x)[np.asarray(c.x) > 0.0] for c in plot.curves if c.kind not in ("level", "spans")
+        ]
+        ends = plot.x.limits or (
+            (min(float(v.min()) for v in known if v.size), max(float(v.max()) for v in known if v.size))
+            if any(v.size for v in known)
+            else (1.0, 10.0)
+        )
+        frequency_axis(axes, ends[0], ends[1] if ends[1] > ends[0] else 2.0 * ends[0])
+    elif plot.x.limits is not None:
+        axes.set_xlim(factors[0] * plot.x.limits[0], factors[0] * plot.x.limits[1])
+    if plot.y.limits is not None:
+        axes.set_ylim(factors[1] * plot.y.limits[0], factors[1] * plot.y.limits[1])
+    else:
+        _hold_bands(axes, plot, factors[1])
+    if plot.y.log:
+        log_axis(axes)
+    elif plot.y.unit == "°" and float(np.ptp(axes.get_ylim())) < 450.0:
+        axes.yaxis.set_major_locator(MultipleLocator(45.0))
+    elif not (
+        plot.square  # both axes have the same numbers
+        or isinstance(axes, Axes3D)
+        or any(isinstance(p, Bars) and p.names and p.across for p in plot.parts)
+    ):
+        axes.yaxis.set_major_locator(MaxNLocator(nbins=6, steps=[1, 2, 5, 10]))
+    for along, ticks, factor in ((axes.xaxis, plot.x.ticks, factors[0]), (axes.yaxis, plot.y.ticks, factors[1])):
+        if ticks:
+            labels = [clean(translated(text)) for _, text in ticks]
+            along.set_ticks([factor * place for place, _ in ticks], labels=labels, parse_math=False)
+    if plot.square:
+        axes.set_box_aspect(1.0)
+    if plot.y.zero:
+        axes.axhline(0.0, color=look.muted, linewidth=0.8, zorder=1.5)
+    if plot.x.reverse and not axes.xaxis_inverted():
+        axes.invert_xaxis()
+    if plot.y.reverse and not isinstance(axes, Axes3D) and not axes.yaxis_inverted():
+        axes.invert_yaxis()
+
+
+__all__ = [
+    "PAGE",
+    "Look",
+    "Units",
+    "clinical",
+    "depth_bar",
+    "dress",
+    "finish_bar",
+    "label_of",
+    "say_missing",
+    "scale_axes",
+]
