@@ -4,14 +4,13 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import replace
+from typing import TYPE_CHECKING
 
 import numpy as np
 from PySide6.QtCore import Qt
 from PySide6.QtGui import QResizeEvent
 from PySide6.QtWidgets import QFrame, QLabel, QPushButton, QVBoxLayout, QWidget
 
-from tissueid.analysis.curves.plot import Axis, Plot
-from tissueid.analysis.curves.population import rows_plot
 from tissueid.app.plot_canvas import PlotCanvas
 from tissueid.app.small_window import FoldingBox
 from tissueid.app.theme import Theme
@@ -21,6 +20,9 @@ from tissueid.formatting import label_and_unit
 from tissueid.language import _, marked
 from tissueid.messages import Verbatim, translated
 from tissueid.units import display_unit
+
+if TYPE_CHECKING:
+    from tissueid.analysis.curves.plot import Plot
 
 _ROW = 17
 _AROUND = 75
@@ -133,6 +135,10 @@ class ComparisonCard(QFrame):
 
 def _plot_of(quantity: str, sightings: Sequence[Sighting]) -> Plot:
     """Return the plot of a quantity: a row for each sitting."""
+    # Late: these bring the identification with numba, and the window opens before there is anything to compare.
+    from tissueid.analysis.curves.plot import Axis
+    from tissueid.analysis.curves.population import rows_plot
+
     label, si_unit = label_and_unit(quantity)
     unit, scale = display_unit(si_unit)
     found = [one.values.get(quantity) for one in sightings]
