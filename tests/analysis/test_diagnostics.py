@@ -75,8 +75,27 @@ def test_power_spectrum_holds_the_variance_and_skips_gaps() -> None:
     values[5000:5100] = np.nan
     _, holed = power_spectrum(values, 1000.0)
     assert np.sum(holed) * frequency_hz[1] == pytest.approx(0.25, rel=0.05)
+    values[np.arange(20_000) % 700 == 0] = np.nan
+    _, holed = power_spectrum(values, 1000.0)
+    assert np.sum(holed) * frequency_hz[1] == pytest.approx(0.25, rel=0.1)
     assert power_spectrum(values[:40], 1000.0) is None
     assert power_spectrum(np.full(1000, np.nan), 1000.0) is None
+
+
+@pytest.mark.parametrize("samples", [4000, 400_000])
+def test_white_noise_has_a_flat_spectrum_whose_integral_is_its_variance(samples: int) -> None:
+    values = np.random.default_rng(5).normal(0.0, 2.0, samples)
+    frequency_hz, density = power_spectrum(values, 2000.0)
+    assert density[1:].mean() * 1000.0 == pytest.approx(4.0, rel=0.1)
+    assert frequency_hz[-1] == 1000.0
+    ends = density[-1] / density[-20:-1].mean()
+    assert ends == pytest.approx(1.0, abs=0.2) or samples < 10_000
+
+
+def test_slow_records_have_a_spectrum() -> None:
+    values = np.random.default_rng(5).normal(0.0, 2.0, 2000)
+    frequency_hz, _ = power_spectrum(values, 20.0)
+    assert frequency_hz[1] == 20.0 / 64.0
 
 
 @pytest.mark.parametrize("noise", [0.0, 1e-3, 0.02])

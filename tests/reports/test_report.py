@@ -28,7 +28,7 @@ from tissueid.messages import MISSING, code_of
 from tissueid.records import Estimate
 from tissueid.reports import Comparison, ComparisonRow, html, report_html, write_report
 from tissueid.reports.pdf import _PageWriter, write_pdf
-from tissueid.reports.signal_figures import signals_figure
+from tissueid.reports.record_pictures import signals_figure
 from tissueid.reports.style import to_svg
 from tissueid.reports.tables import parameter_table, readable_date, score_table, settings_tables
 from tissueid.reports.verdict import FROM_ELSEWHERE, NOT_JUDGED, judge, key_numbers

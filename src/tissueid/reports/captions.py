@@ -7,7 +7,8 @@ from collections.abc import Mapping, Sequence
 import numpy as np
 
 from tissueid.analysis import Analysis
-from tissueid.analysis.curves.diagnostics import Prediction, power_edge
+from tissueid.analysis.curves.diagnostics import Array, Prediction, power_edge
+from tissueid.analysis.curves.signals import lost_samples
 from tissueid.formatting import fixed, number, with_unit
 from tissueid.identification import engine_label
 from tissueid.identification.engines.spectral import SpectralModel
@@ -15,7 +16,6 @@ from tissueid.identification.second_order_fit import SecondOrderFit
 from tissueid.language import _, marked
 from tissueid.messages import Message, translated
 from tissueid.records import Record
-from tissueid.reports.signal_figures import lost_samples, skewness
 from tissueid.sessions import Test
 from tissueid.units import display_unit
 
@@ -64,7 +64,7 @@ def power(model: SpectralModel | None) -> str:
 
 def distributions(record: Record) -> str:
     """Return the caption of the distributions."""
-    skew_in, skew_out = skewness(record.input), skewness(record.output)
+    skew_in, skew_out = _skewness(record.input), _skewness(record.output)
     return _(
         "A linear system turns a Gaussian input (dashed) into a Gaussian output. Tissue that stiffens with depth leans "
         "the output over, so that its skewness differs from the input’s: here {skew_in} for the {input}, {skew_out} "
@@ -75,6 +75,12 @@ def distributions(record: Record) -> str:
         skew_out=fixed(skew_out, 2),
         output=_(record.output_name),
     )
+
+
+def _skewness(values: Array) -> float:
+    centred = values[np.isfinite(values)]
+    centred = centred - centred.mean()
+    return float(np.mean(centred**3) / np.mean(centred**2) ** 1.5)
 
 
 def prediction(analyses: Mapping[str, Analysis]) -> str:

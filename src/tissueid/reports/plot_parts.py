@@ -13,7 +13,7 @@ from matplotlib.colors import Normalize
 from matplotlib.lines import Line2D
 from mpl_toolkits.mplot3d import Axes3D
 
-from tissueid.analysis.curves.plot import Array, Axis, Bars, Curve, Surface, thin
+from tissueid.analysis.curves.plot import Array, Axis, Bars, Curve, Mark, Surface, thin
 from tissueid.formatting import clean
 from tissueid.messages import translated
 from tissueid.reports.plot_axes import Look, Units, finish_bar, label_of
@@ -68,6 +68,9 @@ def draw_curve(axes: Axes, curve: Curve, factors: tuple[float, float], look: Loo
         for low, high in (y if curve.across else x).reshape(-1, 2):
             shade(low, high, color=colour, alpha=curve.opacity, linewidth=0.0, zorder=0)
         return []
+    if curve.kind == "filled":
+        axes.fill(np.append(x, x[[-1, 0]]), np.append(y, [0.0, 0.0]), linewidth=0.0, **usual)
+        return []
     if curve.kind == "bars":
         _error_bars(axes, curve, (x, y), factors, usual)
         return []
@@ -110,6 +113,22 @@ def _error_bars(
         usual["xerr" if curve.across else "yerr"] = np.abs(np.stack([at[along] - ends[0], ends[1] - at[along]]))
     size = 4.5 * curve.width
     axes.errorbar(*at, linestyle="none", marker=curve.marker or "o", markersize=size, capsize=2.0, zorder=3, **usual)
+
+
+def draw_mark(axes: Axes, mark: Mark, factors: tuple[float, float], look: Look) -> None:
+    """Draw a mark; the limits of the axes are known."""
+    above = mark.y is None
+    axes.annotate(
+        clean(translated(mark.text)),
+        (factors[0] * mark.x, 1.0 if mark.y is None else factors[1] * mark.y),
+        (3 if mark.align == "left" else -3, 3),
+        xycoords=("data", "axes fraction" if above else "data"),
+        textcoords="offset points",
+        ha=mark.align,
+        color=look.colour(mark.colour),
+        fontsize=look.font_size - 0.5,
+        parse_math=False,
+    )
 
 
 def draw_bars(axes: Axes, bars: Bars, factors: tuple[float, float], look: Look) -> None:
@@ -193,4 +212,4 @@ def _edges(centres: Array) -> tuple[float, float]:
     return float(centres[0]) - half, float(centres[-1]) + half
 
 
-__all__ = ["DrawnLine", "draw_bars", "draw_curve", "draw_image", "draw_surface"]
+__all__ = ["DrawnLine", "draw_bars", "draw_curve", "draw_image", "draw_mark", "draw_surface"]

@@ -15,7 +15,7 @@ from tissueid.analysis.curves.plot import Axis, Bars, Curve, Plot
 from tissueid.messages import translated
 from tissueid.reports.plot_axes import PAGE, Look, Units, clinical, depth_bar, dress, label_of, say_missing, scale_axes
 from tissueid.reports.plot_layout import lay_out
-from tissueid.reports.plot_parts import DrawnLine, draw_bars, draw_curve, draw_image, draw_surface
+from tissueid.reports.plot_parts import DrawnLine, draw_bars, draw_curve, draw_image, draw_mark, draw_surface
 from tissueid.reports.style import FULL_WIDTH, HALF_WIDTH, drawing, new_figure
 
 
@@ -49,6 +49,8 @@ def draw_plot(
         scale_axes(axes, plot, factors, look)
         axes.set_xlabel(label_of(plot.x, units))
         axes.set_ylabel(label_of(plot.y, units))
+        for mark in plot.marks:
+            draw_mark(axes, mark, factors, look)
     if title and plot.title and plot.title != plot.y.label:
         axes.set_title(translated(plot.title), loc="left")
     if key and not plot.missing and axes.get_legend_handles_labels()[1]:
@@ -73,24 +75,7 @@ def draw_plots(
 
     Returns the axes and their long lines, in the order of the plots. ``heights`` are relative; None for the same.
     """
-    grid = figure.subplots(len(plots), 1, squeeze=False, height_ratios=heights) if plots else None
-    every: list[Axes] = [] if grid is None else list(grid[:, 0])
-    shared = len(plots) > 1 and len({(plot.x.label, plot.x.unit, plot.x.log) for plot in plots}) == 1
-    if shared:
-        for axes in every[:-1]:
-            axes.sharex(every[-1])
-    drawn, named = [], set[str]()
-    for axes, plot in zip(every, plots, strict=True):
-        names = {curve.name for curve in plot.curves if curve.name}
-        drawn.append(draw_plot(axes, plot, look, units=units, title=title, key=key and not names <= named))
-        named |= names
-    if shared and not plots[-1].missing:
-        for axes, plot in zip(every[:-1], plots[:-1], strict=True):
-            axes.set_xlabel("")
-            if not plot.missing:
-                axes.tick_params(labelbottom=False)
-    figure.align_ylabels()
-    return every, drawn
+    return draw_grid(figure, [[plot] for plot in plots], look, units=units, title=title, key=key, heights=heights)
 
 
 def draw_row(
@@ -104,19 +89,53 @@ def draw_row(
         widths: relative widths; None for the same.
         key: whether named curves get a key, the first time that they occur.
     """
-    every: list[Axes] = list(figure.subplots(1, len(plots), squeeze=False, width_ratios=widths)[0])
-    named = set[str]()
-    for place, (axes, plot) in enumerate(zip(every, plots, strict=True)):
-        names = {curve.name for curve in plot.curves if curve.name}
-        shared = place > 0 and plot.y == plots[place - 1].y
-        if shared:
-            axes.sharey(every[place - 1])
-        draw_plot(axes, plot, key=key and not names <= named)
-        if shared:
-            axes.tick_params(labelleft=False)
-            axes.set_ylabel("")
-        named |= names
-    return every
+    return draw_grid(figure, [plots], widths=widths, key=key)[0]
+
+
+def draw_grid(
+    figure: FigureBase,
+    rows: Sequence[Sequence[Plot]],
+    look: Look = PAGE,
+    *,
+    units: Units = clinical,
+    title: bool = True,
+    key: bool = True,
+    heights: Sequence[float] | None = None,
+    widths: Sequence[float] | None = None,
+) -> tuple[list[Axes], list[list[DrawnLine]]]:
+    """Draw rows of plots. Return the axes and their long lines, row by row; arguments as :func:`draw_plots`.
+
+    A column over one abscissa shares its limits and its labels; neighbours in a row share an ordinate that is the same.
+    """
+    if not rows:
+        return [], []
+    grid = figure.subplots(len(rows), len(rows[0]), squeeze=False, height_ratios=heights, width_ratios=widths)
+    shared = [
+        len(rows) > 1 and len({(plot.x.label, plot.x.unit, plot.x.log) for plot in column}) == 1
+        for column in zip(*rows, strict=True)
+    ]
+    for column in grid.T[shared]:
+        for axes in column[:-1]:
+            axes.sharex(column[-1])
+    drawn, named = [], set[str]()
+    for line, row in zip(grid, rows, strict=True):
+        for place, (axes, plot) in enumerate(zip(line, row, strict=True)):
+            names = {curve.name for curve in plot.curves if curve.name}
+            beside = place > 0 and plot.y == row[place - 1].y
+            if beside:
+                axes.sharey(line[place - 1])
+            drawn.append(draw_plot(axes, plot, look, units=units, title=title, key=key and not names <= named))
+            named |= names
+            if beside:
+                axes.tick_params(labelleft=False)
+                axes.set_ylabel("")
+    for line, row in zip(grid[:-1], rows[:-1], strict=True):
+        for axes, plot, last, over_it in zip(line, row, rows[-1], shared, strict=True):
+            if over_it and not last.missing:
+                axes.set_xlabel("")
+                axes.tick_params(labelbottom=bool(plot.missing))
+    figure.align_ylabels()
+    return list(grid.flat), drawn
 
 
 @drawing

@@ -2,13 +2,26 @@
 
 from __future__ import annotations
 
+from matplotlib.figure import Figure
+
+from tissueid.analysis.curves.signals import distribution_plots, recording_plots, recording_spectra
 from tissueid.identification.engines.spectral import SpectralModel
 from tissueid.language import _
 from tissueid.records import Record
 from tissueid.reports import captions
 from tissueid.reports.blocks import Picture, picture
-from tissueid.reports.signal_figures import distributions_figure, power_figure, signals_figure
+from tissueid.reports.plot_renderer import column_figure, row_figure
 from tissueid.sessions import Test
+
+
+def signals_figure(test: Test, held_out_s: tuple[float, float] | None = None) -> Figure:
+    """Voltage, force and position over time; arguments as :func:`recording_plots`.
+
+    Raises:
+        UnusableInputError: none of the signals to be drawn was received.
+    """
+    plots = recording_plots(test, held_out_s)
+    return column_figure(plots, 0.7 + 1.45 * len(plots), wide=True, over=True)
 
 
 def signals_picture(test: Test, held_out_s: tuple[float, float] | None, key: str) -> Picture:
@@ -27,7 +40,7 @@ def power_picture(test: Test, spectra: SpectralModel | None, key: str) -> Pictur
         f"{key}-power",
         _("Power spectra"),
         _("Power spectral densities of voltage, force and position against frequency, both axes logarithmic."),
-        lambda: (power_figure(test), captions.power(spectra)),
+        lambda: (column_figure([recording_spectra(test)], 3.3), captions.power(spectra)),
         wide=False,
     )
 
@@ -40,5 +53,5 @@ def distributions_picture(record: Record, key: str) -> Picture:
         _("Histograms of {input} and {output}, each with a Gaussian curve.").format(
             input=_(record.input_name), output=_(record.output_name)
         ),
-        lambda: (distributions_figure(record), captions.distributions(record)),
+        lambda: (row_figure(distribution_plots(record), 2.5), captions.distributions(record)),
     )

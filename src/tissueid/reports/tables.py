@@ -12,6 +12,7 @@ import numpy as np
 
 from tissueid import __version__
 from tissueid.analysis import Analysis
+from tissueid.analysis.curves.signals import lost_samples
 from tissueid.configuration import has_depth
 from tissueid.device import DeviceDescription
 from tissueid.formatting import (
@@ -34,7 +35,6 @@ from tissueid.language import _, marked
 from tissueid.messages import MISSING, Message, translated
 from tissueid.records import Estimate
 from tissueid.reports.configured import spring_line
-from tissueid.reports.signal_figures import lost_samples
 from tissueid.sessions import Session, Test
 from tissueid.units import display_unit
 

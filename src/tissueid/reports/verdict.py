@@ -9,13 +9,13 @@ from typing import Literal
 import numpy as np
 
 from tissueid.analysis import Analysis
+from tissueid.analysis.curves.signals import lost_samples
 from tissueid.formatting import estimate, fixed, label_and_unit
 from tissueid.identification import label_of, report_engines
 from tissueid.identification.engines.wiener import WienerModel
 from tissueid.language import _, marked
 from tissueid.messages import Listing, Message
 from tissueid.reports.configured import surface_of
-from tissueid.reports.signal_figures import lost_samples
 from tissueid.sessions import Test
 from tissueid.sessions.quality import HEADLINES, quality_of
 from tissueid.sessions.quality import Verdict as QualityVerdict

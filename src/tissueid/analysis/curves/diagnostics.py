@@ -13,10 +13,14 @@ from tissueid.analysis.curves.plot import CONFIDENCE
 
 Array = NDArray[np.float64]
 
-WINDOW_S = 0.5
 STRETCH_S = 0.5
+_WINDOW_S = 0.5
+_LEAST_WINDOW = 64
+"""Samples of a window where ``_WINDOW_S`` has fewer, as in records of slow machines."""
 _SEGMENTS = 4
 _SHORTEST_WINDOW = 16
+_MOST_WINDOWS, _PIECES = 256, 32
+"""Length, in windows, from which as much of a record is averaged, in pieces that are evenly spread."""
 
 
 @dataclass(frozen=True)
@@ -80,27 +84,30 @@ def runs(mask: NDArray[np.bool_]) -> list[tuple[int, int]]:
     return [(int(first), int(end)) for first, end in edges.reshape(-1, 2)]
 
 
-def power_spectrum(values: Array, sample_rate_hz: float, window_s: float = WINDOW_S) -> tuple[Array, Array] | None:
+def power_spectrum(values: Array, sample_rate_hz: float) -> tuple[Array, Array] | None:
     """Return frequencies, Hz, and one-sided power density of a signal (n,), by Welch's method with a Hann window.
 
-    Segments that hold a gap are left out; the mean is removed. The window shrinks for a short record. None when
-    nothing is left to average.
+    Segments of half a second that overlap by half are averaged, without those that hold a gap, over pieces of a very
+    long record. The mean is removed. The window shrinks for a short record. None when nothing is left to average.
     """
-    length = min(round(window_s * sample_rate_hz), values.size // _SEGMENTS)
+    length = min(max(round(_WINDOW_S * sample_rate_hz), _LEAST_WINDOW), values.size // _SEGMENTS)
     if length < _SHORTEST_WINDOW:
         return None
-    known = np.isfinite(values)
+    whole = values.size <= _MOST_WINDOWS * length
+    piece = values.size if whole else _MOST_WINDOWS // _PIECES * length
     segments = [
-        values[start : start + length]
-        for first, end in runs(known)
-        for start in range(first, end - length + 1, max(1, length // 2))
+        values[begin + start : begin + start + length]
+        for begin in np.linspace(0, values.size - piece, 1 if whole else _PIECES).astype(np.intp)
+        for first, end in runs(np.isfinite(values[begin : begin + piece]))
+        for start in range(first, end - length + 1, length // 2)
     ]
     if not segments:
         return None
-    stacked = np.array(segments) - float(np.mean(values[known]))  # (segments, length)
+    stacked = np.array(segments)  # (segments, length)
     taper = signal.get_window("hann", length)
-    density = np.mean(np.abs(fft.rfft(stacked * taper, axis=1)) ** 2, axis=0) * 2.0 / (sample_rate_hz * (taper @ taper))
-    return fft.rfftfreq(length, 1.0 / sample_rate_hz), np.asarray(density, dtype=np.float64)
+    power = np.mean(np.abs(fft.rfft((stacked - stacked.mean()) * taper, axis=1)) ** 2, axis=0)
+    density = np.asarray(2.0 * power / (sample_rate_hz * (taper @ taper)), dtype=np.float64)
+    return fft.rfftfreq(length, 1.0 / sample_rate_hz), density
 
 
 def power_edge(frequency_hz: Array, density: Array, share: float = 0.99) -> float:

@@ -18,10 +18,12 @@ from numpy.typing import NDArray
 from tissueid.errors import UnusableInputError
 
 Array = NDArray[np.float64]
-Kind = Literal["line", "dashed", "dotted", "dashdot", "points", "circles", "bars", "level", "position", "spans"]
+Kind = Literal[
+    "line", "dashed", "dotted", "dashdot", "points", "circles", "bars", "level", "position", "spans", "filled"
+]
 """How a curve is drawn. A level is a horizontal line at ``y``, a position a vertical one at ``x``. Circles are hollow
 points. Bars are points with error bars from ``low`` to ``high``. Spans are shaded from ``x[0]`` to ``x[1]``, from
-``x[2]`` to ``x[3]`` and so on."""
+``x[2]`` to ``x[3]`` and so on. A filled curve is shaded down to zero."""
 
 CONFIDENCE = 1.96
 """Half width, in standard deviations, of an interval that holds 95 % of a normal quantity."""
@@ -126,6 +128,17 @@ class Bars:
     base: Array | None = None
 
 
+@dataclass(frozen=True)
+class Mark:
+    """A text at ``x``, over the axes or just above the height ``y``. ``align`` is its end that lies there."""
+
+    x: float
+    text: str
+    y: float | None = None
+    align: Literal["left", "right"] = "left"
+    colour: str = "muted"
+
+
 @dataclass(frozen=True, eq=False)
 class Plot:
     """Parts over two axes. ``missing`` is the reason if there is nothing to draw, ``note`` explains a band.
@@ -142,6 +155,7 @@ class Plot:
     note: str = ""
     square: bool = False
     depths: Axis | None = None
+    marks: tuple[Mark, ...] = ()
 
     @property
     def curves(self) -> tuple[Curve, ...]:
@@ -216,6 +230,18 @@ def cloud(x: Array, y: Array, colour: str = "measured") -> Curve:
     known = np.flatnonzero(np.isfinite(x) & np.isfinite(y))
     some = known[:: max(1, -(-known.size // _MOST_POINTS))]
     return Curve(x[some], y[some], "", colour, "points", opacity=0.5)
+
+
+def histogram(values: Array, edges: Array | int, colour: str, name: str = "", kind: Kind = "filled") -> Curve:
+    """Return the probability density of values (n,) over bins: their edges (bins + 1,), or their number."""
+    density, edges = np.histogram(values, edges, density=True)
+    height = np.concatenate([[0.0], np.repeat(density, 2), [0.0]])
+    return Curve(np.repeat(edges, 2), height, name, colour, kind, opacity=0.4 if kind == "filled" else 1.0)
+
+
+def steps(x: Array, y: Array) -> tuple[Array, Array]:
+    """Return the corners (2 n - 1,) of a line that holds each value (n,) until the next abscissa."""
+    return np.repeat(x, 2)[1:], np.repeat(y, 2)[:-1]
 
 
 def thin(x: Array, values: Array, columns: int = 900) -> tuple[Array, Array]:

@@ -8,7 +8,6 @@ from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy import signal as scipy_signal
 
 from tissueid.app.live_signals import decimated
 from tissueid.app.views.researcher.background_work import BackgroundWork
@@ -21,10 +20,6 @@ from tissueid.sessions import read_test
 Array = NDArray[np.float64]
 
 _BLOCK = 256
-_SEGMENT = 4096
-_PIECE, _PIECES = 2 * _SEGMENT, 16
-_LEAST = 16
-_NOTHING = np.zeros(0)
 
 
 @dataclass(frozen=True)
@@ -98,33 +93,6 @@ class RecordedSignal:
             return decimated(np.repeat(times, 2), ends, low_s, high_s, columns)
         times = np.arange(first, last) / self.sample_rate_hz
         return decimated(times, self.values[first:last], low_s, high_s, columns)
-
-    def spectrum(self, low_s: float, high_s: float) -> tuple[Array, Array]:
-        """Return frequencies (Hz) and power spectral density (unit²/Hz) of an interval: Welch, Hann windows.
-
-        Lost samples are bridged by straight lines. Of a long stretch some pieces are taken, evenly spread. Empty where
-        there are too few samples.
-        """
-        first, last = self.places(low_s, high_s)
-        size = last - first
-        if size < _LEAST or 2 * self.stretch(low_s, high_s).samples < size:
-            return _NOTHING, _NOTHING
-        segment = min(size, max(256, min(_SEGMENT, 1 << (size // 4).bit_length() - 1)))
-        if size > _PIECES * _PIECE:
-            starts = np.linspace(first, last - _PIECE, _PIECES).astype(int)
-            pieces = [self._bridged(start, start + _PIECE) for start in starts]
-        else:
-            pieces = [self._bridged(first, last)]
-        found = [scipy_signal.welch(piece, self.sample_rate_hz, nperseg=segment) for piece in pieces]
-        return found[0][0][1:], np.mean([density for _, density in found], axis=0)[1:]
-
-    def _bridged(self, first: int, last: int) -> Array:
-        values = self.values[first:last]
-        known = np.isfinite(values)
-        if known.all() or not known.any():
-            return np.nan_to_num(values)
-        places = np.arange(values.size)
-        return np.interp(places, places[known], values[known])
 
 
 MOST_TESTS = 8

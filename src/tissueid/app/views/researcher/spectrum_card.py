@@ -88,5 +88,7 @@ def spectrum_of(
     from tissueid.analysis.curves.signals import spectrum_plot
 
     tracks = [test.tracks.get(channel) for test in loaded]
-    spectra = [track.spectrum(*ends_s) if track else None for track in tracks]
-    return spectrum_plot(_("Power spectrum"), channel.unit, spectra, colours)
+    signals = [
+        (track.values[slice(*track.places(*ends_s))], track.sample_rate_hz) if track else None for track in tracks
+    ]
+    return spectrum_plot(_("Power spectrum"), channel.unit, signals, colours)
