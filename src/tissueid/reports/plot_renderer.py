@@ -134,7 +134,8 @@ def draw_grid(
             if over_it and not last.missing:
                 axes.set_xlabel("")
                 axes.tick_params(labelbottom=bool(plot.missing))
-    figure.align_ylabels()
+    if not any(plot.square for row in rows for plot in row):  # which are narrower than their places
+        figure.align_ylabels()
     return list(grid.flat), drawn
 
 

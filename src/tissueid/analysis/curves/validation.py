@@ -76,8 +76,10 @@ def prediction_plots(predictions: Sequence[Prediction], seconds: float = STRETCH
     )
 
 
-def scatter_plots(predictions: Sequence[Prediction]) -> tuple[Plot, ...]:
+def scatter_plots(predictions: Sequence[Prediction], *, x: str = "predicted", mean: bool = False) -> tuple[Plot, ...]:
     """Return measured against simulated output over the whole held-out part, a plot for each engine.
+
+    ``x`` and ``mean`` as in :func:`cloud_plot`.
 
     Raises:
         UnusableInputError: there is nothing to compare.
@@ -86,9 +88,7 @@ def scatter_plots(predictions: Sequence[Prediction]) -> tuple[Plot, ...]:
     every = [run.measured[np.isfinite(run.residual)] for run in predictions]
     ends = min(float(values.min()) for values in every), max(float(values.max()) for values in every)
     return tuple(
-        cloud_plot(
-            run.predicted, run.measured, run.output_unit, run.label, colour, x="predicted", ends=ends, mean=False
-        )
+        cloud_plot(run.predicted, run.measured, run.output_unit, run.label, colour, x=x, ends=ends, mean=mean)
         for run, colour in zip(predictions, ROLES, strict=False)
     )
 

@@ -2,41 +2,31 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
 from typing import cast
 
 import numpy as np
 
-from tissueid.analysis.curves.diagnostics import Array
 from tissueid.analysis.curves.kernels import second_order_kernel
 from tissueid.analysis.curves.linear import first_kernel_plot
-from tissueid.analysis.curves.plot import CONFIDENCE, Axis, Plot, Surface
-from tissueid.analysis.curves.units import kernel_unit
-from tissueid.analysis.curves.validation import ROLES, cloud_plot
+from tissueid.analysis.curves.plot import CONFIDENCE, Surface
+from tissueid.analysis.curves.volterra import (
+    NO_KERNELS,
+    contribution_plots,
+    impulse_contribution_plot,
+    third_order_slices,
+)
 from tissueid.errors import UnusableInputError
-from tissueid.formatting import axis_label, fixed, number, with_unit
+from tissueid.formatting import fixed, number, with_unit
 from tissueid.identification.volterra.model import VolterraModel
 from tissueid.language import _, marked
-from tissueid.messages import Message, translated
 from tissueid.reports import captions
 from tissueid.reports.figures.registry import Drawn, Subject, figure
-from tissueid.reports.plot_renderer import column_figure, draw_kernel, draw_plot, row_figure
-from tissueid.reports.style import (
-    DASHES,
-    FULL_WIDTH,
-    HALF_WIDTH,
-    INK,
-    MUTED,
-    SERIES,
-    new_figure,
-)
+from tissueid.reports.plot_renderer import column_figure, draw_kernel, row_figure
+from tissueid.reports.style import FULL_WIDTH, new_figure
 from tissueid.units import display_unit
 
 _HEIGHT = 2.0
 """Height of the impulse of Eq. 4.15 in standard deviations of the input."""
-_SLICES_AT = np.array([0.1, 0.35, 0.6, 0.85])
-"""Shares of the third-order kernel's cumulated magnitude at whose lags slices are drawn."""
-_NO_KERNELS = Message("report.no_kernels", "a model of order zero has no kernels")
 
 
 @figure(
@@ -52,7 +42,7 @@ def first_kernel(subject: Subject[VolterraModel]) -> Drawn:
     """Draw h1 with its band (Chen 2010, Figs. 4.6a and 4.12)."""
     model = subject.model
     if model.kernel1 is None:
-        raise UnusableInputError(_NO_KERNELS)
+        raise UnusableInputError(NO_KERNELS)
     return column_figure([first_kernel_plot(model, subject.record)], 3.9), _(
         "Close to an impulse response, at {lags} lags. It differs from the best linear system (dashed) by what the "
         "higher orders describe. It should decay before the last lag, and the band should be narrow there."
@@ -103,25 +93,7 @@ def second_kernel(subject: Subject[VolterraModel]) -> Drawn:
 )
 def third_kernel(subject: Subject[VolterraModel]) -> Drawn:
     """Draw slices of the third-order kernel at a few values of its third lag."""
-    model = subject.model
-    kernel = cast(Array, model.kernel3)
-    unit, scale = kernel_unit(subject.record, 3)
-    lag_ms = 1e3 * model.lag_s
-    if lag_ms.size < 3:
-        raise UnusableInputError(Message("report.few_lags_third", "the third-order kernel has fewer than three lags"))
-    strength = np.cumsum(np.abs(kernel).sum(axis=(0, 1)))
-    shown = np.unique(np.searchsorted(strength, _SLICES_AT * strength[-1]))
-    drawn = new_figure(FULL_WIDTH, 2.7)
-    every = drawn.subplots(1, shown.size, sharey=True, squeeze=False)[0]
-    top = scale * float(np.abs(kernel[:, :, shown]).max())
-    first, second = Axis(marked("First lag"), "ms"), Axis(marked("Second lag"), "ms")
-    for place, (axes, lag) in enumerate(zip(every, shown, strict=True)):
-        surface = Surface(
-            lag_ms, lag_ms, scale * kernel[:, :, lag], unit=unit if place == shown.size - 1 else "", limit=top
-        )
-        draw_plot(axes, Plot("", first, second if place == 0 else Axis(), (surface,)))
-        axes.set_box_aspect(1.0)
-        axes.set_title(_("third lag {lag} ms").format(lag=fixed(float(lag_ms[lag]), 1)))
+    drawn = row_figure(third_order_slices(subject.model, subject.record), 2.7)
     return drawn, _(
         "Joint effect of three past inputs, one slice for each of a few third lags, on one scale. Blue is negative. "
         "The kernel is symmetric in all three lags."
@@ -140,23 +112,8 @@ def third_kernel(subject: Subject[VolterraModel]) -> Drawn:
 def impulse_contributions(subject: Subject[VolterraModel]) -> Drawn:
     """Draw the contribution of each order to the response to an impulse (Chen 2010, Eq. 4.15 and Fig. 4.3)."""
     model = subject.model
-    if model.kernel1 is None:
-        raise UnusableInputError(_NO_KERNELS)
     height = _HEIGHT * float(np.nanstd(subject.fitted_input))
-    response = model.impulse_response(height)
-    unit, scale = display_unit(subject.record.output_unit)
-    drawn = new_figure(HALF_WIDTH, 3.9)
-    axes = drawn.subplots()
-    axes.axhline(0.0, color=MUTED, linewidth=0.8)
-    parts = [(_("total"), response.total - response.zeroth), (_("first order"), response.first)]
-    parts += [(_("second order"), response.second)] if model.order > 1 else []
-    parts += [(_("third order"), response.third)] if model.order > 2 else []
-    colours = (INK, *SERIES)
-    for (label, values), colour, dash in zip(parts, colours, (DASHES[0], *DASHES), strict=False):
-        axes.plot(1e3 * model.lag_s, scale * values, color=colour, linestyle=dash, label=label)
-    axes.set_xlabel(_("Lag (ms)"))
-    axes.set_ylabel(axis_label(f"change_of_{subject.record.output_name}", unit))
-    axes.legend(loc="best")
+    drawn = column_figure([impulse_contribution_plot(model, subject.record, height)], 3.9)
     lasts = fixed(1e3 * model.lag_spacing / model.sample_rate_hz, 1)
     in_unit, in_scale = display_unit(subject.record.input_unit)
     return drawn, _(
@@ -176,36 +133,9 @@ def impulse_contributions(subject: Subject[VolterraModel]) -> Drawn:
 )
 def contributions(subject: Subject[VolterraModel]) -> Drawn:
     """Draw the residual nonlinearity as orders are added (Chen 2010, Figs. 4.3 and 4.10)."""
-    model, record = subject.model, subject.record
-    if model.kernel1 is None:
-        raise UnusableInputError(_NO_KERNELS)
-    shown = _cumulated(model, record.input)
-    part = subject.analysis.fit_part
-    measured = record.output[part]
-    known = np.isfinite(measured)
-    if not known.any():
-        raise UnusableInputError(Message("report.no_output", "no output was received in the fitted part"))
-    ends = float(measured[known].min()), float(measured[known].max())
-    plots = [
-        cloud_plot(modelled[part], measured, record.output_unit, label, ROLES[place % len(ROLES)], ends=ends)
-        for place, (label, modelled) in enumerate(shown)
-    ]
-    drawn = row_figure(plots, 3.7 if len(shown) < 4 else 3.1)
+    plots = contribution_plots(subject.model, subject.record, subject.analysis.fit_part)
+    drawn = row_figure(plots, 3.7 if len(plots) < 4 else 3.1)
     return drawn, _(
         "A bend about the diagonal is a nonlinearity that is not described; each panel adds kernels to the previous "
         "one. The line is the mean of the cloud. Samples of the fitted part."
     )
-
-
-def _cumulated(model: VolterraModel, u: Array) -> list[tuple[str, Array]]:
-    """Return labels and outputs (n,) as contributions are added one after the other."""
-    parts = model.contributions(u)
-    sums = np.cumsum(parts, axis=0)
-    shown = [(_("first order"), sums[1])]
-    if model.kernel2 is not None:
-        diagonal_only = replace(model, kernel2=np.diag(np.diag(model.kernel2)), kernel3=None, order=2)
-        shown.append((_("and diagonal of the second"), np.sum(diagonal_only.contributions(u), axis=0)))
-        shown.append((_("and all of the second"), sums[2]))
-    if model.kernel3 is not None:
-        shown.append((translated(Message("volterra.third_order", "and the third order")), sums[3]))
-    return shown
