@@ -14,6 +14,7 @@ from matplotlib.figure import Figure
 from reports.in_german import english_in, in_german, shown, texts_of
 from reports.page_check import checked
 
+from tissueid.analysis.curves.stimuli import amplitude_plots
 from tissueid.analysis.stimulus_design import StimulusDesign
 from tissueid.device import DeviceDescription
 from tissueid.errors import UnusableInputError
@@ -58,13 +59,14 @@ def line(figure: Figure, label: str, place: int = 0) -> tuple[np.ndarray, np.nda
 
 
 def test_noise_is_drawn_beside_what_was_asked_for():
-    figures = drawn(design("noise", distribution="uniform", force_min_n=1.0, force_max_n=5.0, preload=True))
+    made = design("noise", distribution="uniform", force_min_n=1.0, force_max_n=5.0, preload=True)
+    figures = drawn(made)
     assert set(figures) == {"time-series", "amplitudes", "power", "autocorrelation"}
-    levels, share = line(figures["amplitudes"], "intended", 1)
+    _, plot = amplitude_plots(made.played, "N", made.intended_amplitudes)
+    levels, share = plot.curve("intended").x, plot.curve("intended").y
     np.testing.assert_allclose(levels, np.linspace(1.0, 5.0, 2000), atol=1e-12)
     np.testing.assert_allclose(share, 100.0 * (np.arange(2000) + 0.5) / 2000)
-    played, _ = line(figures["amplitudes"], "played", 1)
-    np.testing.assert_allclose(played, levels, atol=1e-9)
+    np.testing.assert_allclose(plot.curve("played").x, levels, atol=1e-9)
     zoomed = figures["time-series"].axes[1]
     assert zoomed.get_xlim() == pytest.approx((500.0, 700.0))  # after the preload
     assert {"Force (N)", "Command (V)"} <= {axes.get_ylabel() for axes in _every_axis(figures["time-series"])}

@@ -27,7 +27,7 @@ class Panel:
     heading: str
     alt: str
     caption: str
-    draw: Callable[[FigureBase], None]
+    draw: Callable[[FigureBase], object]
     wide: bool = True
     height: float = 3.4
 
