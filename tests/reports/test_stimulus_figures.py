@@ -14,12 +14,12 @@ from matplotlib.figure import Figure
 from reports.in_german import english_in, in_german, shown, texts_of
 from reports.page_check import checked
 
+from tissueid.analysis.curves.feedback import FeedbackRun
 from tissueid.analysis.curves.stimuli import amplitude_plots
 from tissueid.analysis.stimulus_design import StimulusDesign
 from tissueid.device import DeviceDescription
 from tissueid.errors import UnusableInputError
 from tissueid.messages import code_of
-from tissueid.reports.feedback_figures import FeedbackRun
 from tissueid.reports.feedback_panels import feedback_panels
 from tissueid.reports.feedback_run import feedback_run, run_from_report
 from tissueid.reports.panel_sheet import Panel, draw_sheet

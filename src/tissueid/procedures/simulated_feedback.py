@@ -9,6 +9,7 @@ from pathlib import Path
 
 from tissueid.acquisition import GuidedTest, SessionRecorder, run_guided_test
 from tissueid.acquisition.guided import check_test
+from tissueid.analysis.curves.feedback import FeedbackRun
 from tissueid.errors import UnusableInputError
 from tissueid.formatting import fixed, grouped
 from tissueid.instrument import Limits, open_instrument
@@ -17,7 +18,6 @@ from tissueid.language import marked
 from tissueid.messages import Message, Verbatim
 from tissueid.procedures.control import Control
 from tissueid.procedures.depth_coverage import out_of_reach
-from tissueid.reports.feedback_figures import FeedbackRun
 from tissueid.reports.feedback_run import feedback_run
 from tissueid.sessions import Test
 from tissueid.stimuli import FeedbackKind

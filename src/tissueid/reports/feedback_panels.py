@@ -4,14 +4,11 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
 
+from tissueid.analysis.curves.feedback import FeedbackRun, description_plots, profiles_of, series_plots
 from tissueid.language import _
-from tissueid.reports.feedback_figures import (
-    FeedbackRun,
-    draw_feedback_distributions,
-    draw_feedback_parameters,
-    draw_feedback_series,
-)
+from tissueid.reports.depth_panels import draw_depth_panels
 from tissueid.reports.panel_sheet import Panel
+from tissueid.reports.plot_renderer import draw_grid
 
 
 def feedback_panels(runs: Sequence[FeedbackRun]) -> Iterator[Panel]:
@@ -21,7 +18,7 @@ def feedback_panels(runs: Sequence[FeedbackRun]) -> Iterator[Panel]:
         _("Force and depth over time"),
         _("Line plots over time of the force and, below, of the depth with its desired range."),
         _("The force sweeps so that the depth covers its range (dashed) with the desired distribution."),
-        lambda figure: draw_feedback_series(figure, runs),
+        lambda figure: draw_grid(figure, list(zip(*map(series_plots, runs), strict=True))),
         height=3.9,
     )
     yield Panel(
@@ -33,7 +30,7 @@ def feedback_panels(runs: Sequence[FeedbackRun]) -> Iterator[Panel]:
             "it; linear response of the whole test; depth against its linear prediction, which bends where the tissue "
             "stiffens."
         ),
-        lambda figure: draw_feedback_distributions(figure, runs),
+        lambda figure: draw_grid(figure, [description_plots(run, run.label if len(runs) > 1 else "") for run in runs]),
         height=0.5 + 2.1 * len(runs),
     )
     yield Panel(
@@ -45,6 +42,6 @@ def feedback_panels(runs: Sequence[FeedbackRun]) -> Iterator[Panel]:
             "stochastic part is wide, so neighbouring levels are averaged (Chen 2010, 6.3.2); an engine fitted to the "
             "whole record is more accurate."
         ),
-        lambda figure: draw_feedback_parameters(figure, runs),
+        lambda figure: draw_depth_panels(figure, profiles_of(runs), 0.0),
         height=4.3,
     )

@@ -9,10 +9,10 @@ from typing import Any
 import numpy as np
 
 from tissueid.analysis.curves.diagnostics import Array
+from tissueid.analysis.curves.feedback import FeedbackRun
 from tissueid.errors import UnusableInputError
 from tissueid.identification.depth_profile import DepthProfile
 from tissueid.messages import Message
-from tissueid.reports.feedback_figures import FeedbackRun
 from tissueid.sessions import Test
 
 REPORT_NOTE = "stimulus_report"

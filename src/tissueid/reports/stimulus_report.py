@@ -8,6 +8,7 @@ from pathlib import Path
 from typing import Any, Literal
 
 from tissueid import __version__
+from tissueid.analysis.curves.feedback import FeedbackRun
 from tissueid.analysis.stimulus_design import StimulusDesign
 from tissueid.atomic_write import atomic_file
 from tissueid.errors import UnusableInputError
@@ -15,7 +16,6 @@ from tissueid.formatting import fixed, grouped
 from tissueid.language import _, marked
 from tissueid.messages import Message, translated
 from tissueid.reports.blocks import FigureGroup
-from tissueid.reports.feedback_figures import FeedbackRun
 from tissueid.reports.feedback_panels import feedback_panels
 from tissueid.reports.html import RESEARCH_LINE, template, write_text_atomically
 from tissueid.reports.panel_sheet import Panel, draw_sheet

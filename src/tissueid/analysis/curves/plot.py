@@ -235,8 +235,12 @@ def cloud(x: Array, y: Array, colour: str = "measured") -> Curve:
 def histogram(values: Array, edges: Array | int, colour: str, name: str = "", kind: Kind = "filled") -> Curve:
     """Return the probability density of values (n,) over bins: their edges (bins + 1,), or their number."""
     density, edges = np.histogram(values, edges, density=True)
-    height = np.concatenate([[0.0], np.repeat(density, 2), [0.0]])
-    return Curve(np.repeat(edges, 2), height, name, colour, kind, opacity=0.4 if kind == "filled" else 1.0)
+    return Curve(*outline(edges, density), name, colour, kind, opacity=0.4 if kind == "filled" else 1.0)
+
+
+def outline(edges: Array, heights: Array) -> tuple[Array, Array]:
+    """Return the outline (2 bins + 2,) of bars (bins,) between ``edges`` (bins + 1,)."""
+    return np.repeat(edges, 2), np.concatenate([[0.0], np.repeat(heights, 2), [0.0]])
 
 
 def steps(x: Array, y: Array) -> tuple[Array, Array]:

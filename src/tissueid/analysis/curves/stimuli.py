@@ -192,8 +192,8 @@ def line_plot(multisine: Multisine, stimulus: Stimulus) -> Plot:
     parts = [Curve(np.array(multisine.notches, np.float64).ravel(), np.zeros(0), "", "muted", "spans", opacity=0.1)]
     parts += [
         Curve(
-            lines * multisine.resolution_hz, np.maximum(amplitude[lines], floor), name, role, "points",
-            width=0.8, marker=marker,
+            multisine.resolution_hz * lines.astype(np.float64), np.maximum(amplitude[lines], floor),
+            name, role, "points", width=0.8, marker=marker,
         )
         for lines, name, role, marker in (
             (driven, marked("driven"), colour, "o"),
