@@ -7,12 +7,12 @@ import numpy as np
 import pytest
 from matplotlib.figure import Figure
 
-from tissueid.analysis.curves import Axis, Bars, Curve, Plot, Surface, plot_or_reason, thin
-from tissueid.analysis.curves.plot import as_csv, depth_roles
+from tissueid.analysis.curves import Axis, Bars, Curve, Mark, Plot, Surface, plot_or_reason, thin
+from tissueid.analysis.curves.plot import as_csv, depth_roles, histogram
 from tissueid.errors import UnusableInputError
 from tissueid.messages import Message
 from tissueid.reports.plot_axes import PAGE, Look
-from tissueid.reports.plot_renderer import draw_plot, draw_plots, draw_relief, draw_row
+from tissueid.reports.plot_renderer import draw_grid, draw_plot, draw_plots, draw_relief, draw_row
 
 NO_FORCE = Message("plot.test", "no {what} was recorded", what="force")
 X = np.linspace(1.0, 10.0, 50)
@@ -140,3 +140,30 @@ def test_numbers_are_saved_as_csv():
     assert [row["plot"] for row in rows] == ["a", "a", "b", "b", "b"]
     assert (rows[0]["x"], rows[0]["x_unit"], rows[0]["low"]) == ("1.0", "ms", "0.0")
     assert (rows[2]["value"], rows[2]["value_unit"]) == ("1.0", "mm")
+
+
+def test_texts_stand_over_the_axes_or_over_a_height_and_filled_curves_reach_zero():
+    marks = (Mark(2.0, "preload"), Mark(10.0, "$a$", 5.0, "right", "text"))
+    bars = histogram(X, np.array([1.0, 5.0, 10.0]), "good", "played")
+    axes, _ = draw(Plot("", LAG, RESPONSE, (bars,), marks=marks), units=lambda unit: (unit, 2.0))
+    over, right = axes.texts
+    assert (over.get_text(), over.xy, over.get_ha(), over.get_color()) == (
+        "preload",
+        (4.0, 1.0),
+        "left",
+        PAGE.muted,
+    )
+    assert (right.get_text(), right.xy, right.get_ha(), right.get_parse_math()) == ("$a$", (20.0, 10.0), "right", False)
+    (area,) = axes.patches
+    assert area.get_label() == "played"
+    assert area.get_xy()[:, 1].min() == 0.0
+
+
+def test_a_grid_shares_abscissas_by_column_and_ordinates_by_row():
+    rows = [[Plot("", LAG, axis, (Curve(X, X, name),)) for name in "ab"] for axis in (RESPONSE, LAG)]
+    axes, _ = draw_grid(Figure(), rows)
+    assert axes[0].get_shared_x_axes().joined(axes[0], axes[2])
+    assert axes[0].get_shared_y_axes().joined(axes[0], axes[1])
+    assert [one.get_xlabel() for one in axes] == ["", "", "Lag (ms)", "Lag (ms)"]
+    assert [one.get_ylabel() for one in axes] == ["mm/(N·s)", "", "Lag (ms)", ""]
+    assert [one.get_legend() is None for one in axes] == [False, False, True, True]

@@ -14,7 +14,7 @@ from tissueid.analysis.curves.units import FREQUENCY, TIME
 from tissueid.errors import UnusableInputError
 from tissueid.formatting import label_and_unit, number
 from tissueid.gap.dataset import DatasetTest
-from tissueid.gap.diagnosis import Diagnosis
+from tissueid.gap.diagnosis import Diagnosis, Ranked
 from tissueid.gap.error_regions import Profile, Spectrum
 from tissueid.gap.history import GapHistory, HistoryEntry
 from tissueid.gap.scoring import Candidate
@@ -264,6 +264,29 @@ def budget_rows(found: Diagnosis) -> tuple[BudgetRow, ...]:
         rows.append(BudgetRow(marked("After"), 0.0, figures.after, "model"))
     rows.append(BudgetRow(marked("Noise alone"), 0.0, figures.floor, "check"))
     return tuple(row for row in rows if np.isfinite(row.high))
+
+
+def ranking_plots(candidates: Sequence[Ranked]) -> tuple[Plot, Plot]:
+    """Return probability and closed share of candidates; those not separable from the first share its colour."""
+    rows = np.arange(len(candidates), dtype=np.float64)
+    alike = np.isin([item.effect for item in candidates], [candidates[0].effect, *candidates[0].indistinguishable])
+    probability = 100.0 * np.array([item.probability for item in candidates])
+    closed = 100.0 * np.maximum([item.closed for item in candidates], -1.0)
+    low, high = 100.0 * np.clip([item.closed_ci for item in candidates], -1.0, 1.0).T
+    left: list[Bars] = []
+    right = [Curve(np.zeros(1), np.zeros(1), "", "muted", "position", width=0.8)]
+    for role, some in (("model", alike), ("measured", ~alike)):
+        left.append(Bars(rows[some], probability[some], 0.62, colour=role, across=True, opacity=0.85))
+        some = some & np.isfinite(closed)
+        interval = Curve(closed[some], rows[some], "", role, "bars", low[some], high[some], across=True)
+        right.append(interval)
+    ticks = tuple((row, effect_title(item.effect)) for row, item in zip(rows.tolist(), candidates, strict=True))
+    y = Axis(limits=(-0.5, rows.size - 0.5), reverse=True, ticks=ticks)
+    least = min(-5.0, 1.05 * float(np.nanmin(low[np.isfinite(closed)], initial=0.0)))
+    return (
+        Plot("", Axis(marked("Probability"), "%", limits=(0.0, 100.0)), y, tuple(left)),
+        Plot("", Axis(marked("Closed"), "%", limits=(least, 102.0)), y, tuple(right)),
+    )
 
 
 def budget_plot(rows: Sequence[BudgetRow]) -> Plot:

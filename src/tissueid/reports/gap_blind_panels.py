@@ -8,12 +8,14 @@ import numpy as np
 from matplotlib.figure import FigureBase
 
 from tissueid.errors import UnusableInputError
+from tissueid.gap.blind_plots import risk_plot
 from tissueid.gap.blind_scoring import Score
 from tissueid.gap.statement import effect_title
 from tissueid.language import _, marked
 from tissueid.messages import Message, translated
 from tissueid.reports.panel_sheet import Panel
-from tissueid.reports.style import BLUE, DASHES, INK, MUTED, ORANGE, SEQUENTIAL
+from tissueid.reports.plot_renderer import draw_plot
+from tissueid.reports.style import INK, ORANGE, SEQUENTIAL
 
 _VERDICTS = {"unexplained": marked("unexplained"), "no_gap": marked("no gap")}
 """Answers that name no effect, and their labels."""
@@ -97,14 +99,7 @@ def draw_risk(figure: FigureBase, score: Score) -> None:
     """
     if not score.risk_coverage:
         raise UnusableInputError(NO_EFFECT)
-    axes = figure.subplots(1, 1)
-    coverage, risk = 100.0 * np.array(score.risk_coverage).T
-    axes.axhline(risk[-1], color=MUTED, linewidth=1.0, linestyle=DASHES[2])
-    axes.plot(coverage, risk, color=BLUE, drawstyle="steps-post", marker="o" if risk.size < 40 else "", markersize=3.5)
-    axes.set_xlim(0.0, 101.0)
-    axes.set_ylim(-1.0, max(1.15 * float(risk.max()), 10.0))
-    axes.set_xlabel(_("Answered (% of scenarios, most probable first)"))
-    axes.set_ylabel(_("Wrong among them (%)"))
+    draw_plot(figure.subplots(1, 1), risk_plot(score))
 
 
 def _shown(name: str) -> str:

@@ -6,9 +6,7 @@ from collections.abc import Iterator
 from dataclasses import replace
 from functools import partial
 
-import numpy as np
 from matplotlib.figure import FigureBase
-from numpy.typing import NDArray
 
 from tissueid.analysis.curves.plot import Axis, Plot, Surface
 from tissueid.errors import UnusableInputError
@@ -21,19 +19,17 @@ from tissueid.gap.diagnosis_plots import (
     overlays_of,
     profile_plot,
     profile_values,
+    ranking_plots,
     spectrum_lines,
     spectrum_plot,
 )
-from tissueid.gap.statement import effect_title, ordered_candidates
+from tissueid.gap.statement import ordered_candidates
 from tissueid.language import _, marked
-from tissueid.messages import Message, translated
+from tissueid.messages import Message
 from tissueid.reports.gap_chain import draw_chain
 from tissueid.reports.panel_sheet import Panel, missing_panel
-from tissueid.reports.plot_renderer import draw_plot
-from tissueid.reports.style import BLUE, MUTED, ORANGE
+from tissueid.reports.plot_renderer import draw_grid, draw_plot, draw_row
 from tissueid.twin.effect import STAGE_NAMES
-
-FloatArray = NDArray[np.float64]
 
 _LISTED = 8
 
@@ -127,7 +123,7 @@ def gap_panels(found: Diagnosis) -> Iterator[Panel]:
                 "Left: probability that a candidate is the cause. Right: the share of the gap that it closes on "
                 "held-out data, with 95 %. The same colour: candidates that this data cannot separate."
             ),
-            lambda figure: draw_ranking(figure, found),
+            lambda figure: draw_row(figure, ranking_plots(candidates[:_LISTED])),
             height=0.9 + 0.28 * min(len(candidates), _LISTED),
         )
     rows = budget_rows(found)
@@ -218,31 +214,6 @@ def draw_surface(figure: FigureBase, found: Diagnosis) -> None:
     draw_plot(figure.subplots(1, 1), Plot("", Axis(marked("Depth"), "mm"), Axis(marked("Velocity"), "mm/s"), (values,)))
 
 
-def draw_ranking(figure: FigureBase, found: Diagnosis) -> None:
-    """Probability and closed share of the leading candidates."""
-    left, right = figure.subplots(1, 2, sharey=True)
-    shown = ordered_candidates(found)[:_LISTED]
-    rows = np.arange(len(shown))
-    alike = {shown[0].effect, *shown[0].indistinguishable}
-    colours = [ORANGE if item.effect in alike else BLUE for item in shown]
-    left.barh(rows, [100.0 * item.probability for item in shown], color=colours, height=0.62, alpha=0.85)
-    for row, item, colour in zip(rows, shown, colours, strict=True):
-        if not np.isfinite(item.closed):
-            continue
-        low, high = (100.0 * np.clip(end, -1.0, 1.0) for end in item.closed_ci)
-        right.plot([low, high], [row, row], color=colour, linewidth=1.6)
-        right.plot([100.0 * max(item.closed, -1.0)], [row], color=colour, marker="o", markersize=4.5)
-    left.set_yticks(rows, [translated(effect_title(item.effect)) for item in shown])
-    left.invert_yaxis()
-    left.set_xlim(0.0, 100.0)
-    left.set_xlabel(_("Probability (%)"))
-    right.axvline(0.0, color=MUTED, linewidth=0.9)
-    right.set_xlim(min(0.0, right.get_xlim()[0]), 102.0)
-    right.set_xlabel(_("Closed (%)"))
-    for axes in (left, right):
-        axes.grid(visible=False, axis="y")
-
-
 def draw_budget(figure: FigureBase, found: Diagnosis) -> None:
     """Gap budget as a waterfall."""
     draw_plot(figure.subplots(1, 1), budget_plot(budget_rows(found)), title=False, key=False)
@@ -256,8 +227,4 @@ def draw_overlay(figure: FigureBase, found: Diagnosis) -> None:
     """
     worst = found.where.regions.channel
     shown = [item for item in overlays_of(found) if item.channel != "voltage" or worst == "voltage"][:3]
-    grid = figure.subplots(2, len(shown), sharex=True, squeeze=False, gridspec_kw={"height_ratios": (3, 2)})
-    for place, (column, overlay) in enumerate(zip(grid.T, shown, strict=True)):
-        for axes, plot in zip(column, overlay_plots(overlay), strict=True):
-            draw_plot(axes, plot, title=False, key=place == 0)
-        column[0].set_xlabel("")
+    draw_grid(figure, list(zip(*map(overlay_plots, shown), strict=True)), title=False, heights=(3.0, 2.0))
