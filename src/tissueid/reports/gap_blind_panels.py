@@ -8,8 +8,8 @@ import numpy as np
 from matplotlib.figure import FigureBase
 
 from tissueid.errors import UnusableInputError
-from tissueid.gap.blind_plots import risk_plot
 from tissueid.gap.blind_scoring import Score
+from tissueid.gap.diagnosis_plots import risk_plot
 from tissueid.gap.statement import effect_title
 from tissueid.language import _, marked
 from tissueid.messages import Message, translated

@@ -135,7 +135,7 @@ def gap_panels(found: Diagnosis) -> Iterator[Panel]:
             "Error over the signals' deviation on data held out for the check. Each effect closes the share between "
             "the ends of its bar when it is added to those above it."
         ),
-        lambda figure: draw_budget(figure, found),
+        lambda figure: draw_grid(figure, [[budget_plot(rows)]], title=False, key=False),
         height=0.9 + 0.3 * len(rows),
     )
     yield Panel(
@@ -212,11 +212,6 @@ def draw_surface(figure: FigureBase, found: Diagnosis) -> None:
         1e3 * surface.depth_m, 1e3 * surface.velocity_m_s, surface.residual, marked("Residual"), TIMES_NOISE
     )
     draw_plot(figure.subplots(1, 1), Plot("", Axis(marked("Depth"), "mm"), Axis(marked("Velocity"), "mm/s"), (values,)))
-
-
-def draw_budget(figure: FigureBase, found: Diagnosis) -> None:
-    """Gap budget as a waterfall."""
-    draw_plot(figure.subplots(1, 1), budget_plot(budget_rows(found)), title=False, key=False)
 
 
 def draw_overlay(figure: FigureBase, found: Diagnosis) -> None:

@@ -32,7 +32,9 @@ _LEAST_SHARE = 1e-9
 _COLUMNS = 1000
 """Number of parts of a test in which lost samples are marked."""
 _ROOM = 0.055
-"""Share of a test from which there is room for a text over its preload."""
+"""Width of the text over a preload, as a share of the test."""
+_SHORT = 0.04
+"""Share of a test below which its preload has no text."""
 _LEAST_SAMPLES = 20
 _BINS = (8, 60)
 Lines = Sequence[tuple[Array, Array] | None]
@@ -64,7 +66,8 @@ def density_curve(
     if found is None or not float(found[1][1:].max()) > 0.0:
         return None
     frequency_hz, density = (part[1:] for part in found)
-    return Curve(frequency_hz, np.maximum(density, _LEAST_SHARE * density.max()), name, colour, kind, width=width)
+    shown = density > _LEAST_SHARE * density.max()
+    return Curve(frequency_hz[shown], density[shown], name, colour, kind, width=width)
 
 
 def spectrum_plot(
@@ -144,11 +147,13 @@ def _times(test: Test, seconds: float, held_out_s: tuple[float, float] | None) -
     preload = min(test.preload_s, seconds)
     if preload > 0.0:
         spans.append(preload_span(preload))
-    if preload > _ROOM * seconds:
+    fitted = preload
+    if preload > _SHORT * seconds:
         marks.append(Mark(0.0, PRELOAD))
+        fitted = max(preload, _ROOM * seconds)
     if held_out_s is not None:
         spans.append(Curve(np.array([held_out_s[0]]), np.zeros(1), "", "muted", "position", width=0.85))
-        marks += [Mark(preload, marked("fitted")), Mark(held_out_s[0], marked("held out"))]
+        marks += [Mark(fitted, marked("fitted")), Mark(held_out_s[0], marked("held out"))]
     edges = np.unique(np.linspace(0, test.samples, _COLUMNS + 1).astype(np.intp))
     lost = runs(np.logical_or.reduceat(lost_samples(test), edges[:-1]))
     if lost:

@@ -122,7 +122,7 @@ def power_plot(
     label = Message("stimulus.power_density", "{signal}, power density ({unit}²/Hz)", signal=axis.label, unit=unit)
     return Plot(
         "",
-        replace(FREQUENCY, limits=(float(played.x[0]), float(played.x[-1]))),
+        replace(FREQUENCY, limits=(float(played.x[0]), 0.5 * sample_rate_hz)),
         Axis(label, log=True, limits=(0.5 * floor, 10.0 * float(played.y.max()))),
         tuple(parts),
         marks=tuple(
