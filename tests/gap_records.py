@@ -9,6 +9,7 @@ from typing import Any
 from coded import coded, says
 
 from firmware_sim.effects import LISTED
+from firmware_sim.laboratory import Recording
 from firmware_sim.laboratory.scenario_generation import NOMINAL, DrawnScenario, draw_scenario
 from tissueid.device import DeviceDescription
 from tissueid.gap.dataset import Dataset
@@ -29,6 +30,11 @@ def scenario(effect: str = "", seed: int = 3, *, full: bool = False) -> DrawnSce
 
 
 @cache
+def _whole(effect: str, seed: int, full: bool) -> tuple[Recording, ...]:
+    return scenario(effect, seed, full=full).record()
+
+
+@cache
 def recorded(effect: str = "", seed: int = 3, samples: int = 4000, *, full: bool = False) -> Session:
     """Return its session with the first samples of every test; do not change it."""
     drawn = scenario(effect, seed, full=full)
@@ -42,7 +48,7 @@ def recorded(effect: str = "", seed: int = 3, samples: int = 4000, *, full: bool
             surface_position_m=recording.surface_m,
             repeat_of=plan.repeats,
         )
-        for number, (plan, recording) in enumerate(zip(drawn.tests, drawn.record(), strict=True), 1)
+        for number, (plan, recording) in enumerate(zip(drawn.tests, _whole(effect, seed, full), strict=True), 1)
     )
     return Session(DEVICE, tests=tests)
 

@@ -11,7 +11,7 @@ from gap_records import changed, observed, recorded, scenario
 
 from tissueid.errors import CancelledError
 from tissueid.gap.dataset import Purpose
-from tissueid.gap.fitting import Fit, differences, fit, predict, re_estimate
+from tissueid.gap.fitting import SLOPE_STEP_S, Differences, Fit, fit, predict, re_estimate
 from tissueid.gap.parameters import WITHIN_STDS, parametrise
 from tissueid.gap.preparation import prepare
 from tissueid.gap.scoring import errors
@@ -132,13 +132,14 @@ def test_no_more_steps_than_allowed():
 def test_differences_are_what_an_effect_changes():
     chosen = effect("dry_friction")
     before = baseline()
-    added, _ = differences(before, chosen, chosen.starts[0])
+    added, _ = Differences(before).at(chosen, chosen.starts[0])
     parameters = parametrise(observed(), [chosen])
     theta = parameters.array("start")
     for name, place in before.parameters.index.items():
         theta[parameters.index[name]] = before.value(name)
         assert before.theta[place] == before.value(name)
-    moved = predict(parameters, theta)[0]["current"] - before.predictions[0]["current"]
+    without = predict(before.parameters, before.theta, step_s=SLOPE_STEP_S)[0]
+    moved = predict(parameters, theta, step_s=SLOPE_STEP_S)[0]["current"] - without["current"]
     serving = observed().tests[0].serving(Purpose.FIT)
     size = int(serving.sum())
     # Channels are in the order voltage, current, position.

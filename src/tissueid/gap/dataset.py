@@ -95,9 +95,19 @@ class DatasetTest:
     @property
     def starts_at_surface(self) -> bool:
         """Whether the probe rests at the surface when the test begins; otherwise the surface is less certain."""
+        return bool(np.isfinite(self._first_position_m)) and abs(self._first_position_m - self.surface_m) < AT_SURFACE_M
+
+    @property
+    def starting_position_m(self) -> float:
+        """Position at which the test begins: the surface, unless the first readings differ."""
+        at_surface = self.starts_at_surface or not np.isfinite(self._first_position_m)
+        return self.surface_m if at_surface else self._first_position_m
+
+    @cached_property
+    def _first_position_m(self) -> float:
         position = self.signals["position"]
         first = position[np.isfinite(position)][:3]
-        return bool(first.size) and abs(float(np.median(first)) - self.surface_m) < AT_SURFACE_M
+        return float(np.median(first)) if first.size else float("nan")
 
     @cached_property
     def spreads(self) -> dict[str, float]:

@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from tissueid.errors import CancelledError
 from tissueid.gap.dataset import LEAST_NOISE, Dataset, DatasetTest, Purpose
-from tissueid.gap.forward_model import simulate_test
+from tissueid.gap.forward_model import STEP_S, simulate_test, substeps_of
 from tissueid.gap.parameters import Parametrisation, parametrise
 from tissueid.identification.levenberg_marquardt import Bounds, SecantProblem, minimise
 from tissueid.twin.effect import Effect
@@ -24,15 +24,22 @@ TOLERANCE = 1e-4
 """Relative decrease of the cost below which the fit ends."""
 ESTIMATES = 4
 """Most re-estimates of an effect from the record."""
+SLOPE_STEP_S = 2.5e-4
+"""Longest integration step for derivatives until a fit has converged, s: twice that of the residuals."""
 WORST = 1e6
 """Bound of a residual in noise deviations, so that a diverging simulation still has a cost."""
 
 
-def predict(parameters: Parametrisation, theta: FloatArray, tests: Sequence[DatasetTest] | None = None) -> Predictions:
-    """Return the prediction of each test by channel, simulated from the excitation only."""
+def predict(
+    parameters: Parametrisation,
+    theta: FloatArray,
+    tests: Sequence[DatasetTest] | None = None,
+    step_s: float = STEP_S,
+) -> Predictions:
+    """Return the prediction of each test by channel, simulated from the excitation only in steps of ``step_s``."""
     found = []
     for test in parameters.dataset.tests if tests is None else tests:
-        readings = simulate_test(parameters, theta, test)
+        readings = simulate_test(parameters, theta, test, substeps=substeps_of(test, step_s))
         found.append({name: getattr(readings, name) for name in parameters.dataset.channels})
     return found
 
@@ -82,9 +89,8 @@ def fit(
         for k, item in enumerate(parameters.coordinates):
             if item.name in near.parameters.index:
                 theta[k] = near.value(item.name)
-    low, high = parameters.array("low"), parameters.array("high")
-    theta = np.clip(theta, low, high)
-    return _Search(parameters, low, high, cancelled).run(theta, near, most_steps)
+    theta = np.clip(theta, parameters.array("low"), parameters.array("high"))
+    return _Search(parameters, cancelled).run(theta, near, most_steps)
 
 
 def re_estimate(found: Fit, most_steps: int = MOST_STEPS, readings: int = ESTIMATES) -> Fit:
@@ -131,24 +137,41 @@ def _with_held_out_estimates(found: Fit) -> Fit:
     return replace(found, parameters=parameters, predictions=predictions)
 
 
-def differences(
-    baseline: Fit, effect: Effect, start: Sequence[float], *, slopes: bool = True
-) -> tuple[FloatArray, FloatArray]:
-    """Return the change of the residuals of a fit by an effect at a starting point, shape as ``Fit.residuals``.
+def residual_blocks(found: Fit) -> list[slice]:
+    """Return the places of each channel of each fitted test in ``Fit.residuals``."""
+    blocks, end = [], 0
+    for test in found.parameters.dataset.tests:
+        for name in found.parameters.dataset.channels:
+            size = int((test.serving(Purpose.FIT) & np.isfinite(test.signals[name])).sum())
+            blocks += [slice(end, end + size)] if size else []
+            end += size
+    return blocks
 
-    With ``slopes`` also its derivatives by the effect's coordinates, shape (residuals, coordinates).
-    """
-    before = baseline.parameters
-    effects = [*before.effects, effect]
-    starts = [*(item.starts[0] for item in before.effects), start]
-    parameters = parametrise(before.dataset, effects, starts, baseline.predictions, before)
-    theta = parameters.array("start")
-    for name, k in before.index.items():
-        theta[parameters.index[name]] = baseline.theta[k]
-    search = _Search(parameters, parameters.array("low"), parameters.array("high"), lambda: False, before)
-    residuals = search.residuals(theta)[0]
-    new = [k for k, item in enumerate(parameters.coordinates) if slopes and item.name not in before.index]
-    return residuals - baseline.residuals, search.slopes(theta, residuals, new)
+
+class Differences:
+    """Changes of the residuals of a fit by further effects, by simulations in steps of ``SLOPE_STEP_S``."""
+
+    def __init__(self, baseline: Fit) -> None:
+        self._baseline = baseline
+        known = _Search(baseline.parameters)
+        self._before, _ = known.residuals(baseline.theta, step_s=SLOPE_STEP_S)
+
+    def at(self, effect: Effect, start: Sequence[float], *, slopes: bool = True) -> tuple[FloatArray, FloatArray]:
+        """Return the change by an effect at a starting point, shape as ``Fit.residuals``.
+
+        With ``slopes`` also its derivatives by the effect's coordinates, shape (residuals, coordinates).
+        """
+        before = self._baseline.parameters
+        effects = [*before.effects, effect]
+        starts = [*(item.starts[0] for item in before.effects), start]
+        parameters = parametrise(before.dataset, effects, starts, self._baseline.predictions, before)
+        theta = parameters.array("start")
+        for name, k in before.index.items():
+            theta[parameters.index[name]] = self._baseline.theta[k]
+        search = _Search(parameters, weighed_as=before)
+        residuals, _ = search.residuals(theta, step_s=SLOPE_STEP_S)
+        new = [k for k, item in enumerate(parameters.coordinates) if slopes and item.name not in before.index]
+        return residuals - self._before, search.slopes(theta, residuals, new)
 
 
 class _Search:
@@ -157,14 +180,17 @@ class _Search:
     def __init__(
         self,
         parameters: Parametrisation,
-        low: FloatArray,
-        high: FloatArray,
-        cancelled: Callable[[], bool],
+        cancelled: Callable[[], bool] = lambda: False,
         weighed_as: Parametrisation | None = None,
     ) -> None:
         self._parameters = parameters
-        self._low, self._high = low, high
+        self._low, self._high = parameters.array("low"), parameters.array("high")
         self._cancelled = cancelled
+        self._slope_step_s = SLOPE_STEP_S
+        self._coarser = any(
+            test.driven_by != "input" and substeps_of(test, SLOPE_STEP_S) < substeps_of(test, STEP_S)
+            for test in parameters.dataset.tests
+        )
         self._steps = parameters.array("step")
         dataset = parameters.dataset
         self._tests = dataset.tests
@@ -173,6 +199,10 @@ class _Search:
         self._masks = [
             {name: test.serving(Purpose.FIT) & np.isfinite(test.signals[name]) for name in self._channels}
             for test in self._tests
+        ]
+        self._recorded = [
+            {name: test.signals[name][mask] for name, mask in masks.items()}
+            for test, masks in zip(self._tests, self._masks, strict=True)
         ]
         counts = [sum(int(mask.sum()) for mask in masks.values()) for masks in self._masks]
         self._fitted = [count > 0 for count in counts]
@@ -191,9 +221,13 @@ class _Search:
         bounds = Bounds(self._low, self._high, self._parameters.array("reach"))
         problem = SecantProblem(self.residuals, self._jacobian, self._steps, bounds, prior)
         known = None if near is None else partial(self._jacobian, near=near)
-        found = minimise(
-            problem, problem.start(theta, known), most_steps=most_steps, tolerance=TOLERANCE, bounds=bounds
-        )
+        search = partial(minimise, problem, tolerance=TOLERANCE, bounds=bounds)
+        found = search(problem.start(theta, known), most_steps=most_steps)
+        if found.converged and most_steps == MOST_STEPS and self._coarser:
+            # A fit to the end needs exact derivatives.
+            self._slope_step_s = STEP_S
+            more = search(problem.restart(found.point), most_steps=most_steps)
+            found = replace(more, steps=found.steps + more.steps)
         best = found.point
         problem.follow(best)
         predictions = self._unfitted(best.theta, best.extra)
@@ -204,7 +238,9 @@ class _Search:
         names = [item.name for item in self._parameters.coordinates]
         known = {} if near is None else {k: near.parameters.index.get(name) for k, name in enumerate(names)}
         new = [k for k in range(theta.size) if known.get(k) is None]
-        jacobian = np.empty((residuals.size, theta.size))
+        jacobian = np.empty((residuals.size, theta.size), order="F")
+        if new and self._coarser and self._slope_step_s == SLOPE_STEP_S:
+            residuals, _ = self.residuals(theta, step_s=SLOPE_STEP_S)
         jacobian[:, new] = self.slopes(theta, residuals, new)
         for k, column in known.items():
             if near is not None and column is not None:
@@ -212,20 +248,27 @@ class _Search:
         return jacobian
 
     def slopes(self, theta: FloatArray, residuals: FloatArray, places: Sequence[int]) -> FloatArray:
-        """Return derivatives of the residuals by some coordinates, shape (residuals, places)."""
-        found = np.empty((residuals.size, len(places)))
+        """Return derivatives of the residuals by some coordinates, shape (residuals, places).
+
+        ``residuals`` are those at ``theta`` by simulations in the same steps as the derivatives.
+        """
+        found = np.empty((residuals.size, len(places)), order="F")
         for column, k in enumerate(places):
             if self._cancelled():
                 raise CancelledError
             step = self._steps[k] if theta[k] + self._steps[k] <= self._high[k] else -self._steps[k]
             other = theta.copy()
             other[k] += step
-            moved, _ = self.residuals(other, self._parameters.coordinates[k].test, residuals)
+            moved, _ = self.residuals(other, self._parameters.coordinates[k].test, residuals, self._slope_step_s)
             found[:, column] = (moved - residuals) / step
         return found
 
     def residuals(
-        self, theta: FloatArray, only: int | None = None, others: FloatArray | None = None
+        self,
+        theta: FloatArray,
+        only: int | None = None,
+        others: FloatArray | None = None,
+        step_s: float = STEP_S,
     ) -> tuple[FloatArray, Predictions]:
         """Return residuals and predictions of the fitted tests, or of one test with the residuals of the others
         unchanged.
@@ -235,7 +278,7 @@ class _Search:
         chosen = [k for k, test in enumerate(self._tests) if self._fitted[k] and only in (None, test.number)]
         predictions: Predictions = [{} for _ in self._tests]
         for k, predicted in zip(
-            chosen, predict(self._parameters, theta, [self._tests[k] for k in chosen]), strict=True
+            chosen, predict(self._parameters, theta, [self._tests[k] for k in chosen], step_s), strict=True
         ):
             predictions[k] = predicted
         values = np.empty(self._ends[-1]) if others is None else others.copy()
@@ -243,8 +286,9 @@ class _Search:
             rows = []
             for name in self._channels:
                 mask = self._masks[k][name]
-                error = (predictions[k][name][mask] - self._tests[k].signals[name][mask]) * self._weights[k][name]
-                rows.append(np.clip(np.nan_to_num(error, nan=WORST, posinf=WORST, neginf=-WORST), -WORST, WORST))
+                error = (predictions[k][name][mask] - self._recorded[k][name]) * self._weights[k][name]
+                error[np.isnan(error)] = WORST
+                rows.append(np.clip(error, -WORST, WORST))
             values[self._ends[k] : self._ends[k + 1]] = np.concatenate(rows)
         return values, predictions
 

@@ -28,13 +28,14 @@ STEP_S = 1.25e-4
 """Longest integration step, s: four in a sample at 2 kHz."""
 
 
+def substeps_of(test: DatasetTest, step_s: float = STEP_S) -> int:
+    """Return the number of integration steps in a sample of a test that are not longer than ``step_s``."""
+    return max(1, int(np.ceil(1.0 / (test.sample_rate_hz * step_s))))
+
+
 def starting_point(test: DatasetTest, resistance_ohm: float) -> Start:
     """Return the start of a test: at rest at the surface, unless its first readings differ."""
-    position = test.signals["position"]
-    first = position[np.isfinite(position)][:3]
-    at = float(np.median(first)) if first.size else test.surface_m
-    if test.starts_at_surface:
-        at = test.surface_m
+    at = test.starting_position_m
     if test.driven_by == "current":
         return Start(float(test.command[0]), at, 0.0)
     return Start(float(test.command[0]) / resistance_ohm, at, 0.0)
@@ -68,7 +69,7 @@ def simulate_test(
         parameters.tissue_of(theta, test),
         [item for item in acting if item.effect.hook is not None],
         given,
-        substeps or max(1, int(np.ceil(1.0 / (test.sample_rate_hz * STEP_S)))),
+        substeps or substeps_of(test),
     )
     return recorded(met, acting, on_tissue)
 
@@ -119,4 +120,4 @@ class _MotionCache:
 _MOTIONS = _MotionCache(96)
 
 
-__all__ = ["STEP_S", "fineness", "simulate_test", "starting_point"]
+__all__ = ["STEP_S", "fineness", "simulate_test", "starting_point", "substeps_of"]

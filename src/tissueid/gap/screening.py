@@ -8,7 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from tissueid.gap.fitting import Fit, differences
+from tissueid.gap.fitting import Differences, Fit
 from tissueid.gap.parameters import starts_of
 from tissueid.twin.effect import Effect
 
@@ -39,18 +39,21 @@ class Screen:
 
     def __init__(self, baseline: Fit) -> None:
         self._baseline = baseline
+        self._differences = Differences(baseline)
         jacobian = baseline.jacobian
         norms = np.linalg.norm(jacobian, axis=0)
         self._basis, _ = np.linalg.qr(jacobian[:, norms > 0.0] / norms[norms > 0.0])
         self._left = self.surviving(baseline.residuals)
         self._size = float(self._left @ self._left)
 
-    def signatures(self, effect: Effect) -> list[Signature]:
-        """Return the signature of an effect at each starting point."""
-        declared = starts_of(self._baseline.parameters.dataset, effect, self._baseline.predictions)
+    def signatures(self, effect: Effect, starts: Sequence[tuple[float, ...]] = ()) -> list[Signature]:
+        """Return the signature of an effect at each of the starts; at all its starting points without ``starts``."""
+        if not starts:
+            declared = starts_of(self._baseline.parameters.dataset, effect, self._baseline.predictions)
+            starts = (*declared, *self._most_visible_starts(effect))
         found = []
-        for start in (*declared, *self._most_visible_starts(effect)):
-            added, slopes = differences(self._baseline, effect, start)
+        for start in starts:
+            added, slopes = self._differences.at(effect, start)
             span = self.surviving(np.column_stack([added, slopes]))
             sizes = np.linalg.norm(span, axis=0)
             span = span[:, sizes > 1e-9 * max(float(sizes.max()), 1e-300)]
@@ -66,9 +69,13 @@ class Screen:
     def _most_visible_starts(self, effect: Effect) -> list[tuple[float, ...]]:
         # The point of the grid at which the effect, at any size, is closest to the residual of the baseline.
         def seen(start: tuple[float, ...]) -> float:
-            return cosine(self.surviving(differences(self._baseline, effect, start, slopes=False)[0]), self._left)
+            return cosine(self.surviving_change(effect, start), self._left)
 
         return [max(effect.scan, key=seen)] if effect.scan else []
+
+    def surviving_change(self, effect: Effect, start: Sequence[float]) -> FloatArray:
+        """Return the change by an effect at a starting point that a refit cannot absorb, shape (residuals,)."""
+        return self.surviving(self._differences.at(effect, start, slopes=False)[0])
 
     def surviving(self, values: FloatArray) -> FloatArray:
         """Return the part of a change of the residuals that a refit of everything else cannot absorb, shape

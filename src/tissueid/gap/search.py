@@ -25,6 +25,8 @@ R = TypeVar("R")
 
 SINGLES = 12
 """Largest number of starting points refitted, best-aligned first."""
+SCREENING_TASKS = 8
+"""Tasks of a screening: each prepares the fit once for its effects."""
 LEAST_ALIGNMENT = 0.02
 FIRST_STARTING_POINTS = 4
 """Starting points refitted first. Where one of them explains the gap, only close rivals follow."""
@@ -57,11 +59,11 @@ FULL_FITS_BY_COST = 2
 FURTHER = 12
 FURTHER_FULL_FITS = 8
 """Starting points of the second round, and its full fits."""
+STARTS_OF_A_PARTNER = 2
+"""Starting points of an effect that are screened with a set, those best aligned with the residual of the baseline."""
 PARTNERS = 4
-"""Largest number of further effects refitted with a set."""
+"""Largest number of further effects refitted with a set, and of rivals refitted in the place of a member."""
 FULL_FITS_OF_SETS = 2
-FURTHER_PARTNERS = 4
-"""Most rivals refitted in the place of a member."""
 
 
 Work = Literal[
@@ -122,9 +124,15 @@ def refit(task: Task) -> Candidate:
     return score_candidate(re_estimate(found, task.most_steps, readings))
 
 
-def screen(near: Fit, name: str) -> list[Signature]:
-    """Return the signatures of an effect on the residual of a fit; called in a worker process."""
-    return Screen(near).signatures(effects_of(near.parameters.dataset)[name])
+def screen(near: Fit, items: Sequence[tuple[str, Sequence[tuple[float, ...]]]]) -> list[Signature]:
+    """Return the signatures of effects on the residual of a fit, at the given starting points of each, or at all where
+    none are given; called in a worker process."""
+    screening, library = Screen(near), effects_of(near.parameters.dataset)
+    return [found for name, starts in items for found in screening.signatures(library[name], starts)]
+
+
+def _by_alignment(signatures: Sequence[Signature]) -> list[Signature]:
+    return sorted(signatures, key=lambda item: -item.alignment)
 
 
 def applicable(dataset: Dataset, item: Effect) -> bool:
@@ -182,6 +190,7 @@ class Search:
         self._progress = progress
         self._cancelled = cancelled
         self._known: tuple[str, ...] = ()
+        self._starts: dict[str, tuple[tuple[float, ...], ...]] = {}
 
     @property
     def dataset(self) -> Dataset:
@@ -207,8 +216,8 @@ class Search:
         return found
 
     @property
-    def _names(self) -> list[str]:
-        # Effects to try, in the order of the library.
+    def names(self) -> list[str]:
+        """Effects to try, in the order of the library."""
         return [
             name
             for name, item in effects_of(self._dataset).items()
@@ -218,6 +227,9 @@ class Search:
     def singles(self, baseline: Candidate) -> SearchResult:
         """Fit each candidate effect alone."""
         signatures = self._screened(baseline.fit)
+        for name in self.names:
+            of_effect = _by_alignment([item for item in signatures if item.effect == name])
+            self._starts[name] = tuple(item.start for item in of_effect[:STARTS_OF_A_PARTNER])
         worth = best_aligned(signatures)[:SINGLES]
         short_fits = self._short_fits("likeliest candidates", baseline, worth[:FIRST_STARTING_POINTS])
         if short_fits and min(item.score for item in short_fits) <= THRESHOLDS.at_the_floor:
@@ -234,8 +246,7 @@ class Search:
         """
         tried = best_aligned(found.signatures)[:SINGLES]
         others = [item for item in found.signatures if all(item is not other for other in tried)]
-        others.sort(key=lambda item: -item.alignment)
-        short_fits = self._short_fits("further starting points", found.baseline, others[:FURTHER])
+        short_fits = self._short_fits("further starting points", found.baseline, _by_alignment(others)[:FURTHER])
         on_the_way = [item for item in found.candidates if item.fit.steps == self._short_steps]
         finished = [item for item in found.candidates if item.fit.steps != self._short_steps]
         full_fits = self._full_fits("further candidates", [*short_fits, *on_the_way], FURTHER_FULL_FITS)
@@ -250,7 +261,7 @@ class Search:
         tasks = [
             self._task_with_partner(leader.fit, held, other)
             for held in leader.fit.parameters.effects
-            for other in map(effects_of(self._dataset).__getitem__, self._names)
+            for other in map(effects_of(self._dataset).__getitem__, self.names)
             if held.name not in baseline.effects and other.name not in leader.effects and nested(held, other)
         ]
         return _best_of_each([*candidates, *self._run_tasks("near relations", refit, tasks)])
@@ -276,7 +287,7 @@ class Search:
             return ()
         if any(effect(name).in_living_tissue for name in baseline.effects):
             return ()
-        found = [effect(name) for name in self._names]
+        found = [effect(name) for name in self.names]
         chosen = [item for item in found if item.in_living_tissue][: MOST_EFFECTS - len(baseline.effects)]
         if len(chosen) < 2:
             return ()
@@ -336,7 +347,9 @@ class Search:
                 Task(self._dataset, (*without.effects, name), (*held, item.start), without.fit, self._short_steps)
                 for name, without in zip(added, self.remove_from(best, added), strict=True)
                 for held in [[kept.starts[0] for kept in without.fit.parameters.effects]]
-                for item in sorted(screen(without.fit, name), key=lambda item: -item.alignment)[:STARTS_OF_A_MEMBER]
+                for item in sorted(screen(without.fit, [(name, ())]), key=lambda item: -item.alignment)[
+                    :STARTS_OF_A_MEMBER
+                ]
             ]
             short_fits = sorted(self._run_tasks("replacements", refit, restarts), key=_fitted_cost)
             tasks = [
@@ -353,7 +366,7 @@ class Search:
         short_fits = []
         for without in smaller:
             fresh = [item for item in self._likely_partners(without) if item.effect not in found.effects]
-            short_fits += self._short_fits("replacements", without, fresh[:FURTHER_PARTNERS])
+            short_fits += self._short_fits("replacements", without, fresh[:PARTNERS])
         return self._full_fits("leading replacements", short_fits, FULL_FITS_OF_SETS)
 
     def nested_with(self, baseline: Candidate, found: Candidate) -> Candidate:
@@ -391,8 +404,9 @@ class Search:
 
     def _screened(self, near: Fit) -> list[Signature]:
         there = {item.name for item in near.parameters.effects}
-        names = [name for name in self._names if name not in there]
-        found = self._run_tasks("screening", partial(screen, near), names)
+        items = [(name, self._starts.get(name, ())) for name in self.names if name not in there]
+        parts = [items[k::SCREENING_TASKS] for k in range(min(SCREENING_TASKS, len(items)))]
+        found = self._run_tasks("screening", partial(screen, near), parts)
         return [item for items in found for item in items]
 
     def _run_tasks(self, what: Work, work: Callable[[T], R], things: Sequence[T]) -> list[R]:

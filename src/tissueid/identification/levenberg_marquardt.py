@@ -157,13 +157,19 @@ class SecantProblem(Generic[E]):
         self._mean, self._std = prior
         self._last: SecantPoint[E] | None = None
         self._exact = False
-        self.jacobian = np.empty((0, steps.size))
+        self._set_jacobian(np.empty((0, steps.size)))
 
     def start(self, theta: Array, known: Callable[[Array, Array], Array] | None = None) -> SecantPoint[E]:
         """Return the starting point. ``known`` provides an approximate Jacobian there in place of the exact one."""
         self._last = at = self._point(theta)
-        self.jacobian = (known or self._derivatives)(theta, at.residuals)
+        self._set_jacobian((known or self._derivatives)(theta, at.residuals))
         self._exact = known is None
+        return at
+
+    def restart(self, at: SecantPoint[E]) -> SecantPoint[E]:
+        """Return a point at which another search begins; its Jacobian is recomputed when that is needed."""
+        self.follow(at)
+        self._last, self._exact = at, False
         return at
 
     def attempt(self, at: SecantPoint[E], step: Array) -> SecantPoint[E]:
@@ -174,14 +180,15 @@ class SecantProblem(Generic[E]):
         """Return the quadratic model; the Jacobian is recomputed after a step that gained less than predicted."""
         if self.follow(at):
             self.refresh(at)
-        descent = -self.jacobian.T @ at.residuals - (at.theta - self._mean) * self._std**-2.0
-        return self.jacobian.T @ self.jacobian + np.diag(self._std**-2.0), descent
+        descent = -self._transposed_times(at.residuals) - (at.theta - self._mean) * self._std**-2.0
+        return self._normal + np.diag(self._std**-2.0), descent
 
     def refresh(self, at: SecantPoint[E]) -> bool:
         """Recompute the Jacobian unless it was exact at the last point."""
         if self._exact:
             return False
-        self.jacobian, self._exact, self._last = self._derivatives(at.theta, at.residuals), True, at
+        self._set_jacobian(self._derivatives(at.theta, at.residuals))
+        self._exact, self._last = True, at
         return True
 
     def follow(self, at: SecantPoint[E]) -> bool:
@@ -190,11 +197,45 @@ class SecantProblem(Generic[E]):
         if last is None or at is last:
             return False
         moved = at.theta - last.theta
-        expected = last.residuals + self.jacobian @ moved
+        expected = last.residuals + self._times(moved)
         scaled = moved / self._steps
-        self.jacobian = self.jacobian + np.outer(at.residuals - expected, scaled / self._steps) / float(scaled @ scaled)
+        self._add_secant(at.residuals - expected, scaled / self._steps / float(scaled @ scaled))
         self._last, self._exact = at, False
         return last.cost - at.cost < _POOR * (last.cost - self._cost(at.theta, expected))
+
+    # The Jacobian is that of the last derivatives and the secants since: a sum of products of columns and rows. Adding
+    # a secant to it and to the normal matrix takes a pass over the residuals, and no copy of the Jacobian.
+
+    @property
+    def jacobian(self) -> Array:
+        """The Jacobian (m, p) at the last point."""
+        if self._columns:
+            self._set_jacobian(self._base + np.stack(self._columns, axis=1) @ np.stack(self._rows), self._normal)
+        return self._base
+
+    def _set_jacobian(self, jacobian: Array, normal: Array | None = None) -> None:
+        self._base = jacobian
+        self._normal: Array = jacobian.T @ jacobian if normal is None else normal
+        self._columns: list[Array] = []
+        self._rows: list[Array] = []
+
+    def _add_secant(self, column: Array, row: Array) -> None:
+        across = np.outer(self._transposed_times(column), row)
+        self._normal = self._normal + across + across.T + float(column @ column) * np.outer(row, row)
+        self._columns.append(column)
+        self._rows.append(row)
+
+    def _times(self, step: Array) -> Array:
+        change = self._base @ step
+        for column, row in zip(self._columns, self._rows, strict=True):
+            change += float(row @ step) * column
+        return change
+
+    def _transposed_times(self, values: Array) -> Array:
+        found = self._base.T @ values
+        for column, row in zip(self._columns, self._rows, strict=True):
+            found = found + float(column @ values) * row
+        return found
 
     def _point(self, theta: Array) -> SecantPoint[E]:
         residuals, extra = self._evaluate(theta)
@@ -221,11 +262,13 @@ def _damped_step(
     if not free.any():
         return step, damping
     size = np.sqrt(scale[free])
-    inner = matrix[np.ix_(free, free)] / np.outer(size, size)
+    inner = matrix[np.ix_(free, free)] / (size[:, None] * size)
     right = descent[free] / size
+    diagonal = inner.diagonal().copy()
     while damping < _HOPELESS:  # also ends where slopes are not finite
-        part = np.linalg.solve(inner + damping * np.eye(right.size), right) / size
-        if np.all(np.abs(part) <= reach):
+        inner.flat[:: right.size + 1] = diagonal + damping
+        part = np.linalg.solve(inner, right) / size
+        if (np.abs(part) <= reach).all():
             step[free] = part
             return step, damping
         damping *= 3.0

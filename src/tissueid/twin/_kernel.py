@@ -6,6 +6,7 @@ import math
 from typing import Any
 
 import numpy as np
+from llvmlite import ir
 from numba import njit, types
 from numba.extending import intrinsic
 
@@ -31,6 +32,21 @@ def offset(typing_context: Any, pointer: Any, count: Any) -> Any:
         return builder.gep(arguments[0], [arguments[1]])
 
     return pointer(pointer, types.int64), generate
+
+
+@intrinsic  # type: ignore[untyped-decorator]
+def call_hook(  # type: ignore[no-untyped-def]
+    typing_context, hook, where, bus, p, s, dt
+):
+    """Call the compiled hook at an address."""
+
+    def generate(context: Any, builder: Any, signature: Any, arguments: Any) -> Any:
+        hook_type = ir.FunctionType(ir.VoidType(), [argument.type for argument in arguments[1:]])
+        builder.call(builder.inttoptr(arguments[0], hook_type.as_pointer()), arguments[1:])
+        return context.get_dummy_value()
+
+    numbers = types.CPointer(types.float64)
+    return types.void(types.int64, types.int64, numbers, numbers, numbers, types.float64), generate
 
 
 # Parameters of the instrument, in the order of ``Instrument``.
@@ -61,7 +77,7 @@ def grown(value, growth, depth):  # type: ignore[no-untyped-def]
 def _call(place, effects, called, bus, p, wide, s, deep, step):  # type: ignore[no-untyped-def]
     for j in range(called[place, b.SLOTS]):
         k = called[place, j]
-        effects[k](place, bus, offset(p, k * wide), offset(s, k * deep), step)
+        call_hook(effects[k], place, bus, offset(p, k * wide), offset(s, k * deep), step)
 
 
 @njit(cache=True, error_model="numpy")  # type: ignore[untyped-decorator]
@@ -108,6 +124,7 @@ def integrate(  # type: ignore[no-untyped-def]
     called = _calls(places)
     used = called[:, b.SLOTS] > 0
     current, position, velocity, acceleration = state
+    known_decay, kept, mean_kept = 0.0, 1.0, 1.0
     # Anti-alias filters of the readings; measured signals are filtered already.
     filtered = figures[FILTER_TIME] > 0.0 and not (given[VOLTAGE_GIVEN] or given[CURRENT_GIVEN] or given[MOTION_GIVEN])
     filter_ratio = step / figures[FILTER_TIME] if filtered else 1.0
@@ -162,21 +179,23 @@ def integrate(  # type: ignore[no-untyped-def]
             if used[b.COIL]:
                 _call(b.COIL, effects, called, at_bus, at_parameters, wide, at_states, deep, step)
             decay = bus[b.RESISTANCE] * step / bus[b.INDUCTANCE]
+            if decay != known_decay:
+                known_decay, kept = decay, math.exp(-decay)
+                mean_kept = (1.0 - kept) / decay
             if given[CURRENT_GIVEN]:
                 # Between two readings the current settles with the coil's time constant, well within the interval.
                 left = (measured[1, before] - measured[1, n]) * math.exp(-decay * m)
-                mean = measured[1, n] + left * (1.0 - math.exp(-decay)) / decay
-                current = measured[1, n] + left * math.exp(-decay)
+                mean = measured[1, n] + left * mean_kept
+                current = measured[1, n] + left * kept
             else:
                 middle = velocity + 0.5 * step * acceleration
                 before_step = current
                 driving = bus[b.VOLTAGE] - bus[b.OPPOSING_VOLTAGE] - bus[b.FORCE_CONSTANT] * middle
                 settled = driving / bus[b.RESISTANCE]
-                kept = math.exp(-decay)
-                mean = settled + (current - settled) * (1.0 - kept) / decay
+                mean = settled + (current - settled) * mean_kept
                 current = settled + (current - settled) * kept
                 # A ramp around the mean voltage changes the current at the end of the step, and its mean inversely.
-                tilted = bus[b.VOLTAGE_TILT] / bus[b.RESISTANCE] * (1.0 + kept - 2.0 * (1.0 - kept) / decay)
+                tilted = bus[b.VOLTAGE_TILT] / bus[b.RESISTANCE] * (1.0 + kept - 2.0 * mean_kept)
                 current += tilted
                 mean -= tilted / decay
                 if filtered:

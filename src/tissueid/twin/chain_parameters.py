@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import astuple, dataclass
+from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
@@ -30,7 +30,7 @@ class Instrument:
 
     def to_array(self) -> NDArray[np.float64]:
         """Return all parameters in order, shape (10,)."""
-        return np.array(astuple(self), np.float64)
+        return np.array(list(vars(self).values()), np.float64)
 
 
 @dataclass(frozen=True)
@@ -50,7 +50,7 @@ class Tissue:
 
     def to_array(self) -> NDArray[np.float64]:
         """Return all parameters in order, shape (6,)."""
-        return np.array(astuple(self), np.float64)
+        return np.array(list(vars(self).values()), np.float64)
 
 
 def spring(rest_m: float, stiffness_n_per_m: float, mass_kg: float = 0.0, damping_n_s_per_m: float = 0.0) -> Tissue:

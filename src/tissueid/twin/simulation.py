@@ -2,24 +2,18 @@
 
 from __future__ import annotations
 
-import warnings
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
-from functools import lru_cache
+from functools import cache
 from typing import Any
 
 import numba
 import numpy as np
-from numba.core.errors import NumbaExperimentalFeatureWarning
 from numpy.typing import NDArray
 
 from tissueid.twin import _kernel, bus
 from tissueid.twin.chain_parameters import Instrument, Tissue
 from tissueid.twin.effect import Effect, Hook, Readings
-
-# Numba marks functions as arguments as experimental; tests of every effect cover this use. The filter is permanent,
-# because filters are shared by all threads.
-warnings.filterwarnings("ignore", category=NumbaExperimentalFeatureWarning)
 
 SUBSTEPS = 5
 """Integration steps in a sample: 0.1 ms each at 2 kHz. Half of it changes free-run signals by less than 0.02 % of their
@@ -151,9 +145,10 @@ def recorded(met: Readings, acting: Sequence[ActiveEffect], on_tissue: bool = Tr
 
 @dataclass(frozen=True)
 class Prepared:
-    """Effects in the form of the compiled loop. ``states`` holds their states and the bus."""
+    """Effects in the form of the compiled loop: addresses of their hooks, shape (bus.SLOTS,), where each is called,
+    their parameters, and in ``states`` their states and the bus."""
 
-    hooks: tuple[Any, ...]
+    hooks: NDArray[np.int64]
     places: NDArray[np.bool_]
     parameters: NDArray[np.float64]
     states: NDArray[np.float64]
@@ -169,15 +164,16 @@ def prepared(acting: Sequence[ActiveEffect], on_tissue: bool) -> Prepared:
         raise ValueError(f"at most {bus.SLOTS} effects act at once, not {len(acting)}")
     # An effect that models lift-off needs the force of all others.
     acting = sorted(acting, key=lambda item: item.effect.models_lift_off)
-    hooks = tuple(compiled(item.effect.hook) if _is_active(item, on_tissue) else compiled(_idle) for item in acting)
+    hooks = np.zeros(bus.SLOTS, np.int64)
     places = np.zeros((bus.SLOTS, bus.PLACES), np.bool_)
     parameters = np.zeros((bus.SLOTS, bus.MOST_PARAMETERS))
     for k, item in enumerate(acting):
         if _is_active(item, on_tissue):
             places[k, list(item.effect.places)] = True
             parameters[k, : item.values.size] = item.values
+            hooks[k] = compiled(item.effect.hook).address
     states = np.zeros((bus.SLOTS + 1, bus.MOST_STATES))
-    return Prepared(hooks + (compiled(_idle),) * (bus.SLOTS - len(hooks)), places, parameters, states)
+    return Prepared(hooks, places, parameters, states)
 
 
 def run(
@@ -230,13 +226,12 @@ def _is_active(item: ActiveEffect, on_tissue: bool) -> bool:
     return effect.hook is not None and (on_tissue or (effect.stage != "tissue" and effect.on_spring))
 
 
-def _idle(where: int, bus: Any, p: Any, s: Any, dt: float) -> None:
-    """Do nothing: fills unused places for effects."""
-
-
-@lru_cache(maxsize=256)
+@cache
 def compiled(hook: Hook) -> Any:
-    """Return the hook compiled to a C function, so that one compiled loop serves every effect."""
+    """Return the hook compiled to a C function, so that one compiled loop serves every effect.
+
+    It is kept: the loop calls it by its address.
+    """
     return numba.cfunc(_HOOK, cache=True)(hook)
 
 
