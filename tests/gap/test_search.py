@@ -8,6 +8,7 @@ import pytest
 from gap_records import changed, observed, recorded
 
 from tissueid.errors import CancelledError
+from tissueid.gap.answer import as_answer
 from tissueid.gap.diagnosis import diagnose
 from tissueid.gap.preparation import prepare
 from tissueid.gap.scoring import Candidate
@@ -145,7 +146,7 @@ def test_a_pair_is_named_among_nested_models():
 def test_coarse_steps_are_named_in_a_pair():
     candidates = ("clock_skew", "quantization", "sensor_nonlinearity")
     result = diagnose(
-        observed("clock_skew+quantization", seed=3, samples=SAMPLES), SerialExecutor(), candidates=candidates
+        observed("clock_skew+quantization", seed=8, samples=SAMPLES), SerialExecutor(), candidates=candidates
     )
     assert set(result.combination) == {"clock_skew", "quantization"}
 
@@ -174,3 +175,11 @@ def test_a_set_of_three_is_named_with_its_budget():
     for step in budget.steps:
         assert step.added_ci[0] <= step.added <= step.added_ci[1]
         assert step.removed > 0.0
+    answer = as_answer(result)
+    assert {item["effect"] for item in answer["ranking"][:3]} == names
+    assert [item["effect"] for item in answer["budget"]] == [step.effect for step in budget.steps]
+    assert sum(item["closed_when_added"] for item in answer["budget"]) == pytest.approx(result.gap.closed, abs=0.02)
+    assert answer["remains"]["share"] == budget.remains
+    for item, step in zip(answer["budget"], budget.steps, strict=True):
+        assert item["closed_when_removed_ci"] == list(step.removed_ci)
+        assert not set(item["alternatives"]) & names

@@ -11,6 +11,7 @@ import pytest
 from coded import says
 
 from tissueid.gap.candidate_tests import KINDS
+from tissueid.gap.detection_limits import DetectionLimit
 from tissueid.gap.diagnosis import Ranked
 from tissueid.gap.next_experiment import NextExperiment
 from tissueid.gap.statement import effect_title, headline_of, next_steps_of, sentences_of
@@ -37,8 +38,21 @@ def diagnosis(**changes: Any) -> Any:
     where = {"stage": "coil", "above_floor": True, "shares": dict.fromkeys(STAGES, 0.1) | {"coil": 0.5}}
     where["regions"] = SimpleNamespace(channel="position", direction="into", **regions)
     found = {"verdict": "effect", "combination": ("coil_heating",), "ranking": (item,), "next_experiment": None}
-    found |= {"where": SimpleNamespace(**where), "conditional_odds": {}, "at_fault": ("coil",)} | changes
+    found["detection_limits"] = LIMITS
+    found |= {
+        "where": SimpleNamespace(**where),
+        "conditional_odds": {},
+        "at_fault": ("coil",),
+        "detection_limits": LIMITS,
+    } | changes
     return SimpleNamespace(**found)
+
+
+LIMITS = {
+    "coil_heating": DetectionLimit("heat_capacity_j_per_k", 270.0, "J/K", below=True),
+    "dry_friction": DetectionLimit("coulomb_n", 0.016, "N", below=False),
+    "mains_hum": None,
+}
 
 
 def is_german(text: str) -> bool:
@@ -102,3 +116,12 @@ def test_every_statement_is_translated():
         "Strömen von 0.1 bis 0.2 A, bei einer Amplitude (der Anregung über die letzten 0.1 s) von 1 bis 2 N und bei "
         "Netzphasen (50 Hz) von 5.7 bis 57 Grad und 110 bis 170 Grad, während die Sonde hineingeht."
     )
+
+
+def test_without_a_gap_the_visible_sizes_are_stated():
+    (sentence,) = sentences_of(diagnosis(verdict="no_gap"))
+    limits = sentence.values["limits"].items
+    assert says(sentence, "gap.detection_limits")
+    assert says(limits[0], "gap.limit_below", effect=effect_title("coil_heating"), size="270 J/K")
+    assert says(limits[1], "gap.limit_above", effect=effect_title("dry_friction"), size="0.016 N")
+    assert len(limits) == 2

@@ -10,7 +10,7 @@ from rich.table import Table
 
 from tissueid.cli.output import check_json, console_control, human_output, table, write_json
 from tissueid.gap import Diagnosis, as_answer
-from tissueid.gap.statement import headline_of, members_of, ordered_candidates, percent
+from tissueid.gap.statement import alternatives_of, headline_of, members_of, ordered_candidates, percent, sentences_of
 from tissueid.messages import MISSING
 from tissueid.procedures.accept_effects import accept_effects
 from tissueid.procedures.diagnosis import diagnose_session
@@ -87,15 +87,19 @@ def summary_lines(found: Diagnosis) -> list[str]:
     figures = found.gap
     lines = [f"{headline_of(found)[0]}."]
     lines.append(f"Gap on held-out data: {figures.before:.2%}; noise floor {figures.floor:.2%}.")
+    if found.verdict == "no_gap":
+        lines += map(str, sentences_of(found))
     if found.combination:
         lines.append(
             f"With {' and '.join(found.combination)}: {figures.after:.2%}, {figures.closed:.0%} of the gap closed "
             f"({_interval(figures.closed_ci)})."
         )
     if found.budget is not None and len(found.budget.steps) > 1:
+        alternatives = alternatives_of(found)
         lines += [
             f"  {step.effect}: closes {step.added:.0%} ({_interval(step.added_ci)}) when it is added, "
-            f"{step.removed:.0%} ({_interval(step.removed_ci)}) when it alone is removed."
+            f"{step.removed:.0%} ({_interval(step.removed_ci)}) when it alone is removed"
+            + (f"; in its place possible: {', '.join(others)}." if (others := alternatives[step.effect]) else ".")
             for step in found.budget.steps
         ]
     if np.isfinite(found.ceiling):

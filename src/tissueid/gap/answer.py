@@ -5,7 +5,7 @@ from __future__ import annotations
 from typing import Any
 
 from tissueid.gap.diagnosis import Diagnosis
-from tissueid.gap.statement import headline_of, members_of
+from tissueid.gap.statement import alternatives_of, headline_of, members_of, ordered_candidates
 from tissueid.messages import Message
 
 
@@ -38,10 +38,15 @@ def as_answer(found: Diagnosis) -> dict[str, Any]:
                 "indistinguishable": list(item.indistinguishable),
                 "parameters": item.parameters,
             }
-            for item in found.ranking
+            for item in (ordered_candidates(found) if found.combination else found.ranking)
         ],
         "combination": list(found.combination),
-        "budget": None if found.budget is None else found.budget.as_answer(),
+        "budget": _budget(found),
+        "remains": None if found.budget is None else {"share": found.budget.remains, "stage": found.budget.remains_in},
+        "detection_limits": {
+            name: None if limit is None else {"parameter": limit.parameter, "value": limit.value, "unit": limit.unit}
+            for name, limit in found.detection_limits.items()
+        },
         "members": [
             {
                 "effect": item.effect,
@@ -68,3 +73,21 @@ def as_answer(found: Diagnosis) -> dict[str, Any]:
         "statement": message_dict(headline_of(found)[0]),
         "seconds": found.seconds,
     }
+
+
+def _budget(found: Diagnosis) -> list[dict[str, Any]]:
+    # In the order of adding; empty where nothing is named.
+    alternatives = alternatives_of(found)
+    return [
+        {
+            "effect": step.effect,
+            "stage": step.stage,
+            "closed_when_added": step.added,
+            "closed_when_added_ci": list(step.added_ci),
+            "closed_when_removed": step.removed,
+            "closed_when_removed_ci": list(step.removed_ci),
+            "gap_after": step.gap_after,
+            "alternatives": list(alternatives[step.effect]),
+        }
+        for step in (() if found.budget is None else found.budget.steps)
+    ]

@@ -8,7 +8,6 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
-from typing import Any
 
 import numpy as np
 
@@ -46,28 +45,6 @@ class Budget:
     steps: tuple[BudgetStep, ...]
     remains: float
     remains_in: Stage | None
-
-    def as_answer(self) -> dict[str, Any]:
-        """Return plain values for JSON, SI."""
-        return {
-            "before": self.before,
-            "after": self.after,
-            "floor": self.floor,
-            "steps": [
-                {
-                    "effect": step.effect,
-                    "stage": step.stage,
-                    "gap_after": step.gap_after,
-                    "added": step.added,
-                    "added_ci": list(step.added_ci),
-                    "removed": step.removed,
-                    "removed_ci": list(step.removed_ci),
-                }
-                for step in self.steps
-            ],
-            "remains": self.remains,
-            "remains_in": self.remains_in,
-        }
 
 
 def removal_path(

@@ -25,7 +25,9 @@ from tissueid.gap.decision import (
     probabilities,
     shows_in_the_check_alone,
 )
+from tissueid.gap.detection_limits import DetectionLimit, DetectionLimits
 from tissueid.gap.localisation import Localisation, localise
+from tissueid.gap.machine_library import effects_of
 from tissueid.gap.next_experiment import NextExperiment, next_experiment
 from tissueid.gap.scoring import Candidate, ChannelError, closed, errors, floor, gap, misfit, quiet_tests, score
 from tissueid.gap.screening import Screen, cosine
@@ -105,6 +107,8 @@ class Diagnosis:
 
     budget: Budget | None = None
     """Share of the gap that each named effect closes; None where nothing is named."""
+    detection_limits: Mapping[str, DetectionLimit | None] = field(default_factory=dict)
+    """Size from which each effect that is not named would have been named; None where no size would have been."""
 
     def __post_init__(self) -> None:
         if self.verdict == "no_gap":
@@ -186,7 +190,15 @@ def diagnose(
         _ceiling(baseline, figures) if there_is else float("nan"),
         odds,
         shares,
+        _limits(search, baseline, best if there_is and best is not None else baseline),
     )
+
+
+def _limits(search: Search, baseline: Candidate, found: Candidate) -> dict[str, DetectionLimit | None]:
+    named = _added(found, baseline)
+    limits = DetectionLimits(found, named)
+    library = effects_of(search.dataset)
+    return {name: limits.of(library[name]) for name in search.names if name not in found.effects}
 
 
 def _budget(search: Search, baseline: Candidate, named: Candidate) -> Budget:

@@ -10,13 +10,15 @@ from typing import Literal
 
 import numpy as np
 
-from tissueid.formatting import fixed, number
+from tissueid.formatting import fixed, number, with_unit
 from tissueid.gap.candidate_tests import KINDS
+from tissueid.gap.detection_limits import DetectionLimit
 from tissueid.gap.diagnosis import Diagnosis, Ranked, parameters_of
 from tissueid.language import marked
 from tissueid.messages import Listing, Message, sentences
 from tissueid.twin.catalogue import all_effects
 from tissueid.twin.effect import STAGE_NAMES, STAGES, Stage
+from tissueid.units import unit_for
 
 Level = Literal["good", "check", "poor"]
 
@@ -68,6 +70,22 @@ def members_of(found: Diagnosis) -> tuple[Member, ...]:
         ]
         members.append(Member(name, own, tuple(rivals[:MOST_RIVALS])))
     return tuple(members)
+
+
+def alternatives_of(found: Diagnosis) -> dict[str, tuple[str, ...]]:
+    """Return for each named effect those that can stand in its place: close rivals, and effects that this data cannot
+    separate from it. An effect without any is certain."""
+    alike = {item.effect: item.indistinguishable for item in found.ranking}
+    return {
+        member.effect: tuple(
+            dict.fromkeys(
+                name
+                for name in (*(rival for rival, _ in member.rivals), *alike.get(member.effect, ()))
+                if name not in found.combination
+            )
+        )
+        for member in members_of(found)
+    }
 
 
 def ordered_candidates(found: Diagnosis) -> tuple[Ranked, ...]:
@@ -155,8 +173,16 @@ def percent(share: float) -> str:
 
 
 def sentences_of(found: Diagnosis) -> Iterator[Message]:
-    """Yield the stage and the regions of the gap, and the effects that the data cannot separate from the cause."""
+    """Yield the stage and the regions of the gap, and the effects that the data cannot separate from the cause.
+
+    Without a gap, yield what would have been visible.
+    """
     if found.verdict == "no_gap":
+        limits = _examples_of_limits(found)
+        if limits:
+            yield Message(
+                "gap.detection_limits", "Would have been visible: {limits}.", limits=Listing(limits, "; ", "; ")
+            )
         return
     yield from _stage_sentences(found)
     yield from _region_sentences(found)
@@ -172,6 +198,22 @@ def sentences_of(found: Diagnosis) -> Iterator[Message]:
             effect=effect_title(best.effect),
             share=_share(best.closed),
         )
+
+
+def limit_text(name: str, limit: DetectionLimit) -> Message:
+    """Return from which size an effect would have been named."""
+    unit, scale = unit_for("" if limit.unit == "1" else limit.unit, limit.value)
+    size = with_unit(number(scale * limit.value, 2), unit)
+    if limit.below:
+        return Message("gap.limit_below", "{effect} below {size}", effect=effect_title(name), size=size)
+    return Message("gap.limit_above", "{effect} above {size}", effect=effect_title(name), size=size)
+
+
+def _examples_of_limits(found: Diagnosis) -> tuple[Message, ...]:
+    # One effect of each stage.
+    known = {name: limit for name, limit in found.detection_limits.items() if limit is not None}
+    examples = {all_effects()[name].stage: name for name in known}
+    return tuple(limit_text(name, known[name]) for name in examples.values())
 
 
 def _stage_sentences(found: Diagnosis) -> Iterator[Message]:

@@ -15,7 +15,7 @@ from tissueid.language import _, marked
 from tissueid.messages import Message, translated
 from tissueid.reports.tables import Table
 from tissueid.twin.effect import STAGE_NAMES, STAGES
-from tissueid.units import display_unit
+from tissueid.units import display_unit, unit_for
 
 _TASKS = {
     "drive": marked("command to voltage"),
@@ -61,6 +61,8 @@ def tables_of(found: Diagnosis, called: Callable[[str], str]) -> Iterator[Table]
         # parameters of the accepted combination; they differ from those of single effects in the ranking
         if found.best is not None and (table := _parameters(found.best, name, called(name))):
             yield table
+    if found.detection_limits:
+        yield _limits(found, called)
     if where.evidence.errors:
         unasked = set() if any(test.quiet for test in found.dataset.tests) else {"quiet"}
         asked = {name: times for name, times in where.evidence.errors.items() if name not in unasked}
@@ -79,6 +81,20 @@ def tables_of(found: Diagnosis, called: Callable[[str], str]) -> Iterator[Table]
             "against the moving part.",
         )
         yield Table(_("Errors by question"), (), errors, " ".join(filter(None, [whole, translated(note)])))
+
+
+def _limits(found: Diagnosis, called: Callable[[str], str]) -> Table:
+    rows = []
+    for name, limit in found.detection_limits.items():
+        if limit is None:
+            rows.append((called(name), _("not visible at any size, or estimated from the record"), ""))
+            continue
+        unit, scale = unit_for("" if limit.unit == "1" else limit.unit, limit.value)
+        size = with_unit(number(scale * limit.value, 2), unit)
+        words = _("below {size}") if limit.below else _("above {size}")
+        rows.append((called(name), words.format(size=size), _(label_and_unit(limit.parameter)[0])))
+    note = _("Size from which an effect that is not named would have been named in this session, at its usual form.")
+    return Table(_("Detection limits"), (_("Effect"), _("Visible"), _("Parameter")), tuple(rows), note)
 
 
 def _parameters(best: Candidate, name: str, words: str) -> Table | None:
