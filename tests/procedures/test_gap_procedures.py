@@ -9,7 +9,7 @@ from pathlib import Path
 from typing import Any, get_args
 
 import pytest
-from coded import coded
+from coded import coded, says
 from gap_records import recorded
 
 from tissueid.app.views.gap.diagnosis_result import DiagnosisResult, accept_into_twin, export_json, write_report
@@ -18,10 +18,10 @@ from tissueid.audit import AuditLog, AuditTrail, last_lines
 from tissueid.cli import main
 from tissueid.errors import CancelledError, UnusableInputError
 from tissueid.gap.accepting import NamedEffects
-from tissueid.gap.search import Work
+from tissueid.gap.search import SearchProgress, Work
 from tissueid.procedures.accept_effects import accept_effects
-from tissueid.procedures.control import Control
-from tissueid.procedures.diagnosis import STEPS
+from tissueid.procedures.control import Control, RemainingTime, counted
+from tissueid.procedures.diagnosis import SHARES, STEPS, SearchDisplay
 from tissueid.procedures.gap_plans import AcceptPlan, DiagnosisPlan
 from tissueid.sessions import write_session
 from tissueid.twin import catalogue
@@ -128,3 +128,40 @@ def test_a_cancelled_diagnosis_ends(session_file: Path, separate_process: bool):
 
 def test_every_step_of_a_search_has_a_text():
     assert set(STEPS) == set(get_args(Work))
+
+
+class Shown(Control):
+    """Keeps the progress that a procedure shows."""
+
+    def __init__(self) -> None:
+        self.shares: list[float | None] = []
+        self.steps: list[str] = []
+
+    def progress(self, fraction: float | None, step: str) -> None:
+        self.shares.append(fraction)
+        self.steps.append(step)
+
+
+def test_the_remaining_time_of_a_search_follows_from_its_share():
+    seconds = iter(range(0, 1000, 10))
+    shown = Shown()
+    display = SearchDisplay(shown, RemainingTime(lambda: next(seconds)))
+    display(SearchProgress("baseline", 0, 1))
+    display(SearchProgress("screening", 10, 20))
+    begin, end = SHARES["screening"]
+    share = 0.5 * (begin + end)
+    assert shown.shares == [None, pytest.approx(share)]
+    assert says(shown.steps[1], "procedure.seconds_left", seconds=pytest.approx(10.0 * (1.0 - share) / share))
+    display(SearchProgress("leading candidates", 2, 3))
+    for what in ("tissue", "removals", "screening", "additions"):
+        display(SearchProgress(what, 1, 2))
+    of_sets = shown.shares[-4:]
+    assert of_sets == sorted(of_sets)
+    assert of_sets[0] < shown.shares[-5]
+    assert of_sets[-1] < 1.0
+
+
+def test_long_work_states_minutes():
+    seconds = iter((0.0, 60.0))
+    remaining = RemainingTime(lambda: next(seconds))
+    assert says(remaining.added_to(counted("Work", 1, 5), 0.2), "procedure.minutes_left", minutes=4.0)

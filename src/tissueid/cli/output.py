@@ -134,8 +134,11 @@ class ConsoleControl(Control):
 
     def progress(self, fraction: float | None, step: str) -> None:
         """Show a progress bar; it stands for the count."""
+        inner = step.values.get("step") if isinstance(step, Message) else None
         if isinstance(step, Message) and step.code == COUNTED:
             step = step.values["step"]
+        elif isinstance(step, Message) and isinstance(inner, Message) and inner.code == COUNTED:
+            step = Message(step.code, step.template, **{**step.values, "step": inner.values["step"]})
         self._show(step, fraction)
 
     def notice(self, message: str) -> None:

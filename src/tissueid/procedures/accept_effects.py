@@ -12,7 +12,7 @@ from tissueid.instrument.twin_file import TwinFile, check_twin_name, check_twin_
 from tissueid.messages import Message
 from tissueid.procedures.audit_notes import audit_note
 from tissueid.procedures.control import Control
-from tissueid.procedures.diagnosis import show_search
+from tissueid.procedures.diagnosis import SearchDisplay
 from tissueid.procedures.gap_plans import AcceptPlan
 from tissueid.procedures.separate_process import run_in_process
 
@@ -60,8 +60,8 @@ def accept_effects(
 
 
 def _fitted(plan: AcceptPlan, name: str, baseline: TwinFile | None, control: Control) -> TwinFile:
-    progress = functools.partial(show_search, control)
+    display = SearchDisplay(control)
     with executor(plan.workers) as pool:
         return accept_named(
-            plan.session, plan.effects, name, baseline, pool, progress, plan.fit, plan.check, control.check
+            plan.session, plan.effects, name, baseline, pool, display, plan.fit, plan.check, control.check
         )

@@ -17,7 +17,7 @@ from tissueid.child_process import run
 from tissueid.errors import CancelledError, UnusableInputError
 from tissueid.language import marked
 from tissueid.messages import Message, Verbatim
-from tissueid.procedures.control import Control, counted
+from tissueid.procedures.control import Control, RemainingTime, counted
 from tissueid.procedures.output_files import HTML, check_output, unwritable
 from tissueid.procedures.plan_options import Option, Plan
 
@@ -321,12 +321,13 @@ def record_scenarios(
 
 
 def _counter(control: Control, step: str, total: int) -> Callable[[], None]:
-    count = 0
+    count, remaining = 0, RemainingTime()
 
     def done() -> None:
         nonlocal count
         count += 1
-        control.progress(count / max(total, 1), counted(step, count, total))
+        share = count / max(total, 1)
+        control.progress(share, remaining.added_to(counted(step, count, total), share))
         control.check()
 
     control.progress(0.0, counted(step, 0, total))

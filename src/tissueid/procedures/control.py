@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import time
+from collections.abc import Callable
 from typing import TYPE_CHECKING
 
 from tissueid.errors import CANCELLED, CancelledError
@@ -20,6 +22,33 @@ BY_KEY = Message("stop.key", "stopped by key")
 def counted(step: str, done: int, total: int) -> Message:
     """Return a step with the number of its items that are done."""
     return Message(COUNTED, "{step}: {done} of {total}", step=step, done=done, total=total)
+
+
+class RemainingTime:
+    """Remaining time of long work, extrapolated from the completed share.
+
+    Args:
+        clock: returns seconds.
+    """
+
+    FIRST_S = 3.0
+    """Time from which the remaining time is stated, s."""
+    LEAST_SHARE = 0.03
+    """Completed share from which it is stated."""
+
+    def __init__(self, clock: Callable[[], float] = time.monotonic) -> None:
+        self._clock = clock
+        self._began = clock()
+
+    def added_to(self, step: Message, share: float) -> Message:
+        """Return a step of ``counted`` with the remaining time, if that can be estimated already."""
+        passed = self._clock() - self._began
+        if passed < self.FIRST_S or not self.LEAST_SHARE <= share < 1.0:
+            return step
+        left = passed * (1.0 - share) / share
+        if left < 90.0:
+            return Message("procedure.seconds_left", "{step}, about {seconds:.0f} s left", step=step, seconds=left)
+        return Message("procedure.minutes_left", "{step}, about {minutes:.0f} min left", step=step, minutes=left / 60.0)
 
 
 class Control:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-import functools
+import math
 from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import TYPE_CHECKING
@@ -12,7 +12,7 @@ from tissueid.gap.accepting import NamedEffects, named_effects
 from tissueid.gap.twin_export import against_twin
 from tissueid.instrument.twin_file import TwinFile, check_twin_writable, read_twin
 from tissueid.language import marked
-from tissueid.procedures.control import Control, counted
+from tissueid.procedures.control import Control, RemainingTime, counted
 from tissueid.procedures.gap_plans import DiagnosisPlan
 from tissueid.procedures.output_files import HTML, check_different, check_output, check_report, unwritable
 from tissueid.sessions import Session, read_session
@@ -37,6 +37,19 @@ STEPS: Mapping[Work, str] = {
     "leading replacements": marked("Fitting the leading replacements to the end"),
 }
 """Text of each step of the search."""
+SHARES: Mapping[Work, tuple[float, float]] = {
+    "baseline": (0.0, 0.05),
+    "screening": (0.05, 0.4),
+    "likeliest candidates": (0.4, 0.5),
+    "candidates": (0.5, 0.65),
+    "leading candidates": (0.65, 0.9),
+    "near relations": (0.9, 1.0),
+}
+"""Share of a search for one effect at the begin and the end of each step, measured on sessions of one test."""
+_SINGLES = 0.2
+"""Share of the search for single effects in a search that continues with sets."""
+_TYPICAL_STEPS = 5.0
+"""Steps of the search for sets after which about two thirds are done."""
 _ENDS: frozenset[Work] = frozenset(
     {"leading candidates", "near relations", "leading additions", "leading replacements"}
 )
@@ -83,8 +96,7 @@ def diagnose_session(plan: DiagnosisPlan, control: Control) -> DiagnosedSession:
     check_report(plan.report, session)
     dataset, known = against_twin(prepare(session, plan.fit, plan.check), twin)
     with executor(plan.workers) as pool:
-        progress = functools.partial(show_search, control)
-        found = diagnose(dataset, pool, known=known, progress=progress, cancelled=control.check)
+        found = diagnose(dataset, pool, known=known, progress=SearchDisplay(control), cancelled=control.check)
     diagnosed = DiagnosedSession(plan, session, twin, found)
     if plan.report is not None:
         from tissueid.reports.html import write_text_atomically
@@ -96,12 +108,39 @@ def diagnose_session(plan: DiagnosisPlan, control: Control) -> DiagnosedSession:
     return diagnosed
 
 
-def show_search(control: Control, progress: SearchProgress) -> None:
-    """Show the progress of a search."""
-    done, total = progress.done, progress.total
-    if progress.what in _ENDS and done == total:
-        control.progress(None, _LAST)
-    elif total > 1:
-        control.progress(done / total, counted(STEPS[progress.what], done, total))
-    else:
-        control.progress(None, STEPS[progress.what])
+class SearchDisplay:
+    """Shows the progress of a search with the share of the whole search that is done and the remaining time.
+
+    A search for one effect has known steps. If it continues with sets of effects, the number of its steps is not known:
+    every further step completes a part of what is left.
+    """
+
+    def __init__(self, control: Control, remaining: RemainingTime | None = None) -> None:
+        self._control = control
+        self._remaining = remaining or RemainingTime()
+        self._what: Work = "baseline"
+        self._steps_of_sets = 0
+        self._share = 0.0
+
+    def __call__(self, progress: SearchProgress) -> None:
+        """Show the progress of a step."""
+        done, total = progress.done, progress.total
+        if progress.what != self._what:
+            self._what = progress.what
+            if self._steps_of_sets or progress.what not in SHARES:
+                self._share = self._share if self._steps_of_sets else 0.0
+                self._steps_of_sets += 1
+        self._share = max(self._share, self._share_at(done / max(total, 1)))
+        if progress.what in _ENDS and done == total:
+            self._control.progress(None, _LAST)
+        elif total > 1:
+            step = self._remaining.added_to(counted(STEPS[progress.what], done, total), self._share)
+            self._control.progress(self._share, step)
+        else:
+            self._control.progress(None, STEPS[progress.what])
+
+    def _share_at(self, part: float) -> float:
+        if self._steps_of_sets:
+            return _SINGLES + (1.0 - _SINGLES) * (1.0 - math.exp(-(self._steps_of_sets - 1 + part) / _TYPICAL_STEPS))
+        begin, end = SHARES[self._what]
+        return begin + part * (end - begin)
