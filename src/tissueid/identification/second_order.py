@@ -125,26 +125,54 @@ class SecondOrder:
 def sampled_response(system: SecondOrder, length: int, sample_rate_hz: float, hold: Hold) -> tuple[Complex, Complex]:
     """Return the sampled frequency response (bins,) and its derivatives (3, bins) with respect to log M, log B, log K.
 
-    ``length`` is that of the real FFT. A band-limited input is filtered by H(j w) itself, without discretisation error;
-    an input that is held between samples also contributes through the images of the base band, weighted by the hold.
+    ``length`` is that of the real FFT; see :func:`sampled_response_at`.
     """
-    frequency = fft.rfftfreq(length, 1.0 / sample_rate_hz)
-    images = (0,) if hold == "band-limited" else range(-_ALIASES, _ALIASES + 1)
-    response = np.zeros(frequency.size, dtype=np.complex128)
-    slopes = np.zeros((3, frequency.size), dtype=np.complex128)
-    for image in images:
-        f = frequency + image * sample_rate_hz
-        s = 2j * np.pi * f
-        h = 1.0 / (system.mass * s**2 + system.damping * s + system.stiffness)
-        weight: Complex | float = 1.0
-        if hold == "zero-order":
-            weight = np.sinc(f / sample_rate_hz) * np.exp(-1j * np.pi * f / sample_rate_hz)
-        response += weight * h
-        common = -weight * h**2
-        slopes[0] += common * system.mass * s**2
-        slopes[1] += common * system.damping * s
-        slopes[2] += common * system.stiffness
-    return response, slopes
+    return sampled_response_at(system, fft.rfftfreq(length, 1.0 / sample_rate_hz), sample_rate_hz, hold)
+
+
+def sampled_response_at(
+    system: SecondOrder, frequency_hz: Array, sample_rate_hz: float, hold: Hold
+) -> tuple[Complex, Complex]:
+    """Return the sampled frequency response (n,) and its derivatives (3, n) at frequencies (n,) up to half the rate.
+
+    A band-limited input is filtered by H(j w) itself, without discretisation error; an input that is held between
+    samples also contributes through the images of the base band, weighted by the hold.
+    """
+    both = np.zeros((4, frequency_hz.size), dtype=np.complex128)
+    if hold == "zero-order":
+        # The hold has the gain sin(pi f / rate) / (pi (f / rate + k)) at image k, and the phase of the base band.
+        share = frequency_hz / sample_rate_hz
+        for image in range(-_ALIASES, _ALIASES + 1):
+            if image:
+                _add_response(both, system, frequency_hz + image * sample_rate_hz, 1.0 / (share + image))
+        both *= np.sin(np.pi * share) / np.pi
+        _add_response(both, system, frequency_hz, np.sinc(share))
+        both *= np.exp(-1j * np.pi * share)
+    else:
+        _add_response(both, system, frequency_hz, None)
+    both[1] *= system.mass
+    both[2] *= -1j * system.damping
+    both[3] *= -system.stiffness
+    return both[0], both[1:]
+
+
+def _add_response(both: Complex, system: SecondOrder, frequency_hz: Array, weight: Array | None) -> None:
+    """Add weighted H, w^2 H^2, w H^2 and H^2 to the rows of ``both`` (4, n)."""
+    w = 2.0 * np.pi * frequency_hz
+    denominator = np.empty(w.size, dtype=np.complex128)
+    denominator.real = system.stiffness - system.mass * w**2
+    denominator.imag = system.damping * w
+    h = 1.0 / denominator
+    common = h * h
+    if weight is not None:
+        h *= weight
+        common *= weight
+    both[0] += h
+    both[3] += common
+    common *= w
+    both[2] += common
+    common *= w
+    both[1] += common
 
 
 def free_velocity(t: Array, decay: float, squared: float) -> Array:

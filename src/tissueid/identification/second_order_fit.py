@@ -50,6 +50,9 @@ _STEPS = Bounds.of_steps(np.ones(3))
 """A step changes mass, damping and stiffness by at most a factor e."""
 _EXTENSION = 64
 
+_FREE_RESPONSE_DECAY = 50.0
+"""Time constants after which a free response is not evaluated any more: exp(-50) is 2e-22."""
+
 
 @dataclass(frozen=True)
 class SecondOrderFit:
@@ -108,7 +111,8 @@ class _Run:
 
     spectrum: Complex
     length: int
-    local: NDArray[np.intp]  # indices of the fitted samples within the run
+    local: slice | NDArray[np.intp]  # indices of the fitted samples within the run
+    time_s: Array  # of the fitted samples, from the first one on
     place: slice  # their slice of all fitted samples
 
 
@@ -140,7 +144,7 @@ def fit_second_order(
     runs, y = _runs(record, used, mean_u, mean_y)
     system, sign = _start(record, used, mean_u, mean_y) if start is None else (start.system, start.sign)
     y = sign * y
-    w = np.ones(y.size) if weights is None else weights[used]
+    w = None if weights is None else weights[used]
 
     theta = np.log([system.mass, system.damping, system.stiffness])
     problem = _SimulationError(lambda trial: _evaluate(runs, y, w, trial, rate, hold))
@@ -259,35 +263,60 @@ def _runs(record: Record, used: Mask, mean_u: float, mean_y: float) -> tuple[lis
         blend = 0.5 - 0.5 * np.cos(np.pi * np.arange(1, length - values.size + 1) / (length - values.size + 1))
         bridge = values[-1] + blend * (values[0] - values[-1])
         spectrum = fft.rfft(np.concatenate([values, bridge]))
-        runs.append(_Run(spectrum, length, local, slice(done, done + local.size)))
+        whole = local[-1] - local[0] + 1 == local.size
+        runs.append(
+            _Run(
+                spectrum,
+                length,
+                slice(int(local[0]), int(local[-1]) + 1) if whole else local,
+                (local - local[0]) / record.sample_rate_hz,
+                slice(done, done + local.size),
+            )
+        )
         done += local.size
     return runs, record.output[used] - mean_y
 
 
-def _evaluate(runs: list[_Run], y: Array, weights: Array, theta: Array, rate: float, hold: Hold) -> tuple[Array, Array]:
+def _evaluate(
+    runs: list[_Run], y: Array, weights: Array | None, theta: Array, rate: float, hold: Hold
+) -> tuple[Array, Array]:
     """Return the weighted error (m,) and its derivatives (m, 3), with offset and free responses projected out."""
     mass, damping, stiffness = np.exp(theta)
     system = SecondOrder(mass=float(mass), damping=float(damping), stiffness=float(stiffness))
     decay, squared = system.decay_and_frequency
-    columns = np.empty((y.size, 5))  # the error, its three derivatives, and the offset
-    columns[:, 4] = weights
+    lasting_s = _free_response_s(system) if weights is None else math.inf
+    rows = np.empty((5, y.size))  # the error, its three derivatives, and the offset
+    rows[4] = 1.0 if weights is None else weights
     for run in runs:
         response, slopes = sampled_response(system, run.length, rate, hold)
-        passed = fft.irfft(np.vstack([response, slopes]) * run.spectrum, run.length, axis=1)  # (4, length)
-        t = (run.local - run.local[0]) / rate
+        here = rows[:, run.place]
+        for row, one in enumerate((response, *slopes)):
+            one *= run.spectrum
+            here[row] = fft.irfft(one, run.length, overwrite_x=True)[run.local]
+        np.subtract(y[run.place], here[0], out=here[0])
+        t = run.time_s[: int(np.searchsorted(run.time_s, lasting_s))]
         free = np.column_stack(
             [free_position(t, decay, squared), free_velocity(t, decay, squared) * system.natural_frequency_rad_per_s]
         )
-        here = columns[run.place]
-        here[:, 0] = (y[run.place] - passed[0, run.local]) * weights[run.place]
-        here[:, 1:4] = passed[1:, run.local].T * weights[run.place, None]
-        q, _ = np.linalg.qr(free * weights[run.place, None])  # a free response affects its own run only
-        here -= np.einsum("ij,jk->ik", q, np.einsum("ij,ik->jk", q, here))
-    offset = columns[:, 4]
+        if weights is not None:
+            here[:4] *= weights[run.place]
+            free *= weights[run.place, None]
+        q, _ = np.linalg.qr(free)  # a free response affects its own run only
+        start = here[:, : t.size]
+        start -= (start @ q) @ q.T
+    offset = rows[4]
     energy = float(offset @ offset)
-    if energy > _NEGLIGIBLE_SENSITIVITY**2 * float(weights @ weights):
-        columns[:, :4] -= np.outer(offset, (offset @ columns[:, :4]) / energy)
-    return columns[:, 0], columns[:, 1:4]
+    if energy > _NEGLIGIBLE_SENSITIVITY**2 * (y.size if weights is None else float(weights @ weights)):
+        for row in rows[:4]:
+            row -= float(offset @ row) / energy * offset
+    return rows[0], rows[1:4].T
+
+
+def _free_response_s(system: SecondOrder) -> float:
+    """Return the time (s) after which a free response is less than a rounding error of its start."""
+    decay, squared = system.decay_and_frequency
+    slowest = decay if squared >= 0.0 else system.stiffness / system.mass / (decay + math.sqrt(-squared))
+    return _FREE_RESPONSE_DECAY / slowest if slowest > 0.0 else math.inf
 
 
 def _start(record: Record, used: Mask, mean_u: float, mean_y: float) -> tuple[SecondOrder, float]:

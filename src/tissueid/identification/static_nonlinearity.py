@@ -216,18 +216,25 @@ class Exponential(StaticNonlinearity):
 class Polynomial(StaticNonlinearity):
     """Legendre series over the fitted range of z, extrapolated linearly."""
 
+    @cached_property
+    def _derivative(self) -> Array:
+        return np.asarray(legendre.legder(self.coefficients))
+
     def _scaled(self, z: Array) -> Array:
         return np.asarray(2.0 * (z - self.low) / (self.high - self.low) - 1.0)
 
     def __call__(self, z: Array) -> Array:
         """Return g(z), shape of z."""
         inside = np.clip(z, self.low, self.high)
-        return np.asarray(legendre.legval(self._scaled(inside), self.coefficients) + self.slope(z) * (z - inside))
+        value: Array = np.asarray(legendre.legval(self._scaled(inside), self.coefficients))
+        if not np.array_equal(inside, z):
+            value = np.asarray(value + self.slope(z) * (z - inside))
+        return value
 
     def slope(self, z: Array) -> Array:
         """Return dg/dz, shape of z."""
         x = self._scaled(np.clip(z, self.low, self.high))
-        return np.asarray(legendre.legval(x, legendre.legder(self.coefficients)) * 2.0 / (self.high - self.low))
+        return np.asarray(legendre.legval(x, self._derivative) * 2.0 / (self.high - self.low))
 
     def jacobian(self, z: Array) -> Array:
         """Return the Legendre polynomials at z, shape (n, degree + 1)."""
@@ -251,7 +258,10 @@ class Spline(StaticNonlinearity):
     def __call__(self, z: Array) -> Array:
         """Return g(z), shape of z."""
         inside = np.clip(z, self.low, self.high)
-        return np.asarray(self._curve(inside) + self.slope(z) * (z - inside))
+        value: Array = np.asarray(self._curve(inside))
+        if not np.array_equal(inside, z):
+            value = np.asarray(value + self.slope(z) * (z - inside))
+        return value
 
     def slope(self, z: Array) -> Array:
         """Return dg/dz, shape of z."""

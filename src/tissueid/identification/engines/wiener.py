@@ -14,7 +14,7 @@ from tissueid.identification.impulse_response import factor_input, memory_warnin
 from tissueid.identification.model_family import Family
 from tissueid.identification.preparation import memory_in_samples, prepare
 from tissueid.identification.registry import engine
-from tissueid.identification.second_order import HOLD_DESCRIPTION, HOLD_TITLE, Hold, SecondOrder, sampled_response
+from tissueid.identification.second_order import HOLD_DESCRIPTION, HOLD_TITLE, Hold, SecondOrder, sampled_response_at
 from tissueid.identification.second_order_fit import SecondOrderFit
 from tissueid.identification.static_nonlinearity import Exponential, Form, StaticNonlinearity, coefficient_count
 from tissueid.identification.validation import aic, aicc, vaf_percent
@@ -52,6 +52,7 @@ class KernelSystems:
         power[0] = 0.0  # an offset is free
         self._driven = power > _NEGLIGIBLE_POWER * float(power.max())
         self._weights = np.sqrt(power[self._driven])
+        self._frequency_hz = fft.rfftfreq(self._length, 1.0 / sample_rate_hz)[self._driven]
         self._rate = sample_rate_hz
         self._hold: Hold = hold
 
@@ -82,9 +83,9 @@ class KernelSystems:
         """
         mass, damping, stiffness = np.exp(theta)
         system = SecondOrder(float(mass), float(damping), float(stiffness))
-        response, slopes = sampled_response(system, self._length, self._rate, self._hold)
-        error = self._weights * (wanted - response[self._driven])
-        weighted = self._weights * slopes[:, self._driven]
+        response, slopes = sampled_response_at(system, self._frequency_hz, self._rate, self._hold)
+        error = self._weights * (wanted - response)
+        weighted = self._weights * slopes
         return np.concatenate([error.real, error.imag]), np.concatenate([weighted.real, weighted.imag], axis=1)
 
 

@@ -14,13 +14,13 @@ from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy import fft, optimize
+from scipy import optimize
 
 from tissueid.identification.base import Array
 from tissueid.identification.depth_profile import DepthProfile
 from tissueid.identification.partitions.cells import Cells, Partitions
 from tissueid.identification.partitions.regression import PartitionedKernels
-from tissueid.identification.second_order import Complex, Hold, SecondOrder, sampled_response
+from tissueid.identification.second_order import Complex, Hold, SecondOrder, sampled_response_at
 from tissueid.identification.second_order_fit import SecondOrderFit
 from tissueid.identification.volterra.lag_grid import LagGrid, input_spectrum
 from tissueid.records import Estimate
@@ -64,12 +64,9 @@ class LocalParameters:
 
 @dataclass(frozen=True, eq=False)
 class _Band:
-    """The excited frequencies: bins of a transform of ``length`` samples, their input power, and the transform of the
-    lags.
-    """
+    """The excited frequencies (bins,), their input power, and the transform of the lags."""
 
-    length: int
-    bins: NDArray[np.intp]
+    frequency_hz: Array
     power: Array
     turn: Complex  # (bins, lags)
     sample_rate_hz: float
@@ -79,8 +76,7 @@ class _Band:
         """Return the sampled response (bins,) and its derivatives (3, bins) with respect to log M, log B, log K."""
         mass, damping, stiffness = np.exp(log_parameters)
         system = SecondOrder(float(mass), float(damping), float(stiffness))
-        response, slopes = sampled_response(system, self.length, self.sample_rate_hz, self.hold)
-        return response[self.bins], slopes[:, self.bins]
+        return sampled_response_at(system, self.frequency_hz, self.sample_rate_hz, self.hold)
 
     def fit(self, target: Complex, start: Array) -> tuple[Array, Array] | None:
         """Return the log M, B, K (3,) nearest to a response (bins,), and the derivatives (3, 2 bins) with respect to
@@ -95,15 +91,24 @@ class _Band:
             weighted = values * weight
             return np.concatenate([weighted.real, weighted.imag], axis=-1)
 
+        last: tuple[Array, Complex, Complex] = (np.empty(0), target, target)
+
+        def response(trial: Array) -> tuple[Complex, Complex]:
+            """Return the response and its derivatives, which are asked for one after the other."""
+            nonlocal last
+            if not np.array_equal(last[0], trial):
+                last = (trial.copy(), *self.response(trial))
+            return last[1:]
+
         low, high = start - _LARGEST_LOG_DIFFERENCE, start + _LARGEST_LOG_DIFFERENCE
         found = optimize.least_squares(
-            lambda trial: split(self.response(trial)[0] - target),
+            lambda trial: split(response(trial)[0] - target),
             start,
-            jac=lambda trial: split(self.response(trial)[1]).T,
+            jac=lambda trial: split(response(trial)[1]).T,
             bounds=(low, high),
         )
         theta = np.asarray(found.x, dtype=np.float64)
-        slopes = split(self.response(theta)[1])  # (3, 2 bins)
+        slopes = split(response(theta)[1])  # (3, 2 bins)
         if not found.success or np.any((theta < low + 0.01) | (theta > high - 0.01)):
             return None
         gram = slopes @ slopes.T
@@ -204,11 +209,9 @@ def means_and_slopes(local: LocalParameters, position: float) -> dict[str, Estim
 def _band(x: Array, grid: LagGrid, linear: SecondOrderFit) -> _Band:
     rate = linear.sample_rate_hz
     frequency, power = input_spectrum(x, rate)
-    length = 2 * (frequency.size - 1)
     used = np.flatnonzero((power > _EXCITED_POWER * float(power[1:].max())) & (frequency > 0.0))
     turn = np.exp(-2j * np.pi * np.outer(frequency[used], np.arange(grid.lags) * grid.spacing / rate))
-    assert fft.rfftfreq(length, 1.0 / rate).size == frequency.size
-    return _Band(length, used, power[used], turn, rate, linear.hold)
+    return _Band(frequency[used], power[used], turn, rate, linear.hold)
 
 
 def _centre(output: Array, at_output: bool) -> float:

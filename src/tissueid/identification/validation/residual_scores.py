@@ -10,7 +10,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from functools import cached_property
+from functools import cached_property, lru_cache
 
 import numpy as np
 from numpy.typing import NDArray
@@ -25,6 +25,9 @@ Lags = NDArray[np.int_]
 _DRAWS = 4000
 """Number of draws for the maximum of correlated Gaussian numbers; the seed is fixed, so that p-values are reproducible.
 """
+
+_RANK_STEP = 128
+"""Step of the rank for which draws are kept: few sizes serve all matrices."""
 
 _RIDGE = 1e-6
 """Ridge of the nuisance projection relative to its power: lags of a low-pass input are nearly collinear."""
@@ -80,8 +83,17 @@ def _largest_of(related: Array) -> Array:
     values, vectors = linalg.eigh(related)
     kept = values > 1e-9 * values[-1]
     shape = (vectors[:, kept] * np.sqrt(values[kept])).astype(np.float32)  # (k, rank): single precision is sufficient
-    unit = np.random.Generator(np.random.PCG64(0)).standard_normal((shape.shape[1], _DRAWS), dtype=np.float32)
-    return np.asarray(np.max(np.abs(shape @ unit), axis=0), dtype=np.float64)
+    rank = shape.shape[1]
+    draws = shape @ _unit_draws(-(-rank // _RANK_STEP) * _RANK_STEP)[:rank]
+    return np.asarray(np.maximum(np.max(draws, axis=0), -np.min(draws, axis=0)), dtype=np.float64)
+
+
+@lru_cache(maxsize=2)
+def _unit_draws(rank: int) -> NDArray[np.float32]:
+    """Return independent standard Gaussian numbers (rank, draws); a lower rank gives the same first rows."""
+    unit = np.random.Generator(np.random.PCG64(0)).standard_normal((rank, _DRAWS), dtype=np.float32)
+    unit.flags.writeable = False
+    return unit
 
 
 @dataclass(frozen=True, eq=False)
@@ -109,9 +121,8 @@ class WhitenedProducts:
         some = slice(first, first + self.signals[which].size)
         out = slice(0, 1 + self.nuisance if project else 1)
         p = self.products
-        load = np.full(out.stop, _RIDGE * float(np.mean(np.diag(p[out, out]))))
-        load[0] = 0.0
-        weights = linalg.solve(p[out, out] + np.diag(load), p[out, some], assume_a="pos")  # (out, lags)
+        factor = self._nuisance_factor if project else linalg.cho_factor(p[out, out])
+        weights = linalg.cho_solve(factor, p[out, some])  # (out, lags)
         sums = p[some, -1] - weights.T @ p[out, -1]
         shared = weights.T @ p[out, some]
         left = p[some, some] - shared - shared.T + weights.T @ p[out, out] @ weights
@@ -131,12 +142,20 @@ class WhitenedProducts:
         """Variance of the whitened residual, minus what the constant and the nuisance lags explain."""
         out = slice(0, 1 + self.nuisance)
         p = self.products
-        load = np.full(out.stop, _RIDGE * float(np.mean(np.diag(p[out, out]))))
-        load[0] = 0.0
-        inverse = linalg.inv(p[out, out] + np.diag(load))
+        inverse = linalg.cho_solve(self._nuisance_factor, np.eye(out.stop))
         explained = float(p[-1, out] @ inverse @ p[out, -1])
         taken = float(np.sum(inverse * p[out, out].T))
         return (float(p[-1, -1]) - explained) / max(1.0, self.n_rows - taken)
+
+    @cached_property
+    def _nuisance_factor(self) -> tuple[Array, bool]:
+        """Cholesky factor of the products of the constant and the nuisance lags, with the ridge."""
+        out = slice(0, 1 + self.nuisance)
+        p = self.products[out, out]
+        load = np.full(out.stop, _RIDGE * float(np.mean(np.diag(p))))
+        load[0] = 0.0
+        factor, lower = linalg.cho_factor(p + np.diag(load))
+        return factor, lower
 
 
 def whitened_products(
@@ -147,20 +166,37 @@ def whitened_products(
     ``nuisance`` is a signal (n,) and its number of lags, from 0 on; each of ``signals`` is one (n,) and its lags, of
     which negative ones look ahead. Samples with any unknown value are left out.
     """
-    columns = [(noise.whiten(nuisance[0]), np.arange(nuisance[1]))]
-    columns += [(noise.whiten(signal), lags) for signal, lags in signals]
+    distinct: list[tuple[Array, Lags]] = []
+    position = []  # of each group of columns among the distinct ones
+    for signal, lags in [(nuisance[0], np.arange(nuisance[1])), *signals]:
+        same = (k for k, (other, its) in enumerate(distinct) if other is signal and np.array_equal(its, lags))
+        position.append(next(same, len(distinct)))
+        if position[-1] == len(distinct):
+            distinct.append((signal, lags))
+    columns = [(noise.whiten(signal), lags) for signal, lags in distinct]
     sizes = [_rms(signal) for signal, _ in columns]
     columns = [(signal / size, lags) for (signal, lags), size in zip(columns, sizes, strict=True)]
     whitened = noise.innovations(residual)
     rows = np.flatnonzero(_complete(whitened, columns))
-    width = 2 + sum(lags.size for _, lags in columns)
-    products = np.zeros((width, width))
+    starts = np.cumsum([1, *(lags.size for _, lags in columns)])
+    products = np.zeros((starts[-1] + 1, starts[-1] + 1))
     for first in range(0, rows.size, ROWS_AT_ONCE):
         block = rows[first : first + ROWS_AT_ONCE]
-        parts = [signal[block[:, None] - lags] for signal, lags in columns]
-        matrix = np.column_stack([np.ones(block.size), *parts, whitened[block]])  # (rows, width)
-        products += matrix.T @ matrix
-    return WhitenedProducts(products, nuisance[1], sizes[0], tuple(lags for _, lags in signals), int(rows.size))
+        matrix = np.empty((starts[-1] + 1, block.size))
+        matrix[0], matrix[-1] = 1.0, whitened[block]
+        for start, (signal, lags) in zip(starts, columns, strict=False):
+            for k, lag in enumerate(lags, int(start)):
+                np.take(signal, block - lag, out=matrix[k], mode="clip")  # all are inside; "raise" would copy
+        products += matrix @ matrix.T
+    groups = [np.arange(starts[k], starts[k + 1]) for k in position]
+    every = np.concatenate([[0], *groups, [starts[-1]]])
+    return WhitenedProducts(
+        products if every.size == starts[-1] + 1 else products[np.ix_(every, every)],
+        nuisance[1],
+        sizes[0],
+        tuple(lags for _, lags in signals),
+        int(rows.size),
+    )
 
 
 def _rms(signal: Array) -> float:

@@ -199,14 +199,19 @@ class OutputCovariance:
     def between(self, hyper: Array, windows: Array, others: Array) -> Array:
         """Return the covariance (n, m) of the outputs of lagged inputs (n, L) with those of others (m, L)."""
         first, smooth, diagonal = self.lag_covariances(hyper)
-        total = np.asarray((windows @ first) @ others.T)
+        # The linear parts of all orders form one product.
+        left, right = [windows @ first], [others]
+        scales, on_diagonals = self.scales(hyper)
+        for order, on_diagonal in enumerate(on_diagonals, start=2):
+            left.append(windows**order @ (on_diagonal * diagonal))
+            right.append(others**order)
+        total = np.asarray(np.concatenate(left, axis=1) @ np.concatenate(right, axis=1).T)
         if self.order > 1:
             product = (windows @ smooth) @ others.T
-            power = product.copy()
-            for order, (scale, on_diagonal) in enumerate(zip(*self.scales(hyper), strict=True), start=2):
-                power *= product
+            power = product
+            for scale in scales:
+                power = power * product
                 total += scale * power
-                total += (windows**order @ (on_diagonal * diagonal)) @ (others**order).T
         return total
 
     def slopes(self, hyper: Array, windows: Array, weight: Array) -> Array:
@@ -305,8 +310,7 @@ def search(
         weights -= by_ones * (float(weights.sum()) / total)
         power = max(float(centred @ weights), least)
         value = 0.5 * (rows * np.log(power / whole) + logarithms + np.log(total))
-        inverse -= np.outer(by_ones, by_ones / total)
-        inverse -= np.outer(weights, weights * (rows / power))
+        inverse -= np.column_stack([by_ones, weights]) @ np.stack([by_ones / total, weights * (rows / power)])
         return float(value), 0.5 * covariance.slopes(hyper, windows, inverse)
 
     initial = covariance.initial(windows, rows)
@@ -335,5 +339,6 @@ def _inverse(z: Array) -> tuple[Array, float]:
     factor = linalg.cholesky(z, lower=True, overwrite_a=True, check_finite=False)
     logarithms = 2.0 * float(np.sum(np.log(np.diag(factor))))
     inverse, _ = linalg.lapack.dpotri(factor, lower=1, overwrite_c=1)
-    lower = np.tril(inverse, -1)
-    return np.asarray(np.tril(inverse) + lower.T), logarithms
+    whole = np.asarray(inverse + inverse.T)  # of a lower triangle above zeros
+    whole[np.diag_indices_from(whole)] *= 0.5
+    return whole, logarithms

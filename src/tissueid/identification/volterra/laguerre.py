@@ -7,7 +7,7 @@ which is robust against coloured residuals.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from itertools import combinations_with_replacement, pairwise, permutations
 
@@ -184,15 +184,32 @@ class _Trial:
         powers = [float(self.output[part] @ self.output[part]) for part in parts]
         gram, right = sum(grams, np.zeros_like(grams[0])), sum(rights, np.zeros_like(rights[0]))
         highest = _highest_function(most, self.order)
+        order = np.argsort(highest, kind="stable")  # the coefficients of fewer functions come first
+        sizes = [int(np.count_nonzero(highest < count)) for count in counts]
+        ridge = _RIDGE * self.rows.size * np.eye(order.size)
         missed = np.zeros(len(counts))
-        for place, count in enumerate(counts):
-            some = np.flatnonzero(highest < count)
-            ridge = _RIDGE * self.rows.size * np.eye(some.size)
-            for own, by_output, power in zip(grams, rights, powers, strict=True):
-                rest = (gram - own)[np.ix_(some, some)] + ridge
-                fitted = linalg.lstsq(rest, (right - by_output)[some], check_finite=False)[0]
-                missed[place] += power - 2.0 * fitted @ by_output[some] + fitted @ own[np.ix_(some, some)] @ fitted
+        for own, by_output, power in zip(grams, rights, powers, strict=True):
+            rest = (gram - own)[np.ix_(order, order)] + ridge
+            own_ordered, by_output_ordered = own[np.ix_(order, order)], by_output[order]
+            for place, (size, fitted) in enumerate(
+                zip(sizes, _nested(rest, (right - by_output)[order], sizes), strict=True)
+            ):
+                explained = 2.0 * fitted @ by_output_ordered[:size] - fitted @ own_ordered[:size, :size] @ fitted
+                missed[place] += power - explained
         return missed / sum(powers)
+
+
+def _nested(gram: Array, right: Array, sizes: Sequence[int]) -> Iterator[Array]:
+    """Yield the solutions (size,) of the normal equations (p, p) of the first coefficients, for several sizes."""
+    try:
+        factor = linalg.cholesky(gram, lower=True, check_finite=False)
+    except linalg.LinAlgError:  # collinear functions
+        for size in sizes:
+            yield linalg.lstsq(gram[:size, :size], right[:size], check_finite=False)[0]
+        return
+    half = linalg.solve_triangular(factor, right, lower=True, check_finite=False)
+    for size in sizes:
+        yield linalg.solve_triangular(factor[:size, :size], half[:size], lower=True, trans="T", check_finite=False)
 
 
 def _choose(trial: _Trial, counts: Sequence[int], pole: float | None) -> tuple[float, int, float]:
