@@ -110,17 +110,21 @@ def _power(design: StimulusDesign) -> Panel:
 
 def _autocorrelation(design: StimulusDesign) -> Panel:
     rate, error = design.stimulus.sample_rate_hz, design.autocorrelation_error
-    plots = autocorrelation_plots(design.autocorrelation, rate, design.target_autocorrelation)
     caption = _("Autocorrelation of the played values about their mean, divided by its value at lag 0.")
     if error is not None:
         squares = _("Below: played minus target; the sum of squares over {lags} lags is {sum}.")
         caption = captions.joined(caption, squares.format(lags=design.autocorrelation.size - 1, sum=number(error, 2)))
+
+    def draw(figure: FigureBase) -> None:
+        plots = autocorrelation_plots(design.autocorrelation, rate, design.target_autocorrelation)
+        draw_plots(figure, plots, heights=(1.5, 1.0)[: len(plots)])
+
     return Panel(
         "autocorrelation",
         _("Autocorrelation"),
         _("Normalised autocorrelation against lag, with its target where there is one and the difference below."),
         caption,
-        lambda figure: draw_plots(figure, plots, heights=(1.5, 1.0)[: len(plots)]),
+        draw,
         wide=False,
     )
 
