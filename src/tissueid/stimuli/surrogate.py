@@ -34,10 +34,22 @@ def first_mean_crossing(values: Array) -> int:
     return int(crossings[0]) + 1 if crossings.size else 0
 
 
+def stable_order(values: Array) -> NDArray[np.intp]:
+    """Return the indices that sort values (n,), those of equal values ascending.
+
+    The default sort is several times as fast as the stable one, and the same where all values differ.
+    """
+    order = np.argsort(values)
+    ascending = values[order]
+    if not np.all(ascending[1:] > ascending[:-1]):
+        order = np.argsort(values, kind="stable")
+    return order
+
+
 def assign_by_rank(values: Array, levels: Array) -> Array:
     """Replace values (n,) by the ascending levels (n,) of the same rank."""
     arranged = np.empty_like(levels)
-    arranged[np.argsort(values, kind="stable")] = levels
+    arranged[stable_order(values)] = levels
     return arranged
 
 
@@ -84,7 +96,7 @@ def lag_surrogate(values: Array, target: Array) -> Array:
     change of the record that removes the errors. The first sample is not moved.
     """
     about = values - np.mean(values)
-    order = np.argsort(values[1:], kind="stable")
+    order = stable_order(values[1:])
     levels, levels_about = values[1:][order], about[1:][order]
     n, lags = values.size, target.size - 1
     padded = int(scipy.fft.next_fast_len(n + lags, real=True))

@@ -104,16 +104,17 @@ def _layout(lines: list[str]) -> _Layout:
 
 def _score(rows: list[list[str]], decimal: str) -> tuple[float, int]:
     """Return the score of a layout: numbers minus texts, over the rows of the most common width; and that width."""
-    widths = Counter(len(cells) for cells in rows if any(is_number(cell, decimal) for cell in cells))
+    different = [Counter(cells) for cells in rows]  # equal cells of a row, of which there may be many, count once
+    widths = Counter(row.total() for row in different if any(is_number(cell, decimal) for cell in row))
     del widths[1]
     if not widths:
         return 0.0, 0
     width = max(widths, key=lambda each: widths[each])  # the first of equally common widths
     score = 0.0
-    for cells in rows:
-        if len(cells) == width:
-            found = sum(is_number(cell, decimal) for cell in cells)
-            texts = width - found - sum(is_missing(cell) for cell in cells)
+    for row in different:
+        if row.total() == width:
+            found = sum(count for cell, count in row.items() if is_number(cell, decimal))
+            texts = width - found - sum(count for cell, count in row.items() if is_missing(cell))
             score += max(0.0, found - 0.9 * texts)
     return score, width
 
