@@ -109,7 +109,8 @@ def templates() -> dict[str, dict[str, set[str]]]:
     """Return the templates in the source by code and module."""
     found: dict[str, dict[str, set[str]]] = {}
     for path in sorted(Path(messages.__file__).parent.rglob("*.py")):
-        for node in ast.walk(ast.parse(path.read_text(encoding="utf-8"))):
+        source = path.read_text(encoding="utf-8")
+        for node in ast.walk(ast.parse(source)) if "Message(" in source else ():
             if isinstance(node, ast.Call) and isinstance(node.func, ast.Name) and node.func.id == "Message":
                 code, template = (part.value if isinstance(part, ast.Constant) else None for part in node.args[:2])
                 if isinstance(code, str) and isinstance(template, str):

@@ -6,6 +6,7 @@ import gc
 import itertools
 from collections.abc import Generator, Iterator
 from pathlib import Path
+from types import SimpleNamespace
 
 import hypothesis
 import pytest
@@ -20,7 +21,8 @@ from tools.translations import compile_stale
 def pytest_configure() -> None:
     """Compile the translations that were edited since."""
     compile_stale()
-    hypothesis.settings.register_profile("any_speed", deadline=None)  # no test depends on the time that it takes
+    # No test depends on the time that it takes, and every run tries the same examples.
+    hypothesis.settings.register_profile("any_speed", deadline=None, derandomize=True)
     hypothesis.settings.load_profile("any_speed")
 
 
@@ -52,6 +54,15 @@ def _audit_elsewhere(tmp_path_factory: pytest.TempPathFactory) -> Iterator[None]
         patch.setenv(ENVIRONMENT, str(tmp_path_factory.mktemp("audit") / "shared.jsonl"))
         patch.setenv(CALIBRATIONS, str(tmp_path_factory.mktemp("calibrations")))
         patch.setenv(ANALYSES, str(tmp_path_factory.mktemp("analyses") / "shared.jsonl"))
+        yield
+
+
+@pytest.fixture(scope="session", autouse=True)
+def _frozen_to_the_end() -> Iterator[None]:
+    """A played stimulus does not release what was frozen after the collection of the tests."""
+    with pytest.MonkeyPatch.context() as patch:
+        nothing = SimpleNamespace(freeze=lambda: None, unfreeze=lambda: None)
+        patch.setattr("tissueid.acquisition.playback.gc", nothing)
         yield
 
 

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import ast
 import os
+import re
 import subprocess
 import sys
 from operator import neg
@@ -46,8 +47,11 @@ START_NAMES = {"ProcessPoolExecutor", "QProcess", "create_subprocess_exec", "cre
 
 def starts_in(path: Path) -> list[str]:
     """Everything in a file that starts a process by itself, with its line."""
-    found = []
-    for node in ast.walk(ast.parse(path.read_text(encoding="utf-8"))):
+    found: list[str] = []
+    source = path.read_text(encoding="utf-8")
+    if not any(re.search(rf"\b{name}\b", source) for name in (*STARTS, *START_NAMES)):
+        return found  # without any of these names there is nothing to be found, and most files have none
+    for node in ast.walk(ast.parse(source)):
         if isinstance(node, ast.Call):
             module, _, name = ast.unparse(node.func).rpartition(".")
             starts = STARTS.get(module.rpartition(".")[2], set())

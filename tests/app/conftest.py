@@ -50,13 +50,21 @@ def plots_rendered():
     return False
 
 
+@pytest.fixture
+def plots_laid_out(plots_rendered):
+    """Whether plots make room for their labels: test files about sizes and places override this fixture."""
+    return plots_rendered
+
+
 @pytest.fixture(autouse=True)
-def _plots_without_pixels(plots_rendered, monkeypatch):
-    """Build and lay out plots but do not render them: rendering takes a quarter of a test that shows a result."""
+def _plots_without_pixels(plots_rendered, plots_laid_out, monkeypatch):
+    """Build plots but neither lay out nor render them: that takes a third of a test that shows a result."""
     if not plots_rendered:
         from matplotlib.backends.backend_qtagg import FigureCanvasQTAgg
 
         monkeypatch.setattr(FigureCanvasQTAgg, "draw", lambda _canvas: None)
+    if not plots_laid_out:
+        monkeypatch.setattr("tissueid.reports.plot_layout.lay_out", lambda _figure: None)
 
 
 @pytest.fixture
@@ -83,7 +91,8 @@ def open_window(qtbot, tmp_path, bench, clock, calibrations, monkeypatch):
         qtbot.waitUntil(window.isActiveWindow, timeout=WAIT_MS)
         return window
 
-    gc.freeze()  # what was there before need not be searched at every end
+    gc.collect()
+    gc.freeze()  # what was there before need not be searched at every end, nor what was frozen before it
     gc.disable()
     yield make
     for window in windows:
@@ -95,7 +104,6 @@ def open_window(qtbot, tmp_path, bench, clock, calibrations, monkeypatch):
     QCoreApplication.sendPostedEvents(None, QEvent.Type.DeferredDelete)
     gc.enable()
     gc.collect()
-    gc.unfreeze()
 
 
 @pytest.fixture

@@ -21,7 +21,11 @@ from tissueid.procedures.control import BY_KEY
 
 PROBLEM, REMARK = "the spring is not the one that was named", "2.0 mm was left out"
 
-pytestmark = [pytest.mark.qt_log_level_fail("WARNING"), pytest.mark.qt_log_ignore("This plugin does not support")]
+pytestmark = [
+    pytest.mark.qt_log_level_fail("WARNING"),
+    pytest.mark.qt_log_ignore("This plugin does not support"),
+    pytest.mark.usefixtures("long_frames"),
+]
 
 
 def spring(stage=True):
@@ -197,7 +201,7 @@ def test_stop_while_the_person_is_asked(qtbot, technicians, calibrations, audit_
 
 def test_a_window_that_hangs_ends_a_calibration(qtbot, technicians, clock, calibrations):
     instrument = spring()
-    gate = Gate(passed=100)
+    gate = Gate(passed=20)
     poll = instrument.poll
     instrument.poll = lambda timeout_s: (gate.wait(timeout_s), poll(timeout_s))[1]
     window = technicians(opener=lambda _: instrument)

@@ -12,6 +12,7 @@ from app.benches import WAIT_MS, Clock, Gate, found
 from gap_records import recorded
 from PySide6.QtCore import QCoreApplication, QPoint, QRect, QSettings, Qt
 from PySide6.QtGui import QPainter, QPicture
+from PySide6.QtTest import QTest
 from PySide6.QtWidgets import (
     QAbstractButton,
     QAbstractScrollArea,
@@ -49,7 +50,11 @@ from tissueid.procedures.diagnosis import DiagnosedSession
 from tissueid.procedures.gap_plans import DiagnosisPlan
 from tissueid.twin import catalogue as shelf
 
-pytestmark = [pytest.mark.qt_log_level_fail("WARNING"), pytest.mark.qt_log_ignore("This plugin does not support")]
+pytestmark = [
+    pytest.mark.qt_log_level_fail("WARNING"),
+    pytest.mark.qt_log_ignore("This plugin does not support"),
+    pytest.mark.usefixtures("long_frames"),
+]
 
 FRAME = 40
 """Height of the title bar, generously, pixels."""
@@ -68,6 +73,11 @@ LONG = (
     "The report is saved in /home/someone/Documents/TissueID sessions/2026-01-10_10-30-00.html. No program here shows "
     "a PDF: open that file with one that does, here or on another computer."
 )
+
+
+@pytest.fixture
+def plots_laid_out():
+    return True
 
 
 # -- what is looked for -----------------------------------------------------------------------------------------------
@@ -135,11 +145,11 @@ def fully_visible(widget):
     return all(window.childAt(widget.mapTo(window, point)) is widget for point in points)
 
 
-def overlaps(window):
+def overlaps(window, widgets):
     """Pairs of siblings of which one covers a part of the other."""
     found_pairs = []
     top = window.centralWidget() if isinstance(window, QMainWindow) else window
-    for parent in [top, *shown(window, QWidget)]:
+    for parent in [top, *widgets]:
         if isinstance(parent, QAbstractScrollArea | QComboBox | QAbstractSpinBox | QTabBar | QLineEdit | QScrollBar):
             continue
         children = [item for item in parent.children() if isinstance(item, QWidget) and item.isVisible()]
@@ -152,20 +162,20 @@ def overlaps(window):
     return found_pairs
 
 
-def cut_texts(window):
+def cut_texts(window, widgets):
     """Buttons and labels whose text needs more room than they have."""
     cut = [
         f"{called(button)} needs {button.sizeHint().width()}"
-        for button in shown(window, QAbstractButton)
-        if button.text() and button.sizeHint().width() > button.width() + SLACK
+        for button in widgets
+        if isinstance(button, QAbstractButton) and button.text() and button.sizeHint().width() > button.width() + SLACK
     ]
     for line in window.findChildren(QLineEdit):
         if line.isVisible() and line.placeholderText() and not line.text():
             needed = line.fontMetrics().horizontalAdvance(line.placeholderText())
             if needed > line.contentsRect().width() - 2 * SLACK:
                 cut.append(f"{called(line)}: {line.placeholderText()!r} needs {needed}")
-    for label in shown(window, QLabel):
-        if isinstance(label, ElidedLabel) or not label.text():
+    for label in widgets:
+        if not isinstance(label, QLabel) or isinstance(label, ElidedLabel) or not label.text():
             continue
         room = label.contentsRect()
         if label.wordWrap():
@@ -177,9 +187,9 @@ def cut_texts(window):
     return cut
 
 
-def scrolled_sideways(window):
+def scrolled_sideways(widgets):
     """Areas that have to be scrolled to and fro to read a line."""
-    areas = [area for area in shown(window, QScrollArea) if area.horizontalScrollBar().maximum() > 0]
+    areas = [area for area in widgets if isinstance(area, QScrollArea) and area.horizontalScrollBar().maximum() > 0]
     return [f"{called(area)} for {', '.join(widest(area.widget()))}" for area in areas]
 
 
@@ -193,14 +203,17 @@ def widest(widget):
 
 
 def check(window):
+    widgets = shown(window, QWidget)
     unreachable = [
-        f"{called(widget)}: {why}" for widget in shown(window, CONTROLS) if (why := out_of_reach(widget, window))
+        f"{called(widget)}: {why}"
+        for widget in widgets
+        if isinstance(widget, CONTROLS) and (why := out_of_reach(widget, window))
     ]
     wrong = {
         "out of reach": unreachable,
-        "overlapping": overlaps(window),
-        "cut": cut_texts(window),
-        "scrolled sideways": scrolled_sideways(window),
+        "overlapping": overlaps(window, widgets),
+        "cut": cut_texts(window, widgets),
+        "scrolled sideways": scrolled_sideways(widgets),
     }
     wrong = {what: which for what, which in wrong.items() if which}
     assert not wrong, "\n".join(f"{what}: {item}" for what, which in wrong.items() for item in which)
@@ -226,7 +239,7 @@ def opened(tmp_path_factory, saved):
             window.close()
         for window, _ in windows.values():
             while window.isVisible():
-                QCoreApplication.processEvents()
+                QTest.qWait(5)  # without a pause this thread would keep the one that measures from ending
             window.deleteLater()
         windows.clear()
 
@@ -236,7 +249,7 @@ def opened(tmp_path_factory, saved):
         close()
         folder = tmp_path_factory.mktemp("window")
         shutil.copy(saved, folder / "2026-01-15_10-30-00.h5")
-        gate = {"testing": Gate(passed=60), "calibrating-with-stage": Gate(passed=3000)}.get(state)
+        gate = {"testing": Gate(passed=60), "calibrating-with-stage": Gate(passed=600)}.get(state)
         if state.startswith("calibrating"):
             instrument = connect("calibration-spring", seed=3, identity=Identity(stage=gate is not None))
             if gate is not None:
@@ -289,6 +302,12 @@ def diagnosis():
         few = {name: every[name] for name in ("dry_friction", "directional_damping")}
         patch.setattr("tissueid.gap.machine_library.all_effects", lambda: few)
         return session, diagnose(prepare(session, (), ()), SerialExecutor())
+
+
+class Unreported(DiagnosedSession):
+    """A diagnosis whose report, which no page shows, is not drawn."""
+
+    report_html = ""
 
 
 @pytest.fixture
@@ -361,9 +380,8 @@ def in_state(qtbot, opened, request):
             page = ui.views[name]
             if page.history.result is None:
                 session, answer = request.getfixturevalue("diagnosis")
-                page.history.add(
-                    result_of(DiagnosedSession(DiagnosisPlan(session=Path("friction.h5")), session, None, answer))
-                )
+                plan = DiagnosisPlan(session=Path("friction.h5"))
+                page.history.add(result_of(Unreported(plan, session, None, answer)))
             page.result.tabs.setCurrentIndex(int(part.removeprefix("diagnosed ")))
         elif name == "gap":
             ui.views[name].asking.fold.setChecked(part == "settings")

@@ -39,6 +39,11 @@ from tissueid.sessions import read_session
 pytestmark = [pytest.mark.qt_log_level_fail("WARNING"), pytest.mark.qt_log_ignore("This plugin does not support")]
 
 
+@pytest.fixture
+def plots_laid_out():
+    return True
+
+
 @pytest.fixture(autouse=True)
 def clinical_again():
     units.use("clinical")

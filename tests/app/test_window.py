@@ -210,6 +210,7 @@ def test_an_instrument_that_disappears_gives_words_and_leaves_the_window_alive(q
     links[0].run_for(1.0)
     assert not links[0].firmware.energised
     window.ui.form.instrument.choice.setEditText("simulated://forearm")
+    window.ui.form.seconds.setValue(1.0)
     press(qtbot, window.ui.start)
     wait_for_result(qtbot, window)
     assert window.findings.test.status == "completed"
@@ -459,6 +460,7 @@ def test_a_system_that_cannot_list_its_ports_still_has_typed_addresses(qtbot, op
     press(qtbot, window.ui.form.instrument.refresh)
     qtbot.waitUntil(lambda: idle(window), timeout=WAIT_MS)
     assert window.ui.form.instrument.url == "simulated://forearm"
+    window.ui.form.seconds.setValue(1.0)
     type_site(qtbot, window)
     press(qtbot, window.ui.start)
     wait_for_result(qtbot, window)

@@ -16,7 +16,10 @@ from tissueid.identification.base import PREDICTS_NOTHING
 from tissueid.sessions import Session, Test, read_session, write_session
 
 A_TEST = ["test", "--device", "simulated://forearm", "--site", "x", "--out", "FOLDER/a.h5"]
-BLIND = sorted(RIG.glob("*.h5"))
+ENGINES = ("lms", "spectral", "wiener")
+BLIND = [(path, ENGINES[number % 3]) for number, path in enumerate(sorted(RIG.glob("*.h5")))]
+"""Sessions of the independent rigs, each with one engine in rotation."""
+
 KEYS = {
     "engine",
     "options",
@@ -65,7 +68,7 @@ def test_a_test_from_the_shell(session_file):
     np.testing.assert_array_equal(session.tests[0].signals["command"], session.tests[1].signals["command"])
 
 
-@pytest.mark.parametrize("engine", ["lms", "spectral", "wiener"])
+@pytest.mark.parametrize("engine", ENGINES)
 def test_identify_answers_by_the_contract(session_file, capsys, engine):
     result = answer(capsys, "identify", session_file, "--engine", engine)
     assert result.keys() >= KEYS
@@ -187,7 +190,7 @@ def test_what_cannot_be_used_is_said_in_one_line(session_file, tmp_path, capsys,
     ],
     ids=["constant", "nothing received", "too short"],
 )
-@pytest.mark.parametrize("engine", ["lms", "spectral", "wiener"])
+@pytest.mark.parametrize("engine", ENGINES)
 def test_records_that_carry_no_fit(tmp_path, capsys, engine, force, position, words):
     import re
 
@@ -304,8 +307,7 @@ def test_help_and_version(capsys):
 
 
 @pytest.mark.skipif(not BLIND, reason="the independent rig's sessions are not beside the project")
-@pytest.mark.parametrize("path", BLIND, ids=lambda path: path.stem)
-@pytest.mark.parametrize("engine", ["lms", "spectral", "wiener"])
+@pytest.mark.parametrize(("path", "engine"), BLIND, ids=[f"{path.stem}-{engine}" for path, engine in BLIND])
 def test_identify_answers_on_sessions_of_an_independent_rig(path, engine, capsys):
     result = answer(capsys, "identify", path, "--engine", engine)
     assert result.keys() >= KEYS

@@ -5,7 +5,7 @@ from pathlib import Path
 
 import pytest
 from procedures.same_session import assert_same_session
-from support import connect_scenario
+from support import LONG_TICK_S, connect_scenario
 
 from firmware_sim.scenario import Scenario
 from tissueid.app.calibration_controller import calibrate
@@ -30,7 +30,7 @@ PLANS = {
 @pytest.fixture
 def spring(monkeypatch):
     """Opens a new device on the calibration spring, the same each time."""
-    monkeypatch.setattr("support.TICK_S", 0.02)
+    monkeypatch.setattr("support.TICK_S", LONG_TICK_S)
     monkeypatch.setattr("tissueid.calibration.spring_points.GENTLE_S", 0.5)
     for module in ("acquisition.guided", "calibration.spring_points"):
         # The number of polls during other work depends on the computer, and each changes the noise of the device.

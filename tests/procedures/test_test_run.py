@@ -25,10 +25,10 @@ EXCEPT = ("session_id", "created", "audit_head", "generating_share", "generating
 """Values that differ between two runs of one test: time, identity, and the time that the computer took."""
 
 
-@pytest.fixture
-def saved(tmp_path):
-    path = tmp_path / "stimulus.json"
-    save_stimulus(path, get_stimulus("multisine").from_options({"seed": 4}).build())
+@pytest.fixture(scope="module")
+def saved(tmp_path_factory):
+    path = tmp_path_factory.mktemp("saved") / "stimulus.json"
+    save_stimulus(path, get_stimulus("multisine").from_options({"seed": 4, "phases": "random"}).build())
     return path
 
 

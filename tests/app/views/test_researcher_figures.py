@@ -16,6 +16,11 @@ from tissueid.errors import UnusableInputError
 pytestmark = [pytest.mark.qt_log_level_fail("WARNING"), pytest.mark.qt_log_ignore("This plugin does not support")]
 
 
+@pytest.fixture
+def plots_laid_out():
+    return True
+
+
 def svg_of(figure, tmp_path):
     return write_figure(tmp_path / "figure.svg", figure.draw).read_text(encoding="utf-8")
 

@@ -30,6 +30,11 @@ NOON = 1767268800.0
 DAY = 86400.0
 
 
+@pytest.fixture
+def plots_laid_out():
+    return True
+
+
 def fit(mass_kg, subject="P-1", site="calf", when=NOON, number=1, file="a.h5", engine="lms", vaf=90.0, **more):
     parameters = {"mass_kg": Estimate(mass_kg, 0.001), **{name: Estimate(value, None) for name, value in more.items()}}
     report = FitReport(engine, {}, 100, 4, 95.0, vaf, parameters=parameters)
