@@ -5,13 +5,16 @@ import io
 
 import numpy as np
 import pytest
+from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
 
 from tissueid.analysis.curves import Axis, Bars, Curve, Mark, Plot, Surface, plot_or_reason, thin
 from tissueid.analysis.curves.plot import as_csv, depth_roles, histogram
+from tissueid.analysis.curves.population import rows_plot
 from tissueid.errors import UnusableInputError
 from tissueid.messages import Message
 from tissueid.reports.plot_axes import PAGE, Look
+from tissueid.reports.plot_layout import lay_out
 from tissueid.reports.plot_renderer import draw_grid, draw_plot, draw_plots, draw_relief, draw_row
 
 NO_FORCE = Message("plot.test", "no {what} was recorded", what="force")
@@ -167,3 +170,18 @@ def test_a_grid_shares_abscissas_by_column_and_ordinates_by_row():
     assert [one.get_xlabel() for one in axes] == ["", "", "Lag (ms)", "Lag (ms)"]
     assert [one.get_ylabel() for one in axes] == ["mm/(N·s)", "", "Lag (ms)", ""]
     assert [one.get_legend() is None for one in axes] == [False, False, True, True]
+
+
+@pytest.mark.parametrize("width", [2.6, 3.5, 6.0])
+def test_a_key_never_covers_the_title_where_rows_have_long_names(width):
+    values, rows = np.array([3.0, 2.0]), np.array([0, 1])
+    names = ["2026-01-15 10:30  left forearm, posterior"] * 2
+    groups = [("others", "measured", rows[1:]), ("this sitting", "model", rows[:1])]
+    plot = rows_plot("Mass", Axis("± one SD", "g"), names, values, 0.1 * values, groups)
+    figure = Figure(figsize=(width, 1.2), dpi=100)
+    FigureCanvasAgg(figure)
+    axes = figure.subplots()
+    draw_plot(axes, plot)
+    lay_out(figure)
+    figure.canvas.draw()
+    assert not axes.get_legend().get_window_extent().overlaps(axes._left_title.get_window_extent())

@@ -93,22 +93,31 @@ def _wrap_label(axes: Axes, room: float) -> None:
 
 
 def _place_key(axes: Axes, room: float) -> None:
-    """Put a key beside the title in one row, where it hides no curve; inside if it is too wide, in columns if tall."""
+    """Put a key in one row right of the title, or left of it above long names of rows, where it hides no curve.
+
+    It is inside the axes if it is too wide, in columns if it is tall.
+    """
     legend = axes.get_legend()
     if legend is None or isinstance(axes, Axes3D):
         return
+    figure = cast(Figure, axes.figure)
     texts, handles = legend.get_texts(), cast(list[Artist], legend.legend_handles)
     names = [text.get_text() for text in texts]
     size, colour = float(texts[0].get_fontsize()), texts[0].get_color()
     usual: dict[str, Any] = {"frameon": False, "fontsize": size, "labelcolor": colour, "handlelength": 1.4}
     usual |= {"columnspacing": 1.0, "handletextpad": 0.5, "borderpad": 0.0}
-    legend = axes.legend(
-        handles, names, loc="lower right", bbox_to_anchor=(1.0, 1.0), ncols=len(names), borderaxespad=0.3, **usual
-    )
-    title = cast(Any, axes)._left_title.get_window_extent()
-    if legend.get_window_extent().width + title.width > axes.bbox.width:
-        tall = len(names) * _LINE_OF_KEY * size * cast(Figure, axes.figure).dpi / 72.0 >= _SHARE_OF_KEY * room
-        legend = axes.legend(handles, names, loc="best", ncols=2 if tall else 1, **usual)
+    above = usual | {"loc": "lower right", "ncols": len(names), "borderaxespad": 0.3}
+    legend = axes.legend(handles, names, bbox_to_anchor=(1.0, 1.0), **above)
+    key, title = legend.get_window_extent().width, cast(Any, axes)._left_title.get_window_extent().width
+    # The margins are not set yet: the axes will be as wide as names and labels of the ordinate leave.
+    ordinate = axes.yaxis.get_tightbbox(cast(Any, figure.canvas).get_renderer())
+    left = 0.0 if ordinate is None else ordinate.width
+    if key + title > min(axes.bbox.width, figure.bbox.width - left):
+        if key <= left:
+            legend = axes.legend(handles, names, bbox_to_anchor=(-0.05, 1.0), **above)
+        else:
+            tall = len(names) * _LINE_OF_KEY * size * figure.dpi / 72.0 >= _SHARE_OF_KEY * room
+            legend = axes.legend(handles, names, loc="best", ncols=2 if tall else 1, **usual)
     for text in legend.get_texts():
         text.set_parse_math(False)
 
