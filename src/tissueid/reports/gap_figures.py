@@ -14,6 +14,7 @@ from tissueid.gap.twin_export import twin_of
 from tissueid.language import _, marked
 from tissueid.messages import Message, translated
 from tissueid.reports.tables import Table
+from tissueid.twin.catalogue import all_effects
 from tissueid.twin.effect import STAGE_NAMES, STAGES
 from tissueid.units import display_unit, unit_for
 
@@ -92,9 +93,10 @@ def _limits(found: Diagnosis, called: Callable[[str], str]) -> Table:
         unit, scale = unit_for("" if limit.unit == "1" else limit.unit, limit.value)
         size = with_unit(number(scale * limit.value, 2), unit)
         words = _("below {size}") if limit.below else _("above {size}")
-        rows.append((called(name), words.format(size=size), _(label_and_unit(limit.parameter)[0])))
+        meanings = {item.name: item.meaning for item in all_effects()[name].parameters}
+        rows.append((called(name), words.format(size=size), translated(meanings[limit.parameter])))
     note = _("Size from which an effect that is not named would have been named in this session, at its usual form.")
-    return Table(_("Detection limits"), (_("Effect"), _("Visible"), _("Parameter")), tuple(rows), note)
+    return Table(_("Detection limits"), (_("Effect"), _("Visible"), _("Meaning")), tuple(rows), note)
 
 
 def _parameters(best: Candidate, name: str, words: str) -> Table | None:
