@@ -10,6 +10,7 @@ import pytest
 from gap_records import observed
 
 from tissueid.gap import diagnose
+from tissueid.gap.answer import as_answer
 from tissueid.gap.detection_limits import DetectionLimits
 from tissueid.gap.fitting import predict
 from tissueid.gap.parameters import parametrise
@@ -77,3 +78,13 @@ def test_an_effect_that_the_test_does_not_excite_has_no_limit():
     # The probe stays on the skin.
     assert limits().of(effect("contact_loss")) is None
     assert limits().of(effect("mains_hum")) is None
+
+
+def test_the_answer_holds_the_limits():
+    result = diagnose(
+        observed(samples=6000), SerialExecutor(), candidates=("dry_friction", "coil_heating", "mains_hum")
+    )
+    limits_in_answer = as_answer(result)["detection_limits"]
+    assert limits_in_answer["mains_hum"] is None
+    assert set(limits_in_answer["dry_friction"]) == {"parameter", "value", "unit", "below"}
+    assert (limits_in_answer["dry_friction"]["below"], limits_in_answer["coil_heating"]["below"]) == (False, True)

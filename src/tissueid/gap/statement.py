@@ -74,7 +74,7 @@ def members_of(found: Diagnosis) -> tuple[Member, ...]:
 
 def alternatives_of(found: Diagnosis) -> dict[str, tuple[str, ...]]:
     """Return for each named effect those that can stand in its place: close rivals, and effects that this data cannot
-    separate from it. An effect without any is certain."""
+    separate from it."""
     alike = {item.effect: item.indistinguishable for item in found.ranking}
     return {
         member.effect: tuple(

@@ -45,7 +45,7 @@ SHARES: Mapping[Work, tuple[float, float]] = {
     "leading candidates": (0.65, 0.9),
     "near relations": (0.9, 1.0),
 }
-"""Share of a search for one effect at the begin and the end of each step, measured on sessions of one test."""
+"""Share of a search for one effect at the begin and the end of each step, from timings of sessions of one test."""
 _SINGLES = 0.2
 """Share of the search for single effects in a search that continues with sets."""
 _TYPICAL_STEPS = 5.0
