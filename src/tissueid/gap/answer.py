@@ -44,7 +44,7 @@ def as_answer(found: Diagnosis) -> dict[str, Any]:
         "budget": _budget(found),
         "remains": None if found.budget is None else {"share": found.budget.remains, "stage": found.budget.remains_in},
         "detection_limits": {
-            name: None if limit is None else vars(limit) for name, limit in found.detection_limits.items()
+            name: None if limit is None else dict(vars(limit)) for name, limit in found.detection_limits.items()
         },
         "members": [
             {
