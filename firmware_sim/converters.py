@@ -41,7 +41,9 @@ def _encoded(
 ) -> tuple[NDArray[np.int16], NDArray[np.bool_]]:
     codes = np.rint((physical - offset) / gain)
     saturated = (codes < CODE_MIN) | (codes > CODE_MAX)
-    return codes.clip(CODE_MIN, CODE_MAX).astype(np.int16), saturated
+    if saturated.any():
+        codes = codes.clip(CODE_MIN, CODE_MAX)
+    return codes.astype(np.int16), saturated
 
 
 def _bipolar(name: str, unit: str, full_scale: float, noise_rms: float) -> Channel:
@@ -126,4 +128,4 @@ class Converters:
         """Return noisy codes, shape (n, channels), and saturation flags, shape (n,), bit k for channel k."""
         noisy = self._scale * physical + self._offset + self._noise_rms * self._random.standard_normal(physical.shape)
         codes, saturated = _encoded(noisy, self._gains, self._zeros)
-        return codes, (saturated * self._bits).sum(axis=1, dtype=np.uint16)
+        return codes, saturated @ self._bits

@@ -53,13 +53,14 @@ class Guard:
         increased or reversed.
         """
         position = np.concatenate((self._newest_m, self._read(block, "position")))
-        step = np.diff(position)[:-1] * self._rate
-        speed = step[1:] + 0.5 * np.diff(step)
+        step = (position[1:-1] - position[:-2]) * self._rate
+        speed = step[1:] + 0.5 * (step[1:] - step[:-1])
         coil = self._coil
         ceiling_v = FORCE_CEILING * armed.max_force_n * coil.resistance_ohm / coil.force_constant_n_per_a
-        induced_v = coil.force_constant_n_per_a * speed * np.sign(command_v)
+        sign = np.sign(command_v)
+        induced_v = coil.force_constant_n_per_a * speed * sign
         most_v = np.maximum(0.0, ceiling_v + induced_v) / coil.amplifier_gain
-        return np.where(np.abs(command_v) > most_v, np.sign(command_v) * most_v, command_v)
+        return np.where(np.abs(command_v) > most_v, sign * most_v, command_v)
 
     def judge(self, block: Block, armed: ArmedLimits, first: int) -> tuple[int, Fault]:
         """Return index and kind of the first limit violation in a played block; NONE if there is none.

@@ -51,9 +51,11 @@ class Readings:
 
     def table(self) -> NDArray[np.float64]:
         """Return all of them, shape (n, 6)."""
-        return np.stack(
-            [self.command, self.voltage, self.current, self.position, self.current_codes, self.position_codes], axis=1
-        ).astype(np.float64)
+        rows = np.empty((self.position.size, 6))
+        for k, column in enumerate((self.command, self.voltage, self.current, self.position)):
+            rows[:, k] = column
+        rows[:, 4], rows[:, 5] = self.current_codes, self.position_codes
+        return rows
 
 
 @dataclass(frozen=True)
@@ -94,7 +96,7 @@ class Plausibility:
         """Return index and kind of the first implausible reading in a block; NONE if there is none."""
         jump = self._jump(readings.position)
         offset = -self._pending.shape[0]
-        self._pending = np.concatenate((self._pending, readings.table()))
+        self._pending = np.concatenate((self._pending, readings.table())) if self._pending.size else readings.table()
         while self._pending.shape[0] >= self._block:
             done, self._pending = self._pending[: self._block], self._pending[self._block :]
             offset += self._block
@@ -111,14 +113,18 @@ class Plausibility:
             return None
         before = position[0] if self._last_position_m is None else self._last_position_m
         self._last_position_m = float(position[-1])
-        broken = np.abs(np.diff(position, prepend=before)) > self._jump_m
+        broken = np.abs(position - np.concatenate(((before,), position[:-1]))) > self._jump_m
         return int(np.argmax(broken)) if broken.any() else None
 
     def _summary(self, rows: NDArray[np.float64]) -> _Summary:
         columns = np.ascontiguousarray(rows.T)
-        asked, measured, drawn = np.abs(columns[:3]).mean(axis=1).tolist()
-        voltage, current, position = columns[1:4].mean(axis=1).tolist()
-        lowest, highest = columns[4:].min(axis=1).tolist(), columns[4:].max(axis=1).tolist()
+        count = rows.shape[0]
+        asked, measured, drawn = (np.add.reduce(np.abs(columns[:3]), axis=1) / count).tolist()
+        voltage, current, position = (np.add.reduce(columns[1:4], axis=1) / count).tolist()
+        lowest, highest = (
+            np.minimum.reduce(columns[4:], axis=1).tolist(),
+            np.maximum.reduce(columns[4:], axis=1).tolist(),
+        )
         return _Summary(
             asked,
             measured,

@@ -13,6 +13,9 @@ from firmware_sim.limits import ArmedLimits
 from tissueid import wire
 from tissueid.wire import Fault, Flag
 
+# Plain numbers: numpy converts a member of an enumeration element by element.
+_ENERGISED, _BUTTON, _SATURATED = int(Flag.ENERGISED), int(Flag.BUTTON), int(Flag.SATURATED)
+
 SIGNALS = tuple(name for name in wire.SAMPLE.names or () if name != "flags")
 
 
@@ -85,9 +88,9 @@ def sampled(
         block = bench.block(command_v, energised)
     guard.update(block)
     samples = np.zeros(command_v.size, wire.SAMPLE)
-    for column, name in enumerate(SIGNALS):
-        samples[name] = block.codes[:, column]
-    samples["flags"] = (
-        flags | Flag.ENERGISED * energised | Flag.BUTTON * block.button | np.where(block.flags, Flag.SATURATED, 0)
-    )
+    for name, codes in zip(SIGNALS, block.codes.T, strict=True):
+        samples[name] = codes
+    everywhere = (_ENERGISED if energised else 0) | (_BUTTON if block.button else 0)
+    samples["flags"] = flags | everywhere
+    samples["flags"][block.flags != 0] |= _SATURATED
     return Sampled(command_v, flags, samples, fault, block.button)

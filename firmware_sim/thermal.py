@@ -7,6 +7,8 @@ proportional to the resistance. The model runs from reset to reset in every stat
 
 from __future__ import annotations
 
+import math
+
 import numpy as np
 from numpy.typing import NDArray
 
@@ -46,11 +48,12 @@ class WindingModel:
         """
         if current_a.size == 0:
             return
-        sensor = float(np.clip(sensor_c.mean(), *SENSOR_RANGE_C))
-        if np.isnan(self.temperature_c):
+        low, high = SENSOR_RANGE_C
+        sensor = min(max(float(np.add.reduce(sensor_c)) / sensor_c.size, low), high)
+        if math.isnan(self.temperature_c):
             self.temperature_c = sensor + RESTART_MARGIN_K
         resistance = self._resistance_ohm * (1.0 + COPPER_PER_K * max(0.0, self.temperature_c - 20.0))
-        heat_w = resistance * float(np.mean(current_a**2))
+        heat_w = resistance * (float(np.add.reduce(current_a**2)) / current_a.size)
         lost_w = (self.temperature_c - AMBIENT_C) / self._thermal_resistance
         self.temperature_c += (heat_w - lost_w) * current_a.size * self._interval_s / self._heat_capacity
         self.temperature_c = max(self.temperature_c, sensor)

@@ -29,6 +29,7 @@ from tissueid.instrument import (
     check_stimulus,
     force,
     is_not_played,
+    join_blocks,
     trim_at_release,
 )
 from tissueid.language import marked
@@ -215,7 +216,8 @@ class _Recording:
     def take(self, samples: NDArray[np.void], fraction: float) -> None:
         """Record samples of the run; those after a release are only counted."""
         played = samples[:0] if self.after_release else trim_at_release(samples)
-        self.after_release += int(np.count_nonzero(is_not_played(samples[played.size :])))
+        if played.size < samples.size:
+            self.after_release += int(np.count_nonzero(is_not_played(samples[played.size :])))
         if self.after_release and not played.size:
             return
         samples = played
@@ -262,7 +264,7 @@ class _Recording:
 
     def _figures(self) -> dict[str, str | float]:
         """Return the mean force on the tissue, including the weight, and the number of saturated samples."""
-        samples = np.concatenate([*(self._open.blocks if self._open else ()), np.zeros(0, SAMPLE)])
+        samples = join_blocks(self._open.blocks if self._open else ())
         samples = samples[self.preload_samples :]  # during the preload the probe may start at the end of its stroke
         if not samples.size:
             return {}

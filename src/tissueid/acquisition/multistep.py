@@ -21,7 +21,7 @@ from tissueid.errors import UnusableInputError
 from tissueid.identification.base import Model
 from tissueid.identification.registry import get_engine
 from tissueid.identification.validation import validate
-from tissueid.instrument import CLINICAL, SAMPLE, Instrument, Limits
+from tissueid.instrument import CLINICAL, Instrument, Limits, join_blocks
 from tissueid.messages import Message
 from tissueid.records import Record, joined
 from tissueid.stimuli.base import Array, with_preload
@@ -244,7 +244,7 @@ def _record(blocks: list[NDArray[np.void]], device: DeviceDescription, surface_m
     The command is used instead of the measured force because the command is designed: the damping by back-EMF is part
     of the identified response.
     """
-    samples = np.concatenate([*blocks, np.zeros(0, SAMPLE)])[round(preload_s * device.sample_rate_hz) :]
+    samples = join_blocks(blocks)[round(preload_s * device.sample_rate_hz) :]
     force_n: Array = samples["command"] / device.voltage_for_force(1.0)
     return Record(force_n, samples["position"] - surface_m, device.sample_rate_hz)
 

@@ -27,7 +27,7 @@ from tissueid.atomic_write import remove_leftovers
 from tissueid.audit import AuditTrail
 from tissueid.device import DeviceDescription
 from tissueid.errors import SessionFormatError, UnusableInputError
-from tissueid.instrument import SAMPLE, SIGNALS, Run, force, is_not_played, trim_at_release
+from tissueid.instrument import SAMPLE, SIGNALS, Run, force, is_not_played, join_blocks, trim_at_release
 from tissueid.messages import Listing, Message
 from tissueid.sessions import (
     MAX_NUMBERS,
@@ -110,7 +110,7 @@ class OpenTest:
 
     def close(self, device: DeviceDescription) -> Test | None:
         """Return the finished test, up to the release of the coil; None if no sample was received."""
-        samples = np.concatenate([*self.blocks, np.zeros(0, SAMPLE)])
+        samples = join_blocks(self.blocks)
         place = samples["index"].astype(np.int64) - self.run.first_index
         inside = (place >= 0) & (place < self.run.samples)  # a test that ended early has fewer than planned
         played = trim_at_release(samples[inside])

@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 from tissueid.acquisition.playback import POLL_S, Phase, Progress, ignore_progress, never_stop, play
 from tissueid.device import GRAVITY_M_S2, DeviceDescription
 from tissueid.errors import UnusableInputError
-from tissueid.instrument import CLINICAL, SAMPLE, Instrument, Limits
+from tissueid.instrument import CLINICAL, Instrument, Limits, join_blocks
 from tissueid.language import marked
 from tissueid.messages import Message
 
@@ -208,7 +208,7 @@ def _read_at_rest(instrument: Instrument, cancelled: Callable[[], bool]) -> NDAr
             break
         blocks.append(instrument.poll(POLL_S))
         silent = 0 if blocks[-1].size else silent + 1
-    return np.concatenate([*blocks, np.zeros(0, SAMPLE)])
+    return join_blocks(blocks)
 
 
 def place_in_air(instrument: Instrument, cancelled: Callable[[], bool] = never_stop) -> Placement:
@@ -280,7 +280,7 @@ def place(
         command = np.concatenate([approach, command])
     gentle = replace(limits, max_force_n=min(limits.max_force_n, PLACING_FORCE_N))
     play(instrument, command, gentle, on_samples=take, cancelled=cancelled)
-    position = np.concatenate([*blocks, np.zeros(0, SAMPLE)])["position"]
+    position = join_blocks(blocks)["position"]
     if position.size < command.size:
         raise UnusableInputError(_SAMPLES_LOST)
     late = position[-levels.size * samples_per_level :].reshape(levels.size, -1)[

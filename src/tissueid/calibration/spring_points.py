@@ -16,7 +16,7 @@ from tissueid.errors import UnusableInputError
 from tissueid.identification.engines.lms import Lms
 from tissueid.identification.second_order import SecondOrder
 from tissueid.identification.second_order_fit import SecondOrderFit
-from tissueid.instrument import SAMPLE, Instrument, Limits
+from tissueid.instrument import Instrument, Limits, join_blocks
 from tissueid.messages import Message
 from tissueid.records import Estimate, Record
 from tissueid.stimuli import Stimulus
@@ -166,7 +166,7 @@ def gentle_test_model(
         progress(Progress(Phase.PLACE, fraction, samples))
 
     run = play(instrument, command, limits, on_samples=take, cancelled=cancelled)
-    samples = np.concatenate([*blocks, np.zeros(0, SAMPLE)])
+    samples = join_blocks(blocks)
     volts, position = np.full(command.size, np.nan), np.full(command.size, np.nan)
     place = samples["index"].astype(np.int64) - run.first_index
     volts[place], position[place] = samples["voltage"], samples["position"]

@@ -11,7 +11,7 @@ from scipy import stats
 
 from tissueid.acquisition import play
 from tissueid.errors import CancelledError, UnusableInputError
-from tissueid.instrument import Instrument, Limits
+from tissueid.instrument import Instrument, Limits, join_blocks
 from tissueid.messages import Message
 from tissueid.records import Estimate
 
@@ -136,7 +136,7 @@ def hold_levels(
 
     command = _smoothed_steps(np.asarray(levels_v, np.float64), hold, round(rise_s * rate))
     run = play(instrument, command, limits, on_samples=take, cancelled=cancelled)
-    samples = np.concatenate(blocks)
+    samples = join_blocks(blocks)
     place = samples["index"].astype(np.int64) - run.first_index
     level, settled = place // hold, place % hold >= hold * (1 - SETTLED_SHARE)
     received = np.all([np.isfinite(samples[name]) for name in _MEASURED], axis=0)
@@ -208,7 +208,7 @@ def rest_samples(
             blocks.append(samples[max(0, -seen) :])
             seen += samples.size
             progress(min(1.0, max(0.0, seen / wanted)))
-    samples = np.concatenate(blocks)[:wanted]
+    samples = join_blocks(blocks)[:wanted]
     received = samples[np.all([np.isfinite(samples[name]) for name in _MEASURED], axis=0)]
     if received.size < wanted / 2:
         raise UnusableInputError(

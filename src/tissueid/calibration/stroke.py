@@ -12,7 +12,7 @@ from tissueid.calibration.findings import Findings, column, quantity
 from tissueid.calibration.step_levels import Cancelled, OnProgress
 from tissueid.device import DeviceDescription
 from tissueid.errors import UnusableInputError
-from tissueid.instrument import Instrument, Limits
+from tissueid.instrument import Instrument, Limits, join_blocks
 from tissueid.messages import Message, Quantity
 from tissueid.records import Estimate
 
@@ -86,7 +86,7 @@ def cross_stroke(
             progress(fraction)
 
         play(instrument, command, limits, on_samples=take, cancelled=cancelled)
-        samples = np.concatenate(blocks)
+        samples = join_blocks(blocks)
         crossings = [_crossing(samples[n * hold : (n + 1) * hold], device) for n in range(1, forces.size)]
         found = tuple(crossing for crossing in crossings if crossing is not None)
         if len(found) == len(crossings):

@@ -16,6 +16,7 @@ from tissueid.instrument.interface import (
     Run,
     force,
     is_not_played,
+    join_blocks,
     trim_at_release,
 )
 from tissueid.instrument.limits import (
@@ -67,6 +68,7 @@ __all__ = [
     "find_instruments",
     "force",
     "is_not_played",
+    "join_blocks",
     "open_instrument",
     "trim_at_release",
 ]

@@ -236,9 +236,26 @@ def empty_samples(first_index: int, count: int) -> NDArray[np.void]:
     return samples
 
 
+def join_blocks(blocks: Sequence[NDArray[np.void]]) -> NDArray[np.void]:
+    """Return blocks of samples as one new array, shape (k,) of SAMPLE.
+
+    Copied block by block: np.concatenate compares the fields of all blocks, which takes longer than the copies.
+    """
+    samples = np.empty(sum([block.size for block in blocks]), SAMPLE)
+    end = 0
+    for block in blocks:
+        samples[end : end + block.size] = block
+        end += block.size
+    return samples
+
+
+_PLAYING = int(Flag.PLAYING)
+"""As a plain number: numpy converts a member of an enumeration element by element."""
+
+
 def is_not_played(samples: NDArray[np.void]) -> NDArray[np.bool_]:
     """Return for each of the samples, shape (k,), whether it was received and is part of no run, shape (k,)."""
-    return np.asarray(np.isfinite(samples["position"]) & ((samples["flags"] & Flag.PLAYING) == 0))
+    return np.asarray(np.isfinite(samples["position"]) & ((samples["flags"] & _PLAYING) == 0))
 
 
 def trim_at_release(samples: NDArray[np.void]) -> NDArray[np.void]:
@@ -246,9 +263,10 @@ def trim_at_release(samples: NDArray[np.void]) -> NDArray[np.void]:
 
     Lost samples directly before the release are left out too, as it is unknown whether they were played.
     """
-    idle = np.flatnonzero(is_not_played(samples))
-    if not idle.size:
+    not_played = is_not_played(samples)
+    if not not_played.any():
         return samples
+    idle = np.flatnonzero(not_played)
     played = np.flatnonzero(samples["flags"][: idle[0]] & Flag.PLAYING)
     return samples[: played[-1] + 1 if played.size else 0]
 

@@ -164,11 +164,11 @@ def check_samples(
         LimitError: a value exceeds its limit. The caller releases the coil.
     """
 
-    def highest(values: NDArray[np.float64]) -> float:
-        finite = values[np.isfinite(values)]
-        return float(finite.max()) if finite.size else -np.inf
+    def received(name: str) -> NDArray[np.float64]:
+        values = samples[name]
+        return np.asarray(values[np.isfinite(values)])
 
-    force = highest(np.abs(samples["current"])) * device.force_constant_n_per_a
+    force = float(np.abs(received("current")).max(initial=-np.inf)) * device.force_constant_n_per_a
     if force > limits.max_force_n * FORCE_MARGIN:
         raise LimitError(
             Message(
@@ -178,7 +178,8 @@ def check_samples(
                 limit=limits.max_force_n,
             )
         )
-    deep, shallow = highest(samples["position"]), -highest(-samples["position"])
+    positions = received("position")
+    deep, shallow = float(positions.max(initial=-np.inf)), float(positions.min(initial=np.inf))
     if deep > limits.max_position_m or shallow < limits.min_position_m:
         position = deep if deep > limits.max_position_m else shallow
         raise LimitError(
@@ -188,7 +189,7 @@ def check_samples(
                 position=1e3 * position,
             )
         )
-    if (temperature := highest(samples["temperature"])) > limits.max_temperature_c:
+    if (temperature := float(received("temperature").max(initial=-np.inf))) > limits.max_temperature_c:
         raise coil_too_hot(temperature, limits)
     if first_index is not None and samples.size:
         seconds = (int(samples["index"][-1]) - first_index) / device.sample_rate_hz

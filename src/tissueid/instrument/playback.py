@@ -21,6 +21,9 @@ STARVED_S = 0.5
 SOFT_START_S = 0.05
 """Duration of the soft start, s: the bound on the command rises as a quarter sine to the peak of this time."""
 
+# Plain numbers: operations on members of an enumeration take most of the time of a block.
+_PLAYED, _HELD, _SOFTENED = int(Flag.PLAYING | Flag.ENERGISED), int(Flag.HELD), int(Flag.SOFT_START)
+
 
 class Playback:
     """One run of ``stimulus``, shape (n,), V, and ``following`` set-points (docs/protocol.md, 4.5 and 5)."""
@@ -85,16 +88,21 @@ class Playback:
         """Return the next ``count`` commands, V, and their flags, both of shape (count,); zeros after the end."""
         commands, flags = np.zeros(count), np.zeros(count, np.uint16)
         inside = max(0, min(count, self._length - self._cursor))
-        for k, wanted_v in enumerate(self._volts[self._cursor : self._cursor + inside]):
-            held = self._hold() if np.isnan(wanted_v) else self._follow(float(wanted_v))
-            softened = self._soften(self._cursor + k)
-            commands[k] = self._present_v
-            flags[k] = Flag.PLAYING | Flag.ENERGISED | (Flag.HELD if held else 0) | (Flag.SOFT_START if softened else 0)
+        volts, sources = [], []
+        for number, wanted_v in enumerate(self._volts[self._cursor : self._cursor + inside].tolist(), self._cursor):
+            held = self._hold() if math.isnan(wanted_v) else self._follow(wanted_v)
+            softened = self._soften(number)
+            volts.append(self._present_v)
+            sources.append(_PLAYED | (_HELD if held else 0) | (_SOFTENED if softened else 0))
             self.held_samples += held
+        commands[:inside], flags[:inside] = volts, sources
+        if inside == count:
+            self._cursor += count
+            return commands, flags
         done = self._cursor + np.arange(inside, count) - self._length  # samples of the release before each
         ramp = done < self._ramp
         commands[inside:][ramp] = self._present_v * (1.0 - (done[ramp] + 1.0) / self._ramp)
-        flags[inside:][ramp] = Flag.ENERGISED
+        flags[inside:][ramp] = int(Flag.ENERGISED)
         self._cursor += count
         return commands, flags
 

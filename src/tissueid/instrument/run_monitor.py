@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from tissueid.device import DeviceDescription
 from tissueid.errors import FirmwareFaultError, InstrumentError, TissueIDError
 from tissueid.instrument.handshake import Handshake
-from tissueid.instrument.interface import Run, is_not_played
+from tissueid.instrument.interface import Run
 from tissueid.instrument.limits import Limits
 from tissueid.instrument.replies import Status, released_by_faults
 from tissueid.instrument.sample_monitor import SampleMonitor
@@ -20,6 +20,8 @@ from tissueid.messages import Message
 from tissueid.wire import Fault, Flag, State
 
 log = logging.getLogger(__name__)
+
+_PLAYING, _ENERGISED = int(Flag.PLAYING), int(Flag.ENERGISED)
 
 FREE_S = 0.1
 """Time after the end of a run until the coil must be free, s: twice the soft release."""
@@ -143,8 +145,8 @@ class RunMonitor:
         except TissueIDError:
             self.stop_due = True
             raise
-        energised = read["index"][(read["flags"] & Flag.ENERGISED) > 0]
         if self.limits is None:
+            energised = read["index"][(read["flags"] & _ENERGISED) > 0]
             if energised.size and energised[-1] >= self._free_from:
                 self._release_again("its samples show it")
         elif self.run is not None:
@@ -156,20 +158,22 @@ class RunMonitor:
         Raises:
             InstrumentError: samples outside the run, or after its stop, were played; ``stop_due`` is set.
         """
-        inside = (read["index"] >= run.first_index) & (read["index"] < run.end_index) & np.isfinite(read["position"])
-        idle = inside & is_not_played(read)
+        index = read["index"]
+        inside = (index >= run.first_index) & (index < run.end_index) & np.isfinite(read["position"])
+        played = (read["flags"] & _PLAYING) > 0
         if inside.any():
-            self._received_to = int(read["index"][inside][-1]) + 1
-        played = (read["flags"] & Flag.PLAYING) > 0
-        if not self.finishing and self._stopped_at is None and idle.any():
-            self._stopped_at = int(read["index"][idle][0])
+            self._received_to = int(index[inside][-1]) + 1
+        if not self.finishing and self._stopped_at is None:
+            idle = inside & ~played
+            if idle.any():
+                self._stopped_at = int(index[idle][0])
         if played.any():
-            self._played_to = int(read["index"][played][-1]) + 1
+            self._played_to = int(index[played][-1]) + 1
             stopped_at = run.end_index if self._stopped_at is None else self._stopped_at
-            if np.any(played & ~inside) or self._played_to > stopped_at:
+            if (played & ~inside).any() or self._played_to > stopped_at:
                 self.stop_due = True
                 raise InstrumentError(CONTRADICTION)
-        over = read["index"][-1] >= run.end_index
+        over = index[-1] >= run.end_index
         if self._stopped_at is not None and over:
             self.fail(FirmwareFaultError(STOPPED))
         elif self._stopped_at is not None:
@@ -235,7 +239,7 @@ class RunMonitor:
         """Return the run that these samples, shape (k,), show to have begun while the answer to START is awaited."""
         if self._starting is None:
             return None
-        playing = samples["index"][(samples["flags"] & Flag.PLAYING) > 0]
+        playing = samples["index"][(samples["flags"] & _PLAYING) > 0]
         if self._seen_first is None and playing.size:
             self._seen_first = int(playing[0])
         return None if self._seen_first is None else Run(self._seen_first, self._starting)

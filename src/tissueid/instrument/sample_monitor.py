@@ -79,12 +79,14 @@ class Plausibility:
         """
         if samples.size == 0:
             return
-        position = np.append(self._last_m, samples["position"])
+        position = np.concatenate(((self._last_m,), samples["position"]))
         self._last_m = float(position[-1])
-        if np.any(np.abs(np.diff(position)) > self._jump_m):  # NaN next to a lost sample: no jump
+        if (np.abs(position[1:] - position[:-1]) > self._jump_m).any():  # NaN next to a lost sample: no jump
             raise InstrumentError(JUMPING_POSITION)
-        rows = np.stack([samples[name] for name in _COLUMNS], axis=1)
-        self._pending = np.concatenate((self._pending, rows))
+        rows = np.empty((samples.size, len(_COLUMNS)))
+        for column, name in enumerate(_COLUMNS):
+            rows[:, column] = samples[name]
+        self._pending = np.concatenate((self._pending, rows)) if self._pending.size else rows
         while self._pending.shape[0] >= self._block:
             block, self._pending = self._pending[: self._block], self._pending[self._block :]
             if np.isfinite(block).all():
@@ -107,7 +109,7 @@ class Plausibility:
     def _judge_current(self) -> None:
         newest = list(self._seen)[-COIL_BLOCKS:]
         asked, measured, drawn = (
-            sum(row[name] for row in newest) / len(newest) for name in ("asked_v", "measured_v", "drawn_a")
+            sum([row[name] for row in newest]) / len(newest) for name in ("asked_v", "measured_v", "drawn_a")
         )
         weak = drawn * self._resistance_ohm < OPEN_SHARE * measured
         if len(newest) == COIL_BLOCKS and min(asked, measured) >= OPEN_VOLTS and weak:
@@ -127,10 +129,11 @@ def _spread(few: list[float]) -> float:
 def _summary(block: NDArray[np.float64]) -> dict[str, float]:
     """Return means, mean magnitudes and extremes of a block, by name."""
     columns = np.ascontiguousarray(block.T)
-    _, voltage, current, position = columns.mean(axis=1).tolist()
-    asked, measured, drawn, _ = np.abs(columns).mean(axis=1).tolist()
-    _, _, lowest_a, lowest_m = columns.min(axis=1).tolist()
-    _, _, highest_a, highest_m = columns.max(axis=1).tolist()
+    count = block.shape[0]
+    _, voltage, current, position = (np.add.reduce(columns, axis=1) / count).tolist()
+    asked, measured, drawn, _ = (np.add.reduce(np.abs(columns), axis=1) / count).tolist()
+    _, _, lowest_a, lowest_m = np.minimum.reduce(columns, axis=1).tolist()
+    _, _, highest_a, highest_m = np.maximum.reduce(columns, axis=1).tolist()
     return {
         "asked_v": asked,
         "measured_v": measured,
@@ -229,7 +232,7 @@ class SampleMonitor:
         check_samples(_without_position(samples, resting), self._nominal, limits, first_index)
         if calibrated is not None:
             check_samples(_without_position(calibrated[0], resting), calibrated[1], limits, first_index)
-        if np.any(samples["temperature"] < PLAUSIBLE_C[0]):
+        if (samples["temperature"] < PLAUSIBLE_C[0]).any():
             raise InstrumentError(_NO_TEMPERATURE)
         if self.winding_c > limits.max_temperature_c:
             raise LimitError(
@@ -241,7 +244,8 @@ class SampleMonitor:
                 )
             )
         if run is not None:
-            self._plausibility.check(samples[samples["index"] >= run.first_index])
+            inside = samples["index"] >= run.first_index
+            self._plausibility.check(samples if inside.all() else samples[inside])
 
     def _resting_at_near_end(
         self, samples: NDArray[np.void], limits: Limits, first_index: int | None

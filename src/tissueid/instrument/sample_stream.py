@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 from tissueid import wire
 from tissueid.errors import LinkLostError
 from tissueid.instrument.handshake import Handshake
-from tissueid.instrument.interface import SAMPLE, SIGNALS, Gap, empty_samples
+from tissueid.instrument.interface import SAMPLE, SIGNALS, Gap, empty_samples, join_blocks
 from tissueid.messages import Message
 from tissueid.wire import Flag, Frame
 
@@ -18,6 +18,8 @@ log = logging.getLogger(__name__)
 
 MAX_GAP_S = 5.0
 """Longest gap in the samples that the link may have, s; a longer one counts as a lost link."""
+
+_HELD = int(Flag.HELD)
 
 
 class SampleStream:
@@ -48,13 +50,7 @@ class SampleStream:
 
     def drain(self) -> NDArray[np.void]:
         """Return all samples since the last call, shape (k,) of SAMPLE, k >= 0."""
-        # Copied block by block: np.concatenate compares the fields of all blocks, which takes longer than the watchdog
-        # timeout for the samples that arrive while a long stimulus is sent.
-        samples = np.empty(sum(block.size for block in self._ready), SAMPLE)
-        end = 0
-        for block in self._ready:
-            samples[end : end + block.size] = block
-            end += block.size
+        samples = join_blocks(self._ready)
         self._ready.clear()
         return samples
 
@@ -71,7 +67,7 @@ class SampleStream:
             return empty_samples(0, 0)  # a duplicate, or late: already filled in
         if not frame.payload or len(frame.payload) % wire.SAMPLE.itemsize:
             raise wire.PayloadError("a data frame holds no sample, or part of one")
-        lost = empty_samples(0, 0)
+        lost: NDArray[np.void] | None = None
         if self.next_index is not None and frame.sample_index > self.next_index:
             missing = frame.sample_index - self.next_index
             if missing > MAX_GAP_S * self._hello.device.sample_rate_hz:
@@ -95,7 +91,7 @@ class SampleStream:
             samples[name] = codes[name] * self._hello.gains[channel] + self._hello.offsets[channel]
         self._ready.append(samples)
         self.newest = samples
-        self.held_samples += int(np.count_nonzero(codes["flags"] & Flag.HELD))
+        self.held_samples += int(np.count_nonzero(codes["flags"] & _HELD))
         self.next_index = frame.sample_index + codes.size
         self.received += codes.size
-        return np.concatenate((lost, samples)) if lost.size else samples
+        return samples if lost is None else np.concatenate((lost, samples))

@@ -9,6 +9,8 @@ gauge, so heat capacity and cooling surface scale with the length of the wire, w
 
 from __future__ import annotations
 
+import math
+
 import numpy as np
 from numpy.typing import NDArray
 
@@ -47,17 +49,18 @@ class WindingTemperature:
     def take(self, current_a: NDArray[np.float64], sensor_c: NDArray[np.float64], highest_a: float) -> None:
         """Add samples in order, both of shape (n,). A lost sample (NaN) counts as ``highest_a``."""
         readings = sensor_c[(sensor_c >= PLAUSIBLE_C[0]) & (sensor_c <= PLAUSIBLE_C[1])]
-        sensor = float(readings.mean()) if readings.size else float("nan")
-        if np.isnan(self.temperature_c):
+        sensor = float(np.add.reduce(readings)) / readings.size if readings.size else math.nan
+        if math.isnan(self.temperature_c):
             self.temperature_c = sensor
-        if current_a.size == 0 or np.isnan(self.temperature_c):
+        if current_a.size == 0 or math.isnan(self.temperature_c):
             return
         squared = np.where(np.isfinite(current_a), current_a, highest_a) ** 2
         # Integrate in steps of 0.1 s: one step over a long gap would overestimate the heat loss.
-        for part in np.array_split(squared, max(1, squared.size // round(0.1 / self._interval_s))):
+        steps = max(1, squared.size // round(0.1 / self._interval_s))
+        for part in np.array_split(squared, steps) if steps > 1 else (squared,):
             resistance = self._resistance_ohm * (1.0 + COPPER_PER_K * max(0.0, self.temperature_c - 20.0))
             lost_w = (self.temperature_c - AMBIENT_C) / self._thermal_resistance
-            heat_w = resistance * float(part.mean())
+            heat_w = resistance * (float(np.add.reduce(part)) / part.size)
             self.temperature_c += (heat_w - lost_w) * part.size * self._interval_s / self._heat_capacity
         if readings.size:
             self.temperature_c = max(self.temperature_c, sensor)
