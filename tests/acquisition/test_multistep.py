@@ -15,6 +15,8 @@ from tissueid.instrument import SimulatedInstrument
 from tissueid.records import Record
 from tissueid.stimuli.depth_uniform import DepthDesign
 
+pytestmark = pytest.mark.usefixtures("long_frames")
+
 RATE = 2000.0
 
 

@@ -26,6 +26,8 @@ from tissueid.stimuli.base import with_preload
 from tissueid.stimuli.kinds.noise import Noise
 from tissueid.wire import Fault
 
+pytestmark = pytest.mark.usefixtures("long_frames")
+
 
 def found(test, earlier=(), device=DEVICE):
     return {finding.code: finding for finding in judge(test, device, earlier).findings}

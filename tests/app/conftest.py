@@ -64,11 +64,14 @@ def _plots_without_pixels(plots_rendered, plots_laid_out, monkeypatch):
 
         monkeypatch.setattr(FigureCanvasQTAgg, "draw", lambda _canvas: None)
     if not plots_laid_out:
+        from pyqtgraph import GraphicsView
+
+        monkeypatch.setattr(GraphicsView, "paintEvent", lambda _view, _event: None)
         monkeypatch.setattr("tissueid.reports.plot_layout.lay_out", lambda _figure: None)
 
 
 @pytest.fixture
-def open_window(qtbot, tmp_path, bench, clock, calibrations, monkeypatch):
+def open_window(qtbot, tmp_path, bench, clock, calibrations, monkeypatch, plots_rendered):
     """Opens windows; at the end each is closed, its work is waited for, and the garbage is collected in this thread."""
     windows = []
     monkeypatch.setattr("tissueid.analysis.analyse_all", analyse_once)
@@ -86,6 +89,7 @@ def open_window(qtbot, tmp_path, bench, clock, calibrations, monkeypatch):
         if not window.settings.contains("window/geometry"):
             window.resize(1280, 720)  # more than the screen of the offscreen platform has
         windows.append(window)
+        window.setUpdatesEnabled(plots_rendered)  # painting a window takes a twentieth of its test
         window.show()
         window.activateWindow()
         qtbot.waitUntil(window.isActiveWindow, timeout=WAIT_MS)

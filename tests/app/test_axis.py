@@ -24,6 +24,11 @@ def colour(name):
 
 
 @pytest.fixture
+def plots_rendered():
+    return True
+
+
+@pytest.fixture
 def card(qtbot):
     made = PlotCard("Force", "Time (s)", "N")
     qtbot.addWidget(made)

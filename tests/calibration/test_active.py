@@ -31,6 +31,8 @@ from tissueid.errors import InstrumentError, LimitError, UnusableInputError
 from tissueid.instrument import Correction, Limits, SimulatedInstrument
 from tissueid.messages import Message, code_of
 
+pytestmark = pytest.mark.usefixtures("long_frames")
+
 
 def test_calibrated_figures_lie_over_the_nominal_ones():
     device = apply_calibrations(DEVICE, [made(), made(5, "sweep")], NOW)

@@ -23,6 +23,8 @@ from tissueid.instrument import Correction, SerialInstrument, SimulatedInstrumen
 from tissueid.instrument.handshake import parse_hello
 from tissueid.messages import Quantity as Shown
 
+pytestmark = pytest.mark.usefixtures("long_frames")
+
 CHANNELS = {
     "voltage_offset_v": 0.02,
     "voltage_gain": 0.99,
