@@ -54,7 +54,7 @@ def test_cosines():
 
 def test_a_second_start_is_tried_where_it_is_nearly_as_good():
     def one(name: str, alignment: float) -> Signature:
-        return Signature(name, (alignment,), np.zeros(1), alignment)
+        return Signature(name, (alignment,), alignment)
 
     found = best_aligned([one("a", 0.1), one("b", 0.5), one("a", 0.7), one("b", 0.45)])
     assert [(item.effect, item.alignment) for item in found] == [("a", 0.7), ("b", 0.5), ("b", 0.45)]

@@ -55,8 +55,16 @@ class Fit:
     predictions: Predictions = field(repr=False)
     residuals: FloatArray = field(repr=False)
     """Residuals of the fitted samples in noise deviations, by test and channel."""
-    jacobian: FloatArray = field(repr=False)
+    jacobian: NDArray[np.float32] = field(repr=False)
+    """Derivatives of the residuals by the coordinates, shape (residuals, coordinates), in single precision: a search
+    keeps those of dozens of fits, of tens of megabytes each in a full session."""
     steps: int
+
+    @property
+    def normal(self) -> FloatArray:
+        """Product of the Jacobian with itself, shape (coordinates, coordinates)."""
+        slopes = self.jacobian.astype(np.float64)
+        return slopes.T @ slopes
 
     def value(self, name: str) -> float:
         """Return a coordinate by name, in fitted units."""
@@ -231,7 +239,8 @@ class _Search:
         best = found.point
         problem.follow(best)
         predictions = self._unfitted(best.theta, best.extra)
-        return Fit(self._parameters, best.theta, best.cost, predictions, best.residuals, problem.jacobian, found.steps)
+        slopes = problem.jacobian.astype(np.float32)
+        return Fit(self._parameters, best.theta, best.cost, predictions, best.residuals, slopes, found.steps)
 
     def _jacobian(self, theta: FloatArray, residuals: FloatArray, near: Fit | None = None) -> FloatArray:
         # Columns known from another fit are reused.

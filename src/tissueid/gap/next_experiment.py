@@ -187,7 +187,7 @@ def _factor(rival: Candidate) -> FloatArray:
     fitted = rival.fit
     parameters = fitted.parameters
     reach = parameters.array("high") - parameters.array("low")
-    normal = fitted.jacobian.T @ fitted.jacobian + np.diag(parameters.array("prior_std") ** -2.0 + reach**-2.0)
+    normal = fitted.normal + np.diag(parameters.array("prior_std") ** -2.0 + reach**-2.0)
     values, vectors = np.linalg.eigh(normal / np.outer(1.0 / reach, 1.0 / reach))
     return np.asarray((vectors / np.sqrt(np.maximum(values, 1.0))) * reach[:, None])
 

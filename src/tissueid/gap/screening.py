@@ -21,16 +21,15 @@ SECOND_START = 0.7
 
 @dataclass(frozen=True)
 class Signature:
-    """Change of the residuals by an effect at a starting point, after a refit of everything else.
+    """How far the change of the residuals by an effect at a starting point, after a refit of everything else, explains
+    the residual of the baseline.
 
-    ``surviving``, shape (residuals,), in noise deviations, is the combination of the effect and its derivatives by its
-    parameters that is closest to the residual of the baseline. ``alignment`` is its squared cosine with that residual:
-    the share that a linear effect would explain.
+    ``alignment`` is the squared cosine between that residual and the closest combination of the effect and its
+    derivatives by its parameters: the share that a linear effect would explain.
     """
 
     effect: str
     start: tuple[float, ...]
-    surviving: FloatArray
     alignment: float
 
 
@@ -40,7 +39,7 @@ class Screen:
     def __init__(self, baseline: Fit) -> None:
         self._baseline = baseline
         self._differences = Differences(baseline)
-        jacobian = baseline.jacobian
+        jacobian = baseline.jacobian.astype(np.float64)
         norms = np.linalg.norm(jacobian, axis=0)
         self._basis, _ = np.linalg.qr(jacobian[:, norms > 0.0] / norms[norms > 0.0])
         self._left = self.surviving(baseline.residuals)
@@ -58,12 +57,12 @@ class Screen:
             sizes = np.linalg.norm(span, axis=0)
             span = span[:, sizes > 1e-9 * max(float(sizes.max()), 1e-300)]
             if not span.shape[1]:
-                found.append(Signature(effect.name, start, np.zeros_like(self._left), 0.0))
+                found.append(Signature(effect.name, start, 0.0))
                 continue
             shares, *_ = np.linalg.lstsq(span / np.linalg.norm(span, axis=0), self._left, rcond=1e-6)
             surviving = (span / np.linalg.norm(span, axis=0)) @ shares
             along = float(surviving @ surviving) / self._size if self._size > 0.0 else 0.0
-            found.append(Signature(effect.name, start, surviving, along))
+            found.append(Signature(effect.name, start, along))
         return found
 
     def _most_visible_starts(self, effect: Effect) -> list[tuple[float, ...]]:

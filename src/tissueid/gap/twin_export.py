@@ -84,7 +84,7 @@ def _unmodelled(fitted: Fit) -> dict[str, float]:
 def _stds(fitted: Fit, test: int) -> dict[str, float]:
     # From the curvature of the cost, widened by the ratio of residuals to noise.
     parameters = fitted.parameters
-    normal = fitted.jacobian.T @ fitted.jacobian + np.diag(parameters.array("prior_std") ** -2.0)
+    normal = fitted.normal + np.diag(parameters.array("prior_std") ** -2.0)
     excess = max(1.0, float(fitted.residuals @ fitted.residuals) / max(fitted.residuals.size, 1))
     scale = np.sqrt(np.maximum(np.diag(normal), 1e-30))
     covariance = np.linalg.pinv(normal / np.outer(scale, scale), hermitian=True)
