@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
+import json
+from dataclasses import asdict, replace
 from types import SimpleNamespace
 
 import numpy as np
@@ -10,11 +11,13 @@ import pytest
 
 from tissueid.gap.decision import (
     THRESHOLDS,
+    Grounds,
+    Tried,
     cost,
+    decide,
     explains,
     is_gap,
     is_needed,
-    lead_of,
     probabilities,
     shows_in_the_check_alone,
 )
@@ -41,16 +44,21 @@ def test_the_number_of_penalised_coordinates_is_limited():
     assert cost(candidate(1.0, most, 3)) - cost(candidate(1.0, most, 2)) == pytest.approx(THRESHOLDS.complexity)
 
 
+def tried(score: float, closed: float, *effects: str, strict: bool = False) -> Tried:
+    """Return a fitted candidate whose cost is its score."""
+    return Tried(effects or ("any",), score, score, closed, strict)
+
+
 def test_no_gap_where_nothing_is_left():
-    assert not is_gap(candidate(0.0, 0), None)
-    assert not is_gap(candidate(0.9 * THRESHOLDS.least_score, 0), candidate(0.0))
+    assert not is_gap(0.0, None)
+    assert not is_gap(0.9 * THRESHOLDS.least_score, 0.0)
 
 
 def test_a_small_gap_needs_a_candidate_that_takes_it_away():
-    little = candidate(1.5 * THRESHOLDS.least_score, 0)
-    assert is_gap(little, candidate(0.0))
+    little = 1.5 * THRESHOLDS.least_score
+    assert is_gap(little, 0.0)
     assert not is_gap(little, None)
-    assert not is_gap(little, candidate(1.4 * THRESHOLDS.least_score))
+    assert not is_gap(little, 1.4 * THRESHOLDS.least_score)
 
 
 def test_a_rare_event_can_show_in_the_check_only():
@@ -60,31 +68,58 @@ def test_a_rare_event_can_show_in_the_check_only():
 
 
 def test_a_large_gap_needs_no_candidate():
-    assert is_gap(candidate(1.0, 0), None)
+    assert is_gap(1.0, None)
 
 
 def test_a_candidate_at_the_floor_explains_the_gap():
-    assert explains(candidate(3.0, 0), candidate(0.05), 0.99, 0.0)
-    assert explains(candidate(3.0, 0), candidate(1.0), 0.9, 0.0)
+    assert explains(3.0, tried(0.05, 0.99), 0.0)
+    assert explains(3.0, tried(1.0, 0.9), 0.0)
 
 
 @pytest.mark.parametrize(("left", "closed"), [(2.5, 0.9), (1.0, 0.3), (2.9, 0.1), (1.0, float("nan"))])
 def test_a_candidate_that_leaves_much_explains_nothing(left, closed):
-    assert not explains(candidate(3.0, 0), candidate(left), closed, 1.0)
+    assert not explains(3.0, tried(left, closed), 1.0)
 
 
 def test_a_candidate_without_a_rival_may_close_less():
-    assert explains(candidate(3.0, 0), candidate(1.0), 0.6, 1.0)
-    assert not explains(candidate(3.0, 0), candidate(1.0), 0.6, 0.1)
+    assert explains(3.0, tried(1.0, 0.6), 1.0)
+    assert not explains(3.0, tried(1.0, 0.6), 0.1)
 
 
 def test_a_strict_fit_leaves_less():
-    baseline, good, better = candidate(3.0, 0), candidate(1.0), candidate(0.9 * 3.0 * THRESHOLDS.clear_share)
-    assert explains(baseline, good, 0.9, 0.0)
-    assert not explains(baseline, good, 0.9, 1.0, clearly=True)
-    assert explains(baseline, better, 0.9, 0.0, clearly=True)
-    assert explains(candidate(0.3, 0), candidate(0.9 * THRESHOLDS.at_the_floor), 0.9, 0.0, clearly=True)
-    assert probabilities(baseline, [good])[0] > 0.9 > 0.1 > probabilities(baseline, [good], clearly=True)[0]
+    assert explains(3.0, tried(1.0, 0.9), 0.0)
+    assert not explains(3.0, tried(1.0, 0.9, strict=True), 1.0)
+    assert explains(3.0, tried(0.9 * 3.0 * THRESHOLDS.clear_share, 0.9, strict=True), 0.0)
+    assert explains(0.3, tried(0.9 * THRESHOLDS.at_the_floor, 0.9, strict=True), 0.0)
+    assert probabilities(3.0, [1.0])[0] > 0.9 > 0.1 > probabilities(3.0, [1.0], clearly=True)[0]
+
+
+def decided(*items: Tried, final: tuple[str, ...], alike: dict[str, tuple[str, ...]] | None = None) -> frozenset[str]:
+    return decide(Grounds(3.0, items, final, alike or {}))
+
+
+def test_a_set_is_named_with_the_members_that_are_needed():
+    one, both = tried(2.0, 0.5, "a"), tried(0.05, 0.99, "a", "b")
+    other = tried(1.5, 0.6, "b")
+    assert decided(one, other, both, final=("a", "b")) == {"a", "b"}
+    idle = tried(0.06, 0.99, "a", "b", "c")
+    assert decided(one, other, both, idle, final=("a", "b", "c")) == {"a", "b"}
+
+
+def test_a_single_effect_is_named_where_the_set_is_hardly_better():
+    assert decided(tried(0.3, 0.9, "c"), tried(0.1, 0.95, "a", "b"), final=("a", "b")) == {"c"}
+
+
+def test_an_effect_that_the_data_cannot_separate_is_no_rival():
+    one, same = tried(1.0, 0.6, "a"), tried(1.0, 0.6, "b")
+    assert decided(one, same, final=("a",)) == frozenset()
+    assert decided(one, same, final=("a",), alike={"a": ("b",)}) == {"a"}
+
+
+def test_grounds_come_back_from_json():
+    grounds = Grounds(3.0, (tried(0.05, 0.99, "a"),), ("a",), {"a": ()})
+    again = Grounds.from_dict(json.loads(json.dumps(asdict(grounds))))
+    assert decide(again) == decide(grounds) == {"a"}
 
 
 @pytest.mark.parametrize(
@@ -107,38 +142,29 @@ def test_exact_laws_and_contradicting_evidence_need_a_strict_fit(effects, shares
     assert needs_strict_fit(SimpleNamespace(effects=("mains_hum", *effects)), places, ("mains_hum",)) is asked  # type: ignore[arg-type]
 
 
-def test_the_lead_is_over_the_next_of_another_name():
-    best, same = candidate(1.0), candidate(1.1)
-    assert lead_of(best, [best, same]) == np.inf
-    assert lead_of(best, [best, candidate(1.5, 0)]) == pytest.approx(0.5 - THRESHOLDS.complexity)
-
-
 def test_probabilities_leave_room_for_an_unlisted_effect():
-    baseline = candidate(3.0, 0)
-    sure = probabilities(baseline, [candidate(0.0), candidate(2.0)])
+    sure = probabilities(3.0, [0.01, 2.01])
     assert sure[0] > 0.99
     assert sum(sure) <= 1.0
     assert sure == sorted(sure, reverse=True)
-    bad = probabilities(baseline, [candidate(2.9), candidate(2.95)])
-    assert sum(bad) < 0.1
-    assert probabilities(baseline, []) == []
+    assert sum(probabilities(3.0, [2.91, 2.96])) < 0.1
+    assert probabilities(3.0, []) == []
 
 
 def test_equal_candidates_are_equally_likely_and_the_simpler_is_likelier():
-    baseline = candidate(3.0, 0)
-    one, other = probabilities(baseline, [candidate(0.1), candidate(0.1)])
+    one, other = probabilities(3.0, [cost(candidate(0.1)), cost(candidate(0.1))])
     assert one == pytest.approx(other)
-    simple, complicated = probabilities(baseline, [candidate(0.1, 1), candidate(0.1, 5)])
+    simple, complicated = probabilities(3.0, [cost(candidate(0.1, 1)), cost(candidate(0.1, 5))])
     assert simple > complicated
 
 
 def test_a_member_of_a_set_must_be_needed():
-    assert is_needed(candidate(2.0, 1), candidate(0.1, 2), 0.5, 0.99)
-    assert not is_needed(candidate(2.0, 1), candidate(1.9, 2), 0.5, 0.99)
-    assert not is_needed(candidate(0.1, 1), candidate(0.0, 2), 0.5, 0.99)
+    assert is_needed(tried(2.0, 0.5), tried(0.1, 0.99))
+    assert not is_needed(tried(2.0, 0.5), tried(1.9, 0.99))
+    assert not is_needed(tried(0.1, 0.5), tried(0.0, 0.99))
     # A small gain suffices where it removes the rest, but not where it is chance.
-    assert is_needed(candidate(0.5, 1), candidate(0.1, 2), 0.97, 0.98)
-    assert not is_needed(candidate(0.3, 1), candidate(0.05, 2), 0.97, 0.99)
+    assert is_needed(tried(0.5, 0.9), tried(0.1, 0.98))
+    assert not is_needed(tried(0.3, 0.9), tried(0.05, 0.99))
     # The form of the effect can be wrong where a pair hardly lowers the gap.
-    assert not is_needed(candidate(2.0, 1), candidate(0.9, 2), 0.9, 0.95)
-    assert not is_needed(candidate(2.0, 1), candidate(0.1, 2), float("nan"), float("nan"))
+    assert not is_needed(tried(2.0, 0.9), tried(0.9, 0.95))
+    assert not is_needed(tried(2.0, float("nan")), tried(0.1, float("nan")))

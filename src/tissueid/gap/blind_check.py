@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Any
 
@@ -60,7 +60,7 @@ class BlindScenario:
         ``oracle`` is the gap that the true signals leave. ``in_sample`` is the effect that fits the fitted samples
         best, which a search without held-out data would name. For a pair ``survive_alone`` holds for each effect
         whether the session with that effect alone has a gap that survives the refit. ``accepted`` holds the effects of
-        the twin of the earlier session, where there is one.
+        the twin of the earlier session, where there is one. ``grounds`` are those of the decision.
         """
         dataset = prepare(read_scenario(self.folder, self.name))
         names = [name for name in all_effects() if name not in self.without] if self.without else None
@@ -71,6 +71,7 @@ class BlindScenario:
         greedy = min(singles, key=lambda item: item.fit.cost, default=None)
         return as_answer(found) | {
             "accepted": list(known),
+            "grounds": None if found.grounds is None else asdict(found.grounds),
             "oracle": _oracle(dataset, read_scenario(self.folder, self.name, "clean")),
             "in_sample": greedy.effects[-1] if greedy is not None else None,
             "survive_alone": [_survives(alone) for alone in alone_sessions(self.folder, self.name)],

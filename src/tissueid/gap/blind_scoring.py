@@ -363,12 +363,13 @@ def _figures(single: Sequence[Answered], targets: Targets) -> list[Measured]:
             targets.predicted_closed,
             at_least=False,
         ),
-        Measured(marked("expected calibration error"), _calibration_error(sure, right), sure.size),
+        Measured(marked("expected calibration error"), calibration_error(sure, right), sure.size),
         Measured(marked("Brier score"), float(np.mean((sure - right) ** 2)) if sure.size else float("nan"), sure.size),
     ]
 
 
-def _calibration_error(sure: np.ndarray, right: np.ndarray) -> float:
+def calibration_error(sure: np.ndarray, right: np.ndarray) -> float:
+    """Return the expected calibration error of probabilities, shape (n,); ``right``, shape (n,), is 0 or 1."""
     if not sure.size:
         return float("nan")
     place = np.minimum((sure * CALIBRATION_BINS).astype(int), CALIBRATION_BINS - 1)

@@ -7,9 +7,9 @@ reports.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from typing import Literal
+from typing import Any, Literal
 
 import numpy as np
 
@@ -43,6 +43,8 @@ class Thresholds:
     """Least decrease of the score by a member of a set, nats."""
     set_leaves: float = 0.36
     """Largest share of the gap without a member that the set leaves, unless it is at the floor."""
+    member_share: float = 0.0
+    """Least share of the gap that a member of a set closes when it is added to the others."""
     structural: float = 0.9
     """Closed share from which what a set leaves is taken as the structural error of its members, all of them right."""
     growth: float = 0.03
@@ -69,24 +71,26 @@ def cost(candidate: Candidate, thresholds: Thresholds = THRESHOLDS) -> float:
 
 
 def probabilities(
-    baseline: Candidate,
-    candidates: Sequence[Candidate],
-    *,
-    clearly: bool = False,
-    thresholds: Thresholds = THRESHOLDS,
+    baseline: float, costs: Sequence[float], *, clearly: bool = False, thresholds: Thresholds = THRESHOLDS
 ) -> list[float]:
     """Return the probability that each candidate is the cause, given that one of them or an unknown effect is.
 
     An unknown effect has the cost at which the best candidate would just explain the gap; with ``clearly``, at which it
     would do so under the stricter condition (see ``explains``).
+
+    Args:
+        baseline: score of the baseline.
+        costs: costs of the candidates.
+        clearly: whether the best candidate must meet the stricter condition.
+        thresholds: thresholds of the decision.
     """
-    if not candidates:
+    if not costs:
         return []
-    costs = np.array([cost(item, thresholds) for item in candidates])
     share = thresholds.clear_share if clearly else thresholds.explained_share
-    unlisted = max(share * baseline.score, thresholds.least_score)
-    temperature = thresholds.temperature + thresholds.temperature_share * float(min(costs.min(), unlisted))
-    weights = np.exp(-(np.append(costs, unlisted) - min(costs.min(), unlisted)) / temperature)
+    unlisted = max(share * baseline, thresholds.least_score)
+    least = min(*costs, unlisted)
+    temperature = thresholds.temperature + thresholds.temperature_share * least
+    weights = np.exp(-(np.array([*costs, unlisted]) - least) / temperature)
     return [float(value) for value in weights[:-1] / weights.sum()]
 
 
@@ -95,12 +99,15 @@ def may_be_gap(baseline: Candidate, thresholds: Thresholds = THRESHOLDS) -> bool
     return baseline.score >= thresholds.least_score
 
 
-def is_gap(baseline: Candidate, best: Candidate | None, thresholds: Thresholds = THRESHOLDS) -> bool:
-    """Return whether there is a gap: the baseline leaves much, or a candidate lowers the score by more than chance."""
-    if baseline.score >= 2.0 * thresholds.least_score:
+def is_gap(baseline: float, least_cost: float | None, thresholds: Thresholds = THRESHOLDS) -> bool:
+    """Return whether there is a gap: the baseline leaves much, or a candidate lowers the score by more than chance.
+
+    ``baseline`` is the score of the baseline, ``least_cost`` the least cost of a candidate, None without any.
+    """
+    if baseline >= 2.0 * thresholds.least_score:
         return True
-    gained = 0.0 if best is None else baseline.score - cost(best, thresholds)
-    return baseline.score >= thresholds.least_score and gained >= thresholds.least_gain
+    gained = 0.0 if least_cost is None else baseline - least_cost
+    return baseline >= thresholds.least_score and gained >= thresholds.least_gain
 
 
 def shows_in_the_check_alone(baseline: Candidate, thresholds: Thresholds = THRESHOLDS) -> bool:
@@ -111,37 +118,83 @@ def shows_in_the_check_alone(baseline: Candidate, thresholds: Thresholds = THRES
     return score(baseline.checked_by) >= 2.0 * thresholds.least_score
 
 
-def explains(
-    baseline: Candidate,
-    best: Candidate,
-    closed: float,
-    lead: float,
-    *,
-    clearly: bool = False,
-    thresholds: Thresholds = THRESHOLDS,
-) -> bool:
+@dataclass(frozen=True)
+class Tried:
+    """A fitted candidate as far as a decision needs it.
+
+    ``effects`` are those in addition to the baseline, ``closed`` the share of the gap that they close; score, cost and
+    share are those on the samples for the choice. ``strict`` candidates must meet the stricter condition: exact laws,
+    and those that the evidence by stages contradicts.
+    """
+
+    effects: tuple[str, ...]
+    score: float
+    cost: float
+    closed: float
+    strict: bool
+
+
+@dataclass(frozen=True)
+class Grounds:
+    """All that a decision depends on, so that it can be taken again with other thresholds.
+
+    ``baseline`` is the score of the baseline, ``tried`` holds every set of effects that was fitted, ``final`` the
+    effects of the last candidate of the search, ``alike`` for ranked effects those that the data cannot separate.
+    """
+
+    baseline: float
+    tried: tuple[Tried, ...]
+    final: tuple[str, ...]
+    alike: Mapping[str, Sequence[str]]
+
+    @classmethod
+    def from_dict(cls, found: Mapping[str, Any]) -> Grounds:
+        """Return grounds from the values of ``dataclasses.asdict`` or their JSON."""
+        tried = tuple(Tried(**(item | {"effects": tuple(item["effects"])})) for item in found["tried"])
+        return cls(float(found["baseline"]), tried, tuple(found["final"]), found["alike"])
+
+
+def decide(grounds: Grounds, thresholds: Thresholds = THRESHOLDS) -> frozenset[str]:
+    """Return the effects that explain the gap on held-out data; empty where there is no gap or none explains it.
+
+    Members of the final set are removed while one is not needed.
+    """
+    by_set = {frozenset(item.effects): item for item in grounds.tried}
+    singles = sorted((item for item in grounds.tried if len(item.effects) == 1), key=lambda item: item.cost)
+    final = by_set.get(frozenset(grounds.final))
+    if final is None or not is_gap(grounds.baseline, min(item.cost for item in grounds.tried), thresholds):
+        return frozenset()
+    while len(final.effects) > 1:
+        smaller = [by_set.get(frozenset(final.effects) - {name}) for name in final.effects]
+        needless = [item for item in smaller if item is not None and not is_needed(item, final, thresholds)]
+        if not needless:
+            break
+        final = min(needless, key=lambda item: item.cost)
+    if len(final.effects) > 1 and singles and not is_needed(singles[0], final, thresholds):
+        final = singles[0]
+    lead = 0.0
+    if len(final.effects) == 1:
+        # Effects that this data cannot separate are listed with the cause and are not rivals.
+        alike = {*final.effects, *grounds.alike.get(final.effects[0], ())}
+        lead = min((item.cost for item in singles if not alike & set(item.effects)), default=np.inf) - final.cost
+    return frozenset(final.effects) if explains(grounds.baseline, final, lead, thresholds) else frozenset()
+
+
+def explains(baseline: float, best: Tried, lead: float, thresholds: Thresholds = THRESHOLDS) -> bool:
     """Return whether a candidate explains the gap on held-out data.
 
     Args:
-        baseline: the baseline without it.
+        baseline: score of the baseline.
         best: the candidate.
-        closed: share of the gap that it closes.
         lead: cost of the runner-up minus its cost, nats; 0 for more than one effect.
-        clearly: apply the stricter condition, for exact laws and contradicting evidence.
         thresholds: thresholds of the decision.
     """
     if best.score <= thresholds.at_the_floor:
         return True
-    if best.score > (thresholds.clear_share if clearly else thresholds.explained_share) * baseline.score:
+    if best.score > (thresholds.clear_share if best.strict else thresholds.explained_share) * baseline:
         return False
-    alone = lead >= thresholds.alone_lead and closed >= thresholds.alone_closed
-    return alone or closed >= thresholds.explained_closed
-
-
-def lead_of(best: Candidate, rivals: Sequence[Candidate], thresholds: Thresholds = THRESHOLDS) -> float:
-    """Return the cost of the runner-up minus that of the best, nats; infinite where there is none."""
-    others = [cost(item, thresholds) for item in rivals if item.effects != best.effects]
-    return min(others, default=np.inf) - cost(best, thresholds)
+    alone = lead >= thresholds.alone_lead and best.closed >= thresholds.alone_closed
+    return alone or best.closed >= thresholds.explained_closed
 
 
 def grows(smaller: Candidate, larger: Candidate, thresholds: Thresholds = THRESHOLDS) -> bool:
@@ -149,20 +202,10 @@ def grows(smaller: Candidate, larger: Candidate, thresholds: Thresholds = THRESH
     return misfit(smaller) - misfit(larger) >= thresholds.growth or cost(smaller) - cost(larger) >= thresholds.set_gain
 
 
-def is_needed(
-    without: Candidate, found: Candidate, closed_without: float, closed: float, thresholds: Thresholds = THRESHOLDS
-) -> bool:
-    """Return whether a member of a set is named, by what its removal costs.
-
-    Args:
-        without: the set without the member, refitted.
-        found: the set.
-        closed_without: share of the gap that the set closes without the member.
-        closed: share that it closes with the member.
-        thresholds: thresholds of the decision.
-    """
-    if cost(without, thresholds) - cost(found, thresholds) < thresholds.set_gain:
+def is_needed(without: Tried, found: Tried, thresholds: Thresholds = THRESHOLDS) -> bool:
+    """Return whether a member of a set is named, by what its removal costs; ``without`` is the set without it."""
+    if without.cost - found.cost < thresholds.set_gain or found.closed - without.closed < thresholds.member_share:
         return False
     if found.score <= thresholds.at_the_floor:
-        return closed >= closed_without
-    return 1.0 - closed <= thresholds.set_leaves * (1.0 - closed_without)
+        return found.closed >= without.closed
+    return 1.0 - found.closed <= thresholds.set_leaves * (1.0 - without.closed)

@@ -14,13 +14,14 @@ from tissueid.gap.ceiling import ceiling
 from tissueid.gap.dataset import Dataset, Purpose
 from tissueid.gap.decision import (
     THRESHOLDS,
+    Grounds,
+    Tried,
     Verdict,
     cost,
-    explains,
+    decide,
     grows,
     is_gap,
     is_needed,
-    lead_of,
     may_be_gap,
     probabilities,
     shows_in_the_check_alone,
@@ -109,6 +110,8 @@ class Diagnosis:
     """Share of the gap that each named effect closes; None where nothing is named."""
     detection_limits: Mapping[str, DetectionLimit | None] = field(default_factory=dict)
     """Size from which each effect that is not named would have been named; None where no size would have been."""
+    grounds: Grounds | None = field(default=None, repr=False)
+    """Grounds of the decision, by which it can be taken again with other thresholds."""
 
     def __post_init__(self) -> None:
         if self.verdict == "no_gap":
@@ -155,23 +158,26 @@ def diagnose(
     found = search.singles(baseline) if may_be_gap(baseline) else SearchResult(baseline, (), ())
     best = min(found.candidates, key=cost, default=None)
     together: tuple[Candidate, ...] = ()
-    if best is not None and is_gap(baseline, best) and not _settled(baseline, best):
+    if best is not None and is_gap(baseline.score, cost(best)) and not _settled(baseline, best):
         together = search.tissue_set(baseline)
         if not together or not grows(_leaders(found)[0], together[0]):
             found = search.further(found)
             best = min(found.candidates, key=cost)
-    there_is = is_gap(baseline, best)
+    there_is = is_gap(baseline.score, None if best is None else cost(best))
     if there_is and best is not None:
         found, best = _with_sets(search, found, best, together)
-    figures = figures_of(dataset, baseline, best if there_is else None)
     verdict: Verdict = "no_gap"
     places = localise(dataset, baseline)
     ranking = _ranking(dataset, found, places)
+    grounds = _grounds(found, best, places, ranking)
     remarks = dataset.remarks
     if there_is:
-        verdict = "effect" if best is not None and _explained(found, best, figures, ranking, places) else "unexplained"
+        names = decide(grounds)
+        verdict = "effect" if names else "unexplained"
+        best = next((item for item in found.candidates if names == set(_added(item, baseline))), best)
     elif shows_in_the_check_alone(baseline):
         verdict, remarks = "unexplained", (*remarks, RARE)
+    figures = figures_of(dataset, baseline, best if there_is else None)
     named = best if verdict == "effect" else None
     shares = None if named is None else _budget(search, baseline, named)
     odds = {} if named is None else _conditional_odds(found, named, ranking, places)
@@ -191,6 +197,7 @@ def diagnose(
         odds,
         shares,
         _limits(search, baseline, best if there_is and best is not None else baseline),
+        grounds,
     )
 
 
@@ -224,7 +231,7 @@ def _conditional_odds(
         ]
         if len(rivals) < 2 and name in {item.effect for item in ranking[:1]}:
             continue
-        shares = probabilities(found.baseline, rivals, clearly=clearly)
+        shares = probabilities(found.baseline.score, [cost(item) for item in rivals], clearly=clearly)
         pairs = [(next(iter(set(item.effects) - others)), share) for item, share in zip(rivals, shares, strict=True)]
         odds[name] = tuple(sorted(pairs, key=lambda pair: -pair[1]))
     return odds
@@ -256,7 +263,7 @@ def _next(
 def _probabilities(found: SearchResult, singles: Sequence[Candidate], places: Localisation) -> list[float]:
     best = min(singles, key=cost, default=None)
     clearly = best is not None and needs_strict_fit(best, places, found.baseline.effects)
-    return probabilities(found.baseline, singles, clearly=clearly)
+    return probabilities(found.baseline.score, [cost(item) for item in singles], clearly=clearly)
 
 
 def needs_strict_fit(best: Candidate, places: Localisation, known: Sequence[str]) -> bool:
@@ -272,16 +279,15 @@ def needs_strict_fit(best: Candidate, places: Localisation, known: Sequence[str]
     return only_moves or all(item.exact for item in added)
 
 
-def _explained(
-    found: SearchResult, best: Candidate, figures: GapFigures, ranking: Sequence[Ranked], places: Localisation
-) -> bool:
-    lead = 0.0
-    if any(item is best for item in found.singles):
-        # Effects that this data cannot separate are listed with the cause and are not rivals.
-        alike = {name for item in ranking if item.effect in best.effects for name in item.indistinguishable}
-        lead = lead_of(best, [item for item in found.singles if not alike & set(item.effects)])
-    clearly = needs_strict_fit(best, places, found.baseline.effects)
-    return explains(found.baseline, best, figures.predicted_closed, lead, clearly=clearly)
+def _grounds(found: SearchResult, final: Candidate | None, places: Localisation, ranking: Sequence[Ranked]) -> Grounds:
+    baseline = found.baseline
+    tried = tuple(_tried(baseline, item, needs_strict_fit(item, places, baseline.effects)) for item in found.candidates)
+    alike = {item.effect: item.indistinguishable for item in ranking}
+    return Grounds(baseline.score, tried, () if final is None else tuple(_added(final, baseline)), alike)
+
+
+def _tried(baseline: Candidate, item: Candidate, strict: bool = False) -> Tried:
+    return Tried(tuple(_added(item, baseline)), item.score, cost(item), predicted_closed(baseline, item), strict)
 
 
 def _with_stage_of_cause(found: Localisation, best: Candidate | None, known: Sequence[str]) -> Localisation:
@@ -344,10 +350,7 @@ def _with_sets(
         top = search.polish(baseline, top)
     keep([top])
     candidates = tuple(sorted(tried.values(), key=cost))
-    better = len(_added(top, baseline)) > 1 and is_needed(
-        best, top, predicted_closed(baseline, best), predicted_closed(baseline, top)
-    )
-    return SearchResult(baseline, found.signatures, candidates), top if better else best
+    return SearchResult(baseline, found.signatures, candidates), top if len(_added(top, baseline)) > 1 else best
 
 
 def _added(found: Candidate, baseline: Candidate) -> list[str]:
@@ -368,7 +371,7 @@ def _without_needless(
                 top = without
                 continue
         least = min(smaller, key=cost)
-        if is_needed(least, top, predicted_closed(baseline, least), predicted_closed(baseline, top)):
+        if is_needed(_tried(baseline, least), _tried(baseline, top)):
             break
         top = least
     return top
