@@ -98,6 +98,8 @@ DERIVED = (
     Unit("mH", "H", divisor=1e3),
     Unit("ohm", "ohm", shown="Ω"),
     Unit("N/A", "N/A", shown="N per A"),
+    Unit("N/A^2", "N/A^2", shown="N/A²"),
+    Unit("1/A^n", "1/A^n", shown="1/Aⁿ"),
     Unit("N/m", "N/m"),
     Unit("N s/m", "N s/m", shown="N·s/m"),
     Unit("N s/m²", "N s/m²", shown="N·s/m²"),

@@ -6,7 +6,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 from PySide6.QtCore import QRectF, QSize, Qt
-from PySide6.QtGui import QColor, QPainter, QPaintEvent
+from PySide6.QtGui import QColor, QPainter, QPaintEvent, QResizeEvent
 from PySide6.QtWidgets import QComboBox, QFrame, QHBoxLayout, QLabel, QSizePolicy, QVBoxLayout, QWidget
 
 from tissueid.app.plot_canvas import PlotCanvas
@@ -21,7 +21,11 @@ if TYPE_CHECKING:
     from tissueid.app.views.gap.page_content import BudgetContent, Overlay, PageContent
 
 _NAMES = 0.5
-"""Most of the width that the names of the bars take."""
+"""Most of the width that the names of the bars take beside them; longer names stand above."""
+_BAR_LINE, _NAME_LINE, _FIGURE = 22, 18, 62
+"""Height of a bar and of a name above it, and width of a figure, pixels."""
+_ONE_LINE, _STACKED = _BAR_LINE + 4, _BAR_LINE + _NAME_LINE + 4
+"""Distance from one bar to the next, pixels."""
 _SIDE, _ONE_ROW = 270, 660
 """Least width of the figures, and the width below which the plots stand below them, pixels."""
 
@@ -107,7 +111,7 @@ class _GapBars(QWidget):
         values = ", ".join(f"{translated(row.name)} {_percent(row.high - row.low)}" for row in rows)
         self.setToolTip("\n".join(f"{translated(row.name)}: {_percent(row.high - row.low)}" for row in rows))
         self.setAccessibleName(_("Gap: {values}").format(values=values))
-        self.updateGeometry()
+        self._fit()
         self.update()
 
     def apply_theme(self, theme: Theme) -> None:
@@ -116,28 +120,43 @@ class _GapBars(QWidget):
         self.update()
 
     def sizeHint(self) -> QSize:  # noqa: N802
-        """Return a height of one line per bar."""
-        return QSize(220, 26 * max(len(self._rows), 3))
+        """Return a width for short names."""
+        return QSize(220, self.height())
+
+    def resizeEvent(self, event: QResizeEvent) -> None:  # noqa: N802
+        """Take a height of one line per bar, or of two where names need a line of their own."""
+        self._fit()
+
+    def _fit(self) -> None:
+        self.setFixedHeight(self._pitch(self.width()) * max(len(self._rows), 3))
+
+    def _pitch(self, width: int) -> int:
+        return _STACKED if self._name_width() > _NAMES * width else _ONE_LINE
+
+    def _name_width(self) -> int:
+        letters = self.fontMetrics()
+        return 8 + max((letters.horizontalAdvance(translated(row.name)) for row in self._rows), default=0)
 
     def paintEvent(self, event: QPaintEvent) -> None:  # noqa: N802
-        """Draw the bars."""
+        """Draw the bars, each with its name beside it or above."""
         painter = QPainter(self)
         most = max((row.high for row in self._rows if np.isfinite(row.high)), default=1.0) or 1.0
-        letters = self.fontMetrics()
-        names = [translated(row.name) for row in self._rows]
-        widest = max((letters.horizontalAdvance(name) for name in names), default=0)
-        name_width = min(8.0 + widest, _NAMES * self.width())
-        figure_width = 62.0
-        room = max(self.width() - name_width - figure_width, 10.0)
-        for place, (name, row) in enumerate(zip(names, self._rows, strict=True)):
-            top = 26.0 * place
+        pitch = self._pitch(self.width())
+        begin, below = (0.0, _NAME_LINE) if pitch == _STACKED else (float(self._name_width()), 0)
+        room = max(self.width() - begin - _FIGURE, 10.0)
+        for place, row in enumerate(self._rows):
+            top = pitch * place
             painter.setPen(QColor(self._theme.text))
-            shown = letters.elidedText(name, Qt.TextElideMode.ElideRight, int(name_width - 8.0))
-            painter.drawText(QRectF(0, top, name_width, 22), Qt.AlignmentFlag.AlignVCenter, shown)
+            name_room = QRectF(0, top, begin - 8.0 if begin else self.width(), below or _BAR_LINE)
+            shown = self.fontMetrics().elidedText(
+                translated(row.name), Qt.TextElideMode.ElideRight, int(name_room.width())
+            )
+            painter.drawText(name_room, Qt.AlignmentFlag.AlignVCenter, shown)
             left, right = (room * value / most if np.isfinite(value) else 0.0 for value in (row.low, row.high))
             width = max(right - left, 1.0)
-            painter.fillRect(QRectF(name_width + left, top + 4, width, 14), QColor(getattr(self._theme, row.role)))
-            figure = QRectF(name_width + left + width + 6, top, figure_width, 22)
+            bar = QRectF(begin + left, top + below + 4, width, 14)
+            painter.fillRect(bar, QColor(getattr(self._theme, row.role)))
+            figure = QRectF(bar.right() + 6, top + below, _FIGURE, _BAR_LINE)
             painter.drawText(figure, Qt.AlignmentFlag.AlignVCenter, _percent(row.high - row.low))
 
 
