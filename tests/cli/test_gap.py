@@ -19,7 +19,9 @@ from golden.golden_page import check_golden_page
 from firmware_sim.laboratory.scenario_generation import main as record
 from tissueid.cli import main
 from tissueid.gap.blind_check import BlindScenario
+from tissueid.gap.decision import decide
 from tissueid.gap.diagnosis import diagnose
+from tissueid.gap.threshold_fit import read_decided
 from tissueid.sessions import Session, write_session
 from tissueid.twin import catalogue as shelf
 
@@ -241,6 +243,8 @@ def test_the_blind_check_scores_sealed_scenarios(tmp_path: Path, capsys: pytest.
     assert {"top-1", "top-3", "stage"} <= set(rates)
     assert {"figures", "confusion", "risk_coverage", "failures"} <= set(found["kinds"]["single"])
     assert set(found["answers"]) == {"scenario-0001"}
+    decided = [item for item in read_decided(kept) if not item.left_out]
+    assert [decide(item.grounds) for item in decided] == [set(found["answers"]["scenario-0001"]["combination"])]
     assert "not empty" in refused(capsys, "gap", "blind-check", "--n", 1, "--workers", 1, "--keep", kept)
 
 
