@@ -1,10 +1,10 @@
 """Fit the thresholds of the gap's decisions on one simulated laboratory, score them on the other, and the reverse.
 
-    python tools/fit_thresholds.py FIRST SECOND [--write]
+    python tools/fit_thresholds.py --first FOLDER ... --second FOLDER ... [--write]
 
-FIRST and SECOND are folders of finished checks, one of each laboratory, recorded by
-``tissueid gap blind-check --laboratory NAME --take-out --keep FOLDER``. With ``--write`` those fitted on the first
-become the thresholds of the program.
+The folders are those of finished checks of each laboratory, recorded by ``tissueid gap blind-check --laboratory NAME
+--take-out --keep FOLDER`` (``--skin`` for sets). With ``--write`` those fitted on the first laboratory become the
+thresholds of the program.
 """
 
 from __future__ import annotations
@@ -25,10 +25,11 @@ from tissueid.gap.threshold_fit import DECISION, PROBABILITY, fit_thresholds, re
 def main() -> int:
     """Print both tables; write the thresholds where asked for."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("folders", nargs=2, type=Path, metavar="FOLDER")
-    parser.add_argument("--write", action="store_true", help="make those of the first folder the program's")
+    parser.add_argument("--first", nargs="+", type=Path, metavar="FOLDER", required=True)
+    parser.add_argument("--second", nargs="+", type=Path, metavar="FOLDER", required=True)
+    parser.add_argument("--write", action="store_true", help="make those of the first laboratory the program's")
     given = parser.parse_args()
-    cases = [read_decided(folder) for folder in given.folders]
+    cases = [[case for folder in folders for case in read_decided(folder)] for folders in (given.first, given.second)]
     fitted = [fit_thresholds(items, Thresholds()) for items in cases]
     sets = {"fitted on the first": fitted[0], "fitted on the second": fitted[1], "the program's": THRESHOLDS}
     for name in (*DECISION, *PROBABILITY):
@@ -44,8 +45,8 @@ def main() -> int:
     if given.write:
         path = Path(decision.__file__).with_name("thresholds.json")
         about = {
-            "fitted_on": {"laboratory": "first", "labels_sha256": seal(given.folders[0])},
-            "scored_on": {"laboratory": "second", "labels_sha256": seal(given.folders[1])},
+            "fitted_on": {"laboratory": "first", "labels_sha256": [seal(folder) for folder in given.first]},
+            "scored_on": {"laboratory": "second", "labels_sha256": [seal(folder) for folder in given.second]},
             "thresholds": {name: asdict(fitted[0])[name] for name in (*DECISION, *PROBABILITY)},
             "scores": rows["second"]["fitted on the first"],
         }

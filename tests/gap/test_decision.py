@@ -13,6 +13,7 @@ from tissueid.gap.decision import (
     THRESHOLDS,
     Grounds,
     Tried,
+    are_akin,
     cost,
     decide,
     explains,
@@ -23,6 +24,7 @@ from tissueid.gap.decision import (
 )
 from tissueid.gap.diagnosis import needs_strict_fit
 from tissueid.gap.scoring import Candidate, ChannelError
+from tissueid.twin.catalogue import effect
 from tissueid.twin.effect import STAGES
 
 
@@ -46,7 +48,7 @@ def test_the_number_of_penalised_coordinates_is_limited():
 
 def tried(score: float, closed: float, *effects: str, strict: bool = False) -> Tried:
     """Return a fitted candidate whose cost is its score."""
-    return Tried(effects or ("any",), score, score, closed, strict)
+    return Tried(effects or ("dry_friction",), score, score, closed, strict)
 
 
 def test_no_gap_where_nothing_is_left():
@@ -107,13 +109,36 @@ def test_a_set_is_named_with_the_members_that_are_needed():
 
 
 def test_a_single_effect_is_named_where_the_set_is_hardly_better():
-    assert decided(tried(0.3, 0.9, "c"), tried(0.1, 0.95, "a", "b"), final=("a", "b")) == {"c"}
+    assert decided(tried(0.3, 0.89, "c"), tried(0.1, 0.95, "a", "b"), final=("a", "b")) == {"c"}
 
 
 def test_an_effect_that_the_data_cannot_separate_is_no_rival():
     one, same = tried(1.0, 0.6, "a"), tried(1.0, 0.6, "b")
     assert decided(one, same, final=("a",)) == frozenset()
     assert decided(one, same, final=("a",), alike={"a": ("b",)}) == {"a"}
+
+
+@pytest.mark.parametrize(
+    ("one", "other", "akin"),
+    [
+        ("eddy_currents", "force_constant_position", True),
+        ("cogging", "tissue_stiffening", True),
+        ("tissue_stiffening", "cogging", True),
+        ("eddy_currents", "dry_friction", False),
+        ("viscoelasticity", "contact_loss", False),
+        ("viscoelasticity", "tissue_hysteresis", True),
+    ],
+)
+def test_effects_of_a_stage_and_those_that_are_mistaken_for_each_other_are_akin(one, other, akin):
+    assert are_akin(effect(one), effect(other)) is akin
+
+
+@pytest.mark.parametrize(("other", "named"), [("force_constant_position", False), ("dry_friction", True)])
+def test_an_effect_akin_to_one_that_nearly_closes_the_gap_stands_for_its_form(other, named):
+    alone, both = tried(1.0, 0.98, "eddy_currents"), tried(0.05, 0.999, "eddy_currents", other)
+    assert is_needed(alone, both) is named
+    little = tried(2.0, THRESHOLDS.kin_closed - 0.1, "eddy_currents")
+    assert is_needed(little, both)
 
 
 def test_grounds_come_back_from_json():

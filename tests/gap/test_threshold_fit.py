@@ -11,15 +11,18 @@ from tissueid.gap.decision import Grounds, Thresholds, Tried, decide
 from tissueid.gap.threshold_fit import Decided, changed, fit_thresholds, read_decided, scores
 
 NOTHING = frozenset()
+NAMES = {"a": "eddy_currents", "b": "dry_friction"}
+"""Two effects of different stages that are not akin."""
 
 
 def tried(effects: str, score: float, closed: float) -> Tried:
-    return Tried(tuple(effects), score, score, closed, strict=False)
+    return Tried(tuple(map(NAMES.__getitem__, effects)), score, score, closed, strict=False)
 
 
 def case(final: str, true: str, *items: Tried, left_out: bool = False) -> Decided:
     alone = len(true) == 1 or left_out
-    return Decided(Grounds(4.0, items, tuple(final), {}), frozenset(true), alone, left_out)
+    names = tuple(map(NAMES.__getitem__, final))
+    return Decided(Grounds(4.0, items, names, {}), frozenset(map(NAMES.__getitem__, true)), alone, left_out)
 
 
 def a_single(share: float, true: str) -> Decided:

@@ -14,6 +14,8 @@ from typing import Any, Literal
 import numpy as np
 
 from tissueid.gap.scoring import Candidate, misfit, score
+from tissueid.twin.catalogue import effect
+from tissueid.twin.effect import Effect
 
 Verdict = Literal["effect", "no_gap", "unexplained"]
 
@@ -45,6 +47,9 @@ class Thresholds:
     """Largest share of the gap without a member that the set leaves, unless it is at the floor."""
     member_share: float = 0.0
     """Least share of the gap that a member of a set closes when it is added to the others."""
+    kin_closed: float = 0.9
+    """Closed share of a set from which a further member that is akin to one of its members is not named: it can stand
+    for the error in the form of that member."""
     structural: float = 0.9
     """Closed share from which what a set leaves is taken as the structural error of its members, all of them right."""
     growth: float = 0.03
@@ -206,6 +211,21 @@ def is_needed(without: Tried, found: Tried, thresholds: Thresholds = THRESHOLDS)
     """Return whether a member of a set is named, by what its removal costs; ``without`` is the set without it."""
     if without.cost - found.cost < thresholds.set_gain or found.closed - without.closed < thresholds.member_share:
         return False
+    if without.closed >= thresholds.kin_closed and set(without.effects) < set(found.effects):
+        added = set(found.effects) - set(without.effects)
+        if any(are_akin(effect(name), effect(other)) for name in added for other in without.effects):
+            return False
     if found.score <= thresholds.at_the_floor:
         return found.closed >= without.closed
     return 1.0 - found.closed <= thresholds.set_leaves * (1.0 - without.closed)
+
+
+def are_akin(one: Effect, other: Effect) -> bool:
+    """Return whether one effect can stand for an error in the form of the other: both act in the same stage, or one is
+    easily mistaken for the other.
+
+    Effects of living tissue are expected together and are not akin.
+    """
+    if one.in_living_tissue and other.in_living_tissue:
+        return False
+    return one.stage == other.stage or one.name in other.mistaken_for or other.name in one.mistaken_for
