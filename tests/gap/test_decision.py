@@ -101,21 +101,33 @@ def decided(*items: Tried, final: tuple[str, ...], alike: dict[str, tuple[str, .
 
 
 def test_a_set_is_named_with_the_members_that_are_needed():
-    one, both = tried(2.0, 0.5, "a"), tried(0.05, 0.99, "a", "b")
-    other = tried(1.5, 0.6, "b")
-    assert decided(one, other, both, final=("a", "b")) == {"a", "b"}
-    idle = tried(0.06, 0.99, "a", "b", "c")
-    assert decided(one, other, both, idle, final=("a", "b", "c")) == {"a", "b"}
+    one, both = tried(2.0, 0.5, "amplifier_clipping"), tried(0.05, 0.99, "amplifier_clipping", "dry_friction")
+    other = tried(1.5, 0.6, "dry_friction")
+    assert decided(one, other, both, final=("amplifier_clipping", "dry_friction")) == {
+        "amplifier_clipping",
+        "dry_friction",
+    }
+    idle = tried(0.06, 0.99, "amplifier_clipping", "dry_friction", "mains_hum")
+    assert decided(one, other, both, idle, final=("amplifier_clipping", "dry_friction", "mains_hum")) == {
+        "amplifier_clipping",
+        "dry_friction",
+    }
 
 
 def test_a_single_effect_is_named_where_the_set_is_hardly_better():
-    assert decided(tried(0.3, 0.89, "c"), tried(0.1, 0.95, "a", "b"), final=("a", "b")) == {"c"}
+    assert decided(
+        tried(0.3, 0.89, "mains_hum"),
+        tried(0.1, 0.95, "amplifier_clipping", "dry_friction"),
+        final=("amplifier_clipping", "dry_friction"),
+    ) == {"mains_hum"}
 
 
 def test_an_effect_that_the_data_cannot_separate_is_no_rival():
-    one, same = tried(1.0, 0.6, "a"), tried(1.0, 0.6, "b")
-    assert decided(one, same, final=("a",)) == frozenset()
-    assert decided(one, same, final=("a",), alike={"a": ("b",)}) == {"a"}
+    one, same = tried(1.0, 0.6, "amplifier_clipping"), tried(1.0, 0.6, "dry_friction")
+    assert decided(one, same, final=("amplifier_clipping",)) == frozenset()
+    assert decided(one, same, final=("amplifier_clipping",), alike={"amplifier_clipping": ("dry_friction",)}) == {
+        "amplifier_clipping"
+    }
 
 
 @pytest.mark.parametrize(
@@ -141,10 +153,23 @@ def test_an_effect_akin_to_one_that_nearly_closes_the_gap_stands_for_its_form(ot
     assert is_needed(little, both)
 
 
+@pytest.mark.parametrize(("other", "named"), [("viscoelasticity", True), ("dry_friction", False)])
+def test_effects_of_living_tissue_are_expected_in_a_set_that_closes_nearly_all(other, named):
+    alone, both = tried(2.0, 0.89, "amplifier_clipping"), tried(1.5, 0.95, "amplifier_clipping", other)
+    assert is_needed(alone, both) is named
+
+
+def test_a_member_closes_more_than_nothing():
+    alone = tried(2.0, 0.5, "amplifier_clipping")
+    assert not is_needed(alone, tried(0.1, 0.5 + 0.5 * THRESHOLDS.member_share, "amplifier_clipping", "dry_friction"))
+
+
 def test_grounds_come_back_from_json():
-    grounds = Grounds(3.0, (tried(0.05, 0.99, "a"),), ("a",), {"a": ()})
+    grounds = Grounds(
+        3.0, (tried(0.05, 0.99, "amplifier_clipping"),), ("amplifier_clipping",), {"amplifier_clipping": ()}
+    )
     again = Grounds.from_dict(json.loads(json.dumps(asdict(grounds))))
-    assert decide(again) == decide(grounds) == {"a"}
+    assert decide(again) == decide(grounds) == {"amplifier_clipping"}
 
 
 @pytest.mark.parametrize(
@@ -183,13 +208,20 @@ def test_equal_candidates_are_equally_likely_and_the_simpler_is_likelier():
     assert simple > complicated
 
 
-def test_a_member_of_a_set_must_be_needed():
-    assert is_needed(tried(2.0, 0.5), tried(0.1, 0.99))
-    assert not is_needed(tried(2.0, 0.5), tried(1.9, 0.99))
-    assert not is_needed(tried(0.1, 0.5), tried(0.0, 0.99))
-    # A small gain suffices where it removes the rest, but not where it is chance.
-    assert is_needed(tried(0.5, 0.9), tried(0.1, 0.98))
-    assert not is_needed(tried(0.3, 0.9), tried(0.05, 0.99))
-    # The form of the effect can be wrong where a pair hardly lowers the gap.
-    assert not is_needed(tried(2.0, 0.9), tried(0.9, 0.95))
-    assert not is_needed(tried(2.0, float("nan")), tried(0.1, float("nan")))
+@pytest.mark.parametrize(
+    ("without", "found", "needed"),
+    [
+        ((2.0, 0.5), (0.1, 0.99), True),
+        ((2.0, 0.5), (1.9, 0.99), False),
+        ((0.1, 0.5), (0.0, 0.99), False),
+        # A small gain suffices where it removes the rest, but not where it is chance.
+        ((0.5, 0.97), (0.1, 0.99), True),
+        ((0.3, 0.97), (0.05, 0.99), False),
+        # The form of the effect can be wrong where a pair hardly lowers the gap.
+        ((2.0, 0.9), (0.9, 0.95), False),
+        ((2.0, float("nan")), (0.1, float("nan")), False),
+    ],
+)
+def test_a_member_of_a_set_must_be_needed(without, found, needed):
+    alone, both = tried(*without, "amplifier_clipping"), tried(*found, "amplifier_clipping", "dry_friction")
+    assert is_needed(alone, both) is needed

@@ -44,8 +44,9 @@ class Thresholds:
     set_gain: float = 0.3
     """Least decrease of the score by a member of a set, nats."""
     set_leaves: float = 0.36
-    """Largest share of the gap without a member that the set leaves, unless it is at the floor."""
-    member_share: float = 0.0
+    """Largest share of the gap without a member that the set leaves, unless it is at the floor, or closes
+    ``structural`` and the member is an effect of living tissue, which are expected together."""
+    member_share: float = 0.01
     """Least share of the gap that a member of a set closes when it is added to the others."""
     kin_closed: float = 0.9
     """Closed share of a set from which a further member that is akin to one of its members is not named: it can stand
@@ -208,14 +209,15 @@ def grows(smaller: Candidate, larger: Candidate, thresholds: Thresholds = THRESH
 
 
 def is_needed(without: Tried, found: Tried, thresholds: Thresholds = THRESHOLDS) -> bool:
-    """Return whether a member of a set is named, by what its removal costs; ``without`` is the set without it."""
+    """Return whether members of a set are named, by what their removal costs; ``without`` is the set without them."""
     if without.cost - found.cost < thresholds.set_gain or found.closed - without.closed < thresholds.member_share:
         return False
-    if without.closed >= thresholds.kin_closed and set(without.effects) < set(found.effects):
-        added = set(found.effects) - set(without.effects)
-        if any(are_akin(effect(name), effect(other)) for name in added for other in without.effects):
-            return False
-    if found.score <= thresholds.at_the_floor:
+    added = [effect(name) for name in found.effects if name not in without.effects]
+    others = [effect(name) for name in without.effects]
+    if without.closed >= thresholds.kin_closed and any(are_akin(one, other) for one in added for other in others):
+        return False
+    expected = found.closed >= thresholds.structural and all(one.in_living_tissue for one in added)
+    if expected or found.score <= thresholds.at_the_floor:
         return found.closed >= without.closed
     return 1.0 - found.closed <= thresholds.set_leaves * (1.0 - without.closed)
 

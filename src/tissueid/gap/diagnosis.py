@@ -160,6 +160,10 @@ def diagnose(
     together: tuple[Candidate, ...] = ()
     if best is not None and is_gap(baseline.score, cost(best)) and not _settled(baseline, best):
         together = search.tissue_set(baseline)
+        if together and predicted_closed(baseline, together[0]) < THRESHOLDS.structural:
+            # An effect of the instrument can conceal those of the tissue.
+            beside = [item for leader in _leaders(found) for item in search.tissue_set(leader)]
+            together = (min((*together, *beside), key=misfit),)
         if not together or not grows(_leaders(found)[0], together[0]):
             found = search.further(found)
             best = min(found.candidates, key=cost)

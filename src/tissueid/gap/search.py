@@ -275,24 +275,25 @@ class Search:
         starts = tuple(there if item is other else item.starts[0] for item in effects)
         return Task(self._dataset, tuple(item.name for item in effects), starts, near, MOST_STEPS)
 
-    def tissue_set(self, baseline: Candidate) -> tuple[Candidate, ...]:
-        """Fit the effects of living tissue together, each from a weak start; none where there is nothing to fit.
+    def tissue_set(self, beside: Candidate) -> tuple[Candidate, ...]:
+        """Fit the effects of living tissue together, each from a weak start, in addition to those of another fit; none
+        where there is nothing to fit.
 
-        There is nothing to fit where the twin has some of them already: it was accepted with all that were found.
+        There is nothing to fit where that fit has some of them already, such as that of an accepted twin.
 
         Living tissue shows several at once, and each conceals the others: together they have a wide minimum that adding
         one after the other misses.
         """
         if all(test.fixture != "tissue" for test in self._dataset.tests) or self._dataset.equivalent is not None:
             return ()
-        if any(effect(name).in_living_tissue for name in baseline.effects):
+        if any(effect(name).in_living_tissue for name in beside.effects):
             return ()
         found = [effect(name) for name in self.names]
-        chosen = [item for item in found if item.in_living_tissue][: MOST_EFFECTS - len(baseline.effects)]
+        chosen = [item for item in found if item.in_living_tissue][: MOST_EFFECTS - len(beside.effects)]
         if len(chosen) < 2:
             return ()
-        names = (*baseline.effects, *(item.name for item in chosen))
-        found_sets = self._run_tasks("tissue", refit, self._from_weak_starts(baseline, names))
+        names = (*beside.effects, *(item.name for item in chosen))
+        found_sets = self._run_tasks("tissue", refit, self._from_weak_starts(beside, names))
         return (min(found_sets, key=lambda item: item.fit.cost),)
 
     def _from_weak_starts(self, baseline: Candidate, names: Sequence[str]) -> list[Task]:
