@@ -13,7 +13,7 @@ from tissueid.gap.decision import (
     THRESHOLDS,
     Grounds,
     Tried,
-    are_akin,
+    can_stand_for,
     cost,
     decide,
     explains,
@@ -131,7 +131,7 @@ def test_an_effect_that_the_data_cannot_separate_is_no_rival():
 
 
 @pytest.mark.parametrize(
-    ("one", "other", "akin"),
+    ("one", "other", "stands"),
     [
         ("eddy_currents", "force_constant_position", True),
         ("cogging", "tissue_stiffening", True),
@@ -139,14 +139,17 @@ def test_an_effect_that_the_data_cannot_separate_is_no_rival():
         ("eddy_currents", "dry_friction", False),
         ("viscoelasticity", "contact_loss", False),
         ("viscoelasticity", "tissue_hysteresis", True),
+        ("sensor_nonlinearity", "latency", True),
+        ("latency", "sensor_nonlinearity", False),
+        ("mains_hum", "amplifier_clipping", False),
     ],
 )
-def test_effects_of_a_stage_and_those_that_are_mistaken_for_each_other_are_akin(one, other, akin):
-    assert are_akin(effect(one), effect(other)) is akin
+def test_effects_of_a_stage_and_those_that_are_mistaken_for_each_other_can_stand_for(one, other, stands):
+    assert can_stand_for(effect(one), effect(other)) is stands
 
 
 @pytest.mark.parametrize(("other", "named"), [("force_constant_position", False), ("dry_friction", True)])
-def test_an_effect_akin_to_one_that_nearly_closes_the_gap_stands_for_its_form(other, named):
+def test_an_effect_beside_one_that_nearly_closes_the_gap_can_stand_for_its_form(other, named):
     alone, both = tried(1.0, 0.98, "eddy_currents"), tried(0.05, 0.999, "eddy_currents", other)
     assert is_needed(alone, both) is named
     little = tried(2.0, THRESHOLDS.kin_closed - 0.1, "eddy_currents")

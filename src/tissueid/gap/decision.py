@@ -18,6 +18,9 @@ from tissueid.twin.catalogue import effect
 from tissueid.twin.effect import Effect
 
 Verdict = Literal["effect", "no_gap", "unexplained"]
+FLEXIBLE = 5
+"""Number of fitted parameters above which an effect can stand for an error in the form of any other; those of the
+environment, with their own rates, cannot."""
 
 
 @dataclass(frozen=True)
@@ -49,8 +52,8 @@ class Thresholds:
     member_share: float = 0.01
     """Least share of the gap that a member of a set closes when it is added to the others."""
     kin_closed: float = 0.9
-    """Closed share of a set from which a further member that is akin to one of its members is not named: it can stand
-    for the error in the form of that member."""
+    """Closed share of a set from which a further member is not named that can stand for the error in the form of one of
+    its members."""
     structural: float = 0.9
     """Closed share from which what a set leaves is taken as the structural error of its members, all of them right."""
     growth: float = 0.03
@@ -214,7 +217,7 @@ def is_needed(without: Tried, found: Tried, thresholds: Thresholds = THRESHOLDS)
         return False
     added = [effect(name) for name in found.effects if name not in without.effects]
     others = [effect(name) for name in without.effects]
-    if without.closed >= thresholds.kin_closed and any(are_akin(one, other) for one in added for other in others):
+    if without.closed >= thresholds.kin_closed and any(can_stand_for(one, other) for one in added for other in others):
         return False
     expected = found.closed >= thresholds.structural and all(one.in_living_tissue for one in added)
     if expected or found.score <= thresholds.at_the_floor:
@@ -222,12 +225,13 @@ def is_needed(without: Tried, found: Tried, thresholds: Thresholds = THRESHOLDS)
     return 1.0 - found.closed <= thresholds.set_leaves * (1.0 - without.closed)
 
 
-def are_akin(one: Effect, other: Effect) -> bool:
-    """Return whether one effect can stand for an error in the form of the other: both act in the same stage, or one is
-    easily mistaken for the other.
+def can_stand_for(one: Effect, other: Effect) -> bool:
+    """Return whether an effect can stand for an error in the form of another.
 
-    Effects of living tissue are expected together and are not akin.
+    It can where both act in the same stage, where one is easily mistaken for the other, and where it is a flexible
+    curve along the stroke. Effects of living tissue are expected together.
     """
     if one.in_living_tissue and other.in_living_tissue:
         return False
-    return one.stage == other.stage or one.name in other.mistaken_for or other.name in one.mistaken_for
+    flexible = one.order > FLEXIBLE and one.stage != "environment"
+    return flexible or one.stage == other.stage or one.name in other.mistaken_for or other.name in one.mistaken_for

@@ -291,7 +291,10 @@ def _grounds(found: SearchResult, final: Candidate | None, places: Localisation,
 
 
 def _tried(baseline: Candidate, item: Candidate, strict: bool = False) -> Tried:
-    return Tried(tuple(_added(item, baseline)), item.score, cost(item), predicted_closed(baseline, item), strict)
+    # What an effect leaves however well it is known, such as rounding, is not held against it.
+    quiet = quiet_tests(baseline.fit.parameters.dataset.tests)
+    before, after, least = gap(baseline.chosen_by, quiet), gap(item.chosen_by, quiet), floor(item.chosen_by, quiet)
+    return Tried(tuple(_added(item, baseline)), item.score, cost(item), closed(before, after, least), strict)
 
 
 def _with_stage_of_cause(found: Localisation, best: Candidate | None, known: Sequence[str]) -> Localisation:
