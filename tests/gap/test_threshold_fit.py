@@ -22,7 +22,7 @@ def tried(effects: str, score: float, closed: float) -> Tried:
 def case(final: str, true: str, *items: Tried, left_out: bool = False) -> Decided:
     alone = len(true) == 1 or left_out
     names = tuple(map(NAMES.__getitem__, final))
-    return Decided(Grounds(4.0, items, names, {}), frozenset(map(NAMES.__getitem__, true)), alone, left_out)
+    return Decided(Grounds(4.0, items, names), frozenset(map(NAMES.__getitem__, true)), alone, left_out)
 
 
 def a_single(share: float, true: str) -> Decided:
@@ -47,7 +47,9 @@ def test_a_second_name_that_closes_little_is_left_out_and_one_that_closes_much_i
 def test_a_wrong_name_weighs_more_than_an_abstention():
     # One right and one wrong name with the same figures: none is named.
     items = tried("a", 1.2, 0.75), tried("b", 3.0, 0.1)
-    found = fit_thresholds([case("a", "a", *items), case("a", "", *items, left_out=True)], Thresholds())
+    left_out = case("a", "", *items, left_out=True)
+    other = case("b", "a", tried("b", 1.2, 0.75), tried("a", 3.0, 0.1))
+    found = fit_thresholds([case("a", "a", *items), other, left_out], Thresholds())
     assert decide(case("a", "a", *items).grounds, found) == NOTHING
 
 

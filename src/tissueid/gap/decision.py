@@ -33,12 +33,8 @@ class Thresholds:
     """Score of the baseline below which there is no gap."""
     at_the_floor: float = 0.12
     """Score below which a candidate explains the gap without further conditions."""
-    explained_closed: float = 0.7
+    explained_closed: float = 0.5
     """Least closed share of the gap on held-out data of an explanation."""
-    alone_closed: float = 0.5
-    """Least closed share when the runner-up scores at least ``alone_lead`` nats worse."""
-    alone_lead: float = 0.3
-    """Lead over the runner-up for ``alone_closed``, nats."""
     explained_share: float = 0.55
     """Largest share of the baseline's score that an explanation leaves."""
     clear_share: float = 0.12
@@ -148,19 +144,18 @@ class Grounds:
     """All that a decision depends on, so that it can be taken again with other thresholds.
 
     ``baseline`` is the score of the baseline, ``tried`` holds every set of effects that was fitted, ``final`` the
-    effects of the last candidate of the search, ``alike`` for ranked effects those that the data cannot separate.
+    effects of the last candidate of the search.
     """
 
     baseline: float
     tried: tuple[Tried, ...]
     final: tuple[str, ...]
-    alike: Mapping[str, Sequence[str]]
 
     @classmethod
     def from_dict(cls, found: Mapping[str, Any]) -> Grounds:
         """Return grounds from the values of ``dataclasses.asdict`` or their JSON."""
         tried = tuple(Tried(**(item | {"effects": tuple(item["effects"])})) for item in found["tried"])
-        return cls(float(found["baseline"]), tried, tuple(found["final"]), found["alike"])
+        return cls(float(found["baseline"]), tried, tuple(found["final"]))
 
 
 def decide(grounds: Grounds, thresholds: Thresholds = THRESHOLDS) -> frozenset[str]:
@@ -181,29 +176,16 @@ def decide(grounds: Grounds, thresholds: Thresholds = THRESHOLDS) -> frozenset[s
         final = min(needless, key=lambda item: item.cost)
     if len(final.effects) > 1 and singles and not is_needed(singles[0], final, thresholds):
         final = singles[0]
-    lead = 0.0
-    if len(final.effects) == 1:
-        # Effects that this data cannot separate are listed with the cause and are not rivals.
-        alike = {*final.effects, *grounds.alike.get(final.effects[0], ())}
-        lead = min((item.cost for item in singles if not alike & set(item.effects)), default=np.inf) - final.cost
-    return frozenset(final.effects) if explains(grounds.baseline, final, lead, thresholds) else frozenset()
+    return frozenset(final.effects) if explains(grounds.baseline, final, thresholds) else frozenset()
 
 
-def explains(baseline: float, best: Tried, lead: float, thresholds: Thresholds = THRESHOLDS) -> bool:
-    """Return whether a candidate explains the gap on held-out data.
-
-    Args:
-        baseline: score of the baseline.
-        best: the candidate.
-        lead: cost of the runner-up minus its cost, nats; 0 for more than one effect.
-        thresholds: thresholds of the decision.
-    """
+def explains(baseline: float, best: Tried, thresholds: Thresholds = THRESHOLDS) -> bool:
+    """Return whether a candidate explains the gap on held-out data; ``baseline`` is the score of the baseline."""
     if best.score <= thresholds.at_the_floor:
         return True
     if best.score > (thresholds.clear_share if best.strict else thresholds.explained_share) * baseline:
         return False
-    alone = lead >= thresholds.alone_lead and best.closed >= thresholds.alone_closed
-    return alone or best.closed >= thresholds.explained_closed
+    return best.closed >= thresholds.explained_closed
 
 
 def grows(smaller: Candidate, larger: Candidate, thresholds: Thresholds = THRESHOLDS) -> bool:

@@ -173,7 +173,7 @@ def diagnose(
     verdict: Verdict = "no_gap"
     places = localise(dataset, baseline)
     ranking = _ranking(dataset, found, places)
-    grounds = _grounds(found, best, places, ranking)
+    grounds = _grounds(found, best, places)
     remarks = dataset.remarks
     if there_is:
         names = decide(grounds)
@@ -283,11 +283,10 @@ def needs_strict_fit(best: Candidate, places: Localisation, known: Sequence[str]
     return only_moves or all(item.exact for item in added)
 
 
-def _grounds(found: SearchResult, final: Candidate | None, places: Localisation, ranking: Sequence[Ranked]) -> Grounds:
+def _grounds(found: SearchResult, final: Candidate | None, places: Localisation) -> Grounds:
     baseline = found.baseline
     tried = tuple(_tried(baseline, item, needs_strict_fit(item, places, baseline.effects)) for item in found.candidates)
-    alike = {item.effect: item.indistinguishable for item in ranking}
-    return Grounds(baseline.score, tried, () if final is None else tuple(_added(final, baseline)), alike)
+    return Grounds(baseline.score, tried, () if final is None else tuple(_added(final, baseline)))
 
 
 def _tried(baseline: Candidate, item: Candidate, strict: bool = False) -> Tried:
