@@ -27,9 +27,7 @@ environment, with their own rates, cannot."""
 class Thresholds:
     """Thresholds of the decisions. Scores are in nats (see ``scoring.score``)."""
 
-    least_gain: float = 0.06
-    """Least decrease of the score by a candidate that is not chance."""
-    least_score: float = 0.12
+    least_score: float = 0.24
     """Score of the baseline below which there is no gap."""
     at_the_floor: float = 0.12
     """Score below which a candidate explains the gap without further conditions."""
@@ -92,27 +90,16 @@ def probabilities(
     if not costs:
         return []
     share = thresholds.clear_share if clearly else thresholds.explained_share
-    unlisted = max(share * baseline, thresholds.least_score)
+    unlisted = max(share * baseline, thresholds.at_the_floor)
     least = min(*costs, unlisted)
     temperature = thresholds.temperature + thresholds.temperature_share * least
     weights = np.exp(-(np.array([*costs, unlisted]) - least) / temperature)
     return [float(value) for value in weights[:-1] / weights.sum()]
 
 
-def may_be_gap(baseline: Candidate, thresholds: Thresholds = THRESHOLDS) -> bool:
-    """Return whether there can be a gap, whatever the candidates: False where the baseline leaves only noise."""
-    return baseline.score >= thresholds.least_score
-
-
-def is_gap(baseline: float, least_cost: float | None, thresholds: Thresholds = THRESHOLDS) -> bool:
-    """Return whether there is a gap: the baseline leaves much, or a candidate lowers the score by more than chance.
-
-    ``baseline`` is the score of the baseline, ``least_cost`` the least cost of a candidate, None without any.
-    """
-    if baseline >= 2.0 * thresholds.least_score:
-        return True
-    gained = 0.0 if least_cost is None else baseline - least_cost
-    return baseline >= thresholds.least_score and gained >= thresholds.least_gain
+def is_gap(baseline: float, thresholds: Thresholds = THRESHOLDS) -> bool:
+    """Return whether there is a gap, by the score of the baseline."""
+    return baseline >= thresholds.least_score
 
 
 def shows_in_the_check_alone(baseline: Candidate, thresholds: Thresholds = THRESHOLDS) -> bool:
@@ -120,7 +107,7 @@ def shows_in_the_check_alone(baseline: Candidate, thresholds: Thresholds = THRES
 
     A rare event can be absent from the samples for the choice.
     """
-    return score(baseline.checked_by) >= 2.0 * thresholds.least_score
+    return is_gap(score(baseline.checked_by), thresholds)
 
 
 @dataclass(frozen=True)
@@ -166,7 +153,7 @@ def decide(grounds: Grounds, thresholds: Thresholds = THRESHOLDS) -> frozenset[s
     by_set = {frozenset(item.effects): item for item in grounds.tried}
     singles = sorted((item for item in grounds.tried if len(item.effects) == 1), key=lambda item: item.cost)
     final = by_set.get(frozenset(grounds.final))
-    if final is None or not is_gap(grounds.baseline, min(item.cost for item in grounds.tried), thresholds):
+    if final is None or not is_gap(grounds.baseline, thresholds):
         return frozenset()
     while len(final.effects) > 1:
         smaller = [by_set.get(frozenset(final.effects) - {name}) for name in final.effects]

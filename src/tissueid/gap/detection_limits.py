@@ -57,7 +57,7 @@ class DetectionLimits:
         self._left = [float(np.mean(found.fit.residuals[block] ** 2)) for block in self._blocks]
         self._tests = len(found.fit.parameters.dataset.tests)
         # A further member of a set needs its gain; a first effect a certain gap.
-        self._wanted = THRESHOLDS.set_gain if named else max(2.0 * THRESHOLDS.least_score - found.score, LEAST_RISE)
+        self._wanted = THRESHOLDS.set_gain if named else max(THRESHOLDS.least_score - found.score, LEAST_RISE)
 
     def of(self, effect: Effect) -> DetectionLimit | None:
         """Return the limit of an effect; None where no size within its bounds would have been named, or where its size

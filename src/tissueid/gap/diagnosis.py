@@ -22,7 +22,6 @@ from tissueid.gap.decision import (
     grows,
     is_gap,
     is_needed,
-    may_be_gap,
     probabilities,
     shows_in_the_check_alone,
 )
@@ -155,10 +154,11 @@ def diagnose(
     search = Search(dataset, pool, candidates, progress, cancelled)
     baseline = search.baseline(known)
     dataset = baseline.fit.parameters.dataset
-    found = search.singles(baseline) if may_be_gap(baseline) else SearchResult(baseline, (), ())
+    there_is = is_gap(baseline.score)
+    found = search.singles(baseline) if there_is else SearchResult(baseline, (), ())
     best = min(found.candidates, key=cost, default=None)
     together: tuple[Candidate, ...] = ()
-    if best is not None and is_gap(baseline.score, cost(best)) and not _settled(baseline, best):
+    if best is not None and not _settled(baseline, best):
         together = search.tissue_set(baseline)
         if together and predicted_closed(baseline, together[0]) < THRESHOLDS.structural:
             # An effect of the instrument can conceal those of the tissue.
@@ -167,8 +167,7 @@ def diagnose(
         if not together or not grows(_leaders(found)[0], together[0]):
             found = search.further(found)
             best = min(found.candidates, key=cost)
-    there_is = is_gap(baseline.score, None if best is None else cost(best))
-    if there_is and best is not None:
+    if best is not None:
         found, best = _with_sets(search, found, best, together)
     verdict: Verdict = "no_gap"
     places = localise(dataset, baseline)
@@ -181,7 +180,7 @@ def diagnose(
         best = next((item for item in found.candidates if names == set(_added(item, baseline))), best)
     elif shows_in_the_check_alone(baseline):
         verdict, remarks = "unexplained", (*remarks, RARE)
-    figures = figures_of(dataset, baseline, best if there_is else None)
+    figures = figures_of(dataset, baseline, best)
     named = best if verdict == "effect" else None
     shares = None if named is None else _budget(search, baseline, named)
     odds = {} if named is None else _conditional_odds(found, named, ranking, places)
@@ -200,7 +199,7 @@ def diagnose(
         _ceiling(baseline, figures) if there_is else float("nan"),
         odds,
         shares,
-        _limits(search, baseline, best if there_is and best is not None else baseline),
+        _limits(search, baseline, best or baseline),
         grounds,
     )
 
