@@ -1,8 +1,8 @@
 """Decisions from scores: whether there is a gap, whether a candidate explains it, and with which probability.
 
-The thresholds were set on eighty scenarios of the simulated laboratory, those of pairs on 249 and some more (decisions
-0025 and 0028), stricter ones also on parts of another draw (decision 0026). None of these is the draw that docs/gap.md
-reports.
+The thresholds were set on eighty scenarios of the first simulated laboratory, those of pairs on 249 and some more
+(decisions 0025 and 0028), stricter ones also on parts of another draw (decision 0026), the conditions on further
+members on sixty of each laboratory (decision 0040). None of these is a draw that docs/gap.md reports.
 """
 
 from __future__ import annotations
