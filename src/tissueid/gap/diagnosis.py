@@ -162,8 +162,7 @@ def diagnose(
         together = search.tissue_set(baseline)
         if together and predicted_closed(baseline, together[0]) < THRESHOLDS.structural:
             # An effect of the instrument can conceal those of the tissue.
-            beside = [item for leader in _leaders(found) for item in search.tissue_set(leader)]
-            together = (min((*together, *beside), key=misfit),)
+            together = (min((*together, *search.tissue_set(_leaders(found)[0])), key=misfit),)
         if not together or not grows(_leaders(found)[0], together[0]):
             found = search.further(found)
             best = min(found.candidates, key=cost)
