@@ -41,10 +41,8 @@ class Thresholds:
     set_gain: float = 0.3
     """Least decrease of the score by a member of a set, nats."""
     set_leaves: float = 0.36
-    """Largest share of the gap without a member that the set leaves, unless it is at the floor, or closes
-    ``structural`` and the member is an effect of living tissue, which are expected together."""
-    member_share: float = 0.01
-    """Least share of the gap that a member of a set closes when it is added to the others."""
+    """Largest share of the gap without a member that the set leaves, unless it is at the floor or the member is an
+    effect of living tissue, which are expected together."""
     kin_closed: float = 0.9
     """Closed share of a set from which a further member is not named that can stand for the error in the form of one of
     its members."""
@@ -130,39 +128,38 @@ class Tried:
 class Grounds:
     """All that a decision depends on, so that it can be taken again with other thresholds.
 
-    ``baseline`` is the score of the baseline, ``tried`` holds every set of effects that was fitted, ``final`` the
-    effects of the last candidate of the search.
+    ``baseline`` is the score of the baseline, ``tried`` holds every set of effects that was fitted.
     """
 
     baseline: float
     tried: tuple[Tried, ...]
-    final: tuple[str, ...]
 
     @classmethod
     def from_dict(cls, found: Mapping[str, Any]) -> Grounds:
         """Return grounds from the values of ``dataclasses.asdict`` or their JSON."""
         tried = tuple(Tried(**(item | {"effects": tuple(item["effects"])})) for item in found["tried"])
-        return cls(float(found["baseline"]), tried, tuple(found["final"]))
+        return cls(float(found["baseline"]), tried)
 
 
 def decide(grounds: Grounds, thresholds: Thresholds = THRESHOLDS) -> frozenset[str]:
     """Return the effects that explain the gap on held-out data; empty where there is no gap or none explains it.
 
-    Members of the final set are removed while one is not needed.
+    They are those of the set of least cost, without its members that are not needed.
     """
-    by_set = {frozenset(item.effects): item for item in grounds.tried}
-    singles = sorted((item for item in grounds.tried if len(item.effects) == 1), key=lambda item: item.cost)
-    final = by_set.get(frozenset(grounds.final))
-    if final is None or not is_gap(grounds.baseline, thresholds):
+    if not grounds.tried or not is_gap(grounds.baseline, thresholds):
         return frozenset()
+    by_set = {frozenset(item.effects): item for item in grounds.tried}
+    singles = [item for item in grounds.tried if len(item.effects) == 1]
+    final = min(grounds.tried, key=lambda item: item.cost)
     while len(final.effects) > 1:
         smaller = [by_set.get(frozenset(final.effects) - {name}) for name in final.effects]
         needless = [item for item in smaller if item is not None and not is_needed(item, final, thresholds)]
         if not needless:
             break
         final = min(needless, key=lambda item: item.cost)
-    if len(final.effects) > 1 and singles and not is_needed(singles[0], final, thresholds):
-        final = singles[0]
+    single = min(singles, key=lambda item: item.cost, default=None)
+    if len(final.effects) > 1 and single is not None and not is_needed(single, final, thresholds):
+        final = single
     return frozenset(final.effects) if explains(grounds.baseline, final, thresholds) else frozenset()
 
 
@@ -182,14 +179,13 @@ def grows(smaller: Candidate, larger: Candidate, thresholds: Thresholds = THRESH
 
 def is_needed(without: Tried, found: Tried, thresholds: Thresholds = THRESHOLDS) -> bool:
     """Return whether members of a set are named, by what their removal costs; ``without`` is the set without them."""
-    if without.cost - found.cost < thresholds.set_gain or found.closed - without.closed < thresholds.member_share:
+    if without.cost - found.cost < thresholds.set_gain:
         return False
     added = [effect(name) for name in found.effects if name not in without.effects]
     others = [effect(name) for name in without.effects]
     if without.closed >= thresholds.kin_closed and any(can_stand_for(one, other) for one in added for other in others):
         return False
-    expected = found.closed >= thresholds.structural and all(one.in_living_tissue for one in added)
-    if expected or found.score <= thresholds.at_the_floor:
+    if all(one.in_living_tissue for one in added) or found.score <= thresholds.at_the_floor:
         return found.closed >= without.closed
     return 1.0 - found.closed <= thresholds.set_leaves * (1.0 - without.closed)
 

@@ -171,7 +171,7 @@ def diagnose(
     verdict: Verdict = "no_gap"
     places = localise(dataset, baseline)
     ranking = _ranking(dataset, found, places)
-    grounds = _grounds(found, best, places)
+    grounds = _grounds(found, places)
     remarks = dataset.remarks
     if there_is:
         names = decide(grounds)
@@ -281,10 +281,10 @@ def needs_strict_fit(best: Candidate, places: Localisation, known: Sequence[str]
     return only_moves or all(item.exact for item in added)
 
 
-def _grounds(found: SearchResult, final: Candidate | None, places: Localisation) -> Grounds:
+def _grounds(found: SearchResult, places: Localisation) -> Grounds:
     baseline = found.baseline
     tried = tuple(_tried(baseline, item, needs_strict_fit(item, places, baseline.effects)) for item in found.candidates)
-    return Grounds(baseline.score, tried, () if final is None else tuple(_added(final, baseline)))
+    return Grounds(baseline.score, tried)
 
 
 def _tried(baseline: Candidate, item: Candidate, strict: bool = False) -> Tried:

@@ -40,8 +40,9 @@ SHORT_STEPS_OF_MANY = 10
 """Optimiser steps of a short fit to several tests, whose minima are narrower."""
 ESTIMATES_IN_A_SHORT_FIT = 1
 """Re-estimates of an effect from the record in a short fit; a full fit repeats them."""
-STEPS_OF_A_REMOVAL = 30
-"""Optimiser steps of a refit without a member of a set; a large set gets a short fit."""
+STEPS_IN_A_SET = 30
+"""Optimiser steps of a set with a member more, less, or another: the final set is fitted to the end. A large set
+without a member gets a short fit."""
 LARGE_SET = 5
 TRACKING_RAD_S, STEPS_OF_TRACKING = 100.0, 40
 """Bandwidth of the observer with which a fit of several effects begins, and most steps of this fit.
@@ -318,7 +319,7 @@ class Search:
             if len(leader.effects) < MOST_EFFECTS
             for larger in self._short_fits("additions", leader, self._likely_partners(leader)[:PARTNERS])
         ]
-        return self._full_fits("leading additions", short_fits, FULL_FITS_OF_SETS)
+        return self._full_fits("leading additions", short_fits, FULL_FITS_OF_SETS, STEPS_IN_A_SET)
 
     def remove_from(self, found: Candidate, names: Sequence[str]) -> list[Candidate]:
         """Refit a set without each of ``names``, in their order."""
@@ -331,7 +332,7 @@ class Search:
 
     def _smaller(self, found: Candidate, names: Sequence[str]) -> Task:
         kept = tuple(name for name in found.effects if name not in names)
-        steps = STEPS_OF_A_REMOVAL if len(kept) < LARGE_SET else self._short_steps
+        steps = STEPS_IN_A_SET if len(kept) < LARGE_SET else self._short_steps
         return Task(self._dataset, kept, (), found.fit, steps)
 
     def polish(self, baseline: Candidate, found: Candidate) -> Candidate:
@@ -368,7 +369,7 @@ class Search:
         for without in smaller:
             fresh = [item for item in self._likely_partners(without) if item.effect not in found.effects]
             short_fits += self._short_fits("replacements", without, fresh[:PARTNERS])
-        return self._full_fits("leading replacements", short_fits, FULL_FITS_OF_SETS)
+        return self._full_fits("leading replacements", short_fits, FULL_FITS_OF_SETS, STEPS_IN_A_SET)
 
     def nested_with(self, baseline: Candidate, found: Candidate) -> Candidate:
         """Return the set, or a better one with a special case or the general form of a member in its place."""
@@ -388,7 +389,9 @@ class Search:
         ]
         return self._run_tasks(what, refit, tasks)
 
-    def _full_fits(self, what: Work, short_fits: Sequence[Candidate], count: int) -> tuple[Candidate, ...]:
+    def _full_fits(
+        self, what: Work, short_fits: Sequence[Candidate], count: int, most_steps: int = MOST_STEPS
+    ) -> tuple[Candidate, ...]:
         ranked = _best_of_each(short_fits)
         if ranked and ranked[0].score <= THRESHOLDS.at_the_floor:
             count = sum(item.score <= RIVAL_SCORE for item in ranked[:count])
@@ -398,7 +401,7 @@ class Search:
             for place, item in enumerate(ranked)
             if (place < count or any(item is other for other in fitting)) and item.fit.steps >= self._short_steps
         ]
-        tasks = [Task(self._dataset, item.effects, (), item.fit, MOST_STEPS) for item in going_on]
+        tasks = [Task(self._dataset, item.effects, (), item.fit, most_steps) for item in going_on]
         finished = self._run_tasks(what, refit, tasks)
         others = [item for item in ranked if all(item is not other for other in going_on)]
         return tuple(sorted((*finished, *others), key=lambda item: item.score))

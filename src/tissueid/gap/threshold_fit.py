@@ -31,7 +31,6 @@ DECISION: dict[str, tuple[float, ...]] = {
     "clear_share": (0.04, 0.08, 0.12, 0.2, 0.3),
     "set_gain": (0.3, 0.4, 0.5, 0.7, 1.0),
     "set_leaves": (0.1, 0.15, 0.2, 0.25, 0.3, 0.36),
-    "member_share": (0.0, 0.005, 0.01, 0.015, 0.02, 0.03, 0.05, 0.08),
     "kin_closed": (0.8, 0.85, 0.9, 0.93, 0.95, 0.97, 0.98, 0.99, 1.0),
 }
 """Values that are tried. Those of sets begin where the search ends, which has discarded what lies below."""
