@@ -95,8 +95,8 @@ _LIBRARY = (
         configuration="surface",
         width_m=5.0e-3,
         length_m=16.0e-3,
-        corner_radius_m=2.5e-3,
-        source="chosen: the extension probe with fully rounded edges; thesis 2.2.3 says more rounded, and no figure",
+        corner_radius_m=1.5e-3,
+        source="thesis Fig. 7.22, with a normal preload of 1 N",
     ),
 )
 PROBES: dict[str, Probe] = {probe.name: probe for probe in _LIBRARY}
