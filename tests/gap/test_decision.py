@@ -118,10 +118,10 @@ def test_effects_of_a_stage_and_those_that_are_mistaken_for_each_other_can_stand
 
 
 @pytest.mark.parametrize(("other", "named"), [("force_constant_position", False), ("dry_friction", True)])
-def test_an_effect_beside_one_that_nearly_closes_the_gap_can_stand_for_its_form(other, named):
+def test_an_effect_next_to_one_that_nearly_closes_the_gap_can_stand_for_its_form(other, named):
     alone, both = tried(1.0, 0.98, "eddy_currents"), tried(0.05, 0.999, "eddy_currents", other)
     assert is_needed(alone, both) is named
-    little = tried(2.0, THRESHOLDS.kin_closed - 0.1, "eddy_currents")
+    little = tried(2.0, THRESHOLDS.stand_in_closed - 0.1, "eddy_currents")
     assert is_needed(little, both)
 
 

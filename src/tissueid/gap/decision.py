@@ -43,7 +43,7 @@ class Thresholds:
     set_leaves: float = 0.36
     """Largest share of the gap without a member that the set leaves, unless it is at the floor or the member is an
     effect of living tissue, which are expected together."""
-    kin_closed: float = 0.9
+    stand_in_closed: float = 0.9
     """Closed share of a set from which a further member is not named that can stand for the error in the form of one of
     its members."""
     structural: float = 0.9
@@ -183,7 +183,9 @@ def is_needed(without: Tried, found: Tried, thresholds: Thresholds = THRESHOLDS)
         return False
     added = [effect(name) for name in found.effects if name not in without.effects]
     others = [effect(name) for name in without.effects]
-    if without.closed >= thresholds.kin_closed and any(can_stand_for(one, other) for one in added for other in others):
+    if without.closed >= thresholds.stand_in_closed and any(
+        can_stand_for(one, other) for one in added for other in others
+    ):
         return False
     if all(one.in_living_tissue for one in added) or found.score <= thresholds.at_the_floor:
         return found.closed >= without.closed
@@ -193,8 +195,8 @@ def is_needed(without: Tried, found: Tried, thresholds: Thresholds = THRESHOLDS)
 def can_stand_for(one: Effect, other: Effect) -> bool:
     """Return whether an effect can stand for an error in the form of another.
 
-    It can where both act in the same stage, where one is easily mistaken for the other, and where it is a flexible
-    curve along the stroke. Effects of living tissue are expected together.
+    It can where both act in the same stage, where one is easily mistaken for the other, and where it has more than
+    ``FLEXIBLE`` parameters, such as a curve along the stroke. Effects of living tissue are expected together.
     """
     if one.in_living_tissue and other.in_living_tissue:
         return False

@@ -276,7 +276,7 @@ class Search:
         starts = tuple(there if item is other else item.starts[0] for item in effects)
         return Task(self._dataset, tuple(item.name for item in effects), starts, near, MOST_STEPS)
 
-    def tissue_set(self, beside: Candidate) -> tuple[Candidate, ...]:
+    def tissue_set(self, near: Candidate) -> tuple[Candidate, ...]:
         """Fit the effects of living tissue together, each from a weak start, in addition to those of another fit; none
         where there is nothing to fit.
 
@@ -287,14 +287,14 @@ class Search:
         """
         if all(test.fixture != "tissue" for test in self._dataset.tests) or self._dataset.equivalent is not None:
             return ()
-        if any(effect(name).in_living_tissue for name in beside.effects):
+        if any(effect(name).in_living_tissue for name in near.effects):
             return ()
         found = [effect(name) for name in self.names]
-        chosen = [item for item in found if item.in_living_tissue][: MOST_EFFECTS - len(beside.effects)]
+        chosen = [item for item in found if item.in_living_tissue][: MOST_EFFECTS - len(near.effects)]
         if len(chosen) < 2:
             return ()
-        names = (*beside.effects, *(item.name for item in chosen))
-        found_sets = self._run_tasks("tissue", refit, self._from_weak_starts(beside, names))
+        names = (*near.effects, *(item.name for item in chosen))
+        found_sets = self._run_tasks("tissue", refit, self._from_weak_starts(near, names))
         return (min(found_sets, key=lambda item: item.fit.cost),)
 
     def _from_weak_starts(self, baseline: Candidate, names: Sequence[str]) -> list[Task]:

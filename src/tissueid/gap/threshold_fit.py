@@ -10,8 +10,9 @@ several, none, and left out ones count alike. Those of the probabilities minimis
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from dataclasses import asdict, dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
@@ -21,6 +22,7 @@ from tissueid.gap.blind_check import BlindScenario
 from tissueid.gap.blind_scoring import calibration_error, survives
 from tissueid.gap.decision import THRESHOLDS, Grounds, Thresholds, decide, probabilities
 from tissueid.gap.scenarios import scenario_names, unseal
+from tissueid.gap.set_scoring import f1
 
 WRONG = 1.0
 """Right names that a name which is not there outweighs."""
@@ -31,7 +33,7 @@ DECISION: dict[str, tuple[float, ...]] = {
     "clear_share": (0.04, 0.08, 0.12, 0.2, 0.3),
     "set_gain": (0.3, 0.4, 0.5, 0.7, 1.0),
     "set_leaves": (0.1, 0.15, 0.2, 0.25, 0.3, 0.36),
-    "kin_closed": (0.8, 0.85, 0.9, 0.93, 0.95, 0.97, 0.98, 0.99, 1.0),
+    "stand_in_closed": (0.8, 0.85, 0.9, 0.93, 0.95, 0.97, 0.98, 0.99, 1.0),
 }
 """Values that are tried. Those of sets begin where the search ends, which has discarded what lies below."""
 PROBABILITY: dict[str, tuple[float, ...]] = {
@@ -101,7 +103,8 @@ def _searched(
 
 def changed(thresholds: Thresholds, name: str, value: float) -> Thresholds:
     """Return thresholds with one of them changed."""
-    return Thresholds(**(asdict(thresholds) | {name: value}))
+    change: dict[str, Any] = {name: value}
+    return replace(thresholds, **change)
 
 
 def value(cases: Sequence[Decided], thresholds: Thresholds) -> float:
@@ -142,12 +145,10 @@ def scores(cases: Sequence[Decided], thresholds: Thresholds) -> dict[str, tuple[
     left_out = [name for case, name in pairs if case.left_out]
     complete = [(case, name) for case, name in pairs if not case.left_out]
     sure, right = _sure(cases, thresholds)
-    hits = sum(len(name & case.true) for case, name in sets)
-    said = sum(len(name) + len(case.true) for case, name in sets)
     return {
         "single effect named, nothing else": _share([name == case.true for case, name in single]),
         "single effect first": (float(np.mean(right)) if right.size else float("nan"), right.size),
-        "several effects: F1": (2.0 * hits / said if said else float("nan"), len(sets)),
+        "several effects: F1": (f1([set(name) for _, name in sets], [set(case.true) for case, _ in sets]), len(sets)),
         "no effect or none of the library: nothing named": _share([not name for name in unlisted]),
         "effect left out of the library: nothing named": _share([not name for name in left_out]),
         "named effects that are not there, per scenario": (

@@ -21,7 +21,7 @@ if TYPE_CHECKING:
     from tissueid.app.views.gap.page_content import BudgetContent, Overlay, PageContent
 
 _NAMES = 0.5
-"""Most of the width that the names of the bars take beside them; longer names stand above."""
+"""Most of the width that names left of the bars take; longer names stand above."""
 _BAR_LINE, _NAME_LINE, _FIGURE = 22, 18, 62
 """Height of a bar and of a name above it, and width of a figure, pixels."""
 _ONE_LINE, _STACKED = _BAR_LINE + 4, _BAR_LINE + _NAME_LINE + 4
@@ -138,7 +138,7 @@ class _GapBars(QWidget):
         return 8 + max((letters.horizontalAdvance(translated(row.name)) for row in self._rows), default=0)
 
     def paintEvent(self, event: QPaintEvent) -> None:  # noqa: N802
-        """Draw the bars, each with its name beside it or above."""
+        """Draw the bars, each with its name left of it or above."""
         painter = QPainter(self)
         most = max((row.high for row in self._rows if np.isfinite(row.high)), default=1.0) or 1.0
         pitch = self._pitch(self.width())
