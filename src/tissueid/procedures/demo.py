@@ -40,6 +40,8 @@ LARGE_CLIPPED = 0.0455
 SMALL_N = 0.75
 """Half the force range of the small-amplitude test, N, about the mean load of the main test (thesis 3.4)."""
 OUTPUTS = ("session.h5", "results.json", "report.html")
+_SPEED = 4.0
+"""Speed of the simulated instrument, in seconds of the instrument per second."""
 _COMPARED = {"mass_kg": "kg", "damping_n_s_per_m": "N s/m", "stiffness_n_per_m": "N/m"}
 _STARTING = marked("Starting the simulated instrument")
 _COIL = marked("Checking the coil")
@@ -141,7 +143,7 @@ def firmware_process(preset: str, seed: int) -> Iterator[str]:
         UnusableInputError: the preset is unknown.
         InstrumentError: the process did not start.
     """
-    command = ("-m", "firmware_sim", "--preset", preset, "--seed", str(seed))
+    command = ("-m", "firmware_sim", "--preset", preset, "--seed", str(seed), "--speed", str(_SPEED))
     with tempfile.TemporaryFile("w+") as complaints:
         process = start(*command, stdout=subprocess.PIPE, stderr=complaints, text=True)
         assert process.stdout is not None

@@ -53,6 +53,7 @@ def _few_effects(monkeypatch):
 
 
 def press(qtbot, widget):
+    qtbot.waitUntil(widget.isEnabled, timeout=WAIT_MS)  # a short job of the opening window may still run
     qtbot.mouseClick(widget, Qt.MouseButton.LeftButton)
 
 
