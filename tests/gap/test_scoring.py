@@ -7,7 +7,7 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
-from tissueid.gap.diagnosis import widened
+from tissueid.gap.closed_share import widened
 from tissueid.gap.scoring import Candidate, ChannelError, closed, floor, gap, quiet_tests, score
 
 

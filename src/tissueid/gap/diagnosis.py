@@ -7,21 +7,18 @@ from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 
 import numpy as np
-from scipy import stats
 
 from tissueid.gap.budget import Budget, budget, removal_path
 from tissueid.gap.ceiling import ceiling
-from tissueid.gap.dataset import Dataset, Purpose
+from tissueid.gap.closed_share import GapFigures, figures_of, stretches, widened
+from tissueid.gap.dataset import Dataset
 from tissueid.gap.decision import (
     THRESHOLDS,
     Grounds,
-    Tried,
     Verdict,
     cost,
     decide,
-    grows,
     is_gap,
-    is_needed,
     probabilities,
     shows_in_the_check_alone,
 )
@@ -29,20 +26,20 @@ from tissueid.gap.detection_limits import DetectionLimit, DetectionLimits
 from tissueid.gap.localisation import Localisation, localise
 from tissueid.gap.machine_library import effects_of
 from tissueid.gap.next_experiment import NextExperiment, next_experiment
-from tissueid.gap.scoring import Candidate, ChannelError, closed, errors, floor, gap, misfit, quiet_tests, score
+from tissueid.gap.scoring import Candidate, score
 from tissueid.gap.screening import Screen, cosine
 from tissueid.gap.search import Search, SearchProgress, SearchResult
+from tissueid.gap.set_search import added, search_sets, tried
 from tissueid.gap.workers import Executor
 from tissueid.messages import Message
 from tissueid.twin.catalogue import all_effects, effect
-from tissueid.twin.effect import Effect, Stage, nested
+from tissueid.twin.effect import Effect, Stage
 
 RANKED = 10
 """Most candidates in the ranking."""
 ALIKE = 0.97
 """Least cosine of surviving signatures that this data cannot separate, where the scores differ little as well."""
 ALIKE_SCORE = 0.10
-RESAMPLES = 400
 CERTAIN = 0.9
 """Probability from which no further test is proposed."""
 _ELECTRICAL: frozenset[Stage] = frozenset({"drive", "coil"})
@@ -51,23 +48,6 @@ RARE = Message(
     "gap.only_in_check",
     "the gap shows only in the part of the data that is held out for the check: record a longer test, or repeat it",
 )
-TOP_CANDIDATES = 2
-"""Number of top single effects that are tried with a second effect."""
-MOST_MEMBERS = 6
-"""Most effects of a set, in addition to those of the baseline."""
-
-
-@dataclass(frozen=True)
-class GapFigures:
-    """The gap on the samples for the check. ``closed_ci`` is the 95 % interval (NaN where there is no gap to close)."""
-
-    before: float
-    after: float
-    floor: float
-    closed: float
-    closed_ci: tuple[float, float]
-    predicted_closed: float
-    """Closed share on the samples for the choice, which the check verifies."""
 
 
 @dataclass(frozen=True)
@@ -155,19 +135,7 @@ def diagnose(
     baseline = search.baseline(known)
     dataset = baseline.fit.parameters.dataset
     there_is = is_gap(baseline.score)
-    found = search.singles(baseline) if there_is else SearchResult(baseline, (), ())
-    best = min(found.candidates, key=cost, default=None)
-    together: tuple[Candidate, ...] = ()
-    if best is not None and not _settled(baseline, best):
-        together = search.tissue_set(baseline)
-        if together and predicted_closed(baseline, together[0]) < THRESHOLDS.structural:
-            # An effect of the instrument can conceal those of the tissue.
-            together = (min((*together, *search.tissue_set(_leaders(found)[0])), key=misfit),)
-        if not together or not grows(_leaders(found)[0], together[0]):
-            found = search.further(found)
-            best = min(found.candidates, key=cost)
-    if best is not None:
-        found, best = _with_sets(search, found, best, together)
+    found, best = search_sets(search, baseline) if there_is else (SearchResult(baseline, (), ()), None)
     verdict: Verdict = "no_gap"
     places = localise(dataset, baseline)
     ranking = _ranking(dataset, found, places)
@@ -176,7 +144,7 @@ def diagnose(
     if there_is:
         names = decide(grounds)
         verdict = "effect" if names else "unexplained"
-        best = next((item for item in found.candidates if names == set(_added(item, baseline))), best)
+        best = next((item for item in found.candidates if names == set(added(item, baseline))), best)
     elif shows_in_the_check_alone(baseline):
         verdict, remarks = "unexplained", (*remarks, RARE)
     figures = figures_of(dataset, baseline, best)
@@ -204,7 +172,7 @@ def diagnose(
 
 
 def _limits(search: Search, baseline: Candidate, found: Candidate) -> dict[str, DetectionLimit | None]:
-    named = _added(found, baseline)
+    named = added(found, baseline)
     limits = DetectionLimits(found, named)
     library = effects_of(search.dataset)
     return {name: limits.of(library[name]) for name in search.names if name not in found.effects}
@@ -214,7 +182,7 @@ def _budget(search: Search, baseline: Candidate, named: Candidate) -> Budget:
     path, without = removal_path(named, baseline.effects, search.remove_from)
     left = None if score(named.checked_by) <= THRESHOLDS.at_the_floor else localise(search.dataset, named)
     remains_in = left.stage if left is not None and left.above_floor else None
-    return budget(baseline, path, without, remains_in, _stretches, widened)
+    return budget(baseline, path, without, remains_in, stretches, widened)
 
 
 def _conditional_odds(
@@ -283,15 +251,8 @@ def needs_strict_fit(best: Candidate, places: Localisation, known: Sequence[str]
 
 def _grounds(found: SearchResult, places: Localisation) -> Grounds:
     baseline = found.baseline
-    tried = tuple(_tried(baseline, item, needs_strict_fit(item, places, baseline.effects)) for item in found.candidates)
-    return Grounds(baseline.score, tried)
-
-
-def _tried(baseline: Candidate, item: Candidate, strict: bool = False) -> Tried:
-    # What an effect leaves however well it is known, such as rounding, is not held against it.
-    quiet = quiet_tests(baseline.fit.parameters.dataset.tests)
-    before, after, least = gap(baseline.chosen_by, quiet), gap(item.chosen_by, quiet), floor(item.chosen_by, quiet)
-    return Tried(tuple(_added(item, baseline)), item.score, cost(item), closed(before, after, least), strict)
+    items = tuple(tried(baseline, item, needs_strict_fit(item, places, baseline.effects)) for item in found.candidates)
+    return Grounds(baseline.score, items)
 
 
 def _with_stage_of_cause(found: Localisation, best: Candidate | None, known: Sequence[str]) -> Localisation:
@@ -300,160 +261,6 @@ def _with_stage_of_cause(found: Localisation, best: Candidate | None, known: Seq
         return found
     stages = [effect(name).stage for name in best.effects if name not in known]
     return found if found.stage in stages else replace(found, stage=stages[0])
-
-
-def _settled(baseline: Candidate, best: Candidate) -> bool:
-    # The residual does not justify a longer search. Against a twin, whose effects are accepted, one new effect is
-    # expected, and what it leaves is its structural error.
-    enough = THRESHOLDS.structural if baseline.effects else THRESHOLDS.nearly_all
-    return best.score <= THRESHOLDS.at_the_floor or predicted_closed(baseline, best) >= enough
-
-
-def _with_sets(
-    search: Search, found: SearchResult, best: Candidate, together: Sequence[Candidate]
-) -> tuple[SearchResult, Candidate]:
-    """Find a set of effects that is better than the best single one, by forward-backward selection.
-
-    It starts from the effects of the tissue ``together`` or from the best single effect, whichever leaves less.
-    """
-    baseline = found.baseline
-    if cost(best) <= THRESHOLDS.set_gain or (baseline.effects and _settled(baseline, best)):
-        return found, best
-    tried: dict[frozenset[str], Candidate] = {frozenset(item.effects): item for item in found.candidates}
-
-    def keep(items: Sequence[Candidate]) -> Sequence[Candidate]:
-        for item in items:
-            held = tried.get(frozenset(item.effects))
-            if held is None or misfit(item) < misfit(held):
-                tried[frozenset(item.effects)] = item
-        return items
-
-    leaders = _leaders(found)
-    for item in keep(together):
-        if grows(leaders[0], item):
-            leaders = [_without_needless(search, baseline, item, keep)]
-    top = leaders[0]
-    for again in (False, True):
-        while len(_added(top, baseline)) < MOST_MEMBERS and cost(top) > THRESHOLDS.at_the_floor:
-            grown = min(keep(search.add_to(leaders)), key=misfit, default=None)
-            if grown is None or not grows(top, grown):
-                break
-            top = search.nested_with(baseline, grown)
-            leaders = [top]
-        top = _without_needless(search, baseline, top, keep)
-        if again or len(_added(top, baseline)) < 2 or predicted_closed(baseline, top) >= THRESHOLDS.structural:
-            break
-        # A member can be wrong: try others in its place.
-        smaller = keep(search.remove_from(top, _added(top, baseline)))
-        other = min(keep(search.replace_in(top, smaller)), key=misfit, default=None)
-        if other is None or not grows(top, other):
-            break
-        top = search.nested_with(baseline, other)
-        leaders = [top]
-    if len(_added(top, baseline)) > 1:
-        top = search.polish(baseline, top)
-    keep([top])
-    candidates = tuple(sorted(tried.values(), key=cost))
-    return SearchResult(baseline, found.signatures, candidates), top if len(_added(top, baseline)) > 1 else best
-
-
-def _added(found: Candidate, baseline: Candidate) -> list[str]:
-    return [name for name in found.effects if name not in baseline.effects]
-
-
-def _without_needless(
-    search: Search, baseline: Candidate, top: Candidate, keep: Callable[[Sequence[Candidate]], Sequence[Candidate]]
-) -> Candidate:
-    # Remove all members that contribute nothing, then one at a time the least needed.
-    while len(_added(top, baseline)) > 1:
-        smaller = keep(search.remove_from(top, _added(top, baseline)))
-        names = _added(top, baseline)
-        idle = [name for name, without in zip(names, smaller, strict=True) if not grows(without, top)]
-        if len(idle) > 1:
-            without = keep(search.remove_all_from(top, idle))[0]
-            if not grows(without, top):
-                top = without
-                continue
-        least = min(smaller, key=cost)
-        if is_needed(_tried(baseline, least), _tried(baseline, top)):
-            break
-        top = least
-    return top
-
-
-def _leaders(found: SearchResult) -> list[Candidate]:
-    # Of nested effects only the better one: both have the same partners, and nested effects of a set are tried later.
-    leaders: list[Candidate] = []
-    for item in (min(found.candidates, key=misfit), *sorted(found.candidates, key=cost)):
-        if all(
-            item is not other and not nested(effect(item.effects[-1]), effect(other.effects[-1])) for other in leaders
-        ):
-            leaders.append(item)
-    return leaders[:TOP_CANDIDATES]
-
-
-def figures_of(dataset: Dataset, baseline: Candidate, best: Candidate | None) -> GapFigures:
-    """Return the gap before and after, with a bootstrap interval of the closed share over blocks of the check."""
-    quiet = quiet_tests(dataset.tests)
-    before, least = gap(baseline.checked_by, quiet), floor(baseline.checked_by, quiet)
-    after = before if best is None else gap(best.checked_by, quiet)
-    shut = closed(before, after, least)
-    promised, interval = float("nan"), (float("nan"), float("nan"))
-    if best is not None:
-        promised = predicted_closed(baseline, best)
-        interval = closed_interval(dataset, baseline, best)
-    return GapFigures(before, after, least, shut, interval, promised)
-
-
-def predicted_closed(baseline: Candidate, best: Candidate) -> float:
-    """Return the closed share on the samples for the choice, which is stated before the check."""
-    quiet = quiet_tests(baseline.fit.parameters.dataset.tests)
-    return closed(gap(baseline.chosen_by, quiet), gap(best.chosen_by, quiet), floor(baseline.chosen_by, quiet))
-
-
-def closed_interval(dataset: Dataset, baseline: Candidate, best: Candidate) -> tuple[float, float]:
-    """Return the 95 % interval of the closed share by a widened bootstrap over the blocks of the check."""
-    stretches = list(zip(_stretches(baseline), _stretches(best), strict=True))
-    if len(stretches) < 2:
-        return float("nan"), float("nan")
-    quiet = quiet_tests(dataset.tests)
-    random = np.random.default_rng(0)
-    drawn = []
-    for _ in range(RESAMPLES):
-        chosen = random.integers(len(stretches), size=len(stretches))
-        before = [item for k in chosen for item in stretches[k][0]]
-        after = [item for k in chosen for item in stretches[k][1]]
-        drawn.append(closed(gap(before, quiet), gap(after, quiet), floor(before, quiet)))
-    known = np.array(drawn)[np.isfinite(drawn)]
-    if known.size < RESAMPLES // 2:
-        return float("nan"), float("nan")
-    middle = closed(gap(baseline.checked_by, quiet), gap(best.checked_by, quiet), floor(baseline.checked_by, quiet))
-    return widened(middle, known, len(stretches))
-
-
-def widened(middle: float, drawn: np.ndarray, count: int) -> tuple[float, float]:
-    """Return the 95 % interval around a closed share from bootstrap draws over ``count`` blocks, shape (draws,).
-
-    A test has four or five blocks. A bootstrap of so few has too small a spread; it is widened by the factor between
-    the normal distribution and Student's t.
-    """
-    low, high = np.quantile(drawn, [0.025, 0.975])
-    wider = float(stats.t.ppf(0.975, count - 1) / stats.norm.ppf(0.975) * np.sqrt(count / (count - 1)))
-    return middle - wider * max(middle - float(low), 0.0), min(middle + wider * max(float(high) - middle, 0.0), 1.0)
-
-
-def _stretches(candidate: Candidate) -> list[list[ChannelError]]:
-    # Errors of every connected block of the check.
-    found = []
-    tests = candidate.fit.parameters.dataset.tests
-    for k, test in enumerate(tests):
-        serving = test.serving(Purpose.CHECK)
-        edges = np.flatnonzero(np.diff(np.concatenate([[0], serving.astype(np.int8), [0]])))
-        for first, end in zip(edges[::2], edges[1::2], strict=True):
-            alone = [replace(other, purpose=np.zeros_like(other.purpose)) for other in tests]
-            alone[k].purpose[first:end] = Purpose.CHECK
-            found.append(errors(candidate.fit, Purpose.CHECK, tests=alone))
-    return found
 
 
 def _ranking(dataset: Dataset, found: SearchResult, places: Localisation) -> tuple[Ranked, ...]:

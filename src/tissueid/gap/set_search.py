@@ -1,0 +1,134 @@
+"""Search for the set of effects that explains a gap: single effects, those of tissue, forward-backward selection."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+
+from tissueid.gap.closed_share import predicted_closed
+from tissueid.gap.decision import THRESHOLDS, Tried, cost, grows, is_needed
+from tissueid.gap.scoring import Candidate, closed, floor, gap, misfit, quiet_tests
+from tissueid.gap.search import Search, SearchResult
+from tissueid.twin.catalogue import effect
+from tissueid.twin.effect import nested
+
+TOP_CANDIDATES = 2
+"""Number of top single effects that are tried with a second effect."""
+MOST_MEMBERS = 6
+"""Most effects of a set, in addition to those of the baseline."""
+
+
+def search_sets(search: Search, baseline: Candidate) -> tuple[SearchResult, Candidate | None]:
+    """Return everything that was fitted, and the best set of effects; None where no effect applies."""
+    found = search.singles(baseline)
+    best = min(found.candidates, key=cost, default=None)
+    if best is None:
+        return found, None
+    together: tuple[Candidate, ...] = ()
+    if not _settled(baseline, best):
+        together = search.tissue_set(baseline)
+        if together and predicted_closed(baseline, together[0]) < THRESHOLDS.structural:
+            # An effect of the instrument can conceal those of the tissue.
+            together = (min((*together, *search.tissue_set(_leaders(found)[0])), key=misfit),)
+        if not together or not grows(_leaders(found)[0], together[0]):
+            found = search.further(found)
+            best = min(found.candidates, key=cost)
+    return _with_sets(search, found, best, together)
+
+
+def added(found: Candidate, baseline: Candidate) -> list[str]:
+    """Return the effects of a candidate that the baseline does not have."""
+    return [name for name in found.effects if name not in baseline.effects]
+
+
+def tried(baseline: Candidate, item: Candidate, strict: bool = False) -> Tried:
+    """Return a fitted set as the decision needs it."""
+    # What an effect leaves however well it is known, such as rounding, is not held against it.
+    quiet = quiet_tests(baseline.fit.parameters.dataset.tests)
+    before, after, least = gap(baseline.chosen_by, quiet), gap(item.chosen_by, quiet), floor(item.chosen_by, quiet)
+    return Tried(tuple(added(item, baseline)), item.score, cost(item), closed(before, after, least), strict)
+
+
+def _settled(baseline: Candidate, best: Candidate) -> bool:
+    # The residual does not justify a longer search. Against a twin, whose effects are accepted, one new effect is
+    # expected, and what it leaves is its structural error.
+    enough = THRESHOLDS.structural if baseline.effects else THRESHOLDS.nearly_all
+    return best.score <= THRESHOLDS.at_the_floor or predicted_closed(baseline, best) >= enough
+
+
+def _with_sets(
+    search: Search, found: SearchResult, best: Candidate, together: Sequence[Candidate]
+) -> tuple[SearchResult, Candidate]:
+    """Find a set of effects that is better than the best single one, by forward-backward selection.
+
+    It starts from the effects of the tissue ``together`` or from the best single effect, whichever leaves less.
+    """
+    baseline = found.baseline
+    if cost(best) <= THRESHOLDS.set_gain or (baseline.effects and _settled(baseline, best)):
+        return found, best
+    fitted: dict[frozenset[str], Candidate] = {frozenset(item.effects): item for item in found.candidates}
+
+    def keep(items: Sequence[Candidate]) -> Sequence[Candidate]:
+        for item in items:
+            held = fitted.get(frozenset(item.effects))
+            if held is None or misfit(item) < misfit(held):
+                fitted[frozenset(item.effects)] = item
+        return items
+
+    leaders = _leaders(found)
+    for item in keep(together):
+        if grows(leaders[0], item):
+            leaders = [_without_needless(search, baseline, item, keep)]
+    top = leaders[0]
+    for again in (False, True):
+        while len(added(top, baseline)) < MOST_MEMBERS and cost(top) > THRESHOLDS.at_the_floor:
+            grown = min(keep(search.add_to(leaders)), key=misfit, default=None)
+            if grown is None or not grows(top, grown):
+                break
+            top = search.nested_with(baseline, grown)
+            leaders = [top]
+        top = _without_needless(search, baseline, top, keep)
+        if again or len(added(top, baseline)) < 2 or predicted_closed(baseline, top) >= THRESHOLDS.structural:
+            break
+        # A member can be wrong: try others in its place.
+        smaller = keep(search.remove_from(top, added(top, baseline)))
+        other = min(keep(search.replace_in(top, smaller)), key=misfit, default=None)
+        if other is None or not grows(top, other):
+            break
+        top = search.nested_with(baseline, other)
+        leaders = [top]
+    if len(added(top, baseline)) > 1:
+        top = search.polish(baseline, top)
+    keep([top])
+    candidates = tuple(sorted(fitted.values(), key=cost))
+    return SearchResult(baseline, found.signatures, candidates), top if len(added(top, baseline)) > 1 else best
+
+
+def _without_needless(
+    search: Search, baseline: Candidate, top: Candidate, keep: Callable[[Sequence[Candidate]], Sequence[Candidate]]
+) -> Candidate:
+    # Remove all members that contribute nothing, then one at a time the least needed.
+    while len(added(top, baseline)) > 1:
+        smaller = keep(search.remove_from(top, added(top, baseline)))
+        names = added(top, baseline)
+        idle = [name for name, without in zip(names, smaller, strict=True) if not grows(without, top)]
+        if len(idle) > 1:
+            without = keep(search.remove_all_from(top, idle))[0]
+            if not grows(without, top):
+                top = without
+                continue
+        least = min(smaller, key=cost)
+        if is_needed(tried(baseline, least), tried(baseline, top)):
+            break
+        top = least
+    return top
+
+
+def _leaders(found: SearchResult) -> list[Candidate]:
+    # Of nested effects only the better one: both have the same partners, and nested effects of a set are tried later.
+    leaders: list[Candidate] = []
+    for item in (min(found.candidates, key=misfit), *sorted(found.candidates, key=cost)):
+        if all(
+            item is not other and not nested(effect(item.effects[-1]), effect(other.effects[-1])) for other in leaders
+        ):
+            leaders.append(item)
+    return leaders[:TOP_CANDIDATES]
