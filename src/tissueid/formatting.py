@@ -37,6 +37,7 @@ _LABELS = {
     "c3": "C₃",
     "seconds": "Length",
     "surface_position_m": "Surface of the tissue",
+    "bmi_kg_per_m2": "Body mass index",
     "clipped": "Share held at the ends of the range",
     "vaf_linear_percent": "VAF of the linear stage alone",
     "vaf_parametric_percent": "VAF of the second-order model",

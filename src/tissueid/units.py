@@ -140,6 +140,7 @@ _SUFFIXES = {
     "n_s_per_m2": "N s/m²",
     "n_per_root_hz": "N/√Hz",
     "n_per_m2": "N/m²",
+    "kg_per_m2": "kg/m²",
     "kg_per_m": "kg/m",
     "n_s_per_m": "N s/m",
     "n_per_m": "N/m",

@@ -12,6 +12,7 @@ from tissueid.cli.audit_commands import audit
 from tissueid.cli.calibrate import calibrate
 from tissueid.cli.gap import gap
 from tissueid.cli.lazy_command import JsonFile, add_command
+from tissueid.cli.study import study
 from tissueid.cli.twin_commands import twin
 from tissueid.errors import UnusableInputError
 
@@ -37,6 +38,7 @@ app.add_typer(calibrate, name="calibrate")
 app.add_typer(audit, name="audit")
 app.add_typer(gap, name="gap")
 app.add_typer(twin, name="twin")
+app.add_typer(study, name="study")
 
 
 def _version(requested: bool) -> None:

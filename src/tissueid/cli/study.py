@@ -1,0 +1,47 @@
+"""``tissueid study``: statistics over the sessions of a folder."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+import typer
+
+from tissueid.cli.lazy_command import JsonFile, add_command
+
+if TYPE_CHECKING:  # plans are imported when their command is used
+    from tissueid.procedures.study_plans import StudyPlan, StudyReportPlan
+
+study = typer.Typer(help="Compare subjects, sites and conditions over many sessions.", no_args_is_help=True)
+
+
+@add_command(study, "run", "study_plans")
+def run_command(plan: StudyPlan, json_file: JsonFile = None) -> None:
+    """Analyse the sessions of a study that have changed.
+
+    Writes the table with one row per test as CSV and Parquet. After a kill the same command continues.
+    """
+    from tissueid.cli.study_output import print_run
+
+    print_run(plan, json_file)
+
+
+@add_command(study, "table", "study_plans")
+def table_command(plan: StudyPlan, json_file: JsonFile = None) -> None:
+    """Show mean, standard deviation and variation of each parameter by site.
+
+    Analyses what has changed before.
+    """
+    from tissueid.cli.study_output import print_table
+
+    print_table(plan, json_file)
+
+
+@add_command(study, "report", "study_plans")
+def report_command(plan: StudyReportPlan, json_file: JsonFile = None) -> None:
+    """Write the report of a study as an HTML page.
+
+    Repeatability, sites, groups, regressions, conditions and sample sizes.
+    """
+    from tissueid.cli.study_output import print_report
+
+    print_report(plan, json_file)

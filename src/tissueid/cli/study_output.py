@@ -1,0 +1,96 @@
+"""Output of ``tissueid study``."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import pandas as pd
+
+from tissueid.cli.output import check_json, console_control, human_output, table, write_json
+from tissueid.formatting import axis_label, label_and_unit, number
+from tissueid.messages import MISSING
+from tissueid.procedures.output_files import check_different
+from tissueid.procedures.study_plans import RESULTS, StudyPlan, StudyReportPlan
+from tissueid.procedures.study_report import report_study
+from tissueid.procedures.study_run import StudyRun, run_study
+from tissueid.studies.repeatability import variation
+from tissueid.studies.study_statistics import usable_tests
+from tissueid.studies.study_table import as_json_rows
+from tissueid.units import display_unit
+
+
+def print_run(plan: StudyPlan, json_file: Path | None) -> None:
+    """Analyse a study and print the counts.
+
+    Raises:
+        UnusableInputError: the folder or an option cannot be used.
+    """
+    check_json(json_file)
+    with console_control() as control:
+        run = run_study(plan, control)
+    _print_counts(run, json_file)
+    if json_file is not None:
+        write_json(json_file, {"tests": as_json_rows(run.table), "failures": dict(run.failures)})
+
+
+def print_table(plan: StudyPlan, json_file: Path | None) -> None:
+    """Analyse a study and print mean and variation by site and parameter.
+
+    Raises:
+        UnusableInputError: the folder or an option cannot be used.
+    """
+    check_json(json_file)
+    with console_control() as control:
+        run = run_study(plan, control)
+    used, parameters, _remarks = usable_tests(run.table)
+    rows = variation(used, parameters)
+    console = human_output(json_file)
+    shown = table(
+        "Parameters by site", "Site", "Parameter", "Subjects", "Tests", "Mean", "SD", "CV within", "CV between"
+    )
+    for row in rows.to_dict("records"):
+        unit, factor = display_unit(label_and_unit(row["parameter"])[1])
+        cells = [_text(row["mean"], factor), _text(row["std"], factor)]
+        cells += [_percent(row[name]) for name in ("individual_cv", "population_cv")]
+        name = axis_label(row["parameter"], unit)
+        shown.add_row(row["site"], name, str(row["subjects"]), str(row["tests"]), *cells)
+    console.print(shown)
+    _print_counts(run, json_file)
+    if json_file is not None:
+        write_json(json_file, {"rows": as_json_rows(rows), "failures": dict(run.failures)})
+
+
+def print_report(plan: StudyReportPlan, json_file: Path | None) -> None:
+    """Analyse a study, write its report and print where it is.
+
+    Raises:
+        UnusableInputError: the folder, an option or a file cannot be used.
+    """
+    check_json(json_file)
+    check_different(json_file, plan.report)
+    with console_control() as control:
+        found = report_study(plan, control)
+    console = human_output(json_file)
+    for remark in found.statistics.remarks:
+        console.print(f"note: {remark}", markup=False, soft_wrap=True)
+    _print_counts(found.run, json_file)
+    console.print(f"report: {found.page}", markup=False, soft_wrap=True)
+    if json_file is not None:
+        write_json(json_file, found.as_answer())
+
+
+def _print_counts(run: StudyRun, json_file: Path | None) -> None:
+    console = human_output(json_file)
+    for file, reason in run.failures.items():
+        console.print(f"not analysed: {file}: {reason}", markup=False, soft_wrap=True)
+    count = len(run.table)
+    console.print(f"{count} tests of {run.sessions} sessions, {run.analysed} analysed now", markup=False)
+    console.print(f"table: {run.plan.folder / RESULTS / 'table.csv'} and table.parquet", markup=False, soft_wrap=True)
+
+
+def _text(value: float, factor: float) -> str:
+    return MISSING if pd.isna(value) else number(value * factor, 4)
+
+
+def _percent(share: float) -> str:
+    return MISSING if pd.isna(share) else f"{share:.1%}"

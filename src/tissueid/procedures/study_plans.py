@@ -1,0 +1,58 @@
+"""Plans of studies: which sessions, which engine, and where the results go."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Annotated
+
+from pydantic import Field
+
+from tissueid.procedures.plan_options import Option, Plan
+
+RESULTS = "results"
+"""Folder of a study with its results: one file per session, the tables and the report."""
+
+
+class StudyPlan(Plan):
+    """The folder of a study, and the engine whose parameters are compared."""
+
+    folder: Annotated[Path, Option(argument=True, metavar="FOLDER", help="folder of the sessions; subfolders count")]
+    engine: Annotated[str, Option("--engine", metavar="NAME", help="engine of the parameters")] = "wiener"
+    options: Annotated[
+        tuple[str, ...],
+        Option("--option", metavar="NAME=VALUE", help="another option of the engine; may be repeated"),
+    ] = ()
+    workers: Annotated[
+        int | None,
+        Option("--workers", metavar="N", help="number of processes; default: one per processor"),
+        Field(ge=1, le=256),
+    ] = None
+    scheduler: Annotated[
+        str | None,
+        Option("--scheduler", metavar="ADDRESS", help="Dask scheduler, such as tcp://host:8786, for a cluster"),
+    ] = None
+
+
+class StudyReportPlan(StudyPlan):
+    """A study, its comparisons, and the report."""
+
+    report: Annotated[
+        Path | None, Option("--out", metavar="FILE", help="HTML page; default: report.html in the results of the study")
+    ] = None
+    factors: Annotated[
+        tuple[str, ...],
+        Option("--factor", metavar="NAME", help="column with groups of subjects, such as gender; may be repeated"),
+    ] = ()
+    regressors: Annotated[
+        tuple[str, ...],
+        Option("--regress", metavar="NAME", help="column with a value of subjects, such as age_years; may be repeated"),
+    ] = ()
+    before: Annotated[str | None, Option("--before", metavar="CONDITION", help="condition of the reference")] = None
+    after: Annotated[str | None, Option("--after", metavar="CONDITION", help="condition that is compared with it")] = (
+        None
+    )
+    margin: Annotated[
+        float | None,
+        Option("--margin", metavar="SHARE", help="relative difference that still counts as equivalent, such as 0.1"),
+        Field(gt=0.0, le=10.0),
+    ] = None

@@ -1,0 +1,60 @@
+"""Statistics and report of a study, after its sessions are analysed."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from tissueid.language import marked
+from tissueid.procedures.control import Control
+from tissueid.procedures.output_files import HTML, check_output, write_text
+from tissueid.procedures.study_plans import RESULTS, StudyReportPlan
+from tissueid.procedures.study_run import StudyRun, check_packages, run_study
+
+if TYPE_CHECKING:
+    from tissueid.studies.study_statistics import StudyStatistics
+
+_COMPUTING = marked("Computing statistics")
+
+
+@dataclass(frozen=True)
+class StudyReport:
+    """A study with its statistics, and the page."""
+
+    run: StudyRun
+    statistics: StudyStatistics
+    page: Path
+
+    def as_answer(self) -> dict[str, Any]:
+        """Return the statistics for JSON."""
+        return {"failures": dict(self.run.failures), "sessions": self.run.sessions} | self.statistics.as_answer()
+
+
+def report_study(plan: StudyReportPlan, control: Control) -> StudyReport:
+    """Analyse what has changed, compute the statistics and write the page.
+
+    Raises:
+        UnusableInputError: the folder, the engine, an option or a file cannot be used, or a package is missing.
+        CancelledError: it was cancelled; what is analysed already is kept.
+    """
+    check_packages("pandas", "pyarrow", "statsmodels", "sklearn")
+    check_output(plan.report, HTML)
+    run = run_study(plan, control)
+    from tissueid.reports.study import study_html
+    from tissueid.studies.study_statistics import study_statistics
+
+    control.progress(0.0, _COMPUTING)
+    found = study_statistics(
+        run.table,
+        factors=plan.factors,
+        regressors=plan.regressors,
+        before=plan.before,
+        after=plan.after,
+        margin=plan.margin,
+    )
+    control.check()
+    page = plan.report or plan.folder / RESULTS / "report.html"
+    write_text(page, study_html(str(plan.folder.name), plan.engine, found, run.failures))
+    control.progress(1.0, _COMPUTING)
+    return StudyReport(run, found, page)

@@ -1,0 +1,152 @@
+"""Plots of a study: means by subject and site, variation, first test, groups, regressions (Figs. 7.2 to 7.6)."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+import pandas as pd
+
+from tissueid.analysis.curves.plot import CONFIDENCE, Axis, Bars, Curve, Plot
+from tissueid.formatting import label_and_unit
+from tissueid.language import marked
+from tissueid.messages import Verbatim
+from tissueid.studies.study_table import DEMOGRAPHICS
+from tissueid.units import display_unit
+
+COLOURS = ("measured", "model", "depth-1", "depth-5", "depth-9", "muted")
+"""Roles of the colours of sites or groups."""
+
+
+def parameter_axis(name: str) -> tuple[Axis, float]:
+    """Return the axis of a parameter in its displayed unit, and the factor from SI."""
+    label, unit = label_and_unit(name)
+    if name in DEMOGRAPHICS:  # of a person, not of tissue
+        return Axis(label, unit), 1.0
+    shown, factor = display_unit(unit)
+    return Axis(label, shown), factor
+
+
+def subjects_plot(table: pd.DataFrame, name: str) -> Plot:
+    """Return mean and standard deviation over the tests of each subject, by site (Fig. 7.2)."""
+    axis, factor = parameter_axis(name)
+    subjects = sorted(table["subject"].unique())
+    sites = sorted(table["site"].unique())
+    parts = []
+    for place, site in enumerate(sites):
+        groups = table[table["site"] == site].groupby("subject")[name]
+        mean, std = groups.mean() * factor, groups.std(ddof=1).fillna(0.0) * factor
+        x = np.array([subjects.index(who) + 1.0 for who in mean.index]) + _offset(place, len(sites))
+        y, half = mean.to_numpy(), std.to_numpy()
+        parts.append(Curve(x, y, Verbatim(str(site)), _colour(place), "bars", y - half, y + half))
+    ticks = tuple((k + 1.0, Verbatim(str(who))) for k, who in enumerate(subjects)) if len(subjects) <= 20 else ()
+    return Plot(marked("Mean and standard deviation of each subject"), Axis("Subject", ticks=ticks), axis, tuple(parts))
+
+
+def sites_plot(means: pd.DataFrame, name: str) -> Plot:
+    """Return mean and standard deviation over the subjects at each site, with the subjects as points (Fig. 7.3)."""
+    axis, factor = parameter_axis(name)
+    groups = {str(site): values[name].dropna().to_numpy() * factor for site, values in means.groupby("site", sort=True)}
+    return _groups_plot(marked("Subjects by site"), marked("Site"), axis, groups)
+
+
+def groups_plot(means: pd.DataFrame, factor: str, name: str) -> Plot:
+    """Return mean and 95 % interval of each group at each site (Fig. 7.5)."""
+    axis, scale = parameter_axis(name)
+    sites = sorted(means["site"].unique())
+    levels = sorted(means[factor].dropna().astype(str).unique())
+    parts = []
+    for place, level in enumerate(levels):
+        x, y, half = [], [], []
+        for number, site in enumerate(sites):
+            chosen = (means["site"] == site) & (means[factor].astype(str) == level)
+            values = means.loc[chosen, name].dropna().to_numpy() * scale
+            if len(values):
+                x.append(number + 1.0 + _offset(place, len(levels)))
+                y.append(values.mean())
+                half.append(CONFIDENCE * values.std(ddof=1) / np.sqrt(len(values)) if len(values) > 1 else 0.0)
+        centre, reach = np.array(y), np.array(half)
+        parts.append(
+            Curve(np.array(x), centre, Verbatim(level), _colour(place), "bars", centre - reach, centre + reach)
+        )
+    ticks = tuple((k + 1.0, Verbatim(str(site))) for k, site in enumerate(sites))
+    return Plot(marked("Groups by site"), Axis("Site", ticks=ticks), axis, tuple(parts))
+
+
+def regression_plot(means: pd.DataFrame, regressor: str, name: str, rows: pd.DataFrame) -> Plot:
+    """Return the subjects at each site against one of their values, with the fitted lines (Fig. 7.6)."""
+    axis, scale = parameter_axis(name)
+    abscissa, factor = parameter_axis(regressor)
+    parts = []
+    for place, site in enumerate(sorted(means["site"].unique())):
+        own = means[means["site"] == site].dropna(subset=[name, regressor])
+        x = own[regressor].to_numpy(float)
+        if not x.size:
+            continue
+        parts.append(
+            Curve(x * factor, own[name].to_numpy() * scale, Verbatim(str(site)), _colour(place), "points", width=1.8)
+        )
+        line = rows[(rows["site"] == str(site)) & (rows["parameter"] == name) & (rows["factor"] == regressor)]
+        if len(line):
+            ends = np.array([x.min(), x.max()])
+            fitted = line["intercept"].iloc[0] + line["slope"].iloc[0] * ends
+            parts.append(Curve(ends * factor, fitted * scale, "", _colour(place)))
+    return Plot(marked("Regression on a value of the subjects"), abscissa, axis, tuple(parts))
+
+
+def first_test_plot(table: pd.DataFrame, rows: pd.DataFrame, name: str) -> Plot:
+    """Return the mean of the later tests less the first test, of each subject and on average by site (Fig. 7.4)."""
+    axis, factor = parameter_axis(name)
+    groups: dict[str, np.ndarray] = {}
+    for site, tests in table.sort_values("repeat").groupby("site", sort=True):
+        found = [
+            (values.iloc[1:].mean() - values.iloc[0]) * factor
+            for _who, values in tests.groupby("subject")[name]
+            if len(values) > 1
+        ]
+        groups[str(site)] = np.array(found)
+    shown = Axis(axis.label, axis.unit, zero=True)
+    del rows
+    return _groups_plot(marked("Later tests less the first"), marked("Site"), shown, groups)
+
+
+def variation_plot(rows: pd.DataFrame) -> Plot:
+    """Return the individual and the population coefficient of variation of each parameter, averaged over the sites."""
+    means = rows.groupby("parameter", sort=False)[["individual_cv", "population_cv"]].mean() * 100.0
+    places = np.arange(1.0, len(means) + 1.0)
+    ticks = tuple(
+        (place, label_and_unit(str(name))[0]) for place, name in zip(places.tolist(), means.index, strict=True)
+    )
+    parts = (
+        Bars(places - 0.2, means["individual_cv"].to_numpy(), 0.36, marked("within a subject"), "measured"),
+        Bars(places + 0.2, means["population_cv"].to_numpy(), 0.36, marked("between subjects"), "model"),
+    )
+    axis = Axis(marked("Coefficient of variation"), "%")
+    return Plot(marked("Coefficients of variation, mean of the sites"), Axis("", ticks=ticks), axis, parts)
+
+
+def _groups_plot(title: str, label: str, axis: Axis, groups: dict[str, np.ndarray]) -> Plot:
+    parts = []
+    for place, values in enumerate(groups.values()):
+        if not len(values):
+            continue
+        spread = place + 1.0 + 0.3 * (np.linspace(-1.0, 1.0, len(values)) if len(values) > 1 else np.zeros(1))
+        parts.append(Curve(spread, values, "", "muted", "points", width=1.4, opacity=0.7))
+        half = values.std(ddof=1) if len(values) > 1 else 0.0
+        mean = np.array([values.mean()])
+        parts.append(Curve(np.array([place + 1.0]), mean, "", "model", "bars", mean - half, mean + half, width=1.4))
+    ticks = tuple((k + 1.0, Verbatim(site)) for k, site in enumerate(groups))
+    return Plot(title, Axis(label, ticks=ticks), axis, tuple(parts))
+
+
+def _offset(place: int, count: int) -> float:
+    return 0.5 * (place / max(count - 1, 1) - 0.5) if count > 1 else 0.0
+
+
+def _colour(place: int) -> str:
+    return COLOURS[place % len(COLOURS)]
+
+
+def plotted_parameters(parameters: Sequence[str], most: int = 6) -> list[str]:
+    """Return the parameters that are drawn."""
+    return list(parameters)[:most]

@@ -1,0 +1,156 @@
+"""The table of a study: one row per test and engine, with subject, site, condition, repeat, parameters and quality."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Iterable, Mapping, Sequence
+from pathlib import Path
+from typing import Any
+
+import pandas as pd
+
+from tissueid.atomic_write import atomic_file
+from tissueid.errors import UnusableInputError
+from tissueid.messages import Message, Verbatim
+
+KEYS = (
+    "session",
+    "session_id",
+    "created",
+    "test",
+    "subject",
+    "site",
+    "condition",
+    "minutes_since_application",
+    "repeat",
+)
+DESCRIPTION = (
+    "configuration",
+    "orientation",
+    "kind",
+    "status",
+    "quality",
+    "engine",
+    "vaf_percent",
+    "vaf_validation_percent",
+    "problem",
+)
+STD_SUFFIX = "_sd"
+"""Suffix of the column with the standard deviation of a parameter, after its name."""
+DEMOGRAPHICS = (
+    "age_years",
+    "weight_kg",
+    "height_m",
+    "bmi_kg_per_m2",
+    "gender",
+    "handedness",
+    "ethnicity",
+    "skin_conditions",
+)
+SUBJECTS_FILE = "subjects.csv"
+_LARGEST_SUBJECTS = 10_000_000
+_MOST_COLUMNS = 100
+
+
+def study_table(rows: Iterable[Mapping[str, Any]], subjects: pd.DataFrame | None = None) -> pd.DataFrame:
+    """Return the table of a study from rows of single tests.
+
+    The tests of a subject at a site under a condition with an engine are numbered by their time (column ``repeat``).
+
+    Args:
+        rows: values by column; demographic values of the session are included.
+        subjects: demographic values by subject, which replace those of the sessions.
+    """
+    table = pd.DataFrame(list(rows))
+    if table.empty:
+        return pd.DataFrame(columns=[*KEYS, *DESCRIPTION])
+    table = table.sort_values(["created", "session", "test"], kind="stable").reset_index(drop=True)
+    order = table.groupby(["subject", "site", "condition", "configuration", "engine"], dropna=False).cumcount()
+    table["repeat"] = order + 1
+    if subjects is not None:
+        table = _with_subjects(table, subjects)
+    if {"weight_kg", "height_m"} <= set(table.columns):
+        weight, height = (pd.to_numeric(table[name], errors="coerce") for name in ("weight_kg", "height_m"))
+        table["bmi_kg_per_m2"] = weight / height**2
+    first = [*KEYS, *DESCRIPTION, *DEMOGRAPHICS]
+    return table[[name for name in first if name in table] + [name for name in table if name not in first]]
+
+
+def parameters_of(table: pd.DataFrame) -> list[str]:
+    """Return the columns of the engine's parameters, in the order of the table."""
+    known = {*KEYS, *DESCRIPTION, *DEMOGRAPHICS}
+    return [
+        str(name)
+        for name in table
+        if name not in known
+        and not str(name).endswith(STD_SUFFIX)
+        and f"{name}{STD_SUFFIX}" in table
+        and table[name].notna().any()
+    ]
+
+
+def read_subjects(path: Path) -> pd.DataFrame:
+    """Read demographic values by subject from a CSV file with the column ``subject``.
+
+    Raises:
+        UnusableInputError: the file cannot be read, or a subject is missing or occurs twice.
+    """
+    try:
+        if path.stat().st_size > _LARGEST_SUBJECTS:
+            raise UnusableInputError(Message("study.subjects_size", "{path} is too large", path=str(path)))
+        found = pd.read_csv(path, dtype={"subject": str}, nrows=1_000_000)
+    except (OSError, ValueError, pd.errors.ParserError) as error:
+        why = Verbatim(str(error).splitlines()[0])
+        raise UnusableInputError(
+            Message("study.subjects_unreadable", "{path} cannot be read: {reason}", path=str(path), reason=why)
+        ) from error
+    if "subject" not in found or len(found.columns) > _MOST_COLUMNS:
+        raise UnusableInputError(
+            Message("study.subjects_column", "{path} must have a column 'subject'", path=str(path))
+        )
+    if found["subject"].isna().any() or found["subject"].duplicated().any():
+        raise UnusableInputError(
+            Message("study.subjects_twice", "in {path} each row must name another subject", path=str(path))
+        )
+    return found
+
+
+def write_table(table: pd.DataFrame, path: Path) -> None:
+    """Write a table as CSV or, if the name ends in ``.parquet``, as Parquet, atomically.
+
+    Raises:
+        OSError: it cannot be written.
+    """
+    with atomic_file(path) as partial:
+        if path.suffix == ".parquet":
+            table.to_parquet(partial, index=False)
+        else:
+            table.to_csv(partial, index=False)
+
+
+def read_table(path: Path) -> pd.DataFrame:
+    """Read a table that ``write_table`` wrote.
+
+    Raises:
+        UnusableInputError: it is no such table.
+    """
+    try:
+        table = pd.read_parquet(path) if path.suffix == ".parquet" else pd.read_csv(path, dtype={"subject": str})
+    except (OSError, ValueError, pd.errors.ParserError) as error:
+        why = Verbatim(str(error).splitlines()[0])
+        raise UnusableInputError(
+            Message("study.table_unreadable", "{path} cannot be read: {reason}", path=str(path), reason=why)
+        ) from error
+    if not set(KEYS) <= set(table.columns):
+        raise UnusableInputError(Message("study.no_table", "{path} is not the table of a study", path=str(path)))
+    return table
+
+
+def as_json_rows(table: pd.DataFrame) -> list[dict[str, Any]]:
+    """Return the rows for JSON; missing values are None."""
+    return list(json.loads(table.to_json(orient="records", double_precision=15)))
+
+
+def _with_subjects(table: pd.DataFrame, subjects: pd.DataFrame) -> pd.DataFrame:
+    given: Sequence[str] = [name for name in subjects if name != "subject"]
+    return table.drop(columns=[name for name in given if name in table]).merge(subjects, on="subject", how="left")

@@ -1,0 +1,175 @@
+"""A folder of sessions becomes a table, statistics and a report; what cannot be used is stated and nothing is lost."""
+
+import json
+from dataclasses import replace
+
+import numpy as np
+import pandas as pd
+import pytest
+from coded import coded
+from reports.synthetic_sitting import make_session, make_test
+
+from tissueid.cli import main
+from tissueid.errors import CancelledError, UnusableInputError
+from tissueid.procedures.control import Control
+from tissueid.procedures.study_plans import RESULTS, StudyPlan, StudyReportPlan
+from tissueid.procedures.study_report import report_study
+from tissueid.procedures.study_run import run_study
+from tissueid.sessions import Subject, write_session
+from tissueid.studies.study_table import SUBJECTS_FILE, parameters_of, read_subjects, read_table
+
+SUBJECTS, SITES, REPEATS = 4, ("arm", "leg"), 2
+
+
+def fill(folder, subjects=SUBJECTS):
+    """Write one session per subject and site; stiffness differs between subjects and the leg is stiffer."""
+    folder.mkdir(exist_ok=True)
+    for who in range(subjects):
+        for place, site in enumerate(SITES):
+            tests = []
+            for number in range(1, REPEATS + 1):
+                test = make_test(number, seconds=1.0, seed=10 * who + number)
+                scale = 1.0 + 0.05 * who + 0.1 * place + 0.005 * number
+                position = test.signals["position"] / scale
+                tests.append(replace(test, site=site, signals=test.signals | {"position": position}))
+            made = make_session(*tests)
+            session = replace(made, subject=Subject(f"P-{who}"), session_id=f"{who}-{site}")
+            write_session(folder / f"P{who}-{site}.h5", session)
+
+
+@pytest.fixture(scope="module")
+def folder(tmp_path_factory):
+    path = tmp_path_factory.mktemp("study") / "study"
+    fill(path)
+    lines = [f"P-{who},{20 + who},{60 + 5 * who},1.7,{'female' if who % 2 else 'male'}" for who in range(SUBJECTS)]
+    (path / SUBJECTS_FILE).write_text("\n".join(["subject,age_years,weight_kg,height_m,gender", *lines]))
+    return path
+
+
+def plan_of(folder, **values):
+    return StudyPlan(folder=folder, engine="lms", workers=1, **values)
+
+
+@pytest.fixture(scope="module")
+def run(folder):
+    return run_study(plan_of(folder), Control())
+
+
+def test_the_table_has_a_row_per_test(run, folder):
+    table = run.table
+    assert len(table) == SUBJECTS * len(SITES) * REPEATS
+    assert run.analysed == run.sessions == SUBJECTS * len(SITES)
+    assert sorted(table["repeat"].unique()) == [1, 2]
+    assert table["bmi_kg_per_m2"].iloc[0] == pytest.approx(60 / 1.7**2)
+    assert {"mass_kg", "stiffness_n_per_m"} <= set(parameters_of(table))
+    assert (table["stiffness_n_per_m_sd"] > 0.0).all()
+    for suffix in ("csv", "parquet"):
+        read = read_table(folder / RESULTS / f"table.{suffix}")
+        assert read["stiffness_n_per_m"].to_numpy() == pytest.approx(table["stiffness_n_per_m"].to_numpy())
+
+
+def test_what_has_not_changed_is_not_analysed_again(run, folder):
+    assert run_study(plan_of(folder), Control()).analysed == 0
+    changed = folder / "P0-arm.h5"
+    content = changed.read_bytes()
+    changed.write_bytes(b"rubbish" * 99)
+    found = run_study(plan_of(folder), Control())
+    assert found.analysed == 1
+    assert list(found.failures) == ["P0-arm.h5"]
+    assert len(found.table) == len(run.table) - REPEATS
+    changed.write_bytes(content)
+    again = run_study(plan_of(folder), Control())
+    assert again.analysed == 1
+    assert not again.failures
+    pd.testing.assert_frame_equal(again.table, run.table)
+
+
+def test_a_damaged_result_is_computed_again(run, folder):
+    damaged = next((folder / RESULTS).glob("lms-*/*.json"))
+    damaged.write_text("{")
+    assert run_study(plan_of(folder), Control()).analysed == 1
+
+
+def test_other_options_are_another_analysis(run, folder):
+    assert run_study(plan_of(folder, options=("memory=0.05",)), Control()).analysed == run.sessions
+    assert run_study(plan_of(folder), Control()).analysed == 0
+
+
+def test_a_cancelled_run_keeps_what_is_done(tmp_path):
+    fill(tmp_path / "s", subjects=2)
+
+    class Impatient(Control):
+        def __init__(self):
+            self.looks = 0
+
+        def cancelled(self):
+            self.looks += 1
+            return self.looks > 2
+
+    with pytest.raises(CancelledError):
+        run_study(plan_of(tmp_path / "s"), Impatient())
+    assert len(list((tmp_path / "s" / RESULTS).glob("lms-*/*.json"))) == 2
+    assert run_study(plan_of(tmp_path / "s"), Control()).analysed == 2
+
+
+def test_the_report_has_the_statistics(run, folder):
+    found = report_study(StudyReportPlan(folder=folder, engine="lms", workers=1), Control())
+    page = found.page.read_text(encoding="utf-8")
+    assert page.startswith("<!DOCTYPE html")
+    assert "Research use only" in page
+    tables = found.statistics.tables
+    assert set(tables) >= {"variation", "reliability", "first_test", "sites", "groups", "regressions"}
+    sites = tables["sites"].set_index("parameter").loc["stiffness_n_per_m"]
+    assert (sites["reference"], sites["level"]) == ("arm", "leg")
+    assert sites["difference"] > 0.0
+    assert sites["p_value"] < 0.01
+    answer = json.loads(json.dumps(found.as_answer()))
+    assert answer["subjects"] == SUBJECTS
+    assert answer["statistics"]["variation"][0]["site"] == "arm"
+
+
+@pytest.mark.parametrize(
+    ("content", "code"),
+    [
+        (b"name,age\nA,1\n", "study.subjects_column"),
+        (b"subject,age\nA,1\nA,2\n", "study.subjects_twice"),
+        (b"subject,age\n,1\n", "study.subjects_twice"),
+        (b"\xff\xfe\x00", "study.subjects_unreadable"),
+        (b"", "study.subjects_unreadable"),
+    ],
+)
+def test_a_file_of_subjects_that_cannot_be_used(tmp_path, content, code):
+    (tmp_path / SUBJECTS_FILE).write_bytes(content)
+    with pytest.raises(UnusableInputError, check=coded(code)):
+        read_subjects(tmp_path / SUBJECTS_FILE)
+
+
+def test_folders_that_cannot_be_used(tmp_path):
+    with pytest.raises(UnusableInputError, check=coded("study.no_folder")):
+        run_study(plan_of(tmp_path / "none"), Control())
+    with pytest.raises(UnusableInputError, check=coded("study.no_sessions")):
+        run_study(plan_of(tmp_path), Control())
+    (tmp_path / "a.h5").write_bytes(b"rubbish")
+    with pytest.raises(UnusableInputError, check=coded("study.nothing")):
+        run_study(plan_of(tmp_path), Control())
+
+
+def test_from_the_shell(folder, capsys):
+    assert main(["study", "table", str(folder), "--engine", "lms", "--workers", "1", "--json", "-"]) == 0
+    rows = json.loads(capsys.readouterr().out)["rows"]
+    assert {row["site"] for row in rows} == set(SITES)
+    assert main(["study", "run", str(folder), "--engine", "none"]) == 2
+    assert capsys.readouterr().err.startswith("tissueid: ")
+
+
+def test_missing_demographics_and_one_group_are_stated(tmp_path):
+    fill(tmp_path / "s", subjects=3)
+    (tmp_path / "s" / SUBJECTS_FILE).write_text("subject,gender,age_years\nP-0,female,30\nP-1,female,\n")
+    plan = StudyReportPlan(
+        folder=tmp_path / "s", engine="lms", workers=1, factors=("gender", "shoe"), before="", after="lotion"
+    )
+    found = report_study(plan, Control())
+    codes = {remark.code for remark in found.statistics.remarks}
+    assert codes >= {"study.one_group", "study.no_column", "study.too_few_values", "study.no_pairs"}
+    assert not found.statistics.tables.get("groups", pd.DataFrame()).size
+    assert np.isfinite(found.statistics.tables["variation"]["individual_cv"]).all()
