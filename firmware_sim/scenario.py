@@ -17,8 +17,11 @@ from firmware_sim.effects import read_effects
 from firmware_sim.effects.base import Effect
 from firmware_sim.faults import PlannedFault
 from firmware_sim.identity import Identity
+from firmware_sim.lotions import with_lotion
 from firmware_sim.plant import SAMPLE_RATE_HZ, STANDARD_GRAVITY, PlantParameters
-from firmware_sim.presets import DEFAULT, preset_names
+from firmware_sim.presets import DEFAULT, load_preset, preset_names
+from firmware_sim.probe import read_probe
+from firmware_sim.tissue import Tissue
 from firmware_sim.validation_reason import validation_reason
 
 
@@ -85,6 +88,14 @@ class Scenario(BaseModel):
     """Angle of the stroke from straight down."""
     coil: Literal["ideal", "finite"] = "ideal"
     """Force constant constant along the stroke, or decreasing towards its ends."""
+    probe: str | None = None
+    """Round probe by name, or DIAMETER:CORNER in mm; by default that of the preset."""
+    orientation_deg: Annotated[float | None, _between(-180.0, 180.0)] = None
+    """Angle of a strip in extension against the limb's axis."""
+    initial_length_m: Annotated[float | None, _between(1e-3, 0.1)] = None
+    """Initial length of a strip in extension."""
+    lotion: str | None = None
+    """Lotion on the skin."""
     stage: bool | None = None
     """A motorised stage that positions the fixture; by default only a desktop device has one."""
     truth: TrueParameters = TrueParameters()
@@ -129,10 +140,24 @@ class Scenario(BaseModel):
         """The true parameters of the device, without tilt."""
         return self.truth.over(self.nominal)
 
+    @property
+    def tissue(self) -> Tissue:
+        """The tissue of the preset with lotion, orientation, length and probe.
+
+        Raises:
+            ValueError: one of them does not go with the preset.
+        """
+        tissue = load_preset(self.preset)
+        if self.lotion is not None:
+            tissue = with_lotion(tissue, self.lotion)
+        if self.orientation_deg is not None or self.initial_length_m is not None:
+            tissue = tissue.stretched(self.orientation_deg, self.initial_length_m)
+        return tissue if self.probe is None else tissue.with_probe(read_probe(self.probe))
+
     def bench(self) -> Bench:
         """Return the bench of this scenario."""
         return Bench(
-            self.preset,
+            self.tissue,
             seed=self.seed,
             parameters=self.real,
             nominal=self.nominal,
@@ -204,4 +229,5 @@ def load_scenario(path: Path | None, **overrides: object) -> Scenario:
         ) from error
     if scenario.preset not in preset_names():
         raise ValueError(f"no preset {scenario.preset!r}; there are: {', '.join(preset_names())}")
+    scenario.tissue  # noqa: B018 - raises for options that do not go with the preset
     return scenario

@@ -7,7 +7,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from tissueid.configuration import spring_of
+from tissueid.configuration import placement, spring_of
 from tissueid.errors import UnusableInputError
 from tissueid.language import marked
 from tissueid.messages import Listing, Message
@@ -152,6 +152,16 @@ def _common_spring(tests: Sequence[Test]) -> float:
                     second=test.number,
                     one=springs[0],
                     other=spring,
+                )
+            )
+        if placement(test.notes) != placement(tests[0].notes):
+            raise UnusableInputError(
+                Message(
+                    "split.different_placements",
+                    "tests {first} and {second} differ in coupling, orientation, initial length or normal preload: "
+                    "analyse them one by one",
+                    first=tests[0].number,
+                    second=test.number,
                 )
             )
     return springs[0]

@@ -152,7 +152,7 @@ class Layout:
             self.form.map,
             self.form.subject,
         ]
-        order += [self.form.set_up.name, self.form.set_up.probe, self.form.set_up.spring]
+        order += self.form.set_up.fields
         order += [
             self.form.limits,
             self.form.fold,

@@ -35,6 +35,8 @@ def answer_of(test: Test, asked: DepthRange | None, step: TestStep | None) -> di
         answer[note] = test.notes.get(note)
     quality = quality_of(test)
     answer["configuration"] = test.configuration
+    for note in ("coupling", "orientation_deg", "initial_length_m", "normal_preload_n"):
+        answer[note] = test.notes.get(note)
     answer["verdict"] = None if quality is None else quality.verdict
     answer["quality"] = None if quality is None else quality.as_dict()["findings"]
     if step is not None:

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Annotated, Any, Self
 
 from pydantic import Field
 
-from tissueid.configuration import Configuration
+from tissueid.configuration import Configuration, orientation
 from tissueid.errors import UnusableInputError
 from tissueid.formatting import ANONYMOUS
 from tissueid.language import marked
@@ -154,6 +154,26 @@ class TestPlan(Plan):
         float,
         Option("--external-spring", metavar="N/M", help="stiffness parallel to the tissue, subtracted; for surface"),
     ] = 0.0
+    coupling: Annotated[
+        str, Option("--coupling", metavar="NAME", help="none, tape, or adhesive (glue, liquid bandage)")
+    ] = "none"
+    orientation_deg: Annotated[
+        float | None,
+        Option(
+            "--orientation",
+            metavar="DEG",
+            help="extension: angle to the axis of the limb, or vertical (along it), horizontal",
+            read=orientation,
+        ),
+    ] = None
+    initial_length_m: Annotated[
+        float | None,
+        Option("--initial-length", metavar="MM", scale=1e-3, help="extension: length between the faces before it"),
+    ] = None
+    normal_preload_n: Annotated[
+        float | None,
+        Option("--normal-preload", metavar="N", help="surface: force that presses the probe on"),
+    ] = None
     calibrations: Annotated[
         Path | None, Option("--calibrations", metavar="DIR", help="folder of calibrations; see 'calibrate list'")
     ] = None
@@ -274,12 +294,18 @@ class TestPlan(Plan):
         return bool(self.stimulus or self.options or self.distribution)
 
     def set_up(self) -> Configuration:
-        """Return the configuration: direction, probe and external spring.
+        """Return the configuration: direction, probe, external spring, and how the probe meets the tissue.
 
         Raises:
-            UnusableInputError: configuration, probe and spring do not go together.
+            UnusableInputError: they do not go together.
         """
-        return Configuration.of(self.configuration, self.probe, self.external_spring_n_per_m)
+        further = ("coupling", "orientation_deg", "initial_length_m", "normal_preload_n")
+        return Configuration.of(
+            self.configuration,
+            self.probe,
+            self.external_spring_n_per_m,
+            **{name: getattr(self, name) for name in further},
+        )
 
     def stop_rule(self) -> StopRule | None:
         """Return the rule that ends the test early; None for a plan without one.
