@@ -99,12 +99,10 @@ def analyse(
 def analyse_all(
     session: Session, engines: Iterable[str] | None = None, *, test: Test | None = None, validate: int | None = None
 ) -> dict[str, Analysis]:
-    """Fit several engines, by default those of the standard report, to one test. Return the analyses by engine."""
+    """Fit several engines, by default those of the test's standard report, to it. Return the analyses by engine."""
     number = None if test is None else test.number
-    return {
-        name: analyse(session, name, test=number, validate=validate)
-        for name in (report_engines() if engines is None else engines)
-    }
+    names = report_engines(session.test(number).record()) if engines is None else engines
+    return {name: analyse(session, name, test=number, validate=validate) for name in names}
 
 
 def fit_split(specification: Engine, parts: Split) -> Analysis:

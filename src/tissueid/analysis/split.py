@@ -9,6 +9,7 @@ import numpy as np
 
 from tissueid.configuration import placement, spring_of
 from tissueid.errors import UnusableInputError
+from tissueid.identification.depth_levels import localized_levels
 from tissueid.language import marked
 from tissueid.messages import Listing, Message
 from tissueid.records import Record, joined
@@ -170,10 +171,12 @@ def _common_spring(tests: Sequence[Test]) -> float:
 def split_records(records: Sequence[Record], tests: tuple[int, ...] = (1,)) -> Split:
     """Hold out the last quarter of every record; ``tests`` are the numbers of their tests.
 
+    Of a localized test, it is the last quarter at every level, as the last quarter of the test lacks the other levels.
+
     Raises:
         UnusableInputError: there is no record, or they differ in sample rate, signals or units.
     """
-    if len(records) != 1:
+    if len(records) != 1 or localized_levels(records[0]):
         return _hold_out(records, QUARTERS - 1, tests)
     record, cut = records[0], round(FIT_SHARE * len(records[0]))
     whole = tuple(records)
@@ -184,20 +187,44 @@ def _hold_out(records: Sequence[Record], quarter: int, tests: tuple[int, ...]) -
     """Hold out the quarter ``quarter`` (0 to 3) of every record, and join the rest."""
     kept: list[Record] = []
     unseen: list[Record] = []
+    by_level = False
     for record in records:
-        first, end = (round(q * len(record) / QUARTERS) for q in (quarter, quarter + 1))
-        kept += [record[part] for part in (slice(0, first), slice(end, len(record))) if part.start < part.stop]
-        output = np.full(len(record), np.nan)
-        output[first:end] = record.output[first:end]
-        unseen.append(replace(record, output=output))
+        hidden = np.zeros(len(record), dtype=np.bool_)
+        levels = localized_levels(record)
+        stretches = [(one.first, one.end) for one in levels] or [(0, len(record))]
+        quarters = tuple(
+            (
+                begin + round(quarter * (stop - begin) / QUARTERS),
+                begin + round((quarter + 1) * (stop - begin) / QUARTERS),
+            )
+            for begin, stop in stretches
+        )
+        for first, end in quarters:
+            hidden[first:end] = True
+        if levels:  # stays in one piece: the engines see by which steps its levels were reached
+            kept.append(replace(record, output=np.where(hidden, np.nan, record.output), withheld=quarters))
+            by_level = True
+        else:
+            first, end = quarters[0]
+            kept += [record[part] for part in (slice(0, first), slice(end, len(record))) if part.start < part.stop]
+        unseen.append(replace(record, output=np.where(hidden, record.output, np.nan)))
     fitted, held_out = joined(kept), joined(unseen)
     whole = slice(0, len(fitted)), slice(0, len(held_out))
-    return Split(fitted, whole[0], held_out, whole[1], tests, _quarter_of(tests, quarter), tuple(records))
+    said = _quarter_of(tests, quarter, by_level=by_level)
+    return Split(fitted, whole[0], held_out, whole[1], tests, said, tuple(records))
 
 
-def _quarter_of(tests: Sequence[int], quarter: int = QUARTERS - 1) -> str:
+def _quarter_of(tests: Sequence[int], quarter: int = QUARTERS - 1, *, by_level: bool = False) -> str:
     percent = 100.0 / QUARTERS
     which = (marked("first"), marked("second"), marked("third"), marked("last"))[quarter]
+    if by_level and len(tests) == 1:
+        return Message(
+            "split.part_of_levels",
+            "the {which} {percent:.0f} % at each level of test {number}",
+            which=which,
+            percent=percent,
+            number=tests[0],
+        )
     if len(tests) == 1:
         return Message(
             "split.part_of_test",

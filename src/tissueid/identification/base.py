@@ -226,7 +226,8 @@ class Engine(BaseModel, ABC):
     A subclass needs ``name``, ``fit`` and its options. The other declarations are optional: ``label`` is the name shown
     to users (default: ``name`` with a capital), ``title`` one sentence on what is fitted (default: the first paragraph
     of the docstring), ``family`` its kind for the recommendation. Texts in ``marked("...")`` are translated.
-    ``figures`` are drawn in reports; ``in_report`` adds the engine to the standard report of a test.
+    ``figures`` are drawn in reports; ``in_report`` adds the engine to the standard report of a test, ``in_report_of``
+    to that of a test for which it is made.
     """
 
     model_config = ConfigDict(frozen=True, extra="forbid", allow_inf_nan=False)
@@ -247,6 +248,11 @@ class Engine(BaseModel, ABC):
             cls.label = name[:1].upper() + name[1:]
         if "title" not in cls.__dict__:
             cls.title = " ".join((cls.__doc__ or "").split("\n\n")[0].split())
+
+    @classmethod
+    def in_report_of(cls, record: Record) -> bool:
+        """Return whether the standard report of a test with this record includes the engine; default: ``in_report``."""
+        return cls.in_report
 
     @abstractmethod
     def fit(self, record: Record, fit_part: slice | None = None) -> Model:

@@ -70,7 +70,7 @@ def analyse_test(
     test = session.test(number)
     analyses: dict[str, Analysis] = {}
     refused: dict[str, str] = {}
-    names = report_engines() if engines is None else tuple(dict.fromkeys(engines))
+    names = report_engines(test.record()) if engines is None else tuple(dict.fromkeys(engines))
     for done, name in enumerate(names):
         get_engine(name)
         control.progress(done / len(names), _FITTING)

@@ -16,6 +16,7 @@ from tissueid.messages import Message, Verbatim
 from tissueid.procedures.plan_options import Option, Plan, name_and_value, named_values
 
 if TYPE_CHECKING:  # each takes long to import
+    from tissueid.acquisition.stimulus_choice import FileChoice
     from tissueid.identification.live.stopping import StopRule
     from tissueid.instrument.limits import Limits
     from tissueid.stimuli import StimulusKind
@@ -94,7 +95,21 @@ class TestPlan(Plan):
         ),
     ] = ()
     stimulus_file: Annotated[
-        Path | None, Option("--stimulus-file", metavar="FILE", help="stimulus saved by 'tissueid stimulus'")
+        Path | None,
+        Option(
+            "--stimulus-file",
+            metavar="FILE",
+            help="stimulus saved by 'tissueid stimulus', or a waveform: .csv, .txt or .npy, in N",
+        ),
+    ] = None
+    scale: Annotated[float | None, Option("--scale", help="with --stimulus-file: factor of the whole stimulus")] = None
+    offset: Annotated[
+        float | None,
+        Option("--offset", metavar="NEWTON", help="with --stimulus-file: added to the whole stimulus"),
+    ] = None
+    file_rate_hz: Annotated[
+        float | None,
+        Option("--file-rate", metavar="HZ", help="sample rate of a waveform without times; default: the instrument's"),
     ] = None
     distribution: Annotated[
         str | None,
@@ -220,6 +235,7 @@ class TestPlan(Plan):
         if self.rest_s > 0.0 and self.repeats == 1:
             raise UnusableInputError(Message("plan.rest", "the rest is the pause between repeats: it needs --repeats"))
         self._check_kind()
+        self._check_file()
         self.stop_rule()
         if self.multistep is not None:
             self._check_multistep()
@@ -256,6 +272,21 @@ class TestPlan(Plan):
                 )
             )
 
+    def _check_file(self) -> None:
+        from tissueid.acquisition.waveform_file import check_file_option
+
+        given = named_values(self, {name: name for name in ("scale", "offset", "file_rate_hz")})
+        for name, (option, value) in given.items():
+            if self.stimulus_file is None:
+                raise UnusableInputError(
+                    Message(
+                        "plan.file_options",
+                        "{option} needs --stimulus-file: other stimuli have a range of force",
+                        option=Verbatim(option),
+                    )
+                )
+            check_file_option(name, option, value)
+
     def _check_kind(self) -> None:
         from tissueid.acquisition.stimulus_choice import FIXTURES
 
@@ -288,6 +319,15 @@ class TestPlan(Plan):
             raise UnusableInputError(
                 Message("plan.multistep_depth", "--multistep needs --depth-range MM:MM below the surface, such as 1:4")
             )
+
+    @property
+    def file_choice(self) -> FileChoice | None:
+        """The stimulus from a file, and how it is played; None for a plan without one."""
+        from tissueid.acquisition.stimulus_choice import FileChoice
+
+        if self.stimulus_file is None:
+            return None
+        return FileChoice(path=self.stimulus_file, scale=self.scale, offset=self.offset, file_rate_hz=self.file_rate_hz)
 
     @property
     def _own_stimulus(self) -> bool:
@@ -453,6 +493,14 @@ def specified(
     Raises:
         UnusableInputError: an option is unknown, not valid, or given twice.
     """
+    if not kind.listed:
+        raise UnusableInputError(
+            Message(
+                "plan.from_file",
+                "the stimulus '{name}' comes from a file: give that file",
+                name=Verbatim(kind.name),
+            )
+        )
     chosen = dict(options)
     if len(chosen) < len(options):
         names = [name for name, _ in options]

@@ -7,6 +7,8 @@ from dataclasses import dataclass, replace
 from typing import TypeVar
 
 from tissueid.analysis import Analysis
+from tissueid.analysis.curves.depth import profile_plots
+from tissueid.analysis.curves.levels import level_impulse_plots, level_response_plots
 from tissueid.analysis.curves.linear import frequency_response, impulse_response
 from tissueid.analysis.curves.nonlinearity import wiener_nonlinearity
 from tissueid.analysis.curves.plot import Axis, Plot, plot_or_reason
@@ -17,6 +19,7 @@ from tissueid.identification.base import Model
 from tissueid.identification.engines.lms import LmsModel
 from tissueid.identification.engines.spectral import SpectralModel
 from tissueid.identification.engines.wiener import Wiener, WienerModel
+from tissueid.identification.localized import LocalizedModel
 from tissueid.language import marked
 from tissueid.messages import Message
 
@@ -37,12 +40,15 @@ class ResultPlots:
 
 
 def plots_of_test(analyses: Analyses, linear: str | None) -> ResultPlots:
-    """Return the plots of a test.
+    """Return the plots of a test; those of a localized test have a curve for each level.
 
     Args:
         analyses: results by engine.
         linear: the linear engine that leads the report; its simulation is shown where there is no Wiener cascade.
     """
+    levels = _first(analyses, LocalizedModel)
+    if levels is not None:
+        return _localized_plots(levels[0], levels[1], analyses)
     spectral = _first(analyses, SpectralModel)
     magnitude, phase = marked("Bode magnitude"), marked("Bode phase")
     upper, lower = Plot(magnitude, FREQUENCY, Axis()), Plot(phase, FREQUENCY, Axis())
@@ -65,6 +71,27 @@ def plots_of_test(analyses: Analyses, linear: str | None) -> ResultPlots:
             Axis(),
             lambda: unseen_motion(analyses, tuple(filter(None, (Wiener.name, linear)))),
         ),
+    )
+
+
+def _localized_plots(model: LocalizedModel, analysis: Analysis, analyses: Analyses) -> ResultPlots:
+    """Return the responses at each level, and the stiffness against depth in place of a static nonlinearity."""
+    impulse, _scaled = level_impulse_plots(model, analysis.record)
+    upper, lower = level_response_plots(model, analysis.record)
+    stiffness = marked("Stiffness at each level")
+
+    def profile() -> Plot:
+        found = analysis.depth_profile(model)
+        assert found is not None
+        return profile_plots({"": found})[2]
+
+    name = next(name for name, other in analyses.items() if other is analysis)
+    return ResultPlots(
+        replace(impulse, title=marked("Impulse response at each level")),
+        replace(upper, title=marked("Bode magnitude")),
+        replace(lower, title=marked("Bode phase")),
+        replace(plot_or_reason(stiffness, Axis(), Axis(), profile), title=stiffness),
+        plot_or_reason(marked("Unseen motion"), Axis(), Axis(), lambda: unseen_motion(analyses, (name,))),
     )
 
 
