@@ -22,8 +22,8 @@ class StepHold(Ranged):
     """Steps with holds: from the lowest to the highest force, halfway back, and back; or cycles of load and release.
 
     Creep, relaxation and drift appear during the holds. With ``cycles``, the force returns in one step, as the
-    readings of suction probes need it (docs/readings.md). The steps are raised cosines of ``rise_s``, because sharp edges
-    are painful (Chen 2010, 3.1.1). It begins and ends at the lowest force, and its preload is held there.
+    readings of suction probes need it (docs/readings.md). The steps are raised cosines of ``rise_s``, because sharp
+    edges are painful (Chen 2010, 3.1.1). It begins and ends at the lowest force, and its preload is held there.
     """
 
     name: ClassVar[str] = "step_hold"
