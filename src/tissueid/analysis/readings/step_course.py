@@ -118,16 +118,23 @@ def _cycles(share: Array, rate: float) -> list[StepCycle]:
     ups, downs = _edges(share)
     found = []
     for number, (start, top) in enumerate(ups):
-        following = ups[number + 1][0] if number + 1 < len(ups) else share.size - 1
+        following = share.size - 1
+        if number + 1 < len(ups):
+            following = _before(*ups[number + 1], rate)
         later = [edge for edge in downs if edge[0] >= top and edge[1] <= following]
         rise = _crossing(share, start, top)
         if later:
             away, bottom = later[0]
-            release, release_s, hold_end = _crossing(share, away, bottom), (bottom - away) / rate, away
+            release, release_s, hold_end = _crossing(share, away, bottom), (bottom - away) / rate, _before(away, bottom, rate)
         else:
             release, release_s, hold_end = float("nan"), float("nan"), following
         found.append(StepCycle(rise, hold_end, release, following, (top - start) / rate, release_s))
     return found
+
+
+def _before(start: int, end: int, rate: float) -> int:
+    """Return the last sample before an edge of which ``start`` and ``end`` are at a tenth of its height."""
+    return start - round(min(0.5 * (end - start), 0.5 * SHARPEST_S * rate) + _SMOOTHED_S * rate)
 
 
 def _edges(share: Array) -> tuple[list[tuple[int, int]], list[tuple[int, int]]]:

@@ -97,9 +97,10 @@ def read_points(position: Array, course: StepCourse) -> StepPoints:
     """
     rate, first, last = course.sample_rate_hz, course.cycles[0], course.cycles[-1]
     half = 0.5 * WINDOW_S * rate
-    span = min(_BASELINE_S * rate, first.rise - 2.0 * half)
+    before = first.rise - max(half, 0.5 * first.rise_s * rate + half)
+    span = min(_BASELINE_S * rate, before)
     places: dict[str, tuple[float, float] | str] = {
-        "start": (first.rise - half - span, first.rise - half) if span >= half else _too_short(),
+        "start": (before - span, before) if span >= half else _too_short(),
         "elastic": _after_load(first, half, rate),
         "final": (first.hold_end - 2.0 * half, first.hold_end),
         "retracted": _after_release(first, half, rate),
