@@ -23,6 +23,7 @@ if TYPE_CHECKING:  # plans are imported when their command is used
     from tissueid.procedures.import_export import ExportPlan, ImportPlan
     from tissueid.procedures.instrument_queries import DevicesPlan
     from tissueid.procedures.quality import QualityPlan
+    from tissueid.procedures.readings import ReadingsPlan
     from tissueid.procedures.recovery import RecoveryPlan
     from tissueid.procedures.report import ReportPlan
     from tissueid.procedures.stimulus_design import StimulusPlan
@@ -176,6 +177,17 @@ def compare(plan: ComparePlan, json_file: JsonFile = None) -> None:
     from tissueid.cli.compare import compare_session
 
     compare_session(plan, json_file)
+
+
+@add_command(app, "readings", "readings")
+def readings(plan: ReadingsPlan, json_file: JsonFile = None) -> None:
+    """Compute the readings of commercial probes.
+
+    Ue, Uv, Ur, Uf and R0 to R9 of suction probes; frequency, decrement and stiffness of tapping probes.
+    """
+    from tissueid.cli.readings import print_readings
+
+    print_readings(plan, json_file)
 
 
 @add_command(app, "recover", "recovery")
