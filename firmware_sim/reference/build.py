@@ -21,20 +21,10 @@ SOURCES = Path(__file__).parent
 CORE = SOURCES / "core"
 BOARDS = SOURCES / "boards"
 
-WARNINGS = [
-    "-std=c99",
-    "-Wall",
-    "-Wextra",
-    "-Werror",
-    "-Wpedantic",
-    "-Wshadow",
-    "-Wconversion",
-    "-Wdouble-promotion",
-    "-Wstrict-prototypes",
-    "-Wmissing-prototypes",
-    "-Wvla",
-    "-ffp-contract=off",
-]
+WARNINGS = (
+    *("-std=c99", "-Wall", "-Wextra", "-Werror", "-Wpedantic", "-Wshadow", "-Wconversion", "-Wdouble-promotion"),
+    *("-Wstrict-prototypes", "-Wmissing-prototypes", "-Wvla", "-ffp-contract=off"),
+)
 SANITIZERS = ("-g", "-fsanitize=address,undefined", "-fno-sanitize-recover=all")
 
 
