@@ -69,6 +69,17 @@ def _parser() -> argparse.ArgumentParser:
     parser.add_argument("--tilt", type=float, metavar="DEG", help="angle between the stroke and straight down")
     parser.add_argument("--coil", help="force constant along the stroke: ideal (default) or finite")
     parser.add_argument(
+        "--variation",
+        type=float,
+        nargs="?",
+        const=1.0,
+        metavar="SIZE",
+        help="let skin vary between placings and tests: 1 (default) as people's skin does, 0 not at all",
+    )
+    parser.add_argument(
+        "--subject", type=int, metavar="N", help="number of the person under the probe; see --variation"
+    )
+    parser.add_argument(
         "--hide",
         action="append",
         default=[],
@@ -108,6 +119,8 @@ def main(arguments: Sequence[str] | None = None) -> int:
             model=options.model,
             tilt_deg=options.tilt,
             coil=options.coil,
+            variation=options.variation,
+            subject=options.subject,
             effects=dict(options.hide) or None,
         )
         if options.local_values is not None:
