@@ -78,6 +78,17 @@ def _parser() -> argparse.ArgumentParser:
     )
     parser.add_argument("--initial-length", type=float, metavar="MM", help="extension: length between the faces")
     parser.add_argument(
+        "--variation",
+        type=float,
+        nargs="?",
+        const=1.0,
+        metavar="SIZE",
+        help="let skin vary between placings and tests: 1 (default) as people's skin does, 0 not at all",
+    )
+    parser.add_argument(
+        "--subject", type=int, metavar="N", help="number of the person under the probe; see --variation"
+    )
+    parser.add_argument(
         "--hide",
         action="append",
         default=[],
@@ -121,6 +132,8 @@ def main(arguments: Sequence[str] | None = None) -> int:
             lotion=options.lotion,
             orientation_deg=options.orientation,
             initial_length_m=None if options.initial_length is None else 1e-3 * options.initial_length,
+            variation=options.variation,
+            subject=options.subject,
             effects=dict(options.hide) or None,
         )
         if options.local_values is not None:

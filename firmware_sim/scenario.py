@@ -23,6 +23,7 @@ from firmware_sim.presets import DEFAULT, load_preset, preset_names
 from firmware_sim.probe import read_probe
 from firmware_sim.tissue import Tissue
 from firmware_sim.validation_reason import validation_reason
+from firmware_sim.variation import Variation
 
 
 def _between(low: float, high: float) -> object:
@@ -105,6 +106,10 @@ class Scenario(BaseModel):
     effects: dict[str, dict[str, bool | int | float | str]] = Field(default_factory=dict)
     """Effects added to the plant: parameters by name of the effect."""
     faults: tuple[PlannedFault, ...] = ()
+    variation: Annotated[float, _between(0.0, 3.0)] = 0.0
+    """Variation of skin between placings and tests relative to that of people (thesis Table 7.1); 0: none."""
+    subject: Annotated[int | None, Field(ge=0, lt=2**32)] = None
+    """Number of the person under the probe; without one, the person of the preset."""
 
     @model_validator(mode="after")
     def _effects_exist(self) -> Self:
@@ -168,6 +173,7 @@ class Scenario(BaseModel):
             sensor_supply_share=self.sensor_supply_share,
             frame_mass_kg=MODELS[self.model].frame_mass_kg,
             effects=self.acting,
+            variation=Variation(self.seed, self.variation, self.subject),
         )
 
     def identity(self) -> Identity:
@@ -230,4 +236,7 @@ def load_scenario(path: Path | None, **overrides: object) -> Scenario:
     if scenario.preset not in preset_names():
         raise ValueError(f"no preset {scenario.preset!r}; there are: {', '.join(preset_names())}")
     scenario.tissue  # noqa: B018 - raises for options that do not go with the preset
+    kind = load_preset(scenario.preset).kind
+    if (scenario.variation > 0.0 or scenario.subject is not None) and kind != "dpn":
+        raise ValueError(f"variation and subject are for skin, a tissue of kind dpn; {scenario.preset} is {kind}")
     return scenario
