@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import threading
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -31,7 +31,7 @@ class Snapshot:
     ``time_s`` counts from the start of the preload, as a session's does, and is negative while the probe is placed.
     ``phase`` is None before the first sample; ``fraction`` (0 to 1) tells how much of the phase's run is played.
     ``safety`` is None until it is known which instrument answers, ``total_s`` (the run with its preload) until it is
-    known what is played.
+    known what is played. ``voltage_v`` is measured across the coil.
     """
 
     time_s: Array
@@ -41,6 +41,7 @@ class Snapshot:
     fraction: float
     safety: Safety | None = None
     total_s: float | None = None
+    voltage_v: Array = field(default_factory=lambda: np.zeros(0))
 
 
 class LiveSignals:
@@ -57,7 +58,7 @@ class LiveSignals:
         self.total_s: float | None = None
         self._watch: SafetyWatch | None = None
         self._lock = threading.Lock()
-        self._ring = np.full((3, capacity), np.nan)  # time, force, position
+        self._ring = np.full((4, capacity), np.nan)  # time, force, position, voltage
         self._added = 0
         self._phase: Phase | None = None
         self._fraction = 0.0
@@ -86,7 +87,7 @@ class LiveSignals:
             placing = progress.phase is Phase.PLACE
             first = self._first_index.setdefault(placing, int(samples["index"][0]))
             time_s = (samples["index"] - first) / device.sample_rate_hz - (PLACE_S if placing else 0.0)
-            rows = np.stack([time_s, force(samples, device), samples["position"]])  # (3, k)
+            rows = np.stack([time_s, force(samples, device), samples["position"], samples["voltage"]])  # (4, k)
             capacity = self._ring.shape[1]
             places = (self._added + np.arange(samples.size)) % capacity
             self._ring[:, places[-capacity:]] = rows[:, -capacity:]
@@ -101,7 +102,8 @@ class LiveSignals:
             else:
                 rows = np.roll(self._ring, -(self._added % capacity), axis=1)
             safety = None if self._watch is None else self._watch.snapshot()
-            return Snapshot(rows[0], rows[1], rows[2], self._phase, self._fraction, safety, self.total_s)
+            signals = rows[0], rows[1], rows[2]
+            return Snapshot(*signals, self._phase, self._fraction, safety, self.total_s, rows[3])
 
 
 def decimated(time_s: Array, values: Array, low_s: float, high_s: float, columns: int) -> tuple[Array, Array]:
