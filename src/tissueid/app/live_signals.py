@@ -109,12 +109,12 @@ class LiveSignals:
 def decimated(time_s: Array, values: Array, low_s: float, high_s: float, columns: int) -> tuple[Array, Array]:
     """Least and greatest value in each pixel column of a plot that shows ``low_s`` to ``high_s``.
 
-    Takes time (rising) and values of shape (n,), returns at most (2 columns,) of each: all that such a plot can
-    show. A column of lost samples is NaN, so that the line is broken there. Few samples pass as they are.
+    Takes time (n,), rising, and values (..., n), returns at most 2 columns of each: all that such a plot can show. A
+    column of lost samples is NaN, so that the line is broken there. Few samples pass as they are.
     """
-    if values.size <= 2 * columns or high_s <= low_s:
+    if time_s.size <= 2 * columns or high_s <= low_s:
         return time_s, values
     column = np.floor((time_s - low_s) * (columns / (high_s - low_s)))
     starts = np.flatnonzero(np.diff(column, prepend=column[0] - 1.0))
-    ends = np.stack([np.fmin.reduceat(values, starts), np.fmax.reduceat(values, starts)], axis=1)  # (columns, 2)
-    return np.repeat(time_s[starts], 2), ends.reshape(-1)
+    extremes = [extreme.reduceat(values, starts, axis=-1) for extreme in (np.fmin, np.fmax)]
+    return np.repeat(time_s[starts], 2), np.stack(extremes, axis=-1).reshape(*values.shape[:-1], -1)

@@ -23,6 +23,8 @@ _SLACK = 0.15
 """Share of its span by which an axis grows beyond the data, so that it seldom has to."""
 _LEAST_SPAN = {"voltage": 4.0, "force": 2.0, "position": 1.0}
 _ROLLING_S = 10.0
+_VOLTAGE_EVERY = 4
+"""Frames between two drawings of the voltage: it does not guide the hand, and frames stay as short as without it."""
 _LONG_BEFORE_S, _LONG_AFTER_S = -1e3, 1e5
 """A shade reaches as far to both sides as any test."""
 LINEAR = marked("shaded: linear")
@@ -42,6 +44,8 @@ class SignalPlots(QWidget):
         self._region_edges = self.position.band("good", alpha=30)
         self._region: Region | None = None
         self._drawn: tuple[object, ...] = ()
+        self._voltage_drawn: tuple[object, ...] = ()
+        self._frame = 0
         self._curves = {
             name: card.line("measured") for name, card in zip(("voltage", "force", "position"), self.cards, strict=True)
         }
@@ -127,7 +131,8 @@ class SignalPlots(QWidget):
             mark.hide()
         self.show_region(None)
         self._show_times(-PLACE_S, PRELOAD_S + 4.0, ())
-        self._drawn = ()
+        self._drawn = self._voltage_drawn = ()
+        self._frame = 0
         self.voltage.show()
         self._grow("voltage", 0.0, 10.0)
         self._grow("force", 0.0, 10.0)
@@ -154,15 +159,19 @@ class SignalPlots(QWidget):
     def _draw(self, time_s: Array, voltage_v: Array, force_n: Array, position_m: Array) -> None:
         columns = max(1, int(self.position.plot.getViewBox().width()))  # the plots stand below each other
         drawn = (time_s.size, time_s[-1] if time_s.size else 0.0, columns, self._time)
-        if drawn == self._drawn:  # frames come more often than samples
+        new, self._drawn = drawn != self._drawn, drawn
+        signals = {"force": force_n, "position": MM * position_m} if new else {}
+        if drawn != self._voltage_drawn and (not new or self._frame % _VOLTAGE_EVERY == 0):
+            signals["voltage"], self._voltage_drawn = voltage_v, drawn
+        self._frame += 1
+        if not signals:
             return
-        self._drawn = drawn
-        for name, values in (("voltage", voltage_v), ("force", force_n), ("position", MM * position_m)):
-            times_s, ends = decimated(time_s, values, *self._time, columns)
-            known = ends[np.isfinite(ends)]
+        times_s, ends = decimated(time_s, np.stack(list(signals.values())), *self._time, columns)
+        for name, values in zip(signals, ends, strict=True):
+            known = values[np.isfinite(values)]
             if known.size:
                 self._grow(name, float(known.min()), float(known.max()))
-            self._curves[name].setData(times_s, ends)
+            self._curves[name].setData(times_s, values)
 
     def _grow(self, name: str, low: float, high: float) -> None:
         """Widen an axis when the data leave it; it never shrinks during a test, so that the eye can rest."""
