@@ -8,7 +8,7 @@ from pathlib import Path
 import numpy as np
 
 from tissueid.analysis import Analysis
-from tissueid.analysis.curves.single_test import plots_of_test
+from tissueid.analysis.curves.single_test import plots_of_test, record_plots
 from tissueid.app.findings import Findings, Number
 from tissueid.app.words import in_words, sentence
 from tissueid.errors import UnusableInputError
@@ -59,6 +59,7 @@ def identify(path: Path, session: Session, number: int | None) -> Findings:
             *unread,
         ),
         plots=plots_of_test(analyses, linear_engine(analyses)),
+        recorded=record_plots(test, analyses),
         accepted=accepted,
         refused=analysed.refused,
     )

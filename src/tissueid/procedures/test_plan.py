@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any, Self
+from typing import TYPE_CHECKING, Annotated, Any, Literal, Self
 
 from pydantic import Field
 
@@ -27,6 +27,14 @@ MAX_TEXT = 200
 """Longest site or pseudonym in characters."""
 LEAST_DEPTH_RANGE_M = 1e-4
 """Smallest width of a depth range, m."""
+LiveMethod = Literal["sliding", "rls", "als"]
+"""Methods of the impulse response while a test runs, the default first; those of ``identification.live``."""
+LIVE_METHODS: dict[LiveMethod, str] = {
+    "sliding": marked("Sliding (LMS)"),
+    "rls": marked("Recursive (RLS)"),
+    "als": marked("Adaptive (ALS)"),
+}
+"""Short titles of the methods, for forms."""
 _ANY_RATE_HZ = 2000.0
 """Sample rate at which options are checked before an instrument is open, Hz."""
 _SPECIFIED = {
@@ -153,6 +161,13 @@ class TestPlan(Plan):
         Option("--stop-when", metavar="NAME=SHARE", help="stop at this relative uncertainty, such as stiffness=0.02"),
     ] = ()
     live: Annotated[bool, Option("--live", help="print the parameters as they converge")] = False
+    live_method: Annotated[
+        LiveMethod | None,
+        Option(
+            "--live-method",
+            help="impulse response of --live: sliding (default, least squares of the last 10 s), rls or als",
+        ),
+    ] = None
     repeats: Annotated[int, Option("--repeats", help="number of runs of the test"), Field(ge=1, le=100)] = 1
     rest_s: Annotated[
         float,
@@ -232,6 +247,8 @@ class TestPlan(Plan):
                 )
             )
         self._check_depths()
+        if self.live_method is not None and not self.live:
+            raise UnusableInputError(Message("plan.live_method", "--live-method needs --live"))
         if self.rest_s > 0.0 and self.repeats == 1:
             raise UnusableInputError(Message("plan.rest", "the rest is the pause between repeats: it needs --repeats"))
         self._check_kind()
@@ -416,6 +433,11 @@ class TestPlan(Plan):
         if wanted is None or not lower or wanted <= greatest_n:
             return self
         return self.model_copy(update={"max_force_n": greatest_n})
+
+    @property
+    def shown_method(self) -> LiveMethod:
+        """Method of the impulse response while the test runs."""
+        return self.live_method or "sliding"
 
     @property
     def notes(self) -> dict[str, str | float]:

@@ -318,6 +318,7 @@ class _Run:
                 self._identification = LiveIdentification(
                     instrument.device,
                     preload_s=test.opening.preload_s,
+                    method=plan.shown_method,
                     stop=rule,
                     separate_process=separate_process,
                     external_spring_n_per_m=plan.external_spring_n_per_m,

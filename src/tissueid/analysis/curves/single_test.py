@@ -9,11 +9,12 @@ from typing import TypeVar
 from tissueid.analysis import Analysis
 from tissueid.analysis.curves.depth import profile_plots
 from tissueid.analysis.curves.levels import level_impulse_plots, level_response_plots
-from tissueid.analysis.curves.linear import frequency_response, impulse_response
+from tissueid.analysis.curves.linear import coherence_plot, frequency_response, impulse_response
 from tissueid.analysis.curves.nonlinearity import wiener_nonlinearity
-from tissueid.analysis.curves.plot import Axis, Plot, plot_or_reason
+from tissueid.analysis.curves.plot import Axis, Bars, Curve, Plot, Surface, plot_or_reason, thin
 from tissueid.analysis.curves.prediction import unseen_motion
-from tissueid.analysis.curves.units import FREQUENCY, LAG
+from tissueid.analysis.curves.signals import has_samples, recording_plots, recording_spectra
+from tissueid.analysis.curves.units import FREQUENCY, LAG, TIME
 from tissueid.errors import UnusableInputError
 from tissueid.identification.base import Model
 from tissueid.identification.engines.lms import LmsModel
@@ -22,6 +23,7 @@ from tissueid.identification.engines.wiener import Wiener, WienerModel
 from tissueid.identification.localized import LocalizedModel
 from tissueid.language import marked
 from tissueid.messages import Message
+from tissueid.sessions import Test
 
 Analyses = Mapping[str, Analysis]
 M = TypeVar("M", bound=Model)
@@ -37,6 +39,25 @@ class ResultPlots:
     phase: Plot
     nonlinearity: Plot
     prediction: Plot
+
+
+@dataclass(frozen=True, eq=False)
+class RecordPlots:
+    """Plots of the recorded signals of a test (Chen 2010, Fig. 2.13); ``missing`` says why one cannot be drawn."""
+
+    voltage: Plot
+    spectra: Plot
+    coherence: Plot
+
+
+def record_plots(test: Test, analyses: Analyses) -> RecordPlots:
+    """Return voltage over time, power spectra of voltage, force and position, and coherence of force and position."""
+    voltage, spectra, coherence = marked("Voltage"), marked("Power spectra"), marked("Coherence")
+    return RecordPlots(
+        plot_or_reason(voltage, TIME, Axis(), lambda: _voltage(test)),
+        plot_or_reason(spectra, FREQUENCY, Axis(), lambda: replace(recording_spectra(test), title=spectra)),
+        plot_or_reason(coherence, FREQUENCY, Axis(), lambda: replace(_coherence(analyses), title=coherence)),
+    )
 
 
 def plots_of_test(analyses: Analyses, linear: str | None) -> ResultPlots:
@@ -97,6 +118,28 @@ def _localized_plots(model: LocalizedModel, analysis: Analysis, analyses: Analys
 
 def _first(analyses: Analyses, kind: type[M]) -> tuple[M, Analysis] | None:
     return next(((a.model, a) for a in analyses.values() if isinstance(a.model, kind)), None)
+
+
+def _voltage(test: Test) -> Plot:
+    if not has_samples(test, "voltage"):
+        raise UnusableInputError(Message("report.no_voltage", "no voltage was recorded"))
+    plot = recording_plots(test)[0]
+    return replace(plot, title=marked("Voltage"), parts=tuple(_thinned(part) for part in plot.parts))
+
+
+def _thinned(part: Curve | Surface | Bars) -> Curve | Surface | Bars:
+    """Return a long line reduced to its extremes by column, so that it is drawn fast."""
+    if not isinstance(part, Curve) or part.kind != "line":
+        return part
+    x, y = thin(part.x, part.y)
+    return replace(part, x=x, y=y)
+
+
+def _coherence(analyses: Analyses) -> Plot:
+    spectral = _first(analyses, SpectralModel)
+    if spectral is None:
+        raise UnusableInputError(_NO_RESPONSE)
+    return coherence_plot(spectral[0].spectra)
 
 
 def _impulse(analyses: Analyses) -> Plot:
