@@ -322,3 +322,38 @@ def test_a_fault_in_an_engine_of_ours_is_a_defect(monkeypatch: pytest.MonkeyPatc
     monkeypatch.setattr(Lms, "fit", fail)
     with pytest.raises(TypeError, match="ours"):
         compare(specifications(["lms"]), split_records([simulated.linear_record(1, n=3000)]))
+
+
+class TestKnownPlacement:
+    """What the test knows about its placement is handed to the engine (Chen 2010, Fig. 3.8)."""
+
+    WEIGHT = 0.06 * 9.80665
+
+    def _session(self, **changes: object) -> Session:
+        true = simulated.wiener_record(3)
+        signals = {"force": true.input - self.WEIGHT, "position": true.output}
+        notes = {"gravity_along_stroke_m_s2": 9.80665, "gravity_across_stroke_m_s2": 0.0}
+        about = {"preload_s": 0.0, "sample_rate_hz": 2000.0, "surface_position_m": simulated.SURFACE, "notes": notes}
+        return make_session(make_test(signals=signals, **about | changes))
+
+    def test_the_surface_gives_c1_of_the_thesis(self):
+        report = analyse(self._session(), "wiener").model.report
+        assert report.parameters["c1_m"].value == pytest.approx(simulated.C1, rel=0.02)
+        assert report.parameters["c3_n"].value == pytest.approx(self.WEIGHT, abs=0.1)
+        assert report.details["known_surface_position_m"] == simulated.SURFACE
+        assert report.options["surface_position_m"] is None
+
+    def test_without_a_surface_the_weight_does(self):
+        report = analyse(self._session(surface_position_m=float("nan")), "wiener").model.report
+        assert report.parameters["c3_n"].value == report.details["known_c3_n"] == pytest.approx(self.WEIGHT)
+        assert report.parameters["c1_m"].value == pytest.approx(simulated.C1, rel=0.05)
+
+    def test_options_that_are_given_win(self):
+        report = analyse(self._session(), "wiener", {"c3_n": 0.0}).model.report
+        assert report.parameters["c3_n"].value == 0.0
+        assert "known_surface_position_m" not in report.details
+        assert report.parameters["c1_m"].value < 0.93 * simulated.C1
+
+    def test_a_load_that_is_not_the_weight_is_reported(self):
+        report = analyse(self._session(surface_position_m=simulated.SURFACE - 1e-3), "wiener").model.report
+        assert "analysis.load_is_not_weight" in [code_of(text) for text in report.findings]

@@ -37,6 +37,8 @@ _LABELS = {
     "c3": "C₃",
     "seconds": "Length",
     "surface_position_m": "Surface of the tissue",
+    "known_surface_position_m": "Origin of the curve",
+    "known_c3_n": "Weight of the moving part",
     "clipped": "Share held at the ends of the range",
     "vaf_linear_percent": "VAF of the linear stage alone",
     "vaf_parametric_percent": "VAF of the second-order model",

@@ -21,6 +21,9 @@ from tissueid.messages import Message
 from tissueid.records import Record
 from tissueid.sessions import Session, Test
 
+_DIFFERS = 2.6
+"""Standard deviations between C3 and the weight beyond which they differ (99 % of a normal variable)."""
+
 
 @dataclass(frozen=True)
 class Analysis:
@@ -113,7 +116,9 @@ def fit_split(specification: Engine, parts: Split) -> Analysis:
     Raises:
         UnusableInputError: the record cannot carry the fit.
     """
-    model, seconds = timed_fit(specification, parts.record, parts.fit_part)
+    known = specification.with_test_values(parts.surface_position_m, parts.weight_n)
+    model, seconds = timed_fit(known, parts.record, parts.fit_part)
+    model = _with_test_values(model, specification, known, parts.weight_n)
     with _plugin_errors(specification):
         model = validated(model, parts.held_out_record, parts.held_out).with_report(seconds=seconds)
     return Analysis(
@@ -128,6 +133,28 @@ def fit_split(specification: Engine, parts: Split) -> Analysis:
         parts.external_spring_n_per_m,
         parts.configuration,
     )
+
+
+def _with_test_values(model: Model, given: Engine, used: Engine, weight_n: float | None) -> Model:
+    """Return the model with the options as given, and among its details, as ``known_...``, those of the test.
+
+    A load C3 that differs significantly from the weight of the moving part becomes a finding.
+    """
+    report, options = model.report, given.options()
+    taken = {f"known_{name}": v for name, v in used.options().items() if isinstance(v, float) and options[name] is None}
+    model = replace(model, report=replace(report, options=options, details=report.details | taken))
+    load = report.parameters.get("c3_n")
+    if weight_n is None or load is None or load.std is None or abs(load.value - weight_n) <= _DIFFERS * load.std:
+        return model
+    line = Message(
+        "analysis.load_is_not_weight",
+        "C3 of {load:.2f} ± {std:.2f} N is not the weight of the moving part, {weight:.2f} N: the exponential does not "
+        "describe the tissue down to its surface",
+        load=load.value,
+        std=load.std,
+        weight=weight_n,
+    )
+    return model.with_report(findings=(*report.findings, line))
 
 
 def _without_spring(model: Model, spring_n_per_m: float) -> Model:

@@ -256,6 +256,16 @@ class Engine(BaseModel, ABC):
             UnusableInputError: the record is not sufficient for this fit; the message gives the reason.
         """
 
+    def with_test_values(self, surface_position_m: float | None, weight_n: float | None) -> Self:
+        """Return the specification with what the test knows about its placement, for options that are not given.
+
+        Args:
+            surface_position_m: position of the tissue surface, m; None if unknown.
+            weight_n: weight of the moving part along the stroke, N into the tissue; None if unknown. The signal force
+                does not include it.
+        """
+        return self
+
     @classmethod
     def from_options(cls, options: Mapping[str, Any]) -> Self:
         """Return the specification with options from a command line or a form.
