@@ -10,6 +10,7 @@ import math
 from abc import ABC, abstractmethod
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
+from functools import wraps
 from typing import Any, ClassVar, Literal, Self
 
 import numpy as np
@@ -17,6 +18,7 @@ from numpy.typing import NDArray
 from pydantic import BaseModel, ConfigDict, ValidationError
 
 from tissueid.errors import UnusableInputError
+from tissueid.identification.blas_threads import one_blas_thread
 from tissueid.identification.depth_profile import DepthProfile
 from tissueid.identification.model_family import Family
 from tissueid.messages import Message, stored
@@ -240,8 +242,10 @@ class Engine(BaseModel, ABC):
 
     @classmethod
     def __pydantic_init_subclass__(cls, **kwargs: Any) -> None:
-        """Fill label and title of an engine that does not declare them."""
+        """Fill label and title of an engine that does not declare them, and limit the threads of its fits."""
         super().__pydantic_init_subclass__(**kwargs)
+        if "fit" in cls.__dict__ and not getattr(cls.fit, "__isabstractmethod__", False):
+            setattr(cls, "fit", _with_one_thread(cls.fit))  # noqa: B010
         name = getattr(cls, "name", "")
         if "label" not in cls.__dict__:
             cls.label = name[:1].upper() + name[1:]
@@ -282,6 +286,15 @@ class Engine(BaseModel, ABC):
     def options(self) -> dict[str, Any]:
         """Return the options as plain values for JSON."""
         return self.model_dump(mode="json")
+
+
+def _with_one_thread(fit: Callable[..., Model]) -> Callable[..., Model]:
+    @wraps(fit)
+    def fitted(*args: Any, **options: Any) -> Model:
+        with one_blas_thread():
+            return fit(*args, **options)
+
+    return fitted
 
 
 def check_horizon(horizon: int) -> None:
