@@ -7,6 +7,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
+from tissueid.analysis.actuator import Actuator
 from tissueid.configuration import has_depth, spring_of
 from tissueid.device import GRAVITY_M_S2, DeviceDescription
 from tissueid.errors import UnusableInputError
@@ -42,6 +43,7 @@ class Split:
     the stiffness of the external spring parallel to the tissue in all of them; 0 unless the record is force and
     position. ``surface_position_m`` is the position of the tissue surface, and ``weight_n`` the weight of the moving
     part along the stroke, N into the tissue, which the signal force does not include; None unless the tests know it.
+    ``actuator`` is the moving part of the instrument where the tissue alone is to be reported.
 
     Several tests are joined with a gap between each two; no engine uses samples across a gap. Their held-out parts are
     separate stretches: ``held_out_record`` then holds the whole input, which a free run needs, and NaN for every
@@ -60,6 +62,7 @@ class Split:
     configuration: str = "indentation"
     surface_position_m: float | None = None
     weight_n: float | None = None
+    actuator: Actuator | None = None
 
     @property
     def fitted(self) -> Record:
