@@ -13,7 +13,7 @@ from tissueid.acquisition.playback import Phase, Progress
 from tissueid.acquisition.surface_detection import PLACE_S
 from tissueid.app.safety import Safety, SafetyWatch
 from tissueid.device import DeviceDescription
-from tissueid.instrument import force
+from tissueid.instrument.force_profile import recorded_force
 
 if TYPE_CHECKING:
     from tissueid.acquisition.live import LiveIdentification
@@ -87,7 +87,8 @@ class LiveSignals:
             placing = progress.phase is Phase.PLACE
             first = self._first_index.setdefault(placing, int(samples["index"][0]))
             time_s = (samples["index"] - first) / device.sample_rate_hz - (PLACE_S if placing else 0.0)
-            rows = np.stack([time_s, force(samples, device), samples["position"], samples["voltage"]])  # (4, k)
+            force_n = recorded_force(samples, device)
+            rows = np.stack([time_s, force_n, samples["position"], samples["voltage"]])  # (4, k)
             capacity = self._ring.shape[1]
             places = (self._added + np.arange(samples.size)) % capacity
             self._ring[:, places[-capacity:]] = rows[:, -capacity:]

@@ -22,11 +22,12 @@ from tissueid.records import Estimate
 Name = TypeVar("Name", bound=str)
 
 _STIFFNESS = "stiffness_n_per_m"
+_BY_DIRECTION = ("stiffness_in_n_per_m", "stiffness_out_n_per_m")
 
 
 def has_stiffness(parameters: Mapping[str, Estimate]) -> bool:
     """Return whether the parameters include a stiffness in N/m."""
-    return any(name.endswith(_STIFFNESS) for name in parameters)
+    return any(name.endswith((_STIFFNESS, *_BY_DIRECTION)) for name in parameters)
 
 
 def without_spring(parameters: Mapping[Name, Estimate], spring_n_per_m: float) -> dict[Name, Estimate]:
@@ -46,7 +47,7 @@ def profile_without_spring(profile: DepthProfile, spring_n_per_m: float) -> Dept
 
 
 def _is_stiffness(name: str) -> bool:
-    return name == "stiffness" or name.endswith(_STIFFNESS)
+    return name in ("stiffness", *_BY_DIRECTION) or name.endswith(_STIFFNESS)
 
 
 Complex = NDArray[np.complex128]

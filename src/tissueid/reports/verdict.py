@@ -10,6 +10,7 @@ import numpy as np
 
 from tissueid.analysis import Analysis
 from tissueid.analysis.curves.signals import lost_samples
+from tissueid.analysis.split import SURFACE_KNOWN_TO_M
 from tissueid.formatting import estimate, fixed, label_and_unit, number
 from tissueid.identification import label_of, report_engines
 from tissueid.identification.engines.wiener import WienerModel
@@ -33,8 +34,6 @@ UNSTEADY_POINTS = 10.0
 """Points of VAF by which fitted and held-out parts may differ before the test is called unsteady."""
 LOST_SHARE = 0.01
 LIFTED_SHARE = 0.001
-SURFACE_KNOWN_TO_M = 0.3e-3
-"""How far the surface found at placing may be off."""
 
 _SEVERITY: tuple[Level, ...] = ("good", "check", "poor")
 _VERDICTS: dict[Level, QualityVerdict] = {"good": "good", "check": "look", "poor": "repeat"}
