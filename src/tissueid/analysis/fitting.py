@@ -17,9 +17,13 @@ from tissueid.identification.depth_profile import DepthProfile
 from tissueid.identification.registry import get_engine, report_engines
 from tissueid.identification.second_order import has_stiffness, profile_without_spring, without_spring
 from tissueid.identification.validation import validated
+from tissueid.language import marked
 from tissueid.messages import Message
-from tissueid.records import Record
+from tissueid.records import Record, joined
 from tissueid.sessions import Session, Test
+
+NOTHING_HELD_OUT = marked("the fitted samples: nothing was held out")
+"""What an analysis of whole tests was validated on."""
 
 
 @dataclass(frozen=True)
@@ -124,6 +128,31 @@ def fit_split(specification: Engine, parts: Split) -> Analysis:
         parts.held_out,
         parts.tests[0],
         parts.validated_on,
+        parts.tests,
+        parts.external_spring_n_per_m,
+        parts.configuration,
+    )
+
+
+def fit_whole(specification: Engine, parts: Split) -> Analysis:
+    """Fit a specification to the whole tests of a split; nothing is held out, and the report has no held-out score.
+
+    The held-out part of the analysis is the fitted one, so that its figures show the fitted samples.
+
+    Raises:
+        UnusableInputError: the record cannot carry the fit.
+    """
+    record = joined(parts.records)
+    whole = slice(0, len(record))
+    model, seconds = timed_fit(specification, record, None)
+    return Analysis(
+        _without_spring(model.with_report(seconds=seconds), parts.external_spring_n_per_m),
+        record,
+        whole,
+        record,
+        whole,
+        parts.tests[0],
+        NOTHING_HELD_OUT,
         parts.tests,
         parts.external_spring_n_per_m,
         parts.configuration,

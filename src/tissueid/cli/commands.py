@@ -21,6 +21,7 @@ if TYPE_CHECKING:  # plans are imported when their command is used
     from tissueid.procedures.identification import EnginesPlan, IdentificationPlan
     from tissueid.procedures.import_export import ExportPlan, ImportPlan
     from tissueid.procedures.instrument_queries import DevicesPlan
+    from tissueid.procedures.overlay import OverlayPlan, RepeatsPlan
     from tissueid.procedures.quality import QualityPlan
     from tissueid.procedures.recovery import RecoveryPlan
     from tissueid.procedures.report import ReportPlan
@@ -174,6 +175,28 @@ def compare(plan: ComparePlan, json_file: JsonFile = None) -> None:
     from tissueid.cli.compare import compare_session
 
     compare_session(plan, json_file)
+
+
+@add_command(app, "overlay", "overlay")
+def overlay(plan: OverlayPlan, json_file: JsonFile = None) -> None:
+    """Fit several tests, of one session or of several, and draw them in one figure.
+
+    Depth profiles over the calibration, Bode diagrams, nonlinearities, kernels and scores.
+    """
+    from tissueid.cli.overlay import overlay_tests
+
+    overlay_tests(plan, json_file)
+
+
+@add_command(app, "repeats", "overlay")
+def repeats(plan: RepeatsPlan, json_file: JsonFile = None) -> None:
+    """Fit several tests and print mean, SD and CV of every parameter by site.
+
+    Without TESTS all stochastic tests of a session are taken.
+    """
+    from tissueid.cli.overlay import repeated_tests
+
+    repeated_tests(plan, json_file)
 
 
 @add_command(app, "recover", "recovery")
