@@ -25,6 +25,7 @@ if TYPE_CHECKING:  # plans are imported when their command is used
     from tissueid.procedures.quality import QualityPlan
     from tissueid.procedures.recovery import RecoveryPlan
     from tissueid.procedures.report import ReportPlan
+    from tissueid.procedures.reproduction import ReproductionPlan
     from tissueid.procedures.stimulus_design import StimulusPlan
     from tissueid.procedures.test_plan import TestPlan
 
@@ -197,6 +198,17 @@ def repeats(plan: RepeatsPlan, json_file: JsonFile = None) -> None:
     from tissueid.cli.overlay import repeated_tests
 
     repeated_tests(plan, json_file)
+
+
+@add_command(app, "reproduce", "reproduction")
+def reproduce(plan: ReproductionPlan, json_file: JsonFile = None) -> None:
+    """Make figures and tables of the thesis from simulated tests.
+
+    Its numbers stand beside those found here. Without --out, lists them.
+    """
+    from tissueid.cli.reproduce import reproduce_figures
+
+    reproduce_figures(plan, json_file)
 
 
 @add_command(app, "recover", "recovery")

@@ -103,14 +103,21 @@ class OverlayReport:
         return as_csv(self.plots)
 
 
-def overlay_report(found: Overlay, calibration: curves.Columns | None = None) -> OverlayReport:
+def overlay_report(
+    found: Overlay, calibration: curves.Columns | None = None, keys: Sequence[str] | None = None
+) -> OverlayReport:
     """Draw the figures of an overlay; those that its fits cannot give are left out, and all but one of a sweep.
 
-    ``calibration`` holds the columns of a dynamic sweep that are drawn under the depth profiles.
+    Args:
+        found: the fits.
+        calibration: columns of a dynamic sweep that are drawn under the depth profiles.
+        keys: names of the figures to draw; None for all.
     """
     pictures: list[Picture] = []
     plots: list[Plot] = []
     for one in _DRAWINGS[:1] if found.swept else (_depth(calibration), *_DRAWINGS):
+        if keys is not None and one.key not in keys:
+            continue
         try:
             rows = one.plots(found)
         except UnusableInputError:
@@ -184,12 +191,11 @@ def _lobes(found: Overlay) -> str:
         if isinstance(model, VolterraModel) and model.kernel2 is not None:
             lobes = kernels.kernel_lobes(model.kernel2, model.lag_spacing / model.sample_rate_hz)
             said.append(
-                _("{name}: peak at {lag} ms, {width} ms wide, side lobes {before} and {after} % of it").format(
+                _("{name}: peak at {lag} ms, {width} ms wide, lobes of {beside} % beside the diagonal").format(
                     name=found.label(entry),
                     lag=fixed(1e3 * lobes.lag_s, 1),
                     width=fixed(1e3 * lobes.width_s, 1),
-                    before=fixed(100.0 * lobes.side[0], 0),
-                    after=fixed(100.0 * lobes.side[1], 0),
+                    beside=fixed(100.0 * lobes.beside, 0),
                 )
             )
     return f"{'; '.join(said)}."

@@ -165,14 +165,15 @@ def _volterra(found: Overlay) -> list[OverlayEntry]:
 class Lobes:
     """Shape of a second-order kernel about its largest value on the diagonal, at ``lag_s`` (Chen 2010, Fig. 4.5).
 
-    ``width_s`` is the width at half height across the diagonal; ``side`` the largest values of the opposite sign before
-    and after it along the diagonal, relative to it.
+    ``width_s`` is the width at half height across the diagonal. ``beside`` is the largest value of the opposite sign off
+    the diagonal, on the line across it through the peak, and ``along`` that on the diagonal; both relative to the peak.
     """
 
     lag_s: float
     negative: bool
     width_s: float
-    side: tuple[float, float]
+    beside: float
+    along: float
 
 
 def kernel_lobes(kernel: Array, spacing_s: float) -> Lobes:
@@ -185,9 +186,14 @@ def kernel_lobes(kernel: Array, spacing_s: float) -> Lobes:
     line = map_coordinates(kernel / diagonal[peak], [peak + across, peak - across], order=3)
     low = across[line < 0.5]
     right, left = low[low > 0.0].min(initial=peak), low[low < 0.0].max(initial=-peak)
-    opposite = -diagonal / diagonal[peak]
-    sides = float(opposite[:peak].max(initial=0.0)), float(opposite[peak:].max(initial=0.0))
-    return Lobes(peak * spacing_s, bool(diagonal[peak] < 0.0), float(right - left) * spacing_s, sides)
+    along = float((-diagonal / diagonal[peak]).max(initial=0.0))
+    return Lobes(
+        lag_s=peak * spacing_s,
+        negative=bool(diagonal[peak] < 0.0),
+        width_s=float(right - left) * spacing_s,
+        beside=float((-line).max(initial=0.0)),
+        along=along,
+    )
 
 
 __all__ = ["Lobes", "first_kernels", "kernel_lobes", "partition_columns", "second_kernels"]

@@ -455,7 +455,7 @@ def sweep_overlay(found: Overlay) -> tuple[Plot, Plot]:
         fitted = np.array([e.scheduled_percent or e.analysis.model.report.vaf_percent for e in entries])
         criterion = [e.analysis.model.report.aicc if e.scheduled_aicc is None else e.scheduled_aicc for e in entries]
         aicc = 1e-3 * np.array([np.nan if value is None else value for value in criterion])
-        style = COLOURS[place % len(COLOURS)], KINDS[place // len(COLOURS) % len(KINDS)]
+        style = COLOURS[place % len(COLOURS)], KINDS[place % len(KINDS)]
         name = _series_name(found, source, fit)
         for into, values in ((upper, fitted), (lower, aicc)):
             line = Curve(x, values, name, *style, width=0.9)
