@@ -3,13 +3,13 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Iterable, Sequence
-from dataclasses import asdict, dataclass
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import asdict
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
 from tissueid.atomic_write import private_folder
-from tissueid.errors import UnusableInputError
+from tissueid.errors import CancelledError, TissueIDError, UnusableInputError
 from tissueid.language import marked
 from tissueid.messages import Message, Verbatim
 from tissueid.procedures.control import Control
@@ -19,8 +19,8 @@ from tissueid.procedures.plan_options import Option, Plan
 
 if TYPE_CHECKING:  # each takes long to import
     from tissueid.instrument import Instrument
-    from tissueid.procedures.thesis_figures import Recording, Row, ThesisFigure
-    from tissueid.reports.overlay import OverlayReport
+    from tissueid.procedures.thesis_figures import Recording, ThesisFigure
+    from tissueid.reports.reproduction import ReproducedFigure
 
 _SESSIONS, _FIGURES = "sessions", "figures"
 _RESULTS, _PAGE = "results.json", "report.html"
@@ -50,17 +50,6 @@ class ReproductionPlan(Plan):
     quick: Annotated[bool, Option("--quick", help="fewer repeats; the same figures")] = False
 
 
-@dataclass(frozen=True, eq=False)
-class ReproducedFigure:
-    """A figure with its comparison; ``why`` says why it could not be made."""
-
-    number: str
-    title: str
-    rows: tuple[Row, ...] = ()
-    why: str = ""
-    report: OverlayReport | None = None
-
-
 def listed_figures() -> tuple[tuple[str, str], ...]:
     """Return number and title of every figure."""
     from tissueid.procedures.thesis_figures import FIGURES
@@ -75,7 +64,7 @@ def run_reproduction(plan: ReproductionPlan, control: Control) -> tuple[Reproduc
 
     Raises:
         UnusableInputError: a figure is unknown, the folder holds other files, or a file cannot be written.
-        InstrumentError: the simulated instrument failed.
+        InstrumentError: the simulated instrument did not start.
         CancelledError: it was cancelled; recorded sessions are kept.
     """
     from tissueid.procedures.thesis_figures import FIGURES
@@ -99,12 +88,12 @@ def run_reproduction(plan: ReproductionPlan, control: Control) -> tuple[Reproduc
     _check_folder(plan.out)
     sessions = plan.out / _SESSIONS
     private_folder(sessions)
-    _record((source.recording for figure in chosen for source in figure.sources), sessions, control)
+    failed = _record((source.recording for figure in chosen for source in figure.sources), sessions, control)
     made = []
     for place, figure in enumerate(chosen):
         control.progress(place / len(chosen), Message("reproduce.fitting", _FITTING, number=figure.number))
         control.check()
-        made.append(_reproduced(figure, sessions, calibration if figure.calibration else None))
+        made.append(_reproduced(figure, sessions, calibration if figure.calibration else None, failed, plan.quick))
     try:
         _write(plan.out, made)
     except OSError as error:
@@ -151,32 +140,36 @@ def _check_folder(out: Path) -> None:
         )
 
 
-def _record(recordings: Iterable[Recording], folder: Path, control: Control) -> None:
-    """Play the tests that are not yet in the folder; those of one tissue on one simulated instrument.
+def _record(recordings: Iterable[Recording], folder: Path, control: Control) -> dict[str, str]:
+    """Play the tests that are not yet in the folder, each on a simulated instrument of its own.
+
+    Return why a test could not be recorded, by its name.
 
     Raises:
-        InstrumentError: the simulated instrument failed.
         CancelledError: it was cancelled.
     """
+    from tissueid.acquisition import journal_path
     from tissueid.instrument import open_instrument
     from tissueid.procedures.demo import firmware_process
 
-    missing: dict[str, dict[str, Recording]] = {}
-    for one in recordings:
-        if not (folder / f"{one.name}.h5").exists():
-            missing.setdefault(one.preset, {})[one.name] = one
-    total, done = sum(map(len, missing.values())), 0
-    for preset, tests in missing.items():
-        with firmware_process(preset, _SEED) as url:
+    missing = {one.name: one for one in recordings if not (folder / f"{one.name}.h5").exists()}
+    failed: dict[str, str] = {}
+    for done, one in enumerate(missing.values()):
+        control.check()
+        control.progress(done / len(missing), Message("reproduce.recording", _RECORDING, name=Verbatim(one.name)))
+        path = folder / f"{one.name}.h5"
+        journal_path(path).unlink(missing_ok=True)  # of an earlier attempt; it holds a simulated test
+        with firmware_process(one.preset, _SEED) as url:  # of its own, with a cool coil
             instrument = open_instrument(url)
             try:
-                for one in tests.values():
-                    control.check()
-                    control.progress(done / total, Message("reproduce.recording", _RECORDING, name=Verbatim(one.name)))
-                    _play(instrument, one, folder / f"{one.name}.h5")
-                    done += 1
+                _play(instrument, one, path)
+            except CancelledError:
+                raise
+            except TissueIDError as error:
+                failed[one.name] = error.message
             finally:
                 instrument.close()
+    return failed
 
 
 def _play(instrument: Instrument, recording: Recording, path: Path) -> None:
@@ -205,12 +198,20 @@ def _play(instrument: Instrument, recording: Recording, path: Path) -> None:
     recorder.finish()
 
 
-def _reproduced(figure: ThesisFigure, folder: Path, calibration: Any) -> ReproducedFigure:
+def _reproduced(
+    figure: ThesisFigure, folder: Path, calibration: Any, failed: Mapping[str, str], quick: bool
+) -> ReproducedFigure:
     """Return a figure from its sessions, or the reason why it could not be made."""
     from tissueid.analysis.overlay import TestSource, overlay
     from tissueid.reports.overlay import overlay_report
+    from tissueid.reports.reproduction import ReproducedFigure
     from tissueid.sessions import read_session
 
+    if figure.study is not None:
+        drawn, studied = figure.study(quick)
+        return ReproducedFigure(figure.number, figure.title, tuple(studied), report=drawn)
+    if lacking := [failed[s.recording.name] for s in figure.sources if s.recording.name in failed]:
+        return ReproducedFigure(figure.number, figure.title, why=lacking[0])
     try:
         sources = [
             TestSource(one.label, read_session(folder / f"{one.recording.name}.h5"), (1,), one.fits)

@@ -1,7 +1,7 @@
 """Recipes of the figures and tables of the thesis: tests on simulated tissues, fits, and what the thesis found.
 
-A recipe is one declaration in ``FIGURES``. Its tests are played on the simulated firmware, whose presets are named after
-the sites and systems of the thesis; its comparison sets the thesis' numbers beside those of the fits.
+A recipe is one declaration in ``FIGURES``. Its tests are played on the simulated firmware, whose presets have the names
+of the sites and systems of the thesis; its comparison sets the thesis' numbers beside those of the fits.
 """
 
 from __future__ import annotations
@@ -15,10 +15,13 @@ import numpy as np
 from tissueid.analysis.curves.kernel_overlay import kernel_lobes
 from tissueid.analysis.curves.overlay import loop_width
 from tissueid.analysis.overlay import Overlay, OverlayEntry, RepeatedValue, repeated_values, series_profiles
+from tissueid.analysis.partition_error import partition_errors
 from tissueid.formatting import fixed, number
 from tissueid.identification.engines.lms import LmsModel
 from tissueid.identification.volterra.model import VolterraModel
 from tissueid.language import marked
+from tissueid.reports.overlay import DrawnFigures, partition_error_figures
+from tissueid.reports.reproduction import Row
 
 if TYPE_CHECKING:
     from tissueid.identification.depth_profile import DepthProfile
@@ -54,19 +57,11 @@ class Source:
 
 
 @dataclass(frozen=True)
-class Row:
-    """A quantity, the value of the thesis and the value here."""
-
-    what: str
-    thesis: str
-    here: str
-
-
-@dataclass(frozen=True)
 class ThesisFigure:
     """A figure or table: tests, fits ([LABEL=]ENGINE,OPTION=VALUE), pictures, and the comparison.
 
     ``pictures`` are keys of ``reports.overlay``; the other arguments are those of ``analysis.overlay.overlay``.
+    ``study`` makes figures and rows of a figure without tests instead; its argument is whether the run is quick.
     """
 
     number: str
@@ -79,11 +74,18 @@ class ThesisFigure:
     downsample: int = 1
     sweep: tuple[str, tuple[float, ...]] = ("", ())
     calibration: bool = False
+    study: Callable[[bool], tuple[DrawnFigures, Sequence[Row]]] | None = None
 
 
 def _white(name: str, preset: str, force_n: tuple[float, float] = (-3.5, 10.5)) -> Recording:
     """Return a test with an input that is white at every fourth sample of 2 kHz: 500 Hz (thesis 4.3.3)."""
     return Recording(name, preset, force_n, seed=2, options=(("spectrum", "band"), ("cutoff_hz", 250.0)))
+
+
+def _low_passed(cutoff_hz: float) -> Recording:
+    """Return a test that stays on the skin, with noise up to a cutoff (thesis 5.3.3)."""
+    name, options = f"{POSTERIOR}-{cutoff_hz:.0f}hz", (("cutoff_hz", cutoff_hz),)
+    return Recording(name, POSTERIOR, (0.5, 10.5), seconds=8.0, seed=7, options=options)
 
 
 def _localized(preset: str) -> tuple[Recording, ...]:
@@ -116,8 +118,8 @@ def _range_tests() -> tuple[Source, ...]:
     found = []
     for preset, (label, (low, high)) in _SYSTEMS.items():
         middle, half = 0.5 * (low + high), 0.5 * _SMALL_SHARE * (high - low)
-        found.append(Source(f"{label}, 100 %", Recording(f"{preset}-full", preset, (low, high))))
-        found.append(Source(f"{label}, 5 %", Recording(f"{preset}-small", preset, (middle - half, middle + half))))
+        found.append(Source(label, Recording(f"{preset}-full", preset, (low, high))))
+        found.append(Source(label, Recording(f"{preset}-small", preset, (middle - half, middle + half))))
     return tuple(found)
 
 
@@ -168,8 +170,7 @@ def _range_rows(found: Overlay) -> list[Row]:
     rows = []
     for label, said in thesis.items():
         shares = []
-        for range_percent in (100, 5):
-            entry = _entry(found, f"{label}, {range_percent} %")
+        for range_percent, entry in zip((100, 5), [one for one in found.entries if one.source == label], strict=True):
             output = entry.analysis.record.output
             share = 100.0 * loop_width(entry) / float(np.nanmax(output) - np.nanmin(output))
             shares.append(f"{range_percent} %: {fixed(share, 1)} %")
@@ -188,9 +189,7 @@ def _loop_rows(found: Overlay) -> list[Row]:
 
 def _stiffness_rows(found: Overlay, fit: str) -> list[Row]:
     series = series_profiles(found, from_surface=True)
-    made = []
-    for site in (POSTERIOR, ANTERIOR):
-        made.append((_SITES[site], series[_SITES[site], fit]))
+    made = [(_SITES[site], series[_SITES[site], fit]) for site in (POSTERIOR, ANTERIOR)]
     rows = []
     for (site, profile), said in zip(
         made, (marked("stiffer at every depth"), marked("softer at every depth")), strict=True
@@ -296,6 +295,27 @@ def _strategy_rows(found: Overlay) -> list[Row]:
     thesis = {"raw": "94.8 %", "filtered": "90.4 %", "downsampled": "96.4 %", "white": "94.5 %"}
     rows = [Row(f"VAF, {fit}", said, _percent(_vaf(found, fit=fit))) for fit, said in thesis.items()]
     return [*rows, Row("VAF, regularised", "not in the thesis", _percent(_vaf(found, fit="regularised")))]
+
+
+def _partition_study(quick: bool) -> tuple[DrawnFigures, list[Row]]:
+    """Return the error of partitions against continuous length and repetitions (Fig. 5.2)."""
+    lengths, repetitions = (20, 50, 100, 200, 500, 1000), (1, 2, 5, 10)
+    errors = partition_errors(lengths, repetitions, range(1 if quick else 5))
+    enough = [one.mean_percent for one in errors if one.points >= 500 and np.isfinite(one.mean_percent)]
+    few = [one for one in errors if one.points < 500]
+    said = ", ".join(
+        f"{one.points}: {_percent(one.mean_percent) if np.isfinite(one.mean_percent) else 'no fit'}" for one in few
+    )
+    longest = max(errors, key=lambda one: one.points)
+    return partition_error_figures(errors), [
+        Row(marked("error of M, B and K from 500 samples on"), marked("under 5 %"), f"at most {_percent(max(enough))}"),
+        Row(marked("with fewer samples"), marked("larger"), said),
+        Row(
+            marked("trend with length and repetitions"),
+            marked("falls with both"),
+            f"{_percent(longest.mean_percent)} at {longest.points}",
+        ),
+    ]
 
 
 def _six_rows(found: Overlay) -> list[Row]:
@@ -510,8 +530,8 @@ FIGURES: tuple[ThesisFigure, ...] = (
         "4.5",
         marked("Second-order kernel of a DPN system beside that of a Wiener system"),
         tuple(
-            Source(label, _white(f"{preset}-white", preset, (0.5, 11.5)))
-            for label, preset in (("DPN", DPN), ("Wiener", WIENER))
+            Source(label, _white(f"{preset}-white", preset, force_n))
+            for label, preset, force_n in (("DPN", DPN, (-11.0, 11.5)), ("Wiener", WIENER, (0.5, 11.5)))
         ),
         (f"second={_EXACT},downsample=1,memory=0.08",),
         ("second-kernels", "first-kernels"),
@@ -582,6 +602,15 @@ FIGURES: tuple[ThesisFigure, ...] = (
         _strategy_rows,
     ),
     ThesisFigure(
+        "5.2",
+        marked("Error of depth partitions against continuous length and repetitions"),
+        (),
+        (),
+        (),
+        lambda _found: (),
+        study=_partition_study,
+    ),
+    ThesisFigure(
         "5.6",
         marked("Six depth partitions of a Wiener system, a DPN system and skin (Figs. 5.6 to 5.8)"),
         (
@@ -610,11 +639,8 @@ FIGURES: tuple[ThesisFigure, ...] = (
         "5.10",
         marked("Depth partitions with an input to 50 Hz and to 200 Hz"),
         (
-            Source(
-                "50 Hz",
-                Recording(f"{POSTERIOR}-50hz", POSTERIOR, seconds=8.0, seed=7, options=(("cutoff_hz", 50.0),)),
-            ),
-            Source("200 Hz", _LARGE[POSTERIOR]),
+            Source("50 Hz", _low_passed(50.0)),
+            Source("200 Hz", _low_passed(200.0)),
         ),
         ("depth",),
         ("depth",),

@@ -3,44 +3,39 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Protocol
 
 from tissueid import __version__
 from tissueid.language import _
 from tissueid.messages import translated
 from tissueid.reports.blocks import FigureGroup
 from tissueid.reports.html import RESEARCH_LINE, template, write_text_atomically
-from tissueid.reports.overlay import OverlayReport, overlay_scores
+from tissueid.reports.overlay import DrawnFigures, OverlayReport, overlay_scores
 from tissueid.reports.tables import Table
 
 
-class _Row(Protocol):
-    @property
-    def what(self) -> str: ...
-    @property
-    def thesis(self) -> str: ...
-    @property
-    def here(self) -> str: ...
+@dataclass(frozen=True)
+class Row:
+    """A quantity, the value of the thesis and the value here."""
+
+    what: str
+    thesis: str
+    here: str
 
 
-class Reproduced(Protocol):
-    """A figure of the thesis, its comparison and its pictures; ``why`` says why there are none."""
+@dataclass(frozen=True, eq=False)
+class ReproducedFigure:
+    """A figure of the thesis with its comparison and its pictures; ``why`` says why it could not be made."""
 
-    @property
-    def number(self) -> str: ...
-    @property
-    def title(self) -> str: ...
-    @property
-    def rows(self) -> Sequence[_Row]: ...
-    @property
-    def why(self) -> str: ...
-    @property
-    def report(self) -> OverlayReport | None: ...
+    number: str
+    title: str
+    rows: tuple[Row, ...] = ()
+    why: str = ""
+    report: DrawnFigures | None = None
 
 
-def write_reproduction(path: Path, made: Sequence[Reproduced]) -> None:
+def write_reproduction(path: Path, made: Sequence[ReproducedFigure]) -> None:
     """Write the page of all figures atomically.
 
     Raises:
@@ -69,7 +64,7 @@ def write_reproduction(path: Path, made: Sequence[Reproduced]) -> None:
     )
 
 
-def comparison(figure: Reproduced) -> Table:
+def comparison(figure: ReproducedFigure) -> Table:
     """Return the numbers of the thesis beside those found here."""
     return Table(
         f"{figure.number}. {translated(figure.title)}",
@@ -78,13 +73,13 @@ def comparison(figure: Reproduced) -> Table:
     )
 
 
-def _scores(made: Sequence[Reproduced]) -> list[Table]:
+def _scores(made: Sequence[ReproducedFigure]) -> list[Table]:
     tables = []
     for one in made:
-        if one.report is not None and not one.report.found.swept:
+        if isinstance(one.report, OverlayReport) and not one.report.found.swept:
             table = overlay_scores(one.report.found)
             tables.append(replace(table, caption=f"{one.number}. {table.caption}"))
     return tables
 
 
-__all__ = ["Reproduced", "comparison", "write_reproduction"]
+__all__ = ["ReproducedFigure", "Row", "comparison", "write_reproduction"]

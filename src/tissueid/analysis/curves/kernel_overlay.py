@@ -18,6 +18,7 @@ from tissueid.identification.partitions.model import PartitionedModel
 from tissueid.identification.volterra.model import VolterraModel
 from tissueid.language import marked
 from tissueid.messages import Message
+from tissueid.units import display_unit
 
 _NO_VOLTERRA = Message("overlay.no_volterra", "no fit has Volterra kernels")
 _NO_PARTITIONS = Message("overlay.no_partitions", "no fit has kernels by depth")
@@ -121,7 +122,10 @@ def partition_columns(found: Overlay) -> list[tuple[Plot, Plot, Plot]]:
         title = _with_vaf(found.label(entry), entry.scheduled_percent or analysis.model.report.vaf_percent)
         cloud = cloud_plot(run.predicted, run.measured, run.output_unit, colour=style_of(found, entry)[0])
         image = kernels_by_depth(model, analysis.record)
-        made.append((replace(output, title=title), cloud, replace(image, title="")))
+        low, high = display_unit(run.output_unit)[1] * model.breakpoints_m[[0, -1]]
+        depth = replace(image.y, limits=(float(low), float(high)))  # of its own, so that no other plot shares it
+        image = replace(image, title="", y=depth)
+        made.append((replace(output, title=title, y=replace(output.y, limits=depth.limits)), cloud, image))
     if not made:
         raise UnusableInputError(_NO_PARTITIONS)
     return made
@@ -165,15 +169,14 @@ def _volterra(found: Overlay) -> list[OverlayEntry]:
 class Lobes:
     """Shape of a second-order kernel about its largest value on the diagonal, at ``lag_s`` (Chen 2010, Fig. 4.5).
 
-    ``width_s`` is the width at half height across the diagonal. ``beside`` is the largest value of the opposite sign off
-    the diagonal, on the line across it through the peak, and ``along`` that on the diagonal; both relative to the peak.
+    ``width_s`` is the width at half height across the diagonal. ``beside`` is the largest value of the opposite sign,
+    which lies on either side of the diagonal, relative to the peak.
     """
 
     lag_s: float
     negative: bool
     width_s: float
     beside: float
-    along: float
 
 
 def kernel_lobes(kernel: Array, spacing_s: float) -> Lobes:
@@ -186,13 +189,11 @@ def kernel_lobes(kernel: Array, spacing_s: float) -> Lobes:
     line = map_coordinates(kernel / diagonal[peak], [peak + across, peak - across], order=3)
     low = across[line < 0.5]
     right, left = low[low > 0.0].min(initial=peak), low[low < 0.0].max(initial=-peak)
-    along = float((-diagonal / diagonal[peak]).max(initial=0.0))
     return Lobes(
         lag_s=peak * spacing_s,
         negative=bool(diagonal[peak] < 0.0),
         width_s=float(right - left) * spacing_s,
-        beside=float((-line).max(initial=0.0)),
-        along=along,
+        beside=float((-kernel / diagonal[peak]).max(initial=0.0)),
     )
 
 

@@ -10,7 +10,7 @@ import numpy as np
 from tissueid.analysis.curves.depth import QUANTITIES, limits_of, profile_curve, range_of
 from tissueid.analysis.curves.linear import excited, impulse_curve, response_axes, response_curves, spectra_of
 from tissueid.analysis.curves.nonlinearity import linear_output
-from tissueid.analysis.curves.plot import CONFIDENCE, DEPTHS, Array, Axis, Curve, Kind, Plot, depth_roles
+from tissueid.analysis.curves.plot import CONFIDENCE, DEPTHS, Array, Axis, Curve, Kind, Plot, cloud, depth_roles
 from tissueid.analysis.curves.units import FREQUENCY, LAG, kernel_unit, signal_axis
 from tissueid.analysis.overlay import Overlay, OverlayEntry, series_profiles
 from tissueid.errors import UnusableInputError
@@ -34,6 +34,10 @@ _BAND = (0.2, 5.0)
 _POINTS = 300
 _CORRELATION_S = 0.1
 """Largest lag of the correlations of a test, s."""
+_LOOPS_S = 0.5
+"""Seconds whose samples are joined by a line."""
+_MOST_LINE = 1500
+"""Largest number of samples of that line: longer lines are drawn as ranges, which hides loops."""
 _FEW_PROFILES = Message("overlay.no_profile", "no fit gives mass, damping and stiffness of force and position")
 _NO_NONLINEARITY = Message("overlay.no_nonlinearity", "no fit is a Wiener cascade, which has a static nonlinearity")
 Columns = Mapping[str, Array]
@@ -271,8 +275,8 @@ def response_overlay(found: Overlay) -> tuple[Plot, Plot, Plot]:
 def nonlinearity_overlay(found: Overlay) -> tuple[Plot, ...]:
     """Return measured output against the output of the linear stage, a panel for each source (Chen 2010, 3.11, 3.12).
 
-    Lines follow the samples in time, so that a system whose dynamics depend on its output shows loops. The curves are
-    the fitted nonlinearities. All panels have the same axes.
+    All samples are a pale cloud. A line follows a stretch of them in time, so that a system whose dynamics depend on
+    its output shows loops. Dashed, the fitted nonlinearities. Panels have the same axes where their samples overlap.
 
     Raises:
         UnusableInputError: no fit is a Wiener cascade.
@@ -285,23 +289,36 @@ def nonlinearity_overlay(found: Overlay) -> tuple[Plot, ...]:
         raise UnusableInputError(_NO_NONLINEARITY)
     record = found.entries[0].analysis.record
     (in_unit, into), out = display_unit(record.input_unit), display_unit(record.output_unit)[1]
-    made = []
+    made: list[tuple[str, list[Curve]]] = []
     for source, entries in panels.items():
-        parts: list[Curve] = []
+        clouds, lines, curves = list[Curve](), list[Curve](), list[Curve]()
         colours = depth_roles(len(entries)) if len(entries) > 1 else [colour_of(found, source, entries[0].fit.label)]
         for entry, colour in zip(entries, colours, strict=True):
             z, y = _static_points(entry)
-            parts.append(Curve(into * z, out * y, "", colour, "line", width=0.35, opacity=0.55))
-        for entry in entries:
-            fine = np.linspace(*_span(_static_points(entry)[0]), 100)
+            clouds.append(cloud(into * z, out * y, colour))
+            stretch = slice(0, min(_MOST_LINE, round(_LOOPS_S * entry.analysis.record.sample_rate_hz)))
+            lines.append(Curve(into * z[stretch], out * y[stretch], "", colour, width=0.5))
+            fine = np.linspace(*_span(z), 100)
             model = entry.analysis.model
             assert isinstance(model, WienerModel)
-            parts.append(Curve(into * fine, out * model.nonlinearity(fine), "", "text", "dashed", width=1.0))
-        made.append((named(source), parts))
-    every = [curve for _name, parts in made for curve in parts]
-    x = Axis(signal_axis("predicted_linear_output", record.input_unit).label, in_unit, limits=_ends(every, "x"))
-    y_axis = replace(signal_axis(f"measured_{record.output_name}", record.output_unit), limits=_ends(every, "y"))
-    return tuple(Plot(name, x, y_axis, tuple(parts)) for name, parts in made)
+            curves.append(Curve(into * fine, out * model.nonlinearity(fine), "", "text", "dashed", width=1.2))
+        made.append((named(source), [*clouds, *lines, *curves]))
+    x = Axis(signal_axis("predicted_linear_output", record.input_unit).label, in_unit)
+    y_axis = signal_axis(f"measured_{record.output_name}", record.output_unit)
+    ends = [(_ends(parts, "x"), _ends(parts, "y")) for _name, parts in made]
+    if _overlapping([one[1] for one in ends]):
+        ends = [(_ends([c for _n, parts in made for c in parts], "x"), _ends([c for _n, p in made for c in p], "y"))]
+        ends *= len(made)
+    return tuple(
+        Plot(name, replace(x, limits=across), replace(y_axis, limits=along), tuple(parts))
+        for (name, parts), (across, along) in zip(made, ends, strict=True)
+    )
+
+
+def _overlapping(ranges: Sequence[tuple[float, float]]) -> bool:
+    """Return whether the middle of every range lies in every other."""
+    middles = [0.5 * (low + high) for low, high in ranges]
+    return all(low < middle < high for low, high in ranges for middle in middles)
 
 
 def loop_width(entry: OverlayEntry, bins: int = 20) -> float:
