@@ -71,6 +71,7 @@ def _error(continuous: int, repetitions: int, seeds: Sequence[int]) -> Partition
             profile = engine.fit(stepped_wiener(continuous, repetitions, seed)).depth_profile()
         except UnusableInputError:
             continue
+        assert profile is not None
         slope = _C2_PER_N * (_C1_M - profile.position) * _SYSTEM.stiffness
         truth = np.array([[_SYSTEM.mass], [_SYSTEM.damping], [_SYSTEM.stiffness]]) / slope
         values = np.array([profile.mass, profile.damping, profile.stiffness])

@@ -90,12 +90,12 @@ def depth_overlay(found: Overlay, calibration: Columns | None = None) -> tuple[P
         raise UnusableInputError(_FEW_PROFILES)
     x = Axis(marked("Depth") if from_surface else marked("Position"), "mm")
     made = []
-    for quantity, (axis, column, scale) in QUANTITIES.items():
+    for quantity, (axis, _column, _scale) in QUANTITIES.items():
         parts: list[Curve] = []
         ends: list[Array] = []
-        if calibration is not None and column in calibration:
-            parts.append(_calibration_curve(calibration, column, scale))
-            ends.append(parts[0].y)
+        if below := {} if calibration is None else calibration_curves(calibration):
+            parts += [below[quantity]] if quantity in below else []
+            ends += [curve.y for curve in parts]
         for (source, fit), profile in series.items():
             name = _series_name(found, source, fit)
             for way in (0, 1, -1):
@@ -113,6 +113,15 @@ def _series_name(found: Overlay, source: str, fit: str) -> str:
     if len(found.fits) == 1:
         return named(source)
     return named(fit if len(found.sources) == 1 else f"{source}, {fit}")
+
+
+def calibration_curves(calibration: Columns) -> dict[str, Curve]:
+    """Return mass, damping and stiffness of a dynamic sweep along the stroke, by the names of ``QUANTITIES``."""
+    return {
+        quantity: _calibration_curve(calibration, column, scale)
+        for quantity, (_axis, column, scale) in QUANTITIES.items()
+        if column in calibration
+    }
 
 
 def _calibration_curve(calibration: Columns, column: str, scale: float) -> Curve:
@@ -504,6 +513,7 @@ def _option_label(found: Overlay) -> str:
 
 __all__ = [
     "bode_by_depth",
+    "calibration_curves",
     "depth_overlay",
     "impulse_by_depth",
     "loop_width",
