@@ -144,19 +144,18 @@ def fit_whole(specification: Engine, parts: Split) -> Analysis:
     """
     record = joined(parts.records)
     whole = slice(0, len(record))
-    model, seconds = timed_fit(specification, record, None)
-    return Analysis(
-        _without_spring(model.with_report(seconds=seconds), parts.external_spring_n_per_m),
-        record,
-        whole,
-        record,
-        whole,
-        parts.tests[0],
-        NOTHING_HELD_OUT,
-        parts.tests,
-        parts.external_spring_n_per_m,
-        parts.configuration,
+    everything = replace(
+        parts,
+        record=record,
+        fit_part=whole,
+        held_out_record=record,
+        held_out=whole,
+        validated_on=NOTHING_HELD_OUT,
+        records=(),
     )
+    analysis = fit_split(specification, everything)
+    model = analysis.model.with_report(vaf_validation_percent=None, validation_p_value=None, vaf_scheduled_percent=None)
+    return replace(analysis, model=model)
 
 
 def _without_spring(model: Model, spring_n_per_m: float) -> Model:

@@ -180,7 +180,14 @@ def _parts(source: TestSource, downsample: int, input_name: str, output_name: st
     if downsample == 1:
         return parts
     kept = split_records([every(record, downsample) for record in parts.records], parts.tests)
-    return replace(kept, external_spring_n_per_m=parts.external_spring_n_per_m, configuration=parts.configuration)
+    return replace(
+        parts,
+        record=kept.record,
+        fit_part=kept.fit_part,
+        held_out_record=kept.held_out_record,
+        held_out=kept.held_out,
+        records=kept.records,
+    )
 
 
 def every(record: Record, step: int) -> Record:

@@ -89,6 +89,8 @@ def depth_overlay(found: Overlay, calibration: Columns | None = None) -> tuple[P
     if not series:
         raise UnusableInputError(_FEW_PROFILES)
     x = Axis(marked("Depth") if from_surface else marked("Position"), "mm")
+    if calibration is not None:
+        x = replace(x, limits=_near([profile.position for profile in series.values()]))
     made = []
     for quantity, (axis, _column, _scale) in QUANTITIES.items():
         parts: list[Curve] = []
@@ -107,6 +109,13 @@ def depth_overlay(found: Overlay, calibration: Columns | None = None) -> tuple[P
                     name = ""
         made.append(Plot(axis.label, x, replace(axis, limits=limits_of(np.concatenate(ends))), tuple(parts)))
     return made[0], made[1], made[2]
+
+
+def _near(positions: Sequence[Array]) -> tuple[float, float]:
+    """Return limits, mm, of the stretch of the stroke about positions (k,), m: three times as long as they are."""
+    every = 1e3 * np.concatenate(positions)
+    low, high = float(every.min()), float(every.max())
+    return max(0.0, low - (high - low) - 1.0), high + (high - low) + 1.0
 
 
 def _series_name(found: Overlay, source: str, fit: str) -> str:
