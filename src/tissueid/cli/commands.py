@@ -180,9 +180,9 @@ def compare(plan: ComparePlan, json_file: JsonFile = None) -> None:
 
 @add_command(app, "overlay", "overlay")
 def overlay(plan: OverlayPlan, json_file: JsonFile = None) -> None:
-    """Fit several tests, of one session or of several, and draw them in one figure.
+    """Draw several tests or several fits in one figure.
 
-    Depth profiles over the calibration, Bode diagrams, nonlinearities, kernels and scores.
+    The tests may be of one session or of several. Depth profiles over the calibration, Bode diagrams, nonlinearities, kernels and scores.
     """
     from tissueid.cli.overlay import overlay_tests
 
@@ -191,9 +191,9 @@ def overlay(plan: OverlayPlan, json_file: JsonFile = None) -> None:
 
 @add_command(app, "repeats", "overlay")
 def repeats(plan: RepeatsPlan, json_file: JsonFile = None) -> None:
-    """Fit several tests and print mean, SD and CV of every parameter by site.
+    """Print mean, SD and CV of every parameter over tests.
 
-    Without TESTS all stochastic tests of a session are taken.
+    Tests are grouped by site. Without TESTS all stochastic tests of a session are taken.
     """
     from tissueid.cli.overlay import repeated_tests
 
