@@ -182,7 +182,8 @@ def compare(plan: ComparePlan, json_file: JsonFile = None) -> None:
 def overlay(plan: OverlayPlan, json_file: JsonFile = None) -> None:
     """Draw several tests or several fits in one figure.
 
-    The tests may be of one session or of several. Depth profiles over the calibration, Bode diagrams, nonlinearities, kernels and scores.
+    The tests may be of one session or of several. Figures: depth profiles over the calibration, Bode diagrams,
+    nonlinearities, kernels and scores.
     """
     from tissueid.cli.overlay import overlay_tests
 

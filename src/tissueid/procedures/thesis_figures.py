@@ -99,10 +99,10 @@ def _localized(preset: str) -> tuple[Recording, ...]:
 _LARGE = {preset: Recording(f"{preset}-large", preset) for preset in (POSTERIOR, ANTERIOR, DISTAL, UPPER)}
 _WHITE = {preset: _white(f"{preset}-white", preset) for preset in (POSTERIOR, ANTERIOR, DISTAL, UPPER)}
 _SITES = {
-    POSTERIOR: marked("left posterior forearm"),
-    DISTAL: marked("left distal forearm"),
-    ANTERIOR: marked("left anterior forearm"),
-    UPPER: marked("upper arm"),
+    POSTERIOR: "left posterior forearm",
+    DISTAL: "left distal forearm",
+    ANTERIOR: "left anterior forearm",
+    UPPER: "upper arm",
 }
 _SYSTEMS = {
     LINEAR: ("linear", (0.5, 10.5)),
@@ -195,7 +195,7 @@ def _stiffness_rows(found: Overlay, fit: str) -> list[Row]:
         made, (marked("stiffer at every depth"), marked("softer at every depth")), strict=True
     ):
         ends = f"{fixed(profile.stiffness[0], 0)} to {fixed(profile.stiffness[-1], 0)} N/m"
-        rows.append(Row(f"{site}, K", f"{said}", f"{ends} from {_depths(profile)}"))
+        rows.append(Row(f"{site}, K", said, f"{ends} from {_depths(profile)}"))
     (_, one), (_, other) = made
     shared = np.linspace(max(one.position[0], other.position[0]), min(one.position[-1], other.position[-1]), 20)
     ratio = np.interp(shared, one.position, one.stiffness) / np.interp(shared, other.position, other.stiffness)
