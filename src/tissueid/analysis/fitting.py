@@ -18,12 +18,15 @@ from tissueid.identification.depth_profile import DepthProfile
 from tissueid.identification.registry import get_engine, report_engines
 from tissueid.identification.second_order import has_stiffness, profile_without_spring, without_spring
 from tissueid.identification.validation import validated
+from tissueid.language import marked
 from tissueid.messages import Message
-from tissueid.records import Record
+from tissueid.records import Record, joined
 from tissueid.sessions import Session, Test
 
 _DIFFERS = 2.6
 """Standard deviations between C3 and the weight beyond which they differ (99 % of a normal variable)."""
+NOTHING_HELD_OUT = marked("the fitted samples: nothing was held out")
+"""What an analysis of whole tests was validated on."""
 
 
 @dataclass(frozen=True)
@@ -134,9 +137,7 @@ def analyse_all(
     """Fit several engines, by default those of the test's standard report, to it. Return the analyses by engine."""
     number = None if test is None else test.number
     names = report_engines(session.test(number).record()) if engines is None else engines
-    return {
-        name: analyse(session, name, test=number, validate=validate, tissue_alone=tissue_alone) for name in names
-    }
+    return {name: analyse(session, name, test=number, validate=validate, tissue_alone=tissue_alone) for name in names}
 
 
 def fit_split(specification: Engine, parts: Split) -> Analysis:
@@ -211,6 +212,30 @@ def _with_test_values(model: Model, given: Engine, used: Engine, weight_n: float
         weight=weight_n,
     )
     return model.with_report(findings=(*report.findings, line))
+
+
+def fit_whole(specification: Engine, parts: Split) -> Analysis:
+    """Fit a specification to the whole tests of a split; nothing is held out, and the report has no held-out score.
+
+    The held-out part of the analysis is the fitted one, so that its figures show the fitted samples.
+
+    Raises:
+        UnusableInputError: the record cannot carry the fit.
+    """
+    record = joined(parts.records)
+    whole = slice(0, len(record))
+    everything = replace(
+        parts,
+        record=record,
+        fit_part=whole,
+        held_out_record=record,
+        held_out=whole,
+        validated_on=NOTHING_HELD_OUT,
+        records=(),
+    )
+    analysis = fit_split(specification, everything)
+    model = analysis.model.with_report(vaf_validation_percent=None, validation_p_value=None, vaf_scheduled_percent=None)
+    return replace(analysis, model=model)
 
 
 def _without_spring(model: Model, spring_n_per_m: float) -> Model:

@@ -195,9 +195,7 @@ def _temperature(device: DeviceUnderTest) -> None:
     _require_fault(run, Fault.OVER_TEMPERATURE, 0)
 
 
-@clause(
-    "5.4e", marked("A command is lowered where motion would raise the force by more than 1 %"), drives=True
-)
+@clause("5.4e", marked("A command is lowered where motion would raise the force by more than 1 %"), drives=True)
 def _lowered(device: DeviceUnderTest) -> None:
     half = round(0.03 * device.rate_hz)
     signs = np.where(np.arange(round(0.6 * device.rate_hz)) // half % 2 == 0, 1.0, -1.0)
