@@ -6,6 +6,7 @@ from collections.abc import Sequence
 from dataclasses import replace
 from typing import TYPE_CHECKING
 
+import numpy as np
 from PySide6.QtWidgets import QButtonGroup, QComboBox, QHBoxLayout, QPushButton, QVBoxLayout, QWidget
 
 from tissueid.app.plot_canvas import PlotCanvas
@@ -92,7 +93,7 @@ class KernelPlot(QWidget):
         for outcome in outcomes:
             for plot in outcome.plots.kernels:
                 kinds.setdefault(str(plot.title), []).append(replace(plot, title=Verbatim(outcome.label)))
-        several = {title: tuple(plots[:_MOST_BESIDE]) for title, plots in kinds.items() if len(plots) > 1}
+        several = {title: _on_one_scale(plots[:_MOST_BESIDE]) for title, plots in kinds.items() if len(plots) > 1}
         self._groups = list(several.values())
         beside = [_("{kernel}: side by side").format(kernel=_(title)) for title in several]
         self.choice.addItems([text for text, _plot in pairs] + beside)
@@ -116,3 +117,13 @@ class KernelPlot(QWidget):
             self.canvas.say_missing(_(_MISSING))
         else:
             self.canvas.show_plots([plot], relief=self.turned)
+
+
+def _on_one_scale(plots: Sequence[Plot]) -> tuple[Plot, ...]:
+    """Return plots of kernels with the same scale of colours."""
+    surfaces = [plot.surface for plot in plots if plot.surface is not None]
+    top = max((float(np.abs(surface.values).max()) for surface in surfaces), default=0.0)
+    return tuple(
+        plot if plot.surface is None else replace(plot, parts=(replace(plot.surface, limit=top or None),))
+        for plot in plots
+    )
