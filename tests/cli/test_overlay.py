@@ -56,6 +56,22 @@ def test_tests_of_several_sessions_in_one_figure(
     assert "left arm" in capsys.readouterr().out
 
 
+def test_a_site_is_a_text_and_nothing_else(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    sites = ("_<b>$x$</b>", "[red]\x1b[2J" + 900 * "a")
+    tests = [replace(make_test(n, seconds=2.0, seed=n), site=site) for n, site in enumerate(sites, 1)]
+    path, page = tmp_path / "s.h5", tmp_path / "page.html"
+    write_session(path, make_session(*tests))
+    assert main(["overlay", f"{path}:all", "--fit", FIT, "--out", str(page)]) == 0
+    printed = capsys.readouterr().out
+    assert "\x1b[2J" not in printed
+    assert "[red]" in printed
+    assert 70 * "a" not in printed
+    source = page.read_text()
+    assert "_<b>" not in source
+    assert "_&lt;b&gt;$x$" in source
+    checked(source)
+
+
 def test_a_pattern_and_joined_tests(files: tuple[Path, Path], capsys: pytest.CaptureFixture[str]) -> None:
     pattern = files[0].parent / "*.h5"
     assert main(["overlay", str(pattern), f"both={files[0]}:1+2", "--fit", FIT, "--json", "-"]) == 0

@@ -11,9 +11,11 @@ import numpy as np
 from tissueid.analysis.fitting import Analysis, fit_split, fit_whole
 from tissueid.analysis.split import Split, split, split_records
 from tissueid.errors import UnusableInputError
+from tissueid.formatting import label_and_unit
 from tissueid.identification.base import Engine
 from tissueid.identification.depth_profile import DepthProfile
 from tissueid.identification.validation import aicc, vaf_percent
+from tissueid.language import marked
 from tissueid.messages import Message, Verbatim
 from tissueid.records import Estimate, Record
 from tissueid.sessions import Session
@@ -285,8 +287,17 @@ class RepeatedValue:
         return self.std / abs(self.mean) if self.mean else float("nan")
 
 
-SCORES = ("vaf_percent", "vaf_validation_percent", "vaf_scheduled_percent")
-"""Scores that are averaged along with the parameters."""
+SCORES = {
+    "vaf_percent": marked("VAF, fitted"),
+    "vaf_validation_percent": marked("VAF, held out"),
+    "vaf_scheduled_percent": marked("VAF, held out, scheduled"),
+}
+"""Scores that are averaged along with the parameters, and their labels."""
+
+
+def quantity_label(name: str) -> tuple[str, str]:
+    """Return the English label and the SI unit of a score or parameter."""
+    return (SCORES[name], "%") if name in SCORES else label_and_unit(name)
 
 
 def repeated_values(found: Overlay) -> tuple[RepeatedValue, ...]:
@@ -326,6 +337,7 @@ __all__ = [
     "linear_row",
     "overlay",
     "quantities",
+    "quantity_label",
     "repeated_values",
     "series_profiles",
 ]

@@ -5,9 +5,9 @@ from __future__ import annotations
 from pathlib import Path
 from typing import Any
 
-from tissueid.analysis.overlay import Overlay, OverlayEntry, repeated_values
+from tissueid.analysis.overlay import Overlay, OverlayEntry, quantity_label, repeated_values
 from tissueid.cli.output import check_json, console_control, human_output, message_json, table, write_json
-from tissueid.formatting import fixed, grouped, label_and_unit, number
+from tissueid.formatting import fixed, grouped, number
 from tissueid.messages import MISSING
 from tissueid.procedures.output_files import check_different
 from tissueid.procedures.overlay import OverlayPlan, RepeatsPlan, run_overlay, run_repeats
@@ -69,7 +69,7 @@ def repeated_tests(plan: RepeatsPlan, json_file: Path | None) -> None:
     )
     values = repeated_values(found)
     for one in values:
-        label, si_unit = label_and_unit(one.quantity)
+        label, si_unit = quantity_label(one.quantity)
         unit, scale = display_unit(si_unit)
         single = one.count < 2
         rows.add_row(

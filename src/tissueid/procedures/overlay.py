@@ -27,6 +27,8 @@ if TYPE_CHECKING:  # each takes long to import
 
 _SOURCE = re.compile(r"(?P<file>.+?)(?::(?P<tests>all|\d+(?:[+,]\d+)*))?(?:@(?P<fits>[^@/\\]+))?")
 _MOST_SOURCES = 2000
+_LONGEST_LABEL = 60
+"""Letters of a site that are used as a label."""
 _CSV = ("plot,", "source,")
 """First characters of CSV files that may be overwritten."""
 
@@ -240,7 +242,7 @@ def read_sources(texts: Sequence[str], *, every: bool = False) -> list[TestSourc
         for path in _files(pattern):
             session = read(path)
             for numbers in _groups(session, "all" if every and not tests else tests):
-                site = session.test(numbers[0]).site or path.stem
+                site = (session.test(numbers[0]).site or path.stem)[:_LONGEST_LABEL]
                 found.append(TestSource(label or site, session, numbers, fits))
         if len(found) > _MOST_SOURCES:
             raise UnusableInputError(

@@ -14,11 +14,11 @@ from tissueid.analysis.curves import kernel_overlay as kernels
 from tissueid.analysis.curves import overlay as curves
 from tissueid.analysis.curves.partitions import partition_error_plots
 from tissueid.analysis.curves.plot import Plot, as_csv
-from tissueid.analysis.overlay import Overlay, repeated_values
+from tissueid.analysis.overlay import Overlay, quantity_label, repeated_values
 from tissueid.analysis.partition_error import PartitionError
 from tissueid.atomic_write import atomic_file, private_folder
 from tissueid.errors import UnusableInputError
-from tissueid.formatting import fixed, grouped, label_and_unit, number
+from tissueid.formatting import fixed, grouped, number
 from tissueid.identification.engines.wiener import WienerModel
 from tissueid.identification.volterra.model import VolterraModel
 from tissueid.language import _, marked
@@ -358,7 +358,7 @@ def repeated_table(found: Overlay) -> Table:
     head = (_("Tests"), _("Fit"), _("Quantity"), _("Unit"), _("Count"), _("Mean"), _("SD"), _("CV (%)"))
     rows = []
     for one in repeated_values(found):
-        label, si_unit = label_and_unit(one.quantity)
+        label, si_unit = quantity_label(one.quantity)
         unit, scale = display_unit(si_unit)
         known = np.isfinite(one.std)
         rows.append(

@@ -61,8 +61,10 @@ def test_a_sweep_lies_below_the_results_against_depth(qtbot, panel, strip, two, 
         tables={"sweep": {"position_m": [0.002, 0.03], **columns}},
     )
     write_calibration(path, sweep)
+    assert not panel.calibration.isVisible()
     panel.calibration.draw_sweep(path)
     assert panel.calibration.isChecked()
+    assert panel.calibration.isVisible()  # with the picture that it is for
     mass = panel.pictures.plots.plots[0]
     assert mass.curve("calibration spring").y.tolist() == [60.0, 70.0]
     assert "calibration spring" in svg_of(panel.pictures.figure, tmp_path)

@@ -66,8 +66,11 @@ def kind_of(found: Overlay, fit: str) -> Kind:
 
 
 def named(text: str) -> str:
-    """Return the label of a source or fit, which is data of a user and is not translated."""
-    return Verbatim(text)
+    """Return the label of a source or fit, which is data of a user and is not translated.
+
+    A thin space stands before an underscore: keys leave out what begins with one.
+    """
+    return Verbatim(f"\u200a{text}" if text.startswith("_") else text)
 
 
 def depth_overlay(found: Overlay, calibration: Columns | None = None) -> tuple[Plot, Plot, Plot]:

@@ -23,6 +23,7 @@ from tissueid.analysis.curves.linear import (
     spectra_of,
 )
 from tissueid.analysis.curves.nonlinearity import nonlinearity_plot
+from tissueid.analysis.curves.overlay import signal_correlations
 from tissueid.analysis.curves.plot import Axis, Curve, Plot
 from tissueid.analysis.curves.prediction import output_plots
 from tissueid.analysis.curves.units import FREQUENCY, LAG, kernel_unit, ratio_unit
@@ -47,6 +48,8 @@ Panel = Literal[
     "stiffness",
     "autocorrelation",
     "cross",
+    "input_correlation",
+    "input_to_output",
 ]
 """A plot, whatever is laid over another in it."""
 
@@ -93,6 +96,7 @@ def result_plots(analysis: Analysis) -> tuple[dict[Panel, Plot], tuple[str, ...]
         return _test("autocorrelation", tests["autocorrelation"]), _test("cross", tests["input"])
 
     attempt(("autocorrelation", "cross"), residuals)
+    attempt(("input_correlation", "input_to_output"), lambda: _correlations(analysis))
     return {panel: replace(plot, note=_NOTES.get(panel, "")) for panel, plot in made.items()}, tuple(findings)
 
 
@@ -121,6 +125,8 @@ TITLES: Mapping[Panel, str] = {
     "stiffness": marked("Stiffness"),
     "autocorrelation": marked("Autocorrelation of the held-out residual"),
     "cross": marked("Input against the held-out residual"),
+    "input_correlation": marked("Autocorrelation of the input"),
+    "input_to_output": marked("Correlation of the output with the input"),
 }
 
 
@@ -139,6 +145,16 @@ def _coherence(spectra: Spectra) -> Plot:
     title = TITLES["coherence"]
     curve = coherence_curve(spectra, excited(spectra))
     return Plot(title, FREQUENCY, Axis(title, limits=(0.0, 1.05)), (curve,))
+
+
+def _correlations(analysis: Analysis) -> tuple[Plot, Plot]:
+    """Return the correlations of the fitted record (Chen 2010, Fig. 3.4)."""
+    own, _output, cross = signal_correlations({"": analysis.record[analysis.fit_part]})
+
+    def drawn(panel: Panel, plot: Plot) -> Plot:
+        return replace(plot, title=TITLES[panel], parts=tuple(replace(c, colour="model") for c in plot.curves))
+
+    return drawn("input_correlation", own), drawn("input_to_output", cross)
 
 
 def _test(panel: Panel, test: ResidualTest) -> Plot:

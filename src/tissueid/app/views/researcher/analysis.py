@@ -103,6 +103,7 @@ class AnalysisPanel(QWidget):
         self.save_figure.setAccessibleName(_("Save the figure"))
         self.save_figure.setToolTip(_("Save the figure as PDF, SVG or PNG with 300 dpi"))
         self.calibration = CalibrationButton(context, self.pictures)
+        self.pictures.add_for_depth(self.calibration)
         self._saver = SaveDialog(context, self)
         self.refit = QPushButton(_("Refit"))
         self.refit.setToolTip(_("Fit the drawn results again whose curves were not kept"))
@@ -140,7 +141,7 @@ class AnalysisPanel(QWidget):
         below.addWidget(self.bar, 1)
         for button in (self.cancelling, self.refit, self.undo):
             below.addWidget(button)
-        for widget in (self.calibration, self.save_figure, self.save_table, self.clear):
+        for widget in (self.save_figure, self.save_table, self.clear):
             self.pictures.tools.addWidget(widget)
         self.pictures.tools.addStretch(1)
         results = self.fits

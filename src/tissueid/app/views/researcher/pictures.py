@@ -43,6 +43,7 @@ class Pictures(QWidget):
         self._drawn: list[EngineOutcome] = []
         self._total = 0
         self._under: Mapping[str, Curve] = {}
+        self._for_depth: list[QWidget] = []
         self.plots, self.kernel = PlotCanvas(), KernelPlot()
         self._pages = QStackedWidget()
         self._pages.addWidget(self.plots)
@@ -54,7 +55,7 @@ class Pictures(QWidget):
         self.legend.setAccessibleName(_("Key of the plots"))
         self.choice.currentIndexChanged.connect(self._show)
         self.canvas = QWidget()
-        inside = QVBoxLayout(self.canvas)
+        self._inside = inside = QVBoxLayout(self.canvas)
         inside.setContentsMargins(0, 0, 0, 0)
         inside.setSpacing(4)
         inside.addWidget(self.legend)
@@ -80,6 +81,12 @@ class Pictures(QWidget):
         self.kernel.offer([o for o in there if o.plots.kernels])
         self._show()
         return self._drawn
+
+    def add_for_depth(self, widget: QWidget) -> None:
+        """Add a widget above the plots against depth, which is hidden with other pictures."""
+        self._for_depth.append(widget)
+        self._inside.insertWidget(0, widget, 0, Qt.AlignmentFlag.AlignLeft)
+        self._show()
 
     def show_calibration(self, curves: Mapping[str, Curve]) -> None:
         """Draw the curves of a calibration below the results against depth; none without any."""
@@ -143,6 +150,8 @@ class Pictures(QWidget):
     def _show(self) -> None:
         name = self.choice.currentData()
         panels = PICTURES[name]
+        for widget in self._for_depth:
+            widget.setVisible(name == DEPTH)
         self._pages.setCurrentWidget(self.plots if panels else self.kernel)
         self.plots.setMinimumHeight(_PANEL * len(panels))
         if panels and not self._drawn:

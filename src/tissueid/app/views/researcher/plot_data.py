@@ -27,6 +27,7 @@ PICTURES: Mapping[str, tuple[Panel, ...]] = {
     marked("Bode diagram"): ("magnitude", "phase", "coherence"),
     marked("Static nonlinearity"): ("nonlinearity",),
     DEPTH: ("mass", "damping", "stiffness"),
+    marked("Correlations of the record"): ("input_correlation", "input_to_output"),
     marked("Residual tests"): ("autocorrelation", "cross"),
     KERNELS: (),
 }
