@@ -11,7 +11,7 @@ export OPENBLAS_NUM_THREADS ?= 1
 # Compiled code is kept, whatever the caller's habit: the tests start hundreds of processes.
 unexport PYTHONDONTWRITEBYTECODE
 
-.PHONY: help env demo test lint mypy ruff layers compiled translations bench soak run clean
+.PHONY: help env demo test lint mypy ruff layers compiled translations bench soak firmware run clean
 
 help: ## list the targets
 	@grep -hE '^[a-z]+:.*##' $(MAKEFILE_LIST) | sed -E 's/^([a-z]+):.*## /  make \1\t/' | expand -t 16
@@ -51,6 +51,9 @@ bench: env ## speed, as ratios measured side by side in one run
 
 soak: env ## the long runs, half an hour: streaming, damaged frames and files, killed hosts, coverage of intervals
 	@$(BIN)/python -m pytest -m soak --timeout 3600 -o addopts="-v -p no:cacheprovider --import-mode=importlib"
+
+firmware: env ## build the reference firmware with the compilers that are installed
+	@$(BIN)/python -m firmware_sim.reference.build
 
 run: env ## open the application
 	@$(BIN)/tissueid

@@ -68,6 +68,26 @@ def _parser() -> argparse.ArgumentParser:
     parser.add_argument("--model", help="device: desktop (default) or handheld")
     parser.add_argument("--tilt", type=float, metavar="DEG", help="angle between the stroke and straight down")
     parser.add_argument("--coil", help="force constant along the stroke: ideal (default) or finite")
+    parser.add_argument("--probe", metavar="NAME", help="round probe: a name, or DIAMETER:CORNER in mm")
+    parser.add_argument("--lotion", metavar="NAME", help="lotion on the skin: chanel or vaseline")
+    parser.add_argument(
+        "--orientation",
+        type=float,
+        metavar="DEG",
+        help="extension: angle to the limb's axis; 90 is horizontal",
+    )
+    parser.add_argument("--initial-length", type=float, metavar="MM", help="extension: length between the faces")
+    parser.add_argument(
+        "--variation",
+        type=float,
+        nargs="?",
+        const=1.0,
+        metavar="SIZE",
+        help="let skin vary between placings and tests: 1 (default) as people's skin does, 0 not at all",
+    )
+    parser.add_argument(
+        "--subject", type=int, metavar="N", help="number of the person under the probe; see --variation"
+    )
     parser.add_argument(
         "--hide",
         action="append",
@@ -108,12 +128,18 @@ def main(arguments: Sequence[str] | None = None) -> int:
             model=options.model,
             tilt_deg=options.tilt,
             coil=options.coil,
+            probe=options.probe,
+            lotion=options.lotion,
+            orientation_deg=options.orientation,
+            initial_length_m=None if options.initial_length is None else 1e-3 * options.initial_length,
+            variation=options.variation,
+            subject=options.subject,
             effects=dict(options.hide) or None,
         )
         if options.local_values is not None:
             from firmware_sim.local_values import local_values
 
-            print(json.dumps(local_values(scenario.preset, options.local_values, scenario.real)))
+            print(json.dumps(local_values(scenario.tissue, options.local_values, scenario.real)))
             return 0
         if options.coil_profile:
             print(json.dumps(_profile(scenario)))

@@ -13,10 +13,12 @@ from numpy.typing import NDArray
 from firmware_sim.coil import coil_profile
 from firmware_sim.converters import CHANNELS, Channel, ChannelError, Converters
 from firmware_sim.effects.base import Effect
+from firmware_sim.effects.environment import PhysiologicalMotion
 from firmware_sim.effects.sensing import DroppedSamples, Quantization
 from firmware_sim.plant import SAMPLE_RATE_HZ, STANDARD_GRAVITY, SUBSTEPS, Plant, PlantParameters
 from firmware_sim.presets import DEFAULT, load_preset
 from firmware_sim.tissue import FREE_AIR, Tissue
+from firmware_sim.variation import PRESSING_N, Variation, compressed_share
 
 FRAME_MASS_KG = 5.0
 """Mass of the desktop frame, which takes the reaction of the coil; an estimate."""
@@ -46,6 +48,7 @@ class Snapshot:
     frozen: dict[str, int] = field(default_factory=dict)
     newest: NDArray[np.int16] | None = None
     memory: tuple[NDArray[np.float64], NDArray[np.float64]] | None = None
+    worked: tuple[int, int] = (0, 0)
 
 
 class Bench:
@@ -58,7 +61,7 @@ class Bench:
     ``parameters`` are the true parameters of the device; ``nominal`` are those that it announces, by default the same.
     ``coil`` names the profile of the force constant along the stroke. ``channel_errors`` are the errors of the
     converters' scales against the announced table. ``frame_mass_kg`` takes the reaction of the coil. ``effects`` are
-    added to the plant.
+    added to the plant. With ``variation`` the tissue differs between subjects, placings and tests; see ``begin_test``.
 
     Faults, at any time:
 
@@ -87,10 +90,15 @@ class Bench:
         sensor_supply_share: float = 1.0,
         frame_mass_kg: float = FRAME_MASS_KG,
         effects: Iterable[Effect] = (),
+        variation: Variation | None = None,
     ) -> None:
         chosen = load_preset(tissue) if isinstance(tissue, str) else tissue
         self.tissue = chosen if surface_m is None else replace(chosen, surface_m=surface_m)
         self._fixture = self.tissue
+        self._variation = variation if variation is not None and variation.acts else None
+        self._placed: Tissue | None = None
+        self._placing = -1
+        self._place(self._fixture)
         self.seed = seed
         self.sample_rate_hz = sample_rate_hz
         self._substeps = max(LEAST_SUBSTEPS, round(SUBSTEPS * SAMPLE_RATE_HZ / sample_rate_hz))
@@ -102,7 +110,10 @@ class Bench:
         self._errors = dict(channel_errors or {})
         self._frame_mass_kg = frame_mass_kg
         self._healthy_sensor_supply = sensor_supply_share
-        self.effects = tuple(effect for effect in effects if effect.acts)
+        acting = [effect for effect in effects if effect.acts]
+        if self._variation is not None and not any(isinstance(effect, PhysiologicalMotion) for effect in acting):
+            acting.append(self._variation.motion(self._fixture))
+        self.effects = tuple(effect for effect in acting if effect.acts)
         if any(isinstance(effect, DroppedSamples) for effect in self.effects):
             raise ValueError("dropped_samples moves a whole record up: it is for the laboratory, not for a bench")
         self._coarse = next((effect for effect in self.effects if isinstance(effect, Quantization)), None)
@@ -112,6 +123,35 @@ class Bench:
     def channels(self) -> tuple[Channel, ...]:
         """The channel table: name, unit, gain, offset."""
         return CHANNELS
+
+    def _place(self, fixture: Tissue | None) -> None:
+        """Put the probe on a fixture, or on nothing, and draw what this placing varies."""
+        self._placed = fixture
+        self._placing += 1
+        self._test = 0
+        self._compressed = 0.0
+        self._worked = (0, 0)
+        self._draw()
+
+    def _draw(self) -> None:
+        self.tissue = FREE_AIR if self._placed is None else self._placed
+        if self._variation is not None and self._placed is not None:
+            self.tissue = self._variation.tissue(self._placed, self._placing, self._test, self._compressed)
+
+    def begin_test(self) -> None:
+        """Draw the tissue that the next run meets; without variation nothing changes.
+
+        The tissue varies between runs, and stays compressed by those before it until it recovers or the probe is placed
+        anew.
+        """
+        if self._variation is None:
+            return
+        pressed_s, passed_s = (samples / self.sample_rate_hz for samples in self._worked)
+        self._compressed = compressed_share(self._compressed, pressed_s, passed_s)
+        self._worked = (0, 0)
+        self._test += 1
+        self._draw()
+        self.plant.tissue = self.tissue
 
     def reset(self) -> None:
         """Reset to rest with the coil released, button up, no faults, and the noise restarted.
@@ -143,7 +183,7 @@ class Bench:
         Raises:
             ValueError: the position is not on the stroke.
         """
-        self.tissue = FREE_AIR if position_m is None else replace(self._fixture, surface_m=position_m)
+        self._place(None if position_m is None else replace(self._fixture, surface_m=position_m))
         self.plant.tissue = self.tissue
         self.plant.energised = False
         self.plant.settle()
@@ -156,6 +196,7 @@ class Bench:
             dict(self._frozen),
             self._newest,
             self.plant.memory if self.effects else None,
+            self._worked,
         )
 
     def restore(self, snapshot: Snapshot) -> None:
@@ -164,6 +205,7 @@ class Bench:
         self._converters.noise_state = snapshot.noise
         self._frozen = dict(snapshot.frozen)
         self._newest = snapshot.newest
+        self._worked = snapshot.worked
         if snapshot.memory is not None:
             self.plant.memory = snapshot.memory
 
@@ -185,6 +227,10 @@ class Bench:
         self.plant.coil_open = self.coil_open
         self.plant.supply_share = self.supply_share
         trace = self.plant.advance(volts)
+        if self._variation is not None:
+            force_n = self.parameters.force_constant_n_per_a * trace["current"]
+            pressed, passed = self._worked
+            self._worked = pressed + int(np.count_nonzero(force_n > PRESSING_N)), passed + trace.size
         codes, flags = self._converters.read(self._analogue(volts, trace))
         codes[:, 0] = command_codes
         if self._coarse is not None:

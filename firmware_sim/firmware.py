@@ -265,6 +265,7 @@ class Firmware:
         if self.state is not State.ARMED or self._armed is None or request["token"] != self._armed.token:
             return Result.BAD_STATE, 0
         self._start_index = self.sample_index
+        self.bench.begin_test()
         self._enter(State.RUNNING)
         return Result.OK, self._start_index
 

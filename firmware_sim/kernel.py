@@ -14,6 +14,8 @@ import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 
+from firmware_sim.layers import LAYER_VALUES, MAX_LAYERS, layer_values
+
 Array = NDArray[np.float64]
 
 MAX_BRANCHES = 3
@@ -61,7 +63,10 @@ CURVE_SCALE, CURVE_RATE = 12, 13  # Wiener C1 (m), C2 (1/N); Hammerstein H1 (N),
 DIRECTION_RATIO, DIRECTION_SPEED = 14, 15
 RECRUITED_MASS, RECRUITMENT_DEPTH = 16, 17
 BRANCH_GAIN, BRANCH_TIME = 18, 18 + MAX_BRANCHES
-TISSUE_SIZE = 18 + 2 * MAX_BRANCHES
+PULLED = 18 + 2 * MAX_BRANCHES  # rates (1/m) of mass, damping, stiffness when the tissue is pulled; 0: as pushed
+PROBE_RADIUS, PROBE_CORNER, PROBE_DEPTH, FOUNDATION = range(PULLED + 3, PULLED + 7)  # see firmware_sim.probe
+LAYER_COUNT, LAYERS = PULLED + 7, PULLED + 8  # MAX_LAYERS layers, see firmware_sim.layers
+TISSUE_SIZE = LAYERS + LAYER_VALUES * MAX_LAYERS
 
 # Columns of the output of advance.
 OUT_COLUMNS = 11
@@ -77,13 +82,36 @@ _swift = njit(error_model="numpy", forceinline=True)
 def _exponential(tissue: Array, first: int, depth: float) -> float:
     # The exponential is skipped for a constant law, which is exact: exp(0) is 1.
     rate = tissue[first + 1]
+    if depth < 0.0 and tissue[PULLED + (first - MASS) // 3] != 0.0:
+        rate = -tissue[PULLED + (first - MASS) // 3]
     return tissue[first] * ((1.0 if rate == 0.0 else exp(rate * depth)) + tissue[first + 2])
 
 
 @_swift
+def _probe_factor(tissue: Array, depth: float) -> float:
+    # Factor of stiffness and damping of a probe other than the reference probe (firmware_sim.probe).
+    ratio = tissue[PROBE_RADIUS]
+    if ratio == 0.0:
+        return 1.0
+    scale = tissue[PROBE_DEPTH]
+    if scale > 0.0:
+        ratio -= tissue[PROBE_CORNER] * scale / (max(depth, 0.0) ** 1.5 + scale**1.5) ** (2.0 / 3.0)
+    return (1.0 - tissue[FOUNDATION]) * ratio + tissue[FOUNDATION] * ratio * ratio
+
+
+@_swift
+def _layered(tissue: Array, depth: float) -> tuple[float, float, float, float]:
+    # Force, damping, mass and slope of mass of the layers; the caller checks that there are any.
+    return layer_values(tissue, LAYERS, int(tissue[LAYER_COUNT]), depth)
+
+
+@_swift
 def elastic_force(tissue: Array, depth: float) -> float:
-    """Return the relaxed elastic force K(y) y, newtons, at a depth in metres (thesis Eq. 3.33)."""
-    return _exponential(tissue, STIFFNESS, depth) * depth
+    """Return the relaxed elastic force, newtons, at a depth in metres: K(y) y (thesis Eq. 3.33), and the layers'."""
+    force = _exponential(tissue, STIFFNESS, depth) * depth
+    if tissue[LAYER_COUNT] > 0.0:
+        force += _layered(tissue, depth)[0]
+    return force * _probe_factor(tissue, depth)
 
 
 @_swift
@@ -92,27 +120,32 @@ def tissue_mass(tissue: Array, depth: float) -> float:
     mass = _exponential(tissue, MASS, depth)
     if depth > 0.0 and tissue[RECRUITED_MASS] != 0.0:
         mass += tissue[RECRUITED_MASS] * (1.0 - exp(-depth / tissue[RECRUITMENT_DEPTH]))
+    if tissue[LAYER_COUNT] > 0.0:
+        mass += _layered(tissue, depth)[2]
     return mass
-
-
-@_swift
-def _recruitment_force(tissue: Array, depth: float, velocity: float) -> float:
-    # Half of dM/dy v^2 conserves kinetic energy when mass is recruited or released.
-    if depth <= 0.0 or tissue[RECRUITED_MASS] == 0.0:
-        return 0.0
-    slope = tissue[RECRUITED_MASS] / tissue[RECRUITMENT_DEPTH] * exp(-depth / tissue[RECRUITMENT_DEPTH])
-    return 0.5 * slope * velocity * velocity
 
 
 @_swift
 def _resistance(state: Array, tissue: Array, depth: float, velocity: float) -> tuple[float, float]:
     # Total resisting force of the tissue at this depth and speed, without inertia, and its relaxed elastic part, N.
-    elastic = elastic_force(tissue, depth)
-    force = elastic + _recruitment_force(tissue, depth, velocity)
+    elastic = _exponential(tissue, STIFFNESS, depth) * depth
+    damping = _exponential(tissue, DAMPING, depth)
+    mass_slope = 0.0
+    if depth > 0.0 and tissue[RECRUITED_MASS] != 0.0:
+        mass_slope = tissue[RECRUITED_MASS] / tissue[RECRUITMENT_DEPTH] * exp(-depth / tissue[RECRUITMENT_DEPTH])
+    if tissue[LAYER_COUNT] > 0.0:
+        pressed, lossy, _, rising = _layered(tissue, depth)
+        elastic += pressed
+        damping += lossy
+        mass_slope += rising
+    factor = _probe_factor(tissue, depth)
+    elastic *= factor
+    # Half of dM/dy v^2 conserves kinetic energy when mass is recruited or released.
+    force = elastic + 0.5 * mass_slope * velocity * velocity
     direction = 1.0
     if tissue[DIRECTION_RATIO] != 0.0:
         direction += tissue[DIRECTION_RATIO] * tanh(velocity / tissue[DIRECTION_SPEED])
-    force += _exponential(tissue, DAMPING, depth) * direction * velocity
+    force += factor * damping * direction * velocity
     for k in range(MAX_BRANCHES):
         force += tissue[BRANCH_GAIN + k] * (elastic - state[BRANCH + k])
     return force, elastic

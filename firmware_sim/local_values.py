@@ -72,9 +72,11 @@ def _parallel(tissue: Tissue, plant: PlantParameters, depth: float) -> dict[str,
     recruited = 0.0
     if tissue.has("recruited_mass") and depth > 0.0:
         recruited = tissue.recruited_mass_kg * (1.0 - exp(-depth / tissue.recruitment_depth_m))
-    mass = plant.moving_mass_kg + tissue.mass.at(depth) + recruited
-    coefficient = tissue.stiffness.at(depth)
-    relaxed = coefficient + tissue.stiffness.slope_at(depth) * depth
+    mass = plant.moving_mass_kg + tissue.mass_at(depth) + recruited
+    coefficient = tissue.law_at(depth)[2].at(depth)
+    if tissue.layers or tissue.probe is not None:
+        coefficient = tissue.elastic_force(depth) / depth if depth else tissue.tangent_stiffness(depth)
+    relaxed = tissue.tangent_stiffness(depth)
     branches = tissue.active_branches()
     unrelaxed = relaxed * (1.0 + sum(branch.fraction for branch in branches))
     frequency = sqrt(max(unrelaxed, 0.0) / mass)
@@ -84,7 +86,7 @@ def _parallel(tissue: Tissue, plant: PlantParameters, depth: float) -> dict[str,
         turn = frequency * branch.time_s
         stored += branch.fraction * turn**2 / (1.0 + turn**2)
         lost += branch.fraction * branch.time_s / (1.0 + turn**2)
-    damping = plant.bearing_damping_n_s_per_m + tissue.damping.at(depth) + relaxed * lost
+    damping = plant.bearing_damping_n_s_per_m + tissue.damping_at(depth) + relaxed * lost
     applies = "none"
     if branches:
         applies = "unrelaxed" if stored > 0.5 * sum(branch.fraction for branch in branches) else "relaxed"
@@ -96,20 +98,20 @@ def _parallel(tissue: Tissue, plant: PlantParameters, depth: float) -> dict[str,
         "natural_frequency_rad_per_s": frequency,
         "parts": {
             "moving_mass_kg": plant.moving_mass_kg,
-            "tissue_mass_kg": tissue.mass.at(depth),
+            "tissue_mass_kg": tissue.mass_at(depth),
             "recruited_mass_kg": recruited,
             "bearing_damping_n_s_per_m": plant.bearing_damping_n_s_per_m,
-            "tissue_damping_n_s_per_m": tissue.damping.at(depth),
+            "tissue_damping_n_s_per_m": tissue.damping_at(depth),
             "relaxation_damping_n_s_per_m": relaxed * lost,
         },
         "coefficients": {
-            "mass_kg": tissue.mass.at(depth),
-            "damping_n_s_per_m": tissue.damping.at(depth),
+            "mass_kg": tissue.mass_at(depth),
+            "damping_n_s_per_m": tissue.damping_at(depth),
             "stiffness_n_per_m": coefficient,
         },
         "direction": {
-            "pushing_damping_n_s_per_m": damping + ratio * tissue.damping.at(depth),
-            "pulling_damping_n_s_per_m": damping - ratio * tissue.damping.at(depth),
+            "pushing_damping_n_s_per_m": damping + ratio * tissue.damping_at(depth),
+            "pulling_damping_n_s_per_m": damping - ratio * tissue.damping_at(depth),
             "changeover_speed_m_per_s": tissue.direction_speed_m_per_s if ratio else None,
         },
         "relaxation": {

@@ -141,6 +141,8 @@ class Plant:
     def tissue(self, tissue: Tissue) -> None:
         if self._acting.needs_depth and tissue.kind not in ("linear", "dpn"):
             raise ValueError(f"effects of tissue and body need a tissue of kind linear or dpn, not {tissue.kind}")
+        if self._acting.needs_depth and (tissue.layers or tissue.probe is not None):
+            raise ValueError("effects of tissue and body need a tissue without layers, under the reference probe")
         self._met = tissue
         self._tissue = tissue.to_array()
 
@@ -197,7 +199,7 @@ class Plant:
             state[kernel.LATENT] = _latent(tissue, position)
         elif tissue.kind != "hammerstein":
             depth = surface - tissue.surface_m
-            state[kernel.BRANCH : kernel.BRANCH + kernel.MAX_BRANCHES] = tissue.stiffness.at(depth) * depth
+            state[kernel.BRANCH : kernel.BRANCH + kernel.MAX_BRANCHES] = tissue.elastic_force(depth)
         state[kernel.FILTER : kernel.FILTER + 4] = volts, current, position, state[kernel.TEMPERATURE]
         self.state = state
 
@@ -247,7 +249,7 @@ class Plant:
         if tissue.kind == "hammerstein":
             pushed = tissue.curve_scale * (1.0 - float(np.exp(-tissue.curve_rate * force_n)))
             return pushed + stop - tissue.stiffness.coefficient * depth
-        elastic = tissue.stiffness.at(depth) * depth
+        elastic = tissue.elastic_force(depth)
         if "contact" in tissue.extras:
             elastic = max(0.0, elastic)
         return force_n + stop - elastic

@@ -17,9 +17,13 @@ from firmware_sim.effects import read_effects
 from firmware_sim.effects.base import Effect
 from firmware_sim.faults import PlannedFault
 from firmware_sim.identity import Identity
+from firmware_sim.lotions import with_lotion
 from firmware_sim.plant import SAMPLE_RATE_HZ, STANDARD_GRAVITY, PlantParameters
-from firmware_sim.presets import DEFAULT, preset_names
+from firmware_sim.presets import DEFAULT, load_preset, preset_names
+from firmware_sim.probe import read_probe
+from firmware_sim.tissue import Tissue
 from firmware_sim.validation_reason import validation_reason
+from firmware_sim.variation import Variation
 
 
 def _between(low: float, high: float) -> object:
@@ -85,6 +89,14 @@ class Scenario(BaseModel):
     """Angle of the stroke from straight down."""
     coil: Literal["ideal", "finite"] = "ideal"
     """Force constant constant along the stroke, or decreasing towards its ends."""
+    probe: str | None = None
+    """Round probe by name, or DIAMETER:CORNER in mm; by default that of the preset."""
+    orientation_deg: Annotated[float | None, _between(-180.0, 180.0)] = None
+    """Angle of a strip in extension against the limb's axis."""
+    initial_length_m: Annotated[float | None, _between(1e-3, 0.1)] = None
+    """Initial length of a strip in extension."""
+    lotion: str | None = None
+    """Lotion on the skin."""
     stage: bool | None = None
     """A motorised stage that positions the fixture; by default only a desktop device has one."""
     truth: TrueParameters = TrueParameters()
@@ -94,6 +106,10 @@ class Scenario(BaseModel):
     effects: dict[str, dict[str, bool | int | float | str]] = Field(default_factory=dict)
     """Effects added to the plant: parameters by name of the effect."""
     faults: tuple[PlannedFault, ...] = ()
+    variation: Annotated[float, _between(0.0, 3.0)] = 0.0
+    """Variation of skin between placings and tests relative to that of people (thesis Table 7.1); 0: none."""
+    subject: Annotated[int | None, Field(ge=0, lt=2**32)] = None
+    """Number of the person under the probe; without one, the person of the preset."""
 
     @model_validator(mode="after")
     def _effects_exist(self) -> Self:
@@ -129,10 +145,24 @@ class Scenario(BaseModel):
         """The true parameters of the device, without tilt."""
         return self.truth.over(self.nominal)
 
+    @property
+    def tissue(self) -> Tissue:
+        """The tissue of the preset with lotion, orientation, length and probe.
+
+        Raises:
+            ValueError: one of them does not go with the preset.
+        """
+        tissue = load_preset(self.preset)
+        if self.lotion is not None:
+            tissue = with_lotion(tissue, self.lotion)
+        if self.orientation_deg is not None or self.initial_length_m is not None:
+            tissue = tissue.stretched(self.orientation_deg, self.initial_length_m)
+        return tissue if self.probe is None else tissue.with_probe(read_probe(self.probe))
+
     def bench(self) -> Bench:
         """Return the bench of this scenario."""
         return Bench(
-            self.preset,
+            self.tissue,
             seed=self.seed,
             parameters=self.real,
             nominal=self.nominal,
@@ -143,6 +173,7 @@ class Scenario(BaseModel):
             sensor_supply_share=self.sensor_supply_share,
             frame_mass_kg=MODELS[self.model].frame_mass_kg,
             effects=self.acting,
+            variation=Variation(self.seed, self.variation, self.subject),
         )
 
     def identity(self) -> Identity:
@@ -204,4 +235,8 @@ def load_scenario(path: Path | None, **overrides: object) -> Scenario:
         ) from error
     if scenario.preset not in preset_names():
         raise ValueError(f"no preset {scenario.preset!r}; there are: {', '.join(preset_names())}")
+    scenario.tissue  # noqa: B018 - raises for options that do not go with the preset
+    kind = load_preset(scenario.preset).kind
+    if (scenario.variation > 0.0 or scenario.subject is not None) and kind != "dpn":
+        raise ValueError(f"variation and subject are for skin, a tissue of kind dpn; {scenario.preset} is {kind}")
     return scenario

@@ -322,3 +322,84 @@ def test_a_fault_in_an_engine_of_ours_is_a_defect(monkeypatch: pytest.MonkeyPatc
     monkeypatch.setattr(Lms, "fit", fail)
     with pytest.raises(TypeError, match="ours"):
         compare(specifications(["lms"]), split_records([simulated.linear_record(1, n=3000)]))
+
+
+class TestKnownPlacement:
+    """What the test knows about its placement is handed to the engine (Chen 2010, Fig. 3.8)."""
+
+    WEIGHT = 0.06 * 9.80665
+
+    def _session(self, **changes: object) -> Session:
+        true = simulated.wiener_record(3)
+        signals = {"force": true.input - self.WEIGHT, "position": true.output}
+        notes = {"gravity_along_stroke_m_s2": 9.80665, "gravity_across_stroke_m_s2": 0.0}
+        about = {"preload_s": 0.0, "sample_rate_hz": 2000.0, "surface_position_m": simulated.SURFACE, "notes": notes}
+        return make_session(make_test(signals=signals, **about | changes))
+
+    def test_the_surface_gives_c1_of_the_thesis(self):
+        report = analyse(self._session(), "wiener").model.report
+        assert report.parameters["c1_m"].value == pytest.approx(simulated.C1, rel=0.02)
+        assert report.parameters["c3_n"].value == pytest.approx(self.WEIGHT, abs=0.1)
+        assert report.details["known_surface_position_m"] == simulated.SURFACE
+        assert report.options["surface_position_m"] is None
+
+    def test_without_a_surface_the_weight_does(self):
+        report = analyse(self._session(surface_position_m=float("nan")), "wiener").model.report
+        assert report.parameters["c3_n"].value == report.details["known_c3_n"] == pytest.approx(self.WEIGHT)
+        assert report.parameters["c1_m"].value == pytest.approx(simulated.C1, rel=0.05)
+
+    def test_options_that_are_given_win(self):
+        report = analyse(self._session(), "wiener", {"c3_n": 0.0}).model.report
+        assert report.parameters["c3_n"].value == 0.0
+        assert "known_surface_position_m" not in report.details
+        assert report.parameters["c1_m"].value < 0.93 * simulated.C1
+
+    def test_a_load_that_is_not_the_weight_is_reported(self):
+        report = analyse(self._session(surface_position_m=simulated.SURFACE - 1e-3), "wiener").model.report
+        assert "analysis.load_is_not_weight" in [code_of(text) for text in report.findings]
+
+
+class TestTissueAlone:
+    """Mass and damping of the actuator are subtracted on request (Chen 2010, 2.1)."""
+
+    def _session(self, **calibration: float) -> Session:
+        signals = {"force": simulated.linear_record(6).input, "position": simulated.linear_record(6).output}
+        about = {"preload_s": 0.0, "sample_rate_hz": 2000.0}
+        session = make_session(make_test(signals=signals, **about))
+        return replace(session, instrument=replace(session.instrument, calibration=dict(calibration)))
+
+    def test_it_is_beside_the_total(self):
+        calibrated = {"moving_mass_kg_std": 0.004, "bearing_damping_n_s_per_m_std": 0.5}
+        analysis = analyse(self._session(**calibrated), "lms", tissue_alone=True)
+        parameters = analysis.model.report.parameters
+        total, alone = parameters["mass_kg"], parameters["tissue_mass_kg"]
+        assert total.value == pytest.approx(simulated.MASS, rel=0.01)
+        assert alone.value == pytest.approx(total.value - 0.060)
+        assert alone.std == pytest.approx(np.hypot(total.std, 0.004))
+        assert parameters["tissue_damping_n_s_per_m"].value == pytest.approx(simulated.DAMPING - 3.5, rel=0.01)
+        assert parameters["tissue_damping_n_s_per_m"].std == pytest.approx(0.5, rel=0.05)
+        assert "tissue_stiffness_n_per_m" not in parameters
+        assert code_of(analysis.model.report.findings[-1]) == "analysis.actuator_of_sweep"
+        answer = analysis.as_answer()
+        assert answer["actuator"] == {
+            "mass_kg": {"value": 0.060, "std": 0.004},
+            "damping_n_s_per_m": {"value": 3.5, "std": 0.5},
+            "calibrated": True,
+        }
+
+    def test_without_a_sweep_the_nominal_actuator_is_uncertain(self):
+        analysis = analyse(self._session(), "lms", tissue_alone=True)
+        assert analysis.model.report.parameters["tissue_mass_kg"].std == pytest.approx(0.08 * 0.060, rel=0.05)
+        assert code_of(analysis.model.report.findings[-1]) == "analysis.actuator_nominal"
+
+    def test_profiles_have_it_too_and_nothing_changes_without_the_request(self):
+        session = self._session()
+        asked, plain = (analyse(session, "dpn", tissue_alone=on) for on in (True, False))
+        rows, alone = (asked.as_answer()[name] for name in ("depth_profile", "tissue_depth_profile"))
+        assert alone[3]["mass_kg"] == pytest.approx(rows[3]["mass_kg"] - 0.060)
+        assert alone[3]["stiffness_n_per_m"] == rows[3]["stiffness_n_per_m"]
+        assert "actuator" not in plain.as_answer()
+        assert set(asked.model.report.parameters) - set(plain.model.report.parameters) == {
+            "tissue_mass_kg",
+            "tissue_damping_n_s_per_m",
+        }

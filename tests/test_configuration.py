@@ -4,7 +4,18 @@ import pytest
 from coded import coded, holding, is_german, says
 from pydantic import ValidationError
 
-from tissueid.configuration import CONFIGURATIONS, PROBES, Configuration, Probe, has_depth, spring_of, travel_word
+from tissueid.configuration import (
+    CONFIGURATIONS,
+    PROBES,
+    Configuration,
+    Probe,
+    has_depth,
+    is_attached,
+    orientation,
+    placement,
+    spring_of,
+    travel_word,
+)
 from tissueid.device import DESKTOP, HANDHELD, angle_deg
 from tissueid.errors import UnusableInputError
 from tissueid.messages import joined
@@ -48,6 +59,51 @@ def test_names_that_do_not_fit_together_are_refused_in_one_line(name, probe, spr
         Configuration.of(name, probe, spring)
     assert "\n" not in str(refusal.value)
     assert is_german(refusal.value.message)
+
+
+def test_how_the_probe_meets_the_tissue_is_noted_where_it_is_known():
+    assert set(Configuration.of().as_notes()) & {"coupling", "orientation_deg", "initial_length_m"} == set()
+    assert Configuration.of("extension").as_notes()["coupling"] == "none"
+    notes = Configuration.of(
+        "extension", coupling="adhesive", orientation_deg=orientation("horizontal"), initial_length_m=0.01
+    ).as_notes()
+    assert (notes["coupling"], notes["orientation_deg"], notes["initial_length_m"]) == ("adhesive", 90.0, 0.01)
+    assert is_attached(notes)
+    assert not is_attached(Configuration.of().as_notes())
+    sliding = Configuration.of("surface", external_spring_n_per_m=800.0, normal_preload_n=1.0).as_notes()
+    assert sliding["normal_preload_n"] == 1.0
+    assert is_attached(Configuration.of(coupling="tape").as_notes())
+    assert placement({}) == placement(Configuration.of().as_notes()) != placement(notes)
+
+
+@pytest.mark.parametrize(
+    ("name", "others", "check"),
+    [
+        ("indentation", {"orientation_deg": 0.0}, coded("configuration.not_here", name="indentation")),
+        ("surface", {"initial_length_m": 0.01}, coded("configuration.not_here", name="surface")),
+        ("surface", {"coupling": "tape"}, coded("configuration.not_here", name="surface")),
+        ("extension", {"normal_preload_n": 1.0}, coded("configuration.not_here", name="extension")),
+        ("extension", {"coupling": "velcro"}, holding("option.choice")),
+        ("extension", {"orientation_deg": 181.0}, holding("option.most", limit=180)),
+        ("extension", {"orientation_deg": float("nan")}, holding("option.finite")),
+        ("extension", {"initial_length_m": 1e-4}, coded("configuration.initial_length_range", length=0.1)),
+        ("extension", {"initial_length_m": float("inf")}, holding("option.finite")),
+        ("surface", {"normal_preload_n": 0.0}, holding("option.greater", limit=0)),
+        ("surface", {"normal_preload_n": 16.0}, holding("option.most", limit=15)),
+    ],
+)
+def test_what_a_configuration_does_not_have_is_refused(name, others, check):
+    spring = 800.0 if name == "surface" else 0.0
+    with pytest.raises(UnusableInputError, check=check) as refusal:
+        Configuration.of(name, None, spring, **others)
+    assert "\n" not in str(refusal.value)
+    assert is_german(refusal.value.message)
+
+
+def test_an_orientation_is_an_angle_or_a_direction():
+    assert (orientation("vertical"), orientation("-30"), orientation("45.5")) == (0.0, -30.0, 45.5)
+    with pytest.raises(UnusableInputError, check=coded("configuration.direction", text="up")):
+        orientation("up")
 
 
 @pytest.mark.parametrize("shape", [{"diameter_m": 4e-3, "width_m": 5e-3, "length_m": 16e-3}, {}])

@@ -7,13 +7,15 @@ or section, or with ``chosen:`` and the reason.
 from __future__ import annotations
 
 import tomllib
+from collections.abc import Callable, Iterator
 from functools import cache
 from importlib.resources import files
 from importlib.resources.abc import Traversable
 from pathlib import Path
-from typing import Any
+from typing import Any, TypeVar
 
-from firmware_sim.tissue import Branch, Exponential, Tissue
+from firmware_sim.layers import Layer
+from firmware_sim.tissue import Branch, Exponential, Extension, Pulled, Tissue
 
 _LAWS = ("mass", "damping", "stiffness")
 _UNITS = {"mass": "kg", "damping": "n_s_per_m", "stiffness": "n_per_m"}
@@ -25,7 +27,15 @@ _FIELDS = {
     "direction_speed_m_per_s": ("directional_damping", "speed_m_per_s"),
     "recruited_mass_kg": ("recruited_mass", "mass_kg"),
     "recruitment_depth_m": ("recruited_mass", "depth_m"),
+    "external_spring_n_per_m": ("external_spring", "n_per_m"),
 }
+_LAYER = {
+    "thickness_m": "thickness_m",
+    "stiffness_n_per_m": "n_per_m",
+    "damping_n_s_per_m": "n_s_per_m",
+    "mass_kg": "kg",
+}
+Part = TypeVar("Part")
 DEFAULT = "left-posterior-forearm"
 
 
@@ -75,7 +85,12 @@ def parse_preset(name: str, text: str) -> Tissue:
     extras = reader.names("extras")
     laws = {law: reader.exponential(law) for law in _LAWS}
     branches = reader.branches()
-    figures = {item: reader.figure(path) for item, path in _FIELDS.items() if reader.has(path) or item == "surface_m"}
+    layers = reader.layers()
+    pulled = reader.part("pulled", Pulled, ("stiffness_rate_per_m", "damping_rate_per_m"))
+    extension = reader.part("extension", Extension, ("fibre_deg", "across_rate_per_m", "reference_length_m"))
+    figures: dict[str, Any] = {
+        item: reader.figure(path) for item, path in _FIELDS.items() if reader.has(path) or item == "surface_m"
+    }
     reader.finish()
     return Tissue(
         name=name,
@@ -86,6 +101,9 @@ def parse_preset(name: str, text: str) -> Tissue:
         damping=laws["damping"],
         stiffness=laws["stiffness"],
         branches=branches,
+        layers=layers,
+        pulled=pulled,
+        extension=extension,
         sources=reader.sources,
         **figures,
     )
@@ -155,18 +173,36 @@ class _Reader:
         offset = self.figure((law, "offset")) if self.has((law, "offset")) else 0.0
         return Exponential(coefficient, rate, offset)
 
+    def part(self, name: str, kind: Callable[..., Part], keys: tuple[str, ...]) -> Part | None:
+        if name not in self._tree:
+            return None
+        return kind(**{key: self.figure((name, key)) for key in keys})
+
     def branches(self) -> tuple[Branch, ...]:
-        items = self._tree.pop("relaxation", [])
-        if not isinstance(items, list) or not all(isinstance(item, dict) for item in items):
-            raise self._fail("relaxation must be a list of tables, [[relaxation]]")
+        return tuple(
+            Branch(self._take(item, "fraction", f"{where}.fraction"), self._take(item, "time_s", f"{where}.time_s"))
+            for where, item in self._items("relaxation")
+        )
+
+    def layers(self) -> tuple[Layer, ...]:
         found = []
-        for k, item in enumerate(items):
-            fraction = self._take(item, "fraction", f"relaxation.{k}.fraction")
-            time = self._take(item, "time_s", f"relaxation.{k}.time_s")
-            if item:
-                raise self._fail(f"unknown key relaxation.{k}.{next(iter(item))}")
-            found.append(Branch(fraction, time))
+        for where, item in self._items("layers"):
+            values = {name: self._take(item, key, f"{where}.{key}") for name, key in _LAYER.items() if key in item}
+            if "stiffness_n_per_m" not in values:
+                raise self._fail(f"{where}.n_per_m is missing")
+            found.append(Layer(**values))
         return tuple(found)
+
+    def _items(self, name: str) -> Iterator[tuple[str, dict[str, Any]]]:
+        """Yield the tables of a list with their places; each must be used up before the next one."""
+        items = self._tree.pop(name, [])
+        if not isinstance(items, list) or not all(isinstance(item, dict) for item in items):
+            raise self._fail(f"{name} must be a list of tables, [[{name}]]")
+        for k, item in enumerate(items):
+            where = f"{name}.{k}"
+            yield where, item
+            if item:
+                raise self._fail(f"unknown key {where}.{next(iter(item))}")
 
     def finish(self) -> None:
         for key, value in self._tree.items():

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import Annotated, Literal, Self, get_args
+from typing import Annotated, Any, Literal, Self, get_args
 
 from pydantic import BaseModel, ConfigDict, Field, ValidationError, model_validator
 
@@ -16,6 +16,15 @@ CONFIGURATIONS: tuple[ConfigurationName, ...] = get_args(ConfigurationName)
 SPRING_NOTE = "external_spring_n_per_m"
 """Note of a test with the stiffness of its external spring."""
 STIFFEST_SPRING_N_PER_M = 20_000.0
+
+CouplingName = Literal["none", "tape", "adhesive"]
+COUPLINGS: tuple[CouplingName, ...] = get_args(CouplingName)
+"""How the probe is attached; ``adhesive`` is glue or liquid bandage."""
+DIRECTIONS = {"vertical": 0.0, "horizontal": 90.0}
+"""Orientation by name, degrees against the axis of the limb."""
+INITIAL_LENGTHS_M = 1e-3, 0.1
+"""Shortest and longest initial length of an extension, m."""
+MOST_NORMAL_PRELOAD_N = 15.0
 
 Length = Annotated[float, Field(gt=0.0, le=0.05, allow_inf_nan=False)]
 
@@ -108,11 +117,19 @@ class Configuration(_Specification):
 
     ``external_spring_n_per_m`` is parallel to the tissue and is subtracted from the identified stiffness: sliding on a
     surface has no stiffness, so the probe needs a spring to stay in place (thesis 2.2.3).
+
+    ``coupling`` is how the probe is attached: in indentation it allows to pull (thesis 2.1). ``orientation_deg`` is the
+    direction of the extension against the axis of the limb, and ``initial_length_m`` the length between the faces
+    before it (thesis 7.3). ``normal_preload_n`` presses a sliding probe onto the surface (thesis 7.4). None: unknown.
     """
 
     name: ConfigurationName = "indentation"
     probe: Probe = Field(default_factory=lambda: PROBES["indenter-4.4mm"])
     external_spring_n_per_m: Annotated[float, Field(ge=0.0, le=STIFFEST_SPRING_N_PER_M)] = 0.0
+    coupling: CouplingName = "none"
+    orientation_deg: Annotated[float | None, Field(ge=-180.0, le=180.0)] = None
+    initial_length_m: float | None = None
+    normal_preload_n: Annotated[float | None, Field(gt=0.0, le=MOST_NORMAL_PRELOAD_N)] = None
 
     @model_validator(mode="after")
     def _go_together(self) -> Self:
@@ -143,14 +160,44 @@ class Configuration(_Specification):
                     name=self.name,
                 )
             )
+        shortest, longest = INITIAL_LENGTHS_M
+        if self.initial_length_m is not None and not shortest <= self.initial_length_m <= longest:
+            raise ValueError(
+                Message(
+                    "configuration.initial_length_range",
+                    "the initial length must be between {shortest:g} and {longest:g} mm, got {length:g} mm",
+                    shortest=1e3 * shortest,
+                    longest=1e3 * longest,
+                    length=1e3 * self.initial_length_m,
+                )
+            )
+        for field, belongs_to in _BELONGS_TO.items():
+            if getattr(self, field) not in (None, "none") and self.name not in belongs_to:
+                raise ValueError(
+                    Message(
+                        "configuration.not_here",
+                        "{what} goes with {where} only, not with {name}",
+                        what=_CALLED[field],
+                        where=joined(map(Verbatim, belongs_to)),
+                        name=self.name,
+                    )
+                )
         return self
 
     @classmethod
-    def of(cls, name: str = "indentation", probe: str | None = None, external_spring_n_per_m: float = 0.0) -> Self:
+    def of(
+        cls, name: str = "indentation", probe: str | None = None, external_spring_n_per_m: float = 0.0, **others: Any
+    ) -> Self:
         """Return the configuration with these names, and with its first probe if ``probe`` is None.
 
+        Args:
+            name: one of CONFIGURATIONS.
+            probe: one of PROBES.
+            external_spring_n_per_m: stiffness parallel to the tissue.
+            others: further fields by name: coupling, orientation_deg, initial_length_m, normal_preload_n.
+
         Raises:
-            UnusableInputError: a name is unknown, or configuration, probe and spring do not fit together.
+            UnusableInputError: a name is unknown, a value is not possible, or they do not fit together.
         """
         if name not in CONFIGURATIONS:
             raise UnusableInputError(
@@ -174,11 +221,15 @@ class Configuration(_Specification):
             )
         try:
             return cls.model_validate(
-                {"name": name, "probe": PROBES[probe], "external_spring_n_per_m": external_spring_n_per_m}
+                {"name": name, "probe": PROBES[probe], "external_spring_n_per_m": external_spring_n_per_m} | others
             )
         except ValidationError as error:
             if error.errors()[0]["type"] == "value_error":
                 raise UnusableInputError(validation_reason(error)) from error
+            if (field := str(error.errors()[0]["loc"][0])) in _CALLED:
+                raise UnusableInputError(
+                    Message("configuration.value", "{what}: {why}", what=_CALLED[field], why=validation_reason(error))
+                ) from error
             raise UnusableInputError(
                 Message(
                     "configuration.spring_value",
@@ -194,7 +245,60 @@ class Configuration(_Specification):
 
     def as_notes(self) -> dict[str, str | float]:
         """Return the notes that a session stores with every test, in addition to the name of the configuration."""
-        return self.probe.as_notes() | {SPRING_NOTE: self.external_spring_n_per_m}
+        notes = self.probe.as_notes() | {SPRING_NOTE: self.external_spring_n_per_m}
+        if self.coupling != "none" or self.name == "extension":
+            notes["coupling"] = self.coupling
+        for name in ("orientation_deg", "initial_length_m", "normal_preload_n"):
+            if (value := getattr(self, name)) is not None:
+                notes[name] = value
+        return notes
+
+
+_BELONGS_TO: dict[str, tuple[ConfigurationName, ...]] = {
+    "coupling": ("indentation", "extension"),
+    "orientation_deg": ("extension",),
+    "initial_length_m": ("extension",),
+    "normal_preload_n": ("surface",),
+}
+_CALLED = {
+    "coupling": Message("configuration.coupling", "the coupling"),
+    "orientation_deg": Message("configuration.orientation", "the orientation (degrees against the limb)"),
+    "initial_length_m": Message("configuration.initial_length", "the initial length"),
+    "normal_preload_n": Message("configuration.normal_preload", "the normal preload (N)"),
+}
+
+
+def orientation(text: str) -> float:
+    """Return the angle against the axis of the limb, degrees, from a number or one of DIRECTIONS.
+
+    Raises:
+        UnusableInputError: the text is neither.
+    """
+    if text in DIRECTIONS:
+        return DIRECTIONS[text]
+    try:
+        return float(text)
+    except ValueError:
+        raise UnusableInputError(
+            Message(
+                "configuration.direction",
+                "the orientation must be an angle in degrees, or one of {known}, got '{text}'",
+                known=joined(map(Verbatim, DIRECTIONS)),
+                text=Verbatim(text),
+            )
+        ) from None
+
+
+def placement(notes: dict[str, str | float]) -> tuple[str | float, ...]:
+    """Return how the probe meets the tissue by the notes of a test: what must be equal for tests to be comparable."""
+    return notes.get("coupling", "none"), *(
+        notes.get(name, "") for name in ("orientation_deg", "initial_length_m", "normal_preload_n")
+    )
+
+
+def is_attached(notes: dict[str, str | float]) -> bool:
+    """Return whether the probe is attached to the tissue, which it can then pull, by the notes of a test."""
+    return notes.get("coupling") in ("tape", "adhesive")
 
 
 def has_depth(name: str) -> bool:

@@ -21,7 +21,8 @@ class Record:
 
     ``input`` and ``output`` have shape (n,), float64, in the SI units ``input_unit`` and ``output_unit``. NaN marks a
     sample that was not received; infinity counts as one. Such samples are never filled in. ``joints`` are the indices,
-    in order, of the separating samples between joined records.
+    in order, of the separating samples between joined records. ``withheld`` are first sample and end of stretches whose
+    outputs are NaN because they are held out for validation.
 
     Raises:
         UnusableInputError: the lengths differ, the sample rate is not positive, there are no samples, or a magnitude
@@ -36,6 +37,7 @@ class Record:
     input_unit: str = "N"
     output_unit: str = "m"
     joints: tuple[int, ...] = ()
+    withheld: tuple[tuple[int, int], ...] = ()
 
     def __post_init__(self) -> None:
         for name in ("input", "output"):
@@ -95,7 +97,12 @@ class Record:
         """Return a contiguous part of the record."""
         first, end, _ = part.indices(len(self))
         joints = tuple(joint - first for joint in self.joints if first <= joint < end)
-        return replace(self, input=self.input[part], output=self.output[part], joints=joints)
+        withheld = tuple(
+            (max(begin, first) - first, min(stop, end) - first)
+            for begin, stop in self.withheld
+            if begin < end and stop > first
+        )
+        return replace(self, input=self.input[part], output=self.output[part], joints=joints, withheld=withheld)
 
 
 def joined(records: Sequence[Record]) -> Record:
@@ -130,7 +137,18 @@ def joined(records: Sequence[Record]) -> Record:
     starts = np.cumsum([0, *(len(record) + 1 for record in records[:-1])])
     joints = [int(start) - 1 for start in starts[1:]]
     joints += [int(start) + joint for start, record in zip(starts, records, strict=True) for joint in record.joints]
-    return replace(first, input=np.concatenate(inputs), output=np.concatenate(outputs), joints=tuple(sorted(joints)))
+    withheld = [
+        (int(start) + begin, int(start) + stop)
+        for start, record in zip(starts, records, strict=True)
+        for begin, stop in record.withheld
+    ]
+    return replace(
+        first,
+        input=np.concatenate(inputs),
+        output=np.concatenate(outputs),
+        joints=tuple(sorted(joints)),
+        withheld=tuple(withheld),
+    )
 
 
 def _signals(record: Record) -> tuple[str, str, str, str]:

@@ -5,9 +5,11 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from coded import coded
-from reports.synthetic_sitting import make_test
+from reports.synthetic_sitting import make_session, make_test
 
+from tissueid.analysis import analyse
 from tissueid.analysis.curves.signals import distribution_plots, recording_plots, recording_spectra, spectrum_plot
+from tissueid.analysis.curves.single_test import record_plots
 from tissueid.errors import UnusableInputError
 
 
@@ -19,6 +21,19 @@ def test_a_report_and_the_page_research_have_one_spectrum() -> None:
     report = recording_spectra(test).curves[-1]
     np.testing.assert_array_equal(page.x, report.x)
     np.testing.assert_array_equal(page.y, report.y)
+
+
+def test_a_result_shows_voltage_spectra_and_coherence() -> None:
+    test = make_test(seconds=2.0)
+    found = record_plots(test, {"spectral": analyse(make_session(test), "spectral")})
+    volts = test.signals["voltage"]
+    drawn = [curve for curve in found.voltage.curves if curve.kind == "line"][-1]
+    assert (drawn.y.min(), drawn.y.max()) == (volts.min(), volts.max())
+    assert [curve.colour for curve in found.spectra.curves] == ["measured", "model", "good"]
+    assert found.coherence.curves[-1].kind == "level"
+    bare = record_plots(replace(test, signals={"position": test.signals["position"]}), {})
+    assert bare.voltage.missing.code == "report.no_voltage"
+    assert bare.coherence.missing.code == "report.no_transfer_function"
 
 
 def test_lost_samples_and_times_are_marked() -> None:

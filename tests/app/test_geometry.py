@@ -9,6 +9,7 @@ from pathlib import Path
 
 import pytest
 from app.benches import WAIT_MS, Clock, Gate, found
+from app.test_live_analysis import seen
 from gap_records import recorded
 from PySide6.QtCore import QCoreApplication, QPoint, QRect, QSettings, Qt
 from PySide6.QtGui import QPainter, QPicture
@@ -443,6 +444,21 @@ def test_everything_fits_or_scrolls_at_every_size(in_state, language, state):
             assert fully_visible(window.ui.halt) == (window.testing and window.ui.page != "measure")
         except AssertionError as error:
             raise AssertionError(f"at {size}: {error}") from None
+
+
+@pytest.mark.parametrize("language", ["en", "de"])
+def test_all_live_plots_fit_or_scroll_at_every_size(in_state, language):
+    window = in_state(language, "testing on measure")
+    panel = window.ui.analysis
+    panel.show_view(seen())
+    for size in (*SIZES, (1920, 1080 - FRAME)):
+        window.resize(*size)
+        settle()
+        for tab in range(max(1, panel.tabs.count())):
+            panel.tabs.setCurrentIndex(tab)
+            settle()
+            check(window)
+            assert any(card.isVisible() for card in panel.cards)
 
 
 def outcome_of(part, folder):

@@ -89,11 +89,38 @@ def test_a_view_is_shown_in_the_units_of_people(panel, method):
     np.testing.assert_allclose(10.0 ** data(panel._magnitude)[1], 1e3 * shown.bode.magnitude)
     np.testing.assert_allclose(data(panel._phase)[1], np.degrees(shown.bode.phase_rad))
     np.testing.assert_allclose(data(panel._phase_fit)[1][[0, -1]], [-2.0, -168.0], atol=6.0)  # of a system of order two
+    density = 10.0 ** data(panel._spectra[1])[1]
+    np.testing.assert_allclose(density, np.maximum(1e6 * shown.spectra.output_psd, 1e-12 * density.max()))
+    assert panel.vaf.accessibleName().startswith(
+        f"Explained, { {'sliding': 'LMS', 'rls': 'RLS', 'als': 'ALS'}[method] }: "
+    )
     np.testing.assert_allclose(data(panel._levels)[0], 1e3 * shown.curve.predicted)
     seconds, change = data(panel._courses["damping"])
     assert seconds.tolist() == [1.0, 2.0, 4.0]
     assert change[-1] == 0.0
     assert change[0] == pytest.approx(100.0 * (shown.course.values[0, 1] / shown.course.values[2, 1] - 1.0))
+
+
+def visible(panel):
+    return [card._title for card in panel.cards if not card.isHidden()]
+
+
+def test_as_many_plots_are_shown_as_fit(panel):
+    model = ["Impulse response", "Bode magnitude", "Static nonlinearity", "Bode phase"]
+    panel.show()
+    assert visible(panel) == model
+    panel.tabs.setCurrentIndex(1)
+    assert visible(panel) == ["Coherence", "Force spectrum", "Position spectrum"]
+    panel.resize(320, 480)  # one plot in a row
+    assert panel.tabs.tabText(panel.tabs.currentIndex()) == "Spectra"
+    assert visible(panel) == ["Force spectrum", "Position spectrum"]
+    panel.tabs.setCurrentIndex(0)
+    assert visible(panel) == ["Impulse response", "Static nonlinearity"]
+    panel.resize(520, 900)
+    assert visible(panel) == [card._title for card in panel.cards]
+    assert panel.tabs.isHidden()
+    panel.resize(520, 480)
+    assert visible(panel) == model
 
 
 def test_a_view_is_drawn_once(panel, monkeypatch):

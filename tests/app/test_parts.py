@@ -37,6 +37,7 @@ def samples(first, count):
     block["index"] = first + np.arange(count)
     block["current"] = block["index"]
     block["position"] = 0.01
+    block["voltage"] = 2.0 * block["index"]
     return block
 
 
@@ -49,6 +50,7 @@ def test_time_is_that_of_the_session_and_negative_while_placing():
     assert snapshot.phase is Phase.RELEASE
     assert snapshot.time_s[[0, 19, 20, 39]] == pytest.approx([-1.2, -1.1905, 0.0, 0.0095])
     assert snapshot.force_n[20] == 3.0 * 9000
+    assert snapshot.voltage_v[[20, 39]].tolist() == [18000.0, 18038.0]
 
 
 @given(st.lists(st.integers(1, 70), min_size=1, max_size=12))

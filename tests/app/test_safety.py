@@ -384,6 +384,28 @@ def test_only_what_goes_together_can_be_chosen_and_it_is_stored(qtbot, open_wind
     assert form.spring_n_per_m == 0.0
 
 
+def test_the_form_says_how_the_probe_meets_the_tissue(window):
+    form, lowest = window.ui.form.set_up, window.ui.form.min_force
+    assert form.values()["coupling"] == "none"
+    assert lowest.minimum() == 0.0
+    form.coupling.setCurrentIndex(form.coupling.findData("adhesive"))
+    assert lowest.minimum() == -window.ui.form.max_force.maximum()  # an attached probe can pull, within the limits
+    form.name.setCurrentIndex(form.name.findData("extension"))
+    form.orientation.setCurrentIndex(form.orientation.findData(90.0))
+    form.initial_length.setValue(12.0)
+    chosen = form.values()
+    assert (chosen["coupling"], chosen["orientation_deg"]) == ("adhesive", 90.0)
+    assert chosen["initial_length_m"] == pytest.approx(0.012)
+    form.name.setCurrentIndex(form.name.findData("surface"))
+    assert lowest.minimum() == 0.0
+    form.normal_preload.setValue(1.0)
+    chosen = form.values()
+    assert (chosen["coupling"], chosen["orientation_deg"], chosen["initial_length_m"]) == ("none", None, None)
+    assert chosen["normal_preload_n"] == 1.0
+    form.normal_preload.setValue(0.0)
+    assert form.values()["normal_preload_n"] is None
+
+
 def test_the_keys_reach_the_form_by_mnemonics(qtbot, window):
     form = window.ui.form.set_up
     qtbot.keyClick(window, Qt.Key.Key_P, Qt.KeyboardModifier.AltModifier)

@@ -489,6 +489,8 @@ def test_live_plots_show_the_running_test(qtbot, open_window):
     assert time_s.size <= 2 * width + 2
     assert time_s.min() == pytest.approx(-1.2, abs=0.01)
     assert np.nanmax(force_n) > 8.0
+    voltage_v = window.ui.signals._curves["voltage"].getData()[1]
+    assert 10.0 < np.nanmax(voltage_v) < 60.0
     assert window.ui.guidance.phase.value == "stimulus"
     press(qtbot, window.ui.stop)
     gate.opened.set()

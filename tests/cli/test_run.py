@@ -180,6 +180,25 @@ def test_it_stops_when_it_is_good_enough(capsys, tmp_path):
     assert sum(line.startswith(("0.", "1.")) and "N/m" in line for line in told.splitlines()) >= 3
 
 
+@pytest.mark.parametrize("method", ["sliding", "rls", "als"])
+def test_a_live_method_is_shown_and_answered(method, capsys, tmp_path):
+    chosen = () if method == "sliding" else ("--live-method", method)
+    (answer,), _, told = run(capsys, tmp_path, "--live", *chosen, "--seconds", 1)
+    assert f"live identification: {method}" in told
+    assert f"% ({method})" in " ".join(told.split())
+    live = answer["live"]
+    assert (live["method"], live["seconds"]) == (method, 1.0)
+    assert 50.0 < live["vaf_percent"] <= 100.0
+    assert set(live["parameters"]) == {"mass_kg", "damping_n_s_per_m", "stiffness_n_per_m"}
+    assert 0.01 < live["parameters"]["mass_kg"]["value"] < 1.0
+
+
+def test_without_live_estimates_none_are_answered(capsys, tmp_path):
+    (answer,), _, told = run(capsys, tmp_path, "--seconds", 1)
+    assert answer["live"] is None
+    assert "live identification" not in told
+
+
 def test_what_is_never_good_enough_runs_its_length(capsys, tmp_path):
     (answer,), _, told = run(capsys, tmp_path, "--stop-when", "mass=1e-9", "--seconds", 2)
     assert answer["samples"] == 5000
@@ -232,6 +251,8 @@ def test_another_distribution_than_even_is_judged_by_itself(capsys, tmp_path):
         (["--multistep", "3", "--depth-range", "1:60"], "depth_max_m"),
         (["--multistep", "3", "--depth-range", "1:40"], "exceeds the stroke"),
         (["--target", "0.1"], "--target needs --multistep"),
+        (["--live-method", "rls"], "--live-method needs --live"),
+        (["--live", "--live-method", "magic"], "'magic' is not one of"),
         (["--stop-when", "stiffness"], "NAME=SHARE"),
         (["--stop-when", "colour=0.1"], "colour"),
         (["--stop-when", "stiffness=2"], "between 0 and 0.5"),

@@ -32,6 +32,7 @@ SHORT: dict[str, tuple[str, ...]] = {
     "quiet": ("--seconds", "0.5"),
     "slow_ramp": ("--seconds", "0.5", "--max-force", "5"),
     "step_hold": ("--seconds", "0.5", "--max-force", "5"),
+    "stepped_noise": ("--option", "level_s=0.25", "--option", "levels=2"),
     "rtig": ("--seconds", "1", "--min-force", "-2", "--option", "depth_max_m=0.003"),
 }
 

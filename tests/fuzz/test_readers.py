@@ -22,6 +22,7 @@ from known_calibrations import made
 from sessions import hostile
 
 from tissueid.acquisition.stimulus_choice import load_stimulus, save_stimulus
+from tissueid.acquisition.waveform_file import load_waveform
 from tissueid.calibration.file import read_calibration, to_toml
 from tissueid.errors import TissueIDError
 from tissueid.instrument.twin_file import Source as TwinSource
@@ -119,6 +120,22 @@ def _stimulus(folder: Path) -> Path:
     return path
 
 
+def _waveform(folder: Path) -> Path:
+    path = folder / "a.csv"
+    path.write_text("t;force\n" + "".join(f"{0.001 * k:.4f};{u}\n" for k, u in enumerate(U[:, 0])), encoding="utf-8")
+    return path
+
+
+def _waveform_npy(folder: Path) -> Path:
+    path = folder / "a.npy"
+    np.save(path, U[:, 0])
+    return path
+
+
+def _played(path: Path) -> object:
+    return load_waveform(path, 2000.0)
+
+
 def _export(folder: Path) -> Path:
     out = folder / "out"
     if not out.exists():
@@ -146,6 +163,8 @@ READERS = {
     "calibration": Reader(_calibration, read_calibration, True),
     "twin": Reader(_twin, read_twin, True),
     "stimulus": Reader(_stimulus, load_stimulus, True),
+    "waveform": Reader(_waveform, _played, True),
+    "waveform, npy": Reader(_waveform_npy, _played, False),
     "export": Reader(_export, _beside, True),
 }
 

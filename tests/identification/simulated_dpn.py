@@ -29,7 +29,8 @@ class Tissue:
     """Each curve is coefficient * (exp(growth * depth) + offset), and the force is stiffness(y) * depth.
 
     The ``thesis`` writes A1 to A3 for the growths (per millimetre) and D1 to D3 for the offsets. ``turn`` is the share
-    by which damping is larger on the way in and smaller on the way out, for speeds well over ``turn_speed`` (m/s).
+    by which damping is larger on the way in and smaller on the way out, for speeds well over ``turn_speed`` (m/s), and
+    ``stiffness_turn`` that of the force of the spring, and so of its slope.
     """
 
     mass: float = 0.06
@@ -43,6 +44,7 @@ class Tissue:
     stiffness_offset: float = 0.5
     turn: float = 0.0
     turn_speed: float = 0.02
+    stiffness_turn: float = 0.0
 
     def masses(self, position: Array) -> Array:
         """M(y), kg, shape of the position (m)."""
@@ -92,12 +94,16 @@ def integrate(tissue: Tissue, force: Array, step: float, keep: int, held: bool =
     b, d2, a2 = tissue.damping, tissue.damping_offset, tissue.damping_growth
     k, d3, a3 = tissue.stiffness, tissue.stiffness_offset, tissue.stiffness_growth
     turn, turn_speed, exp, tanh = tissue.turn, tissue.turn_speed, math.exp, math.tanh
+    stiffness_turn = tissue.stiffness_turn
 
     def acceleration(push: float, x: float, v: float) -> float:
         damping = b * (exp(a2 * x) + d2)
         if turn:
             damping *= 1.0 + turn * tanh(v / turn_speed)
-        return (push - damping * v - k * (exp(a3 * x) + d3) * x) / (m * (exp(a1 * x) + d1))
+        spring = k * (exp(a3 * x) + d3) * x
+        if stiffness_turn:
+            spring *= 1.0 + stiffness_turn * tanh(v / turn_speed)
+        return (push - damping * v - spring) / (m * (exp(a1 * x) + d1))
 
     pushes = force.tolist()
     kept = []

@@ -70,6 +70,40 @@ def test_a_symmetric_tissue_shows_no_difference(tissue: simulated_dpn.Tissue):
     assert code_of(model.report.findings[-1]) == "direction.none"
 
 
+def test_stiffness_in_and_out_is_recovered():
+    """The spring pushes back 15 % harder on the way in and 15 % less on the way out; the damping differs by 20 %."""
+    tissue = replace(simulated_dpn.SKIN, turn=0.2, stiffness_turn=0.15)
+    record, model = fitted(tissue)
+    parameters, place = model.report.parameters, np.array([np.median(record.output)])
+    stiffness, damping = tissue.tangents(place)[0], tissue.dampings(place)[0]
+    for name, true in (
+        ("stiffness_in_n_per_m", 1.15 * stiffness),
+        ("stiffness_out_n_per_m", 0.85 * stiffness),
+        ("damping_in_n_s_per_m", 1.2 * damping),
+        ("damping_out_n_s_per_m", 0.8 * damping),
+    ):
+        assert parameters[name].value == pytest.approx(true, rel=0.06), name
+        assert parameters[name].std == pytest.approx(0.025 * true, rel=0.6), name
+    assert [code_of(finding) for finding in model.report.findings[-2:]] == [
+        "direction.stiffness_larger_inward",
+        "direction.larger_inward",
+    ]
+    assert model.report.findings[-2].values["percent"] == pytest.approx(15.0, abs=0.5)
+    profile = model.depth_profile()
+    assert profile is not None
+    inward, outward = profile.stiffness[:5], profile.stiffness[5:]
+    np.testing.assert_allclose((inward - outward) / (inward + outward), 0.15, atol=0.03)
+    np.testing.assert_array_equal(profile.mass[:5], profile.mass[5:])
+
+
+def test_a_damping_that_differs_is_not_taken_for_a_stiffness():
+    _, model = fitted(TURNING)
+    assert [code_of(finding) for finding in model.report.findings[-2:]] == [
+        "direction.stiffness_none",
+        "direction.larger_inward",
+    ]
+
+
 def test_kernels_alone_take_damping_for_stiffness():
     """Why the kernels of Eq. 5.3 are not read one by one: stiffness is the same both ways, and does not look so."""
     _, model = fitted(TURNING)

@@ -11,9 +11,11 @@ from tissueid.errors import UnusableInputError
 from tissueid.identification.engines.als import Als
 from tissueid.identification.engines.lms import Lms
 from tissueid.identification.engines.rls import Rls
+from tissueid.identification.engines.spectral import Spectral
 from tissueid.identification.live.live_view import METHODS, LiveView, Method, start_identifier, view
 from tissueid.identification.live.stopping import precision
 from tissueid.messages import code_of
+from tissueid.procedures.test_plan import LIVE_METHODS
 from tissueid.records import Record
 
 RATE = simulated.RATE
@@ -43,6 +45,10 @@ def test_a_linear_tissue_shows_itself(method: Method):
     np.testing.assert_allclose(shown.bode.phase_rad[inside], np.unwrap(np.angle(truth))[inside], atol=tolerance)
     assert np.min(shown.bode.coherence[inside]) > 0.95
     assert 0.0 < shown.bode.coherence_floor < 0.5
+    spectra = Spectral().fit(record).spectra
+    np.testing.assert_allclose(shown.spectra.frequency_hz, spectra.frequency_hz[1:])
+    np.testing.assert_allclose(shown.spectra.input_psd, spectra.input_psd[1:], rtol=1e-6)
+    np.testing.assert_allclose(shown.spectra.output_psd, spectra.output_psd[1:], rtol=1e-6)
     assert shown.curve is not None
     reach = float(np.ptp(shown.curve.curve_x))
     assert np.max(np.abs(shown.curve.measured - shown.curve.predicted)) < 0.05 * reach
@@ -54,6 +60,10 @@ def test_a_linear_tissue_shows_itself(method: Method):
     assert shown.course.seconds.tolist() == [1.0, 2.0, 4.0]
     assert shown.course.values.shape == shown.course.std.shape == (3, 3)
     assert shown.course.std[0, 2] > shown.course.std[2, 2]
+
+
+def test_a_plan_offers_every_method():
+    assert tuple(LIVE_METHODS) == METHODS
 
 
 def test_the_response_is_that_of_the_engine():
@@ -93,6 +103,7 @@ def test_before_there_is_enough_it_says_so(method: Method):
     shown = view(identifier)
     assert code_of(shown.missing) == "record.shorter_than_memory"
     assert (shown.impulse_response.size, shown.bode, shown.curve, shown.vaf_percent) == (0, None, None, None)
+    assert shown.spectra is None
     assert (shown.parameters, shown.second_order, shown.course.values.shape) == ({}, None, (0, 3))
     identifier.batch(record.input[100:600], record.output[100:600])
     shown = view(identifier)

@@ -10,6 +10,7 @@ from hypothesis import strategies as st
 from identification import simulated, simulated_dpn
 from scipy import signal, stats
 
+from tissueid.analysis.curves.settling import settling_times
 from tissueid.errors import UnusableInputError
 from tissueid.identification.preparation import prepare, scored_samples
 from tissueid.identification.second_order import SecondOrder
@@ -49,6 +50,27 @@ def test_critical_damping_is_the_limit_of_both_branches():
     assert critical.damping_ratio == pytest.approx(1.0)
     w = critical.natural_frequency_rad_per_s
     np.testing.assert_allclose(critical.impulse_response(t), t * np.exp(-w * t) / 0.1, rtol=1e-6)
+
+
+@pytest.mark.parametrize(
+    "system", [FOREARM, OVERDAMPED, (0.06, 1.0, 1000.0), (0.06, 2.0 * np.sqrt(60.0), 1000.0), (0.06, 40.0, 100.0)]
+)
+def test_the_settling_time_is_that_of_a_finely_sampled_response(system: tuple[float, float, float]):
+    settled = SecondOrder(*system).settling_time_s()
+    t = np.linspace(0.0, 2.0 * settled, 200_001)
+    response = np.abs(SecondOrder(*system).impulse_response(t))
+    last = t[np.flatnonzero(response > 0.05 * response.max())[-1]]
+    assert settled == pytest.approx(last, abs=2.0 * t[1])
+
+
+def test_settling_is_fastest_at_intermediate_damping():
+    """Chen 2010, Fig. 6.6, mass 0.06 kg: about 0.06 s where it is short, 0.025 s for stiff tissue."""
+    damping = np.array([0.0, 1.0, 11.0, 60.0])
+    times = settling_times(0.06, damping, np.array([1000.0, 4000.0]))
+    assert np.isinf(times[0]).all()
+    assert times[2, 0] < 0.06 < min(times[1, 0], times[3, 0])
+    assert times[2, 1] < 0.04
+    assert settling_times(0.06, np.array([22.0]), np.array([4000.0]))[0, 0] < 0.025
 
 
 def test_thesis_coefficients_there_and_back():

@@ -302,7 +302,7 @@ def test_a_raw_kernel_of_a_coloured_input_is_doubted():
 def test_smoothing_filters_the_second_kernel_and_keeps_the_rest():
     record = simulated_cascades.wiener(17, cutoff_hz=150.0, snr_db=20.0).record
     options = {"memory": MEMORY, "method": "exact", "downsample": 1}
-    model = Volterra.from_options(options | {"smoothing": 15.0}).fit(record)
+    model = Volterra.from_options(options | {"smoothing": 1.0}).fit(record)
     raw = Volterra.from_options(options).fit(record)
     assert model.kernel2 is not None
     assert raw.kernel2 is not None
@@ -317,12 +317,16 @@ def test_smoothing_filters_the_second_kernel_and_keeps_the_rest():
     assert raw.unfiltered is None
 
 
-def test_the_filter_has_half_its_gain_at_half_its_spread():
-    lags = 41
-    place = (np.arange(lags) + 0.5) / lags
-    wave = np.cos(2.0 * np.pi * 7.5 * place)  # 7.5 periods in the kernel: 7.5 samples of its transform
-    passed = smoothed(np.outer(wave, np.ones(lags)), 15.0)
-    np.testing.assert_allclose(passed, 0.5 * np.outer(wave, np.ones(lags)), atol=1e-12)
+def test_the_filter_is_that_of_c_3_1():
+    """A window of 15 x 15 lags with a standard deviation of one lag and a sum of one, mirrored at the borders."""
+    place = np.arange(-7, 8)
+    window = np.exp(-0.5 * (place[:, None] ** 2 + place**2))
+    window /= window.sum()
+    kernel = simulated.generator(5).standard_normal((21, 21))
+    mirrored = np.pad(kernel, 7, mode="symmetric")
+    expected = signal.convolve(mirrored, window, mode="valid")
+    np.testing.assert_allclose(smoothed(kernel, 1.0), expected, atol=1e-12)
+    assert smoothed(kernel[:4, :4], 1.0).sum() == pytest.approx(kernel[:4, :4].sum())
 
 
 def _coverage(runs: int, colour: float) -> tuple[float, float]:

@@ -15,10 +15,12 @@ from reports.in_german import english_in, in_german, shown, texts_of
 from reports.page_check import checked
 
 from tissueid.analysis.curves.feedback import FeedbackRun
+from tissueid.analysis.curves.settling import settling_plot
 from tissueid.analysis.curves.stimuli import amplitude_plots
 from tissueid.analysis.stimulus_design import StimulusDesign
 from tissueid.device import DeviceDescription
 from tissueid.errors import UnusableInputError
+from tissueid.identification.second_order import SecondOrder
 from tissueid.messages import code_of
 from tissueid.reports.feedback_panels import feedback_panels
 from tissueid.reports.feedback_run import feedback_run, run_from_report
@@ -236,6 +238,23 @@ def test_runs_are_drawn_side_by_side():
     parameters = pictures["feedback-parameters"]
     assert parameters is not None
     assert parameters.axes[2].get_ylabel() == "Stiffness (N/m)"
+
+
+def test_settling_times_stand_beside_block_and_memory():
+    times = {"block_s": 0.025, "identification": REPORT["identification"] | {"memory_s": 0.0625}}
+    plot = settling_plot([swept(REPORT | times)])
+    surface = plot.surface
+    assert surface is not None
+    assert plot.title.values == {"mass_g": "80"}
+    place = int(np.argmin(np.abs(surface.y - 8.0))), int(np.argmin(np.abs(surface.x - 1000.0)))
+    assert surface.values[place] == pytest.approx(58.0, rel=0.1)  # ms
+    memory = next(curve for curve in plot.curves if curve.kind == "dotted")
+    for stiffness, damping in zip(memory.x[::5], memory.y[::5], strict=True):
+        assert SecondOrder(0.08, damping, stiffness).settling_time_s() == pytest.approx(0.0625, rel=0.15)
+    assert plot.curves[-1].x.tolist() == [2000.0, 3000.0, 4000.0]
+    bare = settling_plot()
+    assert bare.title.values == {"mass_g": "60"}
+    assert len(bare.parts) == 1
 
 
 def test_a_run_that_identified_nothing_says_so():

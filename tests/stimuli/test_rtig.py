@@ -237,12 +237,15 @@ def test_the_report_counts_what_was_measured():
 
 
 def test_mass_damping_and_stiffness_of_a_linear_plant_do_not_vary_with_depth():
-    levels = closed_loop(kind(), Linear()).source.report()["identification"]["levels"]
+    report = closed_loop(kind(), Linear()).source.report()
+    levels = report["identification"]["levels"]
+    assert (report["block_s"], report["identification"]["memory_s"]) == (0.025, 0.0625)
     assert len(levels) == 8
     for level in levels:
         assert level["stiffness_n_per_m"] == pytest.approx(STIFFNESS, rel=0.1)
         assert level["damping_n_s_per_m"] == pytest.approx(DAMPING, rel=0.25)
         assert level["mass_kg"] == pytest.approx(MASS, rel=0.15)
+        assert level["settling_s"] == pytest.approx(0.058, rel=0.15)  # within the memory, longer than a block
 
 
 def test_stiffness_and_damping_of_the_depth_dependent_plant_grow_and_its_mass_does_not():

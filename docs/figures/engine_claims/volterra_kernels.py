@@ -20,7 +20,7 @@ from outside_data import RIG
 from engine_claims.base import Claim
 from tissueid.identification.validation import vaf_percent
 from tissueid.identification.volterra.kernel_regression import regression_kernels
-from tissueid.identification.volterra.lag_grid import smoothed
+from tissueid.identification.volterra.lag_grid import THESIS_SIGMA, smoothed
 from tissueid.identification.volterra.laguerre import laguerre_kernels
 from tissueid.identification.volterra.methods import factor_stimulus
 from tissueid.identification.volterra.prior import regularised_fit, roughness
@@ -35,7 +35,7 @@ FIT_SHARE = 0.75
 LAGS, SPACING = 41, 3
 """The lags of 4.3: 903 coefficients of a record of 2 kHz; every sample is a row."""
 
-SPREAD = 15.0
+SPREAD = THESIS_SIGMA
 LOST_POINTS = 0.5
 THIRD_S, THIRD_GIB = 10.0, 2.0
 RUNS = 5

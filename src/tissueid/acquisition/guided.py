@@ -27,11 +27,11 @@ from tissueid.instrument import (
     Limits,
     Run,
     check_stimulus,
-    force,
     is_not_played,
     join_blocks,
     trim_at_release,
 )
+from tissueid.instrument.force_profile import recorded_force
 from tissueid.language import marked
 from tissueid.messages import Action, Message, Verbatim
 from tissueid.sessions.model import reason_notes
@@ -276,7 +276,7 @@ class _Recording:
         }
         if limited := int(np.count_nonzero(samples["flags"] & Flag.LIMITED)):
             figures["limited_samples"] = float(limited)
-        coil = force(samples, device)
+        coil = recorded_force(samples, device)
         if np.isfinite(coil).any():
             weight = device.weight_n(self._placement.orientation.along_m_s2)
             figures["net_force_n"] = float(np.nanmean(coil)) + weight

@@ -13,7 +13,7 @@ from tissueid.device import DeviceDescription
 from tissueid.identification.live.live_view import LiveView, Method
 from tissueid.identification.live.stopping import StopRule
 from tissueid.identification.online.identifier import RECENT_S
-from tissueid.instrument import force
+from tissueid.instrument.force_profile import recorded_force
 
 
 class LiveIdentification:
@@ -75,7 +75,7 @@ class LiveIdentification:
             return
         place = place[new]
         block = np.full((2, int(place[-1]) + 1), np.nan)
-        block[0, place] = force(samples[new], self._device)
+        block[0, place] = recorded_force(samples[new], self._device)
         block[1, place] = samples["position"][new]
         self._fed += block.shape[1]
         self._estimator.take(block[0], block[1])

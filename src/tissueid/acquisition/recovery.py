@@ -27,7 +27,8 @@ from tissueid.atomic_write import remove_leftovers
 from tissueid.audit import AuditTrail
 from tissueid.device import DeviceDescription
 from tissueid.errors import SessionFormatError, UnusableInputError
-from tissueid.instrument import SAMPLE, SIGNALS, Run, force, is_not_played, join_blocks, trim_at_release
+from tissueid.instrument import SAMPLE, SIGNALS, Run, is_not_played, join_blocks, trim_at_release
+from tissueid.instrument.force_profile import force_notes, recorded_force
 from tissueid.messages import Listing, Message
 from tissueid.sessions import (
     MAX_NUMBERS,
@@ -125,9 +126,9 @@ class OpenTest:
             signals[name] = np.full(length, np.nan)
             signals[name][place] = samples[name]
         signals["force"] = np.full(length, np.nan)
-        signals["force"][place] = force(samples, device)
+        signals["force"][place] = recorded_force(samples, device)
         attributes = dict(self.attributes)
-        notes = attributes.pop("notes", {}) | self.notes
+        notes = force_notes(device) | attributes.pop("notes", {}) | self.notes
         if missing := int(np.isnan(signals["position"]).sum()):
             notes["samples_lost"] = missing
         if after_release:

@@ -13,7 +13,8 @@ from numpy.typing import NDArray
 
 from tissueid.device import DeviceDescription
 from tissueid.errors import UnusableInputError
-from tissueid.instrument import Instrument, Run, force
+from tissueid.instrument import Instrument, Run
+from tissueid.instrument.force_profile import recorded_force
 from tissueid.messages import Message
 from tissueid.stimuli.base import GUIDED, Array, Stimulus, preload_values, to_voltage
 from tissueid.stimuli.feedback import BLOCK, FeedbackKind
@@ -126,7 +127,7 @@ class SetPoints:
 
     def take(self, samples: NDArray[np.void]) -> None:
         """Add samples of the run, shape (k,) of SAMPLE, in order; lost ones are NaN."""
-        self._waiting.append(np.stack([force(samples, self._device), samples["position"]]))
+        self._waiting.append(np.stack([recorded_force(samples, self._device), samples["position"]]))
         self._received += samples.size
 
     def send_due(self, instrument: Instrument) -> None:

@@ -12,13 +12,15 @@ from typing import Any
 import numpy as np
 
 from tissueid import __version__
+from tissueid.acquisition.waveform_file import is_waveform, load_waveform
 from tissueid.atomic_write import atomic_file, open_regular
 from tissueid.errors import UnusableInputError
 from tissueid.messages import Message
 from tissueid.stimuli import build_from_specification
-from tissueid.stimuli.base import OpenLoopKind, Stimulus, StimulusKind, parse_description, with_preload
+from tissueid.stimuli.base import GUIDED, OpenLoopKind, Stimulus, StimulusKind, parse_description, with_preload
 from tissueid.stimuli.feedback import FeedbackKind
 from tissueid.stimuli.kinds.noise import Noise
+from tissueid.stimuli.kinds.waveform import Scaled, Waveform
 from tissueid.untrusted_input import json_value
 
 FORMAT = "tissueid-stimulus"
@@ -31,9 +33,17 @@ def save_stimulus(path: Path, stimulus: Stimulus | FeedbackKind) -> None:
     """Write a stimulus to a new file atomically.
 
     Raises:
-        UnusableInputError: the file exists, the folder is missing, or the file cannot be written.
+        UnusableInputError: the file exists, the folder is missing, the file cannot be written, or the stimulus is a
+            waveform, whose samples a saved stimulus does not hold.
     """
     check_new(path)
+    if isinstance(stimulus, Stimulus) and isinstance(parse_description(stimulus.description)[0], Waveform):
+        raise UnusableInputError(
+            Message(
+                "stimulus.waveform_saved",
+                "a saved stimulus holds no samples, so that a waveform cannot be saved as one: keep its own file",
+            )
+        )
     text = json.dumps(_content(stimulus), indent=2, allow_nan=False) + "\n"
     try:
         with atomic_file(path, new=True, shared=True) as partial:
@@ -237,13 +247,56 @@ def playable(
     return with_preload(build(specification), PRELOAD_S)
 
 
-def playable_file(path: Path) -> Stimulus | FeedbackKind:
-    """Return a saved stimulus; adds a preload if it has none.
+@dataclass(frozen=True, kw_only=True)
+class FileChoice:
+    """A stimulus from a file, and how it is played.
+
+    ``scale`` and ``offset``, in the unit of the stimulus, apply to every sample; None for 1 and 0. ``file_rate_hz`` is
+    the sample rate of a waveform without times; None for that of the instrument.
+    """
+
+    path: Path
+    scale: float | None = None
+    offset: float | None = None
+    file_rate_hz: float | None = None
+
+    def stimulus(self, sample_rate_hz: float) -> Stimulus | FeedbackKind:
+        """Return the waveform or the saved stimulus, without a preload that it does not have itself.
+
+        Raises:
+            UnusableInputError: the file cannot be read or holds no stimulus, or it cannot be played so.
+        """
+        scale, offset = 1.0 if self.scale is None else self.scale, 0.0 if self.offset is None else self.offset
+        if is_waveform(self.path):
+            return load_waveform(self.path, sample_rate_hz, file_rate_hz=self.file_rate_hz, scale=scale, offset=offset)
+        if self.file_rate_hz is not None:
+            raise UnusableInputError(
+                Message(
+                    "stimulus.file_rate",
+                    "{path} is a saved stimulus and has its sample rate: leave out --file-rate",
+                    path=str(self.path),
+                )
+            )
+        loaded = load_stimulus(self.path)
+        if self.scale is None and self.offset is None:
+            return loaded
+        described = loaded.describe() if isinstance(loaded, FeedbackKind) else loaded.description
+        inner = dict(described.get("stimulus", described)) if described.get("type") == GUIDED else dict(described)
+        if inner.get("type") == Scaled.name:  # scaled twice: a (b x + c) + d
+            scale, offset = scale * inner["scale"], scale * inner["offset"] + offset
+            inner = dict(inner["stimulus"])
+        scaled = Scaled.from_options({"stimulus": inner, "scale": scale, "offset": offset})
+        preload_s = 0.0 if isinstance(loaded, FeedbackKind) else loaded.preload_s
+        return build_from_specification(scaled, preload_s or None)
+
+
+def playable_file(choice: FileChoice, sample_rate_hz: float) -> Stimulus | FeedbackKind:
+    """Return a stimulus from a file for an instrument of this sample rate; adds a preload if it has none.
 
     Raises:
         UnusableInputError: the file cannot be read, or contains no stimulus that this version can build.
     """
-    loaded = load_stimulus(path)
+    loaded = choice.stimulus(sample_rate_hz)
     if isinstance(loaded, FeedbackKind) or loaded.preload_s > 0.0:
         return loaded
     return with_preload(loaded, PRELOAD_S)
@@ -252,7 +305,7 @@ def playable_file(path: Path) -> Stimulus | FeedbackKind:
 def test_kind(stimulus: Stimulus | FeedbackKind) -> str:
     """Return the kind of a test on tissue with this stimulus, as stored in a session."""
     kind = stimulus if isinstance(stimulus, FeedbackKind) else parse_description(stimulus.description)[0]
-    return kind.test_kind
+    return kind.inner.test_kind if isinstance(kind, Scaled) else kind.test_kind
 
 
 test_kind.__test__ = False  # type: ignore[attr-defined]  # keeps pytest from collecting it

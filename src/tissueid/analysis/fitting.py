@@ -10,6 +10,7 @@ from typing import Any
 
 from numba.core.event import install_timer
 
+from tissueid.analysis.actuator import NOMINAL_RELATIVE_STD, Actuator
 from tissueid.analysis.split import Split, split
 from tissueid.errors import UnusableInputError
 from tissueid.identification.base import Engine, Model
@@ -17,9 +18,15 @@ from tissueid.identification.depth_profile import DepthProfile
 from tissueid.identification.registry import get_engine, report_engines
 from tissueid.identification.second_order import has_stiffness, profile_without_spring, without_spring
 from tissueid.identification.validation import validated
+from tissueid.language import marked
 from tissueid.messages import Message
-from tissueid.records import Record
+from tissueid.records import Record, joined
 from tissueid.sessions import Session, Test
+
+_DIFFERS = 2.6
+"""Standard deviations between C3 and the weight beyond which they differ (99 % of a normal variable)."""
+NOTHING_HELD_OUT = marked("the fitted samples: nothing was held out")
+"""What an analysis of whole tests was validated on."""
 
 
 @dataclass(frozen=True)
@@ -30,6 +37,9 @@ class Analysis:
 
     ``external_spring_n_per_m`` is the stiffness of a spring parallel to the tissue. It is subtracted from the stiffness
     among the model's parameters and in ``depth_profile``; the model itself and its response include it.
+
+    ``actuator`` is the moving part of the instrument where mass and damping of the tissue alone were asked for; they
+    are among the model's parameters as ``tissue_...``, in addition to those of coil and tissue.
     """
 
     model: Model
@@ -42,6 +52,7 @@ class Analysis:
     tests: tuple[int, ...] = ()
     external_spring_n_per_m: float = 0.0
     configuration: str = "indentation"
+    actuator: Actuator | None = None
 
     def depth_profile(self, model: Model | None = None) -> DepthProfile | None:
         """Return mass, damping and stiffness of the tissue against depth, without the external spring.
@@ -56,13 +67,28 @@ class Analysis:
     def as_answer(self) -> dict[str, Any]:
         """Return the result for JSON: report, fitted tests, validation part, and parameters against depth."""
         profile = self.depth_profile()
-        return self.model.report.as_dict() | {
-            "test": self.test,
-            "tests": list(self.tests),
-            "validated_on": self.validated_on,
-            "external_spring_n_per_m": self.external_spring_n_per_m,
-            "depth_profile": None if profile is None else profile.as_rows(),
-        }
+        answer: dict[str, Any] = {}
+        if self.actuator is not None:
+            alone = None if profile is None else self.actuator.without(profile)
+            answer = {
+                "actuator": {
+                    "mass_kg": {"value": self.actuator.mass.value, "std": self.actuator.mass.std},
+                    "damping_n_s_per_m": {"value": self.actuator.damping.value, "std": self.actuator.damping.std},
+                    "calibrated": self.actuator.calibrated,
+                },
+                "tissue_depth_profile": None if alone is None else alone.as_rows(),
+            }
+        return (
+            answer
+            | self.model.report.as_dict()
+            | {
+                "test": self.test,
+                "tests": list(self.tests),
+                "validated_on": self.validated_on,
+                "external_spring_n_per_m": self.external_spring_n_per_m,
+                "depth_profile": None if profile is None else profile.as_rows(),
+            }
+        )
 
 
 def analyse(
@@ -75,6 +101,7 @@ def analyse(
     validate: int | None = None,
     input_name: str = "force",
     output_name: str = "position",
+    tissue_alone: bool = False,
 ) -> Analysis:
     """Fit one engine and score its free-run simulation on held-out data.
 
@@ -87,24 +114,30 @@ def analyse(
         validate: number of the held-out test; by default the last quarter of every fitted test is held out.
         input_name: signal that is the input.
         output_name: signal that is the output.
+        tissue_alone: also report mass and damping without those of the actuator.
 
     Raises:
         UnusableInputError: unknown engine, option, test or signal, or a record that cannot carry the fit.
     """
     specification = get_engine(engine).from_options(options or {})
     parts = split(session, test=test, also=also, validate=validate, input_name=input_name, output_name=output_name)
+    if tissue_alone and (input_name, output_name) == ("force", "position"):
+        parts = replace(parts, actuator=Actuator.of(session.instrument))
     return fit_split(specification, parts)
 
 
 def analyse_all(
-    session: Session, engines: Iterable[str] | None = None, *, test: Test | None = None, validate: int | None = None
+    session: Session,
+    engines: Iterable[str] | None = None,
+    *,
+    test: Test | None = None,
+    validate: int | None = None,
+    tissue_alone: bool = False,
 ) -> dict[str, Analysis]:
-    """Fit several engines, by default those of the standard report, to one test. Return the analyses by engine."""
+    """Fit several engines, by default those of the test's standard report, to it. Return the analyses by engine."""
     number = None if test is None else test.number
-    return {
-        name: analyse(session, name, test=number, validate=validate)
-        for name in (report_engines() if engines is None else engines)
-    }
+    names = report_engines(session.test(number).record()) if engines is None else engines
+    return {name: analyse(session, name, test=number, validate=validate, tissue_alone=tissue_alone) for name in names}
 
 
 def fit_split(specification: Engine, parts: Split) -> Analysis:
@@ -113,11 +146,14 @@ def fit_split(specification: Engine, parts: Split) -> Analysis:
     Raises:
         UnusableInputError: the record cannot carry the fit.
     """
-    model, seconds = timed_fit(specification, parts.record, parts.fit_part)
+    known = specification.with_test_values(parts.surface_position_m, parts.weight_n)
+    model, seconds = timed_fit(known, parts.record, parts.fit_part)
+    model = _with_test_values(model, specification, known, parts.weight_n)
     with _plugin_errors(specification):
         model = validated(model, parts.held_out_record, parts.held_out).with_report(seconds=seconds)
+    model = _without_spring(model, parts.external_spring_n_per_m)
     return Analysis(
-        _without_spring(model, parts.external_spring_n_per_m),
+        model if parts.actuator is None else _with_tissue_alone(model, parts.actuator),
         parts.record,
         parts.fit_part,
         parts.held_out_record,
@@ -127,7 +163,79 @@ def fit_split(specification: Engine, parts: Split) -> Analysis:
         parts.tests,
         parts.external_spring_n_per_m,
         parts.configuration,
+        parts.actuator,
     )
+
+
+def _with_tissue_alone(model: Model, actuator: Actuator) -> Model:
+    """Return the model with mass and damping of the tissue alone among its parameters, and a finding about them."""
+    report = model.report
+    more = actuator.remainders(report.parameters)
+    if not more:
+        return model
+    values = {"mass": 1e3 * actuator.mass.value, "damping": actuator.damping.value}
+    if actuator.calibrated:
+        line = Message(
+            "analysis.actuator_of_sweep",
+            "Tissue alone: the moving mass of {mass:.1f} g and the bearing damping of {damping:.2f} N s/m of the "
+            "calibration sweep are subtracted, with their uncertainties.",
+            **values,
+        )
+    else:
+        line = Message(
+            "analysis.actuator_nominal",
+            "Tissue alone: the nominal moving mass of {mass:.1f} g and bearing damping of {damping:.2f} N s/m are "
+            "subtracted, with an assumed uncertainty of {percent:.0f} %; a calibration sweep measures them.",
+            percent=100.0 * NOMINAL_RELATIVE_STD,
+            **values,
+        )
+    return model.with_report(parameters=report.parameters | more, findings=(*report.findings, line))
+
+
+def _with_test_values(model: Model, given: Engine, used: Engine, weight_n: float | None) -> Model:
+    """Return the model with the options as given, and among its details, as ``known_...``, those of the test.
+
+    A load C3 that differs significantly from the weight of the moving part becomes a finding.
+    """
+    report, options = model.report, given.options()
+    taken = {f"known_{name}": v for name, v in used.options().items() if isinstance(v, float) and options[name] is None}
+    model = replace(model, report=replace(report, options=options, details=report.details | taken))
+    load = report.parameters.get("c3_n")
+    if weight_n is None or load is None or load.std is None or abs(load.value - weight_n) <= _DIFFERS * load.std:
+        return model
+    line = Message(
+        "analysis.load_is_not_weight",
+        "C3 of {load:.2f} ± {std:.2f} N is not the weight of the moving part, {weight:.2f} N: the exponential does not "
+        "describe the tissue down to its surface",
+        load=load.value,
+        std=load.std,
+        weight=weight_n,
+    )
+    return model.with_report(findings=(*report.findings, line))
+
+
+def fit_whole(specification: Engine, parts: Split) -> Analysis:
+    """Fit a specification to the whole tests of a split; nothing is held out, and the report has no held-out score.
+
+    The held-out part of the analysis is the fitted one, so that its figures show the fitted samples.
+
+    Raises:
+        UnusableInputError: the record cannot carry the fit.
+    """
+    record = joined(parts.records)
+    whole = slice(0, len(record))
+    everything = replace(
+        parts,
+        record=record,
+        fit_part=whole,
+        held_out_record=record,
+        held_out=whole,
+        validated_on=NOTHING_HELD_OUT,
+        records=(),
+    )
+    analysis = fit_split(specification, everything)
+    model = analysis.model.with_report(vaf_validation_percent=None, validation_p_value=None, vaf_scheduled_percent=None)
+    return replace(analysis, model=model)
 
 
 def _without_spring(model: Model, spring_n_per_m: float) -> Model:

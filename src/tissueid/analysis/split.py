@@ -7,8 +7,11 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from tissueid.configuration import spring_of
+from tissueid.analysis.actuator import Actuator
+from tissueid.configuration import has_depth, placement, spring_of
+from tissueid.device import GRAVITY_M_S2, DeviceDescription
 from tissueid.errors import UnusableInputError
+from tissueid.identification.depth_levels import localized_levels
 from tissueid.language import marked
 from tissueid.messages import Listing, Message
 from tissueid.records import Record, joined
@@ -18,6 +21,19 @@ QUARTERS = 4
 FIT_SHARE = 1.0 - 1.0 / QUARTERS
 """Share of each test that is fitted, from its start; the rest is held out unless another test is."""
 
+SURFACE_KNOWN_TO_M = 0.3e-3
+"""Difference between the surfaces of two tests, m, up to which they count as the same."""
+
+_GRAVITY_NOTE = "gravity_along_stroke_m_s2"
+_MEASURED_NOTE = "gravity_across_stroke_m_s2"
+"""Note of a test whose orientation was measured and not assumed."""
+
+_LARGEST_GRAVITY = 1.1
+"""Largest plausible component of gravity along the stroke, relative to g."""
+
+_SAME_GRAVITY_M_S2 = 0.3
+"""Difference of gravity along the stroke, m/s^2, up to which two tests have the same orientation: twice its error."""
+
 
 @dataclass(frozen=True, eq=False)
 class Split:
@@ -26,7 +42,9 @@ class Split:
     ``tests`` are the numbers of the fitted tests. ``records`` are their whole records where a part of each test is
     held out, and empty where another test is held out, whose number is ``validated``. ``external_spring_n_per_m`` is
     the stiffness of the external spring parallel to the tissue in all of them; 0 unless the record is force and
-    position.
+    position. ``surface_position_m`` is the position of the tissue surface, and ``weight_n`` the weight of the moving
+    part along the stroke, N into the tissue, which the signal force does not include; None unless the tests know it.
+    ``actuator`` is the moving part of the instrument where the tissue alone is to be reported.
 
     Several tests are joined with a gap between each two; no engine uses samples across a gap. Their held-out parts are
     separate stretches: ``held_out_record`` then holds the whole input, which a free run needs, and NaN for every
@@ -43,6 +61,9 @@ class Split:
     validated: int | None = None
     external_spring_n_per_m: float = 0.0
     configuration: str = "indentation"
+    surface_position_m: float | None = None
+    weight_n: float | None = None
+    actuator: Actuator | None = None
 
     @property
     def fitted(self) -> Record:
@@ -119,7 +140,33 @@ def split(
         parts = Split(record, whole[0], other, whole[1], numbers, _test(validate), validated=validate)
     else:
         parts = split_records(records, numbers)
-    return replace(parts, external_spring_n_per_m=spring, configuration=first.configuration)
+    known = (input_name, output_name) == ("force", "position") and {"force", "position"} <= first.signals.keys()
+    return replace(
+        parts,
+        external_spring_n_per_m=spring,
+        configuration=first.configuration,
+        surface_position_m=_common_surface(tests) if known else None,
+        weight_n=_common_weight(tests, session.instrument) if known else None,
+    )
+
+
+def _common_surface(tests: Sequence[Test]) -> float | None:
+    """Return the mean position of the tissue surface in tests, m; None if one does not know it or they differ."""
+    surfaces = [test.surface_position_m for test in tests]
+    if not all(has_depth(test.configuration) for test in tests) or not np.all(np.isfinite(surfaces)):
+        return None
+    return float(np.mean(surfaces)) if np.ptp(surfaces) <= SURFACE_KNOWN_TO_M else None
+
+
+def _common_weight(tests: Sequence[Test], device: DeviceDescription) -> float | None:
+    """Return the mean weight of the moving part along the stroke in tests, N; None if its direction was not measured
+    in one of them, or differs.
+    """
+    along = [test.notes.get(_GRAVITY_NOTE) for test in tests if _MEASURED_NOTE in test.notes]
+    known = [value for value in along if isinstance(value, float) and abs(value) < _LARGEST_GRAVITY * GRAVITY_M_S2]
+    if len(known) < len(tests) or np.ptp(known) > _SAME_GRAVITY_M_S2:
+        return None
+    return device.weight_n(float(np.mean(known)))
 
 
 def _common_spring(tests: Sequence[Test]) -> float:
@@ -154,16 +201,28 @@ def _common_spring(tests: Sequence[Test]) -> float:
                     other=spring,
                 )
             )
+        if placement(test.notes) != placement(tests[0].notes):
+            raise UnusableInputError(
+                Message(
+                    "split.different_placements",
+                    "tests {first} and {second} differ in coupling, orientation, initial length or normal preload: "
+                    "analyse them one by one",
+                    first=tests[0].number,
+                    second=test.number,
+                )
+            )
     return springs[0]
 
 
 def split_records(records: Sequence[Record], tests: tuple[int, ...] = (1,)) -> Split:
     """Hold out the last quarter of every record; ``tests`` are the numbers of their tests.
 
+    Of a localized test, it is the last quarter at every level, as the last quarter of the test lacks the other levels.
+
     Raises:
         UnusableInputError: there is no record, or they differ in sample rate, signals or units.
     """
-    if len(records) != 1:
+    if len(records) != 1 or localized_levels(records[0]):
         return _hold_out(records, QUARTERS - 1, tests)
     record, cut = records[0], round(FIT_SHARE * len(records[0]))
     whole = tuple(records)
@@ -174,20 +233,44 @@ def _hold_out(records: Sequence[Record], quarter: int, tests: tuple[int, ...]) -
     """Hold out the quarter ``quarter`` (0 to 3) of every record, and join the rest."""
     kept: list[Record] = []
     unseen: list[Record] = []
+    by_level = False
     for record in records:
-        first, end = (round(q * len(record) / QUARTERS) for q in (quarter, quarter + 1))
-        kept += [record[part] for part in (slice(0, first), slice(end, len(record))) if part.start < part.stop]
-        output = np.full(len(record), np.nan)
-        output[first:end] = record.output[first:end]
-        unseen.append(replace(record, output=output))
+        hidden = np.zeros(len(record), dtype=np.bool_)
+        levels = localized_levels(record)
+        stretches = [(one.first, one.end) for one in levels] or [(0, len(record))]
+        quarters = tuple(
+            (
+                begin + round(quarter * (stop - begin) / QUARTERS),
+                begin + round((quarter + 1) * (stop - begin) / QUARTERS),
+            )
+            for begin, stop in stretches
+        )
+        for first, end in quarters:
+            hidden[first:end] = True
+        if levels:  # stays in one piece: the engines see by which steps its levels were reached
+            kept.append(replace(record, output=np.where(hidden, np.nan, record.output), withheld=quarters))
+            by_level = True
+        else:
+            first, end = quarters[0]
+            kept += [record[part] for part in (slice(0, first), slice(end, len(record))) if part.start < part.stop]
+        unseen.append(replace(record, output=np.where(hidden, record.output, np.nan)))
     fitted, held_out = joined(kept), joined(unseen)
     whole = slice(0, len(fitted)), slice(0, len(held_out))
-    return Split(fitted, whole[0], held_out, whole[1], tests, _quarter_of(tests, quarter), tuple(records))
+    said = _quarter_of(tests, quarter, by_level=by_level)
+    return Split(fitted, whole[0], held_out, whole[1], tests, said, tuple(records))
 
 
-def _quarter_of(tests: Sequence[int], quarter: int = QUARTERS - 1) -> str:
+def _quarter_of(tests: Sequence[int], quarter: int = QUARTERS - 1, *, by_level: bool = False) -> str:
     percent = 100.0 / QUARTERS
     which = (marked("first"), marked("second"), marked("third"), marked("last"))[quarter]
+    if by_level and len(tests) == 1:
+        return Message(
+            "split.part_of_levels",
+            "the {which} {percent:.0f} % at each level of test {number}",
+            which=which,
+            percent=percent,
+            number=tests[0],
+        )
     if len(tests) == 1:
         return Message(
             "split.part_of_test",

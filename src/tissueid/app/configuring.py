@@ -1,11 +1,21 @@
-"""Choosing how the instrument meets the tissue: configuration, probe, and the external spring where there is one."""
+"""Choosing how the instrument meets the tissue: configuration, probe, coupling, direction, and external spring."""
 
 from __future__ import annotations
+
+from typing import Any
 
 from PySide6.QtWidgets import QComboBox, QGridLayout, QLabel, QWidget
 
 from tissueid.app.number_field import NumberField
-from tissueid.configuration import CONFIGURATIONS, PROBES, STIFFEST_SPRING_N_PER_M
+from tissueid.configuration import (
+    CONFIGURATIONS,
+    COUPLINGS,
+    DIRECTIONS,
+    INITIAL_LENGTHS_M,
+    MOST_NORMAL_PRELOAD_N,
+    PROBES,
+    STIFFEST_SPRING_N_PER_M,
+)
 from tissueid.language import _, marked
 from tissueid.messages import translated
 
@@ -20,6 +30,17 @@ _WHAT = {
     "extension": marked("The probe is stuck on and moves along the skin, which it stretches"),
     "surface": marked("The probe slides on the surface against an external spring, which is subtracted"),
 }
+_COUPLED = {
+    "none": marked("not attached"),
+    "tape": marked("Double-sided tape"),
+    "adhesive": marked("Glue or liquid bandage"),
+}
+_NAMED_DIRECTIONS = {
+    DIRECTIONS["vertical"]: marked("vertical, along the limb"),
+    DIRECTIONS["horizontal"]: marked("horizontal, across the limb"),
+}
+_ANGLES_DEG = (0, 15, 30, 45, 60, 75, 90, -75, -60, -45, -30, -15)
+_NOT_RECORDED = marked("not recorded")
 
 
 class ConfigurationChooser(QWidget):
@@ -42,14 +63,43 @@ class ConfigurationChooser(QWidget):
         self.spring.setValue(_USUAL_SPRING_N_PER_M)
         self._spring_label = QLabel(_("E&xternal spring"))
         self._spring_label.setBuddy(self.spring)
+        self.coupling = QComboBox()
+        self.coupling.setAccessibleName(_("Coupling"))
+        self.coupling.setToolTip(_("What attaches the probe to the skin: only an attached probe can pull"))
+        for coupling in COUPLINGS:
+            self.coupling.addItem(_(_COUPLED[coupling]), coupling)
+        self.orientation = QComboBox()
+        self.orientation.setAccessibleName(_("Orientation"))
+        self.orientation.setToolTip(_("Direction of the extension against the axis of the limb"))
+        self.orientation.addItem(_(_NOT_RECORDED), None)
+        for angle in _ANGLES_DEG:
+            words = _(_NAMED_DIRECTIONS[angle]) if angle in _NAMED_DIRECTIONS else ""
+            self.orientation.addItem(f"{angle}° {words}".rstrip(), float(angle))
+        self.initial_length = _zero_unknown(" mm", 1e3 * INITIAL_LENGTHS_M[1], _("Initial length"))
+        self.normal_preload = _zero_unknown(" N", MOST_NORMAL_PRELOAD_N, _("Normal preload"))
         probe_label = QLabel(_("&Probe"))
         probe_label.setBuddy(self.probe)
         grid = QGridLayout(self)
         grid.setContentsMargins(0, 0, 0, 0)
         grid.setHorizontalSpacing(8)
         grid.setVerticalSpacing(5)
-        rows = ((QLabel(_("Configuration")), self.name), (probe_label, self.probe), (self._spring_label, self.spring))
-        for row, (label, field) in enumerate(rows):
+        self._only: dict[QWidget, tuple[str, ...]] = {
+            self.coupling: ("indentation", "extension"),
+            self.orientation: ("extension",),
+            self.initial_length: ("extension",),
+            self.spring: ("surface",),
+            self.normal_preload: ("surface",),
+        }
+        self._rows = (
+            (QLabel(_("Configuration")), self.name),
+            (probe_label, self.probe),
+            (QLabel(_("Coupling")), self.coupling),
+            (QLabel(_("Orientation")), self.orientation),
+            (QLabel(_("Initial length")), self.initial_length),
+            (self._spring_label, self.spring),
+            (QLabel(_("Normal preload")), self.normal_preload),
+        )
+        for row, (label, field) in enumerate(self._rows):
             label.setProperty("role", "field")
             grid.addWidget(label, row, 0)
             grid.addWidget(field, row, 1)
@@ -57,6 +107,11 @@ class ConfigurationChooser(QWidget):
         self.name.currentIndexChanged.connect(self._go_together)
         self.probe.currentIndexChanged.connect(self._describe)
         self._go_together()
+
+    @property
+    def fields(self) -> list[QWidget]:
+        """The fields from top to bottom."""
+        return [field for _label, field in self._rows]
 
     @property
     def chosen(self) -> str:
@@ -73,17 +128,49 @@ class ConfigurationChooser(QWidget):
         """The external spring; zero where the configuration has none."""
         return self.spring.settled if self.chosen == "surface" else 0.0
 
+    @property
+    def is_attached(self) -> bool:
+        """Whether the probe can pull on the tissue."""
+        return bool(self._value(self.coupling, self.coupling.currentData(), "none") != "none")
+
+    def values(self) -> dict[str, Any]:
+        """Return the fields of a plan that say how the instrument meets the tissue."""
+        length_mm = self._value(self.initial_length, self.initial_length.settled, 0.0)
+        return {
+            "configuration": self.chosen,
+            "probe": self.probe_name,
+            "external_spring_n_per_m": self.spring_n_per_m,
+            "coupling": self._value(self.coupling, self.coupling.currentData(), "none"),
+            "orientation_deg": self._value(self.orientation, self.orientation.currentData(), None),
+            "initial_length_m": 1e-3 * length_mm if length_mm else None,
+            "normal_preload_n": self._value(self.normal_preload, self.normal_preload.settled, 0.0) or None,
+        }
+
+    def _value(self, field: QWidget, value: Any, otherwise: Any) -> Any:
+        return value if self.chosen in self._only[field] else otherwise
+
     def _go_together(self) -> None:
         """Offer the probes that are made for the configuration."""
         self.probe.clear()
         for probe in PROBES.values():
             if probe.configuration == self.chosen:
                 self.probe.addItem(probe.name, probe.name)
-        for widget in (self.spring, self._spring_label):
-            widget.setVisible(self.chosen == "surface")
+        for label, field in self._rows:
+            for widget in (label, field):
+                widget.setVisible(self.chosen in self._only.get(field, CONFIGURATIONS))
         self.name.setToolTip(_(_WHAT.get(self.chosen, "")))
         self._describe()
 
     def _describe(self) -> None:
         if (probe := PROBES.get(str(self.probe.currentData()))) is not None:
             self.probe.setToolTip(translated(probe.words))
+
+
+def _zero_unknown(unit: str, most: float, called: str) -> NumberField:
+    field = NumberField()
+    field.setAccessibleName(called)
+    field.setToolTip(_("0: not recorded"))
+    field.setSuffix(unit)
+    field.setDecimals(1)
+    field.setRange(0.0, most)
+    return field

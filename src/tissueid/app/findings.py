@@ -16,7 +16,7 @@ from tissueid.sessions.quality import Quality
 
 if TYPE_CHECKING:
     from tissueid.analysis import Analysis
-    from tissueid.analysis.curves.single_test import ResultPlots
+    from tissueid.analysis.curves.single_test import RecordPlots, ResultPlots
     from tissueid.reports.verdict import Verdict
     from tissueid.sessions.accepted_result import AcceptedResult
 
@@ -59,6 +59,7 @@ class Findings:
     visited: str
     cautions: tuple[str, ...]
     plots: ResultPlots
+    recorded: RecordPlots
     accepted: AcceptedResult | None = None
     refused: Mapping[str, str] = field(default_factory=dict)
 

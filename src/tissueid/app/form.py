@@ -145,9 +145,13 @@ class PlanForm(QWidget):
             edited.connect(self.changed)
         for chosen in (self.instrument.choice.currentTextChanged, self.limits.currentIndexChanged):
             chosen.connect(self.changed)
-        for field in (self.min_force, self.max_force, self.seconds, self.set_up.spring):
+        fields = (self.min_force, self.max_force, self.seconds, self.set_up.spring)
+        for field in (*fields, self.set_up.initial_length, self.set_up.normal_preload):
             field.valueChanged.connect(self.changed)
-        self.set_up.name.currentIndexChanged.connect(self.changed)
+        self.set_up.orientation.currentIndexChanged.connect(self.changed)
+        for choice in (self.set_up.name, self.set_up.coupling):
+            choice.currentIndexChanged.connect(self.changed)
+            choice.currentIndexChanged.connect(self._apply_limits)
         self.subject.textChanged.connect(self._look_at_subject)
         self.limits.currentIndexChanged.connect(self._apply_limits)
         self.instrument.choice.currentTextChanged.connect(self._apply_limits)
@@ -176,9 +180,6 @@ class PlanForm(QWidget):
             out=Path(self.path.text().strip()),
             subject=self.subject.text().strip() or ANONYMOUS,
             limits=self.limits.currentData(),
-            configuration=self.set_up.chosen,
-            probe=self.set_up.probe_name,
-            external_spring_n_per_m=self.set_up.spring_n_per_m,
             distribution=self.distribution.currentData() if noise else None,
             min_force_n=self.min_force.settled if "force_min_n" in has else None,
             max_force_n=self.max_force.settled if "force_max_n" in has else None,
@@ -186,6 +187,7 @@ class PlanForm(QWidget):
             seed=self.seed.value() if "seed" in has else None,
             lower_force=not self._own_force,
             kind=None if self.under_probe.isHidden() else self.under_probe.currentData() or None,
+            **self.set_up.values(),
             **self.stimulus.values(),
         )
 
@@ -324,7 +326,8 @@ class PlanForm(QWidget):
         if not self._own_force:
             self.max_force.setValue(_USUAL_FORCE_N)
         self._applying = False
-        self.min_force.setMaximum(most - self.min_force.singleStep())
+        pulling = most if self.set_up.is_attached else 0.0
+        self.min_force.setRange(-pulling, most - self.min_force.singleStep())
         self.seconds.setMaximum(longest_stimulus_s(name))
 
     def _show_options(self) -> None:

@@ -8,7 +8,7 @@ from pathlib import Path
 import numpy as np
 
 from tissueid.analysis import Analysis
-from tissueid.analysis.curves.single_test import plots_of_test
+from tissueid.analysis.curves.single_test import plots_of_test, record_plots
 from tissueid.app.findings import Findings, Number
 from tissueid.app.words import in_words, sentence
 from tissueid.errors import UnusableInputError
@@ -19,7 +19,7 @@ from tissueid.language import _, marked
 from tissueid.messages import translated
 from tissueid.procedures.report import analyse_test
 from tissueid.reports.configured import surface_of
-from tissueid.reports.verdict import judge, linear_engine, visited
+from tissueid.reports.verdict import judge, linear_engine, linear_label, localized_engine, stiffness_range, visited
 from tissueid.sessions import Session, Test
 from tissueid.sessions.accepted_result import AcceptedResult, result_of
 from tissueid.sessions.quality import quality_of
@@ -59,6 +59,7 @@ def identify(path: Path, session: Session, number: int | None) -> Findings:
             *unread,
         ),
         plots=plots_of_test(analyses, linear_engine(analyses)),
+        recorded=record_plots(test, analyses),
         accepted=accepted,
         refused=analysed.refused,
     )
@@ -84,8 +85,11 @@ def _numbers(analyses: Mapping[str, Analysis]) -> Iterator[Number]:
             unit, scale = display_unit(si_unit)
             value, deviation, power = estimate(parameters[quantity], scale)
             rest = " ".join(filter(None, [deviation and f"± {deviation}", power, unit]))
-            yield Number(_(label), value, rest, _(note), parameters[quantity], si_unit, quantity)
-    for engine, label in ((linear, _("Motion explained, linear")), (Wiener.name, _("Motion explained, nonlinear"))):
+            said = _(note)
+            if quantity == "stiffness_n_per_m" and localized_engine(analyses):
+                said = stiffness_range(analyses[linear])
+            yield Number(_(label), value, rest, said, parameters[quantity], si_unit, quantity)
+    for engine, label in ((linear, linear_label(analyses)), (Wiener.name, _("Motion explained, nonlinear"))):
         if engine in analyses:
             report = analyses[engine].model.report
             note = _("of the check part; {vaf} % of the rest").format(vaf=fixed(report.vaf_percent, 1))

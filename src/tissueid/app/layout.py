@@ -152,7 +152,7 @@ class Layout:
             self.form.map,
             self.form.subject,
         ]
-        order += [self.form.set_up.name, self.form.set_up.probe, self.form.set_up.spring]
+        order += self.form.set_up.fields
         order += [
             self.form.limits,
             self.form.fold,
@@ -173,7 +173,14 @@ class Layout:
         order += [self.role.choice, self.open, self.report, self.notice.offer, self.notice.dismiss]
         order += [self.gate.more, self.gate.judge_now, self.gate.run_again]
         order += [self.gate.repeats.repeat, self.gate.repeats.accept, self.gate.repeats.undo]
-        order += [self.pages.tabBar(), self.result, self.result.test, self.result.pdf, self.result.comparison.cancel]
+        order += [
+            self.pages.tabBar(),
+            self.analysis.tabs,
+            self.result,
+            self.result.test,
+            self.result.pdf,
+            self.result.comparison.cancel,
+        ]
         order += self.calibration.fields
         order += [*self.rail.buttons.values(), *self.rail.feet]
         for before, after in pairwise(order):

@@ -1,4 +1,4 @@
-"""Live identification next to the signals of a running test: response, curve and parameters."""
+"""Live identification next to the signals of a running test: response, curve, spectra and parameters."""
 
 from __future__ import annotations
 
@@ -7,7 +7,8 @@ from typing import TYPE_CHECKING
 import numpy as np
 import pyqtgraph as pg
 from PySide6.QtCore import Qt
-from PySide6.QtWidgets import QFrame, QHBoxLayout, QLabel, QVBoxLayout, QWidget
+from PySide6.QtGui import QResizeEvent
+from PySide6.QtWidgets import QFrame, QHBoxLayout, QLabel, QTabBar, QVBoxLayout, QWidget
 
 from tissueid.app.live_signals import Array
 from tissueid.app.plotting import PlotCard
@@ -19,11 +20,11 @@ from tissueid.formatting import label_and_unit, value_and_rest
 from tissueid.instrument.discovery import IN_PROCESS
 from tissueid.language import _, marked
 from tissueid.messages import MISSING, Message, Verbatim, translated
-from tissueid.procedures.test_plan import TestPlan
+from tissueid.procedures.test_plan import LiveMethod, TestPlan
 
 if TYPE_CHECKING:
     from tissueid.acquisition.live import LiveIdentification
-    from tissueid.identification.live.live_view import LiveBode, LiveCourse, LiveCurve, LiveView
+    from tissueid.identification.live.live_view import LiveBode, LiveCourse, LiveCurve, LiveSpectra, LiveView
     from tissueid.identification.live.stopping import Parameter
 
 MM = 1e3
@@ -46,13 +47,40 @@ _LEAST = 1e-12
 _CARD_WIDTH = 214
 """Least width of a plot, pixels: the longest heading fits."""
 _SPACING = 8
+_ROOM_FOR_ALL = 760
+"""Height of the panel, pixels, from which all plots are shown at once; below it by tabs."""
+
+_ABBREVIATED: dict[LiveMethod, str] = {"sliding": "LMS", "rls": "RLS", "als": "ALS"}
+_PARTS = {
+    "model": marked("Model"),
+    "response": marked("Response"),
+    "bode": marked("Bode"),
+    "course": marked("Parameters"),
+    "spectra": marked("Spectra"),
+}
+"""Titles of the tabs."""
+_WIDE = {
+    "model": ("impulse", "bode", "curve", "phase"),
+    "spectra": ("coherence", "force_spectrum", "position_spectrum"),
+    "course": ("course",),
+}
+_NARROW = {
+    "response": ("impulse", "curve"),
+    "bode": ("bode", "phase", "coherence"),
+    "spectra": ("force_spectrum", "position_spectrum"),
+    "course": ("course",),
+}
+"""Plots of each tab, most important first, where two plots fit next to each other and where one does."""
 
 _WIDEST_PERCENT = 30.0
 """Half of what the plot of the parameters shows at most, so that its first moments do not squeeze the rest."""
 
 
 class LiveAnalysis(QWidget):
-    """Numbers and six plots, redrawn only for a new result. The plots are built for the first test."""
+    """Numbers and plots, redrawn only for a new result. The plots are built for the first test.
+
+    What does not fit is on tabs: the panel shows all plots where it is large, and few at a time where it is small.
+    """
 
     cards: tuple[PlotCard, ...] = ()
 
@@ -60,6 +88,8 @@ class LiveAnalysis(QWidget):
         super().__init__(parent)
         self._shown: LiveView | None = None
         self._planned_s = 4.0
+        self._parts: dict[str, tuple[str, ...]] = {}
+        self._rows: list[FoldingBox] = []
         self._theme: Theme | None = None
         self.numbers = {name: _Figure(_(label_and_unit(_QUANTITIES[name])[0]), _ROLES[name]) for name in _QUANTITIES}
         self.vaf = _Figure(_("Explained, linear"))
@@ -74,7 +104,13 @@ class LiveAnalysis(QWidget):
         self.said.setProperty("role", "muted")
         self.said.setWordWrap(True)
         self.said.setMinimumWidth(1)
+        self.tabs = QTabBar()
+        self.tabs.setDrawBase(False)
+        self.tabs.setExpanding(False)
+        self.tabs.setAccessibleName(_("Plots of the running test"))
         self._arrange()
+        self._offer(_WIDE)
+        self.tabs.currentChanged.connect(self._show_part)
         self.hide()
 
     def expect(self, plan: TestPlan) -> None:
@@ -121,10 +157,11 @@ class LiveAnalysis(QWidget):
         self._build_plots()
         self._shown = view
         self._show_numbers(view)
-        self.vaf.fill(MISSING if view.vaf_percent is None else f"{view.vaf_percent:.1f}", "%")
+        self._show_vaf(view)
         missing = sentence(translated(view.missing))
         self._show_response(view, missing)
         self._show_bode(view, view.bode, missing)
+        self._show_spectra(view.spectra, missing)
         self._show_curve(view.curve, missing)
         self._show_course(view.course, missing)
 
@@ -157,16 +194,50 @@ class LiveAnalysis(QWidget):
         layout.addWidget(numbers)
         layout.addWidget(self.simulated)
         layout.addWidget(self.said)
+        layout.addWidget(self.tabs)
+
+    def resizeEvent(self, event: QResizeEvent) -> None:  # noqa: N802
+        """Show as many plots as there is room for."""
+        super().resizeEvent(event)
+        wide = event.size().width() >= 2 * _CARD_WIDTH + _SPACING
+        self._offer({} if wide and event.size().height() >= _ROOM_FOR_ALL else _WIDE if wide else _NARROW)
+
+    def _offer(self, parts: dict[str, tuple[str, ...]]) -> None:
+        """Offer the plots on these tabs; {} shows all without tabs."""
+        if parts == self._parts:
+            return
+        chosen = self.tabs.tabData(self.tabs.currentIndex())
+        self._parts = parts
+        self.tabs.blockSignals(True)
+        while self.tabs.count():
+            self.tabs.removeTab(0)
+        for name in parts:
+            self.tabs.setTabData(self.tabs.addTab(_(_PARTS[name])), name)
+        self.tabs.setCurrentIndex(list(parts).index(chosen) if chosen in parts else 0)
+        self.tabs.blockSignals(False)
+        self.tabs.setVisible(bool(parts))
+        self._show_part()
+
+    def _show_part(self) -> None:
+        shown = self._parts.get(self.tabs.tabData(self.tabs.currentIndex()))
+        for row, *pair in zip(self._rows, self.cards[::2], self.cards[1::2], strict=True):
+            for card in pair:
+                card.setVisible(shown is None or any(card is getattr(self, name) for name in shown))
+            self._layout.setStretchFactor(row, int(any(not card.isHidden() for card in pair)))
 
     def _build_plots(self) -> None:
         if self.cards:
             return
         self.impulse = PlotCard(_("Impulse response"), _("Lag (ms)"), "mm/(N·s)")
         self.bode = PlotCard(_("Bode magnitude"), "", "mm/N", log_axes=("bottom", "left"))
-        self.phase = PlotCard(_("Bode phase"), "", "°", log_axes=("bottom",))
+        self.phase = PlotCard(_("Bode phase"), _("Frequency (Hz)"), "°", log_axes=("bottom",))
         self.coherence = PlotCard(_("Coherence"), _("Frequency (Hz)"), "", log_axes=("bottom",))
         self.curve = PlotCard(_("Static nonlinearity"), _("Linear prediction (mm)"), "mm")
         self.course = PlotCard(_("Parameter change"), _("Time (s)"), "%")
+        self.force_spectrum = PlotCard(_("Force spectrum"), _("Frequency (Hz)"), "N²/Hz", log_axes=("bottom", "left"))
+        self.position_spectrum = PlotCard(
+            _("Position spectrum"), _("Frequency (Hz)"), "mm²/Hz", log_axes=("bottom", "left")
+        )
         self.impulse.setToolTip(f"{_('Band: one standard deviation to either side')}. {_(_ORANGE)}")
         self.bode.setToolTip(f"{_('Of the impulse response')}. {_(_ORANGE)}")
         self.phase.setToolTip(f"{_('Of the impulse response')}. {_(_ORANGE)}")
@@ -177,7 +248,10 @@ class LiveAnalysis(QWidget):
             _("Measured position against the linear prediction; a linear tissue lies on the dotted line")
         )
         self.course.setToolTip(_("Parameters against their newest value; bands: one standard deviation to either side"))
-        self.cards = (self.impulse, self.bode, self.curve, self.phase, self.course, self.coherence)
+        for card in (self.force_spectrum, self.position_spectrum):
+            card.setToolTip(_("Power spectral density; flat parts at high frequency are noise of the sensor"))
+        model = self.impulse, self.bode, self.curve, self.phase, self.course, self.coherence
+        self.cards = (*model, self.force_spectrum, self.position_spectrum)
         self._response_band = self.impulse.band("measured")
         self._response = self.impulse.line("measured", width=2)
         self._response_fit = self.impulse.line("model")
@@ -189,6 +263,7 @@ class LiveAnalysis(QWidget):
         self._floor = self.coherence.mark(upright=False)
         self.coherence.plot.getAxis("left").setTicks([[(0.0, "0"), (0.5, "0.5"), (1.0, "1")]])
         self.coherence.plot.setYRange(0.0, 1.0, padding=0.04)
+        self._spectra = self.force_spectrum.line("measured"), self.position_spectrum.line("measured")
         self._diagonal = self.curve.line("muted")
         self._levels = self.curve.dots("measured", 6)
         self._fitted = self.curve.line("model", width=2)
@@ -203,6 +278,8 @@ class LiveAnalysis(QWidget):
                 if self._theme is not None:
                     card.apply_theme(self._theme)
             self._layout.addLayout(plots, 1)
+            self._rows.append(plots)
+        self._show_part()
 
     def _say(self, text: str) -> None:
         self.said.setText(text)
@@ -215,6 +292,11 @@ class LiveAnalysis(QWidget):
             found = view.parameters.get(name)
             unit = label_and_unit(_QUANTITIES[name])[1]
             figure.fill(*((MISSING, "") if found is None else value_and_rest(found, unit)))
+
+    def _show_vaf(self, view: LiveView) -> None:
+        value = MISSING if view.vaf_percent is None else f"{view.vaf_percent:.1f}"
+        self.vaf.rename(_("Explained, {method}").format(method=_ABBREVIATED[view.method]))
+        self.vaf.fill(value, "%")
 
     def _show_response(self, view: LiveView, missing: str) -> None:
         response, std = MM * view.impulse_response, view.impulse_response_std
@@ -250,6 +332,15 @@ class LiveAnalysis(QWidget):
             self._phase_fit.setData(frequency, np.degrees(np.unwrap(np.angle(fitted))))
         for card in (self.bode, self.phase, self.coherence):
             card.plot.setXRange(float(frequency[0]), float(frequency[-1]), padding=0.02)
+
+    def _show_spectra(self, spectra: LiveSpectra | None, missing: str) -> None:
+        for card in (self.force_spectrum, self.position_spectrum):
+            card.say_missing("" if spectra is not None else missing)
+        if spectra is None:
+            return
+        frequency = np.log10(spectra.frequency_hz)
+        for line, density in zip(self._spectra, (spectra.input_psd, MM**2 * spectra.output_psd), strict=True):
+            line.setData(frequency, np.log10(np.maximum(density, _LEAST * density.max())))
 
     def _show_curve(self, curve: LiveCurve | None, missing: str) -> None:
         self.curve.say_missing("" if curve is not None else missing or _(_WAITING))
@@ -290,6 +381,7 @@ class _Figure(QWidget):
         self._value, self._rest = QLabel(), QLabel()
         self._value.setProperty("role", "headline")
         self._rest.setProperty("role", "muted")
+        self._rest.setWordWrap(True)
         layout = QVBoxLayout(self)
         layout.setContentsMargins(0, 0, 0, 0)
         layout.setSpacing(0)
@@ -302,6 +394,11 @@ class _Figure(QWidget):
         self._value.setText(value)
         self._rest.setText(rest)
         self.setAccessibleName(f"{self._label}: {value} {rest}".strip())
+
+    def rename(self, label: str) -> None:
+        """Change the label of a number without a colour."""
+        self._label = label
+        self._text.setText(label)
 
     def apply_theme(self, theme: Theme) -> None:
         """Take on the colours of a theme."""

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import threading
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -13,7 +13,7 @@ from tissueid.acquisition.playback import Phase, Progress
 from tissueid.acquisition.surface_detection import PLACE_S
 from tissueid.app.safety import Safety, SafetyWatch
 from tissueid.device import DeviceDescription
-from tissueid.instrument import force
+from tissueid.instrument.force_profile import recorded_force
 
 if TYPE_CHECKING:
     from tissueid.acquisition.live import LiveIdentification
@@ -31,7 +31,7 @@ class Snapshot:
     ``time_s`` counts from the start of the preload, as a session's does, and is negative while the probe is placed.
     ``phase`` is None before the first sample; ``fraction`` (0 to 1) tells how much of the phase's run is played.
     ``safety`` is None until it is known which instrument answers, ``total_s`` (the run with its preload) until it is
-    known what is played.
+    known what is played. ``voltage_v`` is measured across the coil.
     """
 
     time_s: Array
@@ -41,6 +41,7 @@ class Snapshot:
     fraction: float
     safety: Safety | None = None
     total_s: float | None = None
+    voltage_v: Array = field(default_factory=lambda: np.zeros(0))
 
 
 class LiveSignals:
@@ -57,7 +58,7 @@ class LiveSignals:
         self.total_s: float | None = None
         self._watch: SafetyWatch | None = None
         self._lock = threading.Lock()
-        self._ring = np.full((3, capacity), np.nan)  # time, force, position
+        self._ring = np.full((4, capacity), np.nan)  # time, force, position, voltage
         self._added = 0
         self._phase: Phase | None = None
         self._fraction = 0.0
@@ -86,7 +87,8 @@ class LiveSignals:
             placing = progress.phase is Phase.PLACE
             first = self._first_index.setdefault(placing, int(samples["index"][0]))
             time_s = (samples["index"] - first) / device.sample_rate_hz - (PLACE_S if placing else 0.0)
-            rows = np.stack([time_s, force(samples, device), samples["position"]])  # (3, k)
+            force_n = recorded_force(samples, device)
+            rows = np.stack([time_s, force_n, samples["position"], samples["voltage"]])  # (4, k)
             capacity = self._ring.shape[1]
             places = (self._added + np.arange(samples.size)) % capacity
             self._ring[:, places[-capacity:]] = rows[:, -capacity:]
@@ -101,18 +103,19 @@ class LiveSignals:
             else:
                 rows = np.roll(self._ring, -(self._added % capacity), axis=1)
             safety = None if self._watch is None else self._watch.snapshot()
-            return Snapshot(rows[0], rows[1], rows[2], self._phase, self._fraction, safety, self.total_s)
+            signals = rows[0], rows[1], rows[2]
+            return Snapshot(*signals, self._phase, self._fraction, safety, self.total_s, rows[3])
 
 
 def decimated(time_s: Array, values: Array, low_s: float, high_s: float, columns: int) -> tuple[Array, Array]:
     """Least and greatest value in each pixel column of a plot that shows ``low_s`` to ``high_s``.
 
-    Takes time (rising) and values of shape (n,), returns at most (2 columns,) of each: all that such a plot can
-    show. A column of lost samples is NaN, so that the line is broken there. Few samples pass as they are.
+    Takes time (n,), rising, and values (..., n), returns at most 2 columns of each: all that such a plot can show. A
+    column of lost samples is NaN, so that the line is broken there. Few samples pass as they are.
     """
-    if values.size <= 2 * columns or high_s <= low_s:
+    if time_s.size <= 2 * columns or high_s <= low_s:
         return time_s, values
     column = np.floor((time_s - low_s) * (columns / (high_s - low_s)))
     starts = np.flatnonzero(np.diff(column, prepend=column[0] - 1.0))
-    ends = np.stack([np.fmin.reduceat(values, starts), np.fmax.reduceat(values, starts)], axis=1)  # (columns, 2)
-    return np.repeat(time_s[starts], 2), ends.reshape(-1)
+    extremes = [extreme.reduceat(values, starts, axis=-1) for extreme in (np.fmin, np.fmax)]
+    return np.repeat(time_s[starts], 2), np.stack(extremes, axis=-1).reshape(*values.shape[:-1], -1)

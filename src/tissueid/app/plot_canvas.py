@@ -73,6 +73,7 @@ class PlotCanvas(QFrame):
         self.plots: tuple[Plot, ...] = ()
         self._axes: list[Axes] = []
         self._name, self._relief, self._key, self._description = name, False, True, ""
+        self._beside = False
         self._theme: Theme = LIGHT
         self._canvas: Any = None
         self._long: list[list[DrawnLine]] = []
@@ -114,17 +115,25 @@ class PlotCanvas(QFrame):
         return self._stale or self._unsettled
 
     def show_plots(
-        self, plots: Sequence[Plot], *, relief: bool = False, key: bool = True, description: str = ""
+        self,
+        plots: Sequence[Plot],
+        *,
+        relief: bool = False,
+        beside: bool = False,
+        key: bool = True,
+        description: str = "",
     ) -> None:
         """Draw plots, at once or when the widget is shown.
 
         Args:
             plots: what to draw, from the top; where all have nothing to draw, the reasons are shown.
             relief: whether the surface of the first plot is drawn in space.
+            beside: whether the plots are drawn beside each other.
             key: whether named curves get a key.
             description: what a screen reader says of the values; by default the extremes of a surface.
         """
         self.plots, self._relief, self._key, self._description = tuple(plots), relief, key, description
+        self._beside = beside
         reasons = dict.fromkeys(sentence(translated(plot.missing)) for plot in plots if plot.missing)
         empty = not plots or all(plot.missing for plot in plots)
         self._missing.setText(" ".join(reasons))
@@ -170,14 +179,14 @@ class PlotCanvas(QFrame):
             if form == "csv":
                 partial.write_text(as_csv(self.plots), encoding="utf-8")
             else:
-                from tissueid.reports.plot_renderer import draw_plots, draw_relief
+                from tissueid.reports.plot_renderer import draw_grid, draw_relief
                 from tissueid.reports.style import drawing, new_figure, plain_image
 
-                figure = drawing(new_figure)(_WIDTH, _HEIGHT * max(1, len(self.plots)))
+                figure = drawing(new_figure)(_WIDTH, _HEIGHT * max(1, len(self._rows)))
                 if self._relief:
                     drawing(draw_relief)(figure, self.plots[0], units=shown)
                 else:
-                    drawing(draw_plots)(figure, self.plots, units=shown)
+                    drawing(draw_grid)(figure, self._rows, units=shown)
                 plain_image(figure, partial, cast(Any, form), 300.0 if form == "png" else 144.0)
 
     def show_everything(self) -> None:
@@ -346,6 +355,11 @@ class PlotCanvas(QFrame):
 
     # -- drawing ------------------------------------------------------------------------------------------
 
+    @property
+    def _rows(self) -> list[list[Plot]]:
+        """The plots in rows."""
+        return [list(self.plots)] if self._beside else [[plot] for plot in self.plots]
+
     def draw_pending(self) -> None:
         """Draw what was given since the plots were last drawn, or lay them out for a new size."""
         if self._stale:
@@ -355,7 +369,7 @@ class PlotCanvas(QFrame):
 
     def _draw(self) -> None:
         """Draw everything, and lay it out."""
-        from tissueid.reports.plot_renderer import draw_plots, draw_relief
+        from tissueid.reports.plot_renderer import draw_grid, draw_relief
 
         canvas = self._make_canvas()
         canvas.setVisible(True)
@@ -368,7 +382,7 @@ class PlotCanvas(QFrame):
         if self._relief:
             self._axes, self._long = [draw_relief(figure, self.plots[0], look, units=shown)], [[]]
         else:
-            self._axes, self._long = draw_plots(figure, self.plots, look, units=shown, key=self._key)
+            self._axes, self._long = draw_grid(figure, self._rows, look, units=shown, key=self._key)
         self._lay_out()
         self._home = [
             (one.get_xlim(), one.get_ylim(), (one.elev, one.azim) if _in_space(one) else None) for one in self._axes

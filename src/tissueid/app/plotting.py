@@ -25,6 +25,8 @@ _AXIS_WIDTH = 40
 _GRID = 70
 """Opacity of the grid, of 255."""
 _LOG_STEPS = (1.0, 2.0, 5.0)
+_LEAST_DECADE = 20.0
+"""Distance of two labelled decades, pixels, below which some are left out."""
 _NOTHING = np.zeros(0)
 
 
@@ -33,14 +35,15 @@ class LogAxis(QuickAxis):
 
     def tickValues(self, low: float, high: float, size: float) -> list[tuple[float, list[float]]]:  # noqa: N802
         """Ticks from ``low`` to ``high``; fewer when they would crowd ``size`` pixels."""
-        decades = range(math.floor(low), math.ceil(high) + 1)
+        every = max(1, math.ceil(_LEAST_DECADE * (high - low) / max(size, 1.0)))
+        decades = range(every * math.floor(low / every), math.ceil(high) + 1, every)
         steps = _LOG_STEPS if size / max(high - low, 1e-9) > 90.0 else _LOG_STEPS[:1]
         values = [decade + math.log10(step) for decade in decades for step in steps]
         return [(1.0, [value for value in values if low <= value <= high])]
 
     def tickStrings(self, values: list[float], scale: float, spacing: float) -> list[str]:  # noqa: N802
         """The numbers themselves, in the unit that is shown."""
-        return [f"{10.0**value * scale:.3g}" for value in values]
+        return [f"{10.0**value * scale:.4g}" for value in values]
 
 
 class PlotCard(QFrame):

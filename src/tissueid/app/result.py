@@ -1,4 +1,4 @@
-"""The result of a test: verdict, numbers with their uncertainty, and the four plots behind them."""
+"""The result of a test: verdict, numbers with their uncertainty, and the plots behind them."""
 
 from __future__ import annotations
 
@@ -101,8 +101,9 @@ class ResultPage(QScrollArea):
         self.facts.setText(" ".join(filter(None, [_recorded(findings), findings.ended, findings.visited])))
         self._numbers = findings.numbers
         self._fill_tiles(self._numbers)
-        found = findings.plots
-        plots = found.nonlinearity, found.impulse, found.magnitude, found.phase, found.prediction
+        found, recorded = findings.plots, findings.recorded
+        models = found.nonlinearity, found.impulse, found.magnitude, found.phase, found.prediction
+        plots = *models, recorded.coherence, recorded.spectra, recorded.voltage
         for plot, card in zip(plots, self.cards, strict=True):
             card.show_plots([plot])
         self._offer_tests(findings.session.tests, findings.test)
@@ -183,9 +184,9 @@ class ResultPage(QScrollArea):
     def _build_plots(self) -> None:
         if self.cards:
             return
-        self.nonlinearity, self.impulse, self.bode, self.phase, self.prediction = self.cards = tuple(
-            PlotCanvas() for _ in range(5)
-        )
+        self.cards = tuple(PlotCanvas() for _ in range(8))
+        self.nonlinearity, self.impulse, self.bode, self.phase, self.prediction = self.cards[:5]
+        self.coherence, self.spectra, self.voltage = self.cards[5:]
         for card in self.cards:
             card.setMinimumHeight(_PLOT_HEIGHT)
             card.focus = Qt.FocusPolicy.ClickFocus  # the page is scrolled by keys, not stop by stop

@@ -1,4 +1,4 @@
-"""Force and position over time: of the running test, or of one that was recorded."""
+"""Voltage, force and position over time: of the running test, or of one that was recorded."""
 
 from __future__ import annotations
 
@@ -21,8 +21,10 @@ from tissueid.sessions import Test
 MM = 1e3
 _SLACK = 0.15
 """Share of its span by which an axis grows beyond the data, so that it seldom has to."""
-_LEAST_SPAN = {"force": 2.0, "position": 1.0}
+_LEAST_SPAN = {"voltage": 4.0, "force": 2.0, "position": 1.0}
 _ROLLING_S = 10.0
+_VOLTAGE_EVERY = 4
+"""Frames between two drawings of the voltage: it does not guide the hand, and frames stay as short as without it."""
 _LONG_BEFORE_S, _LONG_AFTER_S = -1e3, 1e5
 """A shade reaches as far to both sides as any test."""
 LINEAR = marked("shaded: linear")
@@ -30,16 +32,23 @@ OUTSIDE = marked("left the linear region")
 
 
 class SignalPlots(QWidget):
-    """Two plots over one time axis, which is that of the session: zero is the start of the preload."""
+    """Voltage, force and position over one time axis, that of the session: zero is the start of the preload."""
 
     def __init__(self, parent: QWidget | None = None) -> None:
         super().__init__(parent)
+        self.voltage = PlotCard(_("Voltage"), "", "V")
         self.force = PlotCard(_("Force"), "", "N")
         self.position = PlotCard(_("Position"), _("Time from the start of the preload (s)"), "mm")
-        self.force.plot.setXLink(self.position.plot)
+        for card in (self.voltage, self.force):
+            card.plot.setXLink(self.position.plot)
         self._region_edges = self.position.band("good", alpha=30)
         self._region: Region | None = None
-        self._curves = {"force": self.force.line("measured"), "position": self.position.line("measured")}
+        self._drawn: tuple[object, ...] = ()
+        self._voltage_drawn: tuple[object, ...] = ()
+        self._frame = 0
+        self._curves = {
+            name: card.line("measured") for name, card in zip(("voltage", "force", "position"), self.cards, strict=True)
+        }
         self._starts = [card.mark() for card in self.cards for _ in range(2)]
         self._surface = self.position.mark(upright=False, text=_("surface"))
         self._level = self.position.mark(upright=False, text=_("where it began"))
@@ -47,14 +56,14 @@ class SignalPlots(QWidget):
         self._time = (-PLACE_S, 5.0)
         layout = QVBoxLayout(self)
         layout.setContentsMargins(0, 0, 0, 0)
-        layout.addWidget(self.force, 9)
-        layout.addWidget(self.position, 10)
+        for card, share in zip(self.cards, (7, 9, 10), strict=True):
+            layout.addWidget(card, share)
         self.clear()
 
     @property
-    def cards(self) -> tuple[PlotCard, PlotCard]:
-        """Both plots."""
-        return self.force, self.position
+    def cards(self) -> tuple[PlotCard, PlotCard, PlotCard]:
+        """The plots, from top to bottom."""
+        return self.voltage, self.force, self.position
 
     def expect(self, plan: TestPlan) -> None:
         """Make room for a test that is about to begin."""
@@ -71,7 +80,7 @@ class SignalPlots(QWidget):
             self._show_times(-PLACE_S, snapshot.total_s, (0.0, PRELOAD_S))
         if safety is not None and safety.region != self._region:
             self.show_region(safety.region)
-        self._draw(snapshot.time_s, snapshot.force_n, MM * snapshot.position_m)
+        self._draw(snapshot.time_s, snapshot.voltage_v, snapshot.force_n, snapshot.position_m)
         if safety is not None and safety.left_region:
             self.position.remark(_(OUTSIDE), "check")
 
@@ -82,17 +91,19 @@ class SignalPlots(QWidget):
         now = float(snapshot.time_s[-1])
         self._show_times(max(0.0, now - _ROLLING_S), max(now, _ROLLING_S), ())
         recent = snapshot.time_s >= now - _ROLLING_S
-        self._draw(snapshot.time_s[recent], snapshot.force_n[recent], MM * snapshot.position_m[recent])
+        signals = snapshot.time_s, snapshot.voltage_v, snapshot.force_n, snapshot.position_m
+        self._draw(*(values[recent] for values in signals))
 
     def show_test(self, test: Test, device: DeviceDescription) -> None:
         """Draw a recorded test, and where the coil that recorded it was linear."""
         self.clear()
         self._title(test.configuration)
         unknown = np.full(test.samples, np.nan)
-        force, position = test.signals.get("force", unknown), test.signals.get("position", unknown)
+        voltage, force, position = (test.signals.get(name, unknown) for name in ("voltage", "force", "position"))
+        self.voltage.setVisible(bool(np.isfinite(voltage).any()))
         time_s = np.arange(test.samples) / test.sample_rate_hz
         self._show_times(0.0, test.samples / test.sample_rate_hz, (test.preload_s,) if test.preload_s else ())
-        self._draw(time_s, force, MM * position)
+        self._draw(time_s, voltage, force, position)
         self.show_region(linear_region(device))
         if self._region is not None and not self._region.holds(position):
             self.position.remark(_(OUTSIDE), "check")
@@ -120,6 +131,10 @@ class SignalPlots(QWidget):
             mark.hide()
         self.show_region(None)
         self._show_times(-PLACE_S, PRELOAD_S + 4.0, ())
+        self._drawn = self._voltage_drawn = ()
+        self._frame = 0
+        self.voltage.show()
+        self._grow("voltage", 0.0, 10.0)
         self._grow("force", 0.0, 10.0)
         self._grow("position", 0.0, 30.0)
         self._limits.clear()
@@ -141,13 +156,22 @@ class SignalPlots(QWidget):
             if place < len(marks):
                 item.setValue(marks[place])
 
-    def _draw(self, time_s: Array, force_n: Array, position_mm: Array) -> None:
-        for name, values, card in (("force", force_n, self.force), ("position", position_mm, self.position)):
+    def _draw(self, time_s: Array, voltage_v: Array, force_n: Array, position_m: Array) -> None:
+        columns = max(1, int(self.position.plot.getViewBox().width()))  # the plots stand below each other
+        drawn = (time_s.size, time_s[-1] if time_s.size else 0.0, columns, self._time)
+        new, self._drawn = drawn != self._drawn, drawn
+        signals = {"force": force_n, "position": MM * position_m} if new else {}
+        if drawn != self._voltage_drawn and (not new or self._frame % _VOLTAGE_EVERY == 0):
+            signals["voltage"], self._voltage_drawn = voltage_v, drawn
+        self._frame += 1
+        if not signals:
+            return
+        times_s, ends = decimated(time_s, np.stack(list(signals.values())), *self._time, columns)
+        for name, values in zip(signals, ends, strict=True):
             known = values[np.isfinite(values)]
             if known.size:
                 self._grow(name, float(known.min()), float(known.max()))
-            columns = max(1, int(card.plot.getViewBox().width()))
-            self._curves[name].setData(*decimated(time_s, values, *self._time, columns))
+            self._curves[name].setData(times_s, values)
 
     def _grow(self, name: str, low: float, high: float) -> None:
         """Widen an axis when the data leave it; it never shrinks during a test, so that the eye can rest."""

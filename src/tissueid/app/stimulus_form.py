@@ -1,4 +1,4 @@
-"""Fields of the Measure form for stimuli other than noise: which kind, its own options, a saved file, a stop rule."""
+"""Fields of the Measure form for the stimulus and the live estimates: kind, options, saved file, stop rule, method."""
 
 from __future__ import annotations
 
@@ -14,6 +14,7 @@ from tissueid.app.option_field import OptionField
 from tissueid.errors import UnusableInputError
 from tissueid.language import _, marked
 from tissueid.messages import Message
+from tissueid.procedures.test_plan import LIVE_METHODS
 from tissueid.stimuli import StimulusKind, get_stimulus, stimulus_names
 from tissueid.stimuli.kinds.noise import Noise
 
@@ -56,6 +57,15 @@ class StimulusForm(QWidget):
             + "\n"
             + _("such as stiffness=0.02; empty: to its end")
         )
+        self.live_method = QComboBox()
+        for name, title in LIVE_METHODS.items():
+            self.live_method.addItem(_(title), name)
+        self.live_method.setAccessibleName(_("Live response"))
+        self.live_method.setToolTip(
+            _("Impulse response while the test runs. Sliding: least squares of the last 10 s, with a band.")
+            + "\n"
+            + _("Recursive: least squares of all samples. Adaptive: follows a response that changes with depth.")
+        )
         self._options: dict[str, OptionField] = {}
         self._grid = QGridLayout(self)
         self._grid.setContentsMargins(0, 0, 0, 0)
@@ -73,11 +83,16 @@ class StimulusForm(QWidget):
         self._grid.addWidget(self._saved, 1, 0, 1, 2)
         self._grid.addWidget(self._stop_label, 2, 0)
         self._grid.addWidget(self.stop_when, 2, 1)
+        self._live_label = QLabel(_("Live response"))
+        self._live_label.setWordWrap(True)
+        self._grid.addWidget(self._live_label, 3, 0)
+        self._grid.addWidget(self.live_method, 3, 1)
         self._rows, self._fixed = self._grid.rowCount(), self._grid.count()
         self.kind.currentIndexChanged.connect(self._show_kind)
         self.browse.clicked.connect(self._choose_file)
         for line in (self.file, self.stop_when):
             line.textChanged.connect(self.changed)
+        self.live_method.currentIndexChanged.connect(self.changed)
         self._show_kind()
 
     def offer_all(self) -> None:
@@ -120,7 +135,8 @@ class StimulusForm(QWidget):
             chosen = dict(self.options())
             depths_m = chosen["depth_min_m"], chosen["depth_max_m"]
             return {"multistep": chosen["steps"], "target": chosen["target"], "depth_range_m": depths_m}
-        values: dict[str, Any] = {"live": True, "stop_when": tuple(self.stop_when.text().replace(",", " ").split())}
+        values: dict[str, Any] = {"live": True, "live_method": self.live_method.currentData()}
+        values["stop_when"] = tuple(self.stop_when.text().replace(",", " ").split())
         if self.chosen == FROM_FILE:
             saved = self.file.text().strip()
             if not saved:
@@ -140,7 +156,7 @@ class StimulusForm(QWidget):
     @property
     def fields(self) -> list[QWidget]:
         """What the tab key visits, in order."""
-        return [self.kind, self.file, self.browse, self.stop_when]
+        return [self.kind, self.file, self.browse, self.stop_when, self.live_method]
 
     @property
     def _stops(self) -> bool:
@@ -155,7 +171,7 @@ class StimulusForm(QWidget):
         self._options = {}
         chosen = self.chosen
         self._saved.setVisible(chosen == FROM_FILE)
-        for widget in (self._stop_label, self.stop_when):
+        for widget in (self._stop_label, self.stop_when, self._live_label, self.live_method):
             widget.setVisible(self._stops)
         if chosen not in (FROM_FILE, Noise.name):
             model = _Steps if chosen == MULTISTEP else _model(chosen)

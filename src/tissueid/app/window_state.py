@@ -20,6 +20,7 @@ _ROLE = "window/role"
 _FOLD = "window/settings-unfolded"
 _INSTRUMENT = "test/instrument"
 _LIMITS = "test/limits"
+_LIVE_METHOD = "test/live-method"
 _LONGEST = 200
 _VERSION = 3
 
@@ -54,6 +55,7 @@ def save_window_state(
     settings.setValue(_INSTRUMENT, form.instrument.url)
     settings.remove("test/subject")  # kept by earlier versions
     settings.setValue(_LIMITS, form.limits.currentData())
+    settings.setValue(_LIVE_METHOD, form.stimulus.live_method.currentData())
 
 
 def restore_window_state(window: QMainWindow, form: PlanForm, help_panel: QWidget, settings: QSettings) -> None:
@@ -67,8 +69,9 @@ def restore_window_state(window: QMainWindow, form: PlanForm, help_panel: QWidge
     form.fold.setChecked(_text(settings, _FOLD) == "yes")
     if url := _text(settings, _INSTRUMENT):
         form.instrument.choose(url)
-    if (place := form.limits.findData(_text(settings, _LIMITS))) >= 0:
-        form.limits.setCurrentIndex(place)
+    for choice, key in ((form.limits, _LIMITS), (form.stimulus.live_method, _LIVE_METHOD)):
+        if (place := choice.findData(_text(settings, key))) >= 0:
+            choice.setCurrentIndex(place)
 
 
 def _text(settings: QSettings, key: str) -> str:

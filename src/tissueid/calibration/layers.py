@@ -12,6 +12,7 @@ from tissueid.calibration.file import Calibration
 from tissueid.calibration.labels import label_of
 from tissueid.calibration.status import BOUNDS, DEVICE_TOLERANCES, State
 from tissueid.device import CALIBRATE_STATIC, CALIBRATE_SWEEP, DeviceDescription, warning_entries
+from tissueid.instrument.force_profile import PROFILE, profile_text
 from tissueid.language import marked
 from tissueid.messages import Listing, Message, Quantity
 
@@ -75,6 +76,8 @@ def merge_calibrations(
         known |= {"sweep_file": item.file, "sweep_date": item.calibration.date}
         for name in _effective_quantities(item.calibration):
             found.setdefault(name, item)
+        if (profile := _force_profile(item.calibration)) is not None:
+            known[PROFILE] = profile
     if base is not None:
         known |= {"static_file": base.file, "static_date": base.calibration.date}
         warnings += _completion_warnings(base, found)
@@ -126,6 +129,15 @@ def _effective_quantities(calibration: Calibration) -> tuple[str, ...]:
         for name in calibration.quantities
         if name in DEVICE_TOLERANCES or name in BOUNDS or name.startswith(("linear_region_", "stroke_m"))
     )
+
+
+def _force_profile(calibration: Calibration) -> str | None:
+    """Return the force constant of a sweep by position, relative to its plateau, as stored; None without one."""
+    columns = calibration.tables.get("force_constant", {})
+    plateau = calibration.quantities.get("force_constant_n_per_a")
+    if plateau is None or not plateau.value > 0.0 or not {"position_m", "value_n_per_a"} <= columns.keys():
+        return None
+    return profile_text(np.array(columns["position_m"]), np.array(columns["value_n_per_a"]) / plateau.value)
 
 
 def _sources(statics: Sequence[UsedCalibration]) -> dict[str, UsedCalibration]:

@@ -22,9 +22,12 @@ if TYPE_CHECKING:  # plans are imported when their command is used
     from tissueid.procedures.identification import EnginesPlan, IdentificationPlan
     from tissueid.procedures.import_export import ExportPlan, ImportPlan
     from tissueid.procedures.instrument_queries import DevicesPlan
+    from tissueid.procedures.overlay import OverlayPlan, RepeatsPlan
     from tissueid.procedures.quality import QualityPlan
+    from tissueid.procedures.readings import ReadingsPlan
     from tissueid.procedures.recovery import RecoveryPlan
     from tissueid.procedures.report import ReportPlan
+    from tissueid.procedures.reproduction import ReproductionPlan
     from tissueid.procedures.stimulus_design import StimulusPlan
     from tissueid.procedures.test_plan import TestPlan
 
@@ -176,6 +179,51 @@ def compare(plan: ComparePlan, json_file: JsonFile = None) -> None:
     from tissueid.cli.compare import compare_session
 
     compare_session(plan, json_file)
+
+
+@add_command(app, "readings", "readings")
+def readings(plan: ReadingsPlan, json_file: JsonFile = None) -> None:
+    """Compute the readings of commercial probes.
+
+    Ue, Uv, Ur, Uf and R0 to R9 of suction probes; frequency, decrement and stiffness of tapping probes.
+    """
+    from tissueid.cli.readings import print_readings
+
+    print_readings(plan, json_file)
+
+
+@add_command(app, "overlay", "overlay")
+def overlay(plan: OverlayPlan, json_file: JsonFile = None) -> None:
+    """Draw several tests or several fits in one figure.
+
+    The tests may be of one session or of several. Figures: depth profiles over the calibration, Bode diagrams,
+    nonlinearities, kernels and scores.
+    """
+    from tissueid.cli.overlay import overlay_tests
+
+    overlay_tests(plan, json_file)
+
+
+@add_command(app, "repeats", "overlay")
+def repeats(plan: RepeatsPlan, json_file: JsonFile = None) -> None:
+    """Print mean, SD and CV of every parameter over tests.
+
+    Tests are grouped by site. Without TESTS all stochastic tests of a session are taken.
+    """
+    from tissueid.cli.overlay import repeated_tests
+
+    repeated_tests(plan, json_file)
+
+
+@add_command(app, "reproduce", "reproduction")
+def reproduce(plan: ReproductionPlan, json_file: JsonFile = None) -> None:
+    """Make figures and tables of the thesis from simulated tests.
+
+    Its numbers stand beside those found here. Without --out, lists them.
+    """
+    from tissueid.cli.reproduce import reproduce_figures
+
+    reproduce_figures(plan, json_file)
 
 
 @add_command(app, "recover", "recovery")

@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import contextlib
+import itertools
+from collections.abc import Sequence
 from pathlib import Path
 
 from tissueid.acquisition.journal import JournalError
@@ -12,7 +14,7 @@ from tissueid.calibration.active import calibration_summary, warnings_of
 from tissueid.cli.output import ConsoleControl, check_json, console, human_output, progress_bars, write_json
 from tissueid.cli.quality import recorded_findings
 from tissueid.cli.stop_key import StopKey, stop_key
-from tissueid.cli.test_summary import answer_of, tests_table
+from tissueid.cli.test_summary import answer_of, live_answer, tests_table
 from tissueid.errors import UnusableInputError
 from tissueid.formatting import fixed, plus_minus
 from tissueid.identification.live.live_view import LiveView
@@ -22,7 +24,7 @@ from tissueid.messages import Message, joined
 from tissueid.procedures.depth_coverage import out_of_reach
 from tissueid.procedures.instrument_access import audit_trail
 from tissueid.procedures.output_files import check_different
-from tissueid.procedures.test_plan import TestPlan
+from tissueid.procedures.test_plan import LIVE_METHODS, TestPlan
 from tissueid.procedures.test_run import TestControl, TestOutcome, TestStep, run_test
 from tissueid.sessions import Session
 
@@ -40,7 +42,7 @@ def run_tests(plan: TestPlan, json_file: Path | None) -> None:
     with contextlib.ExitStack() as stack:
         control = _TerminalControl(plan, stack)
         outcome = run_test(plan, control, audit_trail())
-    _show(plan, outcome, json_file)
+    _show(plan, outcome, json_file, control.views)
     error, not_saved = outcome.error, outcome.not_saved
     if not_saved is not None and error is not None and not isinstance(error, JournalError):
         raise JournalError(f"{error or 'interrupted'}; and {not_saved}") from error
@@ -48,7 +50,7 @@ def run_tests(plan: TestPlan, json_file: Path | None) -> None:
         raise failure
 
 
-def _show(plan: TestPlan, outcome: TestOutcome, json_file: Path | None) -> None:
+def _show(plan: TestPlan, outcome: TestOutcome, json_file: Path | None, views: Sequence[LiveView | None]) -> None:
     """Print the saved tests and write the JSON output if it was requested.
 
     Raises:
@@ -58,14 +60,20 @@ def _show(plan: TestPlan, outcome: TestOutcome, json_file: Path | None) -> None:
         return
     _print_result(plan, outcome.session, json_file)
     try:
-        _answer(plan, outcome.session, outcome.steps, json_file)
+        _answer(plan, outcome.session, outcome.steps, json_file, views)
     except UnusableInputError as trouble:
         if outcome.error is None:
             raise
         console.print(str(trouble), markup=False, soft_wrap=True)  # the error of the test is printed last
 
 
-def _answer(plan: TestPlan, session: Session, steps: tuple[TestStep, ...], json_file: Path | None) -> None:
+def _answer(
+    plan: TestPlan,
+    session: Session,
+    steps: tuple[TestStep, ...],
+    json_file: Path | None,
+    views: Sequence[LiveView | None],
+) -> None:
     """Write the JSON output if it was requested.
 
     Raises:
@@ -74,7 +82,8 @@ def _answer(plan: TestPlan, session: Session, steps: tuple[TestStep, ...], json_
     if json_file is not None:
         tests = [
             answer_of(test, plan.depth_range_m, next((step for step in steps if step.number == test.number), None))
-            for test in session.tests
+            | {"live": live_answer(view)}
+            for test, view in itertools.zip_longest(session.tests, views[: len(session.tests)])
         ]
         write_json(json_file, {"session": str(plan.out), "session_id": session.session_id, "tests": tests})
 
@@ -108,7 +117,13 @@ class _TerminalControl(ConsoleControl, TestControl):
         self._stack = stack
         self._key: StopKey | None = None
         self._identification: LiveIdentification | None = None
+        self._identifications: list[LiveIdentification] = []
         self._shown_s = 0.0
+
+    @property
+    def views(self) -> list[LiveView | None]:
+        """The last live estimates of each test, in their order; none without ``--live``."""
+        return [identification.latest() for identification in self._identifications if self._plan.live]
 
     def ready(self, instrument: Instrument, limits: Limits) -> None:
         """Read the stop keys from now on."""
@@ -121,6 +136,10 @@ class _TerminalControl(ConsoleControl, TestControl):
     def identifying(self, identification: LiveIdentification) -> None:
         """Print the estimates of the next test."""
         self._identification, self._shown_s = identification, 0.0
+        self._identifications.append(identification)
+        if self._plan.live:
+            method = self._plan.shown_method
+            console.print(f"live identification: {method}, {LIVE_METHODS[method]}", markup=False)
 
     def received(self, progress: Progress) -> None:
         """Print a new estimate."""
@@ -172,5 +191,5 @@ def view_line(view: LiveView) -> str:
         unit, scale = _UNITS[name]
         words.append(f"{name} {plus_minus(found, scale)} {unit}")
     if view.vaf_percent is not None:
-        words.append(f"VAF {fixed(view.vaf_percent, 1)} %")
+        words.append(f"VAF {fixed(view.vaf_percent, 1)} % ({view.method})")
     return ", ".join(words if view.parameters else [*words, view.missing])

@@ -10,6 +10,7 @@ from rich.table import Table
 from tissueid.acquisition.quality import quality_of
 from tissueid.cli.output import table
 from tissueid.formatting import fixed, grouped
+from tissueid.identification.live.live_view import LiveView
 from tissueid.messages import MISSING
 from tissueid.procedures.depth_coverage import DepthRange, depth_range_of, kolmogorov_distance, stimulus_of
 from tissueid.procedures.test_run import TestStep
@@ -35,6 +36,8 @@ def answer_of(test: Test, asked: DepthRange | None, step: TestStep | None) -> di
         answer[note] = test.notes.get(note)
     quality = quality_of(test)
     answer["configuration"] = test.configuration
+    for note in ("coupling", "orientation_deg", "initial_length_m", "normal_preload_n"):
+        answer[note] = test.notes.get(note)
     answer["verdict"] = None if quality is None else quality.verdict
     answer["quality"] = None if quality is None else quality.as_dict()["findings"]
     if step is not None:
@@ -44,6 +47,21 @@ def answer_of(test: Test, asked: DepthRange | None, step: TestStep | None) -> di
             "vaf_held_out_percent": step.vaf_held_out_percent,
         }
     return answer
+
+
+_SI = {"mass": "mass_kg", "damping": "damping_n_s_per_m", "stiffness": "stiffness_n_per_m"}
+
+
+def live_answer(view: LiveView | None) -> dict[str, Any] | None:
+    """Return the last live estimates of a test for JSON, SI; None without any."""
+    if view is None:
+        return None
+    return {
+        "method": view.method,
+        "seconds": view.seconds,
+        "vaf_percent": view.vaf_percent,
+        "parameters": {_SI[name]: {"value": found.value, "std": found.std} for name, found in view.parameters.items()},
+    }
 
 
 def tests_table(tests: Sequence[Test], asked: DepthRange | None) -> Table:

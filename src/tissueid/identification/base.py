@@ -10,6 +10,7 @@ import math
 from abc import ABC, abstractmethod
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
+from functools import wraps
 from typing import Any, ClassVar, Literal, Self
 
 import numpy as np
@@ -17,6 +18,7 @@ from numpy.typing import NDArray
 from pydantic import BaseModel, ConfigDict, ValidationError
 
 from tissueid.errors import UnusableInputError
+from tissueid.identification.blas_threads import one_blas_thread
 from tissueid.identification.depth_profile import DepthProfile
 from tissueid.identification.model_family import Family
 from tissueid.messages import Message, stored
@@ -226,7 +228,8 @@ class Engine(BaseModel, ABC):
     A subclass needs ``name``, ``fit`` and its options. The other declarations are optional: ``label`` is the name shown
     to users (default: ``name`` with a capital), ``title`` one sentence on what is fitted (default: the first paragraph
     of the docstring), ``family`` its kind for the recommendation. Texts in ``marked("...")`` are translated.
-    ``figures`` are drawn in reports; ``in_report`` adds the engine to the standard report of a test.
+    ``figures`` are drawn in reports; ``in_report`` adds the engine to the standard report of a test, ``in_report_of``
+    to that of a test for which it is made.
     """
 
     model_config = ConfigDict(frozen=True, extra="forbid", allow_inf_nan=False)
@@ -240,13 +243,20 @@ class Engine(BaseModel, ABC):
 
     @classmethod
     def __pydantic_init_subclass__(cls, **kwargs: Any) -> None:
-        """Fill label and title of an engine that does not declare them."""
+        """Fill label and title of an engine that does not declare them, and limit the threads of its fits."""
         super().__pydantic_init_subclass__(**kwargs)
+        if "fit" in cls.__dict__ and not getattr(cls.fit, "__isabstractmethod__", False):
+            setattr(cls, "fit", _with_one_thread(cls.fit))  # noqa: B010
         name = getattr(cls, "name", "")
         if "label" not in cls.__dict__:
             cls.label = name[:1].upper() + name[1:]
         if "title" not in cls.__dict__:
             cls.title = " ".join((cls.__doc__ or "").split("\n\n")[0].split())
+
+    @classmethod
+    def in_report_of(cls, record: Record) -> bool:
+        """Return whether the standard report of a test with this record includes the engine; default: ``in_report``."""
+        return cls.in_report
 
     @abstractmethod
     def fit(self, record: Record, fit_part: slice | None = None) -> Model:
@@ -255,6 +265,16 @@ class Engine(BaseModel, ABC):
         Raises:
             UnusableInputError: the record is not sufficient for this fit; the message gives the reason.
         """
+
+    def with_test_values(self, surface_position_m: float | None, weight_n: float | None) -> Self:
+        """Return the specification with what the test knows about its placement, for options that are not given.
+
+        Args:
+            surface_position_m: position of the tissue surface, m; None if unknown.
+            weight_n: weight of the moving part along the stroke, N into the tissue; None if unknown. The signal force
+                does not include it.
+        """
+        return self
 
     @classmethod
     def from_options(cls, options: Mapping[str, Any]) -> Self:
@@ -272,6 +292,15 @@ class Engine(BaseModel, ABC):
     def options(self) -> dict[str, Any]:
         """Return the options as plain values for JSON."""
         return self.model_dump(mode="json")
+
+
+def _with_one_thread(fit: Callable[..., Model]) -> Callable[..., Model]:
+    @wraps(fit)
+    def fitted(*args: Any, **options: Any) -> Model:
+        with one_blas_thread():
+            return fit(*args, **options)
+
+    return fitted
 
 
 def check_horizon(horizon: int) -> None:

@@ -7,17 +7,29 @@ from dataclasses import dataclass
 from itertools import pairwise
 
 import numpy as np
-from scipy import ndimage
+from scipy import ndimage, signal
 
 from tissueid.errors import UnusableInputError
 from tissueid.identification.base import Array, Mask
-from tissueid.identification.preparation import finite_runs
+from tissueid.identification.preparation import finite_runs, memory_in_samples
 from tissueid.messages import Message
+from tissueid.records import Record
 
 _STEP = 7.0
 """Threshold of a step: change of the running mean, in robust standard deviations of that change."""
 
 _NORMAL_MAD = 1.4826
+
+_MEMORY_S = 0.125
+"""Width of the running means, s, by which a record is recognised as a localized test."""
+_FEWEST_LEVELS = 3
+_LARGEST_NOISE = 0.3
+"""Greatest standard deviation of the noise about the levels of a localized test, relative to their range."""
+_LEAST_CORRELATION = 0.15
+"""Least correlation, at any lag, of output and input within the levels of a localized test.
+
+It distinguishes noise that is played from that of the sensors about bare steps: 0.2 to 0.8 against 0.05 to 0.11.
+"""
 
 _RECORD_STEPS = Message(
     "localized.no_levels",
@@ -30,7 +42,8 @@ _RECORD_STEPS = Message(
 class Level:
     """A stretch of a record at one input level: first sample, end, and direction of the step to it, 1 or -1.
 
-    ``direction`` is 0 for the first level of an uninterrupted run.
+    ``direction`` is 0 for the first level of a record. After lost samples it is that of the step which they hide, or of
+    the level that they interrupt.
     """
 
     first: int
@@ -38,7 +51,9 @@ class Level:
     direction: int
 
 
-def find_levels(x: Array, used: Mask, memory_samples: int, given: Sequence[float] | None = None) -> tuple[Level, ...]:
+def find_levels(
+    x: Array, used: Mask, memory_samples: int, given: Sequence[float] | None = None, joints: Sequence[int] = ()
+) -> tuple[Level, ...]:
     """Return the stretches of constant level in an input.
 
     The means of one memory before and after each sample are compared; a step is a difference far above the scatter of
@@ -49,19 +64,30 @@ def find_levels(x: Array, used: Mask, memory_samples: int, given: Sequence[float
         used: mask (n,) of the samples that may be fitted.
         memory_samples: samples of one memory.
         given: the levels in the unit of the input; each stretch is then assigned to the nearest.
+        joints: samples at which records were joined: no step is known across them.
 
     Raises:
         UnusableInputError: there are fewer than two levels.
     """
     runs = _runs(x, used, memory_samples)
-    steps = _steps_to(x, runs, memory_samples, np.sort(given)) if given else _steps_found(x, runs, memory_samples)
+    threshold = _threshold(x, runs, memory_samples)
+    if given:
+        steps = _steps_to(x, runs, memory_samples, np.sort(given))
+    else:
+        steps = _steps_found(x, runs, memory_samples, threshold)
     levels: list[Level] = []
+    before: float | None = None
     for (first, end), inner in zip(runs, steps, strict=True):
-        edges = [first, *inner, end]
-        before: float | None = None
-        for begin, stop in pairwise(edges):
+        direction, gap = 0, levels[-1].end if levels else 0
+        if any(gap <= joint < first for joint in joints):
+            before = None
+        for begin, stop in pairwise([first, *inner, end]):
             mean = float(np.mean(x[begin:stop]))
-            levels.append(Level(begin, stop, 0 if before is None else int(np.sign(mean - before))))
+            if before is not None and (begin != first or abs(mean - before) > threshold):
+                direction = int(np.sign(mean - before))
+            elif before is not None:
+                direction = levels[-1].direction  # lost samples within a level
+            levels.append(Level(begin, stop, direction))
             before = mean
     if len(levels) < 2:
         raise UnusableInputError(_RECORD_STEPS)
@@ -70,28 +96,70 @@ def find_levels(x: Array, used: Mask, memory_samples: int, given: Sequence[float
 
 def is_stepped(x: Array, used: Mask, memory_samples: int) -> bool:
     """Return whether an input (n,) steps from level to level within a run; arguments as :func:`find_levels`."""
-    return any(_steps_found(x, _runs(x, used, memory_samples), memory_samples))
+    runs = _runs(x, used, memory_samples)
+    return any(_steps_found(x, runs, memory_samples, _threshold(x, runs, memory_samples)))
+
+
+def localized_levels(record: Record) -> tuple[Level, ...]:
+    """Return the levels of a localized test: small noise about three or more levels (Chen 2010, 3.4); else none.
+
+    Bare steps, noise over the whole range and records of one level are no localized tests.
+    """
+    memory = memory_in_samples(_MEMORY_S, record.sample_rate_hz)
+    used = record.valid
+    if not used.any() or not is_stepped(record.input, used, memory):
+        return ()
+    levels = find_levels(record.input, used, memory, joints=record.joints)
+    # From half of a level to shortly before its end: without ringing and creep, and without the next step.
+    settled = [
+        slice((one.first + one.end) // 2, one.end - (one.end - one.first) // 10)
+        for one in levels
+        if one.end - one.first > 2 * memory
+    ]
+    settled = [part for part in settled if used[part].sum() > memory // 2]
+    if len(settled) < _FEWEST_LEVELS:
+        return ()
+    span = float(np.ptp([np.mean(record.input[part]) for part in settled]))
+    noise = float(np.median([np.std(record.input[part]) for part in settled]))
+    related = np.median([_correlation(record[part], memory) for part in settled])
+    return levels if noise <= _LARGEST_NOISE * span and related >= _LEAST_CORRELATION else ()
+
+
+def _correlation(part: Record, lags: int) -> float:
+    """Return the largest correlation of output and input at a lag of 0 to ``lags``, each without its linear trend."""
+    both = np.flatnonzero(part.valid)
+    u, y = np.zeros(len(part)), np.zeros(len(part))
+    for values, whole in ((part.input, u), (part.output, y)):
+        whole[both] = values[both] - np.polyval(np.polyfit(both, values[both], 1), both)
+    scale = float(np.sqrt((u @ u) * (y @ y)))
+    if scale == 0.0:
+        return 0.0
+    return float(np.max(np.abs(signal.correlate(y, u, method="fft")[u.size - 1 : u.size + lags]))) / scale
 
 
 def _runs(x: Array, used: Mask, memory_samples: int) -> list[tuple[int, int]]:
-    received = np.isfinite(x) & _with_memory(used, memory_samples)
-    return [(int(first), int(end)) for first, end in finite_runs(received) if end - first > 2 * memory_samples]
+    """Return first sample and end of each run of received inputs, from one memory before the first fitted sample on.
+
+    An output that is missing or held out does not interrupt a run.
+    """
+    received = np.isfinite(x)
+    fitted = np.flatnonzero(used)
+    if fitted.size:
+        received[: max(0, int(fitted[0]) - memory_samples)] = False
+        received[int(fitted[-1]) + 1 :] = False
+    runs = ((int(first), int(end)) for first, end in finite_runs(received))
+    return [(first, end) for first, end in runs if end - first > 2 * memory_samples and used[first:end].any()]
 
 
-def _with_memory(used: Mask, memory_samples: int) -> Mask:
-    """Return the mask of the fitted samples and of the memory before each of them."""
-    later = np.concatenate([used, np.zeros(memory_samples, dtype=np.bool_)])
-    counts = np.cumsum(np.concatenate([[0], later]))
-    return np.asarray(counts[memory_samples:][: used.size] > counts[: used.size], dtype=np.bool_)
+def _threshold(x: Array, runs: list[tuple[int, int]], width: int) -> float:
+    """Return the change of the running mean above which the level changes."""
+    changes = [_change(x[first:end], width) for first, end in runs]
+    return _STEP * _NORMAL_MAD * float(np.median(np.abs(np.concatenate(changes)))) if changes else 0.0
 
 
-def _steps_found(x: Array, runs: list[tuple[int, int]], width: int) -> list[list[int]]:
+def _steps_found(x: Array, runs: list[tuple[int, int]], width: int, threshold: float) -> list[list[int]]:
     """Return the samples at which the level changes, for each run."""
     changes = [_change(x[first:end], width) for first, end in runs]
-    if not changes:
-        return []
-    everything = np.abs(np.concatenate(changes))
-    threshold = _STEP * _NORMAL_MAD * float(np.median(everything))
     found = []
     for (first, _), change in zip(runs, changes, strict=True):
         size = np.abs(change)

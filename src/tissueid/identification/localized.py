@@ -87,9 +87,11 @@ class LocalizedModel(Model):
 
 
 def fit_levels(
-    record: Record, used: Mask, levels: tuple[Level, ...], memory_samples: int, hold: Hold
+    record: Record, used: Mask, levels: tuple[Level, ...], memory_samples: int, settle_samples: int, hold: Hold
 ) -> tuple[tuple[LevelFit, ...], int]:
-    """Fit M, B, K within each level, without one memory after its step. Also return the number of levels left out.
+    """Fit M, B, K within each level, without the response to its step. Also return the number of levels left out.
+
+    Left out are one memory, and after a step ``settle_samples`` or half of a short level, in which the tissue creeps.
 
     Raises:
         UnusableInputError: fewer than two levels are long enough.
@@ -99,6 +101,8 @@ def fit_levels(
     for level in levels:
         mask = used[level.first : level.end].copy()
         mask[:memory_samples] = False
+        if level.direction:
+            mask[: min(settle_samples, mask.size // 2)] = False
         if int(mask.sum()) < max(memory_samples, _LEAST_SAMPLES):
             continue
         part = record[level.first : level.end]

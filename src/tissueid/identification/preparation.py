@@ -164,7 +164,8 @@ def prepare(record: Record, fit_part: slice | None, memory: float, n_parameters:
             )
         )
     missing = length - int(record.valid[part].sum())
-    lost = missing - sum(part.start <= joint < part.stop for joint in record.joints)
+    kept_back = sum(int(np.isfinite(record.input[part][a:b]).sum()) for a, b in record[part].withheld)
+    lost = missing - kept_back - sum(part.start <= joint < part.stop for joint in record.joints)
     if lost:
         warnings.append(
             Message(

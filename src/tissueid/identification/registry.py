@@ -11,6 +11,7 @@ from typing import TypeVar
 from tissueid.identification.base import Engine
 from tissueid.language import _, marked
 from tissueid.plugins import Registry
+from tissueid.records import Record
 
 _EngineType = TypeVar("_EngineType", bound=type[Engine])
 _engines: Registry[Engine] = Registry(marked("engine"), Engine, "tissueid.identification.engines", "tissueid.engines")  # type: ignore[type-abstract]
@@ -50,7 +51,13 @@ def engine_label(name: str) -> str:
     return _(label_of(name))
 
 
-def report_engines() -> tuple[str, ...]:
-    """Return the names of the engines of the standard report of a test, simplest family first."""
-    kinds = [_engines.get(name) for name in _engines.names()]
-    return tuple(kind.name for kind in sorted(kinds, key=lambda kind: kind.family.rank) if kind.in_report)
+def report_engines(record: Record | None = None) -> tuple[str, ...]:
+    """Return the names of the engines of the standard report of a test, simplest family first.
+
+    With the record of a test, those follow that are made for such a test.
+    """
+    kinds = sorted((_engines.get(name) for name in _engines.names()), key=lambda kind: kind.family.rank)
+    standard = [kind.name for kind in kinds if kind.in_report]
+    if record is None:
+        return tuple(standard)
+    return (*standard, *(kind.name for kind in kinds if not kind.in_report and kind.in_report_of(record)))

@@ -12,7 +12,7 @@ from typing import Literal, Self, TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy import fft
+from scipy import fft, optimize
 
 from tissueid.identification.base import Array
 from tissueid.identification.depth_profile import DepthProfile
@@ -22,11 +22,12 @@ from tissueid.records import Estimate
 Name = TypeVar("Name", bound=str)
 
 _STIFFNESS = "stiffness_n_per_m"
+_BY_DIRECTION = ("stiffness_in_n_per_m", "stiffness_out_n_per_m")
 
 
 def has_stiffness(parameters: Mapping[str, Estimate]) -> bool:
     """Return whether the parameters include a stiffness in N/m."""
-    return any(name.endswith(_STIFFNESS) for name in parameters)
+    return any(name.endswith((_STIFFNESS, *_BY_DIRECTION)) for name in parameters)
 
 
 def without_spring(parameters: Mapping[Name, Estimate], spring_n_per_m: float) -> dict[Name, Estimate]:
@@ -46,7 +47,7 @@ def profile_without_spring(profile: DepthProfile, spring_n_per_m: float) -> Dept
 
 
 def _is_stiffness(name: str) -> bool:
-    return name == "stiffness" or name.endswith(_STIFFNESS)
+    return name in ("stiffness", *_BY_DIRECTION) or name.endswith(_STIFFNESS)
 
 
 Complex = NDArray[np.complex128]
@@ -106,6 +107,31 @@ class SecondOrder:
         """Return h(t) in output units per input unit and second, shape of t (s); zero before t = 0."""
         decay, squared = self.decay_and_frequency
         return np.where(t >= 0.0, free_velocity(np.maximum(t, 0.0), decay, squared) / self.mass, 0.0)
+
+    def settling_time_s(self, share: float = 0.05) -> float:
+        """Return the time after which the impulse response stays below ``share`` of its peak (Chen 2010, Fig. 6.6).
+
+        Exact: the peaks of an oscillation are in geometric proportion, and after the last one above the share the
+        response falls steadily to its next zero; without oscillation it falls steadily from its only peak. Infinite for
+        a system without damping.
+        """
+        decay, squared = self.decay_and_frequency
+        if not decay > 0.0:
+            return float("inf")
+        peak_s, frequency = _peak_time_s(decay, squared), float(np.sqrt(max(0.0, squared)))
+        peak = float(free_velocity(np.array(peak_s), decay, squared))
+
+        def above(t: float) -> float:
+            return abs(float(free_velocity(np.array(t), decay, squared))) / peak - share
+
+        if frequency > 0.0:
+            half_period = np.pi / frequency
+            later = float(np.floor(-np.log(share) / (decay * half_period)))  # peaks after the first above the share
+            return float(optimize.brentq(above, peak_s + later * half_period, (later + 1.0) * half_period))
+        end = 2.0 * peak_s
+        while above(end) > 0.0:
+            end *= 2.0
+        return float(optimize.brentq(above, peak_s, end))
 
     def frequency_response(self, frequency_hz: Array) -> Complex:
         """Return H at the given frequencies, shape of ``frequency_hz``."""
@@ -173,6 +199,14 @@ def _add_response(both: Complex, system: SecondOrder, frequency_hz: Array, weigh
     both[2] += common
     common *= w
     both[1] += common
+
+
+def _peak_time_s(decay: float, squared: float) -> float:
+    """Return the time of the first peak of the impulse response; arguments as :func:`free_velocity`."""
+    b = float(np.sqrt(abs(squared)))
+    if b < 1e-6 * decay:
+        return 1.0 / decay
+    return float(np.arctan2(b, decay) / b if squared > 0.0 else np.arctanh(b / decay) / b)
 
 
 def free_velocity(t: Array, decay: float, squared: float) -> Array:

@@ -106,7 +106,7 @@ class SecondOrderFit:
 
 
 @dataclass(frozen=True)
-class _Run:
+class InputRun:
     """An uninterrupted run of the input: its spectrum, and the indices of its fitted samples."""
 
     spectrum: Complex
@@ -141,7 +141,7 @@ def fit_second_order(
     rate = record.sample_rate_hz
     mean_u = float(np.mean(record.input[used]))
     mean_y = float(np.mean(record.output[used]))
-    runs, y = _runs(record, used, mean_u, mean_y)
+    runs, y = input_runs(record, used, mean_u, mean_y)
     system, sign = _start(record, used, mean_u, mean_y) if start is None else (start.system, start.sign)
     y = sign * y
     w = None if weights is None else weights[used]
@@ -161,7 +161,7 @@ def fit_second_order(
     covariance = None
     if found.converged:
         error = found.point.error
-        covariance = _sandwich(found.point.slopes, error, dependence_samples(error, rate))
+        covariance = sandwich(found.point.slopes, error, dependence_samples(error, rate))
     warnings: list[str] = []
     if covariance is None:
         warnings.append(
@@ -229,8 +229,10 @@ class _SimulationError:
         return False
 
 
-def _sandwich(slopes: Array, error: Array, block: int) -> Array | None:
-    """Return the covariance (3, 3) of log M, log B, log K; NaN for one without effect, None on failure."""
+def sandwich(slopes: Array, error: Array, block: int) -> Array | None:
+    """Return the covariance (p, p) of parameters with derivatives (m, p) of the errors (m,); NaN for one without
+    effect, None on failure. The covariance is valid for autocorrelated errors.
+    """
     size = np.linalg.norm(slopes, axis=0)
     effective = size > _NEGLIGIBLE_SENSITIVITY * np.max(size)
     if not effective.any():
@@ -241,12 +243,12 @@ def _sandwich(slopes: Array, error: Array, block: int) -> Array | None:
         return None
     influence = (directions @ np.linalg.inv(gram)) * error[:, None] / size[effective]
     n, p = influence.shape
-    covariance = np.full((3, 3), np.nan)
+    covariance = np.full((size.size, size.size), np.nan)
     covariance[np.ix_(effective, effective)] = long_run_covariance(influence, block) * n / (n - p)
     return covariance
 
 
-def _runs(record: Record, used: Mask, mean_u: float, mean_y: float) -> tuple[list[_Run], Array]:
+def input_runs(record: Record, used: Mask, mean_u: float, mean_y: float) -> tuple[list[InputRun], Array]:
     """Cut the record into uninterrupted runs of input, each extended to a periodic signal by a smooth bridge.
 
     In the circular convolution, the bridge acts as input before the first sample. Its only effect is a free response,
@@ -265,7 +267,7 @@ def _runs(record: Record, used: Mask, mean_u: float, mean_y: float) -> tuple[lis
         spectrum = fft.rfft(np.concatenate([values, bridge]))
         whole = local[-1] - local[0] + 1 == local.size
         runs.append(
-            _Run(
+            InputRun(
                 spectrum,
                 length,
                 slice(int(local[0]), int(local[-1]) + 1) if whole else local,
@@ -278,7 +280,7 @@ def _runs(record: Record, used: Mask, mean_u: float, mean_y: float) -> tuple[lis
 
 
 def _evaluate(
-    runs: list[_Run], y: Array, weights: Array | None, theta: Array, rate: float, hold: Hold
+    runs: list[InputRun], y: Array, weights: Array | None, theta: Array, rate: float, hold: Hold
 ) -> tuple[Array, Array]:
     """Return the weighted error (m,) and its derivatives (m, 3), with offset and free responses projected out."""
     mass, damping, stiffness = np.exp(theta)

@@ -27,6 +27,8 @@ from tissueid.messages import Action, Message, Verbatim, joined
 IN_PROCESS = "simulated://"
 DEFAULT_TISSUE = "forearm"
 _SEED_DIGITS = 18
+_LARGEST_VARIATION = 3.0
+"""Largest size of the variation between tests, relative to that of skin."""
 _START_FIELD = 19
 """Index of the start time among the fields after the process name (proc(5))."""
 _SHOWN = 80
@@ -53,7 +55,8 @@ def open_instrument(url: str) -> Instrument:
     """Open the instrument at an address: a serial port, ``socket://host:port``, or ``simulated://TISSUE?seed=N``.
 
     With a seed, a simulated instrument always gives the same measurements. ``simulated:///PATH/twin.toml?seed=N``
-    simulates a named twin (``gap accept``).
+    simulates a named twin (``gap accept``). ``subject=N`` is another person's skin, and ``variation=SIZE`` scales the
+    variation between tests and adds the lasting compression by the first test.
 
     Raises:
         InstrumentError, ProtocolVersionError, UnusableInputError: there is no usable instrument at the address.
@@ -89,29 +92,20 @@ def _simulation(url: str) -> Instrument:
         raise UnusableInputError(
             Message("simulation.address", "{address} is not an address: write simulated://TISSUE?seed=N", address=shown)
         ) from error
-    if unknown := set(query) - {"seed"}:
+    if unknown := set(query) - {"seed", "subject", "variation"}:
         raise UnusableInputError(
             Message(
                 "simulation.parameter",
-                "{address} has the unknown parameter {names}; the only one is seed",
+                "{address} has the unknown parameter {names}; known: seed, subject, variation",
                 address=shown,
                 names=clean(", ".join(sorted(unknown)))[:_SHOWN],
             )
         )
-    given = query.get("seed", [None])[-1]
-    if given is not None and not (given.isascii() and given.isdigit() and len(given) <= _SEED_DIGITS):
-        raise UnusableInputError(
-            Message(
-                "simulation.seed",
-                "the seed in {address} must be a whole number of at most {digits} digits",
-                address=shown,
-                digits=_SEED_DIGITS,
-            )
-        )
-    seed = None if given is None else int(given)
+    seed, subject = _whole_number(query, "seed", shown), _whole_number(query, "subject", shown)
+    variation = _variation(query, shown)
     file = unquote(f"{parts.netloc}{parts.path}")
     if file.endswith(SUFFIX):
-        return SimulatedInstrument(read_twin(Path(file)), seed=seed)
+        return SimulatedInstrument(read_twin(Path(file)), seed=seed, subject=subject, variation=variation)
     if parts.path.strip("/") or parts.fragment:
         raise UnusableInputError(
             Message(
@@ -123,7 +117,54 @@ def _simulation(url: str) -> Instrument:
                 suffix=SUFFIX,
             )
         )
-    return SimulatedInstrument(parts.netloc or DEFAULT_TISSUE, seed=seed)
+    return SimulatedInstrument(parts.netloc or DEFAULT_TISSUE, seed=seed, subject=subject, variation=variation)
+
+
+def _whole_number(query: dict[str, list[str]], name: str, shown: str) -> int | None:
+    """Return a parameter of an address, or None without it.
+
+    Raises:
+        UnusableInputError: it is not a whole number, or too long.
+    """
+    given = query.get(name, [None])[-1]
+    if given is None:
+        return None
+    if not (given.isascii() and given.isdigit() and len(given) <= _SEED_DIGITS):
+        raise UnusableInputError(
+            Message(
+                "simulation.seed",
+                "the {name} in {address} must be a whole number of at most {digits} digits",
+                name=Verbatim(name),
+                address=shown,
+                digits=_SEED_DIGITS,
+            )
+        )
+    return int(given)
+
+
+def _variation(query: dict[str, list[str]], shown: str) -> float | None:
+    """Return the size of the variation between tests, or None without it.
+
+    Raises:
+        UnusableInputError: it is not between 0 and 3.
+    """
+    given = query.get("variation", [None])[-1]
+    if given is None:
+        return None
+    try:
+        size = float(given)
+    except ValueError:
+        size = -1.0
+    if not 0.0 <= size <= _LARGEST_VARIATION:
+        raise UnusableInputError(
+            Message(
+                "simulation.variation",
+                "the variation in {address} must be a number from 0 to {most:g}",
+                address=shown,
+                most=_LARGEST_VARIATION,
+            )
+        )
+    return size
 
 
 def find_instruments(

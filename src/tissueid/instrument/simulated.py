@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import time
 from collections.abc import Callable
 from dataclasses import replace
@@ -32,7 +33,7 @@ from tissueid.instrument.limits import Limits, check_command, check_limits, chec
 from tissueid.instrument.playback import Playback
 from tissueid.instrument.replies import released_by_faults
 from tissueid.instrument.sample_monitor import SampleMonitor
-from tissueid.instrument.tissues import TISSUES, Effects, SimulatedTissue
+from tissueid.instrument.tissues import COMPRESSING_N, COMPRESSING_S, TISSUES, Effects, SimulatedTissue
 from tissueid.instrument.twin_file import TwinFile, device_of
 from tissueid.messages import Message, Verbatim, joined
 from tissueid.twin.catalogue import effect
@@ -70,12 +71,22 @@ class SimulatedInstrument:
     Args:
         tissue: name of a tissue under the nominal instrument (``TISSUES``), or a named twin with its effects.
         seed: of sensor noise and of the variation between tests; None: different every time.
+        subject: number of the person under the probe; None: the person of the tissue.
+        variation: size of the variation between tests, with a lasting compression by the first one; None: the
+            variation of the tissue, without compression.
 
     Raises:
-        UnusableInputError: the tissue is unknown.
+        UnusableInputError: the tissue is unknown, or a twin is to vary.
     """
 
-    def __init__(self, tissue: str | TwinFile = "forearm", *, seed: int | None = 0) -> None:
+    def __init__(
+        self,
+        tissue: str | TwinFile = "forearm",
+        *,
+        seed: int | None = 0,
+        subject: int | None = None,
+        variation: float | None = None,
+    ) -> None:
         if isinstance(tissue, str) and tissue not in TISSUES:
             raise UnusableInputError(
                 Message(
@@ -85,13 +96,22 @@ class SimulatedInstrument:
                     known=joined(map(Verbatim, TISSUES)),
                 )
             )
+        if not isinstance(tissue, str) and (subject is not None or variation is not None):
+            raise UnusableInputError(Message("simulation.twin_varies", "a twin has no subject and no variation"))
         self._random = np.random.default_rng(seed)
         self._varying: SimulatedTissue | None = None
+        self._compressing = variation is not None
+        self._pressed = 0
+        self._placed_m = 0.0
         serial_number = f"{SIMULATED_SERIAL}{seed or 0}"
         if isinstance(tissue, str):
             self.device = replace(DeviceDescription(), model=MODEL, serial_number=serial_number)
             self._varying = TISSUES[tissue]
-            surface_m = self._varying.placed(self._random)
+            if subject is not None:
+                self._varying = self._varying.of_subject(subject)
+            if variation is not None:
+                self._varying = self._varying.varied(variation)
+            surface_m = self._placed_m = self._varying.placed(self._random)
             figures, effects = self._varying.drawn(self._random)
             player = Player(
                 Instrument(),
@@ -228,6 +248,11 @@ class SimulatedInstrument:
         self._energised = True
         if self._varying is not None:
             figures, effects = self._varying.drawn(self._random)
+            if self._compressing:
+                pressed_s = self._pressed / self.nominal.sample_rate_hz
+                share = 1.0 - math.exp(-pressed_s / COMPRESSING_S)
+                figures, deeper_m = self._varying.compressed(figures, share)
+                self._player.set_surface(self._placed_m + deeper_m)
             self._player.set_parameters(figures, _acting(effects))
         return self._run
 
@@ -244,6 +269,7 @@ class SimulatedInstrument:
             samples["command"], samples["flags"] = self._playback.block(BLOCK)
             self._energised = not self._playback.over
         signals = self._player.play(samples["command"])
+        self._pressed += int(np.count_nonzero(self.nominal.force_constant_n_per_a * signals[1] > COMPRESSING_N))
         for name, values in zip(("voltage", "current", "position"), signals, strict=True):
             samples[name] = values + _NOISE[name] * self._random.standard_normal(BLOCK)
         samples["temperature"] = _COIL_C
@@ -297,7 +323,9 @@ class SimulatedInstrument:
                     stroke=1e3 * stroke,
                 )
             )
-        self._player.set_surface(_OUT_OF_REACH_M if position_m is None else position_m)
+        self._placed_m = _OUT_OF_REACH_M if position_m is None else position_m
+        self._pressed = 0
+        self._player.set_surface(self._placed_m)
         self._settle()
         return True
 

@@ -63,7 +63,7 @@ def run_comparison(plan: ComparePlan, control: Control) -> ComparedTests:
     from tissueid.sessions import read_session
 
     check_output(plan.page, HTML)
-    _check_figures(plan.figures)
+    check_figures(plan.figures)
     _check_writable(plan.page if plan.page is None else plan.page.parent)
     shared = {} if plan.memory_s is None else {"memory": plan.memory_s}
     engines = specifications(plan.engines, shared, _by_engine(plan.options))
@@ -146,7 +146,7 @@ def _by_engine(options: Sequence[str]) -> dict[str, dict[str, Any]]:
     return found
 
 
-def _check_figures(folder: Path | None) -> None:
+def check_figures(folder: Path | None) -> None:
     """Check that a folder for figures can be made or written.
 
     Raises:

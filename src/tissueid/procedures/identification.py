@@ -52,6 +52,10 @@ class IdentificationPlan(FitPlan):
         tuple[str, ...],
         Option("--option", metavar="NAME=VALUE", help="another option of the engine; may be repeated"),
     ] = ()
+    tissue_alone: Annotated[
+        bool,
+        Option("--tissue-alone", help="also report mass and damping without the moving part of the instrument"),
+    ] = False
 
 
 class EnginesPlan(Plan):
@@ -119,6 +123,7 @@ def run_identification(plan: IdentificationPlan, control: Control) -> Identified
         validate=plan.validation_test,
         input_name=plan.input_name,
         output_name=plan.output_name,
+        tissue_alone=plan.tissue_alone,
     )
     try:
         tests = residual_tests(analysis.model, analysis.held_out_record, analysis.held_out)

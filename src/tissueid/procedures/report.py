@@ -35,6 +35,10 @@ class ReportPlan(Plan):
         Option("--engines", metavar="A,B,...", separator=",", help="engines to report; default: lms,spectral,wiener"),
     ] = None
     pdf: Annotated[Path | None, Option("--pdf", metavar="FILE", help="also write a short PDF")] = None
+    tissue_alone: Annotated[
+        bool,
+        Option("--tissue-alone", help="also report mass and damping without the moving part of the instrument"),
+    ] = False
 
 
 @dataclass(frozen=True)
@@ -48,7 +52,12 @@ class AnalysedTest:
 
 
 def analyse_test(
-    session: Session, number: int | None = None, engines: Iterable[str] | None = None, control: Control | None = None
+    session: Session,
+    number: int | None = None,
+    engines: Iterable[str] | None = None,
+    control: Control | None = None,
+    *,
+    tissue_alone: bool = False,
 ) -> AnalysedTest:
     """Fit the engines of the standard report, or those that are named, to one test.
 
@@ -59,6 +68,7 @@ def analyse_test(
         number: of the test; None for the first stochastic one.
         engines: names; None for the standard report.
         control: progress and cancellation.
+        tissue_alone: also report mass and damping without those of the actuator.
 
     Raises:
         UnusableInputError: there is no such test or engine.
@@ -70,13 +80,13 @@ def analyse_test(
     test = session.test(number)
     analyses: dict[str, Analysis] = {}
     refused: dict[str, str] = {}
-    names = report_engines() if engines is None else tuple(dict.fromkeys(engines))
+    names = report_engines(test.record()) if engines is None else tuple(dict.fromkeys(engines))
     for done, name in enumerate(names):
         get_engine(name)
         control.progress(done / len(names), _FITTING)
         control.check()
         try:
-            analyses |= analyse_all(session, (name,), test=test)
+            analyses |= analyse_all(session, (name,), test=test, tissue_alone=tissue_alone)
         except UnusableInputError as error:
             refused[name] = error.message
     return AnalysedTest(session, test, analyses, refused)
@@ -137,7 +147,7 @@ def run_report(plan: ReportPlan, control: Control) -> AnalysedTest:
     session = read_session(plan.session)
     for target in (plan.page, plan.pdf):
         check_report(target, session)
-    analysed = analyse_test(session, plan.test, plan.engines, control)
+    analysed = analyse_test(session, plan.test, plan.engines, control, tissue_alone=plan.tissue_alone)
     if not analysed.analyses and analysed.refused:
         raise UnusableInputError(next(iter(analysed.refused.values())))
     control.progress(None, _WRITING)

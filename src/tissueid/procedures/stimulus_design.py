@@ -48,7 +48,11 @@ class StimulusPlan(Plan):
 
     what: Annotated[
         str | None,
-        Option(argument=True, metavar="KIND|FILE", help="a kind or a saved stimulus; default: list the kinds"),
+        Option(
+            argument=True,
+            metavar="KIND|FILE",
+            help="a kind, a saved stimulus or a waveform (.csv, .txt, .npy); default: list the kinds",
+        ),
     ] = None
     options: Annotated[
         tuple[tuple[str, Any], ...],
@@ -74,6 +78,14 @@ class StimulusPlan(Plan):
     seconds: Annotated[float | None, Option("--seconds", metavar="SECONDS", help="length without preload")] = None
     seed: Annotated[
         int | None, Option("--seed", help="seed; the same seed gives the same samples"), Field(ge=0, le=2**63 - 1)
+    ] = None
+    scale: Annotated[float | None, Option("--scale", help="of a file: factor of the whole stimulus")] = None
+    offset: Annotated[
+        float | None, Option("--offset", metavar="NEWTON", help="of a file: added to the whole stimulus")
+    ] = None
+    file_rate_hz: Annotated[
+        float | None,
+        Option("--file-rate", metavar="HZ", help="sample rate of a waveform without times; default: the instrument's"),
     ] = None
     out: Annotated[Path | None, Option("--out", metavar="FILE", help="save the stimulus for 'tissueid test'")] = None
     csv: Annotated[Path | None, Option("--csv", metavar="FILE", help="write the samples as CSV")] = None
@@ -137,24 +149,47 @@ class StimulusPlan(Plan):
             from tissueid.reports.stimulus_report import FORMS, output_suffix
 
             check_output(self.plot, FORMS[output_suffix(self.plot)])
+        from tissueid.acquisition.waveform_file import check_file_option
+
+        from_file = named_values(self, {name: name for name in ("scale", "offset", "file_rate_hz")})
+        for name, (option, value) in from_file.items():
+            if not self.from_file:
+                raise UnusableInputError(
+                    Message(
+                        "stimulus.file_options",
+                        "{option} is for a stimulus from a file: name the file",
+                        option=Verbatim(option),
+                    )
+                )
+            check_file_option(name, option, value)
         if self.lists and (self.options or self.given or any(self.outputs)):
             raise UnusableInputError(Message("stimulus.no_name", "name a stimulus; 'tissueid stimulus' lists all"))
 
-    def chosen(self) -> Stimulus | StimulusKind:
-        """Return the saved stimulus, or the specification of a kind with its options.
+    @property
+    def from_file(self) -> bool:
+        """Whether the stimulus is in a file."""
+        from tissueid.acquisition.waveform_file import is_waveform
+
+        what = self.what or ""
+        named = what.lower().endswith(".json") or "/" in what or is_waveform(Path(what)) or Path(what).is_file()
+        return bool(what) and named
+
+    def chosen(self, sample_rate_hz: float) -> Stimulus | StimulusKind:
+        """Return the stimulus of the file, at the sample rate of the device, or the specification of a kind.
 
         Raises:
             UnusableInputError: the kind, the file or an option cannot be used.
         """
-        from tissueid.acquisition.stimulus_choice import load_stimulus
+        from tissueid.acquisition.stimulus_choice import FileChoice
         from tissueid.procedures.test_plan import saved_stimulus_options, specified
         from tissueid.stimuli import get_stimulus
 
         what = self.what or ""
-        if what.lower().endswith(".json") or "/" in what or Path(what).is_file():
+        if self.from_file:
             if self.options or self.given:
                 raise saved_stimulus_options(Path(what))
-            return load_stimulus(Path(what))
+            choice = FileChoice(path=Path(what), scale=self.scale, offset=self.offset, file_rate_hz=self.file_rate_hz)
+            return choice.stimulus(sample_rate_hz)
         if all(any(getattr(self, field) is not None for field in ends) for ends in _RANGES):
             raise UnusableInputError(Message("stimulus.two_ranges", "give the range either as force or as voltage"))
         return specified(get_stimulus(what), list(self.options), self.given)
@@ -180,10 +215,12 @@ def run_stimulus(plan: StimulusPlan, control: Control) -> DesignedStimulus:
     from tissueid.stimuli import FeedbackKind, OpenLoopKind, Stimulus
 
     plan.check()
-    chosen = plan.chosen()
+    # Only a file needs the device first, for its sample rate; a feedback kind opens the instrument itself.
+    device = described_device(plan.device) if plan.from_file else None
+    chosen = plan.chosen(0.0 if device is None else device.sample_rate_hz)
     if isinstance(chosen, FeedbackKind):
         return DesignedStimulus(None, _tried(plan, chosen, control))
-    device = described_device(plan.device)
+    device = device or described_device(plan.device)
     search: InterchangeResult | None = None
     if isinstance(chosen, Stimulus):
         stimulus = chosen

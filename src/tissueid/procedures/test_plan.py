@@ -4,11 +4,11 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any, Self
+from typing import TYPE_CHECKING, Annotated, Any, Literal, Self
 
 from pydantic import Field
 
-from tissueid.configuration import Configuration
+from tissueid.configuration import Configuration, orientation
 from tissueid.errors import UnusableInputError
 from tissueid.formatting import ANONYMOUS
 from tissueid.language import marked
@@ -16,6 +16,7 @@ from tissueid.messages import Message, Verbatim
 from tissueid.procedures.plan_options import Option, Plan, name_and_value, named_values
 
 if TYPE_CHECKING:  # each takes long to import
+    from tissueid.acquisition.stimulus_choice import FileChoice
     from tissueid.identification.live.stopping import StopRule
     from tissueid.instrument.limits import Limits
     from tissueid.stimuli import StimulusKind
@@ -26,6 +27,14 @@ MAX_TEXT = 200
 """Longest site or pseudonym in characters."""
 LEAST_DEPTH_RANGE_M = 1e-4
 """Smallest width of a depth range, m."""
+LiveMethod = Literal["sliding", "rls", "als"]
+"""Methods of the impulse response while a test runs, the default first; those of ``identification.live``."""
+LIVE_METHODS: dict[LiveMethod, str] = {
+    "sliding": marked("Sliding (LMS)"),
+    "rls": marked("Recursive (RLS)"),
+    "als": marked("Adaptive (ALS)"),
+}
+"""Short titles of the methods, for forms."""
 _ANY_RATE_HZ = 2000.0
 """Sample rate at which options are checked before an instrument is open, Hz."""
 _SPECIFIED = {
@@ -94,7 +103,21 @@ class TestPlan(Plan):
         ),
     ] = ()
     stimulus_file: Annotated[
-        Path | None, Option("--stimulus-file", metavar="FILE", help="stimulus saved by 'tissueid stimulus'")
+        Path | None,
+        Option(
+            "--stimulus-file",
+            metavar="FILE",
+            help="stimulus saved by 'tissueid stimulus', or a waveform: .csv, .txt or .npy, in N",
+        ),
+    ] = None
+    scale: Annotated[float | None, Option("--scale", help="with --stimulus-file: factor of the whole stimulus")] = None
+    offset: Annotated[
+        float | None,
+        Option("--offset", metavar="NEWTON", help="with --stimulus-file: added to the whole stimulus"),
+    ] = None
+    file_rate_hz: Annotated[
+        float | None,
+        Option("--file-rate", metavar="HZ", help="sample rate of a waveform without times; default: the instrument's"),
     ] = None
     distribution: Annotated[
         str | None,
@@ -138,6 +161,13 @@ class TestPlan(Plan):
         Option("--stop-when", metavar="NAME=SHARE", help="stop at this relative uncertainty, such as stiffness=0.02"),
     ] = ()
     live: Annotated[bool, Option("--live", help="print the parameters as they converge")] = False
+    live_method: Annotated[
+        LiveMethod | None,
+        Option(
+            "--live-method",
+            help="impulse response of --live: sliding (default, least squares of the last 10 s), rls or als",
+        ),
+    ] = None
     repeats: Annotated[int, Option("--repeats", help="number of runs of the test"), Field(ge=1, le=100)] = 1
     rest_s: Annotated[
         float,
@@ -154,6 +184,26 @@ class TestPlan(Plan):
         float,
         Option("--external-spring", metavar="N/M", help="stiffness parallel to the tissue, subtracted; for surface"),
     ] = 0.0
+    coupling: Annotated[
+        str, Option("--coupling", metavar="NAME", help="none, tape, or adhesive (glue, liquid bandage)")
+    ] = "none"
+    orientation_deg: Annotated[
+        float | None,
+        Option(
+            "--orientation",
+            metavar="DEG",
+            help="extension: angle to the axis of the limb, or vertical (along it), horizontal",
+            read=orientation,
+        ),
+    ] = None
+    initial_length_m: Annotated[
+        float | None,
+        Option("--initial-length", metavar="MM", scale=1e-3, help="extension: length between the faces before it"),
+    ] = None
+    normal_preload_n: Annotated[
+        float | None,
+        Option("--normal-preload", metavar="N", help="surface: force that presses the probe on"),
+    ] = None
     calibrations: Annotated[
         Path | None, Option("--calibrations", metavar="DIR", help="folder of calibrations; see 'calibrate list'")
     ] = None
@@ -197,9 +247,12 @@ class TestPlan(Plan):
                 )
             )
         self._check_depths()
+        if self.live_method is not None and not self.live:
+            raise UnusableInputError(Message("plan.live_method", "--live-method needs --live"))
         if self.rest_s > 0.0 and self.repeats == 1:
             raise UnusableInputError(Message("plan.rest", "the rest is the pause between repeats: it needs --repeats"))
         self._check_kind()
+        self._check_file()
         self.stop_rule()
         if self.multistep is not None:
             self._check_multistep()
@@ -236,6 +289,21 @@ class TestPlan(Plan):
                 )
             )
 
+    def _check_file(self) -> None:
+        from tissueid.acquisition.waveform_file import check_file_option
+
+        given = named_values(self, {name: name for name in ("scale", "offset", "file_rate_hz")})
+        for name, (option, value) in given.items():
+            if self.stimulus_file is None:
+                raise UnusableInputError(
+                    Message(
+                        "plan.file_options",
+                        "{option} needs --stimulus-file: other stimuli have a range of force",
+                        option=Verbatim(option),
+                    )
+                )
+            check_file_option(name, option, value)
+
     def _check_kind(self) -> None:
         from tissueid.acquisition.stimulus_choice import FIXTURES
 
@@ -270,16 +338,31 @@ class TestPlan(Plan):
             )
 
     @property
+    def file_choice(self) -> FileChoice | None:
+        """The stimulus from a file, and how it is played; None for a plan without one."""
+        from tissueid.acquisition.stimulus_choice import FileChoice
+
+        if self.stimulus_file is None:
+            return None
+        return FileChoice(path=self.stimulus_file, scale=self.scale, offset=self.offset, file_rate_hz=self.file_rate_hz)
+
+    @property
     def _own_stimulus(self) -> bool:
         return bool(self.stimulus or self.options or self.distribution)
 
     def set_up(self) -> Configuration:
-        """Return the configuration: direction, probe and external spring.
+        """Return the configuration: direction, probe, external spring, and how the probe meets the tissue.
 
         Raises:
-            UnusableInputError: configuration, probe and spring do not go together.
+            UnusableInputError: they do not go together.
         """
-        return Configuration.of(self.configuration, self.probe, self.external_spring_n_per_m)
+        further = ("coupling", "orientation_deg", "initial_length_m", "normal_preload_n")
+        return Configuration.of(
+            self.configuration,
+            self.probe,
+            self.external_spring_n_per_m,
+            **{name: getattr(self, name) for name in further},
+        )
 
     def stop_rule(self) -> StopRule | None:
         """Return the rule that ends the test early; None for a plan without one.
@@ -350,6 +433,11 @@ class TestPlan(Plan):
         if wanted is None or not lower or wanted <= greatest_n:
             return self
         return self.model_copy(update={"max_force_n": greatest_n})
+
+    @property
+    def shown_method(self) -> LiveMethod:
+        """Method of the impulse response while the test runs."""
+        return self.live_method or "sliding"
 
     @property
     def notes(self) -> dict[str, str | float]:
@@ -427,6 +515,14 @@ def specified(
     Raises:
         UnusableInputError: an option is unknown, not valid, or given twice.
     """
+    if not kind.listed:
+        raise UnusableInputError(
+            Message(
+                "plan.from_file",
+                "the stimulus '{name}' comes from a file: give that file",
+                name=Verbatim(kind.name),
+            )
+        )
     chosen = dict(options)
     if len(chosen) < len(options):
         names = [name for name, _ in options]

@@ -318,6 +318,7 @@ class _Run:
                 self._identification = LiveIdentification(
                     instrument.device,
                     preload_s=test.opening.preload_s,
+                    method=plan.shown_method,
                     stop=rule,
                     separate_process=separate_process,
                     external_spring_n_per_m=plan.external_spring_n_per_m,
@@ -390,8 +391,8 @@ def _guided_test(
 
 def _stimulus(plan: TestPlan, sample_rate_hz: float, control: Control) -> Stimulus | FeedbackKind:
     """Return the stimulus with its preload, or a feedback stimulus."""
-    if plan.stimulus_file is not None:
-        return playable_file(plan.stimulus_file)
+    if (choice := plan.file_choice) is not None:
+        return playable_file(choice, sample_rate_hz)
     specification = plan.specification(sample_rate_hz)
     if isinstance(specification, Noise):  # needs no progress
         return playable(specification)

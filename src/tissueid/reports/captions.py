@@ -50,6 +50,12 @@ def signals(test: Test) -> str:
     return " ".join([*text, received.format(lost=lost, samples=test.samples)])
 
 
+CORRELATIONS = marked(
+    "Normalised. The autocorrelation of a white input is zero at every other lag, and its cross-correlation with the "
+    "output is the impulse response."
+)
+
+
 def power(model: SpectralModel | None) -> str:
     """Return the caption of the power spectra."""
     text = [

@@ -27,7 +27,12 @@ from tissueid.reports.figures.registry import Group, Subject, figures_of
 from tissueid.reports.html import RESEARCH_LINE, template, write_text_atomically
 from tissueid.reports.material import Material
 from tissueid.reports.plot_renderer import column_figure, row_figure
-from tissueid.reports.record_pictures import distributions_picture, power_picture, signals_picture
+from tissueid.reports.record_pictures import (
+    correlations_picture,
+    distributions_picture,
+    power_picture,
+    signals_picture,
+)
 from tissueid.reports.style import plain_image
 from tissueid.reports.tables import readable_date, settings_tables
 from tissueid.sessions import Session
@@ -163,6 +168,7 @@ def _recorded(material: Material, found: EngineComparison) -> Section:
         signals_picture(test, material.held_out_s, "recorded"),
         power_picture(test, material.spectra, "recorded"),
         distributions_picture(record, "recorded"),
+        correlations_picture(record, "recorded"),
         _distortion(material),
     )
     return Section("recorded", _("Recorded signals"), (), (), pictures)

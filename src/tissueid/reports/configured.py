@@ -16,6 +16,8 @@ from tissueid.sessions import Test
 
 CONFIGURATIONS = (marked("indentation"), marked("extension"), marked("surface"))
 """Names of configurations, as a session has them."""
+COUPLINGS = (marked("tape"), marked("adhesive"))
+"""What attaches the probe, as a session has it."""
 _DEPTH = re.compile(r"\b([Dd])epth(s?)\b")
 
 

@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterator, Sequence
 
 from tissueid.analysis.curves.feedback import FeedbackRun, description_plots, profiles_of, series_plots
+from tissueid.analysis.curves.settling import settling_plot
 from tissueid.language import _
 from tissueid.reports.depth_panels import draw_depth_panels
 from tissueid.reports.panel_sheet import Panel
@@ -32,6 +33,19 @@ def feedback_panels(runs: Sequence[FeedbackRun]) -> Iterator[Panel]:
         ),
         lambda figure: draw_grid(figure, [description_plots(run, run.label if len(runs) > 1 else "") for run in runs]),
         height=0.5 + 2.1 * len(runs),
+    )
+    yield Panel(
+        "feedback-settling",
+        _("Settling time, block and memory"),
+        _("A map of the settling time of the impulse response by stiffness and damping."),
+        _(
+            "Time after which the impulse response stays below 5 % of its peak (Chen 2010, Fig. 6.6). The mean depth "
+            "follows the offset of the force only over times longer than that: between the dashed lines, where there "
+            "are any, a block is long enough, and between the dotted lines the memory is. Points: the levels of depth "
+            "as identified during the test."
+        ),
+        lambda figure: draw_grid(figure, [[settling_plot(runs)]]),
+        height=3.4,
     )
     yield Panel(
         "feedback-parameters",

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import math
 from collections.abc import Mapping
 from typing import Any
 
@@ -45,12 +46,16 @@ def run_from_report(report: Any, force: Array, depth: Array, sample_rate_hz: flo
     try:
         edges = np.asarray(report["edges_m"], dtype=np.float64)
         shares = np.asarray(report["desired"], dtype=np.float64)
-        profile = _profile(report.get("identification"), edges)
+        identified = report.get("identification")
+        profile = _profile(identified, edges)
+        block_s, memory_s = float(report.get("block_s", 0.0)), float((identified or {}).get("memory_s", 0.0))
     except (KeyError, ValueError, TypeError, IndexError, AttributeError) as error:
         raise UnusableInputError(NO_DISTRIBUTION) from error
+    if not (math.isfinite(block_s) and math.isfinite(memory_s)):
+        raise UnusableInputError(NO_DISTRIBUTION)
     if edges.ndim != 1 or shares.shape != (edges.size - 1,) or not np.all(np.diff(edges) > 0.0):
         raise UnusableInputError(NO_DISTRIBUTION)
-    return FeedbackRun(label, force, depth, sample_rate_hz, edges, shares, profile)
+    return FeedbackRun(label, force, depth, sample_rate_hz, edges, shares, profile, block_s, memory_s)
 
 
 def _profile(found: Mapping[str, Any] | None, edges: Array) -> DepthProfile | None:

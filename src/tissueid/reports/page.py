@@ -112,7 +112,7 @@ def _predictions(session: Session, test: Test, analyses: Mapping[str, Analysis])
     found = []
     for name in chosen[:4]:
         analysis = analyses[name]
-        own = analysis.held_out_record is analysis.record
+        own = analysis.held_out_record.input is analysis.record.input
         found.append(held_out_prediction(engine_label(name), analysis, test.preload_s if own else 0.0))
     return found
 

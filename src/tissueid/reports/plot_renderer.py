@@ -18,6 +18,10 @@ from tissueid.reports.plot_layout import lay_out
 from tissueid.reports.plot_parts import DrawnLine, draw_bars, draw_curve, draw_image, draw_mark, draw_surface
 from tissueid.reports.style import FULL_WIDTH, HALF_WIDTH, drawing, new_figure
 
+_LETTERS_PER_INCH = 13.0
+_HANDLE_LETTERS = 7
+"""Letters of a key that fit in an inch, and the width of a line or point before each name, in letters."""
+
 
 def draw_plot(
     axes: Axes, plot: Plot, look: Look = PAGE, *, units: Units = clinical, title: bool = True, key: bool = True
@@ -178,7 +182,9 @@ def key_over(figure: FigureBase, axes: Axes) -> None:
     """Put the key of axes over the whole figure, if it has several entries."""
     handles, labels = axes.get_legend_handles_labels()
     if len(labels) > 1:
-        figure.legend(handles, labels, loc="outside upper left", ncols=min(6, len(labels)))
+        room = int(_LETTERS_PER_INCH * axes.get_figure(root=True).get_figwidth())  # type: ignore[union-attr]
+        columns = max(1, min(6, len(labels), room // (_HANDLE_LETTERS + max(map(len, labels)))))
+        figure.legend(handles, labels, loc="outside upper left", ncols=columns)
 
 
 def draw_relief(

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from matplotlib.figure import Figure
 
+from tissueid.analysis.curves.overlay import signal_correlations
 from tissueid.analysis.curves.signals import distribution_plots, recording_plots, recording_spectra
 from tissueid.identification.engines.spectral import SpectralModel
 from tissueid.language import _
@@ -42,6 +43,16 @@ def power_picture(test: Test, spectra: SpectralModel | None, key: str) -> Pictur
         _("Power spectral densities of voltage, force and position against frequency, both axes logarithmic."),
         lambda: (column_figure([recording_spectra(test)], 3.3), captions.power(spectra)),
         wide=False,
+    )
+
+
+def correlations_picture(record: Record, key: str) -> Picture:
+    """The correlations of input and output."""
+    return picture(
+        f"{key}-correlations",
+        _("Correlations of input and output"),
+        _("Autocorrelations of input and output and their cross-correlation over both signs of the lag."),
+        lambda: (row_figure(signal_correlations({"": record}), 2.7), _(captions.CORRELATIONS)),
     )
 
 

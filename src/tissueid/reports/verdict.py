@@ -10,9 +10,11 @@ import numpy as np
 
 from tissueid.analysis import Analysis
 from tissueid.analysis.curves.signals import lost_samples
-from tissueid.formatting import estimate, fixed, label_and_unit
+from tissueid.analysis.split import SURFACE_KNOWN_TO_M
+from tissueid.formatting import estimate, fixed, label_and_unit, number
 from tissueid.identification import label_of, report_engines
 from tissueid.identification.engines.wiener import WienerModel
+from tissueid.identification.localized import LocalizedModel
 from tissueid.language import _, marked
 from tissueid.messages import Listing, Message
 from tissueid.reports.configured import surface_of
@@ -32,8 +34,6 @@ UNSTEADY_POINTS = 10.0
 """Points of VAF by which fitted and held-out parts may differ before the test is called unsteady."""
 LOST_SHARE = 0.01
 LIFTED_SHARE = 0.001
-SURFACE_KNOWN_TO_M = 0.3e-3
-"""How far the surface found at placing may be off."""
 
 _SEVERITY: tuple[Level, ...] = ("good", "check", "poor")
 _VERDICTS: dict[Level, QualityVerdict] = {"good": "good", "check": "look", "poor": "repeat"}
@@ -221,13 +221,40 @@ def _uncertain(analyses: Mapping[str, Analysis]) -> list[_Doubt]:
     return [("check", Message("verdict.uncertain", "Uncertain by more than {percent:.0f} %: {names}.", **values))]
 
 
+def localized_engine(analyses: Mapping[str, Analysis]) -> str | None:
+    """The engine with a linear fit at each of several levels, if one was run."""
+    return next((name for name, a in analyses.items() if isinstance(a.model, LocalizedModel)), None)
+
+
+def stiffness_range(analysis: Analysis) -> str:
+    """Say between which values the stiffness at the levels of a localized test lies, without an external spring."""
+    profile = analysis.depth_profile()
+    values = np.array([]) if profile is None else profile.stiffness[np.isfinite(profile.stiffness)]
+    if values.size == 0:
+        return _("tissue, depths visited")
+    unit, scale = display_unit("N/m")
+    return _("at the middle level; {low} to {high} {unit} at all").format(
+        low=number(scale * float(values.min()), 3), high=number(scale * float(values.max()), 3), unit=unit
+    )
+
+
 def linear_engine(analyses: Mapping[str, Analysis]) -> str | None:
-    """The engine whose second-order parameters lead the report: LMS, or else the first linear one that has any."""
+    """The engine whose second-order parameters lead the report.
+
+    That is the localized one of a localized test, else LMS, or else the first linear one that has any.
+    """
+    if levels := localized_engine(analyses):
+        return levels
     ordered = [name for name in report_engines() if name in analyses] + list(analyses)
     for name in ordered:
         if analyses[name].model.report.parameters and not isinstance(analyses[name].model, WienerModel):
             return name
     return None
+
+
+def linear_label(analyses: Mapping[str, Analysis]) -> str:
+    """Return the label of the score of the engine that leads the report."""
+    return _("Motion explained, by level") if localized_engine(analyses) else _("Motion explained, linear")
 
 
 def key_numbers(analyses: Mapping[str, Analysis]) -> tuple[KeyNumber, ...]:
@@ -246,12 +273,15 @@ def key_numbers(analyses: Mapping[str, Analysis]) -> tuple[KeyNumber, ...]:
             unit, scale = display_unit(si_unit)
             value, std, power = estimate(parameters[name], scale)
             note = "" if std else _("without an estimate of its uncertainty")
+            if name == "stiffness_n_per_m" and localized_engine(analyses):
+                note = stiffness_range(analyses[source])
             if name == "stiffness_n_per_m" and (spring := analyses[source].external_spring_n_per_m):
                 note = _("external spring of {spring:g} N/m subtracted").format(spring=spring)
             if name == "natural_frequency_rad_per_s" and ratio is not None:
                 note = _("damping ratio {value}").format(value=fixed(ratio.value, 2))
             numbers.append(KeyNumber(_(label), value, std, f"{power} {unit}".strip(), note))
-    for label, engine in ((_("Motion explained, linear"), linear), (_("Motion explained, nonlinear"), wiener)):
+    explained = linear_label(analyses)
+    for label, engine in ((explained, linear), (_("Motion explained, nonlinear"), wiener)):
         if engine is None:
             continue
         report = analyses[engine].model.report

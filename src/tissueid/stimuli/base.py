@@ -78,6 +78,8 @@ class StimulusKind(BaseModel, ABC):
     """Title in the window; the name by default."""
     test_kind: ClassVar[str] = "stochastic"
     """Kind of the tests that play the stimulus, in a session."""
+    listed: ClassVar[bool] = True
+    """Whether the kind can be chosen and designed; the others come from files."""
 
     @classmethod
     def from_options(cls, options: Mapping[str, Any]) -> Self:
@@ -217,8 +219,8 @@ def get_stimulus(name: str) -> type[StimulusKind]:
 
 
 def stimulus_names() -> tuple[str, ...]:
-    """Return the names of all kinds of stimulus, in alphabetical order."""
-    return _kinds.names()
+    """Return the names of all kinds of stimulus that can be chosen, in alphabetical order."""
+    return tuple(name for name in _kinds.names() if _kinds.get(name).listed)
 
 
 def build_stimulus(name: str, options: Mapping[str, Any]) -> Stimulus:

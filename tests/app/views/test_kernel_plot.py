@@ -66,6 +66,24 @@ def test_an_image_turns_into_a_surface_and_back(qtbot, kernels):
     assert kernels.canvas.axes[0].images
 
 
+def test_kernels_of_several_results_stand_side_by_side_on_one_scale(kernels):
+    kernels.offer([Outcome("a", kernel())])
+    assert kernels.choice.count() == 1
+    kernels.offer([Outcome("a", kernel()), Outcome("b", kernel(12)), Outcome("c", kernel(name="Other"))])
+    assert kernels.choice.itemText(3) == "Kernel: side by side"
+    kernels.choice.setCurrentIndex(3)
+    assert kernels.plot is None
+    assert [plot.title for plot in kernels.beside] == ["a", "b"]
+    assert kernels.beside[0].surface.limit == kernels.beside[1].surface.limit
+    drawn = [axes for axes in kernels.canvas.axes if axes.images]
+    assert len(drawn) == 2
+    assert drawn[0].get_position().x1 <= drawn[1].get_position().x0
+    assert not kernels.raised.isVisible()
+    kernels.choice.setCurrentIndex(0)
+    assert kernels.beside == ()
+    assert kernels.raised.isVisible()
+
+
 def test_mouse_and_keys_turn_it_and_the_button_turns_it_back(qtbot, kernels):
     kernels.offer([Outcome("a", kernel())])
     kernels.raised.click()

@@ -11,6 +11,7 @@ from PySide6.QtWidgets import QFileDialog, QMessageBox
 
 from tissueid.app.views.researcher.plot_data import KERNELS, OUTPUT, PICTURES
 from tissueid.app.views.researcher.save_dialog import FIGURES, free_name, write_figure
+from tissueid.calibration.file import Calibration, write_calibration
 from tissueid.errors import UnusableInputError
 
 pytestmark = [pytest.mark.qt_log_level_fail("WARNING"), pytest.mark.qt_log_ignore("This plugin does not support")]
@@ -44,6 +45,34 @@ def test_every_picture_is_drawn_with_its_legend_and_units(qtbot, panel, two, tmp
     text = svg_of(panel.pictures.figure, tmp_path)
     assert "VAF" in text
     assert "scheduled by the measured output" in text
+
+
+def test_a_sweep_lies_below_the_results_against_depth(qtbot, panel, strip, two, tmp_path):
+    run(qtbot, panel, two[:1], "depth")
+    path = tmp_path / "sweep.toml"
+    columns = {name: [0.06, 0.07] for name in ("mass_kg", "damping_n_s_per_m", "stiffness_n_per_m")}
+    sweep = Calibration(
+        kind="sweep",
+        model="m",
+        serial_number="s",
+        date="2026-03-01T09:30:00Z",
+        software="s",
+        verdict="passed",
+        tables={"sweep": {"position_m": [0.002, 0.03], **columns}},
+    )
+    write_calibration(path, sweep)
+    panel.calibration.draw_sweep(path)
+    assert panel.calibration.isChecked()
+    mass = panel.pictures.plots.plots[0]
+    assert mass.curve("calibration spring").y.tolist() == [60.0, 70.0]
+    assert "calibration spring" in svg_of(panel.pictures.figure, tmp_path)
+    press(qtbot, panel.calibration)  # takes it away
+    assert not panel.pictures.calibrated
+    assert not any(curve.name == "calibration spring" for curve in panel.pictures.plots.plots[0].curves)
+    write_calibration(path, sweep.model_copy(update={"kind": "static"}))
+    panel.calibration.draw_sweep(path)
+    assert strip.said[-1][1]
+    assert not panel.calibration.isChecked()
 
 
 def test_the_population_is_drawn(qtbot, panel, two, tmp_path):

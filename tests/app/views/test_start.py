@@ -342,6 +342,7 @@ def test_everything_but_subject_and_site_is_found_again(qtbot, open_start, open_
     form.subject.setText("P-017")
     form.site.setEditText("left calf")
     form.limits.setCurrentIndex(form.limits.findData("research"))
+    form.stimulus.live_method.setCurrentIndex(form.stimulus.live_method.findData("als"))
     form.fold.setChecked(True)
     press(qtbot, first.panels.log_button)
     first.resize(1300, 700)
@@ -352,6 +353,7 @@ def test_everything_but_subject_and_site_is_found_again(qtbot, open_start, open_
     assert (form.instrument.url, form.subject.text()) == ("simulated://spring", "")
     assert (form.limits.currentData(), form.site.currentText()) == ("research", "")
     assert form.fold.isChecked()
+    assert form.plan().shown_method == "als"
     assert again.panels.log.isVisible()
     assert again.panels.log_button.isChecked()
     assert again.height() == 700  # the screen of these tests is narrower than any window
@@ -380,7 +382,15 @@ def test_choices_are_found_again_in_another_language(open_window):
 
 def test_settings_that_somebody_else_wrote_do_no_harm(open_window, tmp_path):
     settings = QSettings(str(tmp_path / "window.ini"), QSettings.Format.IniFormat)
-    for key in ("window/geometry", "window/panels", "window/page", "window/role", "test/limits", "test/instrument"):
+    for key in (
+        "window/geometry",
+        "window/panels",
+        "window/page",
+        "window/role",
+        "test/limits",
+        "test/instrument",
+        "test/live-method",
+    ):
         settings.setValue(key, "rubbish\n" * 500)
     settings.setValue("test/subject", ["a", "list"])
     settings.sync()
@@ -388,6 +398,7 @@ def test_settings_that_somebody_else_wrote_do_no_harm(open_window, tmp_path):
     form = window.ui.form
     assert (window.ui.page, window.ui.role.role) == ("start", "clinician")
     assert (form.limits.currentData(), form.subject.text()) == ("clinical", "")
+    assert form.plan().shown_method == "sliding"
     assert len(form.instrument.url) <= 200
 
 

@@ -9,6 +9,7 @@ import numpy as np
 from scipy import linalg, stats
 
 from tissueid.acquisition.quality.prepared_test import Array, PreparedTest, longest_run
+from tissueid.configuration import is_attached
 from tissueid.device import angle_deg
 from tissueid.language import marked
 from tissueid.messages import Message
@@ -65,6 +66,8 @@ def check_contact(prepared: PreparedTest) -> Iterator[QualityFinding]:
     """Report loss of contact: no contact force, or a probe above the detected surface."""
     test, texts = prepared.test, prepared.texts
     if not prepared.mechanical or test.configuration != "indentation" or test.kind == "free_air":
+        return
+    if is_attached(test.notes):
         return
     if test.kind == "spring" and _is_fixed_to_spring(prepared):
         return

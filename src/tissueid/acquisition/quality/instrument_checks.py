@@ -8,6 +8,7 @@ import numpy as np
 
 from tissueid.acquisition.quality.prepared_test import PreparedTest, longest_run
 from tissueid.device import CALIBRATE_STATIC, CALIBRATE_SWEEP
+from tissueid.instrument.force_profile import USED_NOTE
 from tissueid.language import marked
 from tissueid.messages import Listing, Message
 from tissueid.sessions.model import IMPORTED, reason_codes
@@ -333,9 +334,10 @@ def check_linear_region(prepared: PreparedTest) -> Iterator[QualityFinding]:
     share = float(np.mean((position < low) | (position > high)))
     if share == 0.0:
         return
+    compensated = USED_NOTE in prepared.test.notes  # by the force constant at each position
     yield QualityFinding(
         "outside_linear_region",
-        "look" if share > OUTSIDE_SHARE else "note",
+        "look" if share > OUTSIDE_SHARE and not compensated else "note",
         Message(
             "quality.outside_linear_region",
             "For {percent:.1f} % of the test the probe was outside the range of {low:.1f} to {high:.1f} mm in which "
@@ -344,7 +346,9 @@ def check_linear_region(prepared: PreparedTest) -> Iterator[QualityFinding]:
             low=1e3 * low,
             high=1e3 * high,
         ),
-        marked("Place the instrument so that the probe stays inside: outside, the displayed force is too high."),
+        marked("Place the instrument so that the probe stays inside: outside, the force is less certain.")
+        if compensated
+        else marked("Place the instrument so that the probe stays inside: outside, the displayed force is too high."),
         share,
     )
 

@@ -8,6 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from tissueid.acquisition.quality.prepared_test import Array, PreparedTest
+from tissueid.configuration import placement
 from tissueid.language import marked
 from tissueid.messages import Message
 from tissueid.sessions import Test
@@ -75,6 +76,7 @@ def comparable_tests(test: Test, earlier: Sequence[Test]) -> list[Test]:
         other
         for other in earlier
         if (other.site, other.kind, other.configuration) == (test.site, test.kind, test.configuration)
+        and placement(other.notes) == placement(test.notes)
         and other.status == "completed"
         and other.sample_rate_hz == test.sample_rate_hz
         and other.number != test.number

@@ -123,8 +123,8 @@ def profile_plots(
         for place, one in enumerate(series):
             curve = _series_curve(one, quantity, origin)
             parts += _styled(curve, one, place, origin)
-            ends.append(_range_of(curve))
-        made.append(Plot(axis.label, x, replace(axis, limits=_limits(np.concatenate(ends))), tuple(parts)))
+            ends.append(range_of(curve))
+        made.append(Plot(axis.label, x, replace(axis, limits=limits_of(np.concatenate(ends))), tuple(parts)))
     counts = [_support(one, place, len(series), origin) for place, one in enumerate(series)]
     if visited is not None:
         counts = [sample_counts(visited, origin, _BINS)]
@@ -236,7 +236,7 @@ def _styled(curve: Curve, series: _Series, place: int, origin_m: float) -> list[
     ]
 
 
-def _range_of(curve: Curve) -> Array:
+def range_of(curve: Curve) -> Array:
     """Return the values that the limits of a plot must contain: those of a curve and of its bars, unless too wide."""
     high = curve.y if curve.high is None else curve.high
     half = high - curve.y
@@ -244,7 +244,7 @@ def _range_of(curve: Curve) -> Array:
     return np.concatenate([curve.y - ends, curve.y + ends])
 
 
-def _limits(values: Array) -> tuple[float, float] | None:
+def limits_of(values: Array) -> tuple[float, float] | None:
     """Return limits that begin at zero where the values allow it; None where no value is finite."""
     finite = values[np.isfinite(values)]
     if not finite.size:

@@ -36,7 +36,8 @@ class FeedbackRun:
 
     ``force`` (n,), N, and ``depth`` (n,), m below the surface, are NaN where a sample was lost. ``edges`` (bins + 1,),
     m, are the limits of the bins and ``shares`` (bins,) the desired share of time in each. ``profile`` holds the
-    parameters that the feedback loop identified, with positions counted from the surface.
+    parameters that the feedback loop identified, with positions counted from the surface. ``block_s`` is the length of
+    a block of set-points and ``memory_s`` that of the identified responses; 0 where it is not known.
     """
 
     label: str
@@ -46,6 +47,8 @@ class FeedbackRun:
     edges: Array
     shares: Array
     profile: DepthProfile | None = None
+    block_s: float = 0.0
+    memory_s: float = 0.0
 
     @property
     def record(self) -> Record:

@@ -2,20 +2,25 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import replace
 
 import numpy as np
 
 from tissueid.analysis.curves.plot import CONFIDENCE, Array, Axis, Bars, Curve, Plot, depth_roles
 from tissueid.analysis.curves.units import LAG, TIME, kernel_unit, signal_axis
+from tissueid.analysis.partition_error import PartitionError
 from tissueid.identification.partitions.model import PartitionedModel
 from tissueid.language import marked
+from tissueid.messages import Message
 from tissueid.records import Record
 from tissueid.units import display_unit
 
 _WAYS = {1: marked("into the tissue"), -1: marked("out of the tissue"), 0: marked("as fitted")}
 _STRETCH_S = 4.0
 """Seconds of the output that are drawn."""
+_TARGET_PERCENT = 5.0
+"""Error that the thesis reaches from 500 samples on."""
 _BAR = 0.92
 """Width of the bar of a partition, as a share of the partition."""
 
@@ -71,6 +76,28 @@ def kernel_curves(model: PartitionedModel, record: Record) -> tuple[Plot, Plot]:
     return left, replace(right, depths=depth)
 
 
+def partition_error_plots(errors: Sequence[PartitionError]) -> tuple[Plot, Plot]:
+    """Return the error of partitions against the length of a stretch and against all samples (Chen 2010, Fig. 5.2).
+
+    A line for each number of repetitions; the level is 5 %.
+    """
+    repetitions = sorted({one.repetitions for one in errors})
+    by_length, by_points = list[Curve](), list[Curve]()
+    for count, role in zip(repetitions, depth_roles(len(repetitions)), strict=True):
+        rows = [one for one in errors if one.repetitions == count]
+        name = Message("plot.repetitions", "{count} repetitions", count=count)
+        error = np.array([one.mean_percent for one in rows])
+        for into, x in ((by_length, [one.continuous for one in rows]), (by_points, [one.points for one in rows])):
+            into.append(Curve(np.array(x, np.float64), error, name, role, marker="o"))
+    level = Curve(np.ones(1), np.array([_TARGET_PERCENT]), "", "muted", "level", width=0.8)
+    y = Axis(marked("Error of M, B and K"), "%", log=True)
+    ends = [float(min(one.continuous for one in errors)), float(max(one.continuous for one in errors))]
+    whole = [float(min(one.points for one in errors)), float(max(one.points for one in errors))]
+    length = Axis(marked("Continuous samples"), log=True, limits=(ends[0], ends[1]))
+    points = Axis(marked("Samples"), log=True, limits=(whole[0], whole[1]))
+    return Plot("", length, y, (*by_length, level)), Plot("", points, y, (*by_points, level))
+
+
 def _coloured(lag_ms: Array, rows: Array, std: Array) -> list[Curve]:
     """Return kernels (K, lags) as curves from shallow to deep; the first and the last have bands where known."""
     curves = [Curve(lag_ms, kernel, "", role) for kernel, role in zip(rows, depth_roles(len(rows)), strict=True)]
@@ -81,4 +108,4 @@ def _coloured(lag_ms: Array, rows: Array, std: Array) -> list[Curve]:
     return curves
 
 
-__all__ = ["kernel_curves", "partition_plots"]
+__all__ = ["kernel_curves", "partition_error_plots", "partition_plots"]

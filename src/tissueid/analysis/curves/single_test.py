@@ -7,18 +7,23 @@ from dataclasses import dataclass, replace
 from typing import TypeVar
 
 from tissueid.analysis import Analysis
-from tissueid.analysis.curves.linear import frequency_response, impulse_response
+from tissueid.analysis.curves.depth import profile_plots
+from tissueid.analysis.curves.levels import level_impulse_plots, level_response_plots
+from tissueid.analysis.curves.linear import coherence_plot, frequency_response, impulse_response
 from tissueid.analysis.curves.nonlinearity import wiener_nonlinearity
-from tissueid.analysis.curves.plot import Axis, Plot, plot_or_reason
+from tissueid.analysis.curves.plot import Axis, Bars, Curve, Plot, Surface, plot_or_reason, thin
 from tissueid.analysis.curves.prediction import unseen_motion
-from tissueid.analysis.curves.units import FREQUENCY, LAG
+from tissueid.analysis.curves.signals import has_samples, recording_plots, recording_spectra
+from tissueid.analysis.curves.units import FREQUENCY, LAG, TIME
 from tissueid.errors import UnusableInputError
 from tissueid.identification.base import Model
 from tissueid.identification.engines.lms import LmsModel
 from tissueid.identification.engines.spectral import SpectralModel
 from tissueid.identification.engines.wiener import Wiener, WienerModel
+from tissueid.identification.localized import LocalizedModel
 from tissueid.language import marked
 from tissueid.messages import Message
+from tissueid.sessions import Test
 
 Analyses = Mapping[str, Analysis]
 M = TypeVar("M", bound=Model)
@@ -36,13 +41,35 @@ class ResultPlots:
     prediction: Plot
 
 
+@dataclass(frozen=True, eq=False)
+class RecordPlots:
+    """Plots of the recorded signals of a test (Chen 2010, Fig. 2.13); ``missing`` says why one cannot be drawn."""
+
+    voltage: Plot
+    spectra: Plot
+    coherence: Plot
+
+
+def record_plots(test: Test, analyses: Analyses) -> RecordPlots:
+    """Return voltage over time, power spectra of voltage, force and position, and coherence of force and position."""
+    voltage, spectra, coherence = marked("Voltage"), marked("Power spectra"), marked("Coherence")
+    return RecordPlots(
+        plot_or_reason(voltage, TIME, Axis(), lambda: _voltage(test)),
+        plot_or_reason(spectra, FREQUENCY, Axis(), lambda: replace(recording_spectra(test), title=spectra)),
+        plot_or_reason(coherence, FREQUENCY, Axis(), lambda: replace(_coherence(analyses), title=coherence)),
+    )
+
+
 def plots_of_test(analyses: Analyses, linear: str | None) -> ResultPlots:
-    """Return the plots of a test.
+    """Return the plots of a test; those of a localized test have a curve for each level.
 
     Args:
         analyses: results by engine.
         linear: the linear engine that leads the report; its simulation is shown where there is no Wiener cascade.
     """
+    levels = _first(analyses, LocalizedModel)
+    if levels is not None:
+        return _localized_plots(levels[0], levels[1], analyses)
     spectral = _first(analyses, SpectralModel)
     magnitude, phase = marked("Bode magnitude"), marked("Bode phase")
     upper, lower = Plot(magnitude, FREQUENCY, Axis()), Plot(phase, FREQUENCY, Axis())
@@ -68,8 +95,51 @@ def plots_of_test(analyses: Analyses, linear: str | None) -> ResultPlots:
     )
 
 
+def _localized_plots(model: LocalizedModel, analysis: Analysis, analyses: Analyses) -> ResultPlots:
+    """Return the responses at each level, and the stiffness against depth in place of a static nonlinearity."""
+    impulse, _scaled = level_impulse_plots(model, analysis.record)
+    upper, lower = level_response_plots(model, analysis.record)
+    stiffness = marked("Stiffness at each level")
+
+    def profile() -> Plot:
+        found = analysis.depth_profile(model)
+        assert found is not None
+        return profile_plots({"": found})[2]
+
+    name = next(name for name, other in analyses.items() if other is analysis)
+    return ResultPlots(
+        replace(impulse, title=marked("Impulse response at each level")),
+        replace(upper, title=marked("Bode magnitude")),
+        replace(lower, title=marked("Bode phase")),
+        replace(plot_or_reason(stiffness, Axis(), Axis(), profile), title=stiffness),
+        plot_or_reason(marked("Unseen motion"), Axis(), Axis(), lambda: unseen_motion(analyses, (name,))),
+    )
+
+
 def _first(analyses: Analyses, kind: type[M]) -> tuple[M, Analysis] | None:
     return next(((a.model, a) for a in analyses.values() if isinstance(a.model, kind)), None)
+
+
+def _voltage(test: Test) -> Plot:
+    if not has_samples(test, "voltage"):
+        raise UnusableInputError(Message("report.no_voltage", "no voltage was recorded"))
+    plot = recording_plots(test)[0]
+    return replace(plot, title=marked("Voltage"), parts=tuple(_thinned(part) for part in plot.parts))
+
+
+def _thinned(part: Curve | Surface | Bars) -> Curve | Surface | Bars:
+    """Return a long line reduced to its extremes by column, so that it is drawn fast."""
+    if not isinstance(part, Curve) or part.kind != "line":
+        return part
+    x, y = thin(part.x, part.y)
+    return replace(part, x=x, y=y)
+
+
+def _coherence(analyses: Analyses) -> Plot:
+    spectral = _first(analyses, SpectralModel)
+    if spectral is None:
+        raise UnusableInputError(_NO_RESPONSE)
+    return coherence_plot(spectral[0].spectra)
 
 
 def _impulse(analyses: Analyses) -> Plot:

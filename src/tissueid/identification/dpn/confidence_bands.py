@@ -96,6 +96,11 @@ class EstimatedCurves:
         rows = slopes[:, 0]
         return rows @ self.curves.theta, rows @ self.covariance @ rows.T
 
+    def log_covariance(self, position: float) -> Array:
+        """Return the covariance (3, 3) of log M, log B and log K at a position, m."""
+        rows = self._log_slopes(np.array([position]))[:, 0]
+        return np.asarray(rows @ self.covariance @ rows.T, dtype=np.float64)
+
     def combined_std(self, position: float, powers: tuple[float, float, float]) -> float:
         """Return the standard deviation of the logarithm of a product of powers of M, B and K at a position."""
         slopes = np.array(powers) @ self._log_slopes(np.array([position]))[:, 0]

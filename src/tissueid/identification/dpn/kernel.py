@@ -1,6 +1,7 @@
 """Compiled free run of the dynamic parameter nonlinearity, with its sensitivities.
 
-M(y) y'' + k M'(y) y'^2 + B(y) y' + F(y) = u (Chen 2010, Eq. 3.33 with F = K(y) y and k = 0), classical Runge-Kutta of
+M(y) y'' + k M'(y) y'^2 + B(y) y' + F(y) = u (Chen 2010, Eq. 3.33 with F = K(y) y and k = 0), where damping and force
+may depend on the direction of motion (5.4), classical Runge-Kutta of
 order four with a fixed number of steps per sample. The sensitivities are the exact derivatives of the Runge-Kutta
 steps, not of the differential equation, so that they are consistent with the minimised error.
 
@@ -20,9 +21,11 @@ Array = NDArray[np.float64]
 Owners = NDArray[np.int64]
 
 MASS, DAMPING, FORCE, DIRECTION, INERTIA = range(5)
-"""Kinds of parameters; the first four are also the columns of the table of curves."""
+"""Kinds of parameters; the first four are also columns of the table of curves."""
 
 _KINDS = 5
+_TURNED = 4
+"""Column of the table with the force that is added inwards and subtracted outwards."""
 
 
 @njit(cache=True)
@@ -46,11 +49,12 @@ def free_run(
         step: length of an integration step, s.
         low: position of the first row of the tables, m.
         spacing: distance of the rows, m.
-        curves: mass, damping, force and direction, shape (rows, 4).
+        curves: mass, damping, force, direction, and the force that is added inwards and subtracted outwards, shape
+            (rows, 5).
         slopes: derivative of each parameter's curve with respect to it, shape (rows, p); for mass, damping and
             direction of the curve's logarithm, for k one. Sensitivities are not computed if ``owner`` is empty.
         owner: the curve of each parameter, shape (p,).
-        speed_scale: speed, m/s, over which the direction takes effect; 0 if damping does not depend on direction.
+        speed_scale: speed, m/s, over which the direction takes effect; 0 if nothing depends on direction.
         inertia: k, the share of M'(y) y'^2 that acts as a resisting force.
         start: position and speed at the first sample, shape (2,).
         bounds: lowest and highest position and largest speed of a valid motion, shape (3,).
@@ -109,6 +113,8 @@ def free_run(
                 damping_slope = more_damping / spacing if by_depth else 0.0
                 turned = 0.0
                 log_slope = 0.0  # derivative of log damping with respect to speed
+                turned_slope = 0.0  # derivatives of the directional force with respect to position and speed
+                turned_drag = 0.0
                 if speed_scale > 0.0:
                     turned = tanh(moving / speed_scale)
                     more_bias = curves[cell + 1, DIRECTION] - curves[cell, DIRECTION]
@@ -119,6 +125,12 @@ def free_run(
                     if by_depth:
                         damping_slope += damping * turned * more_bias / spacing
                     log_slope = bias * (1.0 - turned * turned) / speed_scale
+                    more_turned = curves[cell + 1, _TURNED] - curves[cell, _TURNED]
+                    turned_force = curves[cell, _TURNED] + held * more_turned
+                    force += turned_force * turned
+                    turned_drag = turned_force * (1.0 - turned * turned) / speed_scale
+                    if by_depth:
+                        turned_slope = turned * more_turned / spacing
                 resisted = damping * moving
                 shed = mass_slope * moving * moving
                 acceleration = (push[n, 2 * part + moment[stage]] - resisted - force - inertia * shed) / mass
@@ -127,12 +139,14 @@ def free_run(
                 if p > 0:
                     row[stage], inside[stage], beyond[stage] = cell, held, share
                     stiffness = more_force / spacing + damping_slope * moving + mass_slope * acceleration
+                    stiffness += turned_slope
                     if inertia != 0.0 and by_depth and 0 < cell < rows - 2:
                         more_rise = curves[cell + 2, MASS] - curves[cell + 1, MASS]
                         more_rise -= curves[cell, MASS] - curves[cell - 1, MASS]
                         stiffness += inertia * moving * moving * more_rise / (2.0 * spacing * spacing)
                     pull[stage] = -stiffness / mass
-                    drag[stage] = -(damping * (1.0 + log_slope * moving) + 2.0 * inertia * mass_slope * moving) / mass
+                    resistance = damping * (1.0 + log_slope * moving) + turned_drag
+                    drag[stage] = -(resistance + 2.0 * inertia * mass_slope * moving) / mass
                     squared[stage] = inertia * moving * moving / spacing if by_depth else 0.0
                     weight[stage, MASS] = -acceleration - inertia * shed / mass
                     weight[stage, INERTIA] = -shed / mass

@@ -47,7 +47,8 @@ class Curves:
 
     ``low`` is the position (m) of the first row and ``spacing`` the distance of the rows. Outside the rows, mass and
     damping are constant and the force is extrapolated linearly. With ``direction`` (rows,) and a ``speed_scale`` (m/s),
-    the damping is multiplied by exp(direction * tanh(speed / speed_scale)). ``inertia`` is the share of M'(y) y'^2 that
+    the damping is multiplied by exp(direction * tanh(speed / speed_scale)); ``turned_force`` (rows,), N, times that
+    tanh is added to the force. ``inertia`` is the share of M'(y) y'^2 that
     acts as a resisting force: 0 in Eq. 3.33, 0.5 if recruited mass keeps its energy, 1 in a Wiener system written as
     this equation. The rows within ``margin`` (m) of either end are extrapolated.
     """
@@ -61,6 +62,7 @@ class Curves:
     speed_scale: float = 0.0
     inertia: float = 0.0
     margin: float = 0.0
+    turned_force: Array | None = None
 
     @property
     def position(self) -> Array:
@@ -73,9 +75,11 @@ class Curves:
         return np.gradient(self.force, self.spacing)
 
     def table(self) -> Array:
-        """Return the columns of the compiled loop's table, shape (rows, 4)."""
-        direction = np.zeros_like(self.mass) if self.direction is None else self.direction
-        return np.ascontiguousarray(np.column_stack([self.mass, self.damping, self.force, direction]))
+        """Return the columns of the compiled loop's table, shape (rows, 5)."""
+        none = np.zeros_like(self.mass)
+        direction = none if self.direction is None else self.direction
+        turned = none if self.turned_force is None else self.turned_force
+        return np.ascontiguousarray(np.column_stack([self.mass, self.damping, self.force, direction, turned]))
 
     def rest(self, force: float) -> float:
         """Return the equilibrium position, m, under a steady force, N."""

@@ -21,8 +21,8 @@ from tissueid.records import Record
 class Direction(Engine):
     """Direction engine.
 
-    Damping in indentation and retraction is estimated together with kernels that depend on depth only, because the
-    kernels of Eq. 5.3 cannot distinguish a damping from a stiffness that depends on direction. Mass and stiffness are
+    Damping and stiffness in indentation and retraction are estimated together with kernels that depend on depth only,
+    because the kernels of Eq. 5.3 cannot distinguish a damping from a stiffness that depends on direction. The mass is
     assumed to be equal in both directions.
     """
 

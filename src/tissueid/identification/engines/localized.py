@@ -9,7 +9,7 @@ from pydantic import Field
 
 from tissueid.formatting import number
 from tissueid.identification.base import Engine, FitReport
-from tissueid.identification.depth_levels import find_levels
+from tissueid.identification.depth_levels import find_levels, localized_levels
 from tissueid.identification.localized import (
     LevelFit,
     LocalizedModel,
@@ -54,6 +54,13 @@ class Localized(Engine):
         title=marked("Memory"),
         description=marked("Duration of the response to a step, s; excluded at the start of each level"),
     )
+    settle: float = Field(
+        0.25,
+        ge=0.0,
+        le=10.0,
+        title=marked("Settling time"),
+        description=marked("Time after a step in which the tissue creeps, s; excluded, up to half of each level"),
+    )
     levels: tuple[float, ...] | None = Field(
         None,
         title=marked("Levels"),
@@ -65,6 +72,11 @@ class Localized(Engine):
         description=HOLD_DESCRIPTION,
     )
 
+    @classmethod
+    def in_report_of(cls, record: Record) -> bool:
+        """Return whether the record is a localized test: small noise about several levels."""
+        return bool(localized_levels(record))
+
     def fit(self, record: Record, fit_part: slice | None = None) -> LocalizedModel:
         """Fit M, B, K about every level of a record, or of a contiguous part of it.
 
@@ -74,8 +86,9 @@ class Localized(Engine):
         """
         prepared = prepare(record, fit_part, self.memory, 2 * _EACH)
         memory_samples = prepared.memory_samples
-        levels = find_levels(record.input, prepared.used, memory_samples, self.levels)
-        found, short = fit_levels(record, prepared.used, levels, memory_samples, self.hold)
+        levels = find_levels(record.input, prepared.used, memory_samples, self.levels, record.joints)
+        settle_samples = round(self.settle * record.sample_rate_hz)
+        found, short = fit_levels(record, prepared.used, levels, memory_samples, settle_samples, self.hold)
         curves = curves_through(found)
         model = LocalizedModel(
             report=FitReport(

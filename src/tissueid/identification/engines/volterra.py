@@ -91,11 +91,9 @@ class Volterra(Engine):
     smoothing: float | None = Field(
         None,
         gt=0.0,
-        le=1000.0,
+        le=10.0,
         title=marked("Smoothing"),
-        description=marked(
-            "Width of the Gaussian low-pass on the second-order kernel in samples of its transform; thesis: 15"
-        ),
+        description=marked("Standard deviation of the Gaussian filter of the second-order kernel, lags; thesis: 1"),
     )
     hold: Hold = Field(
         "band-limited",

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
-from typing import ClassVar
+from typing import ClassVar, Self
 
 import numpy as np
 from pydantic import Field
@@ -191,25 +191,38 @@ class Wiener(Engine):
         title=marked("Linear stiffness"),
         description=marked("Stiffness of the linear stage, by definition; 1000 N/m as in the thesis"),
     )
-    c3_n: float = Field(
-        0.0,
+    c3_n: float | None = Field(
+        None,
         ge=-100.0,
         le=100.0,
         title=marked("Load C3"),
-        description=marked("Load in addition to the measured one, such as gravity, N"),
+        description=marked(
+            "Load in addition to the measured one, N; if not given, it is estimated where the surface is known, and "
+            "else the weight of the moving part where the test has it, or 0"
+        ),
     )
     surface_position_m: float | None = Field(
         None,
         ge=-1.0,
         le=1.0,
         title=marked("Surface"),
-        description=marked("Position of the tissue surface, m; if given, it is fixed and C3 is estimated"),
+        description=marked(
+            "Position of the tissue surface, m, which fixes the offset, so that C3 is estimated; if neither it nor C3 "
+            "is given, that of the test"
+        ),
     )
     hold: Hold = Field(
         "band-limited",
         title=HOLD_TITLE,
         description=HOLD_DESCRIPTION,
     )
+
+    def with_test_values(self, surface_position_m: float | None, weight_n: float | None) -> Self:
+        """Return the specification with surface or weight of the test, unless one of the two options is given."""
+        if self.c3_n is not None or self.surface_position_m is not None:
+            return self
+        c3 = weight_n if surface_position_m is None else None
+        return self.model_copy(update={"surface_position_m": surface_position_m, "c3_n": c3})
 
     def fit(self, record: Record, fit_part: slice | None = None) -> WienerModel:
         """Fit the cascade to a record, or to a contiguous part of it.
@@ -246,7 +259,7 @@ class Wiener(Engine):
             prepared.input_mean,
             scaling=self.scaling,
             surface=self.surface_position_m,
-            c3=self.c3_n,
+            c3=self.c3_n or 0.0,
             mechanical=(record.input_unit, record.output_unit) == ("N", "m"),
         )
         warnings += straightness_warning(cascade.nonlinearity, parameters)
@@ -345,7 +358,7 @@ class Wiener(Engine):
                 "scaled_damping_s": self.scaling * system.damping / system.stiffness,
             }
             if isinstance(done.cascade.nonlinearity, Exponential):
-                constants = done.cascade.nonlinearity.thesis_constants(self.surface_position_m, self.c3_n)
+                constants = done.cascade.nonlinearity.thesis_constants(self.surface_position_m, self.c3_n or 0.0)
                 found |= zip(("c1", "c2", "c3", "offset"), constants, strict=True)
             history.append(
                 WienerIteration(

@@ -65,6 +65,18 @@ class LiveBode:
 
 
 @dataclass(frozen=True, eq=False)
+class LiveSpectra:
+    """One-sided power densities (bins,) of input and output about their means, in squared units per hertz.
+
+    They belong to all frequencies above zero, also those that the input does not excite: there the output shows noise.
+    """
+
+    frequency_hz: Array
+    input_psd: Array
+    output_psd: Array
+
+
+@dataclass(frozen=True, eq=False)
 class LiveCurve:
     """Measured output against the linear prediction, both in output units.
 
@@ -125,6 +137,7 @@ class LiveView:
     depths: LiveDepths | None
     course: LiveCourse
     missing: str = ""
+    spectra: LiveSpectra | None = None
 
     def without_spring(self, spring_n_per_m: float) -> LiveView:
         """Return a copy with a parallel spring subtracted from the stiffness; responses still include it."""
@@ -176,10 +189,11 @@ def view(identifier: LiveIdentifier, looks: Sequence[Precision] = ()) -> LiveVie
     newest = looks[-1] if looks else None
     response: _Response | None = None
     bode: LiveBode | None = None
+    spectra: LiveSpectra | None = None
     missing = ""
     try:
         response = _present_response(identifier)
-        bode = _bode(response)
+        bode, spectra = _by_frequency(response)
     except UnusableInputError as error:
         missing = error.message
     return LiveView(
@@ -198,6 +212,7 @@ def view(identifier: LiveIdentifier, looks: Sequence[Precision] = ()) -> LiveVie
         depths=_depths(response.prepared.record) if response else None,
         course=_course(looks),
         missing=missing,
+        spectra=spectra,
     )
 
 
@@ -263,8 +278,10 @@ def _run(kernel: Array, prepared: Prepared, centre: float, offset: float) -> tup
     return x, modelled, np.where(prepared.used, record.output - modelled, np.nan)
 
 
-def _bode(response: _Response) -> LiveBode:
-    """Return the transform of the response, and the coherence of segments as long as the record allows.
+def _by_frequency(response: _Response) -> tuple[LiveBode, LiveSpectra]:
+    """Return the transform of the response with the coherence, and the power densities.
+
+    Segments are as long as the record allows.
 
     Raises:
         UnusableInputError: the record is too short, or has too many gaps, for two segments as long as the memory.
@@ -284,13 +301,14 @@ def _bode(response: _Response) -> LiveBode:
     spectra = Spectral(window=segment).spectra(response.prepared)
     shown = (spectra.frequency_hz > 0.0) & (spectra.input_psd > _EXCITED * np.max(spectra.input_psd[1:]))
     transform = fft.rfft(response.kernel, round(segment * rate))
-    return LiveBode(
+    bode = LiveBode(
         frequency_hz=spectra.frequency_hz[shown],
         magnitude=np.abs(transform)[shown],
         phase_rad=np.unwrap(np.angle(transform))[shown],
         coherence=spectra.coherence[shown],
         coherence_floor=spectra.coherence_floor,
     )
+    return bode, LiveSpectra(spectra.frequency_hz[1:], spectra.input_psd[1:], spectra.output_psd[1:])
 
 
 def _curve(response: _Response) -> LiveCurve | None:

@@ -33,14 +33,14 @@ _SHARES = {"mass_kg": "mass", "damping_n_s_per_m": "damping", "stiffness_n_per_m
 
 
 def by_direction(local: LocalEstimates, way: int) -> LocalParameters:
-    """Return the local parameters of inward (1) or outward (-1) motion; only the damping differs."""
+    """Return the local parameters of inward (1) or outward (-1) motion; the mass is the same."""
     if local.contrast is None:
         return local.local
-    share = np.clip(way * local.contrast.share, -0.95, None)
-    more = local.contrast.root.shape[1]
+    share = np.clip(way * local.contrast.share, -0.95, None)  # (K, 2)
+    more = local.contrast.root.shape[2]
     logs, root = local.local.log_parameters.copy(), np.pad(local.local.root, ((0, 0), (0, 0), (0, more)))
-    logs[:, 1] += np.log1p(share)
-    root[:, 1, -more:] = (way / (1.0 + share))[:, None] * local.contrast.root
+    logs[:, 1:] += np.log1p(share)
+    root[:, 1:, -more:] = (way / (1.0 + share))[:, :, None] * local.contrast.root
     return replace(local.local, log_parameters=logs, root=root)
 
 
@@ -68,10 +68,9 @@ def named_parameters(
     found = means_and_slopes(local.local, position)
     if local.contrast is not None:
         for way, word in ((1, "in"), (-1, "out")):
-            name = "damping_n_s_per_m"
-            found[f"damping_{word}_n_s_per_m"] = means_and_slopes(by_direction(local, way), position).get(
-                name, Estimate(math.nan)
-            )
+            there = means_and_slopes(by_direction(local, way), position)
+            for name, unit in (("damping", "n_s_per_m"), ("stiffness", "n_per_m")):
+                found[f"{name}_{word}_{unit}"] = there.get(f"{name}_{unit}", Estimate(math.nan))
     missing = {name: linear.parameters[name] for name in _SHARES if name not in found}
     return found | missing
 
@@ -179,32 +178,32 @@ def findings(local: LocalEstimates, partitions: Partitions, linear: SecondOrderF
                 )
             )
     if local.contrast is not None:
-        found.append(_direction_finding(local.contrast))
+        found += [_direction_finding(local.contrast, kind) for kind in (1, 0)]
     return tuple(found)
 
 
-def _direction_finding(contrast: Contrast) -> Message:
-    spread = np.linalg.norm(contrast.root, axis=1)
+def _direction_finding(contrast: Contrast, kind: int) -> Message:
+    """Return whether damping (0) or stiffness (1) depends on the direction, by its weighted mean over the cells."""
+    spread = np.linalg.norm(contrast.root[:, kind], axis=1)
     weight = 1.0 / np.maximum(spread, 1e-12) ** 2
-    share = float(np.sum(weight * contrast.share) / np.sum(weight))
-    std = float(np.linalg.norm(weight @ contrast.root) / np.sum(weight))
+    share = float(np.sum(weight * contrast.share[:, kind]) / np.sum(weight))
+    std = float(np.linalg.norm(weight @ contrast.root[:, kind]) / np.sum(weight))
+    name, prefix = (marked("stiffness"), "stiffness_") if kind else (marked("damping"), "")
+    values = {"name": name, "percent": 100.0 * abs(share), "std": 100.0 * std}
     if abs(share) <= _SIGNIFICANT * std:
         return Message(
-            "direction.none",
-            "damping does not depend on the direction beyond its uncertainty ({percent:.1f} ± {std:.1f} %)",
-            percent=100.0 * share,
-            std=100.0 * std,
+            f"direction.{prefix}none",
+            "{name} does not depend on the direction beyond its uncertainty ({percent:.1f} ± {std:.1f} %)",
+            **values | {"percent": 100.0 * share},
         )
-    values = {"percent": 100.0 * abs(share), "std": 100.0 * std}
     if share > 0.0:
         return Message(
-            "direction.larger_inward",
-            "damping is larger in inward than in outward motion: {percent:.0f} ± {std:.0f} % above and below their "
-            "mean",
+            f"direction.{prefix}larger_inward",
+            "{name} is larger in inward than in outward motion: {percent:.1f} ± {std:.1f} % above and below their mean",
             **values,
         )
     return Message(
-        "direction.larger_outward",
-        "damping is larger in outward than in inward motion: {percent:.0f} ± {std:.0f} % above and below their mean",
+        f"direction.{prefix}larger_outward",
+        "{name} is larger in outward than in inward motion: {percent:.1f} ± {std:.1f} % above and below their mean",
         **values,
     )

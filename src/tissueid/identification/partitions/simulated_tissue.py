@@ -28,18 +28,23 @@ _DIRECTION_SPEED_SHARE = 0.05
 
 @dataclass(frozen=True, eq=False)
 class Contrast:
-    """Half the difference between the damping of indentation and of retraction, relative to their mean.
+    """Half the difference between indentation and retraction of damping and stiffness, relative to their mean.
 
-    ``share`` (K,) is its value at each cell, linear in depth; ``root`` (K, m) is a square root of its covariance.
+    ``share`` (K, 2) holds those of damping and stiffness at each cell, linear in depth; ``root`` (K, 2, m) is a square
+    root of their covariance. ``level_n`` is half the difference of the force at the middle of the cells, N: a dry
+    friction and the difference that stiffness has accumulated up to there. ``log_width`` is the logarithm of the
+    width of the transition between the directions, relative to the assumed one.
     """
 
     share: Array
     root: Array
+    level_n: float = 0.0
+    log_width: float = 0.0
 
     @classmethod
     def none(cls, count: int) -> Contrast:
         """Return a contrast of zero without uncertainty for ``count`` cells."""
-        return cls(np.zeros(count), np.zeros((count, 0)))
+        return cls(np.zeros((count, 2)), np.zeros((count, 2, 0)))
 
 
 @dataclass(frozen=True, eq=False)
@@ -132,31 +137,40 @@ class SimulatedTissue:
 
         Args:
             coefficients: parabolas of log M, log B, log K, (degree + 1, 3).
-            contrast: of the damping at the cells.
+            contrast: of damping and stiffness at the cells.
         """
         record = self.prepared.record
         grid = np.linspace(self.low, self.high, _ROWS)
         mass, damping, stiffness = np.exp(self.lines.at(grid, coefficients)).T
-        share = self.lines.line_at(grid) @ (self.lines.pick @ contrast.share)
-        direction = np.arctanh(np.clip(share, -_LARGEST_CONTRAST, _LARGEST_CONTRAST))
-        spacing = float(grid[1] - grid[0])
-        force = np.concatenate([[0.0], np.cumsum(0.5 * (stiffness[1:] + stiffness[:-1]) * spacing)])
+        share = self.lines.line_at(grid) @ (self.lines.pick @ contrast.share)  # (rows, 2)
+        share = np.clip(share, -_LARGEST_CONTRAST, _LARGEST_CONTRAST)
+        direction = np.arctanh(share[:, 0])
+        force, turned = _integrals(np.array([stiffness, share[:, 1] * stiffness]), float(grid[1] - grid[0]))
+        middle = float(np.mean(self.lines.position))
+        turned = turned - float(np.interp(middle, grid, turned)) + contrast.level_n
         mean = self.sign * self.prepared.input_mean
-        turns = bool(np.any(contrast.share))
+        turns = bool(np.any(contrast.share)) or contrast.level_n != 0.0
         curves = Curves(
             low=self.low,
-            spacing=spacing,
+            spacing=float(grid[1] - grid[0]),
             mass=mass,
             damping=damping / np.cosh(direction),
             force=force - float(np.interp(self.rest, grid, force)) + mean,
             direction=direction if turns else None,
-            speed_scale=self.speed_scale if turns else 0.0,
+            speed_scale=self.speed_scale * float(np.exp(contrast.log_width)) if turns else 0.0,
+            turned_force=turned if turns else None,
         )
         try:
             run = simulate_dpn(curves, self.sign * record.input, record.sample_rate_hz, rest_input=mean, hold=self.hold)
         except UnusableInputError:
             return None
         return None if run.diverged_at is not None else np.where(np.isfinite(record.output), run.position, np.nan)
+
+
+def _integrals(values: Array, spacing: float) -> Array:
+    """Return the integrals (k, rows) of curves (k, rows) at equal steps from the first row, by the trapezoidal rule."""
+    steps = np.cumsum(0.5 * (values[:, 1:] + values[:, :-1]) * spacing, axis=1)
+    return np.concatenate([np.zeros((values.shape[0], 1)), steps], axis=1)
 
 
 def _powers(position: Array, cells: Array, degree: int) -> Array:

@@ -5,7 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from scipy import fft, linalg, signal
+from scipy import fft, linalg, ndimage, signal
 
 from tissueid.identification.base import Array
 from tissueid.identification.preparation import finite_runs, memory_in_samples
@@ -17,8 +17,9 @@ MOST_LAGS = 41
 """Maximum number of lags of an automatic grid: 903 coefficients up to second order."""
 
 _SEGMENT = 1024
-_HALF_WIDTH = 0.5 / np.sqrt(2.0 * np.log(2.0))
-"""Standard deviation of a Gaussian of full width one at half its height."""
+THESIS_SIGMA = 1.0
+WINDOW_RADIUS = 7
+"""Standard deviation, in lags, and half width of the filter of the second-order kernel in Chen 2010, C.3.1."""
 
 
 @dataclass(frozen=True)
@@ -83,17 +84,12 @@ def whiteness(products: Array) -> float:
     return float(lags**2 / (values.sum() * np.sum(1.0 / values)))
 
 
-def smoothed(kernel2: Array, spread: float) -> Array:
-    """Return a second-order kernel (L, L) after a 2-D Gaussian low-pass that preserves its sum (Chen 2010, 4.3.2).
+def smoothed(kernel2: Array, sigma: float) -> Array:
+    """Return a second-order kernel (L, L) after a two-dimensional Gaussian filter that preserves its sum.
 
-    ``spread`` is the full width at half maximum of the filter's Gaussian gain in both directions, in samples of the
-    kernel's L-point Fourier transform. The thesis specifies "a spread of 15 samples in all directions" without naming
-    the quantity. A standard deviation of 15 of 41 samples would pass 41 % of the amplitude at the Nyquist frequency and
-    leave the kernels of low-passed tests rough; a full width of 15 reproduces the figures of the thesis. The kernel is
-    mirrored at its borders; a plain Fourier transform would mix lag 0 with the last lag.
+    Chen 2010, 4.3.2 with the code of C.3.1: a window of 15 x 15 lags with a standard deviation ``sigma`` of 1 lag. For
+    another ``sigma`` the window grows in proportion. The kernel is mirrored at its borders; zeros beyond them, as in
+    C.3.1, would halve the values at lag 0.
     """
-    lags = kernel2.shape[0]
-    frequency = 0.5 * np.arange(lags)  # of a cosine transform, in samples of the Fourier transform
-    gain = np.exp(-0.5 * (frequency / (_HALF_WIDTH * spread)) ** 2)
-    spectrum = fft.dctn(kernel2, norm="ortho") * np.outer(gain, gain)
-    return np.asarray(fft.idctn(spectrum, norm="ortho"), dtype=np.float64)
+    radius = max(WINDOW_RADIUS, round(WINDOW_RADIUS * sigma))
+    return np.asarray(ndimage.gaussian_filter(kernel2, sigma, mode="reflect", radius=radius), dtype=np.float64)

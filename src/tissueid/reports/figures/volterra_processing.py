@@ -11,14 +11,13 @@ from tissueid.analysis.curves.volterra import kernel_and_spectrum, spacing_plot
 from tissueid.formatting import fixed
 from tissueid.identification.engines.volterra import Volterra
 from tissueid.identification.validation import vaf_percent
+from tissueid.identification.volterra.lag_grid import THESIS_SIGMA
 from tissueid.identification.volterra.model import VolterraModel
 from tissueid.language import _, marked
 from tissueid.reports.figures.registry import Drawn, Subject, figure
 from tissueid.reports.plot_renderer import column_figure, draw_grid, row_figure
 from tissueid.reports.style import FULL_WIDTH, new_figure
 
-_SPREAD = 15.0
-"""Standard deviation of the filter in samples of the kernel's transform, as in the thesis."""
 _STRETCH_S = 0.25
 """Seconds of held-out samples that are drawn."""
 _RAW, _FILTERED = marked("raw"), marked("filtered")
@@ -122,7 +121,7 @@ def _strategies(subject: Subject[VolterraModel]) -> tuple[tuple[str, VolterraMod
         order=2,
         memory=model.lag_s.size * model.lag_spacing / rate,
         downsample=model.lag_spacing,
-        smoothing=_SPREAD,
+        smoothing=THESIS_SIGMA,
     ).fit(subject.record, subject.analysis.fit_part)
     assert plain.unfiltered is not None
     found: tuple[tuple[str, VolterraModel], ...] = ((_RAW, plain.unfiltered), (_FILTERED, plain))

@@ -19,23 +19,35 @@ LEVELS = (0.0, 1.0, 0.5, 0.0)
 
 @stimulus
 class StepHold(Ranged):
-    """Steps with holds: from the lowest to the highest force, halfway back, and back.
+    """Steps with holds: from the lowest to the highest force, halfway back, and back; or cycles of load and release.
 
-    Creep, relaxation and drift appear during the holds. The steps are raised cosines of ``rise_s``, because sharp edges
-    are painful (Chen 2010, 3.1.1). It begins and ends at the lowest force, and its preload is held there.
+    Creep, relaxation and drift appear during the holds. With ``cycles``, the force returns in one step, as the
+    readings of suction probes need it (docs/readings.md). The steps are raised cosines of ``rise_s``, because sharp
+    edges are painful (Chen 2010, 3.1.1). It begins and ends at the lowest force, and its preload is held there.
     """
 
     name: ClassVar[str] = "step_hold"
     title: ClassVar[str] = marked("Steps with holds")
     test_kind: ClassVar[str] = "step_hold"
 
-    seconds: float = Field(SECONDS, gt=0.0, le=600.0, description=marked("Total length of the four holds, s"))
+    seconds: float = Field(SECONDS, gt=0.0, le=600.0, description=marked("Total length of all holds, s"))
     rise_s: float = Field(RISE_S, ge=0.002, le=10.0, description=marked("Rise time of each step, s"))
     sample_rate: float = Field(2000.0, gt=0.0, le=1e6, description=marked("Sample rate, Hz"))
+    cycles: int = Field(
+        0,
+        ge=0,
+        le=50,
+        description=marked("Cycles of a step up and a full release, as suction probes play; 0: up, halfway back, back"),
+    )
+
+    @property
+    def levels(self) -> tuple[float, ...]:
+        """Levels of the holds, relative to the range, in order."""
+        return (0.0, *((1.0, 0.0) * self.cycles)) if self.cycles else LEVELS
 
     @model_validator(mode="after")
     def _check_hold_length(self) -> StepHold:
-        hold_s = self.seconds / len(LEVELS)
+        hold_s = self.seconds / len(self.levels)
         if self.rise_s > hold_s:
             raise UnusableInputError(
                 Message(
@@ -53,14 +65,14 @@ class StepHold(Ranged):
         return self
 
     def planned_samples(self) -> int:
-        """Return the number of samples of the four holds."""
-        return len(LEVELS) * round(self.seconds / len(LEVELS) * self.sample_rate)
+        """Return the number of samples of all holds."""
+        return len(self.levels) * round(self.seconds / len(self.levels) * self.sample_rate)
 
     def build(self) -> Stimulus:
-        """Build the history, four holds of equal length, N or V."""
+        """Build the history, holds of equal length, N or V."""
         low, high, unit = self.span
-        hold = self.planned_samples() // len(LEVELS)
-        values = low + (high - low) * steps(hold, self.rise_s * self.sample_rate)
+        hold = self.planned_samples() // len(self.levels)
+        values = low + (high - low) * steps(hold, self.rise_s * self.sample_rate, self.levels)
         return Stimulus(
             values=values,
             sample_rate_hz=self.sample_rate,
@@ -72,10 +84,10 @@ class StepHold(Ranged):
         )
 
 
-def steps(hold: int, rise: float) -> Array:
-    """Return ``LEVELS``, each for ``hold`` samples, shape (4 hold,), joined by raised cosines of ``rise`` samples."""
-    levels = np.repeat(LEVELS, hold)
-    before = np.repeat((LEVELS[0], *LEVELS[:-1]), hold)
-    since = np.tile(np.arange(1, hold + 1), len(LEVELS))
+def steps(hold: int, rise: float, levels: tuple[float, ...] = LEVELS) -> Array:
+    """Return levels, each for ``hold`` samples, shape (levels hold,), joined by raised cosines of ``rise`` samples."""
+    wanted = np.repeat(levels, hold)
+    before = np.repeat((levels[0], *levels[:-1]), hold)
+    since = np.tile(np.arange(1, hold + 1), len(levels))
     share = 0.5 * (1.0 - np.cos(np.pi * np.minimum(since / max(rise, 1.0), 1.0)))
-    return np.asarray(before + (levels - before) * share, dtype=np.float64)
+    return np.asarray(before + (wanted - before) * share, dtype=np.float64)

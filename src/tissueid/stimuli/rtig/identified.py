@@ -149,10 +149,12 @@ class OnlineIdentification:
                         "damping_n_s_per_m": system.damping,
                         "stiffness_n_per_m": system.stiffness,
                         "samples": int(self.local.updates[level]),
+                        "settling_s": system.settling_time_s(),
                     }
                 )
         return {
             "verdict": self.verdict,
+            "memory_s": self.local.memory_s,
             "levels": levels,
             "static_force": {
                 "depth_m": self.static.knots.tolist(),

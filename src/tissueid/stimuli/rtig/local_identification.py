@@ -50,6 +50,7 @@ class LocalIdentification:
     def __init__(self, depth: tuple[float, float], sample_rate: float, memory: float, amplitude: float) -> None:
         self.bounds = np.linspace(depth[0], depth[1], LEVELS + 1)
         taps = max(8, round(memory * sample_rate))
+        self.memory_s = taps / sample_rate
         floor = _FLOOR * taps * amplitude**2 / 3.0
         self._work, self._scalars = adaptation.start(taps, _STEP, floor, centred=False)
         self._responses = np.zeros((LEVELS, taps))

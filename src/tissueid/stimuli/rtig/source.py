@@ -254,6 +254,7 @@ class RtigSource(FeedbackSource):
         answer: dict[str, Any] = {
             "kolmogorov_distance": histogram.distance,
             "samples": histogram.seen,
+            "block_s": BLOCK / setup.sample_rate,
             "lost": histogram.lost,
             "edges_m": histogram.edges.tolist(),
             "counts": histogram.counts.tolist(),

@@ -28,6 +28,7 @@ from tissueid.app.small_window import FoldingSplitter
 from tissueid.app.theme import Theme
 from tissueid.app.views.researcher.analysis_task import MOST_TESTS, AnalysisTask, TestRef
 from tissueid.app.views.researcher.batch import Batch, refit, run, run_folder
+from tissueid.app.views.researcher.calibration_button import CalibrationButton
 from tissueid.app.views.researcher.engine_form import EngineForm
 from tissueid.app.views.researcher.engine_outcome import EngineOutcome
 from tissueid.app.views.researcher.history_list import HistoryList
@@ -101,6 +102,7 @@ class AnalysisPanel(QWidget):
         self.save_figure = QPushButton(_("Figure…"))
         self.save_figure.setAccessibleName(_("Save the figure"))
         self.save_figure.setToolTip(_("Save the figure as PDF, SVG or PNG with 300 dpi"))
+        self.calibration = CalibrationButton(context, self.pictures)
         self._saver = SaveDialog(context, self)
         self.refit = QPushButton(_("Refit"))
         self.refit.setToolTip(_("Fit the drawn results again whose curves were not kept"))
@@ -138,7 +140,7 @@ class AnalysisPanel(QWidget):
         below.addWidget(self.bar, 1)
         for button in (self.cancelling, self.refit, self.undo):
             below.addWidget(button)
-        for widget in (self.save_figure, self.save_table, self.clear):
+        for widget in (self.calibration, self.save_figure, self.save_table, self.clear):
             self.pictures.tools.addWidget(widget)
         self.pictures.tools.addStretch(1)
         results = self.fits

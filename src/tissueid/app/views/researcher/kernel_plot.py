@@ -1,25 +1,33 @@
-"""Plot of a kernel as an image, or as a surface that is turned."""
+"""Plot of a kernel as an image or as a surface that is turned, or of several kernels side by side."""
 
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import replace
 from typing import TYPE_CHECKING
 
+import numpy as np
 from PySide6.QtWidgets import QButtonGroup, QComboBox, QHBoxLayout, QPushButton, QVBoxLayout, QWidget
 
 from tissueid.app.plot_canvas import PlotCanvas
 from tissueid.app.theme import Theme
 from tissueid.app.views.researcher.engine_outcome import EngineOutcome
 from tissueid.language import _, marked
+from tissueid.messages import Verbatim
 
 if TYPE_CHECKING:
     from tissueid.analysis.curves import Plot
 
+_MOST_BESIDE = 4
+"""Largest number of kernels side by side: more would be too small."""
 _MISSING = marked("No result has a kernel to show: run Volterra, Depth or Direction.")
 
 
 class KernelPlot(QWidget):
-    """Plot of one kernel, selected by ``choice``: an image where ``flat`` is checked, a surface where ``raised`` is."""
+    """Plot of one kernel, selected by ``choice``: an image where ``flat`` is checked, a surface where ``raised`` is.
+
+    With kernels of several results, ``choice`` also offers those of the same kind side by side (Chen 2010, Fig. 4.12).
+    """
 
     def __init__(self, parent: QWidget | None = None) -> None:
         super().__init__(parent)
@@ -31,6 +39,7 @@ class KernelPlot(QWidget):
         self.choice.currentIndexChanged.connect(self._show)
         self.canvas = PlotCanvas()
         self._plots: list[Plot] = []
+        self._groups: list[tuple[Plot, ...]] = []
         self.back = QPushButton(_("Turn back"))
         self.back.setToolTip(_("Look at it as at first (Home)"))
         self.back.clicked.connect(self.canvas.show_everything)
@@ -63,9 +72,15 @@ class KernelPlot(QWidget):
         return self._plots[place] if 0 <= place < len(self._plots) else None
 
     @property
+    def beside(self) -> tuple[Plot, ...]:
+        """The kernels that are shown side by side; empty where one is shown."""
+        place = self.choice.currentIndex() - len(self._plots)
+        return self._groups[place] if 0 <= place < len(self._groups) else ()
+
+    @property
     def turned(self) -> bool:
         """Whether the surface is shown."""
-        return self.raised.isChecked()
+        return self.raised.isChecked() and not self.beside
 
     def offer(self, outcomes: Sequence[EngineOutcome]) -> None:
         """Offer the kernels of results; the selection stays."""
@@ -73,8 +88,15 @@ class KernelPlot(QWidget):
         pairs = [(f"{outcome.label}: {_(plot.title)}", plot) for outcome in outcomes for plot in outcome.plots.kernels]
         self.choice.blockSignals(True)
         self.choice.clear()
-        self.choice.addItems([text for text, _ in pairs])
-        self._plots = [plot for _, plot in pairs]
+        self._plots = [plot for _name, plot in pairs]
+        kinds: dict[str, list[Plot]] = {}
+        for outcome in outcomes:
+            for plot in outcome.plots.kernels:
+                kinds.setdefault(str(plot.title), []).append(replace(plot, title=Verbatim(outcome.label)))
+        several = {title: _on_one_scale(plots[:_MOST_BESIDE]) for title, plots in kinds.items() if len(plots) > 1}
+        self._groups = list(several.values())
+        beside = [_("{kernel}: side by side").format(kernel=_(title)) for title in several]
+        self.choice.addItems([text for text, _plot in pairs] + beside)
         self.choice.setCurrentIndex(max(0, self.choice.findText(before)) if pairs else -1)
         self.choice.blockSignals(False)
         self._show()
@@ -84,11 +106,24 @@ class KernelPlot(QWidget):
         self.canvas.apply_theme(theme)
 
     def _show(self) -> None:
-        plot = self.plot
-        for widget in (self.choice, self.flat, self.raised):
+        plot, beside = self.plot, self.beside
+        self.choice.setVisible(plot is not None or bool(beside))
+        for widget in (self.flat, self.raised):
             widget.setVisible(plot is not None)
         self.back.setVisible(plot is not None and self.turned)
-        if plot is None:
+        if beside:
+            self.canvas.show_plots(beside, beside=True)
+        elif plot is None:
             self.canvas.say_missing(_(_MISSING))
         else:
             self.canvas.show_plots([plot], relief=self.turned)
+
+
+def _on_one_scale(plots: Sequence[Plot]) -> tuple[Plot, ...]:
+    """Return plots of kernels with the same scale of colours."""
+    surfaces = [plot.surface for plot in plots if plot.surface is not None]
+    top = max((float(np.abs(surface.values).max()) for surface in surfaces), default=0.0)
+    return tuple(
+        plot if plot.surface is None else replace(plot, parts=(replace(plot.surface, limit=top or None),))
+        for plot in plots
+    )

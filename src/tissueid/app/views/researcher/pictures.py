@@ -3,18 +3,19 @@
 from __future__ import annotations
 
 import html
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 
 from PySide6.QtCore import Qt
 from PySide6.QtGui import QResizeEvent
 from PySide6.QtWidgets import QComboBox, QHBoxLayout, QLabel, QStackedWidget, QVBoxLayout, QWidget
 
+from tissueid.analysis.curves.plot import Curve
 from tissueid.app.plot_canvas import PlotCanvas
 from tissueid.app.theme import Theme
 from tissueid.app.views.researcher.engine_outcome import EngineOutcome, keys_of
 from tissueid.app.views.researcher.kernel_plot import KernelPlot
-from tissueid.app.views.researcher.plot_data import KERNELS, OUTPUT, PICTURES
-from tissueid.app.views.researcher.result_figures import KernelFigure, PictureFigure
+from tissueid.app.views.researcher.plot_data import DEPTH, KERNELS, OUTPUT, PICTURES
+from tissueid.app.views.researcher.result_figures import KernelFigure, KernelsFigure, PictureFigure
 from tissueid.app.views.researcher.results_table import SERIES
 from tissueid.formatting import fixed
 from tissueid.language import _
@@ -41,6 +42,7 @@ class Pictures(QWidget):
         self._theme: Theme | None = None
         self._drawn: list[EngineOutcome] = []
         self._total = 0
+        self._under: Mapping[str, Curve] = {}
         self.plots, self.kernel = PlotCanvas(), KernelPlot()
         self._pages = QStackedWidget()
         self._pages.addWidget(self.plots)
@@ -79,6 +81,17 @@ class Pictures(QWidget):
         self._show()
         return self._drawn
 
+    def show_calibration(self, curves: Mapping[str, Curve]) -> None:
+        """Draw the curves of a calibration below the results against depth; none without any."""
+        self._under = curves
+        self.choice.setCurrentIndex(self.choice.findData(DEPTH))
+        self._show()
+
+    @property
+    def calibrated(self) -> bool:
+        """Whether a calibration lies below the results."""
+        return bool(self._under)
+
     def apply_theme(self, theme: Theme) -> None:
         """Apply the colours of a theme."""
         self._theme = theme
@@ -97,13 +110,15 @@ class Pictures(QWidget):
         return self._keys()
 
     @property
-    def figure(self) -> PictureFigure | KernelFigure | None:
+    def figure(self) -> PictureFigure | KernelFigure | KernelsFigure | None:
         """The shown plot as a figure for files; None if nothing is shown."""
         name, kernel = self.choice.currentData(), self.kernel.plot
+        if name == KERNELS and self.kernel.beside:
+            return KernelsFigure(self.kernel.choice.currentText(), self.kernel.beside)
         if name == KERNELS:
             text, turned = self.kernel.choice.currentText(), self.kernel.turned
             return None if kernel is None else KernelFigure(text, kernel, turned)
-        return PictureFigure(name, tuple(self._drawn), *self.keys) if self._drawn else None
+        return PictureFigure(name, tuple(self._drawn), *self.keys, self._under) if self._drawn else None
 
     def resizeEvent(self, event: QResizeEvent) -> None:  # noqa: N802
         """Elide the names in the legend to the available width."""
@@ -133,7 +148,9 @@ class Pictures(QWidget):
         if panels and not self._drawn:
             self.plots.say_missing(_("Nothing to show yet: choose tests and run an engine."))
         elif panels:
-            self.plots.show_plots(PictureFigure(name, tuple(self._drawn), *self.keys).plots(SERIES), key=False)
+            self.plots.show_plots(
+                PictureFigure(name, tuple(self._drawn), *self.keys, self._under).plots(SERIES), key=False
+            )
         self._show_legend()
 
     def _show_legend(self) -> None:
@@ -148,8 +165,10 @@ class Pictures(QWidget):
             entries.append(f'<span style="color:{getattr(theme, role)}">■</span>&nbsp;{name}')
         panels = PICTURES[self.choice.currentData()]
         every = [[outcome.plots.panels[panel] for outcome in self._drawn] for panel in panels]
+        below = [self._under[panel].name for panel in panels if panel in self._under][:1]
         # The key says what else is drawn: measurements, and faint curves.
-        words = list(dict.fromkeys(_(c.name) for plots in every for plot in plots for c in plot.curves if c.name))
+        words = [_(name) for name in below]
+        words += dict.fromkeys(_(c.name) for plots in every for plot in plots for c in plot.curves if c.name)
         for plots in every:
             without = sum(not plot.parts for plot in plots)
             if 0 < without < len(plots):

@@ -20,12 +20,13 @@ if TYPE_CHECKING:
 Array = NDArray[np.float64]
 KERNELS = marked("Kernel image")
 OUTPUT = marked("Model output")
+DEPTH = marked("Against depth")
 PICTURES: Mapping[str, tuple[Panel, ...]] = {
     OUTPUT: ("output", "residual"),
     marked("Impulse response"): ("impulse",),
     marked("Bode diagram"): ("magnitude", "phase", "coherence"),
     marked("Static nonlinearity"): ("nonlinearity",),
-    marked("Against depth"): ("mass", "damping", "stiffness"),
+    DEPTH: ("mass", "damping", "stiffness"),
     marked("Residual tests"): ("autocorrelation", "cross"),
     KERNELS: (),
 }

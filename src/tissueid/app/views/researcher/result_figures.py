@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from dataclasses import dataclass
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field, replace
 from typing import TYPE_CHECKING
 
 from tissueid.app.theme import LIGHT
@@ -18,7 +18,7 @@ if TYPE_CHECKING:  # matplotlib is imported when the first figure is drawn
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
 
-    from tissueid.analysis.curves import Plot
+    from tissueid.analysis.curves import Curve, Plot
 
 _WIDTH, _PANEL, _REST = 7.2, 2.1, 0.8
 """Inches: width of a figure, height of a panel, and of a legend and an axis label."""
@@ -31,12 +31,13 @@ _LONG = 44
 
 @dataclass(frozen=True, eq=False)
 class PictureFigure:
-    """Figure of one of ``PICTURES``; ``common`` and ``labels`` form the legend."""
+    """Figure of one of ``PICTURES``; ``common`` and ``labels`` form the legend, ``under`` lies below a panel."""
 
     name: str
     outcomes: tuple[EngineOutcome, ...]
     common: str
     labels: Sequence[str]
+    under: Mapping[str, Curve] = field(default_factory=dict)
 
     @property
     def title(self) -> str:
@@ -47,10 +48,12 @@ class PictureFigure:
         """Return the panels, with the results laid over each other in some colours."""
         same = len({(outcome.signals, *outcome.tests) for outcome in self.outcomes}) == 1
         names = [_legible(label) for label in self.labels]
-        return [
-            overlay([outcome.plots.panels[panel] for outcome in self.outcomes], colours, names, same_data=same)
-            for panel in PICTURES[self.name]
-        ]
+        made = []
+        for panel in PICTURES[self.name]:
+            plot = overlay([outcome.plots.panels[panel] for outcome in self.outcomes], colours, names, same_data=same)
+            below = self.under.get(panel)
+            made.append(plot if below is None else replace(plot, parts=(below, *plot.parts)))
+        return made
 
     def draw(self) -> Figure:
         """Draw the panels below each other."""
@@ -62,6 +65,23 @@ class PictureFigure:
         figure = new_figure(_WIDTH, _PANEL * len(plots) + _REST + _LEGEND_LINE * lines)
         every, _long = draw_plots(figure, plots, units=shown, key=False)
         _draw_legend(figure, every[0], self.common, self.labels)
+        return figure
+
+
+@dataclass(frozen=True, eq=False)
+class KernelsFigure:
+    """Figure of several kernels side by side."""
+
+    title: str
+    plots: tuple[Plot, ...]
+
+    def draw(self) -> Figure:
+        """Draw the kernels."""
+        from tissueid.reports.plot_renderer import draw_grid
+        from tissueid.reports.style import new_figure
+
+        figure = new_figure(0.5 * _WIDTH * len(self.plots), 4.0)
+        draw_grid(figure, [self.plots], units=shown)
         return figure
 
 

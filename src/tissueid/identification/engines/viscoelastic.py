@@ -1,0 +1,368 @@
+"""Linear models of tissue with relaxation: Kelvin-Voigt, Maxwell, standard linear solid and Burger (Chen 2010, 2.1).
+
+Output-error fit in the frequency domain, as for the second-order system; offset, initial state and creep under the mean
+load are nuisance parameters.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass, replace
+from typing import ClassVar, Literal
+
+import numpy as np
+from pydantic import Field
+from scipy import fft
+
+from tissueid.errors import UnusableInputError
+from tissueid.identification.base import Array, Curve, Engine, FitReport, LineFigure, Mask, Model
+from tissueid.identification.correlation import Correlator, dependence_samples
+from tissueid.identification.levenberg_marquardt import Bounds, minimise
+from tissueid.identification.model_family import Family
+from tissueid.identification.preparation import complete_windows, prepare
+from tissueid.identification.registry import engine
+from tissueid.identification.second_order import HOLD_DESCRIPTION, HOLD_TITLE, Hold
+from tissueid.identification.second_order_fit import InputRun, SecondOrderFit, fit_second_order, input_runs, sandwich
+from tissueid.identification.validation import aic, aicc, vaf_percent
+from tissueid.identification.validation.scores import NO_SAMPLE
+from tissueid.identification.viscoelastic_structures import (
+    DECAYED,
+    ELEMENTS,
+    NAMES,
+    STRUCTURES,
+    Structure,
+    Viscoelastic,
+)
+from tissueid.language import marked
+from tissueid.messages import Message
+from tissueid.records import Estimate, Record
+
+Choice = Literal["auto", "kelvin-voigt", "maxwell", "standard-linear-solid", "burger"]
+
+_ITERATIONS = 60
+_GAIN_TOLERANCE = 1e-7
+_STARTS = 2
+"""Number of starting points that are refined."""
+_START_TIMES_S = (0.001, 0.003, 0.01, 0.03, 0.1, 0.3)
+_START_SHARES = (0.2, 1.0, 4.0)
+_UNDETERMINED = 0.5
+"""Relative standard deviation above which a parameter is undetermined."""
+_LONGEST_SHARE = 0.5
+"""Share of the fitted record that the memory of a model may have."""
+_CLEAR = 4.0
+"""Lead in AICc that a structure with more elements needs: structures within it cannot be told apart (Burnham and
+Anderson 2002)."""
+
+
+@dataclass(frozen=True, eq=False)
+class ViscoelasticModel(Model):
+    """A viscoelastic tissue under a mass, about an operating point. ``sign`` is -1 for an output that falls with a
+    rising input. ``creep_m_per_s`` is the speed under the mean input, 0 for a structure that does not creep.
+    """
+
+    system: Viscoelastic
+    sign: float
+    input_mean: float
+    output_mean: float
+    hold: Hold
+    creep_m_per_s: float = 0.0
+
+    def simulate(self, u: Array) -> Array:
+        """Simulate in free run: input (n,), output (n,), in the steady state of the mean input before the first sample.
+
+        A structure that creeps moves at ``creep_m_per_s`` there.
+        """
+        u = np.asarray(u, dtype=np.float64)
+        known = np.isfinite(u)
+        if not known.any():
+            return np.full(u.size, np.nan)
+        bridged = np.interp(np.arange(u.size), np.flatnonzero(known), u[known])  # a jump would act before the gap
+        run = self.system.simulate(bridged - self.input_mean, self.sample_rate_hz, self.hold)
+        padded = np.concatenate([np.ones(self.memory_samples - 1, dtype=np.bool_), known])
+        complete: Mask = complete_windows(padded, self.memory_samples)[self.memory_samples - 1 :]
+        creep = self.creep_m_per_s * np.arange(u.size) / self.sample_rate_hz
+        return np.where(complete, self.output_mean + creep + self.sign * run, np.nan)
+
+
+@dataclass(frozen=True, eq=False)
+class _Point:
+    """Logarithms of the values (p,) with the errors (m,) and minus their derivatives (m, p)."""
+
+    theta: Array
+    error: Array
+    slopes: Array
+    cost: float
+
+
+@dataclass(frozen=True, eq=False)
+class _Problem:
+    """Squared error of the free run of a structure; ``y`` (m,) is the output about its mean."""
+
+    structure: Structure
+    runs: list[InputRun]
+    y: Array
+    rate: float
+    hold: Hold
+
+    def point(self, theta: Array) -> _Point:
+        """Evaluate logarithms of the values, with offset, initial states and creep projected out."""
+        system = Viscoelastic(self.structure, tuple(np.exp(theta)))
+        poles = system.poles
+        rows = np.empty((theta.size + 1, self.y.size))
+        offset = np.ones(self.y.size)
+        for run in self.runs:
+            h, slopes = system.sampled(fft.rfftfreq(run.length, 1.0 / self.rate), self.rate, self.hold)
+            here = rows[:, run.place]
+            for row, one in enumerate((h, *slopes)):
+                here[row] = fft.irfft(one * run.spectrum, run.length)[run.local]
+            here[0] = self.y[run.place] - here[0]
+            t = run.time_s
+            free = [np.ones(t.size), t] if system.creeps else []
+            for pole in poles[poles.imag >= 0.0]:
+                decay = np.exp(np.maximum(-700.0, pole.real * t))
+                free.append(decay * np.cos(pole.imag * t))
+                free.append(decay * np.sin(pole.imag * t) if pole.imag > 0.0 else decay * pole.real * t)
+            q, _ = np.linalg.qr(np.column_stack(free))
+            here -= (here @ q) @ q.T
+            offset[run.place] -= q @ (q.T @ offset[run.place])
+        energy = float(offset @ offset)
+        if energy > 1e-9 * self.y.size:
+            rows -= np.outer(rows @ offset / energy, offset)
+        return _Point(theta, rows[0], rows[1:].T, float(rows[0] @ rows[0]))
+
+    def linearised(self, at: _Point) -> tuple[Array, Array]:
+        return at.slopes.T @ at.slopes, at.slopes.T @ at.error
+
+    def attempt(self, at: _Point, step: Array) -> _Point | None:
+        theta = at.theta + step
+        return self.point(theta) if np.all(np.abs(theta) < 60.0) else None
+
+    def refresh(self, _at: _Point) -> bool:
+        return False
+
+
+@dataclass(frozen=True, eq=False)
+class _Fitted:
+    """A fitted structure: logarithms of its values, their covariance (None if the fit failed) and its errors (m,)."""
+
+    system: Viscoelastic
+    covariance: Array | None
+    error: Array
+
+    def criterion(self, samples: float) -> float:
+        """Return AICc for a number of independent samples (Eq. 3.16)."""
+        k = len(self.system.values) + 1
+        loss = float(np.mean(self.error**2))
+        return samples * math.log(loss) + 2.0 * k + 2.0 * k * (k + 1) / max(1.0, samples - k - 1)
+
+
+def _starts(structure: Structure, linear: SecondOrderFit) -> list[tuple[float, ...]]:
+    """Return starting values around a second-order system, over a grid of relaxation times and stiffness ratios."""
+    m, b, k = linear.system.mass, linear.system.damping, linear.system.stiffness
+    if structure == "kelvin-voigt":
+        return [(m, b, k)]
+    found: list[tuple[float, ...]] = []
+    for time in _START_TIMES_S:
+        if structure == "maxwell":
+            found.append((m, k, k * time))
+            continue
+        for share in _START_SHARES:
+            if structure == "standard-linear-solid":
+                found.append((m, k, share * k, share * k * time))
+            else:
+                found.append((m, k, 100.0 * k * time, share * k, share * k * time))
+    return found
+
+
+def _fit(problem: _Problem, linear: SecondOrderFit) -> _Fitted:
+    """Fit one structure from the best of its starting points."""
+    points = [problem.point(np.log(values)) for values in _starts(problem.structure, linear)]
+    points = sorted((p for p in points if math.isfinite(p.cost)), key=lambda p: p.cost)[:_STARTS]
+    ends = [
+        minimise(
+            problem,
+            start,
+            most_steps=_ITERATIONS,
+            tolerance=_GAIN_TOLERANCE,
+            idle_steps=2,
+            bounds=Bounds.of_steps(np.ones(start.theta.size)),
+        )
+        for start in points
+    ]
+    best = min(ends, key=lambda end: end.point.cost).point
+    system = Viscoelastic(problem.structure, tuple(float(v) for v in np.exp(best.theta)))
+    return _Fitted(system, sandwich(best.slopes, best.error, dependence_samples(best.error, problem.rate)), best.error)
+
+
+def independent_samples(error: Array) -> float:
+    """Return the effective number of independent squared errors (m,) by their autocorrelation (Bartlett 1935).
+
+    The autocorrelation is summed up to its first negative value (Geyer 1992).
+    """
+    correlation = Correlator(error - error.mean(), max(2, error.size // 8)).auto()
+    related = (correlation[1:] / correlation[0]) ** 2
+    end = int(np.argmax(correlation[1:] < 0.0)) if np.any(correlation[1:] < 0.0) else related.size
+    return error.size / (1.0 + 2.0 * float(related[:end].sum()))
+
+
+def _modulus(model: ViscoelasticModel) -> tuple[Curve, ...]:
+    """Return the dynamic stiffness of the tissue, without the mass, against frequency."""
+    frequency = np.geomspace(0.2, 200.0, 120)
+    system = model.system
+    h, _ = system.response(frequency)
+    z = 1.0 / h + system.values[0] * (2.0 * np.pi * frequency) ** 2
+    return (
+        Curve(frequency, z.real, marked("in phase with the displacement")),
+        Curve(frequency, z.imag, marked("in phase with the speed")),
+    )
+
+
+@engine
+class ViscoelasticEngine(Engine):
+    """Viscoelastic engine.
+
+    Assumes a linear tissue under a mass. A relaxation that is slower than the record, or faster than the driven band,
+    is not determined: such values have no standard deviation.
+    """
+
+    name: ClassVar[str] = "viscoelastic"
+    label: ClassVar[str] = marked("Viscoelastic")
+    title: ClassVar[str] = marked(
+        "Springs and dampers with relaxation times: Kelvin-Voigt, Maxwell, standard linear solid or Burger (Chen 2010, "
+        "2.1)."
+    )
+    family: ClassVar[Family] = Family.LINEAR
+    figures: ClassVar[tuple[LineFigure, ...]] = (
+        LineFigure(
+            key="dynamic-stiffness",
+            heading=marked("Dynamic stiffness of the tissue"),
+            alt=marked("Stiffness in phase with displacement and with speed, against frequency"),
+            caption=marked("The fitted tissue without the moving mass. A step in the first curve is a relaxation."),
+            x_label=marked("Frequency (Hz)"),
+            y_label=marked("Dynamic stiffness (N/m)"),
+            curves=_modulus,
+        ),
+    )
+
+    structure: Choice = Field(
+        "auto",
+        title=marked("Structure"),
+        description=marked(
+            "Arrangement of springs and dampers (Fig. 2.1); auto takes the smallest one whose AICc is within 4 "
+            "of the lowest"
+        ),
+    )
+    hold: Hold = Field("band-limited", title=HOLD_TITLE, description=HOLD_DESCRIPTION)
+
+    def fit(self, record: Record, fit_part: slice | None = None) -> ViscoelasticModel:
+        """Fit one structure, or all and take the smallest one whose AICc is within 4 of the lowest.
+
+        AICc counts the effective number of independent residuals of the best structure, as neighbouring residuals of
+        tissue are similar; with the number of samples it would always prefer the largest structure.
+
+        Raises:
+            UnusableInputError: nothing varies, too few samples, or no system responds to this input.
+        """
+        rate = record.sample_rate_hz
+        prepared = prepare(record, fit_part, 1.0 / rate, 8)
+        used = prepared.used
+        linear = fit_second_order(record, used, self.hold)
+        runs, y = input_runs(record, used, float(np.mean(record.input[used])), float(np.mean(record.output[used])))
+        tried = STRUCTURES if self.structure == "auto" else (self.structure,)
+        fits = [_fit(_Problem(one, runs, linear.sign * y, rate, self.hold), linear) for one in tried]
+        samples = independent_samples(min(fits, key=lambda fit: float(fit.error @ fit.error)).error)
+        scores = {fit.system.structure: fit.criterion(samples) for fit in fits}
+        lowest = min(scores.values())
+        close = [fit for fit in fits if scores[fit.system.structure] <= lowest + _CLEAR]
+        best = min(close, key=lambda fit: (len(fit.system.values), scores[fit.system.structure]))
+        memory = min(math.ceil(DECAYED * rate * best.system.slowest_s), max(1, round(_LONGEST_SHARE * used.sum())))
+        model = ViscoelasticModel(
+            report=FitReport(self.name, self.options(), int(used.sum()), len(best.system.values) + 1, math.nan),
+            sample_rate_hz=rate,
+            memory_samples=max(1, memory),
+            system=best.system,
+            sign=linear.sign,
+            input_mean=prepared.input_mean,
+            output_mean=prepared.output_mean,
+            hold=self.hold,
+        )
+        residuals = np.where(used, model.residuals(record), np.nan)
+        scored = np.isfinite(residuals)
+        if int(scored.sum()) < 2:
+            raise UnusableInputError(NO_SAMPLE)
+        t = np.arange(len(record))[scored] / rate
+        drift = np.polynomial.polynomial.polyfit(t, residuals[scored], int(best.system.creeps))
+        creep = float(drift[1]) if best.system.creeps else 0.0
+        model = replace(model, output_mean=model.output_mean + float(drift[0]), creep_m_per_s=creep)
+        residuals = np.where(used, model.residuals(record), np.nan)
+        k = model.report.n_parameters
+        parameters = _parameters(best, linear)
+        return model.with_report(
+            vaf_percent=vaf_percent(record.output[scored], record.output[scored] - residuals[scored]),
+            aic=aic(residuals, k),
+            aicc=aicc(residuals, k),
+            parameters=parameters,
+            warnings=(*prepared.warnings, *_warnings(parameters)),
+            findings=_findings(best.system.structure, scores),
+            details={f"aicc_{name.replace('-', '_')}": score for name, score in scores.items()}
+            | {"independent_samples": samples},
+        )
+
+
+def _parameters(best: _Fitted, linear: SecondOrderFit) -> dict[str, Estimate]:
+    """Return the mass, the elements and the times, with standard deviations; the times alone without N and m."""
+    names = ("mass_kg", *ELEMENTS[best.system.structure])
+    value = dict(zip(names, best.system.values, strict=True))
+
+    def estimate(number: float, **powers: float) -> Estimate:
+        slopes = np.array([powers.get(name, 0.0) for name in names])
+        there = slopes != 0.0
+        if best.covariance is None:
+            return Estimate(number)
+        variance = float(slopes[there] @ best.covariance[np.ix_(there, there)] @ slopes[there])
+        known = math.isfinite(variance) and 0.0 <= variance < _UNDETERMINED**2
+        return Estimate(number, abs(number) * math.sqrt(variance) if known else None)
+
+    found = {name: estimate(linear.sign * number, **{name: 1.0}) for name, number in value.items()}
+    if not linear.mechanical:
+        found = {}
+    for label, spring, damper in (
+        ("relaxation_time_s", "spring_1_n_per_m", "damper_1_n_s_per_m"),
+        ("retardation_time_s", "spring_2_n_per_m", "damper_2_n_s_per_m"),
+        ("retardation_time_s", "stiffness_n_per_m", "damping_n_s_per_m"),
+    ):
+        if spring in value and damper in value:
+            found[label] = estimate(value[damper] / value[spring], **{damper: 1.0, spring: -1.0})
+    return found
+
+
+def _warnings(parameters: dict[str, Estimate]) -> tuple[str, ...]:
+    unknown = [name for name, found in parameters.items() if found.std is None]
+    if not unknown:
+        return ()
+    return (
+        Message(
+            "viscoelastic.undetermined",
+            "this record does not determine {count} of {all} values: they have no standard deviation",
+            count=len(unknown),
+            all=len(parameters),
+        ),
+    )
+
+
+def _findings(chosen: Structure, scores: dict[Structure, float]) -> tuple[str, ...]:
+    if len(scores) == 1:
+        return ()
+    lead = scores["kelvin-voigt"] - scores[chosen]
+    if chosen == "kelvin-voigt":
+        return (
+            Message("viscoelastic.no_relaxation", "no structure with relaxation is clearly better than Kelvin-Voigt"),
+        )
+    return (
+        Message(
+            "viscoelastic.relaxation",
+            "the tissue relaxes: {structure} is better than Kelvin-Voigt by {lead:.0f} in AICc",
+            structure=NAMES[chosen],
+            lead=lead,
+        ),
+    )

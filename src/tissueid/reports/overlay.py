@@ -1,0 +1,387 @@
+"""Report of fits of several tests: one page, figures as files, and the numbers of all figures as CSV."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+from matplotlib.figure import Figure
+
+from tissueid import __version__
+from tissueid.analysis.curves import kernel_overlay as kernels
+from tissueid.analysis.curves import overlay as curves
+from tissueid.analysis.curves.partitions import partition_error_plots
+from tissueid.analysis.curves.plot import Plot, as_csv
+from tissueid.analysis.overlay import Overlay, repeated_values
+from tissueid.analysis.partition_error import PartitionError
+from tissueid.atomic_write import atomic_file, private_folder
+from tissueid.errors import UnusableInputError
+from tissueid.formatting import fixed, grouped, label_and_unit, number
+from tissueid.identification.engines.wiener import WienerModel
+from tissueid.identification.volterra.model import VolterraModel
+from tissueid.language import _, marked
+from tissueid.messages import MISSING, translated
+from tissueid.reports import captions
+from tissueid.reports.blocks import FigureGroup, Picture, picture
+from tissueid.reports.html import RESEARCH_LINE, template, write_text_atomically
+from tissueid.reports.plot_renderer import draw_grid, key_over
+from tissueid.reports.style import FULL_WIDTH, HALF_WIDTH, drawing, new_figure, plain_image
+from tissueid.reports.tables import Table
+from tissueid.units import display_unit
+
+Rows = Sequence[Sequence[Plot]]
+_COLUMNS = 3
+"""Largest number of kernels in one row."""
+_PANEL = 2.9
+"""Height of a row of panels, inches."""
+
+
+@dataclass(frozen=True, eq=False)
+class _Drawing:
+    """A figure of an overlay: ``plots`` returns its rows of panels, or raises ``UnusableInputError``."""
+
+    key: str
+    heading: str
+    alt: str
+    caption: str
+    plots: Callable[[Overlay], Rows]
+    row_height: float | Callable[[Overlay], float] = _PANEL
+    over: bool = True
+    note: Callable[[Overlay], str] = lambda _found: ""
+
+
+@dataclass(frozen=True, eq=False)
+class DrawnFigures:
+    """Figures with the plots that they show."""
+
+    pictures: tuple[Picture, ...]
+    plots: tuple[Plot, ...]
+
+    def write_figures(self, folder: Path) -> tuple[Path, ...]:
+        """Write every figure as SVG and PNG into a folder, which is made when missing, and return the files.
+
+        Raises:
+            OSError: the folder cannot be made or written to.
+        """
+        private_folder(folder)
+        written = []
+        for drawn in self.pictures:
+            for form in ("svg", "png"):
+                if drawn.figure is not None:
+                    target = folder / f"{drawn.key}.{form}"
+                    with atomic_file(target) as partial:
+                        plain_image(drawn.figure, partial, "svg" if form == "svg" else "png")
+                    written.append(target)
+        return tuple(written)
+
+    def csv(self) -> str:
+        """Return the numbers of all figures as CSV."""
+        return as_csv(self.plots)
+
+
+@dataclass(frozen=True, eq=False)
+class OverlayReport(DrawnFigures):
+    """The drawn figures of an overlay."""
+
+    found: Overlay
+
+    def html(self) -> str:
+        """Return the page: scores, figures, tables."""
+        sources = ", ".join(self.found.sources)
+        return template("stimulus.html.j2").render(
+            title=_("Several tests in one figure"),
+            facts=((_("Tests"), sources), (_("Fits"), ", ".join(self.found.fits))),
+            research_line=_(RESEARCH_LINE),
+            software=f"tissueid {__version__}",
+            headline=_("{count} fits").format(count=len(self.found.entries)),
+            level="check" if self.found.refused else "good",
+            concerns=tuple(translated(text) for text in self.found.refused),
+            summary=(),
+            tables=(overlay_scores(self.found), repeated_table(self.found)),
+            group=FigureGroup("figures", _("Figures"), tuple(one.block for one in self.pictures)),
+        )
+
+    def write(self, path: Path) -> None:
+        """Write the page atomically.
+
+        Raises:
+            OSError: the folder is missing, or the disk is full or not writable.
+        """
+        write_text_atomically(path, self.html())
+
+
+def overlay_report(
+    found: Overlay, calibration: curves.Columns | None = None, keys: Sequence[str] | None = None
+) -> OverlayReport:
+    """Draw the figures of an overlay; those that its fits cannot give are left out, and all but one of a sweep.
+
+    Args:
+        found: the fits.
+        calibration: columns of a dynamic sweep that are drawn under the depth profiles.
+        keys: names of the figures to draw; None for all.
+    """
+    pictures: list[Picture] = []
+    plots: list[Plot] = []
+    for one in _DRAWINGS[:1] if found.swept else (_depth(calibration), *_DRAWINGS):
+        if keys is not None and one.key not in keys:
+            continue
+        try:
+            rows = one.plots(found)
+        except UnusableInputError:
+            continue
+        plots += [plot for row in rows for plot in row]
+
+        def make(one: _Drawing = one, rows: Rows = rows) -> tuple[Figure, str]:
+            text = _(one.caption)
+            height = one.row_height if isinstance(one.row_height, float) else one.row_height(found)
+            return grid_figure(rows, height, over=one.over), " ".join(filter(None, (text, one.note(found))))
+
+        pictures.append(picture(one.key, _(one.heading), _(one.alt), make))
+    return OverlayReport(tuple(pictures), tuple(plots), found)
+
+
+def partition_error_figures(errors: Sequence[PartitionError]) -> DrawnFigures:
+    """Return the error of depth partitions against the length of their data (Chen 2010, Fig. 5.2)."""
+    plots = partition_error_plots(errors)
+    made = picture(
+        "partition-error",
+        _("Error of depth partitions"),
+        _("Error against continuous samples, and against all samples, a line for each number of repetitions."),
+        lambda: (
+            grid_figure([plots], 3.6),
+            _(
+                "Mean error of mass, damping and stiffness on a simulated Wiener system with five levels of force and "
+                "a memory of 60 samples. Dashed: 5 %."
+            ),
+        ),
+    )
+    return DrawnFigures((made,), plots)
+
+
+@drawing
+def grid_figure(rows: Rows, row_height: float, *, over: bool = True) -> Figure:
+    """Return a figure of rows of plots; a row that is shorter than the first one leaves its places empty.
+
+    ``over`` puts the key of the first panel over the whole figure.
+    """
+    columns = len(rows[0])
+    figure = new_figure(FULL_WIDTH if columns > 1 else max(HALF_WIDTH, 0.7 * FULL_WIDTH), 0.5 + row_height * len(rows))
+    full = [[*row, *[Plot("", rows[0][0].x, rows[0][0].y, missing=" ")] * (columns - len(row))] for row in rows]
+    axes, _long = draw_grid(figure, full, key=not over)
+    if over:
+        key_over(figure, next((one for one in axes if one.get_legend_handles_labels()[1]), axes[0]))
+    return figure
+
+
+def _rows(plots: Sequence[Plot], columns: int = _COLUMNS) -> Rows:
+    """Return plots in rows of equal length as far as possible."""
+    count = -(-len(plots) // columns)
+    width = -(-len(plots) // count)
+    return [plots[first : first + width] for first in range(0, len(plots), width)]
+
+
+def _transposed(columns: Sequence[Sequence[Plot]]) -> Rows:
+    return list(zip(*columns, strict=True))
+
+
+def _depth(calibration: curves.Columns | None) -> _Drawing:
+    return _Drawing(
+        "depth",
+        marked("Mass, damping and stiffness against depth"),
+        marked("Three panels against depth: mass, damping and stiffness of every test and fit."),
+        marked(
+            "Every source has a colour and every fit a marker, with 95 % bars or bands. Small tests about several "
+            "loads that share a label are joined. Grey: the calibration spring along the stroke, if a sweep is given."
+        ),
+        lambda found: [curves.depth_overlay(found, calibration)],
+        row_height=3.6,
+    )
+
+
+def _loops(found: Overlay) -> str:
+    """Return the loop widths of Wiener fits as a sentence."""
+    said = []
+    for entry in found.entries:
+        if isinstance(entry.analysis.model, WienerModel):
+            unit, scale = display_unit(entry.analysis.record.output_unit)
+            said.append(f"{found.label(entry)} {number(scale * curves.loop_width(entry), 3)} {unit}")
+    return _("Distance between the way in and the way out: {widths}.").format(widths=", ".join(said))
+
+
+def _lobes(found: Overlay) -> str:
+    """Return the main lobes of second-order kernels as a sentence."""
+    said = []
+    for entry in found.entries:
+        model = entry.analysis.model
+        if isinstance(model, VolterraModel) and model.kernel2 is not None:
+            lobes = kernels.kernel_lobes(model.kernel2, model.lag_spacing / model.sample_rate_hz)
+            said.append(
+                _("{name}: peak at {lag} ms, {width} ms wide, lobes of {beside} % beside the diagonal").format(
+                    name=found.label(entry),
+                    lag=fixed(1e3 * lobes.lag_s, 1),
+                    width=fixed(1e3 * lobes.width_s, 1),
+                    beside=fixed(100.0 * lobes.beside, 0),
+                )
+            )
+    return f"{'; '.join(said)}."
+
+
+_DRAWINGS = (
+    _Drawing(
+        "sweep",
+        marked("Scores against an option"),
+        marked("Two panels against the value of an option: variance accounted for and AICc of every fit."),
+        marked(
+            "All scores are those of the fitted samples. Models with partitions are scheduled by the measured output. "
+            "The lowest AICc is the best; values far above the others are cut off."
+        ),
+        lambda found: [curves.sweep_overlay(found)],
+        row_height=3.6,
+    ),
+    _Drawing(
+        "scores",
+        marked("Scores"),
+        marked("Dots for each test and fit: variance accounted for."),
+        marked("Scheduled scores use part of what they predict and cannot be compared with those of simulations."),
+        lambda found: [[curves.score_overlay(found)]],
+        row_height=lambda found: 0.8 + 0.3 * len({found.label(entry) for entry in found.entries}),
+    ),
+    _Drawing(
+        "bode-by-depth",
+        marked("Bode diagram by depth"),
+        marked("Magnitude and phase against frequency at each depth, a column for each series."),
+        marked(
+            "The second-order system at each depth. The magnitude at low frequencies is one over the stiffness: it "
+            "falls with depth where tissue stiffens."
+        ),
+        lambda found: _transposed(curves.bode_by_depth(found)),
+    ),
+    _Drawing(
+        "impulse-by-depth",
+        marked("Impulse response by depth"),
+        marked("Impulse responses at each depth, and below each divided by its area; a column for each series."),
+        marked("Divided by its area, a response shows the dynamics alone: in a Wiener system all would coincide."),
+        lambda found: _transposed(curves.impulse_by_depth(found)),
+    ),
+    _Drawing(
+        "responses",
+        marked("Impulse responses and Bode diagrams"),
+        marked("Impulse response, magnitude and phase of every fit, laid over each other."),
+        marked("About the mean input of each test."),
+        lambda found: [curves.response_overlay(found)],
+        row_height=3.4,
+    ),
+    _Drawing(
+        "nonlinearity",
+        marked("Static nonlinearity by test"),
+        marked("Measured output against the output of the linear stage, a panel for each source."),
+        marked(
+            "A line follows half a second of the samples; dashed, the fitted curve. Loops show dynamics that depend on "
+            "the output, which no static nonlinearity describes."
+        ),
+        lambda found: _rows(curves.nonlinearity_overlay(found), 3),
+        row_height=3.3,
+        over=False,
+        note=_loops,
+    ),
+    _Drawing(
+        "correlations",
+        marked("Correlations of input and output"),
+        marked("Autocorrelations of input and output and their cross-correlation over both signs of the lag."),
+        captions.CORRELATIONS,
+        lambda found: [curves.signal_correlations({curves.named(n): r for n, r in found.records.items()})],
+        row_height=3.2,
+    ),
+    _Drawing(
+        "first-kernels",
+        marked("First-order kernels"),
+        marked("First-order kernels against lag, and diagonals of the second-order kernels."),
+        marked("Softer and less damped tissue has higher peaks and more oscillation."),
+        lambda found: [kernels.first_kernels(found)],
+        row_height=3.4,
+    ),
+    _Drawing(
+        "second-kernels",
+        marked("Second-order kernels side by side"),
+        marked("Images of the second-order kernels over two lags, one for each test and fit."),
+        marked("Kernels of the same fit share the scale of their colours. VAF of the fitted samples."),
+        lambda found: _rows(kernels.second_kernels(found)),
+        row_height=3.1,
+        over=False,
+        note=_lobes,
+    ),
+    _Drawing(
+        "partitions",
+        marked("Kernels by depth side by side"),
+        marked("A column for each fit: output, measured against modelled output, and kernels over lag and depth."),
+        marked(
+            "Scheduled by the measured output, fitted samples. In a Wiener system the peaks of all depths lie at one "
+            "lag; where the parameters change independently, they move."
+        ),
+        lambda found: _transposed(kernels.partition_columns(found)),
+        over=True,
+    ),
+)
+
+
+def overlay_scores(found: Overlay) -> Table:
+    """Return scores, parameters and seconds of every entry."""
+    head = (
+        _("Tests"), _("Fit"), _("VAF, fitted (%)"), _("VAF, held out (%)"), _("VAF, fitted, scheduled (%)"), "AICc",
+        _("Parameters"), _("Seconds"), _("Interpretable"),
+    )  # fmt: skip
+    rows = []
+    for entry in found.entries:
+        report = entry.analysis.model.report
+        swept = "" if entry.swept is None else f", {found.swept} {entry.swept:g}"
+        criterion = report.aicc if entry.scheduled_aicc is None else entry.scheduled_aicc
+        rows.append(
+            (
+                entry.source,
+                f"{entry.fit.label}{swept}",
+                fixed(report.vaf_percent, 1),
+                fixed(report.vaf_validation_percent, 1),
+                fixed(entry.scheduled_percent, 1),
+                grouped(criterion),
+                grouped(report.n_parameters),
+                fixed(report.seconds, 2),
+                translated(entry.fit.engine.family.interpretability),
+            )
+        )
+    return Table(_("Scores"), head, tuple(rows))
+
+
+def repeated_table(found: Overlay) -> Table:
+    """Return mean, standard deviation and coefficient of variation of every quantity (Chen 2010, Table 3.1)."""
+    head = (_("Tests"), _("Fit"), _("Quantity"), _("Unit"), _("Count"), _("Mean"), _("SD"), _("CV (%)"))
+    rows = []
+    for one in repeated_values(found):
+        label, si_unit = label_and_unit(one.quantity)
+        unit, scale = display_unit(si_unit)
+        known = np.isfinite(one.std)
+        rows.append(
+            (
+                one.source,
+                one.fit,
+                _(label),
+                unit,
+                str(one.count),
+                number(scale * one.mean),
+                number(scale * one.std, 3) if known else MISSING,
+                fixed(100.0 * one.cv, 2) if known else MISSING,
+            )
+        )
+    return Table(_("Mean and standard deviation over tests"), head, tuple(rows))
+
+
+__all__ = [
+    "DrawnFigures",
+    "OverlayReport",
+    "grid_figure",
+    "overlay_report",
+    "overlay_scores",
+    "partition_error_figures",
+    "repeated_table",
+]

@@ -1,0 +1,136 @@
+"""``tissueid overlay``, ``repeats`` and ``reproduce``, as people and scripts meet them."""
+
+from __future__ import annotations
+
+import csv
+import json
+from dataclasses import replace
+from pathlib import Path
+
+import pytest
+from reports.page_check import checked
+from reports.synthetic_sitting import make_session, make_test
+
+from tissueid.cli import main
+from tissueid.procedures import reproduction
+from tissueid.procedures.thesis_figures import FIGURES
+from tissueid.sessions import write_session
+
+FIT = "short=lms,memory=0.05"
+
+
+@pytest.fixture(scope="module")
+def files(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, Path]:
+    folder = tmp_path_factory.mktemp("overlay")
+    paths = folder / "one.h5", folder / "two.h5"
+    tests = [replace(make_test(n, seconds=2.0, seed=n), site="left arm") for n in (1, 2)]
+    write_session(paths[0], make_session(*tests))
+    write_session(paths[1], make_session(replace(make_test(1, seconds=2.0, seed=7), site="right arm")))
+    return paths
+
+
+def complaint(capsys: pytest.CaptureFixture[str], *arguments: object) -> str:
+    assert main([*map(str, arguments)]) == 2
+    captured = capsys.readouterr()
+    assert captured.out == ""
+    assert "Traceback" not in captured.err
+    return captured.err.strip().splitlines()[-1]
+
+
+def test_tests_of_several_sessions_in_one_figure(
+    files: tuple[Path, Path], tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    page, numbers, figures = tmp_path / "page.html", tmp_path / "n.csv", tmp_path / "figures"
+    outputs = ("--out", page, "--csv", numbers, "--figures", figures, "--json", tmp_path / "fits.json")
+    sources = (f"{files[0]}:all", f"other={files[1]}@short")
+    assert main([*map(str, ("overlay", *sources, "--fit", FIT, *outputs))]) == 0
+    fits = json.loads((tmp_path / "fits.json").read_text())["fits"]
+    assert [(one["source"], one["fit"], one["engine"]) for one in fits] == [
+        ("left arm", "short", "lms"), ("left arm", "short", "lms"), ("other", "short", "lms"),
+    ]  # fmt: skip
+    text = " ".join(checked(page.read_text()).text.split())
+    assert "Correlations of input and output" in text
+    assert {"depth.png", "depth.svg", "correlations.png", "scores.png"} <= {one.name for one in figures.iterdir()}
+    rows = list(csv.DictReader(numbers.read_text().splitlines()))
+    assert {row["name"] for row in rows if row["plot"] == "Stiffness"} >= {"left arm", "other"}
+    assert "left arm" in capsys.readouterr().out
+
+
+def test_a_pattern_and_joined_tests(files: tuple[Path, Path], capsys: pytest.CaptureFixture[str]) -> None:
+    pattern = files[0].parent / "*.h5"
+    assert main(["overlay", str(pattern), f"both={files[0]}:1+2", "--fit", FIT, "--json", "-"]) == 0
+    fits = json.loads(capsys.readouterr().out)["fits"]
+    assert [(one["source"], one["tests"]) for one in fits] == [
+        ("left arm", [1]), ("right arm", [1]), ("both", [1, 2]),
+    ]  # fmt: skip
+
+
+def test_repeats_give_mean_and_deviation_by_site(
+    files: tuple[Path, Path], tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    table = tmp_path / "repeats.csv"
+    assert main([*map(str, ("repeats", *files, "--fit", FIT, "--csv", table, "--json", "-"))]) == 0
+    found = json.loads(capsys.readouterr().out)["repeats"]
+    stiffness = {one["source"]: one for one in found if one["quantity"] == "stiffness_n_per_m"}
+    assert {name: one["count"] for name, one in stiffness.items()} == {"left arm": 2, "right arm": 1}
+    assert stiffness["right arm"]["std"] is None
+    assert stiffness["left arm"]["cv"] == pytest.approx(stiffness["left arm"]["std"] / stiffness["left arm"]["mean"])
+    rows = {(row["source"], row["quantity"]): row for row in csv.DictReader(table.read_text().splitlines())}
+    assert float(rows["left arm", "stiffness_n_per_m"]["mean"]) == stiffness["left arm"]["mean"]
+    assert rows["right arm", "stiffness_n_per_m"]["std"] == ""
+
+
+@pytest.mark.parametrize(
+    ("arguments", "words"),
+    [
+        (("overlay", "FILE"), "--engines or --fit is required"),
+        (("overlay", "FILE", "--fit", "lms", "--fit", "lms,memory=0.02"), "two fits are called 'lms'"),
+        (("overlay", "FILE@raw", "--fit", "lms"), "there is no fit 'raw'"),
+        (("overlay", "FILE:7", "--fit", "lms"), "no test 7"),
+        (("overlay", "FILE", "--fit", "lms", "--sweep", "memory=short"), "a sweep must be"),
+        (("overlay", "nowhere.h5", "--fit", "lms"), "nowhere.h5"),
+        (("overlay", "FILE", "--fit", "lms,colour=red"), "colour"),
+        (("overlay", "FILE", "--fit", "lms", "--out", "FILE"), "other content"),
+        (("overlay", "FILE", "--fit", "lms", "--sweep-file", "FILE"), "calibration"),
+        (("repeats", "FILE", "--fit", "none"), "none"),
+        (("reproduce", "9.9", "--out", "x"), "there is no recipe for 9.9"),
+        (("reproduce", "3.4"), "--out is required"),
+    ],
+)
+def test_one_line_for_what_cannot_be_done(
+    arguments: tuple[str, ...], words: str, files: tuple[Path, Path], capsys: pytest.CaptureFixture[str]
+) -> None:
+    assert words in complaint(capsys, *(text.replace("FILE", str(files[0])) for text in arguments))
+
+
+def test_reproduce_lists_its_figures(capsys: pytest.CaptureFixture[str]) -> None:
+    assert main(["reproduce", "--json", "-"]) == 0
+    assert [one["number"] for one in json.loads(capsys.readouterr().out)["figures"]] == [f.number for f in FIGURES]
+
+
+def test_a_reproduced_figure_is_complete_and_its_folder_is_kept(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    def record(recordings: object, folder: Path, _control: object) -> dict[str, str]:
+        for one in recordings:  # type: ignore[attr-defined]
+            write_session(folder / f"{one.name}.h5", make_session(make_test(1, seconds=2.0)))
+        return {}
+
+    monkeypatch.setattr(reproduction, "_record", record)
+    out = tmp_path / "thesis"
+    assert main(["reproduce", "3.4", "--out", str(out)]) == 0
+    assert "1 at lag zero" in capsys.readouterr().out
+    assert (out / "figures" / "3.4" / "correlations.png").stat().st_size > 10_000
+    assert (out / "figures" / "3.4" / "numbers.csv").read_text().startswith("plot,name,x")
+    assert json.loads((out / "results.json").read_text())["figures"][0]["number"] == "3.4"
+    checked((out / "report.html").read_text())
+    (out / "results.json").write_text("{}")
+    assert "other results" in complaint(capsys, "reproduce", "3.4", "--out", out)
+
+
+def test_recipes_are_consistent() -> None:
+    names: dict[str, object] = {}
+    for figure in FIGURES:
+        for source in figure.sources:
+            assert names.setdefault(source.recording.name, source.recording) == source.recording  # one file, one test
+        assert figure.study is not None or (figure.sources and figure.fits)
