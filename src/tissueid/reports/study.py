@@ -66,8 +66,8 @@ _NOTES = {
         "Slope in SI units of the parameter per unit of the value. Weighted by the uncertainty of each subject's mean."
     ),
     "partial_least_squares": marked(
-        "Components by cross-validation, p-value by permutation. Q²: share of the variance of held-out subjects that is "
-        "predicted."
+        "Components by cross-validation, p-value by permutation. Q²: share of the variance of held-out subjects that "
+        "is predicted."
     ),
     "efficacy": marked("Difference after less before, paired by subject. Equivalence: two one-sided tests."),
 }
