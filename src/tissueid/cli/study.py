@@ -9,6 +9,7 @@ import typer
 from tissueid.cli.lazy_command import JsonFile, add_command
 
 if TYPE_CHECKING:  # plans are imported when their command is used
+    from tissueid.procedures.study_demo import PopulationPlan
     from tissueid.procedures.study_plans import StudyPlan, StudyReportPlan
 
 study = typer.Typer(help="Compare subjects, sites and conditions over many sessions.", no_args_is_help=True)
@@ -45,3 +46,14 @@ def report_command(plan: StudyReportPlan, json_file: JsonFile = None) -> None:
     from tissueid.cli.study_output import print_report
 
     print_report(plan, json_file)
+
+
+@add_command(study, "demo", "study_demo")
+def demo_command(plan: PopulationPlan, json_file: JsonFile = None) -> None:
+    """Measure a simulated population, analyse it and write its report.
+
+    16 subjects, 4 sites and 5 repeats by default, as in the thesis.
+    """
+    from tissueid.cli.study_output import print_population
+
+    print_population(plan, json_file)

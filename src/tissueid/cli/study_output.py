@@ -10,8 +10,9 @@ from tissueid.cli.output import check_json, console_control, human_output, table
 from tissueid.formatting import axis_label, label_and_unit, number
 from tissueid.messages import MISSING
 from tissueid.procedures.output_files import check_different
+from tissueid.procedures.study_demo import PopulationPlan, run_population
 from tissueid.procedures.study_plans import RESULTS, StudyPlan, StudyReportPlan
-from tissueid.procedures.study_report import report_study
+from tissueid.procedures.study_report import StudyReport, report_study
 from tissueid.procedures.study_run import StudyRun, run_study
 from tissueid.studies.repeatability import variation
 from tissueid.studies.study_statistics import usable_tests
@@ -70,6 +71,22 @@ def print_report(plan: StudyReportPlan, json_file: Path | None) -> None:
     check_different(json_file, plan.report)
     with console_control() as control:
         found = report_study(plan, control)
+    _print_report(found, json_file)
+
+
+def print_population(plan: PopulationPlan, json_file: Path | None) -> None:
+    """Measure and report a simulated population.
+
+    Raises:
+        UnusableInputError: the folder cannot be used.
+    """
+    check_json(json_file)
+    with console_control() as control:
+        found = run_population(plan, control)
+    _print_report(found, json_file)
+
+
+def _print_report(found: StudyReport, json_file: Path | None) -> None:
     console = human_output(json_file)
     for remark in found.statistics.remarks:
         console.print(f"note: {remark}", markup=False, soft_wrap=True)

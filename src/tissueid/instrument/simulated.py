@@ -81,7 +81,7 @@ class SimulatedInstrument:
 
     def __init__(
         self,
-        tissue: str | TwinFile = "forearm",
+        tissue: str | SimulatedTissue | TwinFile = "forearm",
         *,
         seed: int | None = 0,
         subject: int | None = None,
@@ -96,7 +96,7 @@ class SimulatedInstrument:
                     known=joined(map(Verbatim, TISSUES)),
                 )
             )
-        if not isinstance(tissue, str) and (subject is not None or variation is not None):
+        if isinstance(tissue, TwinFile) and (subject is not None or variation is not None):
             raise UnusableInputError(Message("simulation.twin_varies", "a twin has no subject and no variation"))
         self._random = np.random.default_rng(seed)
         self._varying: SimulatedTissue | None = None
@@ -104,9 +104,9 @@ class SimulatedInstrument:
         self._pressed = 0
         self._placed_m = 0.0
         serial_number = f"{SIMULATED_SERIAL}{seed or 0}"
-        if isinstance(tissue, str):
+        if not isinstance(tissue, TwinFile):
             self.device = replace(DeviceDescription(), model=MODEL, serial_number=serial_number)
-            self._varying = TISSUES[tissue]
+            self._varying = TISSUES[tissue] if isinstance(tissue, str) else tissue
             if subject is not None:
                 self._varying = self._varying.of_subject(subject)
             if variation is not None:

@@ -57,6 +57,13 @@ class SimulatedTissue:
         tissue, effects = replace(self, variation=self.people).drawn(random)
         return replace(self, tissue=tissue, effects=effects)
 
+    def heavier(self, factor: float) -> SimulatedTissue:
+        """Return the tissue with ``factor`` times its mass."""
+        effects = {name: dict(values) for name, values in self.effects.items()}
+        if "added_mass" in effects:
+            effects["added_mass"]["mass_kg"] *= factor
+        return replace(self, tissue=replace(self.tissue, mass_kg=factor * self.tissue.mass_kg), effects=effects)
+
     def varied(self, size: float) -> SimulatedTissue:
         """Return the tissue with ``size`` times its variation between tests, lasting compression and body motion."""
         return replace(

@@ -63,10 +63,11 @@ _NOTES = {
     "general_linear": marked("Type II sums of squares; each factor is adjusted for the others."),
     "sample_sizes": marked("From the smallest difference of two means and the largest standard deviation; size 0.05."),
     "regressions": marked(
-        "Slope in units of the parameter per unit of the value. Weighted by the uncertainty of each subject's mean."
+        "Slope in SI units of the parameter per unit of the value. Weighted by the uncertainty of each subject's mean."
     ),
     "partial_least_squares": marked(
-        "Components by cross-validation, p-value by permutation. Q²: share of the variance held out."
+        "Components by cross-validation, p-value by permutation. Q²: share of the variance of held-out subjects that "
+        "is predicted."
     ),
     "efficacy": marked("Difference after less before, paired by subject. Equivalence: two one-sided tests."),
 }
