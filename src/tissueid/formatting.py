@@ -29,6 +29,9 @@ _DIGITS = 16
 
 _LABELS = {
     "natural_frequency_rad_per_s": "Natural frequency",
+    "a1_m_per_n_s": "A₁ of the impulse response",
+    "a2_rad_per_s": "A₂ of the impulse response",
+    "a3_per_s": "A₃ of the impulse response",
     "c1_m": "Nonlinear constant C₁",
     "c2_per_n": "Nonlinear constant C₂",
     "c3_n": "Load beyond the measured one, C₃",
@@ -53,6 +56,10 @@ _LABELS = {
     "age_years": "Age",
     "known_surface_position_m": "Origin of the curve",
     "known_c3_n": "Weight of the moving part",
+    "aicc_kelvin_voigt": "AICc of Kelvin-Voigt",
+    "aicc_maxwell": "AICc of Maxwell",
+    "aicc_standard_linear_solid": "AICc of the standard linear solid",
+    "aicc_burger": "AICc of Burger",
     "clipped": "Share held at the ends of the range",
     "vaf_linear_percent": "VAF of the linear stage alone",
     "vaf_parametric_percent": "VAF of the second-order model",

@@ -2,14 +2,18 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
-from coded import says
+from coded import coded, says
 from identification import simulated
 from scipy import linalg, signal
 
+from tissueid.errors import UnusableInputError
 from tissueid.identification import validate, validated
 from tissueid.identification.engines.lms import Lms
+from tissueid.identification.preparation import band_filtered, detrended
 from tissueid.identification.second_order import SecondOrder
 from tissueid.records import Record
 
@@ -141,3 +145,46 @@ def test_the_last_lags_carry_nothing_of_their_own(seconds: float, wrong: float, 
         )
         assert np.linalg.norm(response - truth) < wrong * np.linalg.norm(truth)
         assert np.max(np.abs(response[-20:])) < last * np.max(truth)
+
+
+def test_segments_are_averaged_and_ill_conditioned_ones_rejected():
+    """White noise is well conditioned; a stretch of a sine is not (C.1.1)."""
+    rng = simulated.generator(61)
+    u = rng.standard_normal(8000)
+    u[4000:5500] = np.sin(0.2 * np.arange(1500))
+    h = np.exp(-np.arange(20) / 5.0)
+    record = Record(u, np.convolve(u, h)[:8000] + 0.05 * rng.standard_normal(8000), 1000.0)
+    model = Lms(memory=0.03, segment=0.5, most_condition=100.0).fit(record)
+    assert (model.report.details["segments"], model.report.details["rejected_segments"]) == (26.0, 5.0)
+    error = model.impulse_response[:20] / 1000.0 - h
+    assert np.max(np.abs(error)) < 0.06
+    with pytest.raises(UnusableInputError, check=coded("lms.too_few_segments")):
+        Lms(memory=0.03, segment=0.5, most_condition=1.5).fit(record)
+
+
+def test_the_coefficients_of_the_impulse_response_are_those_of_mass_damping_and_stiffness():
+    parameters = Lms().fit(simulated.linear_record(62)).report.parameters
+    true = SecondOrder(simulated.MASS, simulated.DAMPING, simulated.STIFFNESS).impulse_coefficients(1.0)
+    assert true is not None
+    for name, value in zip(("a1_m_per_n_s", "a2_rad_per_s", "a3_per_s"), true, strict=True):
+        found = parameters[name]
+        assert found.value == pytest.approx(value, rel=0.01), name
+        assert found.std is not None
+        assert abs(found.value - value) < 4.0 * found.std, name
+
+
+def test_a_drift_is_removed_and_a_band_kept():
+    true = simulated.linear_record(63)
+    t = np.arange(len(true)) / true.sample_rate_hz
+    drifting = replace(true, output=true.output + 2e-3 * (t - t.mean()))
+    for values in (detrended(drifting).input, detrended(drifting).output):
+        assert np.polyfit(t, values, 1)[0] == pytest.approx(0.0, abs=1e-10)
+    assert detrended(drifting).output.mean() == pytest.approx(drifting.output.mean())
+    assert Lms().fit(detrended(drifting)).report.vaf_percent > 99.9 > Lms().fit(drifting).report.vaf_percent
+    hum = replace(true, output=true.output + 2e-4 * np.sin(2.0 * np.pi * 320.0 * t))
+    passed = band_filtered(hum, None, 200.0)
+    assert Lms().fit(passed).report.vaf_percent > 99.5 > Lms().fit(hum).report.vaf_percent
+    stiffness = Lms().fit(passed).report.parameters["stiffness_n_per_m"]
+    assert stiffness.value == pytest.approx(simulated.STIFFNESS, rel=0.02)
+    with pytest.raises(UnusableInputError, check=coded("record.band")):
+        band_filtered(true, 200.0, 2.0)

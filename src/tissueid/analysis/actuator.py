@@ -39,8 +39,9 @@ class Actuator:
 
         def value(name: str, number: float) -> Estimate:
             std = device.calibration.get(f"{name}_std")
-            known = isinstance(std, float) and math.isfinite(std)
-            return Estimate(number, float(std) if known else NOMINAL_RELATIVE_STD * abs(number))
+            if isinstance(std, float) and math.isfinite(std):
+                return Estimate(number, std)
+            return Estimate(number, NOMINAL_RELATIVE_STD * abs(number))
 
         calibrated = all(
             f"{name}_std" in device.calibration for name in ("moving_mass_kg", "bearing_damping_n_s_per_m")

@@ -102,6 +102,8 @@ def analyse(
     input_name: str = "force",
     output_name: str = "position",
     tissue_alone: bool = False,
+    detrend: bool = False,
+    band_hz: tuple[float | None, float | None] = (None, None),
 ) -> Analysis:
     """Fit one engine and score its free-run simulation on held-out data.
 
@@ -115,12 +117,23 @@ def analyse(
         input_name: signal that is the input.
         output_name: signal that is the output.
         tissue_alone: also report mass and damping without those of the actuator.
+        detrend: subtract the linear drift of the output.
+        band_hz: edges of a band filter for input and output.
 
     Raises:
         UnusableInputError: unknown engine, option, test or signal, or a record that cannot carry the fit.
     """
     specification = get_engine(engine).from_options(options or {})
-    parts = split(session, test=test, also=also, validate=validate, input_name=input_name, output_name=output_name)
+    parts = split(
+        session,
+        test=test,
+        also=also,
+        validate=validate,
+        input_name=input_name,
+        output_name=output_name,
+        detrend=detrend,
+        band_hz=band_hz,
+    )
     if tissue_alone and (input_name, output_name) == ("force", "position"):
         parts = replace(parts, actuator=Actuator.of(session.instrument))
     return fit_split(specification, parts)

@@ -12,6 +12,7 @@ from tissueid.configuration import has_depth, placement, spring_of
 from tissueid.device import GRAVITY_M_S2, DeviceDescription
 from tissueid.errors import UnusableInputError
 from tissueid.identification.depth_levels import localized_levels
+from tissueid.identification.preparation import band_filtered, detrended
 from tissueid.language import marked
 from tissueid.messages import Listing, Message
 from tissueid.records import Record, joined
@@ -94,6 +95,8 @@ def split(
     validate: int | None = None,
     input_name: str = "force",
     output_name: str = "position",
+    detrend: bool = False,
+    band_hz: tuple[float | None, float | None] = (None, None),
 ) -> Split:
     """Split tests of a session into fitted and held-out data.
 
@@ -104,6 +107,8 @@ def split(
         validate: number of the test that is held out; by default the last quarter of every fitted test is.
         input_name: signal that is the input.
         output_name: signal that is the output.
+        detrend: subtract the linear drift of each test's output.
+        band_hz: edges of a band filter for input and output of each test, both fitted and held out.
 
     Raises:
         UnusableInputError: no such test or signal, a test given twice, or tests of different configurations or with
@@ -132,10 +137,15 @@ def split(
     spring = _common_spring(tests if validate is None else [*tests, session.test(validate)])
     if (input_name, output_name) != ("force", "position"):
         spring = 0.0
-    records = tuple(t.record(input_name, output_name) for t in tests)
+
+    def record_of(test: Test) -> Record:
+        record = test.record(input_name, output_name)
+        return band_filtered(detrended(record) if detrend else record, *band_hz)
+
+    records = tuple(map(record_of, tests))
     if validate is not None:
         record = joined(records)
-        other = session.test(validate).record(input_name, output_name)
+        other = record_of(session.test(validate))
         whole = slice(0, len(record)), slice(0, len(other))
         parts = Split(record, whole[0], other, whole[1], numbers, _test(validate), validated=validate)
     else:

@@ -12,6 +12,7 @@ from functools import cached_property
 import numpy as np
 from scipy import fft, linalg, signal
 
+from tissueid.errors import UnusableInputError
 from tissueid.identification.base import Array
 from tissueid.identification.correlation import (
     Correlator,
@@ -213,3 +214,58 @@ def kernel_std(inverse: Array, x: Array, residuals: Array) -> Array:
     )
     variance = np.einsum("ij,ij->j", spread, inverse) / known.sum()
     return np.asarray(np.sqrt(np.maximum(variance, 0.0)), dtype=np.float64)
+
+
+@dataclass(frozen=True, eq=False)
+class SegmentAverage:
+    """Mean impulse response per sample (lags,) of the accepted segments, its standard deviations, and their numbers."""
+
+    kernel: Array
+    std: Array
+    accepted: int
+    rejected: int
+
+
+def segment_average(prepared: Prepared, segment: float, most_condition: float, tolerance: float) -> SegmentAverage:
+    """Average the responses of segments that overlap by half; ill-conditioned ones are rejected (Chen 2010, C.1.1).
+
+    Each response is the pseudo-inverse solution for the correlations of its segment about the means. The deviations are
+    those of the mean over disjoint segments, half of all. Segments with a gap are left out.
+
+    Args:
+        prepared: the record; its memory is that of the response.
+        segment: length of a segment, s.
+        most_condition: condition number of the correlation matrix from which a segment is rejected.
+        tolerance: singular values below this share of the largest are dropped.
+
+    Raises:
+        UnusableInputError: fewer than two segments are accepted.
+    """
+    record, part, lags = prepared.record, prepared.part, prepared.memory_samples
+    length = max(2 * lags, round(segment * record.sample_rate_hz))
+    kernels: list[Array] = []
+    rejected = 0
+    for first in range(part.start, part.stop - length + 1, max(1, length // 2)):
+        u, y = record.input[first : first + length], record.output[first : first + length]
+        if not (np.all(np.isfinite(u)) and np.all(np.isfinite(y))):
+            continue
+        correlator = Correlator(u - u.mean(), lags)
+        inverse, condition = _pseudo_inverse(linalg.toeplitz(correlator.auto()), tolerance)
+        if condition < most_condition:
+            kernels.append(inverse @ correlator.cross(y - y.mean()))
+        else:
+            rejected += 1
+    if len(kernels) < 2:
+        raise UnusableInputError(
+            Message(
+                "lms.too_few_segments",
+                "{accepted} of {all} segments have a condition number below {limit:g}, and two are needed: take "
+                "shorter segments, or a higher limit",
+                accepted=len(kernels),
+                all=len(kernels) + rejected,
+                limit=most_condition,
+            )
+        )
+    found = np.array(kernels)
+    std = np.std(found, axis=0, ddof=1) * np.sqrt(2.0 / len(kernels))
+    return SegmentAverage(found.mean(axis=0), std, len(kernels), rejected)

@@ -2,10 +2,11 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy import signal
 
 from tissueid.errors import UnusableInputError
 from tissueid.identification.base import Array, Mask
@@ -61,6 +62,74 @@ def scored_samples(record: Record, memory_samples: int, part: slice | None = Non
         & np.isfinite(record.output)
         & complete_windows(np.isfinite(record.input), memory_samples)
     )
+
+
+_FILTER_ORDER = 4
+
+
+def detrended(record: Record) -> Record:
+    """Return a record without the linear trends of input and output (Chen 2010, C.2.2). Means and gaps are kept.
+
+    The trend of the input is removed too, because the output contains the response to it.
+    """
+    t = np.arange(len(record)) / record.sample_rate_hz
+
+    def level(values: Array) -> Array:
+        known = np.isfinite(values)
+        if int(known.sum()) < 3:
+            return values
+        away = t - t[known].mean()
+        return np.asarray(values - float(away[known] @ values[known] / (away[known] @ away[known])) * away)
+
+    return replace(record, input=level(record.input), output=level(record.output))
+
+
+def band_filtered(record: Record, low_hz: float | None, high_hz: float | None) -> Record:
+    """Return a record of which input and output are limited to a band (Chen 2010, C.2.3).
+
+    Butterworth filter of order 4, forwards and backwards, so that the linear relation of input and output is unchanged;
+    that of a nonlinear system is not. The means are kept. Each uninterrupted run is filtered on its own; runs too short
+    for the filter are discarded.
+
+    Args:
+        record: input and output.
+        low_hz: lower edge of the band; None to keep all lower frequencies.
+        high_hz: upper edge; None to keep all higher frequencies.
+
+    Raises:
+        UnusableInputError: the edges are not in order between 0 and half the sample rate, or no run is long enough.
+    """
+    nyquist = 0.5 * record.sample_rate_hz
+    edges = [edge for edge in (low_hz, high_hz) if edge is not None]
+    if not edges:
+        return record
+    if not (np.all(np.diff(edges) > 0.0) and edges[0] > 0.0 and edges[-1] < nyquist):
+        raise UnusableInputError(
+            Message(
+                "record.band",
+                "the edges of the band must rise and lie between 0 and {nyquist:g} Hz, got {edges}",
+                nyquist=nyquist,
+                edges=", ".join(f"{edge:g}" for edge in edges),
+            )
+        )
+    kind = "bandpass" if len(edges) == 2 else "highpass" if high_hz is None else "lowpass"
+    sections = signal.butter(_FILTER_ORDER, edges if len(edges) == 2 else edges[0], kind, fs=2 * nyquist, output="sos")
+    padding = min(len(record) // 4, round(record.sample_rate_hz / edges[0]))
+    filtered = {}
+    known = np.isfinite(record.input) & np.isfinite(record.output)
+    for name in ("input", "output"):
+        values = getattr(record, name)
+        passed = np.full(values.size, np.nan)
+        mean = float(values[known].mean()) if known.any() else 0.0
+        for first, end in finite_runs(known):
+            if end - first > max(padding, 3 * (2 * len(sections) + 1)):
+                passed[first:end] = mean + signal.sosfiltfilt(sections, values[first:end] - mean, padlen=padding)
+        filtered[name] = passed
+    if not np.any(np.isfinite(filtered["input"])):
+        raise UnusableInputError(
+            Message("record.band_too_short", "no uninterrupted part of the record is long enough for the band filter")
+        )
+    return replace(record, input=filtered["input"], output=filtered["output"])
 
 
 SAMPLES_PER_PARAMETER = 3
@@ -187,14 +256,14 @@ def prepare(record: Record, fit_part: slice | None, memory: float, n_parameters:
     )
 
 
-def _mean(values: Array, signal: str) -> float:
+def _mean(values: Array, name: str) -> float:
     """Return the mean of the received values (n,). Raise if there are none, or if they do not vary."""
     received = values[np.isfinite(values)]
     if received.size == 0:
-        raise UnusableInputError(Message("record.no_sample", "{signal} has no received sample", signal=signal))
+        raise UnusableInputError(Message("record.no_sample", "{signal} has no received sample", signal=name))
     low, high = float(received.min()), float(received.max())
     if high - low <= 1e-12 * max(abs(low), abs(high)):
         raise UnusableInputError(
-            Message("record.constant", "{signal} is constant: there is nothing to identify", signal=signal)
+            Message("record.constant", "{signal} is constant: there is nothing to identify", signal=name)
         )
     return float(received.mean())

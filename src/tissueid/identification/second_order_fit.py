@@ -89,6 +89,25 @@ class SecondOrderFit:
             "stiffness_n_per_m": self.estimate(self.sign * system.stiffness, (0.0, 0.0, 1.0)),
         } | named
 
+    @property
+    def impulse_coefficients(self) -> dict[str, Estimate]:
+        """A1, A2 and A3 of h(t) = A1 sin(A2 t) exp(A3 t) with h in output units per input unit and second (Eq. 3.6).
+
+        Empty for an overdamped system, which has no such form.
+        """
+        decay, squared = self.system.decay_and_frequency
+        found = self.system.impulse_coefficients(1.0)
+        if found is None:
+            return {}
+        stiffness = self.system.stiffness / self.system.mass
+        bend = (0.5 * (2.0 * decay**2 - stiffness) / squared, -(decay**2) / squared, 0.5 * stiffness / squared)
+        unit = "_m_per_n_s" if self.mechanical else ""
+        return {
+            f"a1{unit}": self.estimate(self.sign * found[0], (-1.0 - bend[0], -bend[1], -bend[2])),
+            "a2_rad_per_s": self.estimate(found[1], bend),
+            "a3_per_s": self.estimate(found[2], (-1.0, 1.0, 0.0)),
+        }
+
     def estimate(self, value: float, log_slopes: tuple[float, float, float]) -> Estimate:
         """Return a positive function of M, B, K with its standard deviation, from its derivatives with respect to their
         logarithms.

@@ -79,6 +79,8 @@ def run_comparison(plan: ComparePlan, control: Control) -> ComparedTests:
         input_name=plan.input_name,
         output_name=plan.output_name,
         sweep=plan.sweep,
+        detrend=plan.detrend,
+        band_hz=(plan.low_hz, plan.high_hz),
     )
     figures = _draw(compared, plan.page, plan.figures, control)
     return ComparedTests(session, compared.found, compared.no_ceiling, figures)
@@ -95,6 +97,8 @@ def compare_engines(
     input_name: str = "force",
     output_name: str = "position",
     sweep: bool = False,
+    detrend: bool = False,
+    band_hz: tuple[float | None, float | None] = (None, None),
 ) -> ComparedTests:
     """Fit engines to one test, or to several jointly, and compare them; arguments as the options of ``ComparePlan``.
 
@@ -106,7 +110,16 @@ def compare_engines(
     """
     from tissueid.analysis import compare, known_ceiling, split
 
-    parts = split(session, test=test, also=also, validate=validate, input_name=input_name, output_name=output_name)
+    parts = split(
+        session,
+        test=test,
+        also=also,
+        validate=validate,
+        input_name=input_name,
+        output_name=output_name,
+        detrend=detrend,
+        band_hz=band_hz,
+    )
     no_ceiling = ""
     try:
         ceiling = known_ceiling(session, parts)

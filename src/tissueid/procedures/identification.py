@@ -38,6 +38,13 @@ class FitPlan(Plan):
     ] = None
     input_name: Annotated[str, Option("--input", metavar="SIGNAL", help="input signal")] = "force"
     output_name: Annotated[str, Option("--output", metavar="SIGNAL", help="output signal")] = "position"
+    detrend: Annotated[bool, Option("--detrend", help="subtract the linear drift of the output before the fit")] = False
+    low_hz: Annotated[
+        float | None, Option("--band-low", metavar="HZ", help="remove lower frequencies from both signals")
+    ] = None
+    high_hz: Annotated[
+        float | None, Option("--band-high", metavar="HZ", help="remove higher frequencies from both signals")
+    ] = None
 
 
 class IdentificationPlan(FitPlan):
@@ -124,6 +131,8 @@ def run_identification(plan: IdentificationPlan, control: Control) -> Identified
         input_name=plan.input_name,
         output_name=plan.output_name,
         tissue_alone=plan.tissue_alone,
+        detrend=plan.detrend,
+        band_hz=(plan.low_hz, plan.high_hz),
     )
     try:
         tests = residual_tests(analysis.model, analysis.held_out_record, analysis.held_out)

@@ -10,7 +10,13 @@ from pydantic import Field
 
 from tissueid.identification.base import Array, Engine, FitReport, Model
 from tissueid.identification.correlation import convolve_at_rest
-from tissueid.identification.impulse_response import factor_input, kernel_std, memory_warnings, with_extra_memory
+from tissueid.identification.impulse_response import (
+    factor_input,
+    kernel_std,
+    memory_warnings,
+    segment_average,
+    with_extra_memory,
+)
 from tissueid.identification.model_family import Family
 from tissueid.identification.preparation import prepare
 from tissueid.identification.registry import engine
@@ -79,6 +85,22 @@ class Lms(Engine):
         title=marked("Taper"),
         description=marked("Share of the samples over which both signals fade in and out (C.1.1)"),
     )
+    segment: float | None = Field(
+        None,
+        gt=0.0,
+        le=100.0,
+        title=marked("Segments"),
+        description=marked(
+            "Length of segments, s, whose responses are averaged as in C.1.1; the whole record if not given"
+        ),
+    )
+    most_condition: float = Field(
+        1e7,
+        gt=1.0,
+        le=1e18,
+        title=marked("Largest condition number"),
+        description=marked("With segments: those with a larger condition number are rejected"),
+    )
     hold: Hold = Field(
         "band-limited",
         title=HOLD_TITLE,
@@ -100,9 +122,17 @@ class Lms(Engine):
             taper=self.taper,
         )
         kernel = solved.kernel(record.output)[:lags]
+        details: dict[str, float] = {}
+        if self.segment is not None:
+            segments = segment_average(prepared, self.segment, self.most_condition, self.tolerance)
+            kernel = segments.kernel
+            details = {"segments": float(segments.accepted), "rejected_segments": float(segments.rejected)}
         modelled = prepared.output_mean + convolve_at_rest(kernel, solved.input)
         residuals = np.where(prepared.used, record.output - modelled, np.nan)
-        std = kernel_std(solved.inverse, solved.input[prepared.part], residuals[prepared.part])[:lags]
+        if self.segment is not None:
+            std = segments.std
+        else:
+            std = kernel_std(solved.inverse, solved.input[prepared.part], residuals[prepared.part])[:lags]
         second_order = fit_second_order(record, prepared.used, self.hold)
 
         rate = record.sample_rate_hz
@@ -115,12 +145,13 @@ class Lms(Engine):
                 vaf_percent=vaf_percent(record.output[prepared.used], modelled[prepared.used]),
                 aic=aic(residuals, lags + 1),
                 aicc=aicc(residuals, lags + 1),
-                parameters=second_order.parameters,
+                parameters=second_order.parameters | second_order.impulse_coefficients,
                 warnings=(*prepared.warnings, *solved.warnings, *memory_warnings(kernel), *second_order.warnings),
                 details={
                     "condition_number": solved.condition,
                     "vaf_parametric_percent": second_order.vaf_percent,
-                },
+                }
+                | details,
             ),
             sample_rate_hz=rate,
             memory_samples=lags,

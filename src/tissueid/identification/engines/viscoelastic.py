@@ -39,6 +39,8 @@ from tissueid.records import Estimate, Record
 
 Choice = Literal["auto", "kelvin-voigt", "maxwell", "standard-linear-solid", "burger"]
 
+_LEAST_S = 0.125
+"""Shortest record, s, as the memory of ``lms``; outputs before it are not fitted."""
 _ITERATIONS = 60
 _GAIN_TOLERANCE = 1e-7
 _STARTS = 2
@@ -264,7 +266,7 @@ class ViscoelasticEngine(Engine):
             UnusableInputError: nothing varies, too few samples, or no system responds to this input.
         """
         rate = record.sample_rate_hz
-        prepared = prepare(record, fit_part, 1.0 / rate, 8)
+        prepared = prepare(record, fit_part, _LEAST_S, 8)
         used = prepared.used
         linear = fit_second_order(record, used, self.hold)
         runs, y = input_runs(record, used, float(np.mean(record.input[used])), float(np.mean(record.output[used])))
