@@ -129,6 +129,7 @@ def recorded_readings(test: Test) -> RecordedReadings:
     except UnusableInputError as error:
         reason = error.message
         decay = tuple(Reading(one, None, reason) for one in DECAY_DEFINITIONS)
+    time = (np.arange(len(record), dtype=np.float64) - course.cycles[0].rise) / record.sample_rate_hz
     start = points.values[0] if math.isfinite(points.values[0]) else float(np.nanmean(record.output[:10]))
     return RecordedReadings(
         test=test,
@@ -136,7 +137,7 @@ def recorded_readings(test: Test) -> RecordedReadings:
         step=step_readings(points, direction=math.copysign(1.0, course.step_n)),
         decay=decay,
         points=points,
-        time_s=(np.arange(len(record)) - course.cycles[0].rise) / record.sample_rate_hz,
+        time_s=time,
         displacement_m=record.output - start,
         release=release,
         no_release=reason,
@@ -173,13 +174,16 @@ def device_readings(
         UnusableInputError: neither the step nor the model gives readings.
         CancelledError: ``cancelled`` returned True.
     """
-    recorded, no_recorded = None, NO_STEP_TEST
+    recorded: RecordedReadings | None = None
+    no_recorded: str = NO_STEP_TEST
     if test is not None:
         try:
             recorded = recorded_readings(test)
         except UnusableInputError as error:
             no_recorded = error.message
-    analysis, model, no_model = None, None, NO_STOCHASTIC_TEST
+    analysis: Analysis | None = None
+    model: ModelReadings | None = None
+    no_model: str = NO_STOCHASTIC_TEST
     course = None if recorded is None else recorded.course
     if fit is not None:
         try:
