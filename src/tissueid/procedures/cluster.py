@@ -40,7 +40,8 @@ class ClusterExecutor:
                 if cancelled():
                     raise CancelledError
                 try:
-                    finished = wait(list(open_items), timeout=POLL_S, return_when="FIRST_COMPLETED").done
+                    with self._client.as_current():
+                        finished = wait(list(open_items), timeout=POLL_S, return_when="FIRST_COMPLETED").done
                 except TimeoutError:
                     continue
                 for future in finished:
