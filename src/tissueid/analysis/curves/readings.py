@@ -8,9 +8,9 @@ import numpy as np
 
 from tissueid.analysis.curves.plot import CONFIDENCE, Array, Axis, Curve, Mark, Plot, thin
 from tissueid.analysis.curves.units import TIME
-from tissueid.analysis.readings.decay_readings import Release
+from tissueid.analysis.readings.decay_readings import LocalSystem, Release
 from tissueid.analysis.readings.device_readings import DeviceReadings, RecordedReadings
-from tissueid.analysis.readings.model_readings import LocalSystem, ModelReadings
+from tissueid.analysis.readings.model_readings import ModelReadings
 from tissueid.analysis.readings.step_course import StepCourse
 from tissueid.analysis.readings.step_readings import POINTS, StepPoints
 from tissueid.language import marked

@@ -136,7 +136,7 @@ def recorded_readings(test: Test) -> RecordedReadings:
         step=step_readings(points, direction=math.copysign(1.0, course.step_n)),
         decay=decay,
         points=points,
-        time_s=(np.arange(len(record)) - course.cycles[0].rise) / record.sample_rate_hz,
+        time_s=(np.arange(len(record), dtype=np.float64) - course.cycles[0].rise) / record.sample_rate_hz,
         displacement_m=record.output - start,
         release=release,
         no_release=reason,
@@ -173,23 +173,25 @@ def device_readings(
         UnusableInputError: neither the step nor the model gives readings.
         CancelledError: ``cancelled`` returned True.
     """
-    recorded, no_recorded = None, NO_STEP_TEST
+    recorded: RecordedReadings | None = None
+    no_recorded: str = NO_STEP_TEST
     if test is not None:
         try:
             recorded = recorded_readings(test)
         except UnusableInputError as error:
             no_recorded = error.message
-    analysis, model, no_model = None, None, NO_STOCHASTIC_TEST
+    analysis: Analysis | None = None
+    model: ModelReadings | None = None
+    no_model: str = NO_STOCHASTIC_TEST
     course = None if recorded is None else recorded.course
     if fit is not None:
         try:
             analysis = fit()
-            if recorded is not None and course is not None:
-                force = recorded.test.record().input
-            else:
-                force = _standard_step(analysis)
-                course = find_steps(force, analysis.record.sample_rate_hz)
-            model = model_readings(analysis, engine, force, course, draws=draws, progress=progress, cancelled=cancelled)
+            rate = analysis.record.sample_rate_hz
+            force = _standard_step(analysis) if recorded is None else _resampled(recorded.test, rate)
+            played = find_steps(force, rate)
+            course = course or played
+            model = model_readings(analysis, engine, force, played, draws=draws, progress=progress, cancelled=cancelled)
         except UnusableInputError as error:
             no_model = error.message
     if recorded is None and model is None:
@@ -202,6 +204,16 @@ def device_readings(
             Message("readings.spring", "all readings include the external spring of {spring:g} N/m", spring=spring)
         )
     return DeviceReadings(recorded, no_recorded, analysis, model, no_model, course, tuple(notes))
+
+
+def _resampled(test: Test, rate: float) -> Array:
+    """Return the force of a step test at the sample rate of the model, N, shape (n,); linear between samples."""
+    record = test.record()
+    if math.isclose(record.sample_rate_hz, rate, rel_tol=1e-6):
+        return record.input
+    known = np.isfinite(record.input)
+    times = np.arange(int(len(record) * rate / record.sample_rate_hz)) / rate
+    return np.asarray(np.interp(times, record.time[known], record.input[known]), dtype=np.float64)
 
 
 def _standard_step(analysis: Analysis) -> Array:

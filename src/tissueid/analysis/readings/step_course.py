@@ -125,7 +125,11 @@ def _cycles(share: Array, rate: float) -> list[StepCycle]:
         rise = _crossing(share, start, top)
         if later:
             away, bottom = later[0]
-            release, release_s, hold_end = _crossing(share, away, bottom), (bottom - away) / rate, _before(away, bottom, rate)
+            release, release_s, hold_end = (
+                _crossing(share, away, bottom),
+                (bottom - away) / rate,
+                _before(away, bottom, rate),
+            )
         else:
             release, release_s, hold_end = float("nan"), float("nan"), following
         found.append(StepCycle(rise, hold_end, release, following, (top - start) / rate, release_s))
