@@ -83,6 +83,7 @@ class ResultPage(QScrollArea):
         self.readings.setMinimumWidth(1)
         self.readings.setTextFormat(Qt.TextFormat.PlainText)
         self.readings.setTextInteractionFlags(Qt.TextInteractionFlag.TextSelectableByMouse)
+        self.readings.setContentsMargins(12, 0, 8, 0)
         self.readings.hide()
         layout.addWidget(self.readings)
         self.comparison = ComparisonCard()
