@@ -9,10 +9,12 @@ import numpy as np
 
 from tissueid.analysis import Analysis
 from tissueid.analysis.curves.single_test import plots_of_test, record_plots
+from tissueid.analysis.readings.device_readings import STEP_KIND, recorded_readings
+from tissueid.analysis.readings.reading import NOT_COMPARABLE
 from tissueid.app.findings import Findings, Number
 from tissueid.app.words import in_words, sentence
 from tissueid.errors import UnusableInputError
-from tissueid.formatting import estimate, fixed, label_and_unit
+from tissueid.formatting import estimate, fixed, label_and_unit, plus_minus
 from tissueid.identification import engine_label
 from tissueid.identification.engines.wiener import Wiener
 from tissueid.language import _, marked
@@ -62,6 +64,31 @@ def identify(path: Path, session: Session, number: int | None) -> Findings:
         recorded=record_plots(test, analyses),
         accepted=accepted,
         refused=analysed.refused,
+        readings=_readings(test),
+    )
+
+
+_SHOWN_READINGS = ("Ue", "Uv", "Uf", "Ur", "R2", "R5", "R6", "R7", "F", "D")
+
+
+def _readings(test: Test) -> str:
+    """Return the main readings of a step test as a line with what they can be compared with; empty for other tests."""
+    if test.kind != STEP_KIND:
+        return ""
+    try:
+        found = recorded_readings(test)
+    except UnusableInputError as error:
+        return sentence(translated(error.message))
+    shown = []
+    for one in (*found.step, *found.decay):
+        if one.definition.symbol in _SHOWN_READINGS and one.found is not None:
+            unit, scale = display_unit(one.definition.si_unit)
+            shown.append(f"{one.definition.symbol} {plus_minus(one.found, scale)} {unit}".rstrip())
+    return "\n".join(
+        [
+            _("Readings for comparison with other probes: {readings}.").format(readings="; ".join(shown)),
+            translated(NOT_COMPARABLE),
+        ]
     )
 
 

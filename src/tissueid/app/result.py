@@ -77,6 +77,15 @@ class ResultPage(QScrollArea):
         self._tile_grid = QGridLayout()
         self._tile_grid.setSpacing(8)
         layout.addLayout(self._tile_grid)
+        self.readings = QLabel()
+        self.readings.setProperty("role", "muted")
+        self.readings.setWordWrap(True)
+        self.readings.setMinimumWidth(1)
+        self.readings.setTextFormat(Qt.TextFormat.PlainText)
+        self.readings.setTextInteractionFlags(Qt.TextInteractionFlag.TextSelectableByMouse)
+        self.readings.setContentsMargins(12, 0, 8, 0)
+        self.readings.hide()
+        layout.addWidget(self.readings)
         self.comparison = ComparisonCard()
         layout.addWidget(self.comparison)
         self._theme: Theme | None = None
@@ -99,6 +108,8 @@ class ResultPage(QScrollArea):
         self.reasons.setVisible(bool(self.reasons.text()))
         self.simulated.setVisible(findings.session.instrument.simulated)
         self.facts.setText(" ".join(filter(None, [_recorded(findings), findings.ended, findings.visited])))
+        self.readings.setText(findings.readings)
+        self.readings.setVisible(bool(findings.readings))
         self._numbers = findings.numbers
         self._fill_tiles(self._numbers)
         found, recorded = findings.plots, findings.recorded

@@ -105,7 +105,7 @@ def run_readings(plan: ReadingsPlan, control: Control) -> SessionReadings:
     )
     if plan.page is not None:
         from tissueid.reports.html import write_text_atomically
-        from tissueid.reports.readings import readings_page
+        from tissueid.reports.readings_page import readings_page
 
         try:
             write_text_atomically(plan.page, readings_page(session, found))

@@ -8,6 +8,8 @@ from dataclasses import dataclass
 from tissueid.analysis import Analysis
 from tissueid.analysis.curves.diagnostics import Prediction, held_out_prediction
 from tissueid.analysis.curves.validation import correlation_plots, prediction_plots, scatter_plots
+from tissueid.analysis.readings.device_readings import STEP_KIND, recorded_readings
+from tissueid.errors import UnusableInputError
 from tissueid.identification import engine_label, report_engines
 from tissueid.identification.engines.wiener import WienerModel
 from tissueid.language import _
@@ -44,6 +46,7 @@ class TestPage:
     parameters: Table | None
     scores: Table
     warnings: tuple[str, ...]
+    readings: Table | None = None
 
 
 def test_page(
@@ -57,6 +60,7 @@ def test_page(
     material = Material(session, test, analyses, tuple(_predictions(session, test, analyses)), refused)
     key = f"test{number}"
     groups = _full_groups(material, key) if full else _short_groups(material, key)
+    readings, read_group = _readings(material, key)
     quality = quality_of(test)
     return TestPage(
         number=number,
@@ -70,7 +74,8 @@ def test_page(
             filter(None, [translated(visited(analyses, surface_of(test))), spring_line(analyses.values())])
         ),
         quality=quality,
-        groups=groups,
+        groups=(*groups, *read_group),
+        readings=readings,
         parameters=parameter_table(analyses),
         scores=score_table(analyses),
         warnings=(
@@ -139,6 +144,20 @@ def _full_groups(material: Material, key: str) -> tuple[FigureGroup, ...]:
             _residuals(material, key),
         ),
     )
+
+
+def _readings(material: Material, key: str) -> tuple[Table | None, tuple[FigureGroup, ...]]:
+    """Return the readings of a step test for comparison with other probes, and their figures; nothing for others."""
+    if material.test.kind != STEP_KIND:
+        return None, ()
+    from tissueid.reports.readings import recorded_group
+
+    try:
+        found = recorded_readings(material.test)
+    except UnusableInputError:
+        return None, ()
+    table, pictures = recorded_group(found, f"{key}-readings")
+    return table, (_group(material, f"{key}-readings", table.caption, *pictures),)
 
 
 def _short_groups(material: Material, key: str) -> tuple[FigureGroup, ...]:

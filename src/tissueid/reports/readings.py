@@ -1,56 +1,21 @@
-"""Readings of commercial probes on a page: table, step and decay (docs/readings.md)."""
+"""Readings of commercial probes in reports: table, step and decay (docs/readings.md)."""
 
 from __future__ import annotations
 
 from collections.abc import Sequence
 
-from tissueid import __version__
 from tissueid.analysis.curves.plot import Plot
-from tissueid.analysis.curves.readings import decay_plots, recorded_step_plot, release_plot, step_plot
+from tissueid.analysis.curves.readings import decay_plots, recorded_step_plot, release_plot
 from tissueid.analysis.readings.device_readings import DeviceReadings, RecordedReadings
 from tissueid.analysis.readings.reading import NOT_COMPARABLE, Reading
-from tissueid.device import SIMULATED_LINE
 from tissueid.errors import UnusableInputError
-from tissueid.formatting import fixed, plus_minus
+from tissueid.formatting import plus_minus
 from tissueid.language import _
 from tissueid.messages import MISSING, translated
-from tissueid.reports.blocks import FigureGroup, Picture, picture
-from tissueid.reports.html import RESEARCH_LINE, template
+from tissueid.reports.blocks import Picture, picture
 from tissueid.reports.plot_renderer import column_figure, row_figure
-from tissueid.reports.tables import Table, readable_date
-from tissueid.sessions import Session
+from tissueid.reports.tables import Table
 from tissueid.units import display_unit
-
-
-def readings_page(session: Session, found: DeviceReadings) -> str:
-    """Return the page of all readings of a session as HTML text."""
-    facts = [
-        (_("Subject"), session.subject.pseudonym or _("not recorded")),
-        (_("Date"), readable_date(session.created)),
-        (_("Instrument"), f"{session.instrument.model}, {session.instrument.serial_number}"),
-    ]
-    if found.recorded is not None:
-        facts.append((_("Step test"), str(found.recorded.test.number)))
-    if found.analysis is not None:
-        facts.append((_("Model"), f"{found.analysis.model.report.engine}, {_('test')} {found.analysis.test}"))
-    if found.course is not None:
-        low, high = fixed(found.course.low_n, 2), fixed(found.course.high_n, 2)
-        facts.append((_("Force"), _("{low} to {high} N").format(low=low, high=high)))
-        facts.append((_("Hold"), f"{fixed(found.course.hold_s, 2)} s"))
-    pictures = [_step_picture("step", step_plot(found)), _decay_picture(found)]
-    if found.recorded is not None:
-        pictures.append(_release_picture("release", found.recorded))
-    return template("readings.html.j2").render(
-        title=_("Readings for comparison with other probes"),
-        facts=facts,
-        session_id=session.session_id,
-        simulated=_(SIMULATED_LINE) if session.instrument.simulated else "",
-        research_line=_(RESEARCH_LINE),
-        software=f"tissueid {__version__}",
-        notes=[translated(note) for note in found.notes],
-        table=readings_table(found.rows()),
-        group=FigureGroup("figures", _("Figures"), tuple(one.block for one in pictures)),
-    )
 
 
 def readings_table(rows: Sequence[tuple[Reading, Reading]]) -> Table:
@@ -96,11 +61,12 @@ def recorded_group(found: RecordedReadings, key: str) -> tuple[Table, tuple[Pict
         tuple(rows),
         " ".join([translated(NOT_COMPARABLE), _note(reasons)]),
     )
-    pictures = _step_picture(f"{key}-step", recorded_step_plot(found)), _release_picture(f"{key}-release", found)
+    pictures = step_picture(f"{key}-step", recorded_step_plot(found)), release_picture(f"{key}-release", found)
     return table, pictures
 
 
-def _step_picture(key: str, plot: Plot) -> Picture:
+def step_picture(key: str, plot: Plot) -> Picture:
+    """Return the figure of a step with its lengths."""
     return picture(
         key,
         _("Step with Ue, Uv, Uf and Ur"),
@@ -115,7 +81,8 @@ def _step_picture(key: str, plot: Plot) -> Picture:
     )
 
 
-def _decay_picture(found: DeviceReadings) -> Picture:
+def decay_picture(found: DeviceReadings) -> Picture:
+    """Return the figure of the decay of a model."""
     return picture(
         "decay",
         _("Free decay of the model"),
@@ -130,7 +97,9 @@ def _decay_picture(found: DeviceReadings) -> Picture:
     )
 
 
-def _release_picture(key: str, found: RecordedReadings) -> Picture:
+def release_picture(key: str, found: RecordedReadings) -> Picture:
+    """Return the figure of a recorded release."""
+
     def make() -> Plot:
         if found.release is None:
             raise UnusableInputError(found.no_release)

@@ -129,7 +129,6 @@ def recorded_readings(test: Test) -> RecordedReadings:
     except UnusableInputError as error:
         reason = error.message
         decay = tuple(Reading(one, None, reason) for one in DECAY_DEFINITIONS)
-    time = (np.arange(len(record), dtype=np.float64) - course.cycles[0].rise) / record.sample_rate_hz
     start = points.values[0] if math.isfinite(points.values[0]) else float(np.nanmean(record.output[:10]))
     return RecordedReadings(
         test=test,
@@ -137,7 +136,7 @@ def recorded_readings(test: Test) -> RecordedReadings:
         step=step_readings(points, direction=math.copysign(1.0, course.step_n)),
         decay=decay,
         points=points,
-        time_s=time,
+        time_s=(np.arange(len(record), dtype=np.float64) - course.cycles[0].rise) / record.sample_rate_hz,
         displacement_m=record.output - start,
         release=release,
         no_release=reason,
@@ -188,12 +187,11 @@ def device_readings(
     if fit is not None:
         try:
             analysis = fit()
-            if recorded is not None and course is not None:
-                force = recorded.test.record().input
-            else:
-                force = _standard_step(analysis)
-                course = find_steps(force, analysis.record.sample_rate_hz)
-            model = model_readings(analysis, engine, force, course, draws=draws, progress=progress, cancelled=cancelled)
+            rate = analysis.record.sample_rate_hz
+            force = _standard_step(analysis) if recorded is None else _resampled(recorded.test, rate)
+            played = find_steps(force, rate)
+            course = course or played
+            model = model_readings(analysis, engine, force, played, draws=draws, progress=progress, cancelled=cancelled)
         except UnusableInputError as error:
             no_model = error.message
     if recorded is None and model is None:
@@ -206,6 +204,16 @@ def device_readings(
             Message("readings.spring", "all readings include the external spring of {spring:g} N/m", spring=spring)
         )
     return DeviceReadings(recorded, no_recorded, analysis, model, no_model, course, tuple(notes))
+
+
+def _resampled(test: Test, rate: float) -> Array:
+    """Return the force of a step test at the sample rate of the model, N, shape (n,); linear between samples."""
+    record = test.record()
+    if math.isclose(record.sample_rate_hz, rate, rel_tol=1e-6):
+        return record.input
+    known = np.isfinite(record.input)
+    times = np.arange(int(len(record) * rate / record.sample_rate_hz)) / rate
+    return np.asarray(np.interp(times, record.time[known], record.input[known]), dtype=np.float64)
 
 
 def _standard_step(analysis: Analysis) -> Array:

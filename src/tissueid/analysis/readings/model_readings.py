@@ -10,7 +10,6 @@ from __future__ import annotations
 import math
 from collections.abc import Callable
 from dataclasses import dataclass, replace
-from typing import Literal
 
 import numpy as np
 
@@ -31,7 +30,7 @@ from tissueid.identification.engines.dpn import DpnModel
 from tissueid.identification.engines.wiener import WienerModel
 from tissueid.identification.second_order import SecondOrder
 from tissueid.identification.second_order_fit import SecondOrderFit
-from tissueid.identification.validation.bootstrap import bootstrap
+from tissueid.identification.validation.bootstrap import Method, bootstrap
 from tissueid.messages import Message
 from tissueid.records import Record
 
@@ -122,7 +121,7 @@ def model_readings(
     if creep := _no_creep(model, course):
         step = tuple(one if one.definition.name in _WITHOUT_CREEP else _without(one, creep) for one in step)
     decay = system_decay(local) if local is not None else _simulated_decay(model, record, tapped)
-    time = (np.arange(response.size, dtype=np.float64) - course.cycles[0].rise) / course.sample_rate_hz
+    time: Array = (np.arange(response.size, dtype=np.float64) - course.cycles[0].rise) / course.sample_rate_hz
     return ModelReadings(step, decay, points, time, _from_rest(response, course), std, local, tuple(notes))
 
 
@@ -265,7 +264,7 @@ def _draws(
     if isinstance(model, DpnModel):
         return _parametric_draws(model, statistic, draws, seed, progress, cancelled)
     record, part = analysis.record, analysis.fit_part
-    method: Literal["blocks", "residuals"] = "blocks" if record[part].valid.all() else "residuals"
+    method: Method = "blocks" if record[part].valid.all() else "residuals"
     bands = bootstrap(
         engine, record, part, statistic, draws, seed, method=method, progress=progress, cancelled=cancelled
     )
@@ -320,7 +319,7 @@ def _tap(model: Model, record: Record) -> Array:
     force[lead : lead + width] += push
     moved = (model.simulate(force) - at_rest)[lead:]
     mass = model.report.parameters.get("mass_kg")
-    time = (np.arange(moved.size, dtype=np.float64) + 0.5 - 0.5 * width) / rate
+    time: Array = (np.arange(moved.size, dtype=np.float64) + 0.5 - 0.5 * width) / rate
     acceleration = np.gradient(np.gradient(moved, 1.0 / rate), 1.0 / rate)
     found = trace_figures(time, moved, acceleration, math.nan if mass is None else mass.value)
     return np.array([found[one.name] for one in DECAY_DEFINITIONS])
