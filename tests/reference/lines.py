@@ -100,7 +100,7 @@ class PythonLine(SimulatedLine):
         self.bench.coil_open = Disturbance.COIL_OPEN in self.disturbance
 
 
-def tested(line, only=None, max_force_n=1.0):
+def run_on(line, only=None, max_force_n=1.0):
     """Run the suite on a line; return the results by id."""
     device = DeviceUnderTest(line, Confirmed("free-coil", max_force_n, 80.0), line)
     return {item.id: item for item in run_suite(device, only)}

@@ -370,9 +370,7 @@ class DeviceUnderTest:
 
     def finish_run(self, first: int, seconds: float) -> Run:
         """Wait for the end of a run, and return it with the samples up to 20 ms after."""
-        self.wait(
-            lambda: self.statuses[-1]["state"] != State.RUNNING, seconds, "the end of the run"
-        )
+        self.wait(lambda: self.statuses[-1]["state"] != State.RUNNING, seconds, "the end of the run")
         status = self.statuses[-1]
         self.keep_alive(False)
         self.pump(0.05)

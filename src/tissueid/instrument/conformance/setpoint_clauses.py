@@ -121,9 +121,7 @@ def _played(device: DeviceUnderTest) -> None:
     require(run.status["held_samples"] == 0, "no held samples", run.status["held_samples"])
 
 
-@clause(
-    "4.5f", marked("Missing set-points: a ramp to the hold level, and a return, all flagged"), drives=True
-)
+@clause("4.5f", marked("Missing set-points: a ramp to the hold level, and a return, all flagged"), drives=True)
 def _held(device: DeviceUnderTest) -> None:
     lead, ramp, fade = (round(share * device.rate_hz) for share in (0.1, 0.05, 0.005))
     level, hold = float(device.codes(0.2 * device.force_n)[0]), float(device.codes(0.1 * device.force_n)[0])
@@ -180,9 +178,7 @@ def _starved(device: DeviceUnderTest) -> None:
     require(on.size and on[-1] <= lead + expected + 1, f"the amplifier off after sample {lead + expected}", on[-1:])
 
 
-@clause(
-    "4.5i", marked("A block after the run is LATE and not counted; FOLLOW holds for one run"), drives=True
-)
+@clause("4.5i", marked("A block after the run is LATE and not counted; FOLLOW holds for one run"), drives=True)
 def _over(device: DeviceUnderTest) -> None:
     lead = round(0.05 * device.rate_hz)
     _armed(device, stimulus=lead, follow=10)
