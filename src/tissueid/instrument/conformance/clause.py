@@ -48,7 +48,7 @@ class ClauseResult:
 
 
 CLAUSES: dict[str, Clause] = {}
-"""All clauses by id, in the order in which they are tested; the modules of this package add theirs."""
+"""All clauses by id; the modules of this package add theirs."""
 
 _Check = Callable[["DeviceUnderTest"], None]
 

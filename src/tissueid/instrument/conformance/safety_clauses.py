@@ -367,7 +367,9 @@ def _unread(device: DeviceUnderTest) -> None:
     dropped = device.status()["dropped_frames"]
     answer = device.expect(Result.OK, MessageType.ARM, device.arm_payload())
     device.blocks.clear()
-    device.line.pause(1.5)
+    for _ in range(6):  # more than a device can keep, and never silent for so long that streaming ends
+        device.send(MessageType.STATUS_REQUEST)
+        device.line.pause(0.5)
     device.pump(0.3)
     faults = [item for item in device.statuses if item["state"] == State.FAULT]
     status = device.status()
