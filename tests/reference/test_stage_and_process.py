@@ -1,13 +1,17 @@
 """The stage of the reference firmware while it moves, and the firmware as a process on a real port."""
 
+import socket
 import struct
 import subprocess
 import sys
+import time
 
 import pytest
 from reference.lines import ReferenceLine
 
+from firmware_sim.reference.build import QEMU, MissingToolError, build, qemu_command
 from firmware_sim.reference.lockstep import Disturbance
+from tissueid.errors import InstrumentError
 from tissueid.instrument import SerialLink
 from tissueid.instrument.conformance import Confirmed, DeviceUnderTest, LinkLine, run_suite
 from tissueid.wire import Fault, Frame, MessageType, Result, State, encode_frame
@@ -78,3 +82,38 @@ def test_the_process_serves_a_port(program, port):
             link.close()
         finally:
             process.terminate()
+
+
+def test_the_core_is_built_for_a_microcontroller():
+    try:
+        assert build(QEMU).exists()
+    except MissingToolError as error:
+        pytest.skip(str(error))
+
+
+@pytest.mark.soak  # an emulated processor in real time
+def test_the_firmware_conforms_on_an_emulated_microcontroller():
+    with socket.socket() as free:
+        free.bind(("127.0.0.1", 0))
+        port = free.getsockname()[1]
+    try:
+        command = qemu_command(build(QEMU), port)
+    except MissingToolError as error:
+        pytest.skip(str(error))
+    with subprocess.Popen(command, stdin=subprocess.DEVNULL) as process:
+        try:
+            link = connected(f"socket://127.0.0.1:{port}")
+            results = run_suite(DeviceUnderTest(LinkLine(link), Confirmed("free-coil", 1.0, 60.0)))
+            link.close()
+        finally:
+            process.kill()
+    assert [(item.id, item.reason) for item in results if item.outcome == "failed"] == []
+
+
+def connected(url):
+    for _ in range(50):
+        try:
+            return SerialLink(url)
+        except InstrumentError:
+            time.sleep(0.1)
+    raise AssertionError(f"nothing listens on {url}")
