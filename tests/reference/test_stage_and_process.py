@@ -91,6 +91,13 @@ def test_the_core_is_built_for_a_microcontroller():
         pytest.skip(str(error))
 
 
+EMULATED = (
+    *("2a", "2b", "2c", "2f", "3a", "3b", "4.1b", "4.1c", "4.2a", "4.2c", "4.3a", "4.3b", "4.3c", "4.4a"),
+    *("5.3a", "5.3b", "5.3c", "5.3d", "5.3e", "5.4b", "5.4d", "5.10a"),
+)
+"""Clauses without a statement about time: the emulation loses sample interrupts when the computer is busy."""
+
+
 @pytest.mark.soak  # an emulated processor in real time
 def test_the_firmware_conforms_on_an_emulated_microcontroller():
     with socket.socket() as free:
@@ -103,7 +110,8 @@ def test_the_firmware_conforms_on_an_emulated_microcontroller():
     with subprocess.Popen(command, stdin=subprocess.DEVNULL) as process:
         try:
             link = connected(f"socket://127.0.0.1:{port}")
-            results = run_suite(DeviceUnderTest(LinkLine(link), Confirmed("free-coil", 1.0, 60.0)))
+            device = DeviceUnderTest(LinkLine(link), Confirmed("free-coil", 1.0, 60.0))
+            results = run_suite(device, EMULATED)
             link.close()
         finally:
             process.kill()
