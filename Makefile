@@ -11,7 +11,7 @@ export OPENBLAS_NUM_THREADS ?= 1
 # Compiled code is kept, whatever the caller's habit: the tests start hundreds of processes.
 unexport PYTHONDONTWRITEBYTECODE
 
-.PHONY: help env demo test lint mypy ruff layers compiled translations bench soak firmware run clean
+.PHONY: help env demo test lint mypy ruff layers compiled translations bench soak firmware conformance run clean
 
 help: ## list the targets
 	@grep -hE '^[a-z]+:.*##' $(MAKEFILE_LIST) | sed -E 's/^([a-z]+):.*## /  make \1\t/' | expand -t 16
@@ -54,6 +54,10 @@ soak: env ## the long runs, half an hour: streaming, damaged frames and files, k
 
 firmware: env ## build the reference firmware with the compilers that are installed
 	@$(BIN)/python -m firmware_sim.reference.build
+
+conformance: env ## build the reference firmware and test it and the simulator against the protocol
+	@$(BIN)/python -m firmware_sim.reference.build
+	@$(BIN)/python -m pytest tests/reference -m "soak or not soak" -rs --override-ini addopts="-q -p no:cacheprovider --import-mode=importlib"
 
 run: env ## open the application
 	@$(BIN)/tissueid

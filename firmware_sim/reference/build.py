@@ -45,7 +45,16 @@ class Target:
 
 
 POSIX = Target("posix", ("cc", "gcc", "clang"), ("-O2",), ("-lm",))
-TARGETS: tuple[Target, ...] = (POSIX,)
+QEMU = Target(
+    "qemu",
+    ("arm-none-eabi-gcc",),
+    ("-O2", "-mcpu=cortex-m7", "-mthumb", "-mfloat-abi=hard", "-mfpu=fpv5-d16", "-ffunction-sections"),
+    ("-nostartfiles", "-Wl,--gc-sections", "-T{board}/mps2.ld", "--specs=nano.specs", "--specs=nosys.specs", "-lm"),
+    ("posix/plant.c",),
+)
+"""Cortex-M7 of QEMU's mps2-an500: the core as it is cross-compiled for a microcontroller."""
+
+TARGETS: tuple[Target, ...] = (POSIX, QEMU)
 
 
 def compiler_of(target: Target) -> str:
@@ -122,6 +131,19 @@ def _run(command: list[str], result: Path) -> None:
         partial.unlink(missing_ok=True)
         raise RuntimeError(found.stderr)
     partial.replace(result)
+
+
+def qemu_command(program: Path, port: int) -> list[str]:
+    """Return the command that runs the QEMU target with its UART on a TCP port of this computer.
+
+    Raises:
+        MissingToolError: QEMU is not installed.
+    """
+    emulator = shutil.which("qemu-system-arm")
+    if emulator is None:
+        raise MissingToolError("qemu: not run, install qemu-system-arm")
+    serial = f"tcp:127.0.0.1:{port},server,nowait"
+    return [emulator, "-M", "mps2-an500", "-nographic", "-monitor", "none", "-serial", serial, "-kernel", str(program)]
 
 
 def build_posix(**arguments: object) -> Path:

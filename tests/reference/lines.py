@@ -8,7 +8,6 @@ from firmware_sim.reference.lockstep import Disturbance, Lockstep
 from firmware_sim.tissue import FREE_AIR
 from tissueid.instrument.conformance import Act, Confirmed, DeviceUnderTest, run_suite
 
-RATE_HZ = 2000
 STEP = 4
 """Samples between two looks at the line while nothing arrives."""
 
@@ -27,15 +26,20 @@ DISTURBANCES = {
 class SimulatedLine:
     """A line whose time advances when somebody waits; it is the person at the device, too."""
 
+    rate_hz = 2000
+
     def __init__(self):
         self.samples = 0
         self.disturbance = Disturbance.NONE
 
     def clock(self):
-        return self.samples / RATE_HZ
+        return self.samples / self.rate_hz
+
+    def close(self):
+        pass
 
     def read(self, timeout_s):
-        left = math.ceil(timeout_s * RATE_HZ)
+        left = math.ceil(timeout_s * self.rate_hz)
         while not (data := self.received()) and left > 0:
             step = min(left, STEP)
             self._advance(step)
@@ -43,7 +47,7 @@ class SimulatedLine:
         return data
 
     def pause(self, seconds):
-        self._advance(round(seconds * RATE_HZ))
+        self._advance(round(seconds * self.rate_hz))
 
     def perform(self, act):
         bit, on = DISTURBANCES[act]
@@ -64,7 +68,10 @@ class ReferenceLine(SimulatedLine):
         self.device = Lockstep(program, *options)
 
     def write(self, data):
-        self.device.receive(data, round(self.samples / RATE_HZ * 1e6))
+        self.device.receive(data, round(self.samples / self.rate_hz * 1e6))
+
+    def close(self):
+        self.device.close()
 
     def received(self):
         return self.device.transmit()
@@ -100,7 +107,10 @@ class PythonLine(SimulatedLine):
         self.bench.coil_open = Disturbance.COIL_OPEN in self.disturbance
 
 
-def tested(line, only=None, max_force_n=1.0):
+def run_on(line, only=None, max_force_n=1.0):
     """Run the suite on a line; return the results by id."""
     device = DeviceUnderTest(line, Confirmed("free-coil", max_force_n, 80.0), line)
-    return {item.id: item for item in run_suite(device, only)}
+    try:
+        return {item.id: item for item in run_suite(device, only)}
+    finally:
+        line.close()

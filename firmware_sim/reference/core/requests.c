@@ -65,6 +65,7 @@ static struct reply release(struct firmware *firmware, bool forget)
     firmware_disarm(firmware);
     if (firmware->stage.moving) {
         board_stage_stop();
+        firmware->stage.stopped = true;
     }
     if (firmware->state == STATE_ARMED || firmware->state == STATE_RUNNING) {
         firmware_enter(firmware, STATE_LOADED);
@@ -203,6 +204,7 @@ static struct reply move_stage(struct firmware *firmware, const struct frame *fr
         return reply_of(RESULT_OK, 0);
     }
     firmware->stage.moving = true;
+    firmware->stage.stopped = false;
     firmware->stage.sequence = frame->sequence;
     const struct reply later = {RESULT_OK, 0, true};
     return later;
@@ -345,7 +347,10 @@ void requests_stage(struct firmware *firmware)
     if (faulty) {
         reply = reply_of(RESULT_FAULT_LATCHED, firmware->faults);
     }
-    const bool ended = faulty || board_stage_progress() == STAGE_ARRIVED;
+    if (!faulty && firmware->stage.stopped) {
+        reply = reply_of(RESULT_BAD_STATE, 0);
+    }
+    const bool ended = faulty || firmware->stage.stopped || board_stage_progress() == STAGE_ARRIVED;
     if (ended) {
         firmware->stage.moving = false;
     }

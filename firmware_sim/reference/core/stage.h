@@ -7,6 +7,7 @@
 
 struct stage {
     bool moving;
+    bool stopped; /* by a request that releases the coil */
     uint16_t sequence; /* of the request that is answered on arrival */
 };
 

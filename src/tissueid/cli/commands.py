@@ -18,6 +18,7 @@ from tissueid.errors import UnusableInputError
 
 if TYPE_CHECKING:  # plans are imported when their command is used
     from tissueid.procedures.comparison import ComparePlan
+    from tissueid.procedures.conformance import ConformancePlan
     from tissueid.procedures.demo import DemoPlan
     from tissueid.procedures.identification import EnginesPlan, IdentificationPlan
     from tissueid.procedures.import_export import ExportPlan, ImportPlan
@@ -119,6 +120,17 @@ def devices(plan: DevicesPlan, json_file: JsonFile = None) -> None:
     from tissueid.cli.devices import list_devices
 
     list_devices(plan, json_file)
+
+
+@add_command(app, "conformance", "conformance")
+def conformance(plan: ConformancePlan, json_file: JsonFile = None) -> None:
+    """Test a device against the protocol, clause by clause.
+
+    Exit status 0: no clause failed; 1: a clause failed.
+    """
+    from tissueid.cli.conformance import print_conformance
+
+    print_conformance(plan, json_file)
 
 
 @add_command(app, "test", "test_plan")

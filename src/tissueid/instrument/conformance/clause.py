@@ -4,14 +4,12 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass, field
-from typing import TYPE_CHECKING, Literal
+from typing import Any, Literal
 
 from tissueid.errors import TissueIDError
 from tissueid.messages import Message, Verbatim
 
-if TYPE_CHECKING:
-    from tissueid.instrument.conformance.device import DeviceUnderTest
-
+Check = Callable[[Any], None]
 Outcome = Literal["passed", "failed", "not tested"]
 
 
@@ -27,13 +25,14 @@ class NotTestedError(TissueIDError):
 class Clause:
     """A clause of docs/protocol.md: ``id`` begins with the number of its section.
 
-    ``drives`` is true if the check can enable the amplifier. ``check`` raises ViolationError or NotTestedError.
+    ``check`` is called with a ``DeviceUnderTest`` and raises ViolationError or NotTestedError. ``drives`` is true if it
+    can enable the amplifier.
     """
 
     id: str
     title: str
     drives: bool
-    check: Callable[[DeviceUnderTest], None]
+    check: Check
 
 
 @dataclass(frozen=True)
@@ -48,15 +47,13 @@ class ClauseResult:
 
 
 CLAUSES: dict[str, Clause] = {}
-"""All clauses by id, in the order in which they are tested; the modules of this package add theirs."""
-
-_Check = Callable[["DeviceUnderTest"], None]
+"""All clauses by id; the modules of this package add theirs."""
 
 
-def clause(identity: str, title: str, *, drives: bool = False) -> Callable[[_Check], _Check]:
+def clause(identity: str, title: str, *, drives: bool = False) -> Callable[[Check], Check]:
     """Return a decorator that registers a check as the one of a clause."""
 
-    def add(check: _Check) -> _Check:
+    def add(check: Check) -> Check:
         if identity in CLAUSES:
             raise ValueError(f"clause {identity} is registered twice")
         CLAUSES[identity] = Clause(identity, title, drives, check)

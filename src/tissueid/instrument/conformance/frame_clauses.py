@@ -18,6 +18,7 @@ OBEYED = (MessageType.STOP, MessageType.RELEASE, MessageType.FINISH)
 """Requests that are always obeyed."""
 REQUESTS = tuple(kind for kind in MessageType if MessageType.STREAM <= kind <= MessageType.STAGE)
 _KNOWN_FLAGS = 0x7F
+_LONGEST_ENCODED = 2072 + 2072 // 254 + 1
 _RATE_TOLERANCE = 0.02
 """Largest relative difference between the announced sample rate and that by the host's clock."""
 
@@ -63,6 +64,8 @@ def _short(device: DeviceUnderTest) -> None:
 def _long(device: DeviceUnderTest) -> None:
     device.expect_silence(_encoded(_frame(MessageType.STREAM, bytes(wire.MAX_PAYLOAD + 1))), "a frame of 2073 bytes")
     device.expect_silence(b"\x01" * 5000 + b"\0", "5000 bytes without a zero")
+    tail = b"\x01" * _LONGEST_ENCODED + b"\x01" + _encoded(_frame(MessageType.STREAM, b"\1"))
+    device.expect_silence(tail, "a frame at the end of an overlong one")
     device.expect(Result.OK, MessageType.STREAM, b"\0")
 
 

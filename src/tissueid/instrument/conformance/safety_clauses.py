@@ -197,26 +197,28 @@ def _temperature(device: DeviceUnderTest) -> None:
 
 @clause("5.4e", marked("A command is lowered where motion would raise the force by more than 1 %"), drives=True)
 def _lowered(device: DeviceUnderTest) -> None:
-    half = round(0.03 * device.rate_hz)
-    signs = np.where(np.arange(round(0.6 * device.rate_hz)) // half % 2 == 0, 1.0, -1.0)
-    codes = np.rint(signs * float(device.codes(_SHARE * device.force_n)[0])).astype("<i2")
-    run = device.play(codes)
+    limit = 0.95 * device.force_n
+    codes = _quiet(device, 0.6)
+    every = round(0.01 * device.rate_hz)
+    pulses = np.arange(6 * every, codes.size, every)  # after the soft start; the noise of the current may end them
+    signs = np.where(np.arange(pulses.size) % 2, -1.04, 1.04)
+    codes[pulses] = np.rint(signs * float(device.codes(limit)[0])).astype("<i2")
+    run = device.play(codes, max_force_n=limit)
     body, gain = device.known.device, device.known.gains[0]
     position = device.physical(run.samples, "position")[: codes.size]
     step = np.diff(position) * device.rate_hz
     speed = step[1:-1] + 0.5 * (step[1:-1] - step[:-2])  # at the start of samples 3, 4, ...
     command = device.physical(run.samples, "command")[3 : position.size]
     sign = np.sign(command)
-    ceiling_v = _CEILING * device.force_n * body.coil_resistance_ohm / body.force_constant_n_per_a
+    ceiling_v = _CEILING * limit * body.coil_resistance_ohm / body.force_constant_n_per_a
     most_v = np.maximum(0.0, ceiling_v + body.force_constant_n_per_a * speed * sign) / body.amplifier_gain
     excess = np.abs(command) - most_v
     playing = run.flagged(Flag.PLAYING)[3 : position.size]
     worst = float(excess[playing].max(initial=-1.0))
     require(worst <= STEP * gain, "no command above the predicted limit", f"{worst:.3f} V above it")
-    if not run.flagged(Flag.LIMITED).any():
-        wanted = np.abs(codes[3 : position.size]) * gain - most_v
-        require(wanted[playing].max(initial=-1.0) <= STEP * gain, "flag 64 on lowered samples", "none")
-        raise NotTestedError(Message("conformance.no_motion", "the coil does not move: attach a free coil"))
+    wanted = np.abs(codes[3 : position.size]) * gain - most_v
+    lowered = run.flagged(Flag.LIMITED)[3 : position.size]
+    require(lowered[wanted > STEP * gain].any(), "flag 64 on lowered samples", "none")
 
 
 @clause(
@@ -365,7 +367,9 @@ def _unread(device: DeviceUnderTest) -> None:
     dropped = device.status()["dropped_frames"]
     answer = device.expect(Result.OK, MessageType.ARM, device.arm_payload())
     device.blocks.clear()
-    device.line.pause(1.5)
+    for _ in range(6):  # more than a device can keep, and never silent for so long that streaming ends
+        device.send(MessageType.STATUS_REQUEST)
+        device.line.pause(0.5)
     device.pump(0.3)
     faults = [item for item in device.statuses if item["state"] == State.FAULT]
     status = device.status()

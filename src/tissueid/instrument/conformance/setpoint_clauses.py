@@ -125,24 +125,26 @@ def _played(device: DeviceUnderTest) -> None:
 def _held(device: DeviceUnderTest) -> None:
     lead, ramp, fade = (round(share * device.rate_hz) for share in (0.1, 0.05, 0.005))
     level, hold = float(device.codes(0.2 * device.force_n)[0]), float(device.codes(0.1 * device.force_n)[0])
-    _armed(device, stimulus=lead, follow=1000, hold=int(hold))
-    for offset in (0, 700):
-        device.expect(Result.OK, MessageType.SETPOINTS, _block(lead + offset, np.full(100, level)))
+    size, back, end = ramp, round(0.35 * device.rate_hz), round(0.5 * device.rate_hz)
+    _armed(device, stimulus=lead, follow=end, hold=int(hold))
+    for offset in (0, back):
+        device.expect(Result.OK, MessageType.SETPOINTS, _block(lead + offset, np.full(size, level)))
     run = device.finish_run(device.start(), 3.0)
-    expected = np.full(1000, hold)
-    expected[:100] = level
-    expected[100 : 100 + ramp] = level + (hold - level) * (1.0 + np.arange(ramp)) / ramp
-    expected[700:800] = level
-    expected[700 : 700 + fade] = hold + (level - hold) * (1.0 + np.arange(fade)) / (fade + 1)
-    expected[800 : 800 + ramp] = expected[100 : 100 + ramp]
-    played = run.samples["command"][lead : lead + 1000].astype(np.float64)
-    require(played.size == 1000, "1000 set-points", played.size)
-    free = ~run.flagged(Flag.LIMITED)[lead : lead + 1000]
+    fall = level + (hold - level) * (1.0 + np.arange(ramp)) / ramp
+    expected = np.full(end, hold)
+    expected[:size] = level
+    expected[size : size + ramp] = fall
+    expected[back : back + size] = level
+    expected[back : back + fade] = hold + (level - hold) * (1.0 + np.arange(fade)) / (fade + 1)
+    expected[back + size : back + size + ramp] = fall
+    played = run.samples["command"][lead : lead + end].astype(np.float64)
+    require(played.size == end, f"{end} set-points", played.size)
+    free = ~run.flagged(Flag.LIMITED)[lead : lead + end]
     worst = float(np.abs(played - expected)[free].max(initial=0.0))
     require(worst <= STEP, "the ramp, the hold level and the return", f"{worst:.0f} codes from it")
-    held = np.ones(1000, dtype=bool)
-    held[:100] = held[700 + fade : 800] = False
-    wrong = np.count_nonzero(run.flagged(Flag.HELD)[lead : lead + 1000] != held)
+    held = np.ones(end, dtype=bool)
+    held[:size] = held[back + fade : back + size] = False
+    wrong = np.count_nonzero(run.flagged(Flag.HELD)[lead : lead + end] != held)
     require(wrong == 0, "flag 16 on every sample that is not the host's", f"{wrong} wrong")
     count = int(np.count_nonzero(held))
     require(run.status["held_samples"] == count, f"{count} held samples", run.status["held_samples"])

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Sequence
 from contextlib import suppress
+from string import ascii_lowercase
 
 from tissueid.errors import InstrumentError, LinkLostError, TissueIDError
 from tissueid.instrument.conformance.clause import CLAUSES, Clause, ClauseResult, NotTestedError, ViolationError
@@ -38,7 +39,8 @@ def run_suite(
     Raises:
         CancelledError: the check of the device was cancelled; the coil is released.
     """
-    chosen = [item for item in CLAUSES.values() if only is None or item.id in set(only)]
+    wanted = None if only is None else set(only)
+    chosen = [item for item in sorted(CLAUSES.values(), key=_place) if wanted is None or item.id in wanted]
     begin = device.line.clock()
     results: list[ClauseResult] = []
     silent = 0
@@ -58,6 +60,12 @@ def run_suite(
     finally:
         _let_go(device)
     return tuple(results)
+
+
+def _place(clause: Clause) -> tuple[int, int, str]:
+    """Return the place of a clause in the document: section, subsection, letter."""
+    section, _, rest = clause.id.rstrip(ascii_lowercase).partition(".")
+    return int(section), int(rest or 0), clause.id[-1]
 
 
 def _tested(device: DeviceUnderTest, clause: Clause) -> tuple[ClauseResult, bool, bool]:

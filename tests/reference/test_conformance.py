@@ -1,0 +1,156 @@
+"""The conformance suite passes on both firmwares, and fails on each defect; a device that answers nonsense ends it."""
+
+import json
+import re
+from pathlib import Path
+
+import pytest
+from reference.lines import PythonLine, ReferenceLine, run_on
+from reference.mutants import MUTANTS
+
+from firmware_sim.reference.build import CORE, SOURCES, build_posix
+from tissueid import wire
+from tissueid.cli import main
+from tissueid.instrument.conformance import CLAUSES, Confirmed, DeviceUnderTest, Nobody, run_suite
+from tissueid.procedures.conformance import ConformancePlan, run_conformance
+from tissueid.procedures.control import Control
+
+DOCUMENT = Path(SOURCES).parents[1] / "docs" / "protocol.md"
+QUICK = [identity for identity in CLAUSES if identity not in ("5.7a",)]
+"""5.7a holds a force for 20 s of simulated time."""
+
+
+@pytest.mark.parametrize("plant", ["free", "dummy"])
+def test_the_reference_firmware_conforms(program, plant):
+    results = run_on(ReferenceLine(program, "--plant", plant, "--stage", "0.05"))
+    assert {item.id: (item.outcome, item.reason) for item in results.values() if item.outcome != "passed"} == {}
+    assert results.keys() == CLAUSES.keys()
+
+
+def test_the_reference_firmware_conforms_at_another_rate(program):
+    line = ReferenceLine(program, "--plant", "free", "--rate", "5000")
+    line.rate_hz = 5000
+    results = run_on(line, QUICK)
+    assert {item.id: (item.outcome, item.reason) for item in results.values() if item.outcome != "passed"} == {}
+
+
+SHORT = [item for item in QUICK if item.startswith(("4.1", "4.5", "5.")) and item not in ("5.11a", "5.2c", "4.5h")]
+
+
+@pytest.mark.parametrize("clauses", [SHORT, pytest.param(list(CLAUSES), marks=pytest.mark.soak)])
+def test_the_python_firmware_conforms(clauses):
+    results = run_on(PythonLine(), clauses)
+    assert {item.id: (item.outcome, item.reason) for item in results.values() if item.outcome != "passed"} == {}
+
+
+@pytest.mark.parametrize("number", range(len(MUTANTS)), ids=[f"{item[0]}-{k}" for k, item in enumerate(MUTANTS)])
+def test_a_defect_fails_its_clause(program, number):
+    identity, name, text, defect = MUTANTS[number]
+    original = (CORE / name).read_text(encoding="utf-8")
+    assert original.count(text) == 1
+    mutant = build_posix(options=("-O0", "-w"), replaced={name: original.replace(text, defect)})
+    results = run_on(ReferenceLine(mutant, "--plant", "free", "--stage", "0.05"), [identity])
+    assert results[identity].outcome == "failed"
+
+
+def test_each_clause_of_safety_has_a_defect():
+    assert {item for item in CLAUSES if item.startswith("5.")} <= {item[0] for item in MUTANTS}
+
+
+def test_the_document_lists_the_clauses():
+    rows = re.findall(r"^\| (\d[\d.]*[a-z]) \| (.+?) \|$", DOCUMENT.read_text(encoding="utf-8"), re.MULTILINE)
+    assert dict(rows) == {item.id: item.title for item in CLAUSES.values()}
+
+
+class Device:
+    """A line to something that is no indenter; time passes at every read."""
+
+    def __init__(self, answer):
+        self.answer, self.now, self.written = answer, 0.0, b""
+
+    def read(self, timeout_s):
+        self.now += max(timeout_s, 1e-3)
+        return self.answer()
+
+    def write(self, data):
+        self.written += data
+
+    def clock(self):
+        return self.now
+
+    def pause(self, seconds):
+        self.now += seconds
+
+
+HEARTBEATS = wire.encode_frame(wire.Frame(wire.MessageType.HEARTBEAT))
+
+
+@pytest.mark.parametrize(
+    "answer", [lambda: b"", lambda: b"\7" * 5000, lambda: HEARTBEATS * 20], ids=["none", "noise", "flood"]
+)
+def test_a_device_that_never_answers_ends_the_suite(answer):
+    line = Device(answer)
+    results = run_suite(DeviceUnderTest(line, Confirmed("free-coil", 1.0, 60.0), Nobody()))
+    assert [item.outcome for item in results[:2]] == ["failed", "failed"]
+    assert {item.outcome for item in results[2:]} == {"not tested"}
+    assert line.now < 60.0
+
+
+def test_a_handshake_of_nonsense_drives_nothing():
+    hello = wire.encode_frame(wire.Frame(wire.MessageType.HELLO_ACK, payload=b"\1\1" + b"\xff" * 400))
+    line = Device(lambda: hello)
+    results = run_suite(DeviceUnderTest(line, Confirmed("free-coil", 1.0, 60.0), Nobody()))
+    assert results[0].outcome == "failed"
+    kinds = {frame.type for frame in wire.FrameDecoder().feed(line.written)}
+    assert not kinds & {wire.MessageType.ARM, wire.MessageType.START, wire.MessageType.STAGE}
+
+
+def test_nothing_exceeds_what_is_confirmed(program):
+    line = ReferenceLine(program, "--plant", "free")
+    written = []
+    plain = line.write
+    line.write = lambda data: (written.append(data), plain(data))
+    run_on(line, QUICK, max_force_n=0.3)
+    newton_per_code = 60.0 / 32768.0 / 12.0 * 3.0
+    strongest = 0.0
+    frames = wire.FrameDecoder().feed(b"".join(written))
+    for frame in frames:
+        if frame.type in (wire.MessageType.STIMULUS_CHUNK, wire.MessageType.SETPOINTS) and len(frame.payload) % 2 == 0:
+            codes = memoryview(frame.payload[8:]).cast("h")
+            strongest = max(strongest, *map(abs, codes), 0) if len(codes) else strongest
+    assert 0.1 < strongest * newton_per_code <= 0.3 * 1.05 + newton_per_code
+
+
+class Silent:
+    def record(self, *_args, **_named):
+        pass
+
+
+def test_nothing_is_sent_before_a_person_has_confirmed(capsys):
+    assert main(["conformance", "--device", "socket://127.0.0.1:9"]) == 2
+    assert "--confirm" in capsys.readouterr().err
+    assert main(["conformance", "--device", "socket://127.0.0.1:9", "--confirm", "arm"]) == 2
+
+
+def test_the_result_is_a_page_and_a_status(program, tmp_path):
+    line = ReferenceLine(program, "--plant", "free")
+
+    class Port:
+        name = "line"
+
+        def read(self, timeout_s):
+            return line.read(min(timeout_s, 0.01))
+
+        def write(self, data):
+            line.write(data)
+
+        def close(self):
+            line.device.close()
+
+    page = tmp_path / "page.html"
+    plan = ConformancePlan(device="x", attached="free-coil", clauses=("2a", "5.3a", "5.9a"), out=page)
+    found = run_conformance(plan, Control(), Silent(), opener=lambda _url: Port())
+    assert found.passed
+    assert [item.outcome for item in found.results] == ["passed", "passed", "not tested"]
+    assert "REF-0001" in page.read_text(encoding="utf-8")
+    assert json.dumps(found.headline.as_dict())
