@@ -63,7 +63,7 @@ class StimulusForm(QWidget):
         self.kind.setAccessibleName(_("Stimulus"))
         self.kind.addItem(_(Noise.title), Noise.name)
         self.file = QLineEdit()
-        self.file.setPlaceholderText(_("saved stimulus or waveform"))
+        self.file.setPlaceholderText(_("no file"))
         self.file.setToolTip(
             _(
                 "A stimulus saved by 'tissueid stimulus', or a waveform in N: .csv, .txt or .npy with one column of "
