@@ -67,7 +67,8 @@ def test_every_process_is_started_by_the_one_module():
     found = []
     for package in (tissueid, firmware_sim):
         for path in sorted(Path(package.__file__).parent.rglob("*.py")):
-            if path.name != "child_process.py":
+            # The tools that build and drive the reference firmware are no part of the program.
+            if path.name != "child_process.py" and "reference" not in path.parts:
                 found += starts_in(path)
     assert found == []
     assert len(starts_in(Path(tissueid.__file__).parent / "child_process.py")) >= 3

@@ -11,6 +11,7 @@ from coded import begins
 from tissueid.app.form_choices import FROM_FILE, MULTISTEP
 from tissueid.cli import main
 from tissueid.instrument import SimulatedInstrument
+from tissueid.procedures.demo import LARGE_CLIPPED, LARGE_N
 from tissueid.sessions import read_session
 from tissueid.stimuli import get_stimulus, stimulus_names
 
@@ -147,3 +148,99 @@ def test_what_cannot_be_played_is_said_before_an_instrument_is_touched(qtbot, wi
     assert not window.busy
     assert window.ui.notice.isVisible()
     assert bench.opened == []
+
+
+def enabled(form, name):
+    place = form.preset.choice.findData(name)
+    return form.preset.choice.model().item(place).isEnabled()
+
+
+def choose(form, name):
+    form.preset.choice.setCurrentIndex(form.preset.choice.findData(name))
+    form.preset.choice.activated.emit(form.preset.choice.currentIndex())
+
+
+def test_presets_fill_the_form_and_other_settings_are_ones_own(form):
+    assert form.preset.choice.currentData() == "standard"
+    assert form.plan().options == ()
+    choose(form, "thesis")
+    plan = form.plan()
+    plan.check()
+    assert (plan.min_force_n, plan.max_force_n, plan.seconds, plan.lower_force) == (*LARGE_N, 4.0, False)
+    assert dict(plan.options) == {"clipped": LARGE_CLIPPED}
+    assert form.preset.choice.currentData() == "thesis"
+    form.seconds.setValue(6.0)
+    assert form.preset.choice.currentData() == ""
+    choose(form, "depths")
+    assert form.preset.choice.currentData() == "depths"
+    assert form.stimulus.depths.isVisible()
+    form.stimulus._options["depth_max_m"].set_value(0.003)
+    plan = form.plan()
+    assert plan.stimulus == "rtig"
+    assert plan.specification(2000.0).depth_max_m == 0.003
+    choose(form, "standard")
+    assert (form.min_force.value(), form.max_force.value()) == (0.5, 10.5)
+    assert form.plan().lower_force
+    assert not form.stimulus.depths.isVisible()
+
+
+def test_the_thesis_test_is_offered_where_the_force_allows_it(form):
+    assert enabled(form, "thesis")
+    assert form.preset.reason.isHidden()
+    form.tell_force(form.instrument.url, 7.8)
+    assert not enabled(form, "thesis")
+    assert form.preset.reason.isVisible()
+    assert enabled(form, "standard")
+    assert form.preset.choice.currentData() == "standard"
+
+
+def test_noise_shows_the_options_that_apply(form):
+    form.fold.setChecked(True)
+    options = form.stimulus._options
+    assert options["cutoff_hz"].isVisible()
+    assert not options["natural_hz"].isVisible()
+    options["spectrum"].set_value("second_order")
+    form.stimulus._update_shown()
+    assert options["natural_hz"].isVisible()
+    assert not options["cutoff_hz"].isVisible()
+    assert dict(form.plan().options) == {"spectrum": "second_order"}
+    form.distribution.setCurrentIndex(form.distribution.findData("quantiles"))
+    assert options["quantiles"].isVisible()
+    assert not options["clipped"].isVisible()
+
+
+def test_forces_below_zero_stay_within_the_limits(form):
+    form.min_force.setValue(-50.0)
+    assert form.min_force.value() == -12.0
+    form.tell_force(form.instrument.url, 7.8)
+    assert form.min_force.value() == -7.8
+
+
+def test_a_waveform_scaled_and_repeated(qtbot, open_window, tmp_path):
+    window = open_window(opener=lambda _: SimulatedInstrument("spring", seed=3))
+    form = window.ui.form
+    form.site.setEditText("bench")
+    saved = tmp_path / "wave.csv"
+    wave = 2.0 + np.sin(np.arange(1000) / 50.0)
+    np.savetxt(saved, wave)
+    form.stimulus.fill(FROM_FILE, {"scale": 2.0, "offset_n": 1.0})
+    form.stimulus.file.setText(str(saved))
+    form.fold.setChecked(True)
+    assert form.stimulus._options["file_rate_hz"].isVisible()
+    form.repeats.setValue(2)
+    assert form.rest.isVisible()
+    session = run(qtbot, window)
+    assert [test.repeat_of for test in session.tests] == [None, 1]
+    command = session.test().signals["command"][1000:]
+    np.testing.assert_allclose(command / command[0], (2.0 * wave + 1.0) / (2.0 * wave[0] + 1.0), rtol=1e-5)
+    form.stimulus.file.setText("saved.json")
+    assert not form.stimulus._options["file_rate_hz"].isVisible()
+
+
+def test_a_localized_test_shows_its_levels(qtbot, open_window):
+    window = open_window(opener=lambda _: SimulatedInstrument("baseline", seed=3))
+    window.ui.form.site.setEditText("bench")
+    window.ui.form.stimulus.fill("stepped_noise", {"levels": 3, "level_s": 0.6})
+    run(qtbot, window)
+    assert "localized" in window.findings.analyses
+    assert len(window.findings.plots.impulse.curves) == 5

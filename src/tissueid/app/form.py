@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Mapping
 from datetime import datetime
+from itertools import pairwise
 from pathlib import Path
 from typing import Any
 
@@ -27,8 +28,17 @@ from PySide6.QtWidgets import (
 from tissueid.acquisition.stimulus_choice import NoiseChoice
 from tissueid.app.chooser import InstrumentChooser
 from tissueid.app.configuring import ConfigurationChooser
-from tissueid.app.form_choices import DISTRIBUTIONS, MULTISTEP, SITES, longest_stimulus_s, reads_like_name
+from tissueid.app.form_choices import (
+    DISTRIBUTIONS,
+    MULTISTEP,
+    PRESETS,
+    SITES,
+    Preset,
+    longest_stimulus_s,
+    reads_like_name,
+)
 from tissueid.app.number_field import NumberField
+from tissueid.app.presets import PresetChooser
 from tissueid.app.stimulus_form import StimulusForm
 from tissueid.app.user_files import dated_path
 from tissueid.formatting import ANONYMOUS
@@ -45,6 +55,7 @@ _CALLED = {
     "uniform": marked("Uniform"),
     "rayleigh": marked("Rayleigh"),
     "exponential": marked("Exponential"),
+    "quantiles": marked("By a table"),
 }
 _LIKE_NAME = marked(
     "This looks like a person's name. Use a pseudonym, such as P-001: files and reports contain this text."
@@ -54,8 +65,7 @@ _UNDER_PROBE = {
     "spring": marked("Calibration spring"),
     "free_air": marked("Nothing: free air"),
 }
-_USUAL_FORCE_N = NoiseChoice.max_force_n
-
+_MOST_REPEATS = 20
 _SHORTEST_S = 0.5
 _MOST_SEED = 2**31 - 1
 
@@ -76,6 +86,7 @@ class PlanForm(QWidget):
         self._own_path = False
         self._own_force = False
         self._applying = False
+        self._usual_force_n = NoiseChoice.max_force_n
         self._forces_n: dict[str, float] = {}
         self.instrument = InstrumentChooser()
         self.subject = QLineEdit()
@@ -186,6 +197,8 @@ class PlanForm(QWidget):
             seconds=self.seconds.settled if "seconds" in has else None,
             seed=self.seed.value() if "seed" in has else None,
             lower_force=not self._own_force,
+            repeats=1 if self.repeats.isHidden() else self.repeats.value(),
+            rest_s=0.0 if self.rest.isHidden() else self.rest.settled,
             kind=None if self.under_probe.isHidden() else self.under_probe.currentData() or None,
             **self.set_up.values(),
             **self.stimulus.values(),
@@ -227,6 +240,7 @@ class PlanForm(QWidget):
             "seconds": self.seconds.setValue,
             "seed": self.seed.setValue,
             "stimulus_kind": self.stimulus.fill,
+            "repeats": self.repeats.setValue,
             "under_probe": lambda name: self.under_probe.setCurrentIndex(self.under_probe.findData(name)),
         }
         for name, value in values.items():
@@ -239,10 +253,22 @@ class PlanForm(QWidget):
             return
         super().keyPressEvent(event)
 
+    def order_options(self) -> None:
+        """Put the options of the stimulus into the order of the tab key, where they stand."""
+        around = (
+            [self.preset.choice, *self.stimulus.option_fields(depths=True)],
+            [self.stimulus.stop_when, *self.stimulus.option_fields(depths=False)],
+        )
+        for order in around:
+            for before, after in pairwise(order):
+                QWidget.setTabOrder(before, after)
+
     # -- building -----------------------------------------------------------------------------------------
 
     def _add_settings(self, layout: QVBoxLayout) -> None:
-        """The stimulus, folded away under a line that says what it is."""
+        """The presets, and the stimulus, folded away under a line that says what it is."""
+        self.preset = PresetChooser()
+        _add(layout, _("Test"), self.preset, focus=self.preset.choice)
         self.fold = QToolButton()
         self.fold.setText(_("S&ettings"))
         self.fold.setProperty("role", "fold")
@@ -256,12 +282,18 @@ class PlanForm(QWidget):
         for name in DISTRIBUTIONS:
             self.distribution.addItem(_(_CALLED.get(name, name.capitalize())), name)
         self.distribution.setCurrentIndex(self.distribution.findData(Noise.model_fields["distribution"].default))
-        self.min_force = _number(" N", 0.0, 14.5, 0.5, 0.5)
+        self.min_force = _number(" N", -15.0, 14.5, 0.5, 0.5)
+        self.min_force.setToolTip(_("Below zero the coil pulls: tissue that is not attached to the probe is left"))
         self.max_force = _number(" N", 0.5, 15.0, 0.5, 10.5)
         self.seconds = _number(" s", _SHORTEST_S, 29.5, 1.0, 4.0)
         self.seed = QSpinBox()
         self.seed.setRange(0, _MOST_SEED)
         self.seed.setValue(1)
+        self.repeats = QSpinBox()
+        self.repeats.setRange(1, _MOST_REPEATS)
+        self.repeats.setToolTip(_("Tests one after another, in one session file"))
+        self.rest = _number(" s", 0.0, 600.0, 10.0, 0.0)
+        self.rest.setToolTip(_("Pause between the tests, to cool the coil"))
         self.under_probe = QComboBox()
         for name, title in _UNDER_PROBE.items():
             self.under_probe.addItem(_(title), name)
@@ -281,6 +313,8 @@ class PlanForm(QWidget):
             (_("Hi&ghest force"), self.max_force),
             (_("Dur&ation"), self.seconds),
             (_("Seed"), self.seed),
+            (_("Repeats"), self.repeats),
+            (_("Rest between repeats"), self.rest),
             (_("Under the probe"), self.under_probe),
         )
         for row, (name, field) in enumerate(rows):
@@ -293,12 +327,18 @@ class PlanForm(QWidget):
         grid.setColumnStretch(1, 1)
         group = QVBoxLayout()
         group.setSpacing(4)
-        for widget in (self.fold, self.summary, self.settings):
+        for widget in (self.stimulus.depths, self.fold, self.summary, self.settings):
             group.addWidget(widget)
         layout.addLayout(group)
         self.fold.toggled.connect(self._unfold)
         for choice in (self.distribution, self.under_probe):
             choice.currentIndexChanged.connect(self._summarise)
+        self.distribution.currentIndexChanged.connect(self._decide_distribution)
+        self._decide_distribution()
+        self.preset.chosen.connect(self._take_preset)
+        self.repeats.valueChanged.connect(self._show_options)
+        for spin in (self.repeats, self.rest):
+            spin.valueChanged.connect(self.changed)
         self.under_probe.currentIndexChanged.connect(self.changed)
         self.stimulus.changed.connect(self._summarise)
         self.stimulus.changed.connect(self.changed)
@@ -324,10 +364,10 @@ class PlanForm(QWidget):
         self._applying = True
         self.max_force.setMaximum(most)
         if not self._own_force:
-            self.max_force.setValue(_USUAL_FORCE_N)
+            self.max_force.setValue(self._usual_force_n)
         self._applying = False
-        pulling = most if self.set_up.is_attached else 0.0
-        self.min_force.setRange(-pulling, most - self.min_force.singleStep())
+        self.min_force.setRange(-most, most - self.min_force.singleStep())
+        self.preset.allow(most)
         self.seconds.setMaximum(longest_stimulus_s(name))
 
     def _show_options(self) -> None:
@@ -339,13 +379,49 @@ class PlanForm(QWidget):
             self.max_force: "force_max_n" in has,
             self.seconds: "seconds" in has,
             self.seed: "seed" in has,
+            self.repeats: self.stimulus.chosen != MULTISTEP,
+            self.rest: self.stimulus.chosen != MULTISTEP and self.repeats.value() > 1,
             self.under_probe: self.stimulus.chosen != MULTISTEP,
         }
         for label, field in self._rows:
             for widget in (label, field):
                 widget.setVisible(wanted[field])
+        if self.window() is not self:  # before that, the fields belong to several windows
+            self.order_options()
+
+    def _decide_distribution(self) -> None:
+        """Show the options of noise that go with its distribution."""
+        self.stimulus.decide("distribution", self.distribution.currentData())
+
+    def _take_preset(self, preset: Preset | None) -> None:
+        """Fill the form with a preset; its highest force follows the instrument unless it is one that it needs."""
+        if preset is None:
+            self.fold.setChecked(True)
+            return
+        self.stimulus.fill(preset.kind, dict(preset.options))
+        self.stimulus.stop_when.clear()
+        self.distribution.setCurrentIndex(self.distribution.findData(Noise.model_fields["distribution"].default))
+        self.min_force.setValue(preset.force_n[0])
+        self.seconds.setValue(preset.seconds)
+        self._own_force, self._usual_force_n = not preset.lowered, preset.force_n[1]
+        if not preset.lowered:
+            self.max_force.setValue(preset.force_n[1])
+        self._apply_limits()
+        self._summarise()
+
+    def _shown_preset(self) -> Preset | None:
+        """Return the preset whose settings are in the form; seed, depths and repeats may be others."""
+        for preset in PRESETS:
+            most = min(preset.force_n[1], self.max_force.maximum()) if preset.lowered else preset.force_n[1]
+            fields = (self.min_force.value(), self.max_force.value(), self.seconds.value())
+            if self.stimulus.chosen == preset.kind and fields == (preset.force_n[0], most, preset.seconds):
+                usual = self.distribution.currentData() == Noise.model_fields["distribution"].default
+                if self.stimulus.changed_options() == dict(preset.options) and (usual or preset.kind != Noise.name):
+                    return preset
+        return None
 
     def _summarise(self) -> None:
+        self.preset.show_preset(self._shown_preset())
         if self.stimulus.chosen != Noise.name:
             title, has = self.stimulus.kind.currentText(), self.stimulus.has
             low, high, seconds = self.min_force.value(), self.max_force.value(), self.seconds.value()

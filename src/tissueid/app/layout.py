@@ -104,6 +104,8 @@ class Layout:
         self.running = self._make_running()
         self.result = ResultPage()
         self.pages = QTabWidget()
+        # Else the tab key takes the page for its tab bar, wherever the page stands in the order.
+        self.pages.setFocusProxy(None)  # type: ignore[arg-type]
         self.pages.setDocumentMode(True)
         self.pages.tabBar().setDrawBase(False)
         self.pages.addTab(self.running, _("Sig&nals"))
@@ -155,6 +157,7 @@ class Layout:
         order += self.form.set_up.fields
         order += [
             self.form.limits,
+            self.form.preset.choice,
             self.form.fold,
             *self.form.stimulus.fields,
             self.form.distribution,
@@ -164,6 +167,8 @@ class Layout:
         order += [
             self.form.seconds,
             self.form.seed,
+            self.form.repeats,
+            self.form.rest,
             self.form.under_probe,
             self.form.path,
             self.form.browse,
@@ -185,6 +190,7 @@ class Layout:
         order += [*self.rail.buttons.values(), *self.rail.feet]
         for before, after in pairwise(order):
             QWidget.setTabOrder(before, after)
+        self.form.order_options()
         self.form.site.setFocus()
 
     def add_page(self, name: str, page: QWidget) -> None:

@@ -9,6 +9,7 @@ from pydantic import BaseModel, Field
 from PySide6.QtCore import Qt, Signal
 from PySide6.QtWidgets import QComboBox, QFileDialog, QGridLayout, QHBoxLayout, QLabel, QLineEdit, QPushButton, QWidget
 
+from tissueid.acquisition.waveform_file import RATES_HZ, SUFFIXES, is_waveform
 from tissueid.app.form_choices import FROM_FILE, MULTISTEP
 from tissueid.app.option_field import OptionField
 from tissueid.errors import UnusableInputError
@@ -17,9 +18,12 @@ from tissueid.messages import Message
 from tissueid.procedures.test_plan import LIVE_METHODS
 from tissueid.stimuli import StimulusKind, get_stimulus, stimulus_names
 from tissueid.stimuli.kinds.noise import Noise
+from tissueid.stimuli.kinds.waveform import LARGEST_OFFSET, LARGEST_SCALE
 
-TITLES = {MULTISTEP: marked("Equal depths, in steps"), FROM_FILE: marked("Saved stimulus")}
+TITLES = {MULTISTEP: marked("Equal depths, in steps"), FROM_FILE: marked("From a file")}
 """Titles of the choices that are no kinds of stimulus; a kind has its own title."""
+DEPTHS = ("depth_min_m", "depth_max_m")
+"""Options that are shown with the presets, above the settings."""
 IN_FORM = ("force_min_n", "force_max_n", "seconds", "seed", "sample_rate")
 """Options that the form has fields for, or that the instrument decides."""
 
@@ -27,14 +31,29 @@ IN_FORM = ("force_min_n", "force_max_n", "seconds", "seed", "sample_rate")
 class _Steps(BaseModel):
     """Options of a test in steps, as the command line has them."""
 
-    steps: int = Field(3, ge=1, le=20, description="Most tests; fewer where the depth is even before")
-    depth_min_m: float = Field(0.001, ge=-0.05, le=0.05, description="Least desired depth from the surface, m")
-    depth_max_m: float = Field(0.004, ge=-0.05, le=0.05, description="Greatest desired depth, m")
-    target: float = Field(0.05, gt=0.0, le=1.0, description="Distance from evenness at which it is enough")
+    steps: int = Field(3, ge=1, le=20, description=marked("Most tests; fewer where the depth is even before"))
+    depth_min_m: float = Field(0.001, ge=-0.05, le=0.05, description=marked("Least desired depth from the surface, m"))
+    depth_max_m: float = Field(0.004, ge=-0.05, le=0.05, description=marked("Greatest desired depth, m"))
+    target: float = Field(0.05, gt=0.0, le=1.0, description=marked("Distance from evenness at which it is enough"))
+
+
+class _Played(BaseModel):
+    """How a stimulus from a file is played, as the command line has it."""
+
+    scale: float = Field(1.0, ge=-LARGEST_SCALE, le=LARGEST_SCALE, description=marked("Factor of the whole stimulus"))
+    offset_n: float = Field(
+        0.0, ge=-LARGEST_OFFSET, le=LARGEST_OFFSET, description=marked("Added to the whole stimulus, N")
+    )
+    file_rate_hz: float | None = Field(
+        None, ge=RATES_HZ[0], le=RATES_HZ[1], description=marked("Sample rate of a file without times, Hz")
+    )
 
 
 class StimulusForm(QWidget):
-    """``changed`` is sent when the kind or one of its options is another; ``kind_changed`` for the kind alone."""
+    """``changed`` is sent when the kind or one of its options is another; ``kind_changed`` for the kind alone.
+
+    ``depths`` holds the fields of the range of depth, for a place of its own; hidden for kinds without one.
+    """
 
     changed = Signal()
     kind_changed = Signal()
@@ -45,9 +64,21 @@ class StimulusForm(QWidget):
         self.kind.setAccessibleName(_("Stimulus"))
         self.kind.addItem(_(Noise.title), Noise.name)
         self.file = QLineEdit()
-        self.file.setPlaceholderText(_("saved file"))
-        self.file.setToolTip(_("a stimulus saved by 'tissueid stimulus'"))
-        self.file.setAccessibleName(_("Saved stimulus"))
+        self.file.setPlaceholderText(_("no file"))
+        self.file.setToolTip(
+            _(
+                "A stimulus saved by 'tissueid stimulus', or a waveform in N: .csv, .txt or .npy with one column of "
+                "values, or two of time and value"
+            )
+        )
+        self.file.setAccessibleName(_("File of the stimulus"))
+        self.depths = QWidget()
+        self._depths = QGridLayout(self.depths)
+        self._depths.setContentsMargins(0, 0, 0, 0)
+        self._depths.setVerticalSpacing(6)
+        self._depths.setColumnStretch(1, 1)
+        self._deciding: dict[str, Any] = {}
+        self._labels: dict[str, QLabel] = {}
         self.browse = QPushButton(_("Browse…"))
         self.stop_when = QLineEdit()
         self.stop_when.setPlaceholderText("stiffness=0.02")
@@ -90,6 +121,7 @@ class StimulusForm(QWidget):
         self._rows, self._fixed = self._grid.rowCount(), self._grid.count()
         self.kind.currentIndexChanged.connect(self._show_kind)
         self.browse.clicked.connect(self._choose_file)
+        self.file.textChanged.connect(self._update_shown)
         for line in (self.file, self.stop_when):
             line.textChanged.connect(self.changed)
         self.live_method.currentIndexChanged.connect(self.changed)
@@ -118,12 +150,35 @@ class StimulusForm(QWidget):
         return frozenset(_model(self.chosen).model_fields)
 
     def options(self) -> tuple[tuple[str, Any], ...]:
-        """The options of the kind that the form has no field for, SI.
+        """The options of the kind that the form has no field for and that apply, SI; of noise, the unusual ones.
 
         Raises:
             UnusableInputError: what was typed does not read as one.
         """
-        return tuple((name, field.value()) for name, field in self._options.items())
+        found = tuple((name, field.value()) for name, field in self._options.items() if self._is_used(name))
+        if self.chosen != Noise.name:
+            return found
+        unusual = self.changed_options()
+        return tuple((name, value) for name, value in found if name in unusual)
+
+    def changed_options(self) -> dict[str, Any]:
+        """Return the options that apply and have not their usual value, without the depths; those that read as one."""
+        changed = {}
+        fields = _model(self.chosen).model_fields
+        for name, field in self._options.items():
+            if name not in DEPTHS and self._is_used(name):
+                try:
+                    value = field.value()
+                except UnusableInputError:
+                    value = ...
+                if value != fields[name].get_default() and not (value == [] and not fields[name].get_default()):
+                    changed[name] = value
+        return changed
+
+    def decide(self, option: str, value: Any) -> None:
+        """Take the value of an option that has its field elsewhere, and show the options that depend on it."""
+        self._deciding[option] = value
+        self._update_shown()
 
     def values(self) -> dict[str, Any]:
         """The fields of ``TestPlan`` that stand here.
@@ -140,8 +195,14 @@ class StimulusForm(QWidget):
         if self.chosen == FROM_FILE:
             saved = self.file.text().strip()
             if not saved:
-                raise UnusableInputError(Message("plan.no_stimulus_file", "choose the file of the saved stimulus"))
-            return values | {"stimulus_file": Path(saved)}
+                raise UnusableInputError(Message("plan.no_stimulus_file", "choose the file of the stimulus"))
+            played = dict(self.options())
+            return values | {
+                "stimulus_file": Path(saved),
+                "scale": None if played["scale"] == 1.0 else played["scale"],
+                "offset": played["offset_n"] or None,
+                "file_rate_hz": played.get("file_rate_hz"),
+            }
         return values | {"stimulus": self.chosen, "options": self.options()}
 
     def fill(self, kind: str, options: dict[str, Any] | None = None) -> None:
@@ -151,53 +212,85 @@ class StimulusForm(QWidget):
         self._show_kind()
         for name, value in (options or {}).items():
             self._options[name].set_value(value)
+        self._update_shown()
         self.changed.emit()
 
     @property
     def fields(self) -> list[QWidget]:
-        """What the tab key visits, in order."""
+        """What the tab key visits in the settings, in order, before the options of the kind."""
         return [self.kind, self.file, self.browse, self.stop_when, self.live_method]
+
+    def option_fields(self, *, depths: bool) -> list[QWidget]:
+        """Return the controls of the options of the kind, in order: those of the depths, or the others."""
+        fields = (field for name, field in self._options.items() if (name in DEPTHS) == depths)
+        return [control for field in fields for control in field.controls]
 
     @property
     def _stops(self) -> bool:
         return self.chosen != MULTISTEP
 
     def _show_kind(self) -> None:
-        while self._grid.count() > self._fixed:
-            item = self._grid.takeAt(self._grid.count() - 1)
-            if item is not None and (widget := item.widget()) is not None:
-                widget.hide()
-                widget.deleteLater()
-        self._options = {}
+        for grid, kept in ((self._grid, self._fixed), (self._depths, 0)):
+            while grid.count() > kept:
+                item = grid.takeAt(grid.count() - 1)
+                if item is not None and (widget := item.widget()) is not None:
+                    widget.hide()
+                    widget.deleteLater()
+        self._options, self._labels = {}, {}
         chosen = self.chosen
         self._saved.setVisible(chosen == FROM_FILE)
         for widget in (self._stop_label, self.stop_when, self._live_label, self.live_method):
             widget.setVisible(self._stops)
-        if chosen not in (FROM_FILE, Noise.name):
-            model = _Steps if chosen == MULTISTEP else _model(chosen)
-            for name, info in model.model_fields.items():
-                if name in IN_FORM:
-                    continue
-                field = OptionField(name, info)
-                field.set_value(info.get_default())
-                field.edited.connect(self.changed)
-                label = QLabel(field.label)
-                label.setWordWrap(True)
-                row = self._rows + len(self._options)
-                self._grid.addWidget(label, row, 0)
-                self._grid.addWidget(field, row, 1)
-                self._options[name] = field
+        elsewhere = (*IN_FORM, "distribution") if chosen == Noise.name else IN_FORM
+        for name, info in _model(chosen).model_fields.items():
+            if name in elsewhere:
+                continue
+            field = OptionField(name, info)
+            field.set_value(info.get_default())
+            field.edited.connect(self._update_shown)
+            field.edited.connect(self.changed)
+            label = QLabel(field.label)
+            label.setWordWrap(True)
+            grid, row = (self._depths, 0) if name in DEPTHS else (self._grid, self._rows)
+            row += len(self._options)
+            grid.addWidget(label, row, 0)
+            grid.addWidget(field, row, 1)
+            self._options[name], self._labels[name] = field, label
+        self.depths.setVisible(any(name in DEPTHS for name in self._options))
+        self._update_shown()
         self.kind_changed.emit()
         self.changed.emit()
 
+    def _is_used(self, name: str) -> bool:
+        """Return whether an option applies with the other ones as they are."""
+        if self.chosen == FROM_FILE:
+            return name != "file_rate_hz" or is_waveform(Path(self.file.text().strip()))
+        kind = _model(self.chosen)
+        rule = kind.applies.get(name) if issubclass(kind, StimulusKind) else None
+        if rule is None:
+            return True
+        deciding = self._options.get(rule[0])
+        return (self._deciding.get(rule[0]) if deciding is None else deciding.value()) in rule[1]
+
+    def _update_shown(self) -> None:
+        """Show the options that apply."""
+        for name, field in self._options.items():
+            used = self._is_used(name)
+            for widget in (self._labels[name], field):
+                widget.setVisible(used)
+
     def _choose_file(self) -> None:
-        dialog = QFileDialog(self, _("Choose a saved stimulus"), self.file.text(), _("Stimuli (*.json);;All files (*)"))
+        kinds = " ".join(f"*{suffix}" for suffix in (".json", *SUFFIXES))
+        offered = f"{_('Stimuli and waveforms')} ({kinds});;{_('All files')} (*)"
+        dialog = QFileDialog(self, _("Choose the file of a stimulus"), self.file.text(), offered)
         dialog.setFileMode(QFileDialog.FileMode.ExistingFile)
         dialog.setAttribute(Qt.WidgetAttribute.WA_DeleteOnClose)
         dialog.fileSelected.connect(self.file.setText)
         dialog.open()
 
 
-def _model(kind: str) -> type[StimulusKind]:
-    """Return the specification of a kind, without looking for the others where it is noise."""
+def _model(kind: str) -> type[BaseModel]:
+    """Return the model of the options of a choice, without looking for other kinds where it is noise."""
+    if kind in (MULTISTEP, FROM_FILE):
+        return _Steps if kind == MULTISTEP else _Played
     return Noise if kind == Noise.name else get_stimulus(kind)

@@ -233,7 +233,7 @@ def stiffness_range(analysis: Analysis) -> str:
     if values.size == 0:
         return _("tissue, depths visited")
     unit, scale = display_unit("N/m")
-    return _("at the middle level; {low} to {high} {unit} at all").format(
+    return _("at the middle level; {low} to {high} {unit} over all levels").format(
         low=number(scale * float(values.min()), 3), high=number(scale * float(values.max()), 3), unit=unit
     )
 

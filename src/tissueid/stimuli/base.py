@@ -80,6 +80,8 @@ class StimulusKind(BaseModel, ABC):
     """Kind of the tests that play the stimulus, in a session."""
     listed: ClassVar[bool] = True
     """Whether the kind can be chosen and designed; the others come from files."""
+    applies: ClassVar[Mapping[str, tuple[str, tuple[object, ...]]]] = {}
+    """Option: the option on which it depends, and the values of that one with which it applies."""
 
     @classmethod
     def from_options(cls, options: Mapping[str, Any]) -> Self:

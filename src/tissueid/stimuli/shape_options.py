@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, Literal, Self
+from collections.abc import Mapping
+from typing import TYPE_CHECKING, ClassVar, Literal, Self
 
 import numpy as np
 from pydantic import Field, model_validator
@@ -37,6 +38,15 @@ _TABLES = {
 
 class Shaped(Ranged):
     """A stimulus with a given distribution over the range and a given spectrum."""
+
+    applies: ClassVar[Mapping[str, tuple[str, tuple[object, ...]]]] = {
+        "cutoff_hz": ("spectrum", ("butterworth", "band")),
+        "order": ("spectrum", ("butterworth",)),
+        "time_constant_s": ("spectrum", ("exponential",)),
+        "natural_hz": ("spectrum", ("second_order",)),
+        "damping": ("spectrum", ("second_order",)),
+        **{table: (option, (choice,)) for table, (option, choice) in _TABLES.items()},
+    }
 
     distribution: DistributionName = Field("gaussian", description=marked("Distribution over the range"))
     spectrum: SpectrumName = Field(

@@ -211,7 +211,9 @@ def _series(profiles: Mapping[str, DepthProfile]) -> Sequence[_Series]:
 
 def _one_direction(name: str, way: int) -> str:
     """Return the name of a profile with its direction, if it has one."""
-    return Message("plot.direction", "{name}, {direction}", name=name, direction=_WAYS[way]) if way else name
+    if not way or not name:
+        return _WAYS.get(way, name)
+    return Message("plot.direction", "{name}, {direction}", name=name, direction=_WAYS[way])
 
 
 def _series_curve(series: _Series, quantity: str, origin_m: float) -> Curve:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from typing import ClassVar
 
 import numpy as np
@@ -34,6 +35,10 @@ class Noise(Shaped):
 
     name: ClassVar[str] = "noise"
     title: ClassVar[str] = marked("Noise")
+    applies: ClassVar[Mapping[str, tuple[str, tuple[object, ...]]]] = {
+        **Shaped.applies,
+        "clipped": ("distribution", ("gaussian",)),
+    }
 
     clipped: float = Field(
         0.0027, ge=0.0, le=0.1, description=marked("Gaussian: share of samples clipped at the ends of the range")

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Mapping
 from typing import ClassVar, Literal, Self
 
 import numpy as np
@@ -47,6 +48,13 @@ class Rtig(FeedbackKind):
 
     name: ClassVar[str] = "rtig"
     title: ClassVar[str] = marked("Equal depths, by feedback")
+    applies: ClassVar[Mapping[str, tuple[str, tuple[object, ...]]]] = {
+        "table": ("distribution", ("table",)),
+        "edge_modulation": ("identify", (False,)),
+        "memory": ("identify", (True,)),
+        "forgetting": ("identify", (True,)),
+        "cycle": ("identify", (True,)),
+    }
 
     force_min_n: float = Field(
         -0.6, ge=-100.0, le=100.0, description=marked("Least force, N; below zero the coil lifts its own weight")

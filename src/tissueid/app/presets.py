@@ -1,0 +1,69 @@
+"""Choice of a test by its name, above the settings of the stimulus."""
+
+from __future__ import annotations
+
+from PySide6.QtCore import Qt, Signal
+from PySide6.QtGui import QStandardItemModel
+from PySide6.QtWidgets import QComboBox, QLabel, QVBoxLayout, QWidget
+
+from tissueid.app.form_choices import PRESETS, Preset
+from tissueid.language import _
+from tissueid.messages import Message, translated
+
+OWN = ""
+"""Choice of settings that are those of no preset."""
+
+
+class PresetChooser(QWidget):
+    """``chosen`` carries a preset that the user chose."""
+
+    chosen = Signal(object)
+
+    def __init__(self, parent: QWidget | None = None) -> None:
+        super().__init__(parent)
+        self.choice = QComboBox()
+        self.choice.setAccessibleName(_("Test"))
+        for preset in PRESETS:
+            self.choice.addItem(_(preset.title), preset.name)
+        self.choice.addItem(_("Own settings"), OWN)
+        self.reason = QLabel()
+        self.reason.setProperty("role", "muted")
+        self.reason.setWordWrap(True)
+        self.reason.setMinimumWidth(1)
+        self.reason.setTextFormat(Qt.TextFormat.PlainText)
+        self.reason.hide()
+        layout = QVBoxLayout(self)
+        layout.setContentsMargins(0, 0, 0, 0)
+        layout.setSpacing(3)
+        layout.addWidget(self.choice)
+        layout.addWidget(self.reason)
+        self.choice.activated.connect(self._choose)
+
+    def show_preset(self, preset: Preset | None) -> None:
+        """Show which preset the settings are; None for settings of one's own."""
+        self.choice.setCurrentIndex(self.choice.findData(OWN if preset is None else preset.name))
+
+    def allow(self, most_n: float) -> None:
+        """Offer the presets whose force is within ``most_n``, N, and say why the others are not."""
+        reasons = []
+        model = self.choice.model()
+        assert isinstance(model, QStandardItemModel)
+        for place, preset in enumerate(PRESETS):
+            allowed = preset.needed_n <= most_n
+            words = Message(
+                "form.preset_force",
+                "{title} is not offered: it needs {needed:g} N, and limits and instrument allow {most:g} N.",
+                title=_(preset.title),
+                needed=preset.needed_n,
+                most=most_n,
+            )
+            model.item(place).setEnabled(allowed)
+            self.choice.setItemData(place, "" if allowed else translated(words), Qt.ItemDataRole.ToolTipRole)
+            if not allowed:
+                reasons.append(translated(words))
+        self.reason.setText("\n".join(reasons))
+        self.reason.setVisible(bool(reasons))
+
+    def _choose(self) -> None:
+        name = self.choice.currentData()
+        self.chosen.emit(next((preset for preset in PRESETS if preset.name == name), None))
