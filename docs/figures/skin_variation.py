@@ -175,12 +175,10 @@ def features_table() -> str:
 def cutoff_table() -> str:
     """K, B and M at equal depths with 50 Hz at 500 Hz relative to 200 Hz at 2 kHz (Fig. 5.10)."""
     rows = []
-    relaxing = {site: load_preset(site) for site in (*SITES, *OLDER[1:])}
+    relaxing = {site: load_preset(site) for site in (*SITES, "skin-anterior-relaxing", *OLDER[1:])}
     for site in SITES:
         tissue = load_preset(site)
         relaxing[f"{site}, no relaxation"] = tissue.with_extras(tissue.extras - {"relaxation"})
-        more = tuple(replace(branch, fraction=branch.fraction + 0.6, time_s=0.03) for branch in tissue.branches)
-        relaxing[f"{site}, relaxation of 0.03 s with 60 % more"] = replace(tissue, branches=more)
     for title, tissue in relaxing.items():
         ratios = []
         for seed in range(1, 9):
