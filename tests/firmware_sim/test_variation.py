@@ -194,9 +194,9 @@ def test_repeats_vary_and_the_first_test_differs():
         bench = Bench("skin-posterior", seed=seed, variation=Variation(seed, 1.0, seed))
         found = []
         for _ in range(4):
-            record = guided(bench)
+            record = guided(bench, NoiseChoice(seconds=2.0))
             found.append(skin_parameters(record, bench.tissue.surface_m))
-            bench.block(np.zeros(2000), energised=False)
+            bench.block(np.zeros(1000), energised=False)
         values = np.array([[one[name] for name in table] for one in found])
         spreads.append(values.std(axis=0, ddof=1) / values.mean(axis=0))
         shifts.append(values[1:, 2].mean() - values[0, 2])
