@@ -186,7 +186,7 @@ def _deeper(law: Exponential, depth_m: float) -> Exponential:
 
 
 _POSTERIOR = SiteVariation(
-    subject=Spread(0.10, 0.12, 0.15, 0.15, 0.4),
+    subject=Spread(0.10, 0.13, 0.175, 0.15, 0.4),
     placing=Spread(0.02, 0.03, 0.03, 0.03, 0.05, 0.05e-3),
     test=Spread(0.025, 0.03, 0.05, 0.02, 0.16, 0.02e-3),
     compression_m=0.4e-3,
@@ -194,7 +194,7 @@ _POSTERIOR = SiteVariation(
 )
 _SITES = {
     "anterior": SiteVariation(
-        subject=Spread(0.12, 0.14, 0.27, 0.15, 0.16),
+        subject=Spread(0.15, 0.14, 0.25, 0.15, 0.16),
         placing=Spread(0.02, 0.03, 0.03, 0.03, 0.05, 0.05e-3),
         test=Spread(0.025, 0.03, 0.05, 0.02, 0.16, 0.02e-3),
         compression_m=0.3e-3,

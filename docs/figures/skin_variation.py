@@ -18,9 +18,11 @@ from firmware_sim.bench import Bench
 from firmware_sim.presets import load_preset
 from firmware_sim.tissue import Tissue
 from firmware_sim.variation import Variation
+from tissueid.acquisition.guided import place, play
 from tissueid.acquisition.stimulus_choice import NoiseChoice
 from tissueid.acquisition.surface_detection import CONTACT_FORCES_N
 from tissueid.identification import get_engine
+from tissueid.instrument import CLINICAL, join_blocks, open_instrument
 from tissueid.records import Record
 from tissueid.stimuli.kinds.noise import Noise
 
@@ -51,6 +53,7 @@ POPULATION = {
     "posterior": (0.132, 0.075, 0.156, 0.123, 0.114, 0.154),
     "anterior": (0.230, 0.095, 0.170, 0.221, 0.153, 0.242),
 }
+MEAN_PEOPLE = (0.195, 0.077, 0.153, 0.189, 0.140, 0.226)
 REST_S = 5.0
 """Time between two tests of a sitting, s."""
 
@@ -175,12 +178,10 @@ def features_table() -> str:
 def cutoff_table() -> str:
     """K, B and M at equal depths with 50 Hz at 500 Hz relative to 200 Hz at 2 kHz (Fig. 5.10)."""
     rows = []
-    relaxing = {site: load_preset(site) for site in (*SITES, *OLDER[1:])}
+    relaxing = {site: load_preset(site) for site in (*SITES, "skin-anterior-relaxing", *OLDER[1:])}
     for site in SITES:
         tissue = load_preset(site)
         relaxing[f"{site}, no relaxation"] = tissue.with_extras(tissue.extras - {"relaxation"})
-        more = tuple(replace(branch, fraction=branch.fraction + 0.6, time_s=0.03) for branch in tissue.branches)
-        relaxing[f"{site}, relaxation of 0.03 s with 60 % more"] = replace(tissue, branches=more)
     for title, tissue in relaxing.items():
         ratios = []
         for seed in range(1, 9):
@@ -272,6 +273,39 @@ def first_table(subjects: int) -> str:
     return table(["preset", *(f"{s} %" for s in SYMBOLS), "C1 mm", "linear VAF %"], rows)
 
 
+def in_process_table(subjects: int) -> str:
+    """Sittings with the in-process simulation, by its address with subject and variation."""
+    volts = 4.0 * NoiseChoice().stimulus(2000.0).values
+    people = []
+    for subject in range(subjects):
+        instrument = open_instrument(f"simulated://forearm?seed={subject}&subject={subject}&variation=1")
+        tests = []
+        for _ in range(5):
+            surface_m = place(instrument).surface_m
+            blocks: list[np.ndarray] = []
+            play(instrument, volts, CLINICAL, on_samples=lambda samples, _, kept=blocks: kept.append(samples))
+            samples = join_blocks(blocks)[1000 : volts.size]
+            record = Record(3.0 * samples["current"], samples["position"], 2000.0)
+            tests.append([*six(record, surface_m), vaf("lms", record)])
+        people.append(tests)
+    values = np.array(people)
+    means = values[:, :, :6].mean(axis=1)
+    within = (values[:, :, :6].std(axis=1, ddof=1) / means).mean(axis=0)
+    shift = 1e3 * (values[:, 1:, 4].mean(axis=1) - values[:, 0, 4])
+    rows = [
+        ["within a sitting (mean row of Table 7.1)", *_against(within, INDIVIDUAL["mean"])],
+        [
+            "between subjects (mean row of Table 7.2)",
+            *_against(means.std(axis=0, ddof=1) / means.mean(axis=0), MEAN_PEOPLE),
+        ],
+    ]
+    return (
+        table(["`simulated://forearm` (thesis)", *SYMBOLS], rows)
+        + f"\n\nC1 of tests 2 to 5 less the first: {shift.mean():+.2f} ± {shift.std(ddof=1):.2f} mm; linear VAF "
+        f"{values[:, :, 6].mean():.1f} %."
+    )
+
+
 TABLES: dict[str, Callable[[int], str]] = {
     "skin sites": lambda _: sites_table(),
     "skin techniques": lambda _: techniques_table(),
@@ -280,6 +314,7 @@ TABLES: dict[str, Callable[[int], str]] = {
     "skin repeats": individual_table,
     "skin people": population_table,
     "skin first test": first_table,
+    "skin in process": in_process_table,
 }
 
 

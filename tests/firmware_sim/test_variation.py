@@ -3,6 +3,7 @@
 import numpy as np
 import pytest
 from plant_support import VOLTS_PER_NEWTON
+from support import connect_scenario
 
 from firmware_sim.__main__ import main
 from firmware_sim.bench import Bench
@@ -11,7 +12,9 @@ from firmware_sim.scenario import Scenario, load_scenario
 from firmware_sim.variation import Variation, compressed_share
 from tissueid.acquisition.stimulus_choice import NoiseChoice
 from tissueid.identification import get_engine
+from tissueid.instrument import CLINICAL
 from tissueid.records import Record
+from tissueid.stimuli.kinds.noise import Noise
 
 SITES = ("skin-anterior", "skin-posterior", "skin-distal")
 PRELOAD = 1000
@@ -142,6 +145,22 @@ def test_a_repeated_block_gives_the_same_codes_and_the_same_next_test():
     assert bench.tissue == other.tissue
 
 
+@pytest.mark.parametrize(("variation", "differs"), [(0.0, False), (1.0, True)])
+def test_every_run_over_the_wire_meets_other_skin(variation, differs):
+    found = []
+    with connect_scenario(load_scenario(None, preset="skin-posterior", variation=variation)) as instrument:
+        for _ in range(2):
+            instrument.load(np.full(2000, 16.0))
+            instrument.arm(CLINICAL)
+            run = instrument.start()
+            blocks = [instrument.poll(0.1)]
+            while not blocks[-1].size or blocks[-1]["index"][-1] < run.end_index:
+                blocks.append(instrument.poll(0.1))
+            samples = np.concatenate(blocks)
+            found.append(samples[samples["index"] < run.end_index]["position"][-200:].mean())
+    assert (abs(found[1] - found[0]) > 10e-6) == differs
+
+
 # -- what a study finds -----------------------------------------------------------------------------------------
 
 
@@ -175,9 +194,9 @@ def test_repeats_vary_and_the_first_test_differs():
         bench = Bench("skin-posterior", seed=seed, variation=Variation(seed, 1.0, seed))
         found = []
         for _ in range(4):
-            record = guided(bench)
+            record = guided(bench, NoiseChoice(seconds=2.0))
             found.append(skin_parameters(record, bench.tissue.surface_m))
-            bench.block(np.zeros(2000), energised=False)
+            bench.block(np.zeros(1000), energised=False)
         values = np.array([[one[name] for name in table] for one in found])
         spreads.append(values.std(axis=0, ddof=1) / values.mean(axis=0))
         shifts.append(values[1:, 2].mean() - values[0, 2])
@@ -185,3 +204,25 @@ def test_repeats_vary_and_the_first_test_differs():
         # Two subjects: their mean is itself off by a third.
         assert thesis / 2.2 < found < 2.2 * thesis, name
     assert -1e-3 < np.mean(shifts) < 0.0
+
+
+def test_a_lower_cutoff_raises_stiffness_by_depth_and_leaves_damping():
+    """Depth partitions of two tests, 50 Hz at 500 Hz and 200 Hz at 2 kHz (Chen 2010, Fig. 5.10)."""
+    profiles = []
+    for rate, cutoff in ((2000.0, 200.0), (500.0, 50.0)):
+        noise = Noise(seed=2, force_min_n=0.5, force_max_n=10.5, sample_rate=rate, cutoff_hz=cutoff).build().values
+        preload = round(0.5 * rate)
+        bench = Bench("skin-anterior-relaxing", seed=2, sample_rate_hz=rate)
+        force = np.concatenate([np.full(preload, noise.mean()), noise])
+        codes = bench.block(VOLTS_PER_NEWTON * force, energised=True).codes[preload:]
+        current, position = (CHANNELS[name][1].decode(codes[:, CHANNELS[name][0]]) for name in ("current", "position"))
+        profiles.append(get_engine("depth")(correct=False).fit(Record(3.0 * current, position, rate)).local)
+    fast, slow = profiles
+    depths = np.linspace(max(p.position.min() for p in profiles), min(p.position.max() for p in profiles), 5)
+
+    def ratio(name):
+        low, high = (np.interp(depths, p.position, getattr(p, name)) for p in (fast, slow))
+        return float(np.exp(np.mean(np.log(high / low))))
+
+    assert ratio("stiffness") > 1.05
+    assert ratio("damping") == pytest.approx(1.0, abs=0.2)

@@ -102,6 +102,29 @@ def test_repeats_on_the_default_tissue_are_good_skin_that_varies_as_skin_does(tm
         assert thesis / 2.2 < values.std(ddof=1) / values.mean() < 2.2 * thesis, name
 
 
+def pressed(url, tests=2):
+    """Final positions of steady presses of 4 N, m."""
+    instrument = open_instrument(url)
+    found = []
+    for _ in range(tests):
+        instrument.load(np.full(6000, instrument.device.voltage_for_force(4.0)))
+        instrument.arm(CLINICAL)
+        instrument.start()
+        found.append(np.concatenate([instrument.poll(0.0) for _ in range(300)])["position"][-200:].mean())
+    return np.array(found)
+
+
+def test_people_and_variation_are_asked_for_in_the_address():
+    plain = pressed("simulated://forearm?seed=3")
+    assert np.array_equal(plain, pressed("simulated://forearm?seed=3"))
+    first, second = (pressed(f"simulated://forearm?seed=3&subject={subject}&variation=0") for subject in (1, 2))
+    assert abs(first[0] - second[0]) > 0.1e-3
+    assert np.ptp(first) < 2e-6  # a person without variation
+    varied = [pressed("simulated://forearm?seed=3&subject=1&variation=1") for _ in range(2)]
+    assert np.array_equal(*varied)
+    assert np.ptp(varied[0]) > 20e-6
+
+
 def test_an_instrument_says_that_it_is_simulated():
     assert open_instrument("simulated://spring").device.simulated
     assert DeviceDescription(model="desktop indenter (simulated)", serial_number="SIM-0001").simulated
@@ -244,6 +267,10 @@ def test_a_note_counts_only_while_the_process_that_left_it_lives(tmp_path, monke
         ("simulated://forearm?seed=", "simulation.seed"),
         ("simulated://forearm?seed=-1", "simulation.seed"),
         ("simulated://forearm?seed=" + "1" * 5000, "simulation.seed"),
+        ("simulated://forearm?subject=x", "simulation.seed"),
+        ("simulated://forearm?variation=", "simulation.variation"),
+        ("simulated://forearm?variation=nan", "simulation.variation"),
+        ("simulated://forearm?variation=9", "simulation.variation"),
         ("simulated:///nothing/here.toml", "twin.unreadable"),
         ("simulated:///no%00thing.toml", "twin.unreadable"),
         ("simulated://\x1b[31mforearm", "simulation.address"),
