@@ -22,6 +22,9 @@ class StudyPlan(Plan):
         tuple[str, ...],
         Option("--option", metavar="NAME=VALUE", help="another option of the engine; may be repeated"),
     ] = ()
+    held_out: Annotated[
+        bool, Option("--held-out", help="fit three quarters of each test and score the rest; default: fit whole tests")
+    ] = False
     workers: Annotated[
         int | None,
         Option("--workers", metavar="N", help="number of processes; default: one per processor"),

@@ -65,7 +65,7 @@ def run_study(plan: StudyPlan, control: Control) -> StudyRun:
     files = _session_files(plan.folder)
     subjects = read_subjects(path) if (path := plan.folder / SUBJECTS_FILE).is_file() else None
     results = plan.folder / RESULTS
-    kept = results / _analysis(plan.engine, options)
+    kept = results / _analysis(plan, options)
     for folder in (results, kept):
         private_folder(folder)
     keys = {path: _key(plan.folder, path) for path in files}
@@ -81,7 +81,7 @@ def run_study(plan: StudyPlan, control: Control) -> StudyRun:
         share = count / len(new)
         control.progress(share, remaining.added_to(counted(ANALYSING, count, len(new)), share))
 
-    work = functools.partial(_analysed, plan.engine, options, kept, {path: keys[path] for path in new})
+    work = functools.partial(_analysed, plan, options, kept, {path: keys[path] for path in new})
     if new:
         control.progress(0.0, counted(ANALYSING, 0, len(new)))
         with _executor(plan) as pool:
@@ -143,9 +143,9 @@ def _session_files(folder: Path) -> list[Path]:
     return files
 
 
-def _analysis(engine: str, options: Mapping[str, Any]) -> str:
-    about = json.dumps([dict(options), __version__], sort_keys=True)
-    return f"{engine}-{hashlib.sha256(about.encode()).hexdigest()[:12]}"
+def _analysis(plan: StudyPlan, options: Mapping[str, Any]) -> str:
+    about = json.dumps([dict(options), plan.held_out, __version__], sort_keys=True)
+    return f"{plan.engine}-{hashlib.sha256(about.encode()).hexdigest()[:12]}"
 
 
 def _key(folder: Path, path: Path) -> str:
@@ -179,7 +179,7 @@ def _executor(plan: StudyPlan) -> AbstractContextManager[Executor]:
 
 
 def _analysed(
-    engine: str, options: Mapping[str, Any], kept: Path, keys: Mapping[Path, str], path: Path
+    plan: StudyPlan, options: Mapping[str, Any], kept: Path, keys: Mapping[Path, str], path: Path
 ) -> dict[str, Any]:
     # Called in the worker, which stores the result at once.
     from tissueid.sessions import read_session
@@ -187,7 +187,7 @@ def _analysed(
     found: dict[str, Any]
     try:
         session = read_session(path)
-        found = {"rows": [row for test in session.tests for row in _rows(session, test, engine, options)]}
+        found = {"rows": [row for test in session.tests for row in _rows(session, test, plan, options)]}
     except TissueIDError as error:
         found = {_FAILED: str(error)}
     if not found.get("rows") and _FAILED not in found:
@@ -197,9 +197,11 @@ def _analysed(
     return found
 
 
-def _rows(session: Session, test: Test, engine: str, options: Mapping[str, Any]) -> list[dict[str, Any]]:
+def _rows(session: Session, test: Test, plan: StudyPlan, options: Mapping[str, Any]) -> list[dict[str, Any]]:
     from tissueid.acquisition.quality import judge
-    from tissueid.analysis import analyse
+    from tissueid.analysis.fitting import fit_split, fit_whole
+    from tissueid.analysis.split import split
+    from tissueid.identification import get_engine
 
     row: dict[str, Any] = {
         "session_id": session.session_id,
@@ -214,11 +216,13 @@ def _rows(session: Session, test: Test, engine: str, options: Mapping[str, Any])
         "kind": test.kind,
         "status": test.status,
         "quality": judge(test, session.instrument).verdict,
-        "engine": engine,
+        "engine": plan.engine,
     }
     row |= session.subject.demographics
     try:
-        report = analyse(session, engine, options, test=test.number).model.report
+        parts = split(session, test=test.number)
+        fit = fit_split if plan.held_out else fit_whole
+        report = fit(get_engine(plan.engine).from_options(options), parts).model.report
     except UnusableInputError as error:
         return [row | {"status": "not analysed", "problem": str(error)}]
     row |= {"vaf_percent": report.vaf_percent, "vaf_validation_percent": report.vaf_validation_percent, "problem": ""}
