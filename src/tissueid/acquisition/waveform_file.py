@@ -11,7 +11,6 @@ from pathlib import Path
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy import signal
 
 from tissueid.atomic_write import open_regular
 from tissueid.errors import UnusableInputError
@@ -343,6 +342,8 @@ def _resampled(path: Path, values: Array, from_hz: float, to_hz: float) -> Array
     ratio = Fraction(to_hz / from_hz).limit_denominator(_MAX_DENOMINATOR)
     if ratio == 0:
         ratio = Fraction(to_hz / from_hz).limit_denominator(round(2 * from_hz / to_hz))
+    from scipy import signal  # takes half a second to import
+
     return np.asarray(
         signal.resample_poly(values, ratio.numerator, ratio.denominator, padtype="line"), dtype=np.float64
     )

@@ -149,8 +149,17 @@ def analyse_all(
 ) -> dict[str, Analysis]:
     """Fit several engines, by default those of the test's standard report, to it. Return the analyses by engine."""
     number = None if test is None else test.number
-    names = report_engines(session.test(number).record()) if engines is None else engines
+    names = standard_engines(session.test(number)) if engines is None else engines
     return {name: analyse(session, name, test=number, validate=validate, tissue_alone=tissue_alone) for name in names}
+
+
+def standard_engines(test: Test) -> tuple[str, ...]:
+    """Return the names of the engines of the standard report of a test; of any test where it has no record to fit."""
+    try:
+        record = test.record()
+    except UnusableInputError:  # such as a test that was stopped within its preload
+        return report_engines()
+    return report_engines(record)
 
 
 def fit_split(specification: Engine, parts: Split) -> Analysis:

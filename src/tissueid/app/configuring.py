@@ -128,11 +128,6 @@ class ConfigurationChooser(QWidget):
         """The external spring; zero where the configuration has none."""
         return self.spring.settled if self.chosen == "surface" else 0.0
 
-    @property
-    def is_attached(self) -> bool:
-        """Whether the probe can pull on the tissue."""
-        return bool(self._value(self.coupling, self.coupling.currentData(), "none") != "none")
-
     def values(self) -> dict[str, Any]:
         """Return the fields of a plan that say how the instrument meets the tissue."""
         length_mm = self._value(self.initial_length, self.initial_length.settled, 0.0)

@@ -257,7 +257,7 @@ class PlanForm(QWidget):
         """Put the options of the stimulus into the order of the tab key, where they stand."""
         around = (
             [self.preset.choice, *self.stimulus.option_fields(depths=True)],
-            [self.stimulus.stop_when, *self.stimulus.option_fields(depths=False)],
+            [self.stimulus.live_method, *self.stimulus.option_fields(depths=False)],
         )
         for order in around:
             for before, after in pairwise(order):

@@ -8,9 +8,7 @@ from dataclasses import dataclass, field, replace
 
 import numpy as np
 
-from tissueid.twin.catalogue import effect
 from tissueid.twin.chain_parameters import Tissue, spring
-from tissueid.twin.effects.physiological_motion import BEGINNING, RATES
 
 Effects = Mapping[str, Mapping[str, float]]
 """Parameters by name, SI, of each effect by name."""
@@ -113,6 +111,10 @@ class SimulatedTissue:
 
     def _motion(self, random: np.random.Generator) -> dict[str, float]:
         """Draw breathing and pulse of one test: amplitudes as in rest, phases at random."""
+        # Imported here: the effects import scipy.linalg, and this module is needed for the names of the tissues.
+        from tissueid.twin.catalogue import effect
+        from tissueid.twin.effects.physiological_motion import BEGINNING, RATES
+
         heights = {parameter.name: 0.0 for parameter in effect(_MOTION).parameters}
         heights |= dict(zip(RATES, BEGINNING, strict=True))
         for name, amplitude_m in (("breathing", self.breath_m), ("pulse", _PULSE_SHARE * self.breath_m)):
