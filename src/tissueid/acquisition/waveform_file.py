@@ -10,8 +10,8 @@ from fractions import Fraction
 from pathlib import Path
 
 import numpy as np
+import scipy
 from numpy.typing import NDArray
-from scipy import signal
 
 from tissueid.atomic_write import open_regular
 from tissueid.errors import UnusableInputError
@@ -344,5 +344,5 @@ def _resampled(path: Path, values: Array, from_hz: float, to_hz: float) -> Array
     if ratio == 0:
         ratio = Fraction(to_hz / from_hz).limit_denominator(round(2 * from_hz / to_hz))
     return np.asarray(
-        signal.resample_poly(values, ratio.numerator, ratio.denominator, padtype="line"), dtype=np.float64
+        scipy.signal.resample_poly(values, ratio.numerator, ratio.denominator, padtype="line"), dtype=np.float64
     )
