@@ -101,8 +101,21 @@ def analyse_all(
 ) -> dict[str, Analysis]:
     """Fit several engines, by default those of the test's standard report, to it. Return the analyses by engine."""
     number = None if test is None else test.number
-    names = report_engines(session.test(number).record()) if engines is None else engines
+    names = engines_of(session.test(number)) if engines is None else engines
     return {name: analyse(session, name, test=number, validate=validate) for name in names}
+
+
+def engines_of(test: Test) -> tuple[str, ...]:
+    """Return the names of the engines of the standard report of a test.
+
+    They are the usual ones for a test without a record, such as one that was stopped in its preload: each of them then
+    gives the reason.
+    """
+    try:
+        record = test.record()
+    except UnusableInputError:
+        return report_engines()
+    return report_engines(record)
 
 
 def fit_split(specification: Engine, parts: Split) -> Analysis:
