@@ -64,6 +64,9 @@ _LABELS = {
     "vaf_linear_percent": "VAF of the linear stage alone",
     "vaf_parametric_percent": "VAF of the second-order model",
     "vaf_within_levels_median_percent": "Median VAF within the levels",
+    "level_s": "Time at each level",
+    "settle": "Settling time",
+    "file_rate_hz": "Sample rate of the file",
     "vaf_within_levels_least_percent": "Smallest VAF within the levels",
 }
 

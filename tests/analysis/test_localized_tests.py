@@ -8,12 +8,13 @@ from plant_support import PRELOAD, VOLTS_PER_NEWTON, bench_record
 from firmware_sim.bench import Bench
 from firmware_sim.local_values import local_values
 from firmware_sim.plant import SAMPLE_RATE_HZ
-from tissueid.analysis import fit_split, split_records
+from tissueid.analysis import engines_of, fit_split, split_records
 from tissueid.analysis.curves.single_test import plots_of_test
 from tissueid.identification import get_engine, report_engines
 from tissueid.identification.depth_levels import localized_levels
 from tissueid.records import Record, joined
 from tissueid.reports.verdict import key_numbers, linear_engine
+from tissueid.sessions import Test
 from tissueid.stimuli.kinds.step_hold import StepHold
 from tissueid.stimuli.kinds.stepped_noise import SteppedNoise
 
@@ -103,3 +104,9 @@ def test_direction_outlasts_lost_samples(stepped):
         force[at - 10 : at + 10] = position[at - 10 : at + 10] = np.nan
     found = localized_levels(Record(force, position, stepped.sample_rate_hz))
     assert [one.direction for one in found] == [0, 1, 1, 1, 1, -1, -1, -1]
+
+
+def test_a_test_without_a_record_has_the_usual_engines():
+    signals = {"force": np.zeros(100), "position": np.zeros(100)}
+    stopped = Test(number=1, kind="stochastic", signals=signals, sample_rate_hz=2000.0, preload_s=0.5)
+    assert engines_of(stopped) == report_engines()

@@ -10,6 +10,7 @@ from fractions import Fraction
 from pathlib import Path
 
 import numpy as np
+import scipy
 from numpy.typing import NDArray
 
 from tissueid.atomic_write import open_regular
@@ -345,5 +346,5 @@ def _resampled(path: Path, values: Array, from_hz: float, to_hz: float) -> Array
     from scipy import signal  # takes half a second to import
 
     return np.asarray(
-        signal.resample_poly(values, ratio.numerator, ratio.denominator, padtype="line"), dtype=np.float64
+        scipy.signal.resample_poly(values, ratio.numerator, ratio.denominator, padtype="line"), dtype=np.float64
     )

@@ -2,7 +2,7 @@
 
 from tissueid.analysis.ceiling import known_ceiling, repeats
 from tissueid.analysis.comparison import EngineComparison, Entry, compare, specifications
-from tissueid.analysis.fitting import Analysis, analyse, analyse_all, fit_split
+from tissueid.analysis.fitting import Analysis, analyse, analyse_all, engines_of, fit_split
 from tissueid.analysis.option_sweeps import SWEPT_MEMORY_S, SweepRow
 from tissueid.analysis.scoring import Scored
 from tissueid.analysis.split import FIT_SHARE, Split, split, split_records
@@ -19,6 +19,7 @@ __all__ = [
     "analyse",
     "analyse_all",
     "compare",
+    "engines_of",
     "fit_split",
     "known_ceiling",
     "repeats",

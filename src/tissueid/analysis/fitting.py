@@ -149,15 +149,19 @@ def analyse_all(
 ) -> dict[str, Analysis]:
     """Fit several engines, by default those of the test's standard report, to it. Return the analyses by engine."""
     number = None if test is None else test.number
-    names = standard_engines(session.test(number)) if engines is None else engines
+    names = engines_of(session.test(number)) if engines is None else engines
     return {name: analyse(session, name, test=number, validate=validate, tissue_alone=tissue_alone) for name in names}
 
 
-def standard_engines(test: Test) -> tuple[str, ...]:
-    """Return the names of the engines of the standard report of a test; of any test where it has no record to fit."""
+def engines_of(test: Test) -> tuple[str, ...]:
+    """Return the names of the engines of the standard report of a test.
+
+    They are the usual ones for a test without a record, such as one that was stopped in its preload: each of them then
+    gives the reason.
+    """
     try:
         record = test.record()
-    except UnusableInputError:  # such as a test that was stopped within its preload
+    except UnusableInputError:
         return report_engines()
     return report_engines(record)
 

@@ -73,14 +73,14 @@ def analyse_test(
     Raises:
         UnusableInputError: there is no such test or engine.
     """
-    from tissueid.analysis.fitting import analyse_all, standard_engines
+    from tissueid.analysis import analyse_all, engines_of
     from tissueid.identification import get_engine
 
     control = control or Control()
     test = session.test(number)
     analyses: dict[str, Analysis] = {}
     refused: dict[str, str] = {}
-    names = standard_engines(test) if engines is None else tuple(dict.fromkeys(engines))
+    names = engines_of(test) if engines is None else tuple(dict.fromkeys(engines))
     for done, name in enumerate(names):
         get_engine(name)
         control.progress(done / len(names), _FITTING)

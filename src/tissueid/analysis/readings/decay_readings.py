@@ -203,7 +203,7 @@ def recorded_release(force: Array, position: Array, course: StepCourse) -> Relea
     """
     rate = course.sample_rate_hz
     share = (force - course.low_n) / course.step_n
-    middle, begin, end = _last_release(share, course)
+    middle, spread_s2, begin, end = _last_release(share, course)
     t = np.arange(end - begin) / rate
     y = position[begin:end]
     if not np.isfinite(y).all():
@@ -247,14 +247,15 @@ def recorded_release(force: Array, position: Array, course: StepCourse) -> Relea
     if later < _LEAST_PEAK * float(np.std(error)):
         reason = Message("readings.no_second_peak", "the oscillation decays within one period: there is no second peak")
         readings = [Reading(one.definition, None, reason) for one in readings]
-    readings[3] = _release_relaxation(t, fitted, error, (begin - middle) / rate)
+    rounded_s = min(decay, 0.5 / math.sqrt(spread_s2)) * spread_s2 if spread_s2 > 0.0 else 0.0
+    readings[3] = _release_relaxation(t, fitted, error, (begin - middle) / rate - rounded_s)
     return Release(t, scale * y, scale * fitted, tuple(readings))
 
 
 def _release_relaxation(t: Array, fitted: Array, error: Array, since_release_s: float) -> Reading:
     """Return the time from the release to the first return to the position of the end, s.
 
-    ``since_release_s`` is the time from the middle of the release to the first fitted sample.
+    ``since_release_s`` is the time from a sudden release of the same effect to the first fitted sample.
     """
     course = fitted * np.sign(fitted[0])
     crossed = np.flatnonzero((course[:-1] > 0.0) & (course[1:] <= 0.0))
@@ -268,8 +269,12 @@ def _release_relaxation(t: Array, fitted: Array, error: Array, since_release_s: 
     return determined(RELAXATION, value, (float(np.std(error)) * step / fall) ** 2)
 
 
-def _last_release(share: Array, course: StepCourse) -> tuple[int, int, int]:
-    """Return the middle of the last return of the force, the first free sample after it, and the end of the decay.
+def _last_release(share: Array, course: StepCourse) -> tuple[float, float, int, int]:
+    """Return the middle of the last return of the force, in samples, the variance of its edge, s2, the first free
+    sample after it, and the end of the decay.
+
+    An edge that is symmetric about its middle delays the zeros of exp(-a t) cos(b t) by a times its variance, to second
+    order: exp(s u), averaged over the edge, is exp(s^2 var / 2).
 
     Raises:
         UnusableInputError: there is no sudden return, or too few samples follow.
@@ -278,7 +283,7 @@ def _last_release(share: Array, course: StepCourse) -> tuple[int, int, int]:
     if math.isnan(last.release):
         raise UnusableInputError(Message("readings.no_release", "the test ends before the force is released"))
     smooth = np.convolve(np.nan_to_num(share), np.full(5, 0.2), "same")
-    away = np.flatnonzero(smooth[: last.end] > 0.25)[-1]
+    away = int(np.flatnonzero(smooth[: last.end] > 0.25)[-1])
     settled = np.flatnonzero(smooth[away : last.end] < 0.05)
     if not settled.size or settled[0] > SHARPEST_S * rate:
         raise UnusableInputError(
@@ -288,7 +293,20 @@ def _last_release(share: Array, course: StepCourse) -> tuple[int, int, int]:
     end = min(last.end - round(0.5 * SHARPEST_S * rate), begin + round(_SETTLED_S * rate))
     if end - begin < round(2.0 * SHARPEST_S * rate):
         raise UnusableInputError(Message("readings.short_release", "the test ends too soon after the release"))
-    return int(np.flatnonzero(smooth[: last.end] > 0.25)[-1]), begin, end
+    width = round(SHARPEST_S * rate)
+    first = max(0, away - width)
+    level = float(np.median(smooth[max(0, first - width) : first + 1]))
+    if level < 0.25:
+        raise UnusableInputError(Message("readings.no_release", "the test ends before the force is released"))
+    edge = smooth[first : begin + 1] / level
+    k = int(np.flatnonzero(edge > 0.5)[-1])
+    middle = k + (edge[k] - 0.5) / (edge[k] - edge[k + 1])
+    reach = math.ceil(1.5 * (edge.size - 1 - middle))
+    around = slice(max(0, first + k - reach), first + k + reach + 2)
+    fall = np.nan_to_num(share[around]) / level
+    place = np.arange(around.start, around.start + fall.size) - (first + float(middle))
+    moment = 2.0 * float(np.sum(place * (fall - (place < 0.0))))  # second moment about the middle, by parts
+    return first + float(middle), max(moment, 0.0) / rate**2, begin, end
 
 
 def _slope(response: Callable[[Array], Array], at: Array, k: int) -> Array:

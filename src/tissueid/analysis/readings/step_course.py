@@ -16,8 +16,8 @@ _SMOOTHED_S = 0.004
 """Length of the moving mean of the force that finds its edges: shorter than a rise, longer than the noise."""
 _EDGE = 0.1
 """Distance from a level, as a share of the step, at which an edge begins or ends."""
-_LEAST_HELD = 0.5
-"""Least share of the samples within ``_EDGE`` of one of the two levels; noise has about a tenth."""
+_LEAST_HELD = 0.6
+"""Least share of the samples within ``_EDGE`` of one of the two levels; noise has about a tenth, a sine half."""
 SHARPEST_S = 0.05
 """Longest rise or release that counts as a step: half of the time at which the elastic part is read."""
 
