@@ -343,8 +343,6 @@ def _resampled(path: Path, values: Array, from_hz: float, to_hz: float) -> Array
     ratio = Fraction(to_hz / from_hz).limit_denominator(_MAX_DENOMINATOR)
     if ratio == 0:
         ratio = Fraction(to_hz / from_hz).limit_denominator(round(2 * from_hz / to_hz))
-    from scipy import signal  # takes half a second to import
-
     return np.asarray(
         scipy.signal.resample_poly(values, ratio.numerator, ratio.denominator, padtype="line"), dtype=np.float64
     )
