@@ -40,6 +40,9 @@ class ScriptBench:
         """Restore a state."""
         self._position, self._index = snapshot
 
+    def begin_test(self) -> None:
+        """Accept the start of a run; nothing varies."""
+
     def place_fixture(self, position_m: float | None) -> None:
         """Accept any position; there is no fixture."""
 
