@@ -142,7 +142,7 @@ class Bench:
         """Draw the tissue that the next run meets; without variation nothing changes.
 
         The tissue varies between runs, and stays compressed by those before it until it recovers or the probe is placed
-        anew.
+        again.
         """
         if self._variation is None:
             return

@@ -211,7 +211,7 @@ def cutoff_table() -> str:
 def sittings(site: str, subjects: int) -> np.ndarray:
     """Six parameters and the linear VAF of five tests of each subject, shape (subjects, 5, 7).
 
-    Each test has its surface found anew, as one command a test does.
+    The surface is found before each test, as by one command for each test.
     """
     people = []
     for subject in range(1, subjects + 1):

@@ -176,7 +176,7 @@ def compare(program: Path, *, frames: int, seed: int, quick: bool = True) -> tup
             for piece in (*(piece + b"\0" for piece in ended), rest):
                 python.receive(piece, now_us / 1e6)
             samples = random.choice((0, 0, 1, 2, 3) if quick else (0, 1, 5, 20, 60, 200))
-            # Never a whole number of half milliseconds apart from a heartbeat, where rounding would decide.
+            # Never a whole number of half milliseconds after a heartbeat, where rounding would decide.
             now_us += 500 * samples + (random.randrange(1000, 700_000) // 500 * 500 if random.random() < 0.003 else 0)
             device.advance(samples, now_us + 137)
             for _ in range(samples):

@@ -21,7 +21,7 @@ class Disturbance(IntFlag):
 
 
 class Lockstep:
-    """A process of the reference firmware that advances only when it is told to.
+    """A process of the reference firmware that advances only on request.
 
     Args:
         program: built POSIX board.

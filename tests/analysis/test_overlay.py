@@ -148,7 +148,7 @@ def test_lobes_of_a_kernel() -> None:
     lobes = kernel_lobes(-np.outer(wave, wave), 2e-3)
     assert lobes.negative
     assert lobes.lag_s == pytest.approx(2e-3 * np.argmax(wave))
-    assert lobes.beside == pytest.approx(-wave.min() / wave.max(), rel=1e-6)
+    assert lobes.side_lobe == pytest.approx(-wave.min() / wave.max(), rel=1e-6)
 
 
 def test_correlations_of_a_delay() -> None:

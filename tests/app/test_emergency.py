@@ -234,7 +234,7 @@ def test_frames_that_cannot_be_drawn_are_no_beats(qtbot, open_window, clock, tmp
         monkeypatch.setattr(window.ui.signals, "show_live", fail)
         qtbot.waitUntil(drawn.is_set, timeout=WAIT_MS)
         monkeypatch.undo()
-        # Nobody is there who would meet the defect (the application's hook does): the beat alone has to do.
+        # Unattended is there who would meet the defect (the application's hook does): the beat alone has to do.
         clock.now += 1.2
         gate.opened.set()
         wait_for_result(qtbot, window)

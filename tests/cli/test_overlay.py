@@ -11,12 +11,22 @@ import pytest
 from reports.page_check import checked
 from reports.synthetic_sitting import make_session, make_test
 
+from firmware_sim.presets import preset_names
 from tissueid.cli import main
 from tissueid.procedures import reproduction
+from tissueid.procedures.overlay import named_fits
 from tissueid.procedures.thesis_figures import FIGURES
 from tissueid.sessions import write_session
 
 FIT = "short=lms,memory=0.05"
+
+
+@pytest.mark.parametrize("figure", FIGURES, ids=lambda figure: figure.number)
+def test_every_recipe_has_fits_and_tissues_that_exist(figure):
+    assert len(named_fits((), figure.fits)) == len(figure.fits)
+    assert {source.recording.preset for source in figure.sources} <= set(preset_names())
+    labels = {fit.label for fit in named_fits((), figure.fits)}
+    assert {fit for source in figure.sources for fit in source.fits} <= labels
 
 
 @pytest.fixture(scope="module")

@@ -13,10 +13,10 @@ from tissueid.records import Record
 
 @pytest.fixture
 def counts(monkeypatch: pytest.MonkeyPatch) -> list[int]:
-    """Numbers of threads that a library was told; the last one is in force."""
-    told = [4]
-    monkeypatch.setattr(blas_threads, "_libraries", lambda: ((lambda: told[-1], told.append),))
-    return told
+    """Numbers of threads that were set in a library; the last one is in force."""
+    set_threads = [4]
+    monkeypatch.setattr(blas_threads, "_libraries", lambda: ((lambda: set_threads[-1], set_threads.append),))
+    return set_threads
 
 
 def test_the_limit_ends_with_the_last_of_several_uses(counts: list[int]):

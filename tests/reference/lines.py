@@ -24,7 +24,7 @@ DISTURBANCES = {
 
 
 class SimulatedLine:
-    """A line whose time advances when somebody waits; it is the person at the device, too."""
+    """A line whose time advances when something waits for it; it also plays the person at the device."""
 
     rate_hz = 2000
 

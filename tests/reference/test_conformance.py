@@ -11,7 +11,7 @@ from reference.mutants import MUTANTS
 from firmware_sim.reference.build import CORE, SOURCES, build_posix
 from tissueid import wire
 from tissueid.cli import main
-from tissueid.instrument.conformance import CLAUSES, Confirmed, DeviceUnderTest, Nobody, run_suite
+from tissueid.instrument.conformance import CLAUSES, Confirmed, DeviceUnderTest, Unattended, run_suite
 from tissueid.procedures.conformance import ConformancePlan, run_conformance
 from tissueid.procedures.control import Control
 
@@ -90,7 +90,7 @@ HEARTBEATS = wire.encode_frame(wire.Frame(wire.MessageType.HEARTBEAT))
 )
 def test_a_device_that_never_answers_ends_the_suite(answer):
     line = Device(answer)
-    results = run_suite(DeviceUnderTest(line, Confirmed("free-coil", 1.0, 60.0), Nobody()))
+    results = run_suite(DeviceUnderTest(line, Confirmed("free-coil", 1.0, 60.0), Unattended()))
     assert [item.outcome for item in results[:2]] == ["failed", "failed"]
     assert {item.outcome for item in results[2:]} == {"not tested"}
     assert line.now < 60.0
@@ -99,7 +99,7 @@ def test_a_device_that_never_answers_ends_the_suite(answer):
 def test_a_handshake_of_nonsense_drives_nothing():
     hello = wire.encode_frame(wire.Frame(wire.MessageType.HELLO_ACK, payload=b"\1\1" + b"\xff" * 400))
     line = Device(lambda: hello)
-    results = run_suite(DeviceUnderTest(line, Confirmed("free-coil", 1.0, 60.0), Nobody()))
+    results = run_suite(DeviceUnderTest(line, Confirmed("free-coil", 1.0, 60.0), Unattended()))
     assert results[0].outcome == "failed"
     kinds = {frame.type for frame in wire.FrameDecoder().feed(line.written)}
     assert not kinds & {wire.MessageType.ARM, wire.MessageType.START, wire.MessageType.STAGE}

@@ -66,6 +66,11 @@ class OverlayEntry:
     swept: float | None = None
 
     @property
+    def shown_percent(self) -> float:
+        """VAF of the fitted samples, percent: of the scheduled run where the model has a schedule."""
+        return self.analysis.model.report.vaf_percent if self.scheduled_percent is None else self.scheduled_percent
+
+    @property
     def profile(self) -> DepthProfile | None:
         """Mass, damping and stiffness against depth: of the model, or one row at the mean depth of a linear system."""
         return self.analysis.depth_profile() or linear_row(self.analysis)

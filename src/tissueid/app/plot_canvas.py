@@ -73,7 +73,7 @@ class PlotCanvas(QFrame):
         self.plots: tuple[Plot, ...] = ()
         self._axes: list[Axes] = []
         self._name, self._relief, self._key, self._description = name, False, True, ""
-        self._beside = False
+        self._side_by_side = False
         self._theme: Theme = LIGHT
         self._canvas: Any = None
         self._long: list[list[DrawnLine]] = []
@@ -119,7 +119,7 @@ class PlotCanvas(QFrame):
         plots: Sequence[Plot],
         *,
         relief: bool = False,
-        beside: bool = False,
+        side_by_side: bool = False,
         key: bool = True,
         description: str = "",
     ) -> None:
@@ -128,12 +128,12 @@ class PlotCanvas(QFrame):
         Args:
             plots: what to draw, from the top; where all have nothing to draw, the reasons are shown.
             relief: whether the surface of the first plot is drawn in space.
-            beside: whether the plots are drawn beside each other.
+            side_by_side: whether the plots are drawn side by side.
             key: whether named curves get a key.
             description: what a screen reader says of the values; by default the extremes of a surface.
         """
         self.plots, self._relief, self._key, self._description = tuple(plots), relief, key, description
-        self._beside = beside
+        self._side_by_side = side_by_side
         reasons = dict.fromkeys(sentence(translated(plot.missing)) for plot in plots if plot.missing)
         empty = not plots or all(plot.missing for plot in plots)
         self._missing.setText(" ".join(reasons))
@@ -358,7 +358,7 @@ class PlotCanvas(QFrame):
     @property
     def _rows(self) -> list[list[Plot]]:
         """The plots in rows."""
-        return [list(self.plots)] if self._beside else [[plot] for plot in self.plots]
+        return [list(self.plots)] if self._side_by_side else [[plot] for plot in self.plots]
 
     def draw_pending(self) -> None:
         """Draw what was given since the plots were last drawn, or lay them out for a new size."""

@@ -231,7 +231,7 @@ def repeats(plan: RepeatsPlan, json_file: JsonFile = None) -> None:
 def reproduce(plan: ReproductionPlan, json_file: JsonFile = None) -> None:
     """Make figures and tables of the thesis from simulated tests.
 
-    Its numbers stand beside those found here. Without --out, lists them.
+    Shows its numbers and those found here. Without --out, lists them.
     """
     from tissueid.cli.reproduce import reproduce_figures
 

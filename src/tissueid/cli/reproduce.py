@@ -1,4 +1,4 @@
-"""``tissueid reproduce``: figures and tables of the thesis beside those found here."""
+"""``tissueid reproduce``: figures and tables of the thesis, and those found here."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ _WIDTH = 150
 
 
 def reproduce_figures(plan: ReproductionPlan, json_file: Path | None) -> None:
-    """Make the figures of a plan, and print the numbers of the thesis beside those found here.
+    """Make the figures of a plan, and print the numbers of the thesis and those found here.
 
     Without a folder and figures, list the figures.
     """

@@ -1,8 +1,8 @@
 """Force of the coil with the force constant of the calibration sweep at each position (Chen 2010, 2.4).
 
 The force constant falls towards the ends of the stroke. The sweep measures it by position, relative to its plateau; the
-recorded force uses this profile where a sweep is in force. The safety limits use the force constant of the plateau,
-which is the largest, so that they never allow more force than before.
+recorded force uses this profile where an active calibration has one. The safety limits do not: they use the one force
+constant of the plateau, with and without a profile.
 """
 
 from __future__ import annotations

@@ -125,7 +125,7 @@ class SimulatedTissue:
 
 
 _PEOPLE = 71
-"""Stream of the draws of people, apart from those of instruments."""
+"""Stream of the draws of people, separate from those of instruments."""
 
 COMPRESSING_N, COMPRESSING_S = 1.0, 1.5
 """Force, N, above which skin is compressed lastingly, and the time constant of the compression, s."""

@@ -118,7 +118,7 @@ def run_conformance(
         CancelledError: it was cancelled; the coil is released.
     """
     from tissueid.instrument import SerialLink
-    from tissueid.instrument.conformance import CLAUSES, Confirmed, DeviceUnderTest, LinkLine, Nobody, run_suite
+    from tissueid.instrument.conformance import CLAUSES, Confirmed, DeviceUnderTest, LinkLine, Unattended, run_suite
 
     if plan.attached is None:
         raise UnusableInputError(
@@ -153,7 +153,7 @@ def run_conformance(
         device = DeviceUnderTest(
             LinkLine(link),
             Confirmed(plan.attached, plan.force_n, plan.temperature_c),
-            _Person(control) if plan.attended else Nobody(),
+            _Person(control) if plan.attended else Unattended(),
             control.check,
         )
         results = run_suite(device, plan.clauses or None, progress)

@@ -1,4 +1,4 @@
-"""Figures and tables of the thesis (Chen 2010) from simulated tests, with its numbers beside those found here."""
+"""Figures and tables of the thesis (Chen 2010) from simulated tests, with its numbers and those found here."""
 
 from __future__ import annotations
 

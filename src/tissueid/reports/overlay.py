@@ -218,11 +218,11 @@ def _lobes(found: Overlay) -> str:
         if isinstance(model, VolterraModel) and model.kernel2 is not None:
             lobes = kernels.kernel_lobes(model.kernel2, model.lag_spacing / model.sample_rate_hz)
             said.append(
-                _("{name}: peak at {lag} ms, {width} ms wide, lobes of {beside} % beside the diagonal").format(
+                _("{name}: peak at {lag} ms, {width} ms wide, side lobes of {side_lobe} %").format(
                     name=found.label(entry),
                     lag=fixed(1e3 * lobes.lag_s, 1),
                     width=fixed(1e3 * lobes.width_s, 1),
-                    beside=fixed(100.0 * lobes.beside, 0),
+                    side_lobe=fixed(100.0 * lobes.side_lobe, 0),
                 )
             )
     return f"{'; '.join(said)}."

@@ -1,4 +1,4 @@
-"""Page of the figures and tables of the thesis beside those that were made here."""
+"""Page of the figures and tables of the thesis and those made here."""
 
 from __future__ import annotations
 
@@ -65,7 +65,7 @@ def write_reproduction(path: Path, made: Sequence[ReproducedFigure]) -> None:
 
 
 def comparison(figure: ReproducedFigure) -> Table:
-    """Return the numbers of the thesis beside those found here."""
+    """Return the numbers of the thesis and those found here."""
     return Table(
         f"{figure.number}. {translated(figure.title)}",
         (_("Quantity"), _("Thesis"), _("Here")),

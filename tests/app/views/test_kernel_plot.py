@@ -73,14 +73,14 @@ def test_kernels_of_several_results_stand_side_by_side_on_one_scale(kernels):
     assert kernels.choice.itemText(3) == "Kernel: side by side"
     kernels.choice.setCurrentIndex(3)
     assert kernels.plot is None
-    assert [plot.title for plot in kernels.beside] == ["a", "b"]
-    assert kernels.beside[0].surface.limit == kernels.beside[1].surface.limit
+    assert [plot.title for plot in kernels.side_by_side] == ["a", "b"]
+    assert kernels.side_by_side[0].surface.limit == kernels.side_by_side[1].surface.limit
     drawn = [axes for axes in kernels.canvas.axes if axes.images]
     assert len(drawn) == 2
     assert drawn[0].get_position().x1 <= drawn[1].get_position().x0
     assert not kernels.raised.isVisible()
     kernels.choice.setCurrentIndex(0)
-    assert kernels.beside == ()
+    assert kernels.side_by_side == ()
     assert kernels.raised.isVisible()
 
 

@@ -8,7 +8,7 @@
 
 struct line {
     int listener; /* -1: a pseudo-terminal */
-    int host;     /* -1: nobody is connected */
+    int host;     /* -1: no host is connected */
     int spare;    /* the terminal's other end, kept open between hosts */
     char url[128];
 };

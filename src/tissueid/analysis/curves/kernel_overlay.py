@@ -1,4 +1,4 @@
-"""Plots of kernels of several fits beside each other: Volterra kernels, and kernels by depth (Chen 2010, 4.3, 5.3)."""
+"""Plots of kernels of several fits side by side: Volterra kernels, and kernels by depth (Chen 2010, 4.3, 5.3)."""
 
 from __future__ import annotations
 
@@ -119,7 +119,7 @@ def partition_columns(found: Overlay) -> list[tuple[Plot, Plot, Plot]]:
             continue
         run = _scheduled_run(entry)
         output = prediction_plots([run], _STRETCH_S)[0]
-        title = _with_vaf(found.label(entry), entry.scheduled_percent or analysis.model.report.vaf_percent)
+        title = _with_vaf(found.label(entry), entry.shown_percent)
         cloud = cloud_plot(run.predicted, run.measured, run.output_unit, colour=style_of(found, entry)[0])
         image = kernels_by_depth(model, analysis.record)
         low, high = display_unit(run.output_unit)[1] * model.breakpoints_m[[0, -1]]
@@ -169,18 +169,18 @@ def _volterra(found: Overlay) -> list[OverlayEntry]:
 class Lobes:
     """Shape of a second-order kernel about its largest value on the diagonal, at ``lag_s`` (Chen 2010, Fig. 4.5).
 
-    ``width_s`` is the width at half height across the diagonal. ``beside`` is the largest value of the opposite sign,
+    ``width_s`` is the width at half height across the diagonal. ``side_lobe`` is the largest value of the opposite sign,
     which lies on either side of the diagonal, relative to the peak.
     """
 
     lag_s: float
     negative: bool
     width_s: float
-    beside: float
+    side_lobe: float
 
 
 def kernel_lobes(kernel: Array, spacing_s: float) -> Lobes:
-    """Return the lobes of a second-order kernel (lags, lags) at lags ``spacing_s`` apart."""
+    """Return the lobes of a second-order kernel (lags, lags) at a lag spacing of ``spacing_s``."""
     from scipy.ndimage import map_coordinates  # takes long to import
 
     diagonal = np.diag(kernel)
@@ -193,7 +193,7 @@ def kernel_lobes(kernel: Array, spacing_s: float) -> Lobes:
         lag_s=peak * spacing_s,
         negative=bool(diagonal[peak] < 0.0),
         width_s=float(right - left) * spacing_s,
-        beside=float((-kernel / diagonal[peak]).max(initial=0.0)),
+        side_lobe=float((-kernel / diagonal[peak]).max(initial=0.0)),
     )
 
 

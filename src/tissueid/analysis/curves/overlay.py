@@ -254,7 +254,7 @@ def _roles(profile: DepthProfile, depths: Axis) -> list[str]:
 
 
 def _with_depths(columns: list[tuple[Plot, Plot]], depths: Axis) -> list[tuple[Plot, Plot]]:
-    """Return the columns with the colour bar beside the last one."""
+    """Return the columns with the colour bar at the last one."""
     upper, lower = columns[-1]
     return [*columns[:-1], (replace(upper, depths=depths), replace(lower, depths=depths))]
 
@@ -343,7 +343,7 @@ def _overlapping(ranges: Sequence[tuple[float, float]]) -> bool:
 
 
 def loop_width(entry: OverlayEntry, bins: int = 20) -> float:
-    """Return how far apart the output lies on the way in and on the way out at the same linear output, m.
+    """Return the difference of the output on the way in and on the way out at the same linear output, m.
 
     The root mean square over bins of the linear output of the difference of the two means: zero for a linear system and
     for a Wiener cascade, positive where the dynamics depend on the output (Chen 2010, 3.4).
@@ -351,12 +351,12 @@ def loop_width(entry: OverlayEntry, bins: int = 20) -> float:
     z, y = _static_points(entry)
     edges = np.quantile(z, np.linspace(0.05, 0.95, bins + 1))
     place, inwards = np.digitize(z, edges), np.gradient(z) > 0.0
-    apart = []
+    differences = []
     for number in range(1, bins + 1):
         ways = [y[(place == number) & way] for way in (inwards, ~inwards)]
         if min(one.size for one in ways) >= 5:
-            apart.append(float(ways[0].mean() - ways[1].mean()))
-    return float(np.sqrt(np.mean(np.square(apart)))) if apart else float("nan")
+            differences.append(float(ways[0].mean() - ways[1].mean()))
+    return float(np.sqrt(np.mean(np.square(differences)))) if differences else float("nan")
 
 
 def _static_points(entry: OverlayEntry) -> tuple[Array, Array]:
@@ -490,7 +490,7 @@ def sweep_overlay(found: Overlay) -> tuple[Plot, Plot]:
     upper, lower = list[Curve](), list[Curve]()
     for place, ((source, fit), entries) in enumerate(rows.items()):
         x = np.array([_swept_value(found, entry) for entry in entries])
-        fitted = np.array([e.scheduled_percent or e.analysis.model.report.vaf_percent for e in entries])
+        fitted = np.array([entry.shown_percent for entry in entries])
         criterion = [e.analysis.model.report.aicc if e.scheduled_aicc is None else e.scheduled_aicc for e in entries]
         aicc = 1e-3 * np.array([np.nan if value is None else value for value in criterion])
         style = COLOURS[place % len(COLOURS)], KINDS[place % len(KINDS)]

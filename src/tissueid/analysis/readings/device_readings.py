@@ -60,7 +60,7 @@ class RecordedReadings:
 
 @dataclass(frozen=True, eq=False)
 class DeviceReadings:
-    """The readings of a session; a part that is None is missing for the reason beside it."""
+    """The readings of a session; a part that is None is missing for the reason in the field after it."""
 
     recorded: RecordedReadings | None
     no_recorded: str

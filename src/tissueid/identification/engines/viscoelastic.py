@@ -52,7 +52,7 @@ _UNDETERMINED = 0.5
 _LONGEST_SHARE = 0.5
 """Share of the fitted record that the memory of a model may have."""
 _CLEAR = 4.0
-"""Lead in AICc that a structure with more elements needs: structures within it cannot be told apart (Burnham and
+"""Lead in AICc that a structure with more elements needs: structures within it cannot be distinguished (Burnham and
 Anderson 2002)."""
 
 

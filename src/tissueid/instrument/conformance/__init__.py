@@ -7,7 +7,7 @@ are tested. Nothing stronger is commanded than a person has confirmed.
 from tissueid.instrument.conformance import frame_clauses, run_clauses, safety_clauses, setpoint_clauses
 from tissueid.instrument.conformance.clause import CLAUSES, Clause, ClauseResult
 from tissueid.instrument.conformance.device import Confirmed, DeviceUnderTest
-from tissueid.instrument.conformance.line import Act, Attendant, Line, LinkLine, Nobody
+from tissueid.instrument.conformance.line import Act, Attendant, Line, LinkLine, Unattended
 from tissueid.instrument.conformance.suite import passed, run_suite
 
 _MODULES = (frame_clauses, run_clauses, setpoint_clauses, safety_clauses)
@@ -22,7 +22,7 @@ __all__ = [
     "DeviceUnderTest",
     "Line",
     "LinkLine",
-    "Nobody",
+    "Unattended",
     "passed",
     "run_suite",
 ]

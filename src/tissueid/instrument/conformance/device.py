@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 
 from tissueid import wire
 from tissueid.instrument.conformance.clause import NotTestedError, ViolationError, require, violated
-from tissueid.instrument.conformance.line import Act, Attendant, Line, Nobody
+from tissueid.instrument.conformance.line import Act, Attendant, Line, Unattended
 from tissueid.instrument.handshake import Handshake, parse_hello
 from tissueid.messages import Message
 from tissueid.wire import Flag, MessageType, Result, State
@@ -83,7 +83,7 @@ class DeviceUnderTest:
     ) -> None:
         self.line = line
         self.confirmed = confirmed
-        self.attendant = attendant or Nobody()
+        self.attendant = attendant or Unattended()
         self.measured: dict[str, float] = {}
         self._check = check
         self._decoder = wire.FrameDecoder()
@@ -100,7 +100,7 @@ class DeviceUnderTest:
     @property
     def attended(self) -> bool:
         """Whether a person, or a test in place of one, is at the device."""
-        return not isinstance(self.attendant, Nobody)
+        return not isinstance(self.attendant, Unattended)
 
     # -- time and bytes -----------------------------------------------------------------------------------
 
@@ -415,7 +415,7 @@ class DeviceUnderTest:
         """Request an act of the person at the device; return the time that it may take.
 
         Raises:
-            NotTestedError: nobody is there.
+            NotTestedError: no person attends.
         """
         seconds = self.attendant.perform(act)
         if seconds <= 0.0:

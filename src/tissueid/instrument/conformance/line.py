@@ -62,10 +62,10 @@ class Attendant(Protocol):
     """The person at the device, or a test in place of one."""
 
     def perform(self, act: Act) -> float:
-        """Request an act, and return the time in seconds within which it happens; 0: nobody is there."""
+        """Request an act, and return the time in seconds within which it happens; 0: no person attends."""
 
 
-class Nobody:
+class Unattended:
     """No person is at the device: clauses that need one are not tested."""
 
     def perform(self, act: Act) -> float:  # noqa: D102

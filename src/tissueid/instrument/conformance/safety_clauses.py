@@ -344,7 +344,7 @@ def _supply(device: DeviceUnderTest) -> None:
     device.require_state(State.IDLE, "after the supply has returned")
 
 
-@clause("5.10a", marked("A fault latches: requests are refused until CLEAR_FAULTS, then all begins anew"))
+@clause("5.10a", marked("A fault latches: requests are refused until CLEAR_FAULTS, and accepted again after it"))
 def _latched(device: DeviceUnderTest) -> None:
     device.load(np.zeros(10, "<i2"))
     device.arm()

@@ -72,7 +72,7 @@ class KernelPlot(QWidget):
         return self._plots[place] if 0 <= place < len(self._plots) else None
 
     @property
-    def beside(self) -> tuple[Plot, ...]:
+    def side_by_side(self) -> tuple[Plot, ...]:
         """The kernels that are shown side by side; empty where one is shown."""
         place = self.choice.currentIndex() - len(self._plots)
         return self._groups[place] if 0 <= place < len(self._groups) else ()
@@ -80,7 +80,7 @@ class KernelPlot(QWidget):
     @property
     def turned(self) -> bool:
         """Whether the surface is shown."""
-        return self.raised.isChecked() and not self.beside
+        return self.raised.isChecked() and not self.side_by_side
 
     def offer(self, outcomes: Sequence[EngineOutcome]) -> None:
         """Offer the kernels of results; the selection stays."""
@@ -95,8 +95,8 @@ class KernelPlot(QWidget):
                 kinds.setdefault(str(plot.title), []).append(replace(plot, title=Verbatim(outcome.label)))
         several = {title: _on_one_scale(plots[:_MOST_BESIDE]) for title, plots in kinds.items() if len(plots) > 1}
         self._groups = list(several.values())
-        beside = [_("{kernel}: side by side").format(kernel=_(title)) for title in several]
-        self.choice.addItems([text for text, _plot in pairs] + beside)
+        together = [_("{kernel}: side by side").format(kernel=_(title)) for title in several]
+        self.choice.addItems([text for text, _plot in pairs] + together)
         self.choice.setCurrentIndex(max(0, self.choice.findText(before)) if pairs else -1)
         self.choice.blockSignals(False)
         self._show()
@@ -106,13 +106,13 @@ class KernelPlot(QWidget):
         self.canvas.apply_theme(theme)
 
     def _show(self) -> None:
-        plot, beside = self.plot, self.beside
-        self.choice.setVisible(plot is not None or bool(beside))
+        plot, together = self.plot, self.side_by_side
+        self.choice.setVisible(plot is not None or bool(together))
         for widget in (self.flat, self.raised):
             widget.setVisible(plot is not None)
         self.back.setVisible(plot is not None and self.turned)
-        if beside:
-            self.canvas.show_plots(beside, beside=True)
+        if together:
+            self.canvas.show_plots(together, side_by_side=True)
         elif plot is None:
             self.canvas.say_missing(_(_MISSING))
         else:

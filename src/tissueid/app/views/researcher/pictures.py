@@ -120,8 +120,8 @@ class Pictures(QWidget):
     def figure(self) -> PictureFigure | KernelFigure | KernelsFigure | None:
         """The shown plot as a figure for files; None if nothing is shown."""
         name, kernel = self.choice.currentData(), self.kernel.plot
-        if name == KERNELS and self.kernel.beside:
-            return KernelsFigure(self.kernel.choice.currentText(), self.kernel.beside)
+        if name == KERNELS and self.kernel.side_by_side:
+            return KernelsFigure(self.kernel.choice.currentText(), self.kernel.side_by_side)
         if name == KERNELS:
             text, turned = self.kernel.choice.currentText(), self.kernel.turned
             return None if kernel is None else KernelFigure(text, kernel, turned)
