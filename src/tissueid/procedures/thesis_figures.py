@@ -101,7 +101,7 @@ def _white(name: str, preset: str, force_n: tuple[float, float] = (-3.5, 10.5)) 
 def _low_passed(cutoff_hz: float) -> Recording:
     """Return a test that stays on skin that relaxes, with noise up to a cutoff (thesis 5.3.3)."""
     name, options = f"{RELAXING}-{cutoff_hz:.0f}hz", (("cutoff_hz", cutoff_hz),)
-    return Recording(name, RELAXING, (0.5, 10.5), seconds=8.0, seed=7, options=options)
+    return Recording(name, RELAXING, (0.5, 10.5), seed=1, distribution="gaussian", options=options)
 
 
 def _localized(preset: str) -> tuple[Recording, ...]:
@@ -297,7 +297,7 @@ FIGURES: tuple[ThesisFigure, ...] = (
             Source("50 Hz", _low_passed(50.0)),
             Source("200 Hz", _low_passed(200.0)),
         ),
-        ("depth",),
+        ("depth,correct=false",),
         ("depth",),
         frequency_rows,
     ),
