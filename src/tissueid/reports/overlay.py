@@ -307,7 +307,7 @@ _DRAWINGS = (
         marked("Second-order kernels side by side"),
         marked("Images of the second-order kernels over two lags, one for each test and fit."),
         marked("Kernels of the same fit share the scale of their colours. VAF of the fitted samples."),
-        lambda found: _rows(kernels.second_kernels(found)),
+        lambda found: _rows(kernels.second_kernels(found), 2),  # titles and colour bars take room
         row_height=3.1,
         over=False,
         note=_lobes,

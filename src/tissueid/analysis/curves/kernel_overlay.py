@@ -169,8 +169,8 @@ def _volterra(found: Overlay) -> list[OverlayEntry]:
 class Lobes:
     """Shape of a second-order kernel about its largest value on the diagonal, at ``lag_s`` (Chen 2010, Fig. 4.5).
 
-    ``width_s`` is the width at half height across the diagonal. ``side_lobe`` is the largest value of the opposite sign,
-    which lies on either side of the diagonal, relative to the peak.
+    ``width_s`` is the width at half height across the diagonal. ``side_lobe`` is the largest value of the opposite
+    sign, which lies on either side of the diagonal, relative to the peak.
     """
 
     lag_s: float

@@ -85,7 +85,7 @@ def partition_error_plots(errors: Sequence[PartitionError]) -> tuple[Plot, Plot]
     by_length, by_points = list[Curve](), list[Curve]()
     for count, role in zip(repetitions, depth_roles(len(repetitions)), strict=True):
         rows = [one for one in errors if one.repetitions == count]
-        name = Message("plot.repetitions", "{count} repetitions", count=count)
+        name = Message("plot.repetitions", "repetitions: {count}", count=count)
         error = np.array([one.mean_percent for one in rows])
         for into, x in ((by_length, [one.continuous for one in rows]), (by_points, [one.points for one in rows])):
             into.append(Curve(np.array(x, np.float64), error, name, role, marker="o"))
