@@ -339,3 +339,15 @@ def test_a_test_reads_as_its_golden_page(tmp_path, capsys, monkeypatch):
     arguments = ["--site", "left forearm", "--out", str(tmp_path / "s.h5"), "--seconds", "2", "--repeats", "2"]
     assert main(["test", "--device", "simulated://baseline?seed=2", *arguments]) == 0
     check_golden_page("command-test", capsys.readouterr().out.splitlines())
+
+
+def test_the_condition_of_a_study_is_kept_with_the_test(tmp_path, capsys):
+    out = tmp_path / "s.h5"
+    arguments = ["test", "--device", "simulated://baseline?seed=2", "--site", "x", "--out", str(out), "--seconds", "1"]
+    assert main([*arguments, "--condition", "lotion", "--minutes-since", "60", "--no-calibration"]) == 0
+    notes = read_session(out).test().notes
+    assert (notes["condition"], notes["minutes_since_application"]) == ("lotion", 60.0)
+    out.unlink()
+    assert main([*arguments, "--minutes-since", "60"]) == 2
+    assert capsys.readouterr().err.strip().splitlines()[-1].startswith("tissueid: ")
+    assert not out.exists()

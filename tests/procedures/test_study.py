@@ -12,11 +12,11 @@ from reports.synthetic_sitting import make_session, make_test
 from tissueid.cli import main
 from tissueid.errors import CancelledError, UnusableInputError
 from tissueid.procedures.control import Control
-from tissueid.procedures.study_plans import RESULTS, StudyPlan, StudyReportPlan
+from tissueid.procedures.study_plans import RESULTS, SUBJECTS_FILE, StudyPlan, StudyReportPlan
 from tissueid.procedures.study_report import report_study
 from tissueid.procedures.study_run import run_study
 from tissueid.sessions import Subject, write_session
-from tissueid.studies.study_table import SUBJECTS_FILE, parameters_of, read_subjects, read_table
+from tissueid.studies.study_table import parameters_of, read_subjects, read_table
 
 SUBJECTS, SITES, REPEATS = 4, ("arm", "leg"), 2
 
@@ -44,6 +44,16 @@ def folder(tmp_path_factory):
     lines = [f"P-{who},{20 + who},{60 + 5 * who},1.7,{'female' if who % 2 else 'male'}" for who in range(SUBJECTS)]
     (path / SUBJECTS_FILE).write_text("\n".join(["subject,age_years,weight_kg,height_m,gender", *lines]))
     return path
+
+
+def apply_lotion(folder, subjects):
+    """Write a second session per subject at the arm, under a lotion that softens the skin by a tenth."""
+    for who in range(subjects):
+        test = make_test(1, seconds=1.0, seed=10 * who + 1)
+        scale = 0.9 * (1.0 + 0.05 * who)
+        signals = test.signals | {"position": test.signals["position"] / scale}
+        made = make_session(replace(test, site="arm", signals=signals, notes={"condition": "lotion"}))
+        write_session(folder / f"P{who}-lotion.h5", replace(made, subject=Subject(f"P-{who}"), session_id=f"{who}-l"))
 
 
 def plan_of(folder, **values):
@@ -128,6 +138,19 @@ def test_the_report_has_the_statistics(run, folder):
     assert answer["statistics"]["variation"][0]["site"] == "arm"
 
 
+def test_a_condition_is_compared_within_subjects(tmp_path):
+    fill(tmp_path / "s")
+    apply_lotion(tmp_path / "s", SUBJECTS)
+    plan = StudyReportPlan(folder=tmp_path / "s", engine="lms", workers=1, after="lotion", margin=0.5)
+    found = report_study(plan, Control()).statistics
+    row = found.tables["efficacy"].set_index("parameter").loc["stiffness_n_per_m"]
+    assert row["subjects"] == SUBJECTS
+    assert row["difference"] < 0.0
+    assert row["p_value"] < 0.01
+    assert row["equivalence_p_value"] < 0.05
+    assert found.tables["variation"].set_index("site").loc["arm", "tests"].iloc[0] == SUBJECTS * REPEATS
+
+
 @pytest.mark.parametrize(
     ("content", "code"),
     [
@@ -165,9 +188,7 @@ def test_from_the_shell(folder, capsys):
 def test_missing_demographics_and_one_group_are_stated(tmp_path):
     fill(tmp_path / "s", subjects=3)
     (tmp_path / "s" / SUBJECTS_FILE).write_text("subject,gender,age_years\nP-0,female,30\nP-1,female,\n")
-    plan = StudyReportPlan(
-        folder=tmp_path / "s", engine="lms", workers=1, factors=("gender", "shoe"), before="", after="lotion"
-    )
+    plan = StudyReportPlan(folder=tmp_path / "s", engine="lms", workers=1, factors=("gender", "shoe"), after="lotion")
     found = report_study(plan, Control())
     codes = {remark.code for remark in found.statistics.remarks}
     assert codes >= {"study.one_group", "study.no_column", "study.too_few_values", "study.no_pairs"}

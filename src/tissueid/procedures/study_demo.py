@@ -21,7 +21,7 @@ from tissueid.messages import Message
 from tissueid.procedures.control import Control, RemainingTime, counted
 from tissueid.procedures.output_files import write_text
 from tissueid.procedures.plan_options import Option, Plan
-from tissueid.procedures.study_plans import StudyReportPlan
+from tissueid.procedures.study_plans import SUBJECTS_FILE, StudyReportPlan
 from tissueid.procedures.study_report import StudyReport, report_study
 from tissueid.procedures.study_run import check_packages
 from tissueid.procedures.test_plan import TestPlan
@@ -40,7 +40,6 @@ HEAVIER_MALE = 1.15
 HEAVIER_PER_BMI = 0.03
 """Relative change of the mass at the anterior sites for 1 kg/m² of body mass index, chosen (Fig. 7.6)."""
 MEAN_BMI = 23.0
-_SUBJECTS_FILE = "subjects.csv"
 
 
 class PopulationPlan(Plan):
@@ -120,7 +119,7 @@ def run_population(plan: PopulationPlan, control: Control) -> StudyReport:
         )
     private_folder(plan.out)
     people = population(plan.subjects, plan.seed)
-    write_text(plan.out / _SUBJECTS_FILE, _as_csv(people))
+    write_text(plan.out / SUBJECTS_FILE, _as_csv(people))
     sittings = [(person, site) for person in people for site in SITES]
     count, remaining = 0, RemainingTime()
 

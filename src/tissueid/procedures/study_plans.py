@@ -9,6 +9,10 @@ from pydantic import Field
 
 from tissueid.procedures.plan_options import Option, Plan
 
+CONDITION, MINUTES_SINCE = "condition", "minutes_since_application"
+"""Notes of a test: its condition, such as a product, and the minutes since its application."""
+SUBJECTS_FILE = "subjects.csv"
+"""Name of the file with demographic values by subject."""
 RESULTS = "results"
 """Folder of a study with its results: one file per session, the tables and the report."""
 
@@ -50,7 +54,10 @@ class StudyReportPlan(StudyPlan):
         tuple[str, ...],
         Option("--regress", metavar="NAME", help="column with a value of subjects, such as age_years; may be repeated"),
     ] = ()
-    before: Annotated[str | None, Option("--before", metavar="CONDITION", help="condition of the reference")] = None
+    before: Annotated[
+        str,
+        Option("--before", metavar="CONDITION", help="condition of the reference; default: without one"),
+    ] = ""
     after: Annotated[str | None, Option("--after", metavar="CONDITION", help="condition that is compared with it")] = (
         None
     )

@@ -24,7 +24,7 @@ from tissueid.language import marked
 from tissueid.messages import Message, Verbatim
 from tissueid.procedures.control import Control, RemainingTime, counted
 from tissueid.procedures.plan_options import parse_options
-from tissueid.procedures.study_plans import RESULTS, StudyPlan
+from tissueid.procedures.study_plans import CONDITION, MINUTES_SINCE, RESULTS, SUBJECTS_FILE, StudyPlan
 
 if TYPE_CHECKING:
     import pandas as pd
@@ -32,7 +32,6 @@ if TYPE_CHECKING:
     from tissueid.sessions import Session, Test
 
 ANALYSING = marked("Analysing sessions")
-EXTRA = "study"
 _LARGEST_RESULT = 5_000_000
 _FAILED = "failed"
 
@@ -58,7 +57,7 @@ def run_study(plan: StudyPlan, control: Control) -> StudyRun:
     """
     check_packages("pandas", "pyarrow")
     from tissueid.identification import get_engine
-    from tissueid.studies.study_table import SUBJECTS_FILE, read_subjects, study_table, write_table
+    from tissueid.studies.study_table import read_subjects, study_table, write_table
 
     options = parse_options(plan.options)
     get_engine(plan.engine)(**options)
@@ -126,7 +125,7 @@ def check_packages(*names: str) -> None:
                     "studies need {package}, which is not installed: {python} -m pip install 'tissueid[{extra}]'",
                     package=Verbatim(name),
                     python=Verbatim(sys.executable),
-                    extra=Verbatim("cluster" if name == "distributed" else EXTRA),
+                    extra=Verbatim("cluster" if name == "distributed" else "study"),
                 )
             )
 
@@ -209,10 +208,11 @@ def _rows(session: Session, test: Test, plan: StudyPlan, options: Mapping[str, A
         "test": test.number,
         "subject": session.subject.pseudonym,
         "site": test.site,
-        "condition": str(test.notes.get("condition", "")),
-        "minutes_since_application": test.notes.get("minutes_since_application"),
+        "condition": str(test.notes.get(CONDITION, "")),
+        "minutes_since_application": test.notes.get(MINUTES_SINCE),
         "configuration": test.configuration,
-        "orientation": test.notes.get("orientation"),
+        "coupling": test.notes.get("coupling"),
+        "orientation_deg": test.notes.get("orientation_deg"),
         "kind": test.kind,
         "status": test.status,
         "quality": judge(test, session.instrument).verdict,

@@ -14,6 +14,7 @@ from tissueid.formatting import ANONYMOUS
 from tissueid.language import marked
 from tissueid.messages import Message, Verbatim
 from tissueid.procedures.plan_options import Option, Plan, name_and_value, named_values
+from tissueid.procedures.study_plans import CONDITION, MINUTES_SINCE
 
 if TYPE_CHECKING:  # each takes long to import
     from tissueid.acquisition.stimulus_choice import FileChoice
@@ -211,6 +212,14 @@ class TestPlan(Plan):
     kind: Annotated[str | None, Option("--kind", metavar="NAME", help="spring or free_air: a test without tissue")] = (
         None
     )
+    condition: Annotated[
+        str, Option("--condition", metavar="TEXT", help="condition in a study, such as the product on the skin")
+    ] = ""
+    minutes_since_application: Annotated[
+        float | None,
+        Option("--minutes-since", metavar="MIN", help="minutes since the product was applied"),
+        Field(ge=0.0, le=1e6),
+    ] = None
     lower_force: bool = False
     sitting: str = ""
     repeat: int = 0
@@ -236,6 +245,12 @@ class TestPlan(Plan):
                         most=MAX_TEXT,
                     )
                 )
+        if len(self.condition) > MAX_TEXT or not self.condition.isprintable():
+            raise UnusableInputError(
+                Message("plan.condition", "the condition must be one line of at most {most} characters", most=MAX_TEXT)
+            )
+        if self.minutes_since_application is not None and not self.condition:
+            raise UnusableInputError(Message("plan.minutes", "--minutes-since needs --condition"))
         low, high = self.min_force_n, self.max_force_n
         if low is not None and high is not None and low >= high:
             raise UnusableInputError(
@@ -441,8 +456,15 @@ class TestPlan(Plan):
 
     @property
     def notes(self) -> dict[str, str | float]:
-        """Notes on the sitting that the session stores with the test."""
-        return {"sitting": self.sitting, "repeat": float(self.repeat)} if self.sitting else {}
+        """Notes on the sitting and the condition that the session stores with the test."""
+        found: dict[str, str | float] = {}
+        if self.sitting:
+            found |= {"sitting": self.sitting, "repeat": float(self.repeat)}
+        if self.condition:
+            found[CONDITION] = self.condition
+        if self.minutes_since_application is not None:
+            found[MINUTES_SINCE] = self.minutes_since_application
+        return found
 
     @property
     def force_range_n(self) -> tuple[float, float]:

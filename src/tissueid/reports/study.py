@@ -24,7 +24,6 @@ from tissueid.reports.tables import Table
 from tissueid.studies.study_plots import (
     first_test_plot,
     groups_plot,
-    plotted_parameters,
     regression_plot,
     sites_plot,
     subjects_plot,
@@ -78,8 +77,8 @@ _COLUMNS: Mapping[str, str] = {
     "parameter": marked("Parameter"),
     "level": marked("Level"),
     "reference": marked("Reference"),
-    "before": marked("Before"),
-    "after": marked("After"),
+    "before": marked("Reference"),
+    "after": marked("Condition"),
     "subjects": marked("Subjects"),
     "left_out": marked("Left out"),
     "tests": marked("Tests"),
@@ -115,6 +114,8 @@ _INTERVALS = {
     "difference": ("low", "high"),
     "slope": ("slope_low", "slope_high"),
 }
+_MOST_DRAWN = 6
+"""Largest number of parameters that are drawn."""
 _METHODS = {"anova": marked("analysis of variance"), "welch": marked("Welch")}
 
 
@@ -140,7 +141,7 @@ def study_html(name: str, engine: str, found: StudyStatistics, failures: Mapping
 
 
 def _figures(found: StudyStatistics) -> list[FigureGroup]:
-    names = plotted_parameters(found.parameters)
+    names = found.parameters[:_MOST_DRAWN]
     tables = found.tables
     groups = [
         _group("subjects", _("Subjects"), {name: partial(subjects_plot, found.used, name) for name in names}),
@@ -149,8 +150,7 @@ def _figures(found: StudyStatistics) -> list[FigureGroup]:
     if "variation" in tables:
         groups.append(_group("variation", _("Variation"), {"cv": partial(variation_plot, tables["variation"])}))
     if "first_test" in tables:
-        rows = tables["first_test"]
-        plots = {name: partial(first_test_plot, found.used, rows, name) for name in names}
+        plots = {name: partial(first_test_plot, found.used, name) for name in names}
         groups.append(_group("first", _(_HEADINGS["first_test"]), plots))
     for factor in dict.fromkeys(tables.get("groups", pd.DataFrame(columns=["factor"]))["factor"]):
         title = _("By {factor}").format(factor=_(label_and_unit(factor)[0]))

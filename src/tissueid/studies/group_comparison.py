@@ -22,13 +22,12 @@ from statsmodels.stats.weightstats import ttost_paired
 from statsmodels.tools.sm_exceptions import ConvergenceWarning
 
 from tissueid.studies.repeatability import paired_difference
+from tissueid.studies.study_table import STD_SUFFIX
 
 LEAST_PER_GROUP = 2
 ASSUMPTION_ALPHA = 0.05
 """Size of the tests of equal variances and of normal residuals."""
 CORRECTION = "holm"
-STD_SUFFIX = "_sd"
-"""Suffix of the column with the standard deviation of a parameter within a test."""
 
 
 def subject_means(

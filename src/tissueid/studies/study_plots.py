@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-
 import numpy as np
 import pandas as pd
 
@@ -94,7 +92,7 @@ def regression_plot(means: pd.DataFrame, regressor: str, name: str, rows: pd.Dat
     return Plot(marked("Regression on a value of the subjects"), abscissa, axis, tuple(parts))
 
 
-def first_test_plot(table: pd.DataFrame, rows: pd.DataFrame, name: str) -> Plot:
+def first_test_plot(table: pd.DataFrame, name: str) -> Plot:
     """Return the mean of the later tests less the first test, of each subject and on average by site (Fig. 7.4)."""
     axis, factor = parameter_axis(name)
     groups: dict[str, np.ndarray] = {}
@@ -106,7 +104,6 @@ def first_test_plot(table: pd.DataFrame, rows: pd.DataFrame, name: str) -> Plot:
         ]
         groups[str(site)] = np.array(found)
     shown = Axis(axis.label, axis.unit, zero=True)
-    del rows
     return _groups_plot(marked("Later tests less the first"), marked("Site"), shown, groups)
 
 
@@ -145,8 +142,3 @@ def _offset(place: int, count: int) -> float:
 
 def _colour(place: int) -> str:
     return COLOURS[place % len(COLOURS)]
-
-
-def plotted_parameters(parameters: Sequence[str], most: int = 6) -> list[str]:
-    """Return the parameters that are drawn."""
-    return list(parameters)[:most]

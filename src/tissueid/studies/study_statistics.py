@@ -66,7 +66,7 @@ def study_statistics(
     *,
     factors: Sequence[str] = (),
     regressors: Sequence[str] = (),
-    before: str | None = None,
+    before: str = "",
     after: str | None = None,
     margin: float | None = None,
 ) -> StudyStatistics:
@@ -76,14 +76,14 @@ def study_statistics(
         table: of the study.
         factors: columns with groups of subjects; those of ``FACTORS`` that the table has by default.
         regressors: columns with values of subjects; those of ``REGRESSORS`` that the table has by default.
-        before: condition of the reference; the tests under other conditions are compared with it only.
+        before: condition of the reference, "" for tests without one; tests under other conditions are compared only.
         after: condition that is compared with it.
         margin: relative margin of equivalence.
     """
     used, parameters, remarks = usable_tests(table)
     keys = ("subject", "site", "condition")
     means = subject_means(used, parameters, keys) if parameters else used.head(0)
-    plain = used[used["condition"].fillna("") == (before or "")]
+    plain = used[used["condition"] == before]
     if plain.empty:
         plain = used
         remarks.append(
@@ -110,7 +110,7 @@ def study_statistics(
     responses = [*values, *(name for name in chosen if own[name].nunique() == 2)]
     if responses and parameters:
         tables["partial_least_squares"] = partial_least_squares(own, responses, parameters)
-    if before is not None and after is not None and parameters:
+    if after is not None and parameters:
         tables["efficacy"] = efficacy(means, before, after, parameters, margin)
         if tables["efficacy"].empty:
             remarks.append(

@@ -26,7 +26,8 @@ KEYS = (
 )
 DESCRIPTION = (
     "configuration",
-    "orientation",
+    "coupling",
+    "orientation_deg",
     "kind",
     "status",
     "quality",
@@ -47,7 +48,6 @@ DEMOGRAPHICS = (
     "ethnicity",
     "skin_conditions",
 )
-SUBJECTS_FILE = "subjects.csv"
 _LARGEST_SUBJECTS = 10_000_000
 _MOST_COLUMNS = 100
 
@@ -65,7 +65,8 @@ def study_table(rows: Iterable[Mapping[str, Any]], subjects: pd.DataFrame | None
     if table.empty:
         return pd.DataFrame(columns=[*KEYS, *DESCRIPTION])
     table = table.sort_values(["created", "session", "test"], kind="stable").reset_index(drop=True)
-    order = table.groupby(["subject", "site", "condition", "configuration", "engine"], dropna=False).cumcount()
+    same = ["subject", "site", "condition", "configuration", "orientation_deg", "engine"]
+    order = table.groupby(same, dropna=False).cumcount()
     table["repeat"] = order + 1
     if subjects is not None:
         table = _with_subjects(table, subjects)
