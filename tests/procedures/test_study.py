@@ -16,7 +16,7 @@ from tissueid.procedures.study_plans import RESULTS, SUBJECTS_FILE, StudyPlan, S
 from tissueid.procedures.study_report import report_study
 from tissueid.procedures.study_run import run_study
 from tissueid.sessions import Subject, write_session
-from tissueid.studies.study_table import parameters_of, read_subjects, read_table
+from tissueid.studies.study_table import parameters_of, read_subjects
 
 SUBJECTS, SITES, REPEATS = 4, ("arm", "leg"), 2
 
@@ -73,8 +73,8 @@ def test_the_table_has_a_row_per_test(run, folder):
     assert table["bmi_kg_per_m2"].iloc[0] == pytest.approx(60 / 1.7**2)
     assert {"mass_kg", "stiffness_n_per_m"} <= set(parameters_of(table))
     assert (table["stiffness_n_per_m_sd"] > 0.0).all()
-    for suffix in ("csv", "parquet"):
-        read = read_table(folder / RESULTS / f"table.{suffix}")
+    for suffix, read_file in (("csv", pd.read_csv), ("parquet", pd.read_parquet)):
+        read = read_file(folder / RESULTS / f"table.{suffix}")
         assert read["stiffness_n_per_m"].to_numpy() == pytest.approx(table["stiffness_n_per_m"].to_numpy())
 
 

@@ -16,7 +16,7 @@ from tissueid.studies.group_comparison import (
 )
 from tissueid.studies.multivariate import partial_least_squares, principal_components
 from tissueid.studies.repeatability import ALL_SITES, first_test, paired_difference, reliability, variation
-from tissueid.studies.sample_size import pairs, participants, sample_sizes
+from tissueid.studies.sample_size import participants, sample_sizes
 
 PLANTS = {
     "ctrl": [4.17, 5.58, 5.18, 6.11, 4.50, 4.61, 5.17, 4.53, 5.33, 5.14],
@@ -113,9 +113,8 @@ def test_sample_size_of_two_groups(size, power, expected):
     assert participants(size, power) == expected  # pwr.t.test
 
 
-def test_sample_size_of_more_groups_and_pairs():
+def test_sample_size_of_more_groups():
     assert participants(0.25, 0.8, groups=4) == 45  # pwr.anova.test
-    assert pairs(0.5, 0.8) == 34  # pwr.t.test, paired
     assert participants(0.0) == np.inf
     rows = sample_sizes(one_way(plants(), "group", ["weight"]))
     assert rows.loc[0, "participants_80"] <= rows.loc[0, "participants_90"]

@@ -8,7 +8,7 @@ from collections.abc import Callable, Sequence
 
 import numpy as np
 import pandas as pd
-from statsmodels.stats.power import FTestAnovaPower, TTestIndPower, TTestPower
+from statsmodels.stats.power import FTestAnovaPower, TTestIndPower
 from statsmodels.tools.sm_exceptions import ConvergenceWarning
 
 ALPHA = 0.05
@@ -35,13 +35,6 @@ def participants(effect_size: float, power: float = 0.8, *, groups: int = 2, alp
     return _solved(
         lambda: FTestAnovaPower().solve_power(abs(effect_size), power=power, alpha=alpha, k_groups=groups) / groups
     )
-
-
-def pairs(effect_size: float, power: float = 0.8, *, alpha: float = ALPHA) -> float:
-    """Return the number of pairs for a paired comparison with Cohen's d of the differences."""
-    if not effect_size or not math.isfinite(effect_size):
-        return math.inf
-    return _solved(lambda: TTestPower().solve_power(abs(effect_size), power=power, alpha=alpha))
 
 
 def sample_sizes(comparison: pd.DataFrame, powers: Sequence[float] = POWERS) -> pd.DataFrame:

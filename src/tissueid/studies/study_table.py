@@ -129,24 +129,6 @@ def write_table(table: pd.DataFrame, path: Path) -> None:
             table.to_csv(partial, index=False)
 
 
-def read_table(path: Path) -> pd.DataFrame:
-    """Read a table that ``write_table`` wrote.
-
-    Raises:
-        UnusableInputError: it is no such table.
-    """
-    try:
-        table = pd.read_parquet(path) if path.suffix == ".parquet" else pd.read_csv(path, dtype={"subject": str})
-    except (OSError, ValueError, pd.errors.ParserError) as error:
-        why = Verbatim(str(error).splitlines()[0])
-        raise UnusableInputError(
-            Message("study.table_unreadable", "{path} cannot be read: {reason}", path=str(path), reason=why)
-        ) from error
-    if not set(KEYS) <= set(table.columns):
-        raise UnusableInputError(Message("study.no_table", "{path} is not the table of a study", path=str(path)))
-    return table
-
-
 def as_json_rows(table: pd.DataFrame) -> list[dict[str, Any]]:
     """Return the rows for JSON; missing values are None."""
     return list(json.loads(table.to_json(orient="records", double_precision=15)))
