@@ -12,8 +12,8 @@ from typing import Any
 import numpy as np
 
 from tissueid import __version__
-from tissueid.acquisition.waveform_file import is_waveform, load_waveform
-from tissueid.atomic_write import atomic_file, open_regular
+from tissueid.acquisition.waveform_file import is_waveform, load_waveform, read_at_most
+from tissueid.atomic_write import atomic_file
 from tissueid.errors import UnusableInputError
 from tissueid.messages import Message
 from tissueid.stimuli import build_from_specification
@@ -129,24 +129,16 @@ def _read(path: Path) -> dict[str, Any]:
     Raises:
         UnusableInputError: it cannot be read, is too large, or is no stimulus file.
     """
-    try:
-        with open_regular(path) as file:
-            data = file.read(_MAX_BYTES + 1)
-    except FileNotFoundError as error:
-        raise UnusableInputError(Message("file.missing", "{path}: no such file", path=str(path))) from error
-    except OSError as error:
-        raise UnusableInputError(
-            Message("file.not_readable", "cannot read {path}: {reason}", path=str(path), reason=str(error.strerror))
-        ) from error
-    if len(data) > _MAX_BYTES:
-        raise UnusableInputError(
-            Message(
-                "stimulus.too_large",
-                "{path} is larger than {most} MB: it is not a saved stimulus",
-                path=str(path),
-                most=_MAX_BYTES >> 20,
-            )
-        )
+    data = read_at_most(
+        path,
+        _MAX_BYTES,
+        Message(
+            "stimulus.too_large",
+            "{path} is larger than {most} MB: it is not a saved stimulus",
+            path=str(path),
+            most=_MAX_BYTES >> 20,
+        ),
+    )
     try:
         content = json_value(data)
     except ValueError as error:

@@ -102,7 +102,8 @@ def load_waveform(
         UnusableInputError: no such file; it is too large, no waveform, or not finite; its times are not even; or a rate
             is given twice or is out of bounds.
     """
-    columns = _columns(path, _read(path))
+    too_large = Message("waveform.large", "{path} is larger than {most} MB", path=str(path), most=_MAX_BYTES >> 20)
+    columns = _columns(path, read_at_most(path, _MAX_BYTES, too_large))
     rate = _rate(path, columns, file_rate_hz)
     if rate is None:
         rate = sample_rate_hz
@@ -122,20 +123,23 @@ def load_waveform(
     return specification.from_samples(values)
 
 
-def _read(path: Path) -> bytes:
+def read_at_most(path: Path, most_bytes: int, too_large: Message) -> bytes:
+    """Return the content of a file.
+
+    Raises:
+        UnusableInputError: there is no such file, it cannot be read, or it is larger than ``most_bytes``.
+    """
     try:
         with open_regular(path) as file:
-            data = file.read(_MAX_BYTES + 1)
+            data = file.read(most_bytes + 1)
     except FileNotFoundError as error:
         raise UnusableInputError(Message("file.missing", "{path}: no such file", path=str(path))) from error
     except OSError as error:
         raise UnusableInputError(
             Message("file.not_readable", "cannot read {path}: {reason}", path=str(path), reason=str(error.strerror))
         ) from error
-    if len(data) > _MAX_BYTES:
-        raise UnusableInputError(
-            Message("waveform.large", "{path} is larger than {most} MB", path=str(path), most=_MAX_BYTES >> 20)
-        )
+    if len(data) > most_bytes:
+        raise UnusableInputError(too_large)
     return data
 
 

@@ -124,6 +124,16 @@ def minimise(
 
 
 @dataclass(frozen=True, eq=False)
+class ErrorPoint:
+    """Parameters (p,) with the errors (m,), minus their derivatives (m, p), and the cost."""
+
+    theta: Array
+    error: Array
+    slopes: Array
+    cost: float
+
+
+@dataclass(frozen=True, eq=False)
 class SecantPoint(Generic[E]):
     """Parameters (p,) with their residuals (m,), what was evaluated with them, and the cost."""
 

@@ -21,7 +21,7 @@ from scipy import fft
 from tissueid.errors import UnusableInputError
 from tissueid.identification.base import Array, Mask
 from tissueid.identification.correlation import Correlator, dependence_samples, long_run_covariance
-from tissueid.identification.levenberg_marquardt import Bounds, minimise
+from tissueid.identification.levenberg_marquardt import Bounds, ErrorPoint, minimise
 from tissueid.identification.preparation import finite_runs
 from tissueid.identification.second_order import (
     Complex,
@@ -217,34 +217,24 @@ def fit_second_order(
     )
 
 
-@dataclass(frozen=True, eq=False)
-class _Point:
-    """Logarithms of mass, damping and stiffness (3,) with the errors (m,) and minus their derivatives (m, 3)."""
-
-    theta: Array
-    error: Array
-    slopes: Array
-    cost: float
-
-
 class _SimulationError:
     """The squared error of the free run by log M, log B and log K."""
 
     def __init__(self, evaluate: Callable[[Array], tuple[Array, Array]]) -> None:
         self._evaluate = evaluate
 
-    def point(self, theta: Array) -> _Point:
+    def point(self, theta: Array) -> ErrorPoint:
         """Evaluate logarithms of mass, damping and stiffness."""
         error, slopes = self._evaluate(theta)
-        return _Point(theta, error, slopes, float(error @ error))
+        return ErrorPoint(theta, error, slopes, float(error @ error))
 
-    def linearised(self, at: _Point) -> tuple[Array, Array]:
+    def linearised(self, at: ErrorPoint) -> tuple[Array, Array]:
         return at.slopes.T @ at.slopes, at.slopes.T @ at.error
 
-    def attempt(self, at: _Point, step: Array) -> _Point:
+    def attempt(self, at: ErrorPoint, step: Array) -> ErrorPoint:
         return self.point(at.theta + step)
 
-    def refresh(self, _at: _Point) -> bool:
+    def refresh(self, _at: ErrorPoint) -> bool:
         return False
 
 

@@ -51,6 +51,28 @@ class RemainingTime:
         return Message("procedure.minutes_left", "{step}, about {minutes:.0f} min left", step=step, minutes=left / 60.0)
 
 
+class CountedProgress:
+    """Reports the completed items of long work with the remaining time; called with each completed item.
+
+    Args:
+        control: of the procedure.
+        step: what is done with the items.
+        total: number of items.
+    """
+
+    def __init__(self, control: Control, step: str, total: int) -> None:
+        self._control, self._step, self._total = control, step, total
+        self._done, self._remaining = 0, RemainingTime()
+        control.progress(0.0, counted(step, 0, total))
+
+    def __call__(self, _item: object) -> None:
+        """Count a completed item."""
+        self._done += 1
+        share = self._done / self._total
+        text = counted(self._step, self._done, self._total)
+        self._control.progress(share, self._remaining.added_to(text, share))
+
+
 class Control:
     """What a procedure reports and asks; this one shows nothing, is never cancelled and has no person.
 

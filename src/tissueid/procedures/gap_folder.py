@@ -27,7 +27,7 @@ from tissueid.gap.workers import SerialExecutor
 from tissueid.instrument.twin_file import TwinFile, read_twin
 from tissueid.language import marked
 from tissueid.messages import Message, Verbatim
-from tissueid.procedures.control import Control, RemainingTime, counted
+from tissueid.procedures.control import Control, CountedProgress
 from tissueid.procedures.gap_plans import FolderPlan, WatchPlan
 from tissueid.procedures.output_files import HTML, check_output, write_text
 from tissueid.sessions import read_session
@@ -118,15 +118,7 @@ def _diagnosed(
     of: Callable[[Diagnosis], dict[str, Any]],
 ) -> dict[Path, dict[str, Any]]:
     kept = _kept_answers(files, twin, of)
-    count, remaining = 0, RemainingTime()
-
-    def done(_path: Path) -> None:
-        nonlocal count
-        count += 1
-        share = count / len(files)
-        control.progress(share, remaining.added_to(counted(_DIAGNOSING, count, len(files)), share))
-
-    control.progress(0.0, counted(_DIAGNOSING, 0, len(files)))
+    done = CountedProgress(control, _DIAGNOSING, len(files))
     try:
         with executor(workers) as pool:
             work = functools.partial(_of_file, of, twin, kept)

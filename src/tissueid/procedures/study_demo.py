@@ -18,7 +18,7 @@ from tissueid.instrument import Instrument, SimulatedInstrument
 from tissueid.instrument.tissues import TISSUES
 from tissueid.language import marked
 from tissueid.messages import Message
-from tissueid.procedures.control import Control, RemainingTime, counted
+from tissueid.procedures.control import Control, CountedProgress
 from tissueid.procedures.output_files import write_text
 from tissueid.procedures.plan_options import Option, Plan
 from tissueid.procedures.study_plans import SUBJECTS_FILE, StudyReportPlan
@@ -34,7 +34,7 @@ SITES: Mapping[str, str] = {
     "left anterior forearm": "anterior-forearm",
 }
 """Sites in the order of the thesis, and their simulated tissues."""
-MEASURING = marked("Measuring the simulated population")
+_MEASURING = marked("Measuring the simulated population")
 HEAVIER_MALE = 1.15
 """Mass of the tissue at the anterior sites of males relative to females, chosen (Fig. 7.5)."""
 HEAVIER_PER_BMI = 0.03
@@ -121,15 +121,7 @@ def run_population(plan: PopulationPlan, control: Control) -> StudyReport:
     people = population(plan.subjects, plan.seed)
     write_text(plan.out / SUBJECTS_FILE, _as_csv(people))
     sittings = [(person, site) for person in people for site in SITES]
-    count, remaining = 0, RemainingTime()
-
-    def done(_sitting: object) -> None:
-        nonlocal count
-        count += 1
-        share = count / len(sittings)
-        control.progress(share, remaining.added_to(counted(MEASURING, count, len(sittings)), share))
-
-    control.progress(0.0, counted(MEASURING, 0, len(sittings)))
+    done = CountedProgress(control, _MEASURING, len(sittings))
     with executor(plan.workers) as pool:
         pool.do(functools.partial(measure_site, plan), sittings, control.check, done)
     return report_study(StudyReportPlan(folder=plan.out, workers=plan.workers), control)

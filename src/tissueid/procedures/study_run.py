@@ -22,7 +22,7 @@ from tissueid.errors import TissueIDError, UnusableInputError
 from tissueid.gap.workers import Executor, executor
 from tissueid.language import marked
 from tissueid.messages import Message, Verbatim
-from tissueid.procedures.control import Control, RemainingTime, counted
+from tissueid.procedures.control import Control, CountedProgress
 from tissueid.procedures.plan_options import parse_options
 from tissueid.procedures.study_plans import CONDITION, MINUTES_SINCE, RESULTS, SUBJECTS_FILE, StudyPlan
 
@@ -31,7 +31,7 @@ if TYPE_CHECKING:
 
     from tissueid.sessions import Session, Test
 
-ANALYSING = marked("Analysing sessions")
+_ANALYSING = marked("Analysing sessions")
 _LARGEST_RESULT = 5_000_000
 _FAILED = "failed"
 
@@ -72,17 +72,9 @@ def run_study(plan: StudyPlan, control: Control) -> StudyRun:
         (kept / f"{stale}.json").unlink(missing_ok=True)
     known = {path: found for path, key in keys.items() if (found := _stored(kept, key)) is not None}
     new = [path for path in files if path not in known]
-    count, remaining = 0, RemainingTime()
-
-    def done(_path: Path) -> None:
-        nonlocal count
-        count += 1
-        share = count / len(new)
-        control.progress(share, remaining.added_to(counted(ANALYSING, count, len(new)), share))
-
     work = functools.partial(_analysed, plan, options, kept, {path: keys[path] for path in new})
     if new:
-        control.progress(0.0, counted(ANALYSING, 0, len(new)))
+        done = CountedProgress(control, _ANALYSING, len(new))
         with _executor(plan) as pool:
             known |= dict(zip(new, pool.do(work, new, control.check, done), strict=True))
     failures = {

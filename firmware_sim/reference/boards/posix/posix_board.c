@@ -1,5 +1,7 @@
 #include "posix_board.h"
 
+#include "desktop_device.h"
+
 #include <math.h>
 #include <stdlib.h>
 
@@ -26,28 +28,8 @@ void posix_board_init(uint32_t sample_rate_hz, enum plant_kind kind, uint32_t bo
         .serial_number = "REF-0001",
         .firmware_version = "ref-1.0",
         .sample_rate_hz = sample_rate_hz,
-        .coil_resistance_ohm = 12.0,
-        .coil_inductance_h = 1.0e-3,
-        .force_constant_n_per_a = 3.0,
-        .moving_mass_kg = 0.060,
-        .bearing_damping_n_s_per_m = 3.5,
-        .amplifier_gain = 1.0,
-        .amplifier_limit_v = 48.0,
-        .stroke_m = 0.032,
-        .max_force_n = 15.0,
-        .max_temperature_c = 85.0,
-        .filter_corner_hz = 2000.0,
         .has_stage = true,
-        .channels =
-            {
-                {"command", "V", 60.0 / 32768.0, 0.0},
-                {"voltage", "V", 60.0 / 32768.0, 0.0},
-                {"current", "A", 6.0 / 32768.0, 0.0},
-                {"position", "m", 0.5e-6, 0.016384},
-                {"temperature", "degC", 250.0 / 65536.0, 100.0},
-                {"acceleration_x", "m/s^2", 2.2 * 9.80665 / 32768.0, 0.0},
-                {"acceleration_y", "m/s^2", 2.2 * 9.80665 / 32768.0, 0.0},
-            },
+        DESKTOP_DEVICE,
     };
     posix_board.properties = properties;
     posix_board.kind = kind;

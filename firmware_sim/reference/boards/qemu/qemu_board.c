@@ -2,6 +2,7 @@
  *
  *   qemu-system-arm -M mps2-an500 -nographic -monitor none -serial tcp:127.0.0.1:7800,server,nowait -kernel PROGRAM */
 #include "board.h"
+#include "desktop_device.h"
 #include "firmware.h"
 #include "plant.h"
 
@@ -33,28 +34,8 @@ static const struct board_properties PROPERTIES = {
     .serial_number = "QEMU-0001",
     .firmware_version = "ref-1.0",
     .sample_rate_hz = 2000,
-    .coil_resistance_ohm = 12.0,
-    .coil_inductance_h = 1.0e-3,
-    .force_constant_n_per_a = 3.0,
-    .moving_mass_kg = 0.060,
-    .bearing_damping_n_s_per_m = 3.5,
-    .amplifier_gain = 1.0,
-    .amplifier_limit_v = 48.0,
-    .stroke_m = 0.032,
-    .max_force_n = 15.0,
-    .max_temperature_c = 85.0,
-    .filter_corner_hz = 2000.0,
     .has_stage = false,
-    .channels =
-        {
-            {"command", "V", 60.0 / 32768.0, 0.0},
-            {"voltage", "V", 60.0 / 32768.0, 0.0},
-            {"current", "A", 6.0 / 32768.0, 0.0},
-            {"position", "m", 0.5e-6, 0.016384},
-            {"temperature", "degC", 250.0 / 65536.0, 100.0},
-            {"acceleration_x", "m/s^2", 2.2 * 9.80665 / 32768.0, 0.0},
-            {"acceleration_y", "m/s^2", 2.2 * 9.80665 / 32768.0, 0.0},
-        },
+    DESKTOP_DEVICE,
 };
 
 const struct board_properties *board_properties(void)

@@ -17,7 +17,7 @@ from scipy import fft
 from tissueid.errors import UnusableInputError
 from tissueid.identification.base import Array, Curve, Engine, FitReport, LineFigure, Mask, Model
 from tissueid.identification.correlation import Correlator, dependence_samples
-from tissueid.identification.levenberg_marquardt import Bounds, minimise
+from tissueid.identification.levenberg_marquardt import Bounds, ErrorPoint, minimise
 from tissueid.identification.model_family import Family
 from tissueid.identification.preparation import complete_windows, prepare
 from tissueid.identification.registry import engine
@@ -87,16 +87,6 @@ class ViscoelasticModel(Model):
 
 
 @dataclass(frozen=True, eq=False)
-class _Point:
-    """Logarithms of the values (p,) with the errors (m,) and minus their derivatives (m, p)."""
-
-    theta: Array
-    error: Array
-    slopes: Array
-    cost: float
-
-
-@dataclass(frozen=True, eq=False)
 class _Problem:
     """Squared error of the free run of a structure; ``y`` (m,) is the output about its mean."""
 
@@ -106,7 +96,7 @@ class _Problem:
     rate: float
     hold: Hold
 
-    def point(self, theta: Array) -> _Point:
+    def point(self, theta: Array) -> ErrorPoint:
         """Evaluate logarithms of the values, with offset, initial states and creep projected out."""
         system = Viscoelastic(self.structure, tuple(np.exp(theta)))
         poles = system.poles
@@ -130,16 +120,16 @@ class _Problem:
         energy = float(offset @ offset)
         if energy > 1e-9 * self.y.size:
             rows -= np.outer(rows @ offset / energy, offset)
-        return _Point(theta, rows[0], rows[1:].T, float(rows[0] @ rows[0]))
+        return ErrorPoint(theta, rows[0], rows[1:].T, float(rows[0] @ rows[0]))
 
-    def linearised(self, at: _Point) -> tuple[Array, Array]:
+    def linearised(self, at: ErrorPoint) -> tuple[Array, Array]:
         return at.slopes.T @ at.slopes, at.slopes.T @ at.error
 
-    def attempt(self, at: _Point, step: Array) -> _Point | None:
+    def attempt(self, at: ErrorPoint, step: Array) -> ErrorPoint | None:
         theta = at.theta + step
         return self.point(theta) if np.all(np.abs(theta) < 60.0) else None
 
-    def refresh(self, _at: _Point) -> bool:
+    def refresh(self, _at: ErrorPoint) -> bool:
         return False
 
 

@@ -58,7 +58,7 @@ def run_suite(
             silent = 0 if answered else silent + 1
             rest = _BROKEN if broken else _SILENT if silent >= _MOST_SILENT else None
     finally:
-        _let_go(device)
+        _release_coil(device)
     return tuple(results)
 
 
@@ -84,11 +84,11 @@ def _tested(device: DeviceUnderTest, clause: Clause) -> tuple[ClauseResult, bool
         return failed, answered, isinstance(error, LinkLostError)
     finally:
         device.keep_alive(False)
-        _let_go(device)
+        _release_coil(device)
     return ClauseResult(clause.id, clause.title, "passed", "", device.measured), answered, False
 
 
-def _let_go(device: DeviceUnderTest) -> None:
+def _release_coil(device: DeviceUnderTest) -> None:
     """Release the coil without waiting for an answer."""
     with suppress(TissueIDError):
         device.send(MessageType.STOP)
