@@ -7,7 +7,6 @@ from collections.abc import Iterable
 from dataclasses import dataclass
 from typing import Any
 
-from tissueid.language import marked
 from tissueid.messages import Message, stored
 from tissueid.records import Estimate
 
@@ -15,7 +14,7 @@ NOT_COMPARABLE = Message(
     "readings.not_comparable",
     "The readings are those of this instrument's probe and force. A suction probe applies negative pressure through an "
     "aperture, and a tapping probe has a mass of its own: lengths, frequencies and stiffness are not comparable with "
-    "theirs in absolute terms. The ratios R2, R5, R6 and R7 are the bridge. Research use only.",
+    "theirs in absolute terms; compare the ratios R2, R5, R6 and R7. Research use only.",
 )
 """What every table of readings says about its use."""
 
@@ -76,5 +75,3 @@ UNDETERMINED = Message(
     "readings.undetermined", "its standard deviation is more than half of its value: the data do not determine it"
 )
 NO_UNCERTAINTY = Message("readings.no_uncertainty", "the fit gives no uncertainty")
-SOURCES = (marked("recorded step"), marked("identified model"))
-"""Headings of the two ways to obtain a reading."""
