@@ -16,6 +16,7 @@ os.environ.setdefault("QT_QPA_PLATFORM", "offscreen")
 os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
 sys.path.insert(0, str(Path(__file__).parents[1]))
 
+import numpy as np
 from PySide6.QtCore import QItemSelectionModel, QSettings
 from PySide6.QtGui import QColor, QPalette
 from PySide6.QtWidgets import QApplication, QDialog, QLabel
@@ -40,6 +41,7 @@ from screenshot_sessions import (
 )
 
 from tissueid.app.emergency import EmergencyStop
+from tissueid.app.form_choices import FROM_FILE, MULTISTEP
 from tissueid.app.main_window import MainWindow
 from tissueid.app.services import AppServices
 from tissueid.app.views.gap.view import GapView
@@ -105,6 +107,7 @@ def _take_all(application: QApplication) -> None:
     take_research(window, idle)
     take_gap(window, sessions, idle)
     take_instrument(window, idle)
+    take_stimuli(window, idle)
     window.close()
     wait_until(lambda: not window.isVisible(), "the window to close")
 
@@ -159,6 +162,32 @@ def take_repeats(window: MainWindow, idle: Callable[[], None]) -> None:
     window.panels.help_button.click()
     window.panels.log_button.click()
     window.resize(*SIZE)
+
+
+def take_stimuli(window: MainWindow, idle: Callable[[], None]) -> None:
+    """Take the result of a feedback test, of a test in steps and of a test of a waveform file."""
+    wave = Path("Documents/wave.csv")
+    seconds = np.arange(6000) / 2000.0
+    np.savetxt(wave, np.column_stack([seconds, 4.0 + 2.5 * np.sin(6.0 * seconds**2)]), delimiter=",")
+    depths = {"depth_min_m": 2e-3, "depth_max_m": 4e-3}
+    choices = (
+        ("rtig", "rtig", depths),
+        ("multistep", MULTISTEP, {"steps": 2, "target": 0.001} | depths),
+        ("waveform", FROM_FILE, {}),
+    )
+    form = window.ui.form
+    window.pages.show("measure")
+    for place, (name, kind, options) in enumerate(choices):
+        set_clock(1, 10 * place)
+        form.site.setCurrentText("left forearm, posterior")
+        form.fold.setChecked(True)
+        form.stimulus.fill(kind, options)
+        if kind == FROM_FILE:
+            form.stimulus.file.setText(str(wave))
+        window.ui.start.click()
+        wait_until(lambda: bool(window.jobs), "the test to begin")
+        idle()
+        take(window, f"window-{name}")
 
 
 def take_dark(window: MainWindow, application: QApplication) -> None:

@@ -159,10 +159,8 @@ class PlanForm(QWidget):
         fields = (self.min_force, self.max_force, self.seconds, self.set_up.spring)
         for field in (*fields, self.set_up.initial_length, self.set_up.normal_preload):
             field.valueChanged.connect(self.changed)
-        self.set_up.orientation.currentIndexChanged.connect(self.changed)
-        for choice in (self.set_up.name, self.set_up.coupling):
+        for choice in (self.set_up.name, self.set_up.coupling, self.set_up.orientation):
             choice.currentIndexChanged.connect(self.changed)
-            choice.currentIndexChanged.connect(self._apply_limits)
         self.subject.textChanged.connect(self._look_at_subject)
         self.limits.currentIndexChanged.connect(self._apply_limits)
         self.instrument.choice.currentTextChanged.connect(self._apply_limits)
