@@ -20,7 +20,9 @@ from PySide6.QtWidgets import (
     QTableView,
 )
 
+from tissueid.app.views.researcher.analysis_task import Preparation
 from tissueid.app.views.researcher.panel_state import STATE, restore_state
+from tissueid.app.views.researcher.results_store import read_results, write_results
 from tissueid.errors import UnusableInputError
 from tissueid.identification import engine_names, get_engine
 
@@ -154,6 +156,27 @@ def test_a_history_that_cannot_be_written_costs_no_result(qtbot, panel, strip, h
     run(qtbot, panel, two[:1])
     assert len(panel.results.outcomes) == 1
     assert begins(strip.said[-1][0], "research.no_history")
+
+
+def test_signals_are_prepared_and_the_tissue_alone_is_reported(qtbot, open_panel, two, tmp_path):
+    panel = open_panel()
+    run(qtbot, panel, two[:1])
+    (plain,) = panel.results.outcomes
+    wanted = Preparation(detrend=True, low_hz=1.0, high_hz=150.0, tissue_alone=True)
+    panel.form.preparation.set_value(wanted)
+    run(qtbot, panel, two[:1])
+    _plain, prepared = panel.results.outcomes
+    assert (plain.preparation, prepared.preparation) == (Preparation(), wanted)
+    added = set(prepared.report.parameters) - set(plain.report.parameters)
+    assert added == {"tissue_mass_kg", "tissue_damping_n_s_per_m"}
+    assert prepared.report.vaf_percent != plain.report.vaf_percent
+    write_results(tmp_path / "results.jsonl", [prepared])
+    assert read_results(tmp_path / "results.jsonl").outcomes[0].key == prepared.key
+    panel.save_state()
+    assert open_panel().form.preparation.value() == wanted
+    panel.form.preparation.set_value(Preparation())
+    panel.past.wanted.emit(panel.past._entries[0].task)
+    assert panel.form.preparation.value() == wanted
 
 
 def test_new_results_are_brought_to_the_top_of_the_table(qtbot, panel, two):

@@ -269,6 +269,7 @@ class AnalysisPanel(QWidget):
                 "input_name": into,
                 "output_name": out,
                 "together": self.form.together.isChecked(),
+                "preparation": self.form.preparation.value(),
                 "tests": tuple(TestRef.of(test) for test in self._chosen),
             }
             return AnalysisTask.model_validate(asked | changes)
@@ -415,6 +416,7 @@ class AnalysisPanel(QWidget):
             self.context.say(in_words(error), problem=True)
             return
         self.form.take_signals(task.input_name, task.output_name, task.together)
+        self.form.preparation.set_value(task.preparation)
         self.context.say(_("The settings of that run are in the form; the chosen tests are as they were."))
 
     def _save_table(self) -> None:

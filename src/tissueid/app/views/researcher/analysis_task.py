@@ -1,4 +1,4 @@
-"""The task of an analysis: engines, options, signals and tests."""
+"""The task of an analysis: engines, options, signals, their preparation, and tests."""
 
 from __future__ import annotations
 
@@ -48,6 +48,33 @@ class TestRef(_Specification):
         return SelectedTest(Path(self.path), self.number, self.site, self.pseudonym, self.label, self.when)
 
 
+class Preparation(_Specification):
+    """What is done to the signals before a fit, and whether mass and damping of the tissue alone are reported."""
+
+    detrend: bool = False
+    low_hz: Annotated[float | None, Field(gt=0.0)] = None
+    high_hz: Annotated[float | None, Field(gt=0.0)] = None
+    tissue_alone: bool = False
+
+    @property
+    def of_signals(self) -> dict[str, Any]:
+        """The arguments of an analysis or of a comparison for its signals."""
+        return {"detrend": self.detrend, "band_hz": (self.low_hz, self.high_hz)}
+
+    @property
+    def without_actuator(self) -> Preparation:
+        """The same for a comparison, which reports no parameters of the tissue alone."""
+        return self.model_copy(update={"tissue_alone": False})
+
+    @property
+    def changed(self) -> dict[str, Any]:
+        """What differs from the defaults, by name."""
+        return self.model_dump(exclude_defaults=True)
+
+
+AS_RECORDED = Preparation()
+
+
 class AnalysisTask(_Specification):
     """One run. A comparison has several ``engines`` with default options.
 
@@ -59,6 +86,7 @@ class AnalysisTask(_Specification):
     options: Annotated[dict[Name, Value], Field(max_length=60)] = {}
     input_name: Name = "force"
     output_name: Name = "position"
+    preparation: Preparation = AS_RECORDED
     together: bool = False
     tests: Annotated[tuple[TestRef, ...], Field(max_length=MOST_TESTS)] = ()
 

@@ -113,7 +113,13 @@ def refit(outcomes: Sequence[EngineOutcome], control: JobControl) -> Batch:
 
 def _task_of(outcome: EngineOutcome) -> AnalysisTask:
     into, out = outcome.signals
-    return AnalysisTask(engines=(outcome.engine,), options=outcome.options, input_name=into, output_name=out)
+    return AnalysisTask(
+        engines=(outcome.engine,),
+        options=outcome.options,
+        input_name=into,
+        output_name=out,
+        preparation=outcome.preparation,
+    )
 
 
 def run_folder(folder: Path, task: AnalysisTask, control: JobControl, history: AnalysisHistory, moment: str) -> Batch:
@@ -191,10 +197,12 @@ def _run_one(
         also=[test.number for test in others],
         input_name=signals[0],
         output_name=signals[1],
+        tissue_alone=task.preparation.tissue_alone,
+        **task.preparation.of_signals,
     )
     control.progress(0.8, _("drawing"))
     control.check()
-    return [EngineOutcome.of(analysis, dict(task.options), group, signals)], []
+    return [EngineOutcome.of(analysis, dict(task.options), group, signals, task.preparation)], []
 
 
 def _compare_one(
@@ -210,26 +218,29 @@ def _compare_one(
         also=[test.number for test in others],
         input_name=signals[0],
         output_name=signals[1],
+        **task.preparation.of_signals,
     ).found
     control.progress(0.96, _("drawing"))
     control.check()
-    return list(_outcomes(found, group, signals)), [summary_of(found, group)]
+    return list(_outcomes(found, group, task)), [summary_of(found, group)]
 
 
-def _outcomes(
-    found: EngineComparison, group: tuple[SelectedTest, ...], signals: tuple[str, str]
-) -> Iterator[EngineOutcome]:
+def _outcomes(found: EngineComparison, group: tuple[SelectedTest, ...], task: AnalysisTask) -> Iterator[EngineOutcome]:
+    signals, prepared = (task.input_name, task.output_name), task.preparation.without_actuator
     for entry in found.entries:
         if entry.scored is None:
-            yield EngineOutcome(entry.engine, {}, group, signals, refused=entry.refused or marked("refused"))
+            yield EngineOutcome(
+                entry.engine, {}, group, signals, preparation=prepared, refused=entry.refused or marked("refused")
+            )
         else:
             best = entry.engine == found.recommendation.engine
-            yield replace(EngineOutcome.of(entry.scored.analysis, {}, group, signals), recommended=best)
+            outcome = EngineOutcome.of(entry.scored.analysis, {}, group, signals, prepared)
+            yield replace(outcome, recommended=best)
 
 
 def _refused(task: AnalysisTask, engine: str, group: tuple[SelectedTest, ...], words: str) -> EngineOutcome:
     signals = task.input_name, task.output_name
-    return EngineOutcome(engine, dict(task.options), group, signals, refused=words)
+    return EngineOutcome(engine, dict(task.options), group, signals, preparation=task.preparation, refused=words)
 
 
 def _headline(done: list[EngineOutcome], cancelled: bool) -> str:

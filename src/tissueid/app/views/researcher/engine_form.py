@@ -22,6 +22,7 @@ from PySide6.QtWidgets import (
 )
 
 from tissueid.app.option_field import OptionField
+from tissueid.app.views.researcher.preparation_form import PreparationForm
 from tissueid.app.views.researcher.selected_test import signal_title
 from tissueid.app.words import in_words
 from tissueid.errors import UnusableInputError
@@ -57,6 +58,7 @@ class EngineForm(QWidget):
         self.input, self.output = _signals(_("Input"), INPUTS), _signals(_("Output"), OUTPUTS)
         self.together = QCheckBox(_("Fit tests of a file together"))
         self.together.setToolTip(_("One model for all chosen tests of a session; otherwise one for each test"))
+        self.preparation = PreparationForm()
         self.defaults = QPushButton(_("&Defaults"))
         self.defaults.setToolTip(_("All options of this engine as they are when nothing is chosen"))
         self.undo = QPushButton(_("Undo"))
@@ -75,6 +77,7 @@ class EngineForm(QWidget):
         for combo in (self.input, self.output):
             combo.currentIndexChanged.connect(self.changed)
         self.together.toggled.connect(self.changed)
+        self.preparation.changed.connect(self.changed)
         self.defaults.clicked.connect(self._take_defaults)
         self.undo.clicked.connect(self._stack.undo)
         self.redo.clicked.connect(self._stack.redo)
@@ -254,7 +257,15 @@ class EngineForm(QWidget):
             for control in field.controls:
                 QWidget.setTabOrder(before, control)
                 before = control
-        for control in (self.defaults, self.undo, self.redo, self.input, self.output, self.together):
+        for control in (
+            self.defaults,
+            self.undo,
+            self.redo,
+            self.input,
+            self.output,
+            self.together,
+            *self.preparation.controls,
+        ):
             QWidget.setTabOrder(before, control)
             before = control
 
@@ -284,6 +295,7 @@ class EngineForm(QWidget):
         inside.addLayout(buttons)
         inside.addLayout(signals)
         inside.addWidget(self.together)
+        inside.addWidget(self.preparation)
         inside.addStretch(1)
         scroll = QScrollArea()
         scroll.setWidget(content)

@@ -8,6 +8,7 @@ from typing import Any
 
 from tissueid.analysis import Analysis
 from tissueid.app.user_files import Stamp
+from tissueid.app.views.researcher.analysis_task import AS_RECORDED, Preparation
 from tissueid.app.views.researcher.plot_data import PlotData
 from tissueid.app.views.researcher.selected_test import SelectedTest, distinguishing_labels, short_label
 from tissueid.formatting import plain_text
@@ -19,8 +20,9 @@ from tissueid.language import _, marked
 class EngineOutcome:
     """Result of an engine on one test, or on several fitted together; ``refused`` is the reason if there is none.
 
-    ``signals`` names input and output. ``stamp`` is that of the file when it was fitted; ``changed`` says that the file
-    is another one now. ``recommended`` marks the engine that a comparison recommends.
+    ``signals`` names input and output, ``preparation`` says what was done to them. ``stamp`` is that of the file when
+    it was fitted; ``changed`` says that the file is another one now. ``recommended`` marks the engine that a comparison
+    recommends.
     """
 
     engine: str
@@ -35,10 +37,16 @@ class EngineOutcome:
     stamp: Stamp | None = None
     recommended: bool = False
     changed: bool = False
+    preparation: Preparation = AS_RECORDED
 
     @classmethod
     def of(
-        cls, analysis: Analysis, options: dict[str, Any], tests: Sequence[SelectedTest], signals: tuple[str, str]
+        cls,
+        analysis: Analysis,
+        options: dict[str, Any],
+        tests: Sequence[SelectedTest],
+        signals: tuple[str, str],
+        preparation: Preparation,
     ) -> EngineOutcome:
         """Return the result of an analysis."""
         from tissueid.analysis.curves.kernels import kernel_plots
@@ -48,7 +56,17 @@ class EngineOutcome:
         report, record = analysis.model.report, analysis.record
         pictures = PlotData(panels, panel_units(record), kernel_plots(analysis.model, record))
         validated_on = analysis.validated_on
-        return cls(report.engine, options, tuple(tests), signals, report, validated_on, pictures, findings)
+        return cls(
+            report.engine,
+            options,
+            tuple(tests),
+            signals,
+            report,
+            validated_on,
+            pictures,
+            findings,
+            preparation=preparation,
+        )
 
     def bare(self) -> EngineOutcome:
         """Return a copy without curves."""
@@ -64,7 +82,8 @@ class EngineOutcome:
     @property
     def key(self) -> tuple[Any, ...]:
         """Identity of a result: a later result with the same key replaces it."""
-        return self.engine, repr(self.options), tuple((test.path, test.number) for test in self.tests), self.signals
+        tests = tuple((test.path, test.number) for test in self.tests)
+        return self.engine, repr(self.options), tests, self.signals, self.preparation
 
     @property
     def test_label(self) -> str:
@@ -103,6 +122,6 @@ def changed_options(engine: str, options: Mapping[str, object]) -> dict[str, obj
 
 def variant_of(outcome: EngineOutcome) -> str:
     """Return the engine of a fit and its options that differ from the defaults."""
-    changed = changed_options(outcome.engine, outcome.options)
+    changed = changed_options(outcome.engine, outcome.options) | outcome.preparation.changed
     options = plain_text(changed) if changed else _("default options")
     return f"{engine_label(outcome.engine)}, {options}"

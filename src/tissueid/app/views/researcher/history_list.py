@@ -144,7 +144,7 @@ def _texts(entry: HistoryEntry) -> tuple[str, str, str, str, str]:
 def _changed(task: AnalysisTask) -> str:
     """Return the settings that differ from the defaults; all of them if the engine is not installed."""
     name = task.engines[0]
-    options = changed_options(name, task.options)
+    options = changed_options(name, task.options) | task.preparation.changed
     words = [plain_text(options)] if options else []
     if (task.input_name, task.output_name) != ("force", "position"):
         words.append(_("{input} to {output}").format(input=clean(task.input_name), output=clean(task.output_name)))

@@ -6,6 +6,7 @@ import json
 
 from PySide6.QtWidgets import QComboBox, QTabWidget
 
+from tissueid.app.views.researcher.analysis_task import Preparation
 from tissueid.app.views.researcher.engine_form import EngineForm
 from tissueid.app.views.researcher.recommendation_view import RecommendationView
 from tissueid.errors import TissueIDError
@@ -21,6 +22,7 @@ def saved_state(form: EngineForm, verdicts: RecommendationView, picture: QComboB
         "options": form.all_options(),
         "signals": form.signals,
         "together": form.together.isChecked(),
+        "preparation": form.preparation.value().model_dump(),
         "compared": verdicts.compared,
         "picture": picture.currentData(),
         "tab": tabs.currentIndex(),
@@ -38,6 +40,7 @@ def restore_state(
         form.choose(str(state.get("engine", form.name)))
         into, out = map(str, state.get("signals", form.signals))
         form.take_signals(into, out, state.get("together") is True)
+        form.preparation.set_value(Preparation.model_validate(state.get("preparation", {})))
         verdicts.take_compared([str(name) for name in state.get("compared", ())])
         picture.setCurrentIndex(max(0, picture.findData(str(state.get("picture", "")))))
         tabs.setCurrentIndex(int(state.get("tab", 0)))

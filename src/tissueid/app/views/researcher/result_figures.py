@@ -46,7 +46,7 @@ class PictureFigure:
 
     def plots(self, colours: Sequence[str]) -> list[Plot]:
         """Return the panels, with the results laid over each other in some colours."""
-        same = len({(outcome.signals, *outcome.tests) for outcome in self.outcomes}) == 1
+        same = len({(outcome.signals, outcome.preparation, *outcome.tests) for outcome in self.outcomes}) == 1
         names = [_legible(label) for label in self.labels]
         made = []
         for panel in PICTURES[self.name]:

@@ -13,7 +13,16 @@ from typing import Annotated, Any
 from pydantic import AwareDatetime, BaseModel, ConfigDict, Field, ValidationError
 
 from tissueid.app.user_files import Stamp, StoredText, default_path, stamp_of
-from tissueid.app.views.researcher.analysis_task import MOST_TESTS, AnalysisTask, Name, TestRef, Text, Value
+from tissueid.app.views.researcher.analysis_task import (
+    AS_RECORDED,
+    MOST_TESTS,
+    AnalysisTask,
+    Name,
+    Preparation,
+    TestRef,
+    Text,
+    Value,
+)
 from tissueid.app.views.researcher.engine_outcome import EngineOutcome
 from tissueid.app.views.researcher.plot_data import PlotData
 from tissueid.app.views.researcher.selected_test import SelectedTest
@@ -183,6 +192,7 @@ class _Result(_Line):
     options: Annotated[dict[Name, Value], Field(max_length=60)]
     tests: Annotated[tuple[TestRef, ...], Field(min_length=1, max_length=MOST_TESTS)]
     signals: tuple[Name, Name]
+    preparation: Preparation = AS_RECORDED
     report: _Report | None
     validated_on: Text
     units: Annotated[dict[Name, Annotated[str, Field(max_length=40)]], Field(max_length=40)]
@@ -200,6 +210,7 @@ class _Result(_Line):
             options=outcome.options,
             tests=tuple(map(TestRef.of, outcome.tests)),
             signals=outcome.signals,
+            preparation=outcome.preparation,
             report=None if outcome.report is None else _Report.of(outcome.report),
             validated_on=outcome.validated_on,
             units={str(panel): unit for panel, unit in outcome.plots.units.items()},
@@ -233,6 +244,7 @@ class _Result(_Line):
             self.stamp,
             self.recommended,
             changed=stamp != self.stamp,
+            preparation=self.preparation,
         )
 
 

@@ -323,8 +323,8 @@ def _tool_tip(outcome: EngineOutcome) -> str:
                 Message("research.file_changed", "The file has changed or gone since this was fitted: run it again")
             )
         )
-    if outcome.options:
-        lines.append(_("Options: {options}").format(options=plain_text(outcome.options)))
+    if options := outcome.options | outcome.preparation.changed:
+        lines.append(_("Options: {options}").format(options=plain_text(options)))
     if outcome.report is not None:
         lines += [_("VAF held out on {data}").format(data=translated(outcome.validated_on))]
         lines += [
@@ -339,7 +339,9 @@ def _plain_row(outcome: EngineOutcome, names: Sequence[str]) -> list[str]:
     first, report = outcome.tests[0], outcome.report
     numbers = " ".join(str(test.number) for test in outcome.tests)
     row = [outcome.engine, outcome.test_label, first.pseudonym, first.site, str(first.path), numbers]
-    row = [_harmless(text) for text in [*row, *outcome.signals, plain_text(outcome.options)]]
+    row = [
+        _harmless(text) for text in [*row, *outcome.signals, plain_text(outcome.options | outcome.preparation.changed)]
+    ]
     if report is None:
         return row + [""] * (5 + 2 * len(names)) + [_harmless(outcome.refused)]
     row += [_bare(report.vaf_percent), _bare(report.vaf_validation_percent), outcome.validated_on]
