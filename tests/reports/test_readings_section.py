@@ -1,4 +1,4 @@
-"""Readings in the report of a step test and on the page Result."""
+"""Readings in the report of a step test and on the page Result, and the parameters that a test does not determine."""
 
 from __future__ import annotations
 
@@ -7,9 +7,11 @@ from pathlib import Path
 import numpy as np
 from analysis import simulated_steps as steps
 from reports.synthetic_sitting import make_session, make_test
+from scipy.signal import lfilter
 
 from tissueid.analysis import analyse_all
 from tissueid.app.identifying import identify
+from tissueid.messages import MISSING
 from tissueid.reports import report_html
 from tissueid.sessions import Session, Test
 
@@ -38,3 +40,14 @@ def test_the_page_result_shows_the_readings_of_a_step_test() -> None:
     assert "Ue" in shown
     assert "R7" in shown
     assert "Research use only" in shown
+
+
+def test_a_mass_that_the_test_does_not_determine_is_no_number() -> None:
+    time = np.arange(3000) / 1000.0
+    force = 4.0 + 2.5 * np.sin(6.0 * time**2)
+    decay = np.exp(-3200.0 / 39.0 / 1000.0)
+    position = 0.015 + lfilter([1.0 - decay], [1.0, -decay], force - 4.0) / 3200.0
+    signals = {"time": time, "force": force, "position": position}
+    numbers = identify(Path("a.h5"), make_session(Test(1, "stochastic", signals, 1000.0)), 1).numbers
+    assert [number.value == MISSING for number in numbers] == [True, False, False, False, False]
+    assert numbers[0].found is None

@@ -18,7 +18,7 @@ from tissueid.formatting import estimate, fixed, label_and_unit, plus_minus
 from tissueid.identification import engine_label
 from tissueid.identification.engines.wiener import Wiener
 from tissueid.language import _, marked
-from tissueid.messages import translated
+from tissueid.messages import MISSING, translated
 from tissueid.procedures.report import analyse_test
 from tissueid.reports.configured import surface_of
 from tissueid.reports.verdict import judge, linear_engine, linear_label, localized_engine, stiffness_range, visited
@@ -109,6 +109,9 @@ def _numbers(analyses: Mapping[str, Analysis]) -> Iterator[Number]:
     for quantity, note in _OF_WHAT.items():
         if quantity in parameters:
             label, si_unit = label_and_unit(quantity)
+            if parameters[quantity].std is None:
+                yield Number(_(label), MISSING, "", _("not determined by this test"))
+                continue
             unit, scale = display_unit(si_unit)
             value, deviation, power = estimate(parameters[quantity], scale)
             rest = " ".join(filter(None, [deviation and f"± {deviation}", power, unit]))

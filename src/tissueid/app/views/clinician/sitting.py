@@ -186,12 +186,13 @@ class Sitting:
 
 
 def values_of(analyses: Mapping[str, Analysis]) -> dict[str, Estimate]:
-    """Mass, damping and stiffness of the linear engine that leads, SI, where there are any."""
+    """Mass, damping and stiffness of the linear engine that leads, SI, as far as the record determines them."""
     from tissueid.reports.verdict import linear_engine
 
     name = linear_engine(analyses)
     parameters = analyses[name].model.report.reportable_parameters if name is not None else {}
-    return {quantity: parameters[quantity] for quantity in QUANTITIES if quantity in parameters}
+    found = {quantity: parameters[quantity] for quantity in QUANTITIES if quantity in parameters}
+    return {quantity: value for quantity, value in found.items() if value.std is not None}
 
 
 @dataclass(frozen=True)
