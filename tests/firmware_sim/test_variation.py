@@ -112,7 +112,7 @@ def test_layers_below_a_compressed_surface_stay_where_they_are():
     assert after.damping.at(position - after.surface_m) < before.damping.at(position - before.surface_m)
 
 
-def test_a_bench_is_compressed_by_its_first_test_only_and_recovers_where_it_is_placed_anew():
+def test_a_bench_is_compressed_by_its_first_test_only_and_recovers_where_it_is_placed_again():
     bench = Bench("skin-posterior", seed=2, variation=Variation(2))
     preset = load_preset("skin-posterior")
     surfaces = []

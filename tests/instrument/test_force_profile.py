@@ -88,7 +88,7 @@ def test_a_test_notes_which_force_constant_was_used(compensated: bool):
 
 
 def test_limits_keep_the_plateau():
-    """A limit in newtons is checked with the largest force constant: never more force than without the profile."""
+    """A limit in newtons is checked with the force constant of the plateau, which this coil nowhere exceeds."""
     device = calibrated(true_constant(PLACES))
     assert device.force_constant_n_per_a == PLATEAU
     position = np.linspace(0.0, 0.032, 50)
