@@ -10,6 +10,8 @@ from coded import coded
 from reports.synthetic_sitting import make_session, make_test
 
 from tissueid.analysis.curves import overlay as curves
+from tissueid.analysis.curves.correlations import signal_correlations
+from tissueid.analysis.curves.depth_overlay import depth_overlay
 from tissueid.analysis.curves.kernel_overlay import first_kernels, kernel_lobes, partition_columns, second_kernels
 from tissueid.analysis.overlay import (
     NamedFit,
@@ -89,7 +91,7 @@ def test_the_calibration_lies_under_the_profiles(three: Overlay) -> None:
         "mass_std_kg": np.array([1e-3, 2e-3]),
         "stiffness_n_per_m": np.array([1000.0, 1100.0]),
     }
-    mass, damping, stiffness = curves.depth_overlay(three, sweep)
+    mass, damping, stiffness = depth_overlay(three, sweep)
     assert mass.x.label == "Position"
     assert mass.curve("calibration spring").y.tolist() == [60.0, 70.0]
     assert mass.curve("calibration spring").high[0] == pytest.approx(60.0 + 1.96)
@@ -155,7 +157,7 @@ def test_correlations_of_a_delay() -> None:
     random = np.random.Generator(np.random.PCG64(1))
     force = random.standard_normal(4000)
     record = Record(force, 1e-3 * np.roll(force, 10), 2000.0)
-    into, _out, cross = curves.signal_correlations({"": record})
+    into, _out, cross = signal_correlations({"": record})
     values = into.curves[0]
     assert values.y[values.x.size // 2] == pytest.approx(1.0)
     assert np.abs(np.delete(values.y, values.x.size // 2)).max() < 0.1
@@ -183,6 +185,6 @@ def test_a_series_without_an_own_label_is_numbered(session: Session) -> None:
     options = {"partitions": 2, "memory": 0.02, "correct": False}
     found = overlay([TestSource("arm", session, (n,)) for n in (1, 2)], [fit("depth", **options)], whole=True)
     assert list(series_profiles(found)) == [("arm", "depth"), ("arm (2)", "depth")]
-    mass, *_rest = curves.depth_overlay(found)
+    mass, *_rest = depth_overlay(found)
     assert {one.name for one in mass.curves if one.name} == {"arm", "arm (2)"}
     assert {one.colour for one in mass.curves} == {"measured"}

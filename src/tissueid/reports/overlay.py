@@ -12,6 +12,8 @@ from matplotlib.figure import Figure
 from tissueid import __version__
 from tissueid.analysis.curves import kernel_overlay as kernels
 from tissueid.analysis.curves import overlay as curves
+from tissueid.analysis.curves.correlations import signal_correlations
+from tissueid.analysis.curves.depth_overlay import Columns, bode_by_depth, depth_overlay, impulse_by_depth
 from tissueid.analysis.curves.partitions import partition_error_plots
 from tissueid.analysis.curves.plot import Plot, as_csv
 from tissueid.analysis.overlay import Overlay, quantity_label, repeated_values
@@ -113,7 +115,7 @@ class OverlayReport(DrawnFigures):
 
 
 def overlay_report(
-    found: Overlay, calibration: curves.Columns | None = None, keys: Sequence[str] | None = None
+    found: Overlay, calibration: Columns | None = None, keys: Sequence[str] | None = None
 ) -> OverlayReport:
     """Draw the figures of an overlay; those that its fits cannot give are left out, and all but one of a sweep.
 
@@ -186,7 +188,7 @@ def _transposed(columns: Sequence[Sequence[Plot]]) -> Rows:
     return list(zip(*columns, strict=True))
 
 
-def _depth(calibration: curves.Columns | None) -> _Drawing:
+def _depth(calibration: Columns | None) -> _Drawing:
     return _Drawing(
         "depth",
         marked("Mass, damping and stiffness against depth"),
@@ -195,7 +197,7 @@ def _depth(calibration: curves.Columns | None) -> _Drawing:
             "Every source has a colour and every fit a marker, with 95 % bars or bands. Small tests about several "
             "loads that share a label are joined. Grey: the calibration spring along the stroke, if a sweep is given."
         ),
-        lambda found: [curves.depth_overlay(found, calibration)],
+        lambda found: [depth_overlay(found, calibration)],
         row_height=3.6,
     )
 
@@ -256,14 +258,14 @@ _DRAWINGS = (
             "The second-order system at each depth. The magnitude at low frequencies is one over the stiffness: it "
             "falls with depth where tissue stiffens."
         ),
-        lambda found: _transposed(curves.bode_by_depth(found)),
+        lambda found: _transposed(bode_by_depth(found)),
     ),
     _Drawing(
         "impulse-by-depth",
         marked("Impulse response by depth"),
         marked("Impulse responses at each depth, and below each divided by its area; a column for each series."),
         marked("Divided by its area, a response shows the dynamics alone: in a Wiener system all would coincide."),
-        lambda found: _transposed(curves.impulse_by_depth(found)),
+        lambda found: _transposed(impulse_by_depth(found)),
     ),
     _Drawing(
         "responses",
@@ -291,7 +293,7 @@ _DRAWINGS = (
         marked("Correlations of input and output"),
         marked("Autocorrelations of input and output and their cross-correlation over both signs of the lag."),
         captions.CORRELATIONS,
-        lambda found: [curves.signal_correlations({curves.named(n): r for n, r in found.records.items()})],
+        lambda found: [signal_correlations({curves.named(n): r for n, r in found.records.items()})],
         row_height=3.2,
     ),
     _Drawing(

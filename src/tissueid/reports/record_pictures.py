@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from matplotlib.figure import Figure
 
-from tissueid.analysis.curves.overlay import signal_correlations
+from tissueid.analysis.curves.correlations import signal_correlations
 from tissueid.analysis.curves.signals import distribution_plots, recording_plots, recording_spectra
 from tissueid.identification.engines.spectral import SpectralModel
 from tissueid.language import _

@@ -13,6 +13,7 @@ from typing import Literal
 import numpy as np
 
 from tissueid.analysis import Analysis
+from tissueid.analysis.curves.correlations import signal_correlations
 from tissueid.analysis.curves.depth import QUANTITIES, depth_plots
 from tissueid.analysis.curves.linear import (
     coherence_curve,
@@ -23,7 +24,6 @@ from tissueid.analysis.curves.linear import (
     spectra_of,
 )
 from tissueid.analysis.curves.nonlinearity import nonlinearity_plot
-from tissueid.analysis.curves.overlay import signal_correlations
 from tissueid.analysis.curves.plot import Axis, Curve, Plot
 from tissueid.analysis.curves.prediction import output_plots
 from tissueid.analysis.curves.units import FREQUENCY, LAG, kernel_unit, ratio_unit
