@@ -9,6 +9,8 @@ from tissueid.app.views.researcher.analysis_task import Preparation
 from tissueid.language import _
 
 _HIGHEST_HZ = 1e5
+_NARROW = 60
+"""Width to which a field may shrink, pixels: the form scrolls up and down alone."""
 
 
 class PreparationForm(QWidget):
@@ -73,6 +75,7 @@ class PreparationForm(QWidget):
         edge.setSuffix(" Hz")
         edge.setSpecialValueText(_("no limit"))
         edge.setKeyboardTracking(False)
+        edge.setMinimumWidth(_NARROW)
         edge.setAccessibleName(label)
         edge.setToolTip(what)
         edge.valueChanged.connect(self.changed)
