@@ -1,9 +1,10 @@
-"""Lines of the conformance suite to the two firmwares, in simulated time."""
+"""Lines of the conformance suite to the firmwares, in simulated time."""
 
 import math
 
 from firmware_sim.bench import Bench
 from firmware_sim.firmware import Firmware
+from firmware_sim.reference.emulator import EmulatedLockstep
 from firmware_sim.reference.lockstep import Disturbance, Lockstep
 from firmware_sim.tissue import FREE_AIR
 from tissueid.instrument.conformance import Act, Confirmed, DeviceUnderTest, run_suite
@@ -74,6 +75,30 @@ class ReferenceLine(SimulatedLine):
         self.device.close()
 
     def received(self):
+        return self.device.transmit()
+
+    def advance(self, samples):
+        self.device.interrupts(samples)
+
+    def disturb(self):
+        self.device.disturb(self.disturbance)
+
+
+class EmulatedLine(SimulatedLine):
+    """A line to the C firmware on an emulated microcontroller, whose time passes in grants."""
+
+    def __init__(self, program, plant="free"):
+        super().__init__()
+        self.device = EmulatedLockstep(program, plant)
+
+    def write(self, data):
+        self.device.receive(data)
+
+    def close(self):
+        self.device.close()
+
+    def received(self):
+        self.device.interrupts(0)
         return self.device.transmit()
 
     def advance(self, samples):

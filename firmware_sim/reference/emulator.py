@@ -1,0 +1,186 @@
+"""The reference firmware on an emulated microcontroller: QEMU's mps2-an500, in real time or in lockstep with a test.
+
+In lockstep the emulator's clock counts instructions, and the timers of the board run only for the samples that are granted:
+the sample interrupt, the plant and the clock of the test advance together, however busy the computer is.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import os
+import select
+import shutil
+import struct
+import subprocess
+import tempfile
+from pathlib import Path
+from types import TracebackType
+from typing import Self
+
+from firmware_sim.reference.build import MissingToolError
+from firmware_sim.reference.lockstep import Disturbance
+
+TICKS_PER_S = 25_000_000
+"""Ticks of the board's timers per second."""
+
+_SHIFT = 5
+"""Two to this power are the nanoseconds of one instruction: 32 ns, 31 million per second."""
+
+INSTRUCTIONS_PER_TICK = 1e9 / TICKS_PER_S / 2**_SHIFT
+
+_STRAPS = 0x203FFFF0
+_LOCKSTEP = 1
+_PLANTS = {"free": 0, "dummy": 2}
+_ANSWER_S = 30.0
+"""Longest real time of a grant; a busy computer may need a second."""
+
+
+def emulator_command(program: Path, *options: str, straps: int = 0, boot_id: int = 0x51E3A) -> list[str]:
+    """Return the command that runs the QEMU target.
+
+    Args:
+        program: built QEMU target.
+        options: further options, with those of the serial ports: the first is the line to the host.
+        straps: bits that the board reads at its start.
+        boot_id: of this start.
+
+    Raises:
+        MissingToolError: QEMU is not installed.
+    """
+    emulator = shutil.which("qemu-system-arm")
+    if emulator is None:
+        raise MissingToolError("qemu: not run, install qemu-system-arm")
+    words = ((_STRAPS, straps), (_STRAPS + 4, boot_id))
+    loaders = [part for at, word in words for part in ("-device", f"loader,addr={at:#x},data={word:#x},data-len=4")]
+    machine = [emulator, "-M", "mps2-an500", "-display", "none", "-monitor", "none", "-kernel", str(program)]
+    return [*machine, *loaders, *options]
+
+
+def qemu_command(program: Path, port: int) -> list[str]:
+    """Return the command that runs the QEMU target in real time, with its line on a TCP port of this computer.
+
+    Raises:
+        MissingToolError: QEMU is not installed.
+    """
+    return emulator_command(program, "-serial", f"tcp:127.0.0.1:{port},server,nowait")
+
+
+class EmulatedLockstep:
+    """An emulated microcontroller that advances only on request.
+
+    Args:
+        program: built QEMU target.
+        plant: ``free`` or ``dummy``.
+        boot_id: of this start.
+
+    Raises:
+        MissingToolError: QEMU is not installed.
+        RuntimeError: the emulator ended; the message is its standard error.
+    """
+
+    def __init__(self, program: Path, plant: str = "free", boot_id: int = 0x51E3A) -> None:
+        self.longest_interrupt_ticks = 0
+        self._disturbance = Disturbance.NONE
+        self._received = b""
+        self._written = self._arrived = self._announced = 0
+        with contextlib.ExitStack() as stack:
+            folder = Path(stack.enter_context(tempfile.TemporaryDirectory()))
+            self._line = _Pipe(folder / "line", stack)
+            self._grants = _Pipe(folder / "grants", stack)
+            command = emulator_command(
+                program,
+                *("-icount", f"shift={_SHIFT},sleep=off,align=off"),
+                *(part for name in ("line", "grants") for part in ("-chardev", f"pipe,id={name},path={folder / name}")),
+                *("-serial", "chardev:line", "-serial", "chardev:grants"),
+                straps=_LOCKSTEP | _PLANTS[plant],
+                boot_id=boot_id,
+            )
+            self._process = subprocess.Popen(command, stdin=subprocess.DEVNULL, stderr=subprocess.PIPE)
+            stack.callback(self._end)
+            self.interrupts(0)
+            self._stack = stack.pop_all()
+
+    def receive(self, data: bytes) -> None:
+        """Give bytes of the host to the firmware; it processes them before the next sample."""
+        self._line.write(data)
+        self._written += len(data)
+
+    def interrupts(self, samples: int) -> None:
+        """Let the timers run for a number of samples, 0 to 65535, and the firmware finish its work.
+
+        Raises:
+            RuntimeError: the emulator ended, or does not answer.
+        """
+        self._grants.write(struct.pack("<BBHI", self._disturbance, 0, samples, self._written & 0xFFFFFFFF))
+        answer = b""
+        while len(answer) < 8:
+            self._wait(self._grants)
+            answer += self._grants.read(8 - len(answer))
+        sent, ticks = struct.unpack("<II", answer)
+        self._announced += (sent - self._announced) & 0xFFFFFFFF
+        self.longest_interrupt_ticks = max(self.longest_interrupt_ticks, ticks)
+        while self._arrived < self._announced:
+            self._wait(self._line)
+            data = self._line.read(65536)
+            self._arrived += len(data)
+            self._received += data
+
+    def disturb(self, disturbance: Disturbance) -> None:
+        """Set the disturbances of the plant."""
+        self._disturbance = disturbance
+        self.interrupts(0)
+
+    def transmit(self) -> bytes:
+        """Return the bytes that the firmware has sent."""
+        data, self._received = self._received, b""
+        return data
+
+    def _wait(self, pipe: _Pipe) -> None:
+        for _ in range(round(_ANSWER_S)):
+            if pipe.arrives(1.0):
+                return
+            if self._process.poll() is not None:
+                break
+        self._process.kill()
+        words = self._process.communicate()[1].decode(errors="replace")
+        raise RuntimeError(words or f"the emulator does not answer within {_ANSWER_S:.0f} s")
+
+    def _end(self) -> None:
+        self._process.kill()
+        self._process.communicate()
+
+    def close(self) -> None:
+        """End the emulator."""
+        self._stack.close()
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, traceback: TracebackType | None
+    ) -> None:
+        self.close()
+
+
+class _Pipe:
+    """The two FIFOs of a character device of QEMU: ``path.in`` and ``path.out``."""
+
+    def __init__(self, path: Path, stack: contextlib.ExitStack) -> None:
+        self._files = []
+        for ending in (".in", ".out"):
+            name = f"{path}{ending}"
+            os.mkfifo(name)
+            # For reading and writing: the open does not wait for the other end.
+            file = os.open(name, os.O_RDWR)
+            stack.callback(os.close, file)
+            self._files.append(file)
+
+    def write(self, data: bytes) -> None:
+        while data:
+            data = data[os.write(self._files[0], data) :]
+
+    def arrives(self, seconds: float) -> bool:
+        return bool(select.select([self._files[1]], [], [], seconds)[0])
+
+    def read(self, most: int) -> bytes:
+        return os.read(self._files[1], most)
