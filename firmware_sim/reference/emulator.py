@@ -1,7 +1,7 @@
 """The reference firmware on an emulated microcontroller: QEMU's mps2-an500, in real time or in lockstep with a test.
 
-In lockstep the emulator's clock counts instructions, and the timers of the board run only for the samples that are granted:
-the sample interrupt, the plant and the clock of the test advance together, however busy the computer is.
+In lockstep the emulator's clock counts instructions, and the timers of the board run only for the samples that are
+granted: the sample interrupt, the plant and the clock of the test advance together, however busy the computer is.
 """
 
 from __future__ import annotations
@@ -9,7 +9,6 @@ from __future__ import annotations
 import contextlib
 import os
 import select
-import shutil
 import struct
 import subprocess
 import tempfile
@@ -17,8 +16,8 @@ from pathlib import Path
 from types import TracebackType
 from typing import Self
 
-from firmware_sim.reference.build import MissingToolError
 from firmware_sim.reference.lockstep import Disturbance
+from firmware_sim.reference.tools import tool
 
 TICKS_PER_S = 25_000_000
 """Ticks of the board's timers per second."""
@@ -47,9 +46,7 @@ def emulator_command(program: Path, *options: str, straps: int = 0, boot_id: int
     Raises:
         MissingToolError: QEMU is not installed.
     """
-    emulator = shutil.which("qemu-system-arm")
-    if emulator is None:
-        raise MissingToolError("qemu: not run, install qemu-system-arm")
+    emulator = tool("qemu: not run", "qemu-system-arm")
     words = ((_STRAPS, straps), (_STRAPS + 4, boot_id))
     loaders = [part for at, word in words for part in ("-device", f"loader,addr={at:#x},data={word:#x},data-len=4")]
     machine = [emulator, "-M", "mps2-an500", "-display", "none", "-monitor", "none", "-kernel", str(program)]

@@ -5,8 +5,9 @@ Without the tools these tests are skipped.
 
 import pytest
 
-from firmware_sim.reference.build import QEMU, SANITIZERS, MissingToolError, build, build_posix
+from firmware_sim.reference.build import QEMU, SANITIZERS, build, build_posix
 from firmware_sim.reference.emulator import emulator_command
+from firmware_sim.reference.tools import MissingToolError
 
 
 @pytest.fixture(scope="session")

@@ -8,6 +8,7 @@
 #include "grants.h"
 #include "plant.h"
 #include "registers.h"
+#include "start.h"
 
 #define RING 4096u /* received bytes that wait for the main loop; a power of two */
 
@@ -217,3 +218,9 @@ int main(void)
         }
     }
 }
+
+__attribute__((section(".vectors.board"), used)) static const vector VECTORS[SAMPLE_INTERRUPT + 1u] = {
+    [LINE_INTERRUPT] = line_interrupt,
+    [GRANT_INTERRUPT] = grant_interrupt,
+    [SAMPLE_INTERRUPT] = sample_interrupt,
+};

@@ -1,11 +1,6 @@
-/* Interrupts and main loop of the board of QEMU's mps2-an500. */
+/* Interrupts of the board of QEMU's mps2-an500. */
 #ifndef QEMU_BOARD_H
 #define QEMU_BOARD_H
-
-#include "board.h"
-
-int main(void);
-void reset(void);
 
 /* Interrupts: a byte on UART 0, a byte on UART 1, the sample timer. */
 void line_interrupt(void);

@@ -29,7 +29,6 @@
 
 #define INTERRUPT_ENABLE REGISTER(0xE000E100u)
 #define INTERRUPT_PRIORITY(number) (*(volatile uint8_t *)(0xE000E400u + (number)))
-#define COPROCESSORS REGISTER(0xE000ED88u)
 #define LINE_INTERRUPT 0u
 #define GRANT_INTERRUPT 2u
 #define SAMPLE_INTERRUPT 8u

@@ -1,8 +1,11 @@
-/* Start of the processor: floating-point unit, variables, vectors. */
+/* Start of a Cortex-M: floating-point unit, variables, main(). A board adds its interrupts in section .vectors.board. */
+#include "start.h"
+
 #include <stdint.h>
 
-#include "qemu_board.h"
-#include "registers.h"
+#include "board.h"
+
+#define COPROCESSORS (*(volatile uint32_t *)0xE000ED88u)
 
 extern uint32_t data_load[], data_start[], data_end[], bss_start[], bss_end[], stack_top[];
 
@@ -13,6 +16,7 @@ void reset(void)
     for (uint32_t *to = data_start, *from = data_load; to < data_end; to++, from++) {
         *to = *from;
     }
+    /* cppcheck-suppress comparePointers ; the linker sets both */
     for (uint32_t *to = bss_start; to < bss_end; to++) {
         *to = 0;
     }
@@ -20,21 +24,15 @@ void reset(void)
 }
 
 /* A fault of the processor: the amplifier is off, and the hardware watchdog of a real board restarts it. */
-static void halt(void)
+void halt(void)
 {
     board_amplifier(false);
     for (;;) {
     }
 }
 
-typedef void (*vector)(void);
-
-#define EXTERNAL(number) [15u + (number)]
-
 __attribute__((section(".vectors"), used)) static const struct {
-    uint32_t *stack;
-    vector handlers[15u + SAMPLE_INTERRUPT + 1u];
-} VECTORS = {stack_top,
-             {reset, halt, halt, halt, halt, halt, 0, 0, 0, 0, halt, halt, 0, halt, halt,
-              EXTERNAL(LINE_INTERRUPT) = line_interrupt, EXTERNAL(GRANT_INTERRUPT) = grant_interrupt,
-              EXTERNAL(SAMPLE_INTERRUPT) = sample_interrupt}};
+    uint32_t *stack; /* cppcheck-suppress unusedStructMember ; read by the processor */
+    /* cppcheck-suppress unusedStructMember */
+    vector handlers[15];
+} VECTORS = {stack_top, {reset, halt, halt, halt, halt, halt, 0, 0, 0, 0, halt, halt, 0, halt, halt}};
