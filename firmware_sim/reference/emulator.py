@@ -29,7 +29,7 @@ INSTRUCTIONS_PER_TICK = 1e9 / TICKS_PER_S / 2**_SHIFT
 
 _STRAPS = 0x203FFFF0
 _LOCKSTEP = 1
-_PLANTS = {"free": 0, "dummy": 2}
+_PLANTS = {"tissue": 0x000, "free": 0x100, "dummy": 0x200}
 _ANSWER_S = 30.0
 """Longest real time of a grant; a busy computer may need a second."""
 
@@ -67,7 +67,7 @@ class EmulatedLockstep:
 
     Args:
         program: built QEMU target.
-        plant: ``free`` or ``dummy``.
+        plant: ``tissue``, ``free`` or ``dummy``.
         boot_id: of this start.
 
     Raises:

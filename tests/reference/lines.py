@@ -10,7 +10,7 @@ from firmware_sim.tissue import FREE_AIR
 from tissueid.instrument.conformance import Act, Confirmed, DeviceUnderTest, run_suite
 
 STEP = 4
-"""Samples between two looks at the line while nothing arrives."""
+"""Samples between two looks at the line while nothing arrives, by default."""
 
 DISTURBANCES = {
     Act.PRESS_BUTTON: (Disturbance.BUTTON, True),
@@ -28,6 +28,7 @@ class SimulatedLine:
     """A line whose time advances when something waits for it; it also plays the person at the device."""
 
     rate_hz = 2000
+    step = STEP
 
     def __init__(self):
         self.samples = 0
@@ -42,7 +43,7 @@ class SimulatedLine:
     def read(self, timeout_s):
         left = math.ceil(timeout_s * self.rate_hz)
         while not (data := self.received()) and left > 0:
-            step = min(left, STEP)
+            step = min(left, self.step)
             self._advance(step)
             left -= step
         return data

@@ -53,8 +53,8 @@ def test_a_defect_fails_its_clause(program, number):
     assert results[identity].outcome == "failed"
 
 
-def test_each_clause_of_safety_has_a_defect():
-    assert {item for item in CLAUSES if item.startswith("5.")} <= {item[0] for item in MUTANTS}
+def test_each_clause_has_a_defect():
+    assert set(CLAUSES) == {item[0] for item in MUTANTS}
 
 
 def test_the_document_lists_the_clauses():

@@ -197,7 +197,7 @@ int main(void)
     TIMER_RELOAD(CLOCK_TIMER) = 0xFFFFFFFFu;
     TIMER_CONTROL(CLOCK_TIMER) = TIMER_ON;
     newest_ticks = counted_ticks();
-    plant_init((STRAPS[0] & STRAP_DUMMY) != 0u ? PLANT_DUMMY : PLANT_FREE, &PROPERTIES, 0.008);
+    plant_init((enum plant_kind)((STRAPS[0] >> STRAP_PLANT) & 3u), &PROPERTIES, 0.008);
     firmware_init(&firmware);
     TIMER_RELOAD(SAMPLE_TIMER) = CLOCK_HZ / PROPERTIES.sample_rate_hz - 1u;
     TIMER_CONTROL(SAMPLE_TIMER) = TIMER_INTERRUPT | TIMER_ON;

@@ -37,6 +37,6 @@
 /* Words that QEMU's generic loader writes before the start (firmware_sim/reference/emulator.py). */
 #define STRAPS ((volatile const uint32_t *)0x203FFFF0u)
 #define STRAP_LOCKSTEP 1u
-#define STRAP_DUMMY 2u
+#define STRAP_PLANT 8u /* the byte from this bit on: enum plant_kind */
 
 #endif
