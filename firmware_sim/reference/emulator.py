@@ -6,18 +6,24 @@ granted: the sample interrupt, the plant and the clock of the test advance toget
 
 from __future__ import annotations
 
+import argparse
 import contextlib
 import os
 import select
+import signal
+import socket
 import struct
 import subprocess
+import sys
 import tempfile
+import time
 from pathlib import Path
 from types import TracebackType
 from typing import Self
 
+from firmware_sim.reference.build import QEMU, build
 from firmware_sim.reference.lockstep import Disturbance
-from firmware_sim.reference.tools import tool
+from firmware_sim.reference.tools import MissingToolError, tool
 
 TICKS_PER_S = 25_000_000
 """Ticks of the board's timers per second."""
@@ -51,15 +57,6 @@ def emulator_command(program: Path, *options: str, straps: int = 0, boot_id: int
     loaders = [part for at, word in words for part in ("-device", f"loader,addr={at:#x},data={word:#x},data-len=4")]
     machine = [emulator, "-M", "mps2-an500", "-display", "none", "-monitor", "none", "-kernel", str(program)]
     return [*machine, *loaders, *options]
-
-
-def qemu_command(program: Path, port: int) -> list[str]:
-    """Return the command that runs the QEMU target in real time, with its line on a TCP port of this computer.
-
-    Raises:
-        MissingToolError: QEMU is not installed.
-    """
-    return emulator_command(program, "-serial", f"tcp:127.0.0.1:{port},server,nowait")
 
 
 class EmulatedLockstep:
@@ -181,3 +178,73 @@ class _Pipe:
 
     def read(self, most: int) -> bytes:
         return os.read(self._files[1], most)
+
+
+SAMPLE_RATE_HZ = 2000
+_LAG_S = 0.1
+"""Longest delay of this computer that is caught up; for longer ones the clock of the device stops."""
+_UNREAD_BYTES = 1_000_000
+
+
+def serve(emulator: EmulatedLockstep, listener: socket.socket) -> None:
+    """Let the emulated device run in real time, with one host at a time on a TCP port; ends with an interrupt."""
+    host: socket.socket | None = None
+    pending = b""
+    begin, granted = time.monotonic(), 0
+    while True:
+        ready, _, _ = select.select([host or listener], [], [], 1.0 / SAMPLE_RATE_HZ)
+        if ready and host is None:
+            host, pending = listener.accept()[0], b""
+            host.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
+            host.setblocking(False)
+        try:
+            if ready and host is not None:
+                with contextlib.suppress(BlockingIOError):
+                    data = host.recv(4096)
+                    if not data:
+                        raise ConnectionError
+                    emulator.receive(data)
+            now = time.monotonic()
+            begin = max(begin, now - granted / SAMPLE_RATE_HZ - _LAG_S)
+            due = int((now - begin) * SAMPLE_RATE_HZ) - granted
+            emulator.interrupts(due)
+            granted += due
+            pending += emulator.transmit()
+            if host is None:
+                pending = b""
+            else:
+                with contextlib.suppress(BlockingIOError):
+                    pending = pending[host.send(pending) :] if pending else b""
+                if len(pending) > _UNREAD_BYTES:
+                    raise ConnectionError
+        except ConnectionError:
+            if host is not None:
+                host.close()
+            host = None
+
+
+def main() -> int:
+    """Serve the emulated device; return the exit status."""
+    parser = argparse.ArgumentParser(description="the reference firmware on an emulated microcontroller, in real time")
+    parser.add_argument("--tcp", type=int, default=0, metavar="PORT", help="of 127.0.0.1; default: a free one")
+    parser.add_argument("--plant", choices=_PLANTS, default="tissue", help="behind the board")
+    options = parser.parse_args()
+    signal.signal(signal.SIGTERM, signal.default_int_handler)  # so that the emulator is ended, too
+    try:
+        boot_id = int.from_bytes(os.urandom(4), "little")
+        with (
+            socket.create_server(("127.0.0.1", options.tcp)) as listener,
+            EmulatedLockstep(build(QEMU), options.plant, boot_id) as emulator,
+        ):
+            print(f"socket://127.0.0.1:{listener.getsockname()[1]}", flush=True)
+            serve(emulator, listener)
+    except (MissingToolError, OSError) as error:
+        print(f"emulator: {error}", file=sys.stderr)
+        return 2
+    except KeyboardInterrupt:
+        return 0
+    return 0
+
+
+if __name__ == "__main__":
+    sys.exit(main())
