@@ -22,7 +22,7 @@ def test_what_is_missing_is_named_and_is_no_failure(monkeypatch, capsys):
 def test_a_tool_is_the_first_that_is_installed(monkeypatch):
     monkeypatch.setattr(shutil, "which", {"b": "/b", "c": "/c"}.get)
     assert tools.tool("x: not built", "a", "b", "c") == "/b"
-    with pytest.raises(tools.MissingToolError, match="^x: not built, install a$"):
+    with pytest.raises(tools.MissingToolError, match=r"^x: not built, install a$"):
         tools.tool("x: not built", "a")
 
 

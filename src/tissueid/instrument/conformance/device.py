@@ -187,8 +187,8 @@ class DeviceUnderTest(Exchange):
 
     def finish_run(self, first: int, seconds: float) -> Run:
         """Wait for the end of a run, and return it with the samples up to 20 ms after."""
-        self.wait(lambda: self.statuses[-1]["state"] != State.RUNNING, seconds, "the end of the run")
-        status = self.statuses[-1]
+        self.wait(lambda: self.newest_state != State.RUNNING, seconds, "the end of the run")
+        status = self.newest_status()
         self.keep_alive(False)
         self.pump(0.05)
         return Run(first, self.samples_from(first), status)
@@ -225,8 +225,7 @@ class DeviceUnderTest(Exchange):
         self.stream()
         self.blocks.clear()
         self.pump(seconds)
-        require(self.blocks, "DATA while streaming", "none")
-        return np.concatenate([block for _, block in self.blocks])
+        return self.samples()
 
     def act(self, act: Act) -> float:
         """Request an act of the person at the device; return the time that it may take.

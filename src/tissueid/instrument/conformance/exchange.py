@@ -180,6 +180,29 @@ class Exchange:
                         return _status(frame)
         raise violated("a STATUS", "none")
 
+    def samples(self) -> NDArray[np.void]:
+        """Return the samples of the clause, shape (n,), n > 0, as codes.
+
+        Raises:
+            ViolationError: none have arrived.
+        """
+        require(any(block.size for _, block in self.blocks), "DATA while streaming", "none")
+        return np.concatenate([block for _, block in self.blocks])
+
+    @property
+    def newest_state(self) -> int | None:
+        """State in the newest STATUS of the clause; None before the first."""
+        return self.statuses[-1]["state"] if self.statuses else None
+
+    def newest_status(self) -> dict[str, Any]:
+        """Return the newest STATUS of the clause.
+
+        Raises:
+            ViolationError: none has arrived.
+        """
+        require(self.statuses, "a STATUS at the change of state", "none")
+        return self.statuses[-1]
+
     def require_state(self, state: State, words: str = "") -> dict[str, Any]:
         """Return the status.
 
