@@ -32,10 +32,11 @@ _SHIFT = 5
 """Two to this power are the nanoseconds of one instruction: 32 ns, 31 million per second."""
 
 INSTRUCTIONS_PER_TICK = 1e9 / TICKS_PER_S / 2**_SHIFT
+"""Instructions in the time of one tick."""
 
 _STRAPS = 0x203FFFF0
 _LOCKSTEP = 1
-_PLANTS = {"tissue": 0x000, "free": 0x100, "dummy": 0x200}
+_PLANTS = {"tissue": 0x000, "free": 0x100, "dummy": 0x200, "script": 0x300}
 _ANSWER_S = 30.0
 """Longest real time of a grant; a busy computer may need a second."""
 
@@ -64,7 +65,7 @@ class EmulatedLockstep:
 
     Args:
         program: built QEMU target.
-        plant: ``tissue``, ``free`` or ``dummy``.
+        plant: as of the POSIX board: ``tissue``, ``free``, ``dummy`` or ``script``.
         boot_id: of this start.
 
     Raises:
@@ -93,6 +94,11 @@ class EmulatedLockstep:
             stack.callback(self._end)
             self.interrupts(0)
             self._stack = stack.pop_all()
+
+    @property
+    def counted_instructions(self) -> float:
+        """Most instructions of a sample interrupt so far, without the plant; to 1.25."""
+        return self.longest_interrupt_ticks * INSTRUCTIONS_PER_TICK
 
     def receive(self, data: bytes) -> None:
         """Give bytes of the host to the firmware; it processes them before the next sample."""

@@ -5,6 +5,7 @@ import struct
 import pytest
 from reference.lines import EmulatedLine, run_on
 
+from firmware_sim.reference.bounds import TIMINGS, bounds_of
 from tissueid.instrument.conformance import CLAUSES
 from tissueid.wire import Frame, FrameDecoder, MessageType, encode_frame
 
@@ -20,9 +21,12 @@ QUICK = ("2a", "4.6c", "5.3a")
     ],
 )
 def test_the_emulated_firmware_conforms(emulated, plant, clauses):
-    results = run_on(EmulatedLine(emulated, plant), clauses)
+    line = EmulatedLine(emulated, plant)
+    results = run_on(line, clauses)
     assert {item.id: (item.outcome, item.reason) for item in results.values() if item.outcome != "passed"} == {}
     assert results.keys() == set(clauses)
+    assert line.device.counted_instructions < bounds_of(emulated, TIMINGS["qemu"]).instructions
+    print(f"{line.device.counted_instructions:.0f} instructions of a sample interrupt")
 
 
 def test_two_runs_of_the_emulator_are_the_same(emulated):

@@ -110,5 +110,5 @@ def test_ten_minutes_of_feedback_lose_no_sample(link, tmp_path):
     assert instrument.status.dropped_frames == 0
     print(
         f"{runs} runs, {link.samples} samples, {link.clock():.0f} s of the device in {time.monotonic() - begin:.0f} s; "
-        f"longest interrupt {link.device.longest_interrupt_ticks} ticks"
+        f"longest interrupt {link.device.counted_instructions:.0f} instructions"
     )
