@@ -234,8 +234,8 @@ def compare_boards(program: Path, emulated: Path, *, frames: int, seed: int) -> 
                 now = Disturbance(random.choice((0, 0, 0, 1, 2, 4, 8)))
                 one.disturb(now)
                 other.disturb(now)
-            answers = [_without_handshake(device.transmit()) for device in (one, other)]
-            received += _same(*answers, sent, ("here", "emulated"))
+            here, there = _without_handshake(one.transmit()), _without_handshake(other.transmit())
+            received += _same(here, there, sent, ("here", "emulated"))
     return sent, received
 
 

@@ -31,7 +31,7 @@ TICKS_PER_S = 25_000_000
 _SHIFT = 5
 """Two to this power are the nanoseconds of one instruction: 32 ns, 31 million per second."""
 
-INSTRUCTIONS_PER_TICK = 1e9 / TICKS_PER_S / 2**_SHIFT
+INSTRUCTIONS_PER_TICK = 1e9 / TICKS_PER_S / (1 << _SHIFT)
 """Instructions in the time of one tick."""
 
 _STRAPS = 0x203FFFF0
