@@ -28,8 +28,8 @@ from firmware_sim.reference.tools import MissingToolError, tool
 TICKS_PER_S = 25_000_000
 """Ticks of the board's timers per second."""
 
-_SHIFT = 5
-"""Two to this power are the nanoseconds of one instruction: 32 ns, 31 million per second."""
+_SHIFT = 6
+"""Two to this power are the nanoseconds of one instruction: 64 ns, 1.6 cycles of 25 MHz."""
 
 INSTRUCTIONS_PER_TICK = 1e9 / TICKS_PER_S / (1 << _SHIFT)
 """Instructions in the time of one tick."""
@@ -97,7 +97,7 @@ class EmulatedLockstep:
 
     @property
     def counted_instructions(self) -> float:
-        """Most instructions of a sample interrupt so far, without the plant; to 1.25."""
+        """Most instructions of a sample interrupt so far, without the plant."""
         return self.longest_interrupt_ticks * INSTRUCTIONS_PER_TICK
 
     def receive(self, data: bytes) -> None:
