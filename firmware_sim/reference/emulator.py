@@ -74,7 +74,7 @@ class EmulatedLockstep:
     """
 
     def __init__(self, program: Path, plant: str = "free", boot_id: int = 0x51E3A) -> None:
-        self.longest_interrupt_ticks = 0
+        self.longest_interrupt_ticks = self.longest_mask_ticks = 0
         self._disturbance = Disturbance.NONE
         self._received = b""
         self._written = self._arrived = self._announced = 0
@@ -100,6 +100,11 @@ class EmulatedLockstep:
         """Most instructions of a sample interrupt so far, without the plant."""
         return self.longest_interrupt_ticks * INSTRUCTIONS_PER_TICK
 
+    @property
+    def masked_instructions(self) -> float:
+        """Most instructions for which the sample interrupt was masked so far."""
+        return self.longest_mask_ticks * INSTRUCTIONS_PER_TICK
+
     def receive(self, data: bytes) -> None:
         """Give bytes of the host to the firmware; it processes them before the next sample."""
         self._line.write(data)
@@ -113,12 +118,13 @@ class EmulatedLockstep:
         """
         self._grants.write(struct.pack("<BBHI", self._disturbance, 0, samples, self._written & 0xFFFFFFFF))
         answer = b""
-        while len(answer) < 8:
+        while len(answer) < 12:
             self._wait(self._grants)
-            answer += self._grants.read(8 - len(answer))
-        sent, ticks = struct.unpack("<II", answer)
+            answer += self._grants.read(12 - len(answer))
+        sent, ticks, masked = struct.unpack("<III", answer)
         self._announced += (sent - self._announced) & 0xFFFFFFFF
         self.longest_interrupt_ticks = max(self.longest_interrupt_ticks, ticks)
+        self.longest_mask_ticks = max(self.longest_mask_ticks, masked)
         while self._arrived < self._announced:
             self._wait(self._line)
             data = self._line.read(65536)

@@ -57,6 +57,14 @@ def test_a_defect_fails_its_clause(program, number):
     assert results[identity].outcome == "failed"
 
 
+def test_each_clause_passes_alone(program):
+    """Without a defect: else a mutant that fails would show nothing."""
+    found = {}
+    for identity in CLAUSES:
+        found |= run_on(ReferenceLine(program, "--plant", "free", "--stage", "0.05"), [identity])
+    assert {item.id: item.reason for item in found.values() if item.outcome != "passed"} == {}
+
+
 def test_each_clause_has_a_defect():
     assert set(CLAUSES) == {item[0] for item in MUTANTS}
 

@@ -9,6 +9,7 @@ static struct {
     volatile uint32_t bytes;   /* received of the present grant */
     volatile uint32_t samples; /* left of the present grant */
     volatile uint32_t longest_ticks;
+    uint32_t masked_ticks;
     uint8_t grant[GRANT_BYTES];
     bool begun;
     bool active;
@@ -50,11 +51,17 @@ void grants_count(uint32_t ticks)
     }
 }
 
+void grants_masked(uint32_t ticks)
+{
+    grants.masked_ticks = ticks > grants.masked_ticks ? ticks : grants.masked_ticks;
+}
+
 static void answer(uint32_t sent)
 {
-    uint8_t bytes[8];
-    (void)put_u32(put_u32(bytes, sent), grants.longest_ticks);
+    uint8_t bytes[12];
+    (void)put_u32(put_u32(put_u32(bytes, sent), grants.longest_ticks), grants.masked_ticks);
     grants.longest_ticks = 0;
+    grants.masked_ticks = 0;
     grants.begun = false;
     grants.bytes = 0;
     for (uint32_t k = 0; k < sizeof bytes; k++) {

@@ -117,10 +117,14 @@ size_t board_send(const uint8_t *bytes, size_t count)
 void board_lock(void)
 {
     __asm volatile("cpsid i" ::: "memory");
+    MASK_VALUE = 0;
+    MASK_CONTROL = MASK_ON;
 }
 
 void board_unlock(void)
 {
+    grants_masked(MASK_MOST - MASK_VALUE);
+    MASK_CONTROL = 0;
     __asm volatile("cpsie i" ::: "memory");
 }
 
@@ -177,11 +181,11 @@ static void rest(void)
 {
     while (grants_running() && !interrupted) {
     }
-    board_lock();
+    __asm volatile("cpsid i" ::: "memory");
     if (!interrupted) {
         __asm volatile("wfi");
     }
-    board_unlock();
+    __asm volatile("cpsie i" ::: "memory");
 }
 
 static void start_uart(uint32_t base, uint32_t interrupt)
@@ -197,6 +201,7 @@ int main(void)
     TIMER_RELOAD(CLOCK_TIMER) = 0xFFFFFFFFu;
     TIMER_CONTROL(CLOCK_TIMER) = TIMER_ON;
     newest_ticks = counted_ticks();
+    MASK_RELOAD = MASK_MOST;
     plant_init((enum plant_kind)((STRAPS[0] >> STRAP_PLANT) & 3u), &PROPERTIES, 0.008);
     firmware_init(&firmware);
     TIMER_RELOAD(SAMPLE_TIMER) = CLOCK_HZ / PROPERTIES.sample_rate_hz - 1u;

@@ -27,6 +27,13 @@
 #define TIMER_ON 1u
 #define TIMER_INTERRUPT 8u
 
+/* The processor's own timer counts how long the sample interrupt is masked. */
+#define MASK_CONTROL REGISTER(0xE000E010u)
+#define MASK_RELOAD REGISTER(0xE000E014u)
+#define MASK_VALUE REGISTER(0xE000E018u)
+#define MASK_ON 5u
+#define MASK_MOST 0xFFFFFFu
+
 #define INTERRUPT_ENABLE REGISTER(0xE000E100u)
 #define INTERRUPT_PRIORITY(number) (*(volatile uint8_t *)(0xE000E400u + (number)))
 #define LINE_INTERRUPT 0u
