@@ -17,6 +17,9 @@ from pathlib import Path
 
 from platformdirs import user_cache_path
 
+from firmware_sim.reference.bounds import TIMINGS, BoundError, bounds_of, words
+from firmware_sim.reference.tools import MissingToolError, tool
+
 SOURCES = Path(__file__).parent
 CORE = SOURCES / "core"
 BOARDS = SOURCES / "boards"
@@ -26,10 +29,6 @@ WARNINGS = (
     *("-Wstrict-prototypes", "-Wmissing-prototypes", "-Wvla", "-ffp-contract=off"),
 )
 SANITIZERS = ("-g", "-fsanitize=address,undefined", "-fno-sanitize-recover=all")
-
-
-class MissingToolError(RuntimeError):
-    """A compiler is not installed; the message names it."""
 
 
 @dataclass(frozen=True)
@@ -45,16 +44,31 @@ class Target:
 
 
 POSIX = Target("posix", ("cc", "gcc", "clang"), ("-O2",), ("-lm",))
+_CORTEX_M7 = (
+    *("-O2", "-mcpu=cortex-m7", "-mthumb", "-mfloat-abi=hard", "-mfpu=fpv5-d16", "-ffunction-sections"),
+    "-Wstack-usage=1024",
+)
+_BARE = ("-nostartfiles", "-Wl,--gc-sections", "--specs=nano.specs", "--specs=nosys.specs", "-lm")
+
 QEMU = Target(
     "qemu",
     ("arm-none-eabi-gcc",),
-    ("-O2", "-mcpu=cortex-m7", "-mthumb", "-mfloat-abi=hard", "-mfpu=fpv5-d16", "-ffunction-sections"),
-    ("-nostartfiles", "-Wl,--gc-sections", "-T{board}/mps2.ld", "--specs=nano.specs", "--specs=nosys.specs", "-lm"),
-    ("posix/plant.c",),
+    _CORTEX_M7,
+    (*_BARE, "-T{board}/mps2.ld"),
+    ("posix/plant.c", "cortex-m/start.c"),
 )
 """Cortex-M7 of QEMU's mps2-an500: the core as it is cross-compiled for a microcontroller."""
 
-TARGETS: tuple[Target, ...] = (POSIX, QEMU)
+STM32 = Target(
+    "stm32h743",
+    ("arm-none-eabi-gcc",),
+    (*_CORTEX_M7, "-DSTIMULUS_CAPACITY=180000u", "-DTRANSMIT_BYTES=32768u"),
+    (*_BARE, "-T{board}/stm32h743.ld"),
+    ("cortex-m/start.c",),
+)
+"""Template for a physical board: NUCLEO-H743ZI2, a Cortex-M7 with a double-precision unit."""
+
+TARGETS: tuple[Target, ...] = (POSIX, QEMU, STM32)
 
 
 def compiler_of(target: Target) -> str:
@@ -63,10 +77,7 @@ def compiler_of(target: Target) -> str:
     Raises:
         MissingToolError: none is installed.
     """
-    for name in target.compilers:
-        if found := shutil.which(name):
-            return found
-    raise MissingToolError(f"{target.name}: not built, install one of {', '.join(target.compilers)}")
+    return tool(f"{target.name}: not built", *target.compilers)
 
 
 def build(
@@ -92,7 +103,7 @@ def build(
     kept = folder or user_cache_path("tissueid", appauthor=False) / "reference-firmware"
     kept.mkdir(parents=True, exist_ok=True)
     board = BOARDS / target.name
-    includes = [f"-I{CORE}", f"-I{board}", *(f"-I{(BOARDS / name).parent}" for name in target.extra)]
+    includes = [f"-I{CORE}", f"-I{BOARDS}", f"-I{board}", *(f"-I{(BOARDS / name).parent}" for name in target.extra)]
     flags = [*WARNINGS, *target.options, *options]
     headers = b"".join(path.read_bytes() for path in sorted(SOURCES.glob("**/*.h")))
     common = hashlib.sha256(headers + repr((compiler, flags, includes)).encode())
@@ -133,19 +144,6 @@ def _run(command: list[str], result: Path) -> None:
     partial.replace(result)
 
 
-def qemu_command(program: Path, port: int) -> list[str]:
-    """Return the command that runs the QEMU target with its UART on a TCP port of this computer.
-
-    Raises:
-        MissingToolError: QEMU is not installed.
-    """
-    emulator = shutil.which("qemu-system-arm")
-    if emulator is None:
-        raise MissingToolError("qemu: not run, install qemu-system-arm")
-    serial = f"tcp:127.0.0.1:{port},server,nowait"
-    return [emulator, "-M", "mps2-an500", "-nographic", "-monitor", "none", "-serial", serial, "-kernel", str(program)]
-
-
 def build_posix(**arguments: object) -> Path:
     """Build the POSIX board; arguments and errors as :func:`build`."""
     return build(POSIX, **arguments)  # type: ignore[arg-type]
@@ -156,20 +154,33 @@ def main() -> int:
     status = 0
     for target in TARGETS:
         try:
-            print(f"{target.name}: {build(target)}")
+            print(f"{target.name}: {(program := build(target))}")
+            if target.name in TIMINGS:
+                print(f"{target.name}: {words(bounds_of(program, TIMINGS[target.name]))}")
         except MissingToolError as error:
             print(error)
+        except BoundError as error:
+            print(f"{target.name}: no bound: {error}", file=sys.stderr)
+            status = 1
         except RuntimeError as error:
             print(f"{target.name}: refused by the compiler\n{error}", file=sys.stderr)
             status = 1
-    if shutil.which("cppcheck"):
-        checks = "--enable=warning,style,performance,portability"
-        command = ["cppcheck", "-q", checks, "--error-exitcode=1", f"-I{CORE}", f"-I{BOARDS / 'posix'}"]
-        found = subprocess.run([*command, str(CORE), str(BOARDS / "posix")], check=False)
-        print(f"static analysis: {'clean' if found.returncode == 0 else 'findings, see above'}")
-        status = status or found.returncode
-    else:
+    return status or static_analysis()
+
+
+def static_analysis() -> int:
+    """Let cppcheck look for defects, print one line about it, and return its exit status, 0 without it."""
+    if not shutil.which("cppcheck"):
         print("static analysis: not run, install cppcheck")
+        return 0
+    checks = "--enable=warning,style,performance,portability"
+    folders = (CORE, *sorted(path for path in BOARDS.iterdir() if path.is_dir()))
+    status = 0
+    for folder in folders:  # each board has its own registers.h
+        includes = [f"-I{CORE}", f"-I{BOARDS}", f"-I{BOARDS / 'posix'}", f"-I{BOARDS / 'cortex-m'}"]
+        command = ["cppcheck", "-q", checks, "--inline-suppr", "--error-exitcode=1", *includes, str(folder)]
+        status = subprocess.run(command, check=False).returncode or status
+    print(f"static analysis: {'findings, see above' if status else 'clean'}")
     return status
 
 

@@ -20,6 +20,7 @@ import numpy as np
 from firmware_sim.bench import Bench
 from firmware_sim.firmware import Firmware
 from firmware_sim.identity import Identity
+from firmware_sim.reference.emulator import EmulatedLockstep
 from firmware_sim.reference.lockstep import Disturbance, Lockstep
 from firmware_sim.reference.script_bench import ScriptBench
 from tissueid import wire
@@ -38,10 +39,16 @@ _SIZES = (0, 1, 5, 50, 200, 400, 400, 1000, 240_000, 240_001, 2**32 - 1)
 
 
 class Traffic:
-    """Random traffic of a host: requests that often fit the state, wrong ones, and damaged bytes."""
+    """Random traffic of a host: requests that often fit the state, wrong ones, and damaged bytes.
 
-    def __init__(self, seed: int) -> None:
+    Args:
+        seed: of the random numbers.
+        without: types that are not sent.
+    """
+
+    def __init__(self, seed: int, without: tuple[int, ...] = ()) -> None:
         self._random = Random(seed)
+        self._without = without
         self._number = 0
         self._newest = b""
 
@@ -90,6 +97,8 @@ class Traffic:
         )
         if self._random.random() < 0.02:
             kind = pick(256)
+        if kind in self._without:
+            kind = MessageType.HEARTBEAT
         payload = self._payload(kind)
         if self._random.random() < 0.03:
             payload = payload[: pick(len(payload) + 1)] if choose((True, False)) else payload + bytes(pick(9))
@@ -188,6 +197,56 @@ def compare(program: Path, *, frames: int, seed: int, quick: bool = True) -> tup
     return sent, received
 
 
+def compare_boards(program: Path, emulated: Path, *, frames: int, seed: int) -> tuple[int, int]:
+    """Compare the firmware on this computer with the cross-compiled one; return the numbers of frames and bytes.
+
+    Handshake and stage differ by their boards. A heartbeat before each burst keeps the watchdog of both quiet: their
+    clocks differ by microseconds.
+
+    Args:
+        program: the built POSIX board.
+        emulated: the built QEMU target.
+        frames: number of frames of the host, at least.
+        seed: of the traffic.
+
+    Raises:
+        AssertionError: the firmwares differ; the message says where.
+        MissingToolError: QEMU is not installed.
+    """
+    random, traffic = Random(seed + 1), Traffic(seed, without=(MessageType.STAGE,)).bursts()
+    heartbeat = wire.encode_frame(wire.Frame(MessageType.HEARTBEAT))
+    now_us = sent = received = 0
+    with (
+        Lockstep(program, "--plant", "script", "--boot-id", "1") as one,
+        EmulatedLockstep(emulated, "script", boot_id=1) as other,
+    ):
+        while sent < frames:
+            data, count = next(traffic)
+            data = heartbeat + data
+            sent += count + 1
+            one.receive(data, now_us)
+            other.receive(data)
+            samples = random.choice((0, 1, 5, 20, 60, 200))
+            now_us += 500 * samples
+            one.interrupts(samples)
+            other.interrupts(samples)
+            if random.random() < 0.05:
+                now = Disturbance(random.choice((0, 0, 0, 1, 2, 4, 8)))
+                one.disturb(now)
+                other.disturb(now)
+            here, there = _without_handshake(one.transmit()), _without_handshake(other.transmit())
+            received += _same(here, there, sent, ("here", "emulated"))
+    return sent, received
+
+
+def _without_handshake(data: bytes) -> bytes:
+    pieces = []
+    for piece in data.split(b"\0")[:-1]:
+        (frame,) = wire.FrameDecoder().feed(piece + b"\0")
+        pieces += [] if frame.type == MessageType.HELLO_ACK else [piece + b"\0"]
+    return b"".join(pieces)
+
+
 def _disturb(random: Random, device: Lockstep, bench: ScriptBench) -> None:
     now = Disturbance(random.choice((0, 0, 0, 0, 0, 1, 2, 4, 8)))
     device.disturb(now)
@@ -197,11 +256,13 @@ def _disturb(random: Random, device: Lockstep, bench: ScriptBench) -> None:
     bench.coil_open = Disturbance.COIL_OPEN in now
 
 
-def _same(reference: bytes, python: bytes, sent: int) -> int:
+def _same(reference: bytes, python: bytes, sent: int, names: tuple[str, str] = ("C", "Python")) -> int:
     if reference != python:
         one, other = _shown(reference), _shown(python)
         at = next((k for k, (a, b) in enumerate(zip(one, other, strict=False)) if a != b), min(len(one), len(other)))
-        raise AssertionError(f"after {sent} frames, answer {at}: C {one[at : at + 1]}, Python {other[at : at + 1]}")
+        raise AssertionError(
+            f"after {sent} frames, answer {at}: {names[0]} {one[at : at + 1]}, {names[1]} {other[at : at + 1]}"
+        )
     return len(python)
 
 

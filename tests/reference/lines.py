@@ -1,15 +1,16 @@
-"""Lines of the conformance suite to the two firmwares, in simulated time."""
+"""Lines of the conformance suite to the firmwares, in simulated time."""
 
 import math
 
 from firmware_sim.bench import Bench
 from firmware_sim.firmware import Firmware
+from firmware_sim.reference.emulator import EmulatedLockstep
 from firmware_sim.reference.lockstep import Disturbance, Lockstep
 from firmware_sim.tissue import FREE_AIR
 from tissueid.instrument.conformance import Act, Confirmed, DeviceUnderTest, run_suite
 
 STEP = 4
-"""Samples between two looks at the line while nothing arrives."""
+"""Samples between two looks at the line while nothing arrives, by default."""
 
 DISTURBANCES = {
     Act.PRESS_BUTTON: (Disturbance.BUTTON, True),
@@ -27,6 +28,7 @@ class SimulatedLine:
     """A line whose time advances when something waits for it; it also plays the person at the device."""
 
     rate_hz = 2000
+    step = STEP
 
     def __init__(self):
         self.samples = 0
@@ -41,7 +43,7 @@ class SimulatedLine:
     def read(self, timeout_s):
         left = math.ceil(timeout_s * self.rate_hz)
         while not (data := self.received()) and left > 0:
-            step = min(left, STEP)
+            step = min(left, self.step)
             self._advance(step)
             left -= step
         return data
@@ -74,6 +76,30 @@ class ReferenceLine(SimulatedLine):
         self.device.close()
 
     def received(self):
+        return self.device.transmit()
+
+    def advance(self, samples):
+        self.device.interrupts(samples)
+
+    def disturb(self):
+        self.device.disturb(self.disturbance)
+
+
+class EmulatedLine(SimulatedLine):
+    """A line to the C firmware on an emulated microcontroller, whose time passes in grants."""
+
+    def __init__(self, program, plant="free"):
+        super().__init__()
+        self.device = EmulatedLockstep(program, plant)
+
+    def write(self, data):
+        self.device.receive(data)
+
+    def close(self):
+        self.device.close()
+
+    def received(self):
+        self.device.interrupts(0)
         return self.device.transmit()
 
     def advance(self, samples):

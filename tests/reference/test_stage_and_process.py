@@ -1,17 +1,13 @@
 """The stage of the reference firmware while it moves, and the firmware as a process on a real port."""
 
-import socket
 import struct
 import subprocess
 import sys
-import time
 
 import pytest
 from reference.lines import ReferenceLine
 
-from firmware_sim.reference.build import QEMU, MissingToolError, build, qemu_command
 from firmware_sim.reference.lockstep import Disturbance
-from tissueid.errors import InstrumentError
 from tissueid.instrument import SerialLink
 from tissueid.instrument.conformance import Confirmed, DeviceUnderTest, LinkLine, run_suite
 from tissueid.wire import Fault, Frame, MessageType, Result, State, encode_frame
@@ -82,46 +78,3 @@ def test_the_process_serves_a_port(program, port):
             link.close()
         finally:
             process.terminate()
-
-
-def test_the_core_is_built_for_a_microcontroller():
-    try:
-        assert build(QEMU).exists()
-    except MissingToolError as error:
-        pytest.skip(str(error))
-
-
-EMULATED = (
-    *("2a", "2b", "2c", "2f", "3a", "3b", "4.1b", "4.1c", "4.2a", "4.2c", "4.3a", "4.3b", "4.3c", "4.4a"),
-    *("5.3a", "5.3b", "5.3c", "5.3d", "5.3e", "5.4b", "5.4d", "5.10a"),
-)
-"""Clauses without a statement about time: the emulation loses sample interrupts when the computer is busy."""
-
-
-@pytest.mark.soak  # an emulated processor in real time
-def test_the_firmware_conforms_on_an_emulated_microcontroller():
-    with socket.socket() as free:
-        free.bind(("127.0.0.1", 0))
-        port = free.getsockname()[1]
-    try:
-        command = qemu_command(build(QEMU), port)
-    except MissingToolError as error:
-        pytest.skip(str(error))
-    with subprocess.Popen(command, stdin=subprocess.DEVNULL) as process:
-        try:
-            link = connected(f"socket://127.0.0.1:{port}")
-            device = DeviceUnderTest(LinkLine(link), Confirmed("free-coil", 1.0, 60.0))
-            results = run_suite(device, EMULATED)
-            link.close()
-        finally:
-            process.kill()
-    assert [(item.id, item.reason) for item in results if item.outcome == "failed"] == []
-
-
-def connected(url):
-    for _ in range(50):
-        try:
-            return SerialLink(url)
-        except InstrumentError:
-            time.sleep(0.1)
-    raise AssertionError(f"nothing listens on {url}")

@@ -16,7 +16,8 @@
 #define SETPOINT_BUFFER 8192u /* set-points ahead of the sample being played; a power of two */
 #define ANSWERS 64u           /* answers kept for repeated requests */
 #define EVENTS 16u            /* changes of state that may wait for the main loop */
-#define DATA_FRAMES 4u        /* frames of samples, 10 ms each, that may wait for the main loop */
+#define DATA_FRAMES 16u       /* frames of samples, 10 ms each, that may wait for the main loop, which checks a stimulus */
+#define SETPOINT_STEPS 32u    /* set-points that are stored or looked at with the sample interrupt masked */
 
 #define WATCHDOG_US 500000u      /* longest time without a heartbeat, armed or running */
 #define HOST_SILENCE_US 2000000u /* time without a frame after which streaming and the stage stop */

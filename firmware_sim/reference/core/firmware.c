@@ -205,7 +205,9 @@ void firmware_take(struct firmware *firmware)
 
 void firmware_interrupt(struct firmware *firmware)
 {
-    firmware_take(firmware);
+    if (firmware->pending) { /* the first interrupt only sets the command of the first sample */
+        firmware_take(firmware);
+    }
     firmware_watch(firmware);
     firmware_play(firmware);
     board_kick();

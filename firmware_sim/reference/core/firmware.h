@@ -1,8 +1,8 @@
 /* Firmware of the indenter: a state machine that controls the coil (docs/protocol.md).
  *
  * A board calls firmware_init() once, then firmware_interrupt() from its sample timer and firmware_poll() from its main
- * loop. Requests are executed in the main loop with the sample interrupt masked, but for the long ones of section 4.3,
- * which touch nothing that the interrupt uses. */
+ * loop. Requests are executed in the main loop with the sample interrupt masked, but for the long ones: those of section
+ * 4.3 and ARM touch nothing that the interrupt uses meanwhile, and SETPOINTS are stored in parts. */
 #ifndef FIRMWARE_H
 #define FIRMWARE_H
 

@@ -58,6 +58,111 @@ static struct reply load(struct firmware *firmware, const struct frame *frame)
     return reply;
 }
 
+/* -- runs, with the sample interrupt masked only where it must be ------------------------------------------- */
+
+static struct reply arm(struct firmware *firmware, const struct frame *frame)
+{
+    if (frame->size != 44u) {
+        return reply_of(RESULT_BAD_ARGUMENT, 0);
+    }
+    const uint8_t *at = frame->payload;
+    const struct limits limits = {get_f64(at + 8), get_f64(at + 16), get_f64(at + 24), get_f64(at + 32),
+                                  get_u32(at + 40)};
+    const struct stimulus *stimulus = &firmware->stimulus;
+    if (firmware->state != STATE_LOADED || get_u32(at + 4) != stimulus->id || firmware->stage.moving) {
+        return reply_of(RESULT_BAD_STATE, 0);
+    }
+    const uint32_t length = stimulus->samples + firmware->setpoints.samples;
+    if (!limits_valid(&limits, firmware->device) || length > limits.max_samples ||
+        !limits_permit(&limits, volts_of(firmware, stimulus->lowest), firmware->device) ||
+        !limits_permit(&limits, volts_of(firmware, stimulus->highest), firmware->device) ||
+        !limits_permit(&limits, firmware->setpoints.hold_v, firmware->device)) {
+        return reply_of(RESULT_BEYOND_LIMITS, 0);
+    }
+    /* In LOADED the interrupt uses none of these. */
+    firmware->limits = limits;
+    setpoints_begin(&firmware->setpoints, stimulus->samples);
+    player_begin(&firmware->player, stimulus, &firmware->device->channels[COMMAND], length);
+    guard_begin(&firmware->guard, &limits);
+    board_lock();
+    const bool usable = firmware->state == STATE_LOADED; /* no brown-out meanwhile */
+    if (usable) {
+        firmware->token = get_u32(at);
+        firmware->has_token = true;
+        firmware->armed = true;
+        firmware->last_heartbeat_us = board_clock_us();
+        firmware_enter(firmware, STATE_ARMED);
+    }
+    board_unlock();
+    return usable ? reply_of(RESULT_OK, 0) : reply_of(RESULT_FAULT_LATCHED, firmware->faults);
+}
+
+/* Find the next missing sample, a few steps at a time. */
+static uint32_t next_missing(struct firmware *firmware)
+{
+    bool found = false;
+    uint32_t next = 0;
+    while (!found) {
+        board_lock();
+        found = setpoints_seek(&firmware->setpoints, firmware->player.cursor);
+        next = setpoints_next_missing(&firmware->setpoints, firmware->player.cursor);
+        board_unlock();
+    }
+    return next;
+}
+
+/* Store a block in parts: the sample interrupt must not wait for all of it. The parts are stored faster than played. */
+static void store_setpoints(struct firmware *firmware, uint32_t offset, const uint8_t *codes, uint32_t count)
+{
+    for (uint32_t k = 0; k < count; k += SETPOINT_STEPS) {
+        const uint32_t part = count - k < SETPOINT_STEPS ? count - k : SETPOINT_STEPS;
+        board_lock();
+        setpoints_store(&firmware->setpoints, offset + k, codes + (size_t)2u * k, part, firmware->player.cursor);
+        board_unlock();
+    }
+}
+
+static struct reply take_setpoints(struct firmware *firmware, const struct frame *frame)
+{
+    if (frame->size < 8u) {
+        return reply_of(RESULT_BAD_ARGUMENT, 0);
+    }
+    if (!firmware->has_token || get_u32(frame->payload) != firmware->token) {
+        return reply_of(RESULT_BAD_STATE, 0);
+    }
+    board_lock();
+    const uint32_t played = player_played(&firmware->player);
+    const bool over = !firmware->armed || player_releasing(&firmware->player);
+    board_unlock();
+    if (over) {
+        return reply_of(RESULT_LATE, played); /* the run is over */
+    }
+    const uint8_t *codes = frame->payload + 8;
+    const uint32_t offset = get_u32(frame->payload + 4);
+    const uint32_t count = (uint32_t)((frame->size - 8u) / 2u);
+    enum result result = RESULT_OK;
+    if (count == 0u || frame->size % 2u != 0u) {
+        result = RESULT_BAD_ARGUMENT;
+    }
+    for (uint32_t k = 0; k < count && result == RESULT_OK; k++) {
+        if (!limits_permit(&firmware->limits, volts_of(firmware, get_i16(codes + 2u * k)), firmware->device)) {
+            result = RESULT_BEYOND_LIMITS;
+        }
+    }
+    if (result == RESULT_OK) {
+        board_lock();
+        result = setpoints_judge(&firmware->setpoints, offset, count, firmware->player.cursor);
+        if (result == RESULT_LATE) {
+            firmware->setpoints.late_blocks++;
+        }
+        board_unlock();
+        if (result == RESULT_OK || result == RESULT_LATE) {
+            store_setpoints(firmware, offset, codes, count);
+        }
+    }
+    return reply_of(result, next_missing(firmware));
+}
+
 /* -- runs, with the sample interrupt masked ------------------------------------------------------------- */
 
 static struct reply release(struct firmware *firmware, bool forget)
@@ -95,37 +200,6 @@ static struct reply follow(struct firmware *firmware, const struct frame *frame)
     return reply_of(RESULT_OK, (uint64_t)firmware->stimulus.samples + samples);
 }
 
-static struct reply arm(struct firmware *firmware, const struct frame *frame)
-{
-    if (frame->size != 44u) {
-        return reply_of(RESULT_BAD_ARGUMENT, 0);
-    }
-    const uint8_t *at = frame->payload;
-    const struct limits limits = {get_f64(at + 8), get_f64(at + 16), get_f64(at + 24), get_f64(at + 32),
-                                  get_u32(at + 40)};
-    const struct stimulus *stimulus = &firmware->stimulus;
-    if (firmware->state != STATE_LOADED || get_u32(at + 4) != stimulus->id || firmware->stage.moving) {
-        return reply_of(RESULT_BAD_STATE, 0);
-    }
-    const uint32_t length = stimulus->samples + firmware->setpoints.samples;
-    if (!limits_valid(&limits, firmware->device) || length > limits.max_samples ||
-        !limits_permit(&limits, volts_of(firmware, stimulus->lowest), firmware->device) ||
-        !limits_permit(&limits, volts_of(firmware, stimulus->highest), firmware->device) ||
-        !limits_permit(&limits, firmware->setpoints.hold_v, firmware->device)) {
-        return reply_of(RESULT_BEYOND_LIMITS, 0);
-    }
-    firmware->limits = limits;
-    firmware->token = get_u32(at);
-    firmware->has_token = true;
-    firmware->armed = true;
-    setpoints_begin(&firmware->setpoints, stimulus->samples);
-    player_begin(&firmware->player, stimulus, &firmware->device->channels[COMMAND], length);
-    guard_begin(&firmware->guard, &limits);
-    firmware->last_heartbeat_us = board_clock_us();
-    firmware_enter(firmware, STATE_ARMED);
-    return reply_of(RESULT_OK, 0);
-}
-
 static struct reply start(struct firmware *firmware, const struct frame *frame)
 {
     if (frame->size != 4u) {
@@ -138,35 +212,6 @@ static struct reply start(struct firmware *firmware, const struct frame *frame)
     const uint64_t first = firmware->sample_index + (firmware->pending ? 1u : 0u);
     firmware_enter(firmware, STATE_RUNNING);
     return reply_of(RESULT_OK, first);
-}
-
-static struct reply take_setpoints(struct firmware *firmware, const struct frame *frame)
-{
-    if (frame->size < 8u) {
-        return reply_of(RESULT_BAD_ARGUMENT, 0);
-    }
-    if (!firmware->has_token || get_u32(frame->payload) != firmware->token) {
-        return reply_of(RESULT_BAD_STATE, 0);
-    }
-    if (!firmware->armed || player_releasing(&firmware->player)) {
-        return reply_of(RESULT_LATE, player_played(&firmware->player)); /* the run is over */
-    }
-    const uint8_t *codes = frame->payload + 8;
-    const uint32_t count = (uint32_t)((frame->size - 8u) / 2u);
-    const uint32_t cursor = firmware->player.cursor;
-    enum result result = RESULT_OK;
-    if (count == 0u || frame->size % 2u != 0u) {
-        result = RESULT_BAD_ARGUMENT;
-    }
-    for (uint32_t k = 0; k < count && result == RESULT_OK; k++) {
-        if (!limits_permit(&firmware->limits, volts_of(firmware, get_i16(codes + 2u * k)), firmware->device)) {
-            result = RESULT_BEYOND_LIMITS;
-        }
-    }
-    if (result == RESULT_OK) {
-        result = setpoints_take(&firmware->setpoints, get_u32(frame->payload + 4), codes, count, cursor);
-    }
-    return reply_of(result, setpoints_next_missing(&firmware->setpoints, cursor));
 }
 
 static struct reply finish(struct firmware *firmware)
@@ -230,10 +275,6 @@ static struct reply obey(struct firmware *firmware, const struct frame *frame)
         return reply_of(RESULT_OK, firmware->sample_index);
     case FOLLOW:
         return follow(firmware, frame);
-    case SETPOINTS:
-        return take_setpoints(firmware, frame);
-    case ARM:
-        return arm(firmware, frame);
     case START:
         return start(firmware, frame);
     case STOP:
@@ -270,6 +311,12 @@ static struct reply execute(struct firmware *firmware, const struct frame *frame
     }
     if ((type == ARM || type == START || type == STAGE) && board_button()) {
         return reply_of(RESULT_FAULT_LATCHED, FAULT_BUTTON); /* no motion while the button is pressed */
+    }
+    if (type == ARM) {
+        return arm(firmware, frame);
+    }
+    if (type == SETPOINTS) {
+        return take_setpoints(firmware, frame);
     }
     board_lock();
     const struct reply reply = obey(firmware, frame);

@@ -41,21 +41,33 @@ bool setpoints_starved(const struct setpoints *setpoints)
     return setpoints->missing >= setpoints->starved;
 }
 
-uint32_t setpoints_next_missing(struct setpoints *setpoints, uint32_t cursor)
+/* Return the end of what can be stored: of the run, or of the buffer. */
+static uint32_t stop_of(const struct setpoints *setpoints, uint32_t cursor)
 {
-    const uint32_t start = larger(cursor, setpoints->first);
-    const uint32_t full = start + SETPOINT_BUFFER;
-    const uint32_t stop = full < setpoints->end ? full : setpoints->end;
-    uint32_t at = larger(start, setpoints->frontier);
-    while (at < stop && setpoints->known[at % SETPOINT_BUFFER]) {
-        at++;
-    }
-    setpoints->frontier = at;
-    return at < stop ? at : stop;
+    const uint32_t full = larger(cursor, setpoints->first) + SETPOINT_BUFFER;
+    return full < setpoints->end ? full : setpoints->end;
 }
 
-enum result setpoints_take(struct setpoints *setpoints, uint32_t offset, const uint8_t *codes, uint32_t count,
-                           uint32_t cursor)
+bool setpoints_seek(struct setpoints *setpoints, uint32_t cursor)
+{
+    const uint32_t stop = stop_of(setpoints, cursor);
+    uint32_t at = larger(larger(cursor, setpoints->first), setpoints->frontier);
+    uint32_t steps = 0;
+    while (at < stop && setpoints->known[at % SETPOINT_BUFFER] && steps < SETPOINT_STEPS) {
+        at++;
+        steps++;
+    }
+    setpoints->frontier = at;
+    return at >= stop || !setpoints->known[at % SETPOINT_BUFFER];
+}
+
+uint32_t setpoints_next_missing(const struct setpoints *setpoints, uint32_t cursor)
+{
+    const uint32_t stop = stop_of(setpoints, cursor);
+    return setpoints->frontier < stop ? setpoints->frontier : stop;
+}
+
+enum result setpoints_judge(const struct setpoints *setpoints, uint32_t offset, uint32_t count, uint32_t cursor)
 {
     const uint64_t end = (uint64_t)offset + count;
     const uint32_t wanted_from = larger(cursor, setpoints->first);
@@ -65,16 +77,17 @@ enum result setpoints_take(struct setpoints *setpoints, uint32_t offset, const u
     if (end > (uint64_t)wanted_from + SETPOINT_BUFFER) {
         return RESULT_TOO_LARGE;
     }
-    for (uint32_t at = larger(offset, wanted_from); at < end; at++) {
+    return offset < wanted_from ? RESULT_LATE : RESULT_OK;
+}
+
+void setpoints_store(struct setpoints *setpoints, uint32_t offset, const uint8_t *codes, uint32_t count,
+                     uint32_t cursor)
+{
+    for (uint32_t at = larger(offset, larger(cursor, setpoints->first)); at < offset + count; at++) {
         setpoints->codes[at % SETPOINT_BUFFER] = get_i16(codes + 2u * (at - offset));
         setpoints->known[at % SETPOINT_BUFFER] = true;
         setpoints->missing = 0;
     }
-    if (offset < wanted_from) {
-        setpoints->late_blocks++;
-        return RESULT_LATE;
-    }
-    return RESULT_OK;
 }
 
 /* Return the command of a sample without a set-point: on the ramp to the hold level, or at it. */

@@ -39,12 +39,18 @@ void setpoints_begin(struct setpoints *setpoints, uint32_t first);
 /* Whether set-points were missing for so long that the run must end. */
 bool setpoints_starved(const struct setpoints *setpoints);
 
-/* Return the first missing sample from cursor on; the end of the run or of the buffer if there is none. */
-uint32_t setpoints_next_missing(struct setpoints *setpoints, uint32_t cursor);
+/* Look on for the first missing sample from cursor on; return whether it is found, after a bounded number of steps. */
+bool setpoints_seek(struct setpoints *setpoints, uint32_t cursor);
 
-/* Store count codes from sample offset on; cursor is the next sample to be played. */
-enum result setpoints_take(struct setpoints *setpoints, uint32_t offset, const uint8_t *codes, uint32_t count,
-                           uint32_t cursor);
+/* Return the first missing sample that was found; the end of the run or of the buffer if there is none. */
+uint32_t setpoints_next_missing(const struct setpoints *setpoints, uint32_t cursor);
+
+/* Return whether a block of count codes from sample offset on is in time (RESULT_OK), late, or refused as a whole. */
+enum result setpoints_judge(const struct setpoints *setpoints, uint32_t offset, uint32_t count, uint32_t cursor);
+
+/* Store a part of a block that was not refused; cursor is the next sample to be played. */
+void setpoints_store(struct setpoints *setpoints, uint32_t offset, const uint8_t *codes, uint32_t count,
+                     uint32_t cursor);
 
 /* Return the command of sample cursor, V, and whether it is not the host's. present_v is the previous command. */
 double setpoints_play(struct setpoints *setpoints, const struct channel *command, uint32_t cursor, double present_v,

@@ -16,6 +16,7 @@ from serial.tools import list_ports
 
 from tissueid.errors import TissueIDError, UnusableInputError
 from tissueid.formatting import clean
+from tissueid.instrument.card import card_schemes, open_card
 from tissueid.instrument.driver import SerialInstrument
 from tissueid.instrument.interface import Instrument
 from tissueid.instrument.link import SerialLink
@@ -52,7 +53,8 @@ class FoundInstrument:
 
 
 def open_instrument(url: str) -> Instrument:
-    """Open the instrument at an address: a serial port, ``socket://host:port``, or ``simulated://TISSUE?seed=N``.
+    """Open the instrument at an address: a serial port, ``socket://host:port``, ``simulated://TISSUE?seed=N``, or the
+    scheme of an installed driver (:mod:`tissueid.instrument.card`).
 
     With a seed, a simulated instrument always gives the same measurements. ``simulated:///PATH/twin.toml?seed=N``
     simulates a named twin (``gap accept``). ``subject=N`` is another person's skin, and ``variation=SIZE`` scales the
@@ -71,7 +73,7 @@ def open_instrument(url: str) -> Instrument:
                 choose=Action("instrument.list", "tissueid devices", marked("choose one in the list of instruments")),
             )
         )
-    return SerialInstrument(SerialLink(url))
+    return open_card(url) or SerialInstrument(SerialLink(url))
 
 
 def _simulation(url: str) -> Instrument:
@@ -198,6 +200,9 @@ def find_instruments(
         name = Verbatim(f"{device.model}, {device.serial_number}")
         detail = Message("discovery.answered", "{name}, firmware {version}", name=name, version=device.firmware_version)
         found.append(FoundInstrument(url, what, True, detail, name))
+    for scheme, driver in sorted(card_schemes().items()):
+        what = Message("discovery.card", "driver {name}", name=Verbatim(driver.value))
+        found.append(FoundInstrument(f"{scheme}://", what, None, name=what))
     for tissue in TISSUES:
         name = Message("discovery.simulated_tissue", "simulation, {tissue}", tissue=Verbatim(tissue))
         found.append(FoundInstrument(f"{IN_PROCESS}{tissue}", _SIMULATION, True, name=name))

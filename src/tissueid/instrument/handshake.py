@@ -98,9 +98,9 @@ def _out_of_range(values: Mapping[str, float], ranges: Mapping[str, tuple[float,
     return None
 
 
-def _problem(fields: Mapping[str, Any], spans: Mapping[str, float], offsets: NDArray[np.float64]) -> Message | None:
-    """Return the first implausible value of a HELLO_ACK as a message."""
-    if odd := _out_of_range(fields, RANGES):
+def implausible_property(properties: Mapping[str, Any]) -> Message | None:
+    """Return the first value outside its range as a message; None if all properties in ``RANGES`` are plausible."""
+    if odd := _out_of_range(properties, {name: RANGES[name] for name in RANGES if name in properties}):
         name, value, low, high = odd
         return Message(
             "handshake.value",
@@ -110,6 +110,13 @@ def _problem(fields: Mapping[str, Any], spans: Mapping[str, float], offsets: NDA
             low=low,
             high=high,
         )
+    return None
+
+
+def _problem(fields: Mapping[str, Any], spans: Mapping[str, float], offsets: NDArray[np.float64]) -> Message | None:
+    """Return the first implausible value of a HELLO_ACK as a message."""
+    if problem := implausible_property(fields):
+        return problem
     if odd := _out_of_range(spans, SPANS):
         name, value, low, high = odd
         return Message(

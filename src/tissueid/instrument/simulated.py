@@ -11,28 +11,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from tissueid.device import SIMULATED_SERIAL, DeviceDescription
-from tissueid.errors import InstrumentError, TissueIDError, UnusableInputError
+from tissueid.errors import InstrumentError, UnusableInputError
 from tissueid.formatting import clean
-from tissueid.instrument.interface import (
-    SAMPLE,
-    SIGNALS,
-    Corrections,
-    Gap,
-    Observer,
-    Run,
-    calibration_while_running,
-    check_corrections,
-    checked_descriptions,
-    corrected,
-    not_armed,
-    nothing_loaded,
-    stage_while_running,
-    unexpected_set_points,
-)
-from tissueid.instrument.limits import Limits, check_command, check_limits, check_stimulus
-from tissueid.instrument.playback import Playback
-from tissueid.instrument.replies import released_by_faults
-from tissueid.instrument.sample_monitor import SampleMonitor
+from tissueid.instrument.host_played import BLOCK, HostPlayedInstrument
+from tissueid.instrument.interface import stage_while_running
 from tissueid.instrument.tissues import COMPRESSING_N, COMPRESSING_S, TISSUES, Effects, SimulatedTissue
 from tissueid.instrument.twin_file import TwinFile, device_of
 from tissueid.messages import Message, Verbatim, joined
@@ -40,10 +22,7 @@ from tissueid.twin.catalogue import effect
 from tissueid.twin.chain_parameters import Instrument
 from tissueid.twin.player import Player
 from tissueid.twin.simulation import ActiveEffect, Start, values_by_name
-from tissueid.wire import Fault
 
-BLOCK = 20
-"""Samples that one poll delivers."""
 _NOISE = {"voltage": 2.0e-3, "current": 3.0e-4, "position": 5.0e-7}
 """Standard deviation of the sensor noise, SI: about one converter code."""
 
@@ -63,7 +42,7 @@ Wait = Callable[[float], object]
 """Function that waits for a number of seconds; it may return earlier."""
 
 
-class SimulatedInstrument:
+class SimulatedInstrument(HostPlayedInstrument):
     """The digital twin as an instrument. Every poll returns the next ``BLOCK`` samples.
 
     Polls do not wait, unless ``play_in_real_time`` was called.
@@ -105,7 +84,7 @@ class SimulatedInstrument:
         self._placed_m = 0.0
         serial_number = f"{SIMULATED_SERIAL}{seed or 0}"
         if not isinstance(tissue, TwinFile):
-            self.device = replace(DeviceDescription(), model=MODEL, serial_number=serial_number)
+            device = replace(DeviceDescription(), model=MODEL, serial_number=serial_number)
             self._varying = TISSUES[tissue] if isinstance(tissue, str) else tissue
             if subject is not None:
                 self._varying = self._varying.of_subject(subject)
@@ -118,33 +97,21 @@ class SimulatedInstrument:
                 replace(figures, surface_m=surface_m),
                 Start(0.0, surface_m),
                 _acting(effects),
-                sample_rate_hz=self.device.sample_rate_hz,
+                sample_rate_hz=device.sample_rate_hz,
             )
         else:
             named = tissue.twin
-            self.device = replace(device_of(tissue), serial_number=serial_number)
+            device = replace(device_of(tissue), serial_number=serial_number)
             player = Player(
                 # The orientation in the session does not apply here: the simulated instrument points down.
-                replace(named.instrument, weight_n=self.device.weight_n()),
+                replace(named.instrument, weight_n=device.weight_n()),
                 named.tissue,
                 Start(0.0, named.tissue.surface_m),
                 named.acting,
                 sample_rate_hz=named.sample_rate_hz,
             )
         self._player = player
-        self.nominal = self.device
-        self._checks = SampleMonitor(self.nominal, winding=False)
-        self._corrections: Corrections = {}
-        self.gaps: list[Gap] = []
-        self.observer: Observer | None = None
-        self._command = np.zeros(0)
-        self._following = 0
-        self._hold_v = 0.0
-        self._playback = Playback(self._command, self.device.sample_rate_hz)
-        self._limits: Limits | None = None
-        self._run: Run | None = None
-        self._index = 0
-        self._energised = False
+        super().__init__(device, winding=False)
         self._wait: Wait | None = None
         self._clock: Callable[[], float] = time.monotonic
         self._started_s = 0.0
@@ -159,93 +126,8 @@ class SimulatedInstrument:
         self._wait, self._clock = wait, clock
         self._started_s = clock() - self._index / self.device.sample_rate_hz
 
-    def use_calibration(self, device: DeviceDescription, corrections: Corrections) -> None:
-        """Use the device description and channel corrections of a calibration.
-
-        Raises:
-            InstrumentError: a test is armed or running, or a channel does not exist.
-        """
-        if self._limits is not None or self._run is not None:
-            raise calibration_while_running()
-        self._corrections = check_corrections(corrections, SIGNALS)
-        self.device = device
-
-    def load(self, command_v: NDArray[np.float64]) -> None:
-        """Load a stimulus, shape (n,), V."""
-        self._command = np.asarray(command_v, np.float64)
-        self._following = 0
-
-    @property
-    def late_blocks(self) -> int:
-        """Blocks of set-points of the newest run that arrived too late."""
-        return self._playback.late_blocks
-
-    @property
-    def held_samples(self) -> int:
-        """Samples of the newest run that were held because their set-point was missing."""
-        return self._playback.held_samples
-
-    @property
-    def setpoint_margin_s(self) -> float | None:
-        """None: there is no cable."""
-        return None
-
-    def follow(self, samples: int, hold_v: float) -> None:
-        """Announce ``samples`` set-points that will be sent during the next run, after the loaded stimulus.
-
-        Raises:
-            InstrumentError: nothing is loaded.
-        """
-        if not self._command.size:
-            raise nothing_loaded()
-        self._following, self._hold_v = samples, hold_v
-
-    def send(self, offset: int, command_v: NDArray[np.float64]) -> None:
-        """Add set-points, shape (k,), V, for the samples of the run from ``offset``.
-
-        Raises:
-            LimitError: a limit would be exceeded.
-            InstrumentError: these set-points were not announced by ``follow``.
-        """
-        end = offset + command_v.size
-        if self._limits is None or not self._playback.first <= offset < end <= self._playback.planned:
-            raise unexpected_set_points(offset, end)
-        for description in checked_descriptions(self.nominal, self.device):
-            check_command(command_v, description, self._limits)
-        self._playback.take(offset, command_v)
-
-    def effective_limits(self, limits: Limits) -> Limits:
-        """Return ``limits``: the simulation has none of its own."""
-        return limits
-
-    def arm(self, limits: Limits) -> None:
-        """Set the limits of the next run.
-
-        Raises:
-            LimitError: the stimulus would exceed them.
-        """
-        check_limits(limits, self.nominal)
-        for description in checked_descriptions(self.nominal, self.device):
-            check_stimulus(self._command, description, limits, self._following)
-            if self._following:
-                check_command(np.array([self._hold_v]), description, limits)
-        self._checks.arm(np.array([_COIL_C]), limits)
-        self._limits = limits
-        self._playback = Playback(self._command, self.device.sample_rate_hz, self._following, self._hold_v)
-        self._following = 0
-        self._energised = False
-
-    def start(self) -> Run:
-        """Play the stimulus from the next poll on.
-
-        Raises:
-            InstrumentError: not armed.
-        """
-        if self._limits is None:
-            raise not_armed()
-        self._run = Run(self._index, self._playback.planned)
+    def _run_begins(self) -> None:
         self._started_s = self._clock() - self._index / self.device.sample_rate_hz
-        self._energised = True
         if self._varying is not None:
             figures, effects = self._varying.drawn(self._random)
             if self._compressing:
@@ -254,7 +136,17 @@ class SimulatedInstrument:
                 figures, deeper_m = self._varying.compressed(figures, share)
                 self._player.set_surface(self._placed_m + deeper_m)
             self._player.set_parameters(figures, _acting(effects))
-        return self._run
+
+    def _exchange(self, samples: NDArray[np.void]) -> None:
+        signals = self._player.play(samples["command"])
+        self._pressed += int(np.count_nonzero(self.nominal.force_constant_n_per_a * signals[1] > COMPRESSING_N))
+        for name, values in zip(("voltage", "current", "position"), signals, strict=True):
+            samples[name] = values + _NOISE[name] * self._random.standard_normal(BLOCK)
+        samples["temperature"] = _COIL_C
+        samples["acceleration_x"] = 9.81
+
+    def _coil_c(self) -> NDArray[np.float64]:
+        return np.array([_COIL_C])
 
     def poll(self, timeout_s: float) -> NDArray[np.void]:
         """Return the next block, shape (20,) of SAMPLE; in real time, wait for its last sample.
@@ -262,48 +154,11 @@ class SimulatedInstrument:
         Raises:
             LimitError, InstrumentError: a check of the samples failed; the coil is released.
         """
-        del timeout_s
-        samples = np.zeros(BLOCK, SAMPLE)
-        samples["index"] = self._index + np.arange(BLOCK)
-        if self._energised:
-            samples["command"], samples["flags"] = self._playback.block(BLOCK)
-            self._energised = not self._playback.over
-        signals = self._player.play(samples["command"])
-        self._pressed += int(np.count_nonzero(self.nominal.force_constant_n_per_a * signals[1] > COMPRESSING_N))
-        for name, values in zip(("voltage", "current", "position"), signals, strict=True):
-            samples[name] = values + _NOISE[name] * self._random.standard_normal(BLOCK)
-        samples["temperature"] = _COIL_C
-        samples["acceleration_x"] = 9.81
-        self._index += BLOCK
-        read, samples = samples, corrected(samples, self._corrections)
-        if self._limits is not None and self._run is not None:
-            try:
-                calibrated = None if self.device is self.nominal else (samples, self.device)
-                self._checks.check(read, self._limits, self._run, calibrated)
-            except TissueIDError:
-                self.release()
-                raise
-            if self._playback.starved:
-                self.release()
-                raise released_by_faults(Fault.STARVED)
-            if self._index >= self._run.end_index:
-                self._run = None
-                self._limits = None
-        if self.observer is not None:
-            self.observer(samples)
+        samples = super().poll(timeout_s)
         if self._wait is not None:
             early = self._started_s + self._index / self.device.sample_rate_hz - self._clock()
             self._wait(max(0.0, early))
         return samples
-
-    def finish(self) -> int:
-        """End the run now by its soft release, and return the number of samples played."""
-        played = self._playback.finish()
-        if self._run is None:
-            self._limits = None
-        else:
-            self._run = Run(self._run.first_index, played)
-        return played
 
     def move_stage(self, position_m: float | None) -> bool:
         """Move the surface under the probe to a position, m; None moves it out of reach. Return True.
@@ -332,16 +187,6 @@ class SimulatedInstrument:
     def _settle(self) -> None:
         """Let the probe come to rest on the tissue."""
         self._player.play(np.zeros(_SETTLING))
-
-    def release(self) -> None:
-        """Release the coil: the command is zero from the next sample."""
-        self._run = None
-        self._limits = None
-        self._energised = False
-
-    def close(self) -> None:
-        """Release."""
-        self.release()
 
 
 def _acting(effects: Effects) -> tuple[ActiveEffect, ...]:

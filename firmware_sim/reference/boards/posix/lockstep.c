@@ -74,10 +74,7 @@ static bool set_world(void)
     if (!read_exactly(&bits, 1)) {
         return false;
     }
-    posix_board.world.button = (bits & 1u) != 0u;
-    posix_board.world.supply_low = (bits & 2u) != 0u;
-    posix_board.world.position_stuck = (bits & 4u) != 0u;
-    posix_board.world.coil_open = (bits & 8u) != 0u;
+    world_set(&posix_board.world, bits);
     return true;
 }
 

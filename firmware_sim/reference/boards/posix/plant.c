@@ -48,6 +48,14 @@ static double noise(void)
     return sum * 1.7320508075688772;
 }
 
+void world_set(struct world *world, uint8_t bits)
+{
+    world->button = (bits & 1u) != 0u;
+    world->supply_low = (bits & 2u) != 0u;
+    world->position_stuck = (bits & 4u) != 0u;
+    world->coil_open = (bits & 8u) != 0u;
+}
+
 void plant_init(enum plant_kind kind, const struct board_properties *device, double surface_m)
 {
     plant.kind = kind;

@@ -22,6 +22,9 @@ struct world {
     bool coil_open;
 };
 
+/* Set the disturbances: button 1, supply low 2, position stuck 4, coil open 8. */
+void world_set(struct world *world, uint8_t bits);
+
 /* Reset the plant; surface_m is the position of the tissue's surface. */
 void plant_init(enum plant_kind kind, const struct board_properties *device, double surface_m);
 

@@ -1,26 +1,16 @@
 /* Board of QEMU's mps2-an500 (Cortex-M7, 25 MHz): the line is UART 0, the sample clock timer 0, the plant is behind it.
  *
- *   qemu-system-arm -M mps2-an500 -nographic -monitor none -serial tcp:127.0.0.1:7800,server,nowait -kernel PROGRAM */
-#include "board.h"
+ * firmware_sim/reference/emulator.py starts it, in real time or in lockstep with a test (grants.h). */
+#include "qemu_board.h"
+
 #include "desktop_device.h"
 #include "firmware.h"
+#include "grants.h"
 #include "plant.h"
+#include "registers.h"
+#include "start.h"
 
-#define REGISTER(address) (*(volatile uint32_t *)(address))
-#define UART_DATA REGISTER(0x40004000u)
-#define UART_STATE REGISTER(0x40004004u)
-#define UART_CONTROL REGISTER(0x40004008u)
-#define UART_DIVIDER REGISTER(0x40004010u)
-#define SAMPLE_CONTROL REGISTER(0x40000000u)
-#define SAMPLE_RELOAD REGISTER(0x40000008u)
-#define SAMPLE_CLEAR REGISTER(0x4000000Cu)
-#define CLOCK_CONTROL REGISTER(0x40001000u)
-#define CLOCK_VALUE REGISTER(0x40001004u)
-#define CLOCK_RELOAD REGISTER(0x40001008u)
-#define INTERRUPT_ENABLE REGISTER(0xE000E100u)
-#define COPROCESSORS REGISTER(0xE000ED88u)
-#define SAMPLE_INTERRUPT 8u
-#define CLOCK_HZ 25000000u
+#define RING 4096u /* received bytes that wait for the main loop; a power of two */
 
 static struct firmware firmware;
 static struct world world;
@@ -28,11 +18,21 @@ static bool amplifier;
 static int16_t command;
 static uint32_t newest_ticks;
 static uint64_t ticks;
+static uint32_t plant_ticks;
+
+static struct {
+    uint8_t bytes[RING];
+    volatile uint32_t in; /* bytes since the start: written by the interrupt */
+    uint32_t out;         /* taken by the main loop */
+    uint32_t sent;
+} line;
+static volatile bool interrupted; /* an interrupt has run in this pass of the main loop */
+static bool moved;                /* bytes were moved in this pass */
 
 static const struct board_properties PROPERTIES = {
     .model = "desktop indenter (QEMU)",
     .serial_number = "QEMU-0001",
-    .firmware_version = "ref-1.0",
+    .firmware_version = "ref-1.1",
     .sample_rate_hz = 2000,
     .has_stage = false,
     DESKTOP_DEVICE,
@@ -53,9 +53,16 @@ void board_command(int16_t code)
     command = code;
 }
 
+static uint32_t counted_ticks(void)
+{
+    return 0xFFFFFFFFu - TIMER_VALUE(CLOCK_TIMER);
+}
+
 void board_read(struct board_sample *sample)
 {
+    const uint32_t begin = counted_ticks();
     plant_step(&world, amplifier, command, sample);
+    plant_ticks = counted_ticks() - begin;
 }
 
 bool board_button(void)
@@ -71,44 +78,53 @@ bool board_supply_low(void)
 /* The counter runs down and wraps after 172 s; it is read at least once per sample, with the interrupt masked. */
 uint64_t board_clock_us(void)
 {
-    const uint32_t now = 0xFFFFFFFFu - CLOCK_VALUE;
+    const uint32_t now = counted_ticks();
     ticks += now - newest_ticks;
     newest_ticks = now;
     return ticks / (CLOCK_HZ / 1000000u);
 }
 
+/* QEMU's board has no source of noise: whoever starts it draws the number. */
 uint32_t board_random(void)
 {
-    return 0x51E3Au; /* QEMU's board has no source of noise: each start looks the same */
+    return STRAPS[1];
 }
 
 size_t board_receive(uint8_t *bytes, size_t most)
 {
     size_t count = 0;
-    while (count < most && (UART_STATE & 2u) != 0u) {
-        bytes[count] = (uint8_t)(UART_DATA & 0xFFu);
+    while (count < most && line.out != line.in) {
+        bytes[count] = line.bytes[line.out % RING];
+        line.out++;
         count++;
     }
+    moved = moved || count > 0u;
     return count;
 }
 
 size_t board_send(const uint8_t *bytes, size_t count)
 {
     size_t sent = 0;
-    while (sent < count && (UART_STATE & 1u) == 0u) {
-        UART_DATA = bytes[sent];
+    while (sent < count && (UART_STATE(LINE_UART) & UART_TRANSMIT_FULL) == 0u) {
+        UART_DATA(LINE_UART) = bytes[sent];
         sent++;
     }
+    line.sent += (uint32_t)sent;
+    moved = moved || sent > 0u;
     return sent;
 }
 
 void board_lock(void)
 {
     __asm volatile("cpsid i" ::: "memory");
+    MASK_VALUE = 0;
+    MASK_CONTROL = MASK_ON;
 }
 
 void board_unlock(void)
 {
+    grants_masked(MASK_MOST - MASK_VALUE);
+    MASK_CONTROL = 0;
     __asm volatile("cpsie i" ::: "memory");
 }
 
@@ -131,60 +147,85 @@ void board_stage_stop(void)
 {
 }
 
-static void sample_interrupt(void)
+void line_interrupt(void)
 {
-    SAMPLE_CLEAR = 1u;
+    UART_CLEAR(LINE_UART) = UART_RECEIVED;
+    const uint8_t byte = (uint8_t)(UART_DATA(LINE_UART) & 0xFFu);
+    if (line.in - line.out < RING) {
+        line.bytes[line.in % RING] = byte;
+        line.in++;
+    }
+    interrupted = true;
+}
+
+void grant_interrupt(void)
+{
+    UART_CLEAR(GRANT_UART) = UART_RECEIVED;
+    grants_receive((uint8_t)(UART_DATA(GRANT_UART) & 0xFFu));
+    interrupted = true;
+}
+
+void sample_interrupt(void)
+{
+    const uint32_t begin = counted_ticks();
+    TIMER_CLEAR(SAMPLE_TIMER) = 1u;
     firmware_interrupt(&firmware);
+    interrupted = true;
+    grants_count(counted_ticks() - begin - plant_ticks);
+}
+
+/* Wait for an interrupt, unless one has run in this pass. In lockstep the processor sleeps only while the timers stand
+ * still: QEMU 7.2 skips a period of a timer when a processor sleeps whose instructions are its clock. A masked interrupt
+ * also ends the sleep. */
+static void rest(void)
+{
+    while (grants_running() && !interrupted) {
+    }
+    __asm volatile("cpsid i" ::: "memory");
+    if (!interrupted) {
+        __asm volatile("wfi");
+    }
+    __asm volatile("cpsie i" ::: "memory");
+}
+
+static void start_uart(uint32_t base, uint32_t interrupt)
+{
+    UART_DIVIDER(base) = 16u;
+    UART_CONTROL(base) = UART_ON;
+    INTERRUPT_PRIORITY(interrupt) = 0x40u; /* the sample interrupt, at 0, comes first */
+    INTERRUPT_ENABLE = 1u << interrupt;
 }
 
 int main(void)
 {
-    UART_DIVIDER = 16u;
-    UART_CONTROL = 3u;
-    CLOCK_RELOAD = 0xFFFFFFFFu;
-    CLOCK_CONTROL = 1u;
-    newest_ticks = 0xFFFFFFFFu - CLOCK_VALUE;
-    plant_init(PLANT_FREE, &PROPERTIES, 0.008);
+    TIMER_RELOAD(CLOCK_TIMER) = 0xFFFFFFFFu;
+    TIMER_CONTROL(CLOCK_TIMER) = TIMER_ON;
+    newest_ticks = counted_ticks();
+    MASK_RELOAD = MASK_MOST;
+    plant_init((enum plant_kind)((STRAPS[0] >> STRAP_PLANT) & 3u), &PROPERTIES, 0.008);
     firmware_init(&firmware);
-    SAMPLE_RELOAD = CLOCK_HZ / PROPERTIES.sample_rate_hz - 1u;
-    SAMPLE_CONTROL = 9u; /* enabled, with interrupt */
+    TIMER_RELOAD(SAMPLE_TIMER) = CLOCK_HZ / PROPERTIES.sample_rate_hz - 1u;
+    TIMER_CONTROL(SAMPLE_TIMER) = TIMER_INTERRUPT | TIMER_ON;
+    if ((STRAPS[0] & STRAP_LOCKSTEP) != 0u) {
+        grants_begin();
+        start_uart(GRANT_UART, GRANT_INTERRUPT);
+    }
     INTERRUPT_ENABLE = 1u << SAMPLE_INTERRUPT;
+    start_uart(LINE_UART, LINE_INTERRUPT);
     for (;;) {
+        moved = false;
+        interrupted = false;
         firmware_poll(&firmware);
+        const bool idle = !moved && !interrupted;
+        grants_poll(&world, line.in, line.sent, idle);
+        if (idle) {
+            rest();
+        }
     }
 }
 
-/* -- start of the processor ----------------------------------------------------------------------------- */
-
-extern uint32_t data_load[], data_start[], data_end[], bss_start[], bss_end[], stack_top[];
-
-void reset(void);
-
-void reset(void)
-{
-    COPROCESSORS |= 0xFu << 20; /* the floating-point unit */
-    __asm volatile("dsb\n isb");
-    for (uint32_t *to = data_start, *from = data_load; to < data_end; to++, from++) {
-        *to = *from;
-    }
-    for (uint32_t *to = bss_start; to < bss_end; to++) {
-        *to = 0;
-    }
-    (void)main();
-}
-
-/* A fault of the processor: the amplifier is off, and the hardware watchdog of a real board restarts it. */
-static void halt(void)
-{
-    amplifier = false;
-    for (;;) {
-    }
-}
-
-typedef void (*vector)(void);
-
-__attribute__((section(".vectors"), used)) static const struct {
-    uint32_t *stack;
-    vector handlers[15 + SAMPLE_INTERRUPT + 1];
-} VECTORS = {stack_top,
-             {reset, halt, halt, halt, halt, halt, 0, 0, 0, 0, halt, halt, 0, halt, halt, [15 + SAMPLE_INTERRUPT] = sample_interrupt}};
+__attribute__((section(".vectors.board"), used)) static const vector VECTORS[SAMPLE_INTERRUPT + 1u] = {
+    [LINE_INTERRUPT] = line_interrupt,
+    [GRANT_INTERRUPT] = grant_interrupt,
+    [SAMPLE_INTERRUPT] = sample_interrupt,
+};

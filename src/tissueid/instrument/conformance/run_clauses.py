@@ -204,7 +204,7 @@ def _stage_states(device: DeviceUnderTest) -> None:
     if answer.result == Result.UNKNOWN:
         return
     require(answer.result == Result.BAD_STATE, "BAD_STATE to STAGE in ARMED", answer.result)
-    device.wait(lambda: device.statuses[-1]["state"] == State.FAULT, 1.5, "the watchdog")
+    device.wait(lambda: device.newest_state == State.FAULT, 1.5, "the watchdog")
     answer = device.ask(MessageType.STAGE, centre)
     require(answer.result == Result.FAULT_LATCHED, "FAULT_LATCHED to STAGE in FAULT", answer.result)
     require(answer.detail == Fault.WATCHDOG, f"detail {int(Fault.WATCHDOG)}", answer.detail)

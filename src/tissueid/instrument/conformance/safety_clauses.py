@@ -47,7 +47,7 @@ def _enabled(device: DeviceUnderTest) -> None:
     device.keep_alive(True)
     device.arm()
     device.pump(0.2)
-    samples = np.concatenate([block for _, block in device.blocks])
+    samples = device.samples()
     require(samples.size > 0.3 * device.rate_hz, "DATA while streaming", samples.size)
     on = np.count_nonzero(samples["flags"] & int(Flag.ENERGISED))
     require(on == 0, "the amplifier off in IDLE, LOADED and ARMED", f"{on} samples on")
@@ -60,8 +60,8 @@ def _watchdog_armed(device: DeviceUnderTest) -> None:
     device.load(_quiet(device, 0.01))
     answer = device.expect(Result.OK, MessageType.ARM, device.arm_payload())
     promised = device.known.watchdog_s
-    device.wait(lambda: device.statuses[-1]["state"] == State.FAULT, promised + 0.5, "the watchdog in ARMED")
-    status = device.statuses[-1]
+    device.wait(lambda: device.newest_state == State.FAULT, promised + 0.5, "the watchdog in ARMED")
+    status = device.newest_status()
     require(status["faults"] == Fault.WATCHDOG, "fault WATCHDOG", Fault(status["faults"]))
     seconds = (status["index"] - answer.index) / device.rate_hz
     device.measured = {"watchdog_s": seconds}
@@ -251,8 +251,8 @@ def _button(device: DeviceUnderTest) -> None:
     device.keep_alive(True)
     device.arm()
     seconds = device.act(Act.PRESS_BUTTON)
-    device.wait(lambda: device.statuses[-1]["state"] == State.FAULT, seconds + 0.1, "fault BUTTON in ARMED")
-    require(device.statuses[-1]["faults"] == Fault.BUTTON, "fault BUTTON", Fault(device.statuses[-1]["faults"]))
+    device.wait(lambda: device.newest_state == State.FAULT, seconds + 0.1, "fault BUTTON in ARMED")
+    require(device.newest_status()["faults"] == Fault.BUTTON, "fault BUTTON", Fault(device.newest_status()["faults"]))
     device.expect(Result.OK, MessageType.CLEAR_FAULTS)
     device.load(_quiet(device, 0.1))
     for kind, payload in (
@@ -348,7 +348,7 @@ def _supply(device: DeviceUnderTest) -> None:
 def _latched(device: DeviceUnderTest) -> None:
     device.load(np.zeros(10, "<i2"))
     device.arm()
-    device.wait(lambda: device.statuses[-1]["state"] == State.FAULT, 1.5, "the watchdog")
+    device.wait(lambda: device.newest_state == State.FAULT, 1.5, "the watchdog")
     for kind in (*range(MessageType.STIMULUS_BEGIN, MessageType.SETPOINTS + 1), 0x20, 0x21, 0x25):
         answer = device.expect(Result.FAULT_LATCHED, kind, bytes(12), "while a fault is latched")
         require(answer.detail == Fault.WATCHDOG, f"detail {int(Fault.WATCHDOG)}", answer.detail)

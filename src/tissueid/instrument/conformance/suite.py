@@ -9,7 +9,7 @@ from string import ascii_lowercase
 from tissueid.errors import InstrumentError, LinkLostError, TissueIDError
 from tissueid.instrument.conformance.clause import CLAUSES, Clause, ClauseResult, NotTestedError, ViolationError
 from tissueid.instrument.conformance.device import DeviceUnderTest
-from tissueid.messages import Message
+from tissueid.messages import Message, Verbatim
 from tissueid.wire import MessageType
 
 CLAUSE_S = 60.0
@@ -82,6 +82,14 @@ def _tested(device: DeviceUnderTest, clause: Clause) -> tuple[ClauseResult, bool
     except (ViolationError, InstrumentError) as error:
         failed = ClauseResult(clause.id, clause.title, "failed", error.message, device.measured)
         return failed, answered, isinstance(error, LinkLostError)
+    except (LookupError, ValueError, TypeError, ArithmeticError) as error:  # of nonsense that no check foresees
+        message = Message(
+            "conformance.nonsense",
+            "what the device sent cannot be evaluated: {kind}: {why}",
+            kind=Verbatim(type(error).__name__),
+            why=Verbatim(str(error)),
+        )
+        return ClauseResult(clause.id, clause.title, "failed", message, device.measured), answered, False
     finally:
         device.keep_alive(False)
         _release_coil(device)

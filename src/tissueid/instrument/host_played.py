@@ -1,0 +1,214 @@
+"""Instrument whose commands this process plays itself: what a simulation and an analogue card have in common."""
+
+from __future__ import annotations
+
+from abc import ABC, abstractmethod
+
+import numpy as np
+from numpy.typing import NDArray
+
+from tissueid.device import DeviceDescription
+from tissueid.errors import TissueIDError
+from tissueid.instrument.interface import (
+    SAMPLE,
+    SIGNALS,
+    Corrections,
+    Gap,
+    Observer,
+    Run,
+    calibration_while_running,
+    check_corrections,
+    checked_descriptions,
+    corrected,
+    not_armed,
+    nothing_loaded,
+    unexpected_set_points,
+)
+from tissueid.instrument.limits import Limits, check_command, check_limits, check_stimulus
+from tissueid.instrument.playback import Playback
+from tissueid.instrument.replies import released_by_faults
+from tissueid.instrument.sample_monitor import SampleMonitor
+from tissueid.wire import Fault
+
+BLOCK = 20
+"""Samples that one poll delivers."""
+
+
+class HostPlayedInstrument(ABC):
+    """Playing, limits and checks of an instrument without firmware. Every poll returns the next ``BLOCK`` samples.
+
+    Args:
+        device: properties of the instrument.
+        winding: whether to calculate the temperature of the coil.
+    """
+
+    def __init__(self, device: DeviceDescription, *, winding: bool) -> None:
+        self.device = self.nominal = device
+        self.gaps: list[Gap] = []
+        self.observer: Observer | None = None
+        self._checks = SampleMonitor(device, winding=winding)
+        self._corrections: Corrections = {}
+        self._command = np.zeros(0)
+        self._following = 0
+        self._hold_v = 0.0
+        self._playback = Playback(self._command, device.sample_rate_hz)
+        self._limits: Limits | None = None
+        self._run: Run | None = None
+        self._index = 0
+        self._energised = False
+
+    @abstractmethod
+    def _exchange(self, samples: NDArray[np.void]) -> None:
+        """Play the commands of ``samples``, shape (BLOCK,) of SAMPLE, and fill in the other signals."""
+
+    @abstractmethod
+    def _coil_c(self) -> NDArray[np.float64]:
+        """Return the newest readings of the temperature sensor of the coil, degC, shape (k,)."""
+
+    @abstractmethod
+    def _run_begins(self) -> None:
+        """Prepare what changes from run to run."""
+
+    def _run_is_over(self, run: Run) -> bool:
+        """Whether the checks of a run end."""
+        return self._index >= run.end_index
+
+    def use_calibration(self, device: DeviceDescription, corrections: Corrections) -> None:
+        """Use the device description and channel corrections of a calibration.
+
+        Raises:
+            InstrumentError: a test is armed or running, or a channel does not exist.
+        """
+        if self._limits is not None or self._run is not None:
+            raise calibration_while_running()
+        self._corrections = check_corrections(corrections, SIGNALS)
+        self.device = device
+
+    def load(self, command_v: NDArray[np.float64]) -> None:
+        """Load a stimulus, shape (n,), V."""
+        self._command = np.asarray(command_v, np.float64)
+        self._following = 0
+
+    @property
+    def late_blocks(self) -> int:
+        """Blocks of set-points of the newest run that arrived too late."""
+        return self._playback.late_blocks
+
+    @property
+    def held_samples(self) -> int:
+        """Samples of the newest run that were held because their set-point was missing."""
+        return self._playback.held_samples
+
+    @property
+    def setpoint_margin_s(self) -> float | None:
+        """None: there is no cable."""
+        return None
+
+    def follow(self, samples: int, hold_v: float) -> None:
+        """Announce ``samples`` set-points that will be sent during the next run, after the loaded stimulus.
+
+        Raises:
+            InstrumentError: nothing is loaded.
+        """
+        if not self._command.size:
+            raise nothing_loaded()
+        self._following, self._hold_v = samples, hold_v
+
+    def send(self, offset: int, command_v: NDArray[np.float64]) -> None:
+        """Add set-points, shape (k,), V, for the samples of the run from ``offset``.
+
+        Raises:
+            LimitError: a limit would be exceeded.
+            InstrumentError: these set-points were not announced by ``follow``.
+        """
+        end = offset + command_v.size
+        if self._limits is None or not self._playback.first <= offset < end <= self._playback.planned:
+            raise unexpected_set_points(offset, end)
+        for description in checked_descriptions(self.nominal, self.device):
+            check_command(command_v, description, self._limits)
+        self._playback.take(offset, command_v)
+
+    def effective_limits(self, limits: Limits) -> Limits:
+        """Return ``limits``: the instrument has none of its own."""
+        return limits
+
+    def arm(self, limits: Limits) -> None:
+        """Set the limits of the next run.
+
+        Raises:
+            LimitError: the stimulus would exceed them.
+        """
+        check_limits(limits, self.nominal)
+        for description in checked_descriptions(self.nominal, self.device):
+            check_stimulus(self._command, description, limits, self._following)
+            if self._following:
+                check_command(np.array([self._hold_v]), description, limits)
+        self._checks.arm(self._coil_c(), limits)
+        self._limits = limits
+        self._playback = Playback(self._command, self.device.sample_rate_hz, self._following, self._hold_v)
+        self._following = 0
+        self._energised = False
+
+    def start(self) -> Run:
+        """Play the stimulus from the next poll on.
+
+        Raises:
+            InstrumentError: not armed.
+        """
+        if self._limits is None:
+            raise not_armed()
+        self._run = Run(self._index, self._playback.planned)
+        self._energised = True
+        self._run_begins()
+        return self._run
+
+    def poll(self, timeout_s: float) -> NDArray[np.void]:
+        """Return the next block, shape (20,) of SAMPLE.
+
+        Raises:
+            LimitError, InstrumentError: a check of the samples failed; the coil is released.
+        """
+        del timeout_s
+        samples = np.zeros(BLOCK, SAMPLE)
+        samples["index"] = self._index + np.arange(BLOCK)
+        if self._energised:
+            samples["command"], samples["flags"] = self._playback.block(BLOCK)
+            self._energised = not self._playback.over
+        self._exchange(samples)
+        self._index += BLOCK
+        read, samples = samples, corrected(samples, self._corrections)
+        try:
+            calibrated = None if self.device is self.nominal else (samples, self.device)
+            self._checks.check(read, None if self._run is None else self._limits, self._run, calibrated)
+        except TissueIDError:
+            self.release()
+            raise
+        if self._run is not None:
+            if self._playback.starved:
+                self.release()
+                raise released_by_faults(Fault.STARVED)
+            if self._run_is_over(self._run):
+                self._run = None
+                self._limits = None
+        if self.observer is not None:
+            self.observer(samples)
+        return samples
+
+    def finish(self) -> int:
+        """End the run now by its soft release, and return the number of samples played."""
+        played = self._playback.finish()
+        if self._run is None:
+            self._limits = None
+        else:
+            self._run = Run(self._run.first_index, played)
+        return played
+
+    def release(self) -> None:
+        """Release the coil: the command is zero from the next sample."""
+        self._run = None
+        self._limits = None
+        self._energised = False
+
+    def close(self) -> None:
+        """Release."""
+        self.release()
