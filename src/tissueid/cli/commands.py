@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import os
-from typing import TYPE_CHECKING, Annotated
+from typing import TYPE_CHECKING, Annotated, Literal
 
 import typer
 
@@ -258,3 +258,27 @@ def report(plan: ReportPlan) -> None:
     from tissueid.cli.report import report_test
 
     report_test(plan)
+
+
+@add_command(app, "completion")
+def completion(
+    shell: Annotated[Literal["bash", "zsh", "fish"], typer.Argument(metavar="SHELL", help="bash, zsh or fish")],
+) -> None:
+    """Print the completion script of a shell.
+
+    For bash: tissueid completion bash > ~/.local/share/bash-completion/completions/tissueid
+    """
+    from tissueid.cli.completion import completion_script
+
+    typer.echo(completion_script(shell, app), nl=False)
+
+
+@add_command(app, "manual")
+def manual() -> None:
+    """Print the manual page of all commands.
+
+    To read it: tissueid manual | man -l -
+    """
+    from tissueid.cli.manual import manual_page
+
+    typer.echo(manual_page(app), nl=False)
