@@ -29,6 +29,7 @@ if TYPE_CHECKING:  # plans are imported when their command is used
     from tissueid.procedures.recovery import RecoveryPlan
     from tissueid.procedures.report import ReportPlan
     from tissueid.procedures.reproduction import ReproductionPlan
+    from tissueid.procedures.samples import SamplesPlan
     from tissueid.procedures.stimulus_design import StimulusPlan
     from tissueid.procedures.test_plan import TestPlan
 
@@ -112,6 +113,17 @@ def demo(plan: DemoPlan, json_file: JsonFile = None) -> None:
     from tissueid.cli.demo import demonstrate
 
     demonstrate(plan, json_file)
+
+
+@add_command(app, "samples", "samples")
+def samples(plan: SamplesPlan, json_file: JsonFile = None) -> None:
+    """Record small sample sessions of simulated tissues.
+
+    The output says what each contains and what to try.
+    """
+    from tissueid.cli.samples import print_samples
+
+    print_samples(plan, json_file)
 
 
 @add_command(app, "devices", "instrument_queries")
