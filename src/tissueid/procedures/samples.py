@@ -8,7 +8,6 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
 from tissueid.atomic_write import private_folder
-from tissueid.language import marked
 from tissueid.messages import Message, Verbatim
 from tissueid.procedures.control import Control
 from tissueid.procedures.plan_options import Option, Plan
@@ -33,25 +32,25 @@ SAMPLES: Mapping[str, Sample] = {
     "forearm.h5": Sample(
         "simulated://forearm?seed=1",
         {"site": "left forearm", "subject": "P-001", "seconds": 3.0, "seed": 1, "repeats": 2},
-        marked("noise on a forearm, two repeats"),
+        "noise on a forearm, two repeats",
         "tissueid compare forearm.h5 --engines lms,wiener,dpn",
     ),
     "anterior-forearm.h5": Sample(
         "simulated://anterior-forearm?seed=1&subject=2",
         {"site": "left anterior forearm", "subject": "P-002", "seconds": 3.0, "seed": 1, "repeats": 2},
-        marked("the same on the softer side of another person"),
+        "the same on the softer side of another person",
         "tissueid repeats forearm.h5 anterior-forearm.h5 --engines lms",
     ),
     "steps.h5": Sample(
         "simulated://forearm?seed=2",
         {"site": "left forearm", "subject": "P-001", "stimulus": "step_hold", "min_force_n": 1.0, "max_force_n": 4.0},
-        marked("a step of force that is held, for creep"),
+        "a step of force that is held, for creep",
         "tissueid readings steps.h5 --model-session forearm.h5",
     ),
     "spring.h5": Sample(
         "simulated://spring?seed=1",
         {"site": "calibration spring", "subject": "none", "kind": "spring", "seconds": 2.0, "seed": 1},
-        marked("noise on the calibration spring, a linear system"),
+        "noise on the calibration spring, a linear system",
         "tissueid identify spring.h5 --engine lms --test 1",
     ),
 }
