@@ -77,6 +77,25 @@ def _copy(path: Path, target: Path) -> None:
     shutil.copyfile(path, target)
 
 
+PLUG_IN_FUNCTIONS = (
+    "tissueid.identification.engine",
+    "tissueid.identification.aic",
+    "tissueid.identification.aicc",
+    "tissueid.identification.preparation.prepare",
+    "tissueid.stimuli.stimulus",
+    "tissueid.language.marked",
+)
+PLUG_IN_CLASSES = (
+    "tissueid.identification.Family",
+    "tissueid.identification.FitReport",
+    "tissueid.identification.LineFigure",
+    "tissueid.identification.Curve",
+    "tissueid.identification.preparation.Prepared",
+    "tissueid.stimuli.OpenLoopKind",
+    "tissueid.twin.effect.Parameter",
+    "tissueid.twin.effect.Readings",
+    "tissueid.messages.Message",
+)
 _EFFECTS = """# Effects
 
 The effects that a diagnosis can name, in the order of the signal chain. `tissueid gap effects` prints the same list.
@@ -118,6 +137,10 @@ def _python_page() -> str:
             "   :exclude-members: model_config, __init__, __new__",
             "",
         ]
+    lines += ["```", "", "## For plug-ins", "", "What the how-to pages import in addition.", "", "```{eval-rst}"]
+    lines += [f".. autofunction:: {name}" for name in PLUG_IN_FUNCTIONS]
+    for name in PLUG_IN_CLASSES:
+        lines += [f".. autoclass:: {name}", "   :members:", "   :exclude-members: model_config", ""]
     return "\n".join([*lines, "```", ""])
 
 
