@@ -11,7 +11,7 @@ export OPENBLAS_NUM_THREADS ?= 1
 # Compiled code is kept, whatever the caller's habit: the tests start hundreds of processes.
 unexport PYTHONDONTWRITEBYTECODE
 
-.PHONY: help env demo test lint mypy ruff layers compiled translations bench soak firmware conformance run clean
+.PHONY: help env demo test lint mypy ruff layers compiled translations bench soak firmware conformance docs package bundle run clean
 
 help: ## list the targets
 	@grep -hE '^[a-z]+:.*##' $(MAKEFILE_LIST) | sed -E 's/^([a-z]+):.*## /  make \1\t/' | expand -t 16
@@ -59,8 +59,17 @@ conformance: env ## build the reference firmware and test it and the simulator a
 	@$(BIN)/python -m firmware_sim.reference.build
 	@$(BIN)/python -m pytest tests/reference -m "soak or not soak" -k "not ten_minutes" -rs --override-ini addopts="-q -p no:cacheprovider --import-mode=importlib"
 
+docs: env ## build the documentation site: docs/_build/html/index.html
+	@$(BIN)/python tools/build_docs.py
+
+package: env ## build wheel and source distribution in dist/
+	@$(BIN)/python tools/make_package.py
+
+bundle: env ## build a desktop bundle in dist/: a folder with Python, all packages, icon and launcher
+	@$(BIN)/python tools/make_bundle.py
+
 run: env ## open the application
 	@$(BIN)/tissueid
 
 clean: ## remove the environment and caches
-	rm -rf $(VENV) .mypy_cache .ruff_cache .import_linter_cache .hypothesis demo
+	rm -rf $(VENV) .mypy_cache .ruff_cache .import_linter_cache .hypothesis build demo dist docs/_build

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import io
+import sys
 from pathlib import Path
 
 import pytest
@@ -67,3 +68,30 @@ def test_progress_into_a_file_comes_as_it_is_made_and_not_too_often(monkeypatch:
         now += 10.0
         show("fits", 0.5)
         assert file.seen == "fits: 0%\nfits: 50%\n"
+
+
+@pytest.mark.parametrize(
+    ("package", "extra", "command"),
+    [
+        ("pandas", "study", ["study", "table", "."]),
+        ("sklearn", "study", ["study", "report", ".", "--out", "report.html"]),
+        ("distributed", "cluster", ["study", "run", ".", "--scheduler", "tcp://127.0.0.1:1"]),
+    ],
+)
+def test_without_an_extra_one_line_names_the_command_that_installs_it(
+    package: str,
+    extra: str,
+    command: list[str],
+    tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch,
+    capsys: pytest.CaptureFixture[str],
+):
+    monkeypatch.chdir(tmp_path)
+    monkeypatch.setitem(sys.modules, package, None)
+    monkeypatch.delitem(sys.modules, "tissueid.cli.study_output", raising=False)
+    (tmp_path / "one.h5").touch()
+    assert main(command) == 2
+    (line,) = capsys.readouterr().err.splitlines()
+    assert f"needs {package}, which is not installed" in line
+    assert f"-m pip install 'tissueid[{extra}]'" in line
+    assert [path.name for path in tmp_path.iterdir()] == ["one.h5"]

@@ -7,9 +7,11 @@ import importlib
 import signal
 import sys
 import threading
+from pathlib import Path
 from types import FrameType, TracebackType
 
 from PySide6.QtCore import QLocale, QObject, QTimer
+from PySide6.QtGui import QIcon
 from PySide6.QtWidgets import QApplication
 
 from tissueid.app.main_window import MainWindow
@@ -98,6 +100,8 @@ def run() -> int:
     application = QApplication.instance() or QApplication(sys.argv[:1])
     assert isinstance(application, QApplication)
     application.setApplicationName("TissueID")
+    application.setWindowIcon(QIcon(str(Path(__file__).with_name("tissueid.svg"))))
+    application.setDesktopFileName("tissueid")
     application.setStyle("Fusion")
     QLocale.setDefault(QLocale.c())  # figures have a decimal point in every language
     window = MainWindow()

@@ -23,6 +23,7 @@ from tissueid.atomic_write import private_folder, write_private
 from tissueid.cli.commands import app
 from tissueid.cli.streams import FLUSH_TIMEOUT_S, unblocked_streams
 from tissueid.errors import CancelledError, TissueIDError
+from tissueid.extras import EXTRAS, missing_package
 
 INTERRUPTED = 130
 """Exit status after an interrupt, as shells define it."""
@@ -71,10 +72,13 @@ def _run(arguments: Sequence[str] | None) -> int:
     except OSError as error:
         where = f"{error.filename}: " if error.filename else ""
         return _fail(f"{where}{error.strerror or error}", 2)
+    except ModuleNotFoundError as error:
+        package = (error.name or "").partition(".")[0]
+        return _fail(str(missing_package(package)), 2) if package in EXTRAS else _report_defect()
     except (KeyboardInterrupt, Abort):
         status = INTERRUPTED
     except Exception:  # noqa: BLE001 - anything else is a defect
-        return _fail(f"internal error; please report the file {_keep_traceback()}", 1)
+        return _report_defect()
     if status == INTERRUPTED:  # Typer converts some interrupts to this status
         return _fail("interrupted; recorded data is kept and no file is incomplete", INTERRUPTED)
     return status if isinstance(status, int) else 0
@@ -126,6 +130,10 @@ def _fail(message: str, status: int) -> int:
         line = clean(line)
     print(f"tissueid: {line}", file=sys.stderr)
     return status
+
+
+def _report_defect() -> int:
+    return _fail(f"internal error; please report the file {_keep_traceback()}", 1)
 
 
 def _keep_traceback() -> Path:

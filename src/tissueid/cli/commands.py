@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import os
-from typing import TYPE_CHECKING, Annotated
+from typing import TYPE_CHECKING, Annotated, Literal
 
 import typer
 
@@ -29,6 +29,7 @@ if TYPE_CHECKING:  # plans are imported when their command is used
     from tissueid.procedures.recovery import RecoveryPlan
     from tissueid.procedures.report import ReportPlan
     from tissueid.procedures.reproduction import ReproductionPlan
+    from tissueid.procedures.samples import SamplesPlan
     from tissueid.procedures.stimulus_design import StimulusPlan
     from tissueid.procedures.test_plan import TestPlan
 
@@ -112,6 +113,17 @@ def demo(plan: DemoPlan, json_file: JsonFile = None) -> None:
     from tissueid.cli.demo import demonstrate
 
     demonstrate(plan, json_file)
+
+
+@add_command(app, "samples", "samples")
+def samples(plan: SamplesPlan, json_file: JsonFile = None) -> None:
+    """Record small sample sessions of simulated tissues.
+
+    The output says what each contains and what to try.
+    """
+    from tissueid.cli.samples import print_samples
+
+    print_samples(plan, json_file)
 
 
 @add_command(app, "devices", "instrument_queries")
@@ -258,3 +270,27 @@ def report(plan: ReportPlan) -> None:
     from tissueid.cli.report import report_test
 
     report_test(plan)
+
+
+@add_command(app, "completion")
+def completion(
+    shell: Annotated[Literal["bash", "zsh", "fish"], typer.Argument(metavar="SHELL", help="bash, zsh or fish")],
+) -> None:
+    """Print the completion script of a shell.
+
+    For bash: tissueid completion bash > ~/.local/share/bash-completion/completions/tissueid
+    """
+    from tissueid.cli.completion import completion_script
+
+    typer.echo(completion_script(shell, app), nl=False)
+
+
+@add_command(app, "manual")
+def manual() -> None:
+    """Print the manual page of all commands.
+
+    To read it: tissueid manual | man -l -
+    """
+    from tissueid.cli.manual import manual_page
+
+    typer.echo(manual_page(app), nl=False)

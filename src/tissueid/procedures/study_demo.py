@@ -13,6 +13,7 @@ from pydantic import Field
 
 from tissueid.atomic_write import private_folder
 from tissueid.errors import UnusableInputError
+from tissueid.extras import check_packages
 from tissueid.gap.workers import executor
 from tissueid.instrument import Instrument, SimulatedInstrument
 from tissueid.instrument.tissues import TISSUES
@@ -23,7 +24,6 @@ from tissueid.procedures.output_files import write_text
 from tissueid.procedures.plan_options import Option, Plan
 from tissueid.procedures.study_plans import SUBJECTS_FILE, StudyReportPlan
 from tissueid.procedures.study_report import StudyReport, report_study
-from tissueid.procedures.study_run import check_packages
 from tissueid.procedures.test_plan import TestPlan
 from tissueid.procedures.test_run import TestControl, run_test
 

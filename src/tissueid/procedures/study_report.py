@@ -6,11 +6,12 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+from tissueid.extras import check_packages
 from tissueid.language import marked
 from tissueid.procedures.control import Control
 from tissueid.procedures.output_files import HTML, check_output, write_text
 from tissueid.procedures.study_plans import RESULTS, StudyReportPlan
-from tissueid.procedures.study_run import StudyRun, check_packages, run_study
+from tissueid.procedures.study_run import StudyRun, run_study
 
 if TYPE_CHECKING:
     from tissueid.studies.study_statistics import StudyStatistics

@@ -19,6 +19,7 @@ from typing import TYPE_CHECKING, Any
 from tissueid import __version__
 from tissueid.atomic_write import atomic_file, private_folder
 from tissueid.errors import TissueIDError, UnusableInputError
+from tissueid.extras import check_packages
 from tissueid.gap.workers import Executor, executor
 from tissueid.language import marked
 from tissueid.messages import Message, Verbatim
@@ -55,7 +56,7 @@ def run_study(plan: StudyPlan, control: Control) -> StudyRun:
         UnusableInputError: the folder, the engine or an option cannot be used, or a package is missing.
         CancelledError: it was cancelled; what is analysed already is kept.
     """
-    check_packages("pandas", "pyarrow")
+    check_packages("pandas", "pyarrow", *(() if plan.scheduler is None else ("distributed",)))
     from tissueid.identification import get_engine
     from tissueid.studies.study_table import read_subjects, study_table, write_table
 
@@ -100,28 +101,6 @@ def run_study(plan: StudyPlan, control: Control) -> StudyRun:
     return StudyRun(plan, table, failures, len(files), len(new))
 
 
-def check_packages(*names: str) -> None:
-    """Check that optional packages are installed.
-
-    Raises:
-        UnusableInputError: one is missing; the message names the command that installs it.
-    """
-    import importlib.util
-    import sys
-
-    for name in names:
-        if importlib.util.find_spec(name) is None:
-            raise UnusableInputError(
-                Message(
-                    "study.no_package",
-                    "studies need {package}, which is not installed: {python} -m pip install 'tissueid[{extra}]'",
-                    package=Verbatim(name),
-                    python=Verbatim(sys.executable),
-                    extra=Verbatim("cluster" if name == "distributed" else "study"),
-                )
-            )
-
-
 def _session_files(folder: Path) -> list[Path]:
     if not folder.is_dir():
         raise UnusableInputError(Message("study.no_folder", "{folder} is not a folder", folder=str(folder)))
@@ -163,7 +142,6 @@ def _stored(kept: Path, key: str) -> dict[str, Any] | None:
 def _executor(plan: StudyPlan) -> AbstractContextManager[Executor]:
     if plan.scheduler is None:
         return executor(plan.workers)
-    check_packages("distributed")
     from tissueid.procedures.cluster import cluster_executor
 
     return cluster_executor(plan.scheduler)
