@@ -31,9 +31,7 @@ from tissueid.app.configuring import ConfigurationChooser
 from tissueid.app.form_choices import (
     DISTRIBUTIONS,
     MULTISTEP,
-    PRESETS,
     SITES,
-    Preset,
     longest_stimulus_s,
     reads_like_name,
 )
@@ -46,6 +44,7 @@ from tissueid.instrument import PROFILES
 from tissueid.language import _, marked
 from tissueid.messages import Message, Verbatim, translated
 from tissueid.procedures.test_plan import TestPlan
+from tissueid.procedures.test_presets import PRESETS, Preset
 from tissueid.stimuli.kinds.noise import Noise
 
 _CALLED = {
