@@ -87,8 +87,8 @@ def test_the_next_step_follows_what_was_recorded():
     assert next_step(protocol, "P", []) == sitting_steps(protocol, "P")[0]
     step = next_step(protocol, "P", [recorded("a"), recorded("a"), recorded("b")])
     assert (step.site, step.repeat, step.place, step.attempt) == ("b", 2, 4, 1)
-    assert finished_sites(two_products(conditions=[{}]), "P", step) == {"a"}
-    assert finished_sites(protocol, "P", step) == set()  # the lotion is still to come at each
+    assert finished_sites(protocol, "P", step) == {"a"}
+    assert finished_sites(protocol, "P", sitting_steps(protocol, "P")[6]) == set()  # the lotion begins
     everything = [recorded(one.site, one.condition) for one in sitting_steps(protocol, "P")]
     assert next_step(protocol, "P", everything) is None
     assert finished_sites(protocol, "P", None) == set("abc")

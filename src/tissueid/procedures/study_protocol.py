@@ -139,7 +139,6 @@ class Protocol(_Part):
             "condition": step.condition.product,
             "minutes_since_application": step.condition.minutes_since_application,
             "orientation_deg": step.condition.orientation_deg,
-            "seed": step.place,
         }
         return TestPlan(**(given | self.preset.plan_values(self.seconds) | values))
 
@@ -215,10 +214,12 @@ def next_step(protocol: Protocol, subject: str, recorded: Sequence[RecordedTest]
 
 
 def finished_sites(protocol: Protocol, subject: str, step: SittingStep | None) -> set[str]:
-    """Return the sites that have no test left in a sitting, given its next step (None: complete)."""
+    """Return the sites that are done under the product and time of the next step; all where the sitting is complete."""
     steps = sitting_steps(protocol, subject)
-    left = set() if step is None else {other.site for other in steps[step.place - 1 :]}
-    return {other.site for other in steps} - left
+    if step is None:
+        return {other.site for other in steps}
+    now = [other for other in steps if _application_of(other.condition) == _application_of(step.condition)]
+    return {other.site for other in now} - {other.site for other in now if other.place >= step.place}
 
 
 def _application_of(condition: Condition) -> tuple[str, float | None]:

@@ -5,7 +5,7 @@ The tests of a subject are the sessions in the folder of the study that is named
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
@@ -92,10 +92,10 @@ class SittingState:
         """The folder of the subject's sessions."""
         return self.folder / self.subject
 
-    def add(self, path: Path, outline: Outline) -> None:
+    def add(self, path: Path, subject: str, tests: Iterable[Test]) -> None:
         """Add the completed tests of a session of this subject; others are no step of the sitting."""
-        for test in (entry.test for entry in outline.tests):
-            if outline.head.subject.pseudonym == self.subject and test.status == "completed":
+        for test in tests if subject == self.subject else ():
+            if test.status == "completed":
                 self._add(path, test)
 
     def _add(self, path: Path, test: Test) -> None:
@@ -142,19 +142,8 @@ def open_sitting(folder: Path, subject: str) -> SittingState:
             continue
         outlines.append((outline.head.created, path, outline))
     for _created, path, outline in sorted(outlines, key=lambda entry: entry[:2]):
-        state.add(path, outline)
+        state.add(path, outline.head.subject.pseudonym, (entry.test for entry in outline.tests))
     return state
-
-
-def add_session(state: SittingState, path: Path) -> None:
-    """Add the tests of a session that was just recorded.
-
-    Raises:
-        TissueIDError, OSError: it cannot be read.
-    """
-    from tissueid.sessions import read_outline
-
-    state.add(path, read_outline(path))
 
 
 def write_protocol(plan: ProtocolPlan) -> tuple[Protocol, bool]:
@@ -258,7 +247,8 @@ def run_sitting(
         for trouble in (outcome.error, outcome.not_saved):
             if trouble is not None:
                 raise trouble
-        add_session(state, test.out)
+        assert outcome.session is not None
+        state.add(test.out, outcome.session.subject.pseudonym, outcome.session.tests)
     control.progress(1.0, counted(label, state.total, state.total))
     return state
 
