@@ -35,7 +35,7 @@ def test_every_control_has_a_name(window):
         assert plot.accessibleName().startswith("Plot: ")
 
 
-@pytest.mark.parametrize("page", ["start", "measure", "research", "gap", "instrument"])
+@pytest.mark.parametrize("page", ["start", "measure", "research", "gap", "instrument", "studies"])
 def test_no_two_mnemonics_on_a_page_are_the_same(window, page):
     window.pages.show(page)
     window.ui.notice.say("something", offer="Re&cover")

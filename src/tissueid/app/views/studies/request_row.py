@@ -29,7 +29,7 @@ from tissueid.messages import Message, Verbatim, translated
 from tissueid.procedures.study_plans import StudyPlan
 
 _STEPS = 1000
-_ONE_ROW = 700
+_ONE_ROW = 620
 _FOLDER, _ENGINE, _OPTIONS, _HELD_OUT = "study/folder", "study/engine", "study/options", "study/held-out"
 
 

@@ -100,7 +100,7 @@ def load_study(folder: Path, failures: Mapping[str, str] | None = None) -> Study
     rows, parameters = _read_table(results / TABLE)
     files = [str(path.relative_to(folder)) for path in folder.rglob("*.h5") if results not in path.parents]
     listed = {row.session for row in rows}
-    reasons = failures or {}
+    reasons = {file: reason.removeprefix(str(folder / file)).strip(" :") for file, reason in (failures or {}).items()}
     missing = [_without_test(file, reasons.get(file, NOT_ANALYSED)) for file in sorted(set(files) - listed)]
     protocol, problem = None, ""
     if (folder / PROTOCOL_FILE).exists():
