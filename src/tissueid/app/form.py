@@ -104,7 +104,7 @@ class PlanForm(QWidget):
         self.product.setPlaceholderText(_("such as lotion"))
         self.product.setToolTip(_("The product on the skin, for studies that compare conditions"))
         self.minutes = OptionalNumberField(_MOST_MINUTES)
-        self.minutes.setSuffix(_(" min"))
+        self.minutes.setSuffix(" min")
         self.minutes.setFixedWidth(_MINUTES_WIDTH)
         self.minutes.setAccessibleName(_("Minutes since the application"))
         self.minutes.setToolTip(_("Minutes since the application of the product; empty: not recorded"))

@@ -21,7 +21,7 @@ from pydantic import BaseModel, BeforeValidator, ConfigDict, Field, ValidationEr
 from tissueid.errors import UnusableInputError
 from tissueid.formatting import clean
 from tissueid.language import marked
-from tissueid.messages import Message, Verbatim, joined
+from tissueid.messages import Action, Message, Verbatim, joined
 from tissueid.option_errors import option_error
 from tissueid.procedures.test_plan import MAX_TEXT, TestPlan
 from tissueid.procedures.test_presets import PRESETS, Preset
@@ -276,9 +276,14 @@ def read_protocol(folder: Path) -> Protocol:
         raise UnusableInputError(
             Message(
                 "protocol.none",
-                "{folder} has no {file}: 'tissueid study protocol {folder}' writes a template",
+                "{folder} has no {file}: {template} writes one to begin with",
                 folder=str(folder),
                 file=PROTOCOL_FILE,
+                template=Action(
+                    "study.protocol",
+                    f"tissueid study protocol {folder}",
+                    marked("New protocol on the page Studies"),
+                ),
             )
         )
     from tissueid.acquisition.waveform_file import read_at_most  # it imports scipy

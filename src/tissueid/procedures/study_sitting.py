@@ -195,8 +195,9 @@ def prepare_subject(plan: SittingRunPlan, protocol: Protocol, control: Control) 
         control.notice(
             Message(
                 "sitting.demographics",
-                "the protocol asks for values of {subject} that are missing: {names}; add them with --value NAME=VALUE",
+                "the protocol asks for values of {subject} that are missing: {names}; add them with {option}",
                 subject=Verbatim(subject),
+                option=Verbatim("--value NAME=VALUE"),
                 names=joined(map(Verbatim, missing)),
             )
         )
@@ -289,9 +290,10 @@ def _pair(text: str, option: str) -> tuple[str, str]:
         raise UnusableInputError(
             Message(
                 "sitting.pair",
-                "{option} must be NAME=VALUE, got '{text}'",
+                "{option} must be {form}, got '{text}'",
                 option=Verbatim(option),
-                text=Verbatim(text),
+                form=Verbatim("NAME=VALUE"),
+                text=Verbatim(clean(text)),
             )
         )
     return name.strip(), value

@@ -44,8 +44,8 @@ class DemographicField:
 
 DEMOGRAPHIC_FIELDS: Mapping[str, DemographicField] = {
     "age_years": DemographicField(marked("Age"), (0.0, 120.0), marked("years")),
-    "weight_kg": DemographicField(marked("Weight"), (1.0, 500.0), "kg"),
-    "height_m": DemographicField(marked("Height"), (0.3, 2.6), "m"),
+    "weight_kg": DemographicField(marked("Body weight"), (1.0, 500.0), "kg"),
+    "height_m": DemographicField(marked("Body height"), (0.3, 2.6), "m"),
     "gender": DemographicField(marked("Gender"), choices=(marked("female"), marked("male"), marked("other"))),
     "handedness": DemographicField(marked("Handedness"), choices=(marked("left"), marked("right"), marked("both"))),
     "ethnicity": DemographicField(marked("Ethnicity")),

@@ -106,9 +106,8 @@ class StudyCard(QFrame):
             place = Message("study.place", "{place} of {total}", place=step.place, total=step.total)
             self.progress_text.setText(translated(place))
             self.site.setText(clean(step.site))
-            repeat = Message(
-                "study.repeat", "Test {repeat} of {repeats} here", repeat=step.repeat, repeats=step.repeats
-            )
+            here = {"repeat": step.repeat, "count": step.repeats}
+            repeat = Message("study.repeat", "Test {repeat} of {count} here", **here)
             self.test.setText(translated(repeat))
             self.condition.setText(condition_words(step.condition))
         again = step is not None and step.attempt > 1

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from itertools import pairwise
 from typing import TYPE_CHECKING
 
 from PySide6.QtCore import Signal
@@ -98,11 +97,6 @@ class FiguresTab(QWidget):
     def update_enabled(self, *, busy: bool, has_table: bool) -> None:
         """Enable what makes sense now."""
         self.compute.setEnabled(has_table and not busy)
-
-    def order_tabs(self) -> None:
-        """Put the fields into the order of the tab key."""
-        for before, after in pairwise(self.fields):
-            QWidget.setTabOrder(before, after)
 
     def _choose_kind(self) -> None:
         if not 0 <= self.kind.currentIndex() < len(self.figures):

@@ -48,7 +48,7 @@ class RequestRow(QFrame):
         self.setProperty("role", "card")
         self.path: Path | None = None
         self.open = QPushButton(_("Open study…"))
-        self.open.setToolTip(_("A folder of sessions, with a protocol.json if the window shall lead through sittings"))
+        self.open.setToolTip(_("A folder of sessions, with a protocol.json if sittings follow a protocol"))
         self.folder = ElidedLabel()
         self.engine = QComboBox()
         self.engine.setAccessibleName(_("Engine of the study"))

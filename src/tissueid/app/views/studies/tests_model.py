@@ -15,7 +15,7 @@ from tissueid.app.widgets import plain_tip
 from tissueid.formatting import axis_label, fixed, label_and_unit, plus_minus, subject_text
 from tissueid.identification import engine_label, engine_names
 from tissueid.language import _, marked
-from tissueid.messages import MISSING, translated
+from tissueid.messages import MISSING, Message, translated
 from tissueid.records import Estimate
 from tissueid.units import shown_si
 
@@ -210,8 +210,9 @@ class TestsModel(QAbstractTableModel):
         if not row.repeat:
             return f"{row.session}: {translated(row.problem)}" if column == 0 else ""
         if column == CONDITION:
-            minutes = "" if math.isnan(row.minutes) else _(" after {minutes:g} min").format(minutes=row.minutes)
-            return f"{row.condition}{minutes}" if row.condition else ""
+            after = Message("study.after", "after {minutes:g} min", minutes=row.minutes)
+            timed = row.condition and not math.isnan(row.minutes)
+            return f"{row.condition}, {translated(after)}" if timed else row.condition
         if column == VAF:
             return MISSING if math.isnan(row.vaf_percent) else fixed(row.vaf_percent, 1)
         texts = {

@@ -8,7 +8,7 @@ from itertools import pairwise
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from PySide6.QtCore import QTimer
+from PySide6.QtCore import Qt, QTimer
 from PySide6.QtWidgets import QAbstractButton, QTabWidget, QVBoxLayout, QWidget
 
 from tissueid.app.context import AppContext, View
@@ -58,6 +58,10 @@ class StudiesView(View):
         self.tabs.setDocumentMode(True)
         self.tabs.tabBar().setDrawBase(False)
         self.tabs.tabBar().setAccessibleName(_("Tests and figures"))
+        # One stop of the tab key, not two: the bar alone.
+        self.tabs.setFocusProxy(None)  # type: ignore[arg-type]
+        self.tabs.setFocusPolicy(Qt.FocusPolicy.NoFocus)
+        self.tabs.tabBar().setFocusPolicy(Qt.FocusPolicy.StrongFocus)
         self.tabs.addTab(self.tests, _("Tests"))
         self.tabs.addTab(self.figures, _("Figures"))
         rows = QVBoxLayout(self)
@@ -65,10 +69,9 @@ class StudiesView(View):
         rows.setSpacing(8)
         rows.addWidget(self.asking)
         rows.addWidget(self.tabs, 1)
-        order = [*self.asking.fields, self.tabs.tabBar(), *self.tests.fields]
+        order = [*self.asking.fields, self.tabs.tabBar(), *self.tests.fields, *self.figures.fields]
         for before, after in pairwise(order):
             QWidget.setTabOrder(before, after)
-        self.figures.order_tabs()
         self._looking = QTimer(self)
         self._looking.setInterval(_LOOK_MS)
         self._looking.timeout.connect(self._show_progress)
