@@ -13,7 +13,7 @@ from tissueid.app.views.clinician.body_map import HEIGHT, SPOTS, WIDTH, Side, Sp
 from tissueid.language import _
 
 _SIDES: tuple[Side, ...] = ("front", "back")
-_SIZE = QSize(132, 156)
+_SIZE = QSize(122, 146)
 _CAPTION = 16.0
 """Pixels for the captions."""
 

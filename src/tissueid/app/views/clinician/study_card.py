@@ -72,7 +72,7 @@ class StudyCard(QFrame):
         for button in self.buttons:
             buttons.addWidget(button)
         layout = QVBoxLayout(self)
-        layout.setContentsMargins(10, 8, 10, 8)
+        layout.setContentsMargins(8, 8, 8, 8)
         layout.setSpacing(6)
         layout.addWidget(self.heading)
         layout.addLayout(row)
