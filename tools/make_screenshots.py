@@ -37,6 +37,7 @@ from screenshot_sessions import (
     opener,
     record_laboratory,
     record_past,
+    record_study,
     write_calibrations,
 )
 
@@ -46,6 +47,7 @@ from tissueid.app.main_window import MainWindow
 from tissueid.app.services import AppServices
 from tissueid.app.views.gap.view import GapView
 from tissueid.app.views.researcher.view import ResearchView
+from tissueid.app.views.studies.view import StudiesView
 from tissueid.app.views.technician.view import InstrumentView
 from tissueid.audit import AuditLog
 from tissueid.calibration import activate_calibration
@@ -58,7 +60,7 @@ HELD_AT_POLL = 430
 
 
 def main() -> None:
-    """Take all pictures, page by page; names of pictures as arguments select pages."""
+    """Take all pictures, page by page, or those of the page ``studies`` alone if that is the argument."""
     application = QApplication([])
     application.setStyle("Fusion")
     with tempfile.TemporaryDirectory() as folder:
@@ -100,14 +102,17 @@ def _take_all(application: QApplication) -> None:
     idle = functools.partial(wait_until, lambda: not window.jobs, "work to end")
     process_events_for(300)
     idle()
-    take_start(window, idle)
-    take_measure(window, pace, idle)
-    take_repeats(window, idle)
-    take_dark(window, application)
-    take_research(window, idle)
-    take_gap(window, sessions, idle)
-    take_instrument(window, idle)
-    take_stimuli(window, idle)
+    if sys.argv[1:] != ["studies"]:
+        take_start(window, idle)
+        take_measure(window, pace, idle)
+        take_repeats(window, idle)
+        take_dark(window, application)
+        take_research(window, idle)
+        take_gap(window, sessions, idle)
+        take_instrument(window, idle)
+        take_stimuli(window, idle)
+    pace.left = 0  # holds no test
+    take_studies(window, idle)
     window.close()
     wait_until(lambda: not window.isVisible(), "the window to close")
 
@@ -188,6 +193,36 @@ def take_stimuli(window: MainWindow, idle: Callable[[], None]) -> None:
         wait_until(lambda: bool(window.jobs), "the test to begin")
         idle()
         take(window, f"window-{name}")
+
+
+def take_studies(window: MainWindow, idle: Callable[[], None]) -> None:
+    """Take the tests and a figure of a study, and a sitting that goes on."""
+    folder = Path("Documents/lotion-study")
+    record_study(folder)
+    set_clock(2)
+    window.pages.show("studies")
+    page = window.ui.views["studies"]
+    assert isinstance(page, StudiesView)
+    page.open_study(folder)
+    idle()
+    page.analyse()
+    idle()
+    window.ui.notice.hide()
+    take(window, "window-studies")
+    page.compute_figures()
+    idle()
+    page.figures.kind.setCurrentIndex(0)
+    page.figures.parameter.setCurrentIndex(page.figures.parameter.findData("scaled_mass_s2"))
+    take(window, "window-study-figure")
+    window.context.begin_sitting(folder, "P-005")
+    idle()
+    if window.study.dialog is not None:
+        window.study.dialog.reject()
+    window.ui.notice.hide()
+    window.ui.start.click()
+    wait_until(lambda: bool(window.jobs), "the test to begin")
+    idle()
+    take(window, "window-sitting")
 
 
 def take_dark(window: MainWindow, application: QApplication) -> None:

@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import contextlib
 import itertools
+import json
 import os
 import threading
 from dataclasses import replace
@@ -22,8 +24,11 @@ from tissueid.audit import AuditLog, AuditTrail
 from tissueid.calibration import Calibration, Quantity, write_calibration
 from tissueid.calibration.file import utc_date
 from tissueid.device import DeviceDescription
+from tissueid.errors import CancelledError
 from tissueid.instrument import SimulatedInstrument
-from tissueid.procedures.control import BY_KEY
+from tissueid.instrument.tissues import TISSUES, SimulatedTissue
+from tissueid.procedures.control import BY_KEY, Control
+from tissueid.procedures.study_sitting import SittingRunPlan, run_sitting
 from tissueid.procedures.test_plan import TestPlan
 from tissueid.procedures.test_run import run_test
 from tissueid.sessions import Session, Subject, Test, write_session
@@ -37,6 +42,18 @@ PAST = (
     (-6, "P-002", "left forearm, posterior", FOREARM, 10.5),
 )
 """Earlier tests: day, subject, site, simulated instrument, and greatest force, N."""
+STUDY = {
+    "name": "Lotion on the forearm",
+    "sites": [
+        "left forearm, anterior",
+        "left forearm, posterior",
+        "right forearm, anterior",
+        "right forearm, posterior",
+    ],
+    "repeats": 2,
+    "conditions": [{}, {"product": "lotion", "minutes_since_application": 60.0}],
+    "photograph": True,
+}
 SERIAL = "TWIN-7"
 _seeds = itertools.count(1)
 PLACES_M = tuple(0.002 * k for k in range(1, 16))
@@ -62,6 +79,49 @@ class PausableWait:
         if self.left == 0:
             self.held.set()
             self.go_on.wait()
+
+
+def record_study(folder: Path) -> None:
+    """Run the sittings of four subjects of a study, and one of a fifth that was interrupted."""
+    folder.mkdir(parents=True)
+    (folder / "protocol.json").write_text(json.dumps(STUDY), encoding="utf-8")
+    for number, ages in enumerate((24, 31, 28, 35, 22), 1):
+        set_clock(-20 + number)
+        played = itertools.count(1000 * number)
+        skin = TISSUES["forearm"].of_subject(number).varied(1.0)
+        gender, height_m = ("female", 1.66) if number % 2 else ("male", 1.79)
+        given = {"age_years": ages, "gender": gender, "height_m": height_m, "weight_kg": 55 + 5 * number}
+        plan = SittingRunPlan(
+            folder=folder,
+            subject=f"P-00{number}",
+            url=FOREARM,
+            values=tuple(f"{name}={value}" for name, value in given.items()),
+            calibration=False,
+        )
+        steps = _LastSubjectSteps() if number == 5 else Control()
+        with contextlib.suppress(CancelledError):
+            run_sitting(plan, steps, None, opener=lambda _url, skin=skin, played=played: _of_study(skin, next(played)))
+
+
+def _of_study(skin: SimulatedTissue, seed: int) -> SimulatedInstrument:
+    played = SimulatedInstrument(skin, seed=seed)
+    played.nominal = played.device = replace(played.device, serial_number=SERIAL)
+    return played
+
+
+class _LastSubjectSteps(Control):
+    """Interrupts a sitting after some steps."""
+
+    def __init__(self) -> None:
+        self._left = 5
+
+    def progress(self, _fraction: float | None, _step: str) -> None:
+        """Count the steps."""
+        self._left -= 1
+
+    def cancelled(self) -> bool:
+        """Return whether the steps are over."""
+        return self._left < 0
 
 
 def record_past(folder: Path, audit: AuditLog, calibrate: object) -> None:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import functools
+import json
 import shutil
 from dataclasses import replace
 from pathlib import Path
@@ -311,6 +312,26 @@ class Unreported(DiagnosedSession):
     report_html = ""
 
 
+def small_study(folder):
+    """A study with a protocol, a table of two tests, and a session that is not in it."""
+    (folder / "results").mkdir(parents=True, exist_ok=True)
+    sites = ["left forearm, posterior", "right forearm, anterior", "left upper arm"]
+    conditions = [{"product": "lotion", "minutes_since_application": 60}]
+    protocol = {
+        "name": "Lotion study",
+        "sites": sites,
+        "conditions": conditions,
+        "demographics": [],
+        "photograph": True,
+    }
+    (folder / "protocol.json").write_text(json.dumps(protocol))
+    head = "session,subject,site,condition,repeat,quality,engine,vaf_percent,mass_kg,mass_kg_sd"
+    rows = [f"P01/{place}.h5,P01,{place},lotion,1,good,wiener,80,0.09,0.001" for place in ("arm", "leg")]
+    (folder / "results" / "table.csv").write_text("\n".join([head, *rows]))
+    (folder / "new.h5").touch()
+    return folder
+
+
 @pytest.fixture
 def in_state(qtbot, opened, request):
     """A window of a language in a state."""
@@ -352,6 +373,11 @@ def in_state(qtbot, opened, request):
         window.pages.show(name)
         idle(window)
         if name == "measure":
+            if part == "sitting":
+                window.context.begin_sitting(small_study(window.services.folder / "study"), "P01")
+                idle(window)
+            elif window.study.leads:
+                window.study.leave()
             ui.form.fold.setChecked(part.startswith("settings"))
             if part.startswith("settings "):
                 ui.form.stimulus.fill(part.removeprefix("settings "))
@@ -386,6 +412,13 @@ def in_state(qtbot, opened, request):
             page.result.tabs.setCurrentIndex(int(part.removeprefix("diagnosed ")))
         elif name == "gap":
             ui.views[name].asking.fold.setChecked(part == "settings")
+        elif name == "studies" and part:
+            page = ui.views[name]
+            page.open_study(small_study(window.services.folder / "study"))
+            idle(window)
+            page.tabs.setCurrentWidget(page.figures if part == "figures" else page.tests)
+            if part == "progress":
+                page.asking.show_progress(0.5, "Analysing sessions: 20 of 40, about 12 s left")
         elif name == "instrument":
             ui.views[name].tabs.setCurrentIndex(int(part) if part.isdigit() else 0)
         idle(window)
@@ -418,13 +451,15 @@ STATES = [
     *(f"idle on research:fitted {tab}" for tab in range(4)),
     *(f"idle on gap:diagnosed {tab}" for tab in range(4)),
     *(f"idle on instrument:{tab}" for tab in range(4)),
+    "idle on measure:sitting",
+    *(f"idle on studies:{part}" for part in ("", "tests", "figures", "progress")),
     "testing on measure",
     "testing on start",
     "testing on research",
     "calibrating-with-stage on measure",
     "calibrating-by-hand on measure",
     "calibrating-by-hand on research",
-    *(f"idle on {page}:help" for page in ("start", "research", "gap", "instrument")),
+    *(f"idle on {page}:help" for page in ("start", "research", "gap", "instrument", "studies")),
 ]
 
 

@@ -177,6 +177,7 @@ def test_start_and_measure_are_german_and_the_choice_is_kept(open_window):
         "Forschung",
         "Abgleich",
         "Gerät",
+        "Studien",
     ]
 
 

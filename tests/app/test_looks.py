@@ -35,7 +35,7 @@ def test_every_control_has_a_name(window):
         assert plot.accessibleName().startswith("Plot: ")
 
 
-@pytest.mark.parametrize("page", ["start", "measure", "research", "gap", "instrument"])
+@pytest.mark.parametrize("page", ["start", "measure", "research", "gap", "instrument", "studies"])
 def test_no_two_mnemonics_on_a_page_are_the_same(window, page):
     window.pages.show(page)
     window.ui.notice.say("something", offer="Re&cover")
@@ -60,7 +60,7 @@ def test_the_tab_key_visits_everything_from_top_to_bottom(qtbot, window):
             break
         visited.append(window.focusWidget())
     form = ui.form
-    expected = [form.instrument.choice, form.instrument.refresh, form.site, form.map, form.subject]
+    expected = [form.instrument.choice, form.instrument.refresh, form.site, form.map, form.subject, form.product]
     expected += [form.set_up.name, form.set_up.probe, form.set_up.coupling, form.limits, form.preset.choice, form.fold]
     options = [field for field in form.stimulus.option_fields(depths=False) if field.isVisible() and field.isEnabled()]
     expected += [form.stimulus.kind, form.stimulus.stop_when, form.stimulus.live_method, *options]

@@ -7,6 +7,8 @@ from app.benches import WAIT_MS
 from app.tabbing import check_tabs, named
 from PySide6.QtCore import QCoreApplication
 
+from tissueid.procedures.study_sitting import ProtocolPlan, write_protocol
+
 pytestmark = [pytest.mark.qt_log_level_fail("WARNING"), pytest.mark.qt_log_ignore("This plugin does not support")]
 
 
@@ -90,3 +92,26 @@ def test_gap_before_a_diagnosis(qtbot, on_page):
     page.asking.fold.setChecked(True)
     seen = check_tabs(qtbot, window)
     assert {page.asking.fit, page.asking.check, page.history.list} <= set(seen)
+
+
+@pytest.mark.parametrize("tab", range(2), ids=["tests", "figures"])
+def test_studies(qtbot, on_page, tmp_path, tab):
+    window = on_page("studies")
+    page = window.ui.views["studies"]
+    write_protocol(ProtocolPlan(folder=tmp_path / "study"))
+    page.open_study(tmp_path / "study")
+    page.tabs.setCurrentIndex(tab)
+    idle(qtbot, window)
+    seen = check_tabs(qtbot, window)
+    assert {page.asking.open, page.asking.measure, page.tabs.tabBar()} <= set(seen)
+    assert (page.tests.words in seen) == (tab == 0)
+
+
+def test_a_sitting_of_a_study(qtbot, on_page, tmp_path):
+    window = on_page("measure")
+    write_protocol(ProtocolPlan(folder=tmp_path / "study"))
+    window.context.begin_sitting(tmp_path / "study", "P01")
+    idle(qtbot, window)
+    window.study.dialog.reject()
+    seen = check_tabs(qtbot, window)
+    assert {window.study.card.data, window.study.card.leave} <= set(seen)

@@ -141,6 +141,17 @@ class ConfigurationChooser(QWidget):
             "normal_preload_n": self._value(self.normal_preload, self.normal_preload.settled, 0.0) or None,
         }
 
+    def choose(
+        self, name: str, probe: str | None = None, coupling: str = "none", orientation_deg: float | None = None
+    ) -> None:
+        """Choose a configuration and what goes with it; its first probe for None."""
+        self.name.setCurrentIndex(self.name.findData(name))
+        self.probe.setCurrentIndex(0 if probe is None else self.probe.findData(probe))
+        self.coupling.setCurrentIndex(self.coupling.findData(coupling))
+        if self.orientation.findData(orientation_deg) < 0:
+            self.orientation.addItem(f"{orientation_deg:g}°", orientation_deg)
+        self.orientation.setCurrentIndex(self.orientation.findData(orientation_deg))
+
     def _value(self, field: QWidget, value: Any, otherwise: Any) -> Any:
         return value if self.chosen in self._only[field] else otherwise
 

@@ -31,7 +31,8 @@ class AppContext:
     name. ``open_session`` analyses a file on the page Measure. ``prepare_test`` fills the form of that page (by the
     names of its fields), shows it with a notice; it starts nothing. ``show_file`` opens a document in another program.
     ``instrument`` returns the address of the instrument chosen on the page Measure. ``calibrate`` shows the page of
-    calibrations with a notice; it starts nothing. ``note`` adds a line to the log. ``show_idle`` shows what the window
+    calibrations with a notice; it starts nothing. ``begin_sitting`` opens the sitting of a subject in the folder of a
+    study on the page Measure; it starts nothing. ``note`` adds a line to the log. ``show_idle`` shows what the window
     shows while nothing goes on. ``testing`` returns whether a coil can be energised, ``closing`` whether the window
     closes as soon as the running jobs end.
     """
@@ -47,6 +48,7 @@ class AppContext:
     show_file: Callable[[Path], None]
     instrument: Callable[[], str] = lambda: ""
     calibrate: Callable[[str], None] = lambda _words: None
+    begin_sitting: Callable[[Path, str], None] = lambda _folder, _subject: None
     note: Callable[[str], None] = lambda _words: None
     show_idle: Callable[[], None] = lambda: None
     testing: Callable[[], bool] = lambda: False

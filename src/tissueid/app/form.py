@@ -31,13 +31,11 @@ from tissueid.app.configuring import ConfigurationChooser
 from tissueid.app.form_choices import (
     DISTRIBUTIONS,
     MULTISTEP,
-    PRESETS,
     SITES,
-    Preset,
     longest_stimulus_s,
     reads_like_name,
 )
-from tissueid.app.number_field import NumberField
+from tissueid.app.number_field import NumberField, OptionalNumberField
 from tissueid.app.presets import PresetChooser
 from tissueid.app.stimulus_form import StimulusForm
 from tissueid.app.user_files import dated_path
@@ -46,6 +44,7 @@ from tissueid.instrument import PROFILES
 from tissueid.language import _, marked
 from tissueid.messages import Message, Verbatim, translated
 from tissueid.procedures.test_plan import TestPlan
+from tissueid.procedures.test_presets import PRESETS, Preset
 from tissueid.stimuli.kinds.noise import Noise
 
 _CALLED = {
@@ -67,6 +66,9 @@ _UNDER_PROBE = {
 }
 _MOST_REPEATS = 20
 _SHORTEST_S = 0.5
+_MOST_MINUTES = 1e6
+_MINUTES_WIDTH = 96
+"""Pixels."""
 _MOST_SEED = 2**31 - 1
 
 
@@ -98,6 +100,14 @@ class PlanForm(QWidget):
         self.like_name.setWordWrap(True)
         self.like_name.setMinimumWidth(1)
         self.like_name.hide()
+        self.product = QLineEdit()
+        self.product.setPlaceholderText(_("such as lotion"))
+        self.product.setToolTip(_("The product on the skin, for studies that compare conditions"))
+        self.minutes = OptionalNumberField(_MOST_MINUTES)
+        self.minutes.setSuffix(" min")
+        self.minutes.setFixedWidth(_MINUTES_WIDTH)
+        self.minutes.setAccessibleName(_("Minutes since the application"))
+        self.minutes.setToolTip(_("Minutes since the application of the product; empty: not recorded"))
         self.site = QComboBox()
         self.site.setEditable(True)
         self.site.setInsertPolicy(QComboBox.InsertPolicy.NoInsert)
@@ -140,6 +150,13 @@ class PlanForm(QWidget):
         _add(layout, _("Si&te"), where, focus=self.site)
         _add(layout, _("Su&bject (a pseudonym, never a name)"), self.subject)
         layout.addWidget(self.like_name)
+        condition = QWidget()
+        row = QHBoxLayout(condition)
+        row.setContentsMargins(0, 0, 0, 0)
+        row.setSpacing(6)
+        row.addWidget(self.product, 1)
+        row.addWidget(self.minutes)
+        _add(layout, _("Condition (product on the skin)"), condition, focus=self.product)
         layout.addWidget(self.set_up)
         _add(layout, _("&Limits"), self.limits)
         self._add_settings(layout)
@@ -152,12 +169,15 @@ class PlanForm(QWidget):
         _add(layout, _("Sa&ve to"), saving, focus=self.path)
         layout.addStretch(1)
 
-        for edited in (self.site.editTextChanged, self.subject.textChanged, self.path.textChanged):
+        texts = (self.subject.textChanged, self.product.textChanged, self.path.textChanged)
+        for edited in (self.site.editTextChanged, *texts):
             edited.connect(self.changed)
+        self.product.textChanged.connect(self._look_at_product)
+        self._look_at_product()
         for chosen in (self.instrument.choice.currentTextChanged, self.limits.currentIndexChanged):
             chosen.connect(self.changed)
         fields = (self.min_force, self.max_force, self.seconds, self.set_up.spring)
-        for field in (*fields, self.set_up.initial_length, self.set_up.normal_preload):
+        for field in (*fields, self.minutes, self.set_up.initial_length, self.set_up.normal_preload):
             field.valueChanged.connect(self.changed)
         for choice in (self.set_up.name, self.set_up.coupling, self.set_up.orientation):
             choice.currentIndexChanged.connect(self.changed)
@@ -188,6 +208,8 @@ class PlanForm(QWidget):
             site=self.site.currentText().strip(),
             out=Path(self.path.text().strip()),
             subject=self.subject.text().strip() or ANONYMOUS,
+            condition=(product := self.product.text().strip()),
+            minutes_since_application=self.minutes.given if product else None,
             limits=self.limits.currentData(),
             distribution=self.distribution.currentData() if noise else None,
             min_force_n=self.min_force.settled if "force_min_n" in has else None,
@@ -221,6 +243,11 @@ class PlanForm(QWidget):
         self.path.setToolTip(self.path.text())
         self.path.setCursorPosition(len(self.path.text()))
 
+    def save_in(self, folder: Path) -> None:
+        """Save the next sessions in a folder, named by date and time."""
+        self._own_path, self.folder = False, folder
+        self.renew_path()
+
     def fill(self, values: Mapping[str, Any]) -> None:
         """Fill fields by their names; the others stay.
 
@@ -231,6 +258,10 @@ class PlanForm(QWidget):
             "url": self.instrument.choose,
             "site": self.site.setEditText,
             "pseudonym": self.subject.setText,
+            "condition": self.product.setText,
+            "minutes_since_application": self.minutes.give,
+            "set_up": lambda values: self.set_up.choose(**values),
+            "preset": self._fill_preset,
             "limits": lambda name: self.limits.setCurrentIndex(self.limits.findData(name)),
             "distribution": lambda name: self.distribution.setCurrentIndex(self.distribution.findData(name)),
             "min_force_n": self.min_force.setValue,
@@ -453,6 +484,15 @@ class PlanForm(QWidget):
         doubtful = reads_like_name(text)
         self.like_name.setVisible(doubtful)
         self.subject.setAccessibleDescription(_(_LIKE_NAME) if doubtful else "")
+
+    def _look_at_product(self) -> None:
+        """Offer the minutes where there is a product."""
+        self.minutes.setEnabled(bool(self.product.text().strip()))
+
+    def _fill_preset(self, name: str) -> None:
+        """Fill in a test by its name, with its own force."""
+        self._own_force = False
+        self._take_preset(next(preset for preset in PRESETS if preset.name == name))
 
     def _take_own_force(self) -> None:
         self._own_force = self._own_force or not self._applying

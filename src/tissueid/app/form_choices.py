@@ -3,13 +3,10 @@
 from __future__ import annotations
 
 import re
-from dataclasses import dataclass
-from typing import Any, get_args
+from typing import get_args
 
-from tissueid.acquisition.stimulus_choice import PRELOAD_S, NoiseChoice
+from tissueid.acquisition.stimulus_choice import PRELOAD_S
 from tissueid.instrument import PROFILES
-from tissueid.language import marked
-from tissueid.procedures.demo import LARGE_CLIPPED, LARGE_N
 from tissueid.stimuli.kinds.noise import Noise
 
 DEFAULT_URL = "simulated://forearm"
@@ -34,51 +31,6 @@ DISTRIBUTIONS: tuple[str, ...] = tuple(
     name for name in get_args(Noise.model_fields["distribution"].annotation) if name != "binary"
 )
 """Distributions offered: without "binary", whose edges hurt (thesis 3.1.1)."""
-
-
-@dataclass(frozen=True)
-class Preset:
-    """A test that is chosen in one step.
-
-    ``force_n`` are its lowest and highest force; the highest is lowered to that of the instrument if ``lowered``. Else
-    the test is offered only where the limits and the instrument allow its forces.
-    """
-
-    name: str
-    title: str
-    kind: str
-    force_n: tuple[float, float]
-    seconds: float
-    options: tuple[tuple[str, Any], ...] = ()
-    lowered: bool = True
-
-    @property
-    def needed_n(self) -> float:
-        """Force that the limits must allow, N."""
-        return 0.0 if self.lowered else max(map(abs, self.force_n))
-
-
-_USUAL = NoiseChoice()
-PRESETS = (
-    Preset(
-        "standard",
-        marked("Standard skin test"),
-        Noise.name,
-        (_USUAL.min_force_n, _USUAL.max_force_n),
-        _USUAL.seconds,
-    ),
-    Preset(
-        "thesis",
-        marked("Thesis test, −5 to 12 N"),
-        Noise.name,
-        LARGE_N,
-        _USUAL.seconds,
-        (("clipped", LARGE_CLIPPED),),
-        lowered=False,
-    ),
-    Preset("depths", marked("Equal depths"), "rtig", (-0.6, 10.0), 5.0),
-)
-"""Tests that are offered by name; the thesis test is that of the demonstration (thesis 3.1.3 and Fig. 3.8)."""
 
 
 def longest_stimulus_s(limits: str) -> float:

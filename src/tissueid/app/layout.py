@@ -39,6 +39,7 @@ from tissueid.app.roles import RoleChooser
 from tissueid.app.signals import SignalPlots
 from tissueid.app.small_window import FoldingBox, PageScroll
 from tissueid.app.theme import Theme
+from tissueid.app.views.clinician.study_card import StudyCard
 from tissueid.app.widgets import BigButton
 from tissueid.app.words import RESEARCH_USE
 from tissueid.audit import Role
@@ -81,6 +82,7 @@ class Layout:
         """Whether a coil can be energised, as the controls show it."""
         self._help: HelpPanel | None = None
         self.form = PlanForm(folder, now)
+        self.study_card = StudyCard()
         self._side_frame = QFrame()
         self.role = RoleChooser(role)
         self.safety = SafetyReadouts()
@@ -147,12 +149,15 @@ class Layout:
 
     def order_tabs(self) -> None:
         """The order in which the tab key visits the guided test, once all pages stand."""
-        order = [
+        order: list[QWidget] = [
+            *self.study_card.buttons,
             self.form.instrument.choice,
             self.form.instrument.refresh,
             self.form.site,
             self.form.map,
             self.form.subject,
+            self.form.product,
+            self.form.minutes,
         ]
         order += self.form.set_up.fields
         order += [
@@ -278,10 +283,11 @@ class Layout:
     def harmless(self) -> tuple[QAbstractButton, ...]:
         """The other buttons of that page that the command palette offers."""
         of_form = self.form.instrument.refresh, self.form.map
-        return self.gate.repeats.accept, self.guidance.lamp.watch, *of_form, self.result.pdf
+        return self.gate.repeats.accept, self.guidance.lamp.watch, *of_form, self.result.pdf, *self.study_card.buttons
 
     def apply_theme(self, theme: Theme) -> None:
         """Take on the colours of a theme."""
+        self.study_card.apply_theme(theme)
         self.signals.apply_theme(theme)
         self.analysis.apply_theme(theme)
         self.result.apply_theme(theme)
@@ -376,6 +382,8 @@ class Layout:
         content = QWidget()
         inside = QVBoxLayout(content)
         inside.setContentsMargins(14, 10, 14, 10)
+        inside.setSpacing(10)
+        inside.addWidget(self.study_card)
         inside.addWidget(self.form)
         scroll = QScrollArea()
         scroll.setWidget(content)

@@ -33,6 +33,7 @@ from tissueid.app.readouts import NO_TEST, StopKeys
 from tissueid.app.report_opener import Reports
 from tissueid.app.services import AppServices
 from tissueid.app.session_jobs import find, judge_and_analyse
+from tissueid.app.study_sitting import StudySitting
 from tissueid.app.theme import PaletteWatch, Theme, palette_of, style_sheet, theme_of
 from tissueid.app.user_files import check_save_path
 from tissueid.app.widgets import show_disabled_reason
@@ -102,6 +103,7 @@ class MainWindow(QMainWindow):
         )
         self.reports = Reports(self.context, ui.notice, ui.guidance, self)
         self.clinician = Clinician(self.context, ui, self)
+        self.study = StudySitting(self.context, ui, self)
         self.panels = Panels(self.context, self, ui.rail, ui.notice)
         ui.add_help(self.panels.help)
         self.device_search = DeviceSearch(self.context, ui.form, ui.notice, self)
@@ -134,6 +136,7 @@ class MainWindow(QMainWindow):
             show_file=lambda path: self.reports.show(path),
             instrument=lambda: ui.form.instrument.url,
             calibrate=lambda words: self.pages.go_calibrate(words),
+            begin_sitting=lambda folder, subject: self.study.begin(folder, subject),
             note=lambda words: self.panels.log.note(words),
             show_idle=self.show_idle,
             testing=lambda: self.testing,
@@ -277,6 +280,7 @@ class MainWindow(QMainWindow):
         if outcome.link_lost is not None:
             self.ui.safety.show_link_lost(outcome.link_lost.watchdog_s)
         if session is not None:
+            self.study.recorded(outcome.path, session)
             self.pages.on_session_saved(outcome.path)
         if session is not None and session.tests and not self._closing:
             self._show_gate(session.test())
@@ -350,7 +354,7 @@ class MainWindow(QMainWindow):
 
     def _show_gate(self, test: Test, verdict: Verdict | None = None) -> None:
         """Show the findings of the quality gate, and the verdict once the test is analysed."""
-        can_repeat = self._plan is not None and not self._closing
+        can_repeat = self._plan is not None and not self._closing and not self.study.leads
         self.ui.gate.show_quality(quality_of(test), can_repeat=can_repeat, verdict=verdict)
 
     def show_idle(self) -> None:
@@ -419,6 +423,7 @@ class MainWindow(QMainWindow):
         """Let every control do what now makes sense, and nothing else."""
         self.ui.update_enabled(busy=self.busy, testing=self.testing, has_result=self.findings is not None)
         self.clinician.update_enabled(busy=self.busy, testing=self.testing)
+        self.study.update_enabled(busy=self.busy)
         self.pages.update_enabled(busy=self.busy, testing=self.testing)
         show_disabled_reason(self.ui.waiting, self.jobs.why)
         if self._closing and not self.jobs:

@@ -116,3 +116,46 @@ class NumberField(QDoubleSpinBox):
         for _time in range(2):  # the field's own, and one that is typed before it
             body = body.removesuffix(unit).strip()
         return float(body.replace(",", ".")) if _NUMBER.fullmatch(body) else None
+
+
+class OptionalNumberField(NumberField):
+    """A number field that may be empty; ``given`` is None then. The least value of its range stands for that."""
+
+    def __init__(self, most: float, parent: QWidget | None = None) -> None:
+        super().__init__(parent)
+        self.setRange(-1.0, most)
+        self.setValue(-1.0)
+
+    @property
+    def given(self) -> float | None:
+        """The value that is typed, or None for an empty field."""
+        value = self.settled
+        return None if value < 0.0 else value
+
+    def give(self, value: float | None) -> None:
+        """Show a value, or an empty field for None."""
+        self.setValue(-1.0 if value is None else value)
+
+    @property
+    def range_words(self) -> str:
+        """What may be typed, in words."""
+        return _("{low:g} to {high:g}{unit}").format(low=0.0, high=self.maximum(), unit=self.suffix())
+
+    def validate(self, text: str, position: int) -> tuple[QValidator.State, str, int]:
+        """Nothing, or a number from 0, may be typed."""
+        if self._is_empty(text):
+            return QValidator.State.Acceptable, text, position
+        state, text, position = super().validate(text, position)
+        negative = (self._number(text) or 0.0) < 0.0
+        return QValidator.State.Intermediate if negative else state, text, position
+
+    def valueFromText(self, text: str) -> float:  # noqa: N802
+        """The number that is typed; the least value where nothing is."""
+        return -1.0 if self._is_empty(text) else super().valueFromText(text)
+
+    def textFromValue(self, value: float) -> str:  # noqa: N802
+        """Nothing for the least value; no more decimals than needed."""
+        return "" if value < 0.0 else f"{value:.10g}"
+
+    def _is_empty(self, text: str) -> bool:
+        return not text.strip().removesuffix(self.suffix().strip()).strip()

@@ -44,10 +44,17 @@ def _instrument(context: AppContext) -> View:
     return InstrumentView(context)
 
 
+def _studies(context: AppContext) -> View:
+    from tissueid.app.views.studies.view import StudiesView
+
+    return StudiesView(context)
+
+
 LATER: dict[str, tuple[str, Callable[[AppContext], View]]] = {
     "research": (marked("Research"), _research),
     "gap": (marked("Gap"), _gap),
     "instrument": (marked("Instrument"), _instrument),
+    "studies": (marked("Studies"), _studies),
 }
 """Title and factory of each page that is created when it is first shown."""
 ROLE_PAGES: dict[Role, str] = {"clinician": MEASURE, "researcher": "research", "technician": "instrument"}

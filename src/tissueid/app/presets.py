@@ -6,9 +6,9 @@ from PySide6.QtCore import Qt, Signal
 from PySide6.QtGui import QStandardItemModel
 from PySide6.QtWidgets import QComboBox, QLabel, QVBoxLayout, QWidget
 
-from tissueid.app.form_choices import PRESETS, Preset
 from tissueid.language import _
 from tissueid.messages import Message, translated
+from tissueid.procedures.test_presets import PRESETS, Preset
 
 OWN = ""
 """Choice of settings that are those of no preset."""

@@ -11,6 +11,7 @@ from tissueid.cli.lazy_command import JsonFile, add_command
 if TYPE_CHECKING:  # plans are imported when their command is used
     from tissueid.procedures.study_demo import PopulationPlan
     from tissueid.procedures.study_plans import StudyPlan, StudyReportPlan
+    from tissueid.procedures.study_sitting import ProtocolPlan, SittingRunPlan
 
 study = typer.Typer(help="Compare subjects, sites and conditions over many sessions.", no_args_is_help=True)
 
@@ -57,3 +58,25 @@ def demo_command(plan: PopulationPlan, json_file: JsonFile = None) -> None:
     from tissueid.cli.study_output import print_population
 
     print_population(plan, json_file)
+
+
+@add_command(study, "protocol", "study_sitting")
+def protocol_command(plan: ProtocolPlan, json_file: JsonFile = None) -> None:
+    """Check the protocol of a study, or write a template of one.
+
+    Sites, repeats, conditions, demographic values that are asked for, and the order of a sitting.
+    """
+    from tissueid.cli.sitting_output import print_protocol
+
+    print_protocol(plan, json_file)
+
+
+@add_command(study, "sitting", "study_sitting")
+def sitting_command(plan: SittingRunPlan, json_file: JsonFile = None) -> None:
+    """Run all tests of one subject by the protocol, on the simulator.
+
+    The same command continues a sitting that was interrupted; complete tests are kept.
+    """
+    from tissueid.cli.sitting_output import print_sitting
+
+    print_sitting(plan, json_file)

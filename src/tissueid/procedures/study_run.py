@@ -61,7 +61,7 @@ def run_study(plan: StudyPlan, control: Control) -> StudyRun:
     from tissueid.studies.study_table import read_subjects, study_table, write_table
 
     options = parse_options(plan.options)
-    get_engine(plan.engine)(**options)
+    get_engine(plan.engine).from_options(options)
     files = _session_files(plan.folder)
     subjects = read_subjects(path) if (path := plan.folder / SUBJECTS_FILE).is_file() else None
     results = plan.folder / RESULTS

@@ -125,6 +125,8 @@ class RepeatBar(QWidget):
     def __init__(self, parent: QWidget | None = None) -> None:
         super().__init__(parent)
         self._theme: Theme | None = None
+        self.led = False
+        """Whether a protocol says what is measured next, so that no repeat is offered here."""
         self._shown: tuple[str | None, ...] = ()
         self._left = 0
         self.dots = QLabel()
@@ -181,7 +183,7 @@ class RepeatBar(QWidget):
                 )
             )
         )
-        self.repeat.setVisible(newest and self._left > 0 and not sitting.accepted)
+        self.repeat.setVisible(newest and self._left > 0 and not sitting.accepted and not self.led)
         self.accept.setVisible(sitting.counted > 0 and not sitting.accepted)
         self.accept.setText(_finish(sitting))
         self.undo.setVisible(sitting.accepted)

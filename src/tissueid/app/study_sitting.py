@@ -1,0 +1,191 @@
+"""Leads the page Measure through a sitting of a study: fills the form with the next test after each test."""
+
+from __future__ import annotations
+
+import functools
+from collections.abc import Iterable
+from dataclasses import dataclass
+from pathlib import Path
+
+from PySide6.QtCore import QObject, Qt
+from PySide6.QtWidgets import QFileDialog
+
+from tissueid.app.context import AppContext
+from tissueid.app.layout import Layout
+from tissueid.app.navigation_bar import MEASURE
+from tissueid.app.views.clinician.demographics_dialog import DemographicsDialog
+from tissueid.atomic_write import private_folder
+from tissueid.language import _
+from tissueid.messages import Message, Verbatim, translated
+from tissueid.procedures.study_sitting import SittingState, open_sitting
+from tissueid.procedures.study_subjects import add_photograph, read_demographics, save_demographics
+from tissueid.sessions import Session
+
+
+@dataclass(frozen=True)
+class _Opened:
+    """A sitting, and the stored values of its subject."""
+
+    state: SittingState
+    demographics: dict[str, str]
+
+
+class StudySitting(QObject):
+    """The sitting of a study, if one is open. It starts no test: that is what the button Start test is for."""
+
+    def __init__(self, context: AppContext, ui: Layout, parent: QObject) -> None:
+        super().__init__(parent)
+        self._context, self._ui = context, ui
+        self.state: SittingState | None = None
+        self.dialog: DemographicsDialog | None = None
+        self._demographics: dict[str, str] = {}
+        self._folder_before = ui.form.folder
+        self.card = ui.study_card
+        self.card.data.clicked.connect(self.ask_demographics)
+        self.card.photograph.clicked.connect(self._ask_photograph)
+        self.card.leave.clicked.connect(self.leave)
+
+    @property
+    def leads(self) -> bool:
+        """Whether a sitting is open."""
+        return self.state is not None
+
+    def begin(self, folder: Path, subject: str) -> None:
+        """Open the sitting of a subject and offer its next test on the page Measure."""
+        if self._context.busy:
+            return
+        self._context.jobs.do(functools.partial(_open, folder, subject), self._opened, self._failed)
+
+    def recorded(self, path: Path, session: Session) -> None:
+        """Count the tests of a session that was just recorded, and offer the next one."""
+        if self.state is not None and path.parent == self.state.sessions:
+            self.state.add(path, session.subject.pseudonym, session.tests)
+            self._offer()
+
+    def leave(self) -> None:
+        """Leave the sitting; it continues when it is opened again."""
+        if self.state is None or self._context.testing():
+            return
+        self.state = None
+        self.card.hide()
+        self._ui.gate.repeats.led = False
+        self._ui.form.save_in(self._folder_before)
+        self._ui.form.fill({"pseudonym": "", "site": "", "condition": "", "minutes_since_application": None})
+
+    def ask_demographics(self) -> None:
+        """Ask for the values of the subject that the protocol wants."""
+        if self.state is None or not self.state.protocol.demographics:
+            return
+        window = self._ui.form.window()
+        self.dialog = DemographicsDialog(
+            self.state.subject, self.state.protocol.demographics, self._demographics, window
+        )
+        self.dialog.setAttribute(Qt.WidgetAttribute.WA_DeleteOnClose)
+        self.dialog.setPalette(window.palette())
+        self.dialog.filled.connect(self._save)
+        self.dialog.open()
+
+    def update_enabled(self, *, busy: bool) -> None:
+        """Disable the buttons of the card while a job runs."""
+        self.card.update_enabled(busy=busy)
+        self.card.data.setVisible(self.state is None or bool(self.state.protocol.demographics))
+
+    # -- private ----------------------------------------------------------------------------------------------
+
+    def _opened(self, opened: _Opened) -> None:
+        if not self.leads:
+            self._folder_before = self._ui.form.folder
+        state, self._demographics = opened.state, opened.demographics
+        self.state = state
+        self._context.go(MEASURE)
+        self._ui.gate.repeats.led = True
+        self._ui.form.save_in(state.sessions)
+        self._offer()
+        if state.problems:
+            self._say(_unreadable(state.problems.items()), problem=True)
+        if any(not self._demographics.get(name, "").strip() for name in state.protocol.demographics):
+            self.ask_demographics()
+
+    def _offer(self) -> None:
+        """Show the next test and fill the form with it."""
+        state = self.state
+        assert state is not None
+        self.card.show_state(state)
+        step, protocol = state.step, state.protocol
+        if step is None:
+            done = Message("study.complete", "The sitting of {subject} is complete.", subject=Verbatim(state.subject))
+            self._say(translated(done))
+            return
+        condition = step.condition
+        values = {
+            "pseudonym": step.subject,
+            "site": step.site,
+            "condition": condition.product,
+            "minutes_since_application": condition.minutes_since_application,
+            "limits": protocol.limits,
+            "set_up": {
+                "name": protocol.configuration,
+                "probe": protocol.probe,
+                "coupling": protocol.coupling,
+                "orientation_deg": condition.orientation_deg,
+            },
+            "preset": protocol.stimulus,
+            "repeats": 1,
+            "under_probe": "",
+        }
+        self._ui.form.fill(values | ({} if protocol.seconds is None else {"seconds": protocol.seconds}))
+
+    def _save(self, values: dict[str, str]) -> None:
+        state = self.state
+        if state is None:
+            return
+        self._demographics |= values
+        work = functools.partial(save_demographics, state.folder, state.subject, dict(values))
+        self._context.jobs.do(work, self._saved, self._failed)
+
+    def _saved(self, _result: object) -> None:
+        """They are in the file; there is nothing to say."""
+
+    def _ask_photograph(self) -> None:
+        dialog = QFileDialog(self._ui.form, _("Photograph of the site"), "", _("Pictures (*.jpg *.jpeg *.png)"))
+        dialog.setFileMode(QFileDialog.FileMode.ExistingFile)
+        dialog.setAttribute(Qt.WidgetAttribute.WA_DeleteOnClose)
+        dialog.fileSelected.connect(self.add_photograph)
+        dialog.open()
+
+    def add_photograph(self, path: str) -> None:
+        """Copy a photograph of the site of the form into the folder of the study."""
+        state, site = self.state, self._ui.form.site.currentText().strip()
+        if state is not None and not self._context.busy:
+            work = functools.partial(add_photograph, state.folder, state.subject, site, Path(path))
+            self._context.jobs.do(work, self._photographed, self._failed)
+
+    def _photographed(self, path: Path) -> None:
+        self._say(_("Saved in {path}.").format(path=path))
+
+    def _failed(self, words: str) -> None:
+        self._context.show_idle()
+        self._context.say(words, problem=True)
+
+    def _say(self, words: str, *, problem: bool = False) -> None:
+        self._ui.notice.say(words, problem=problem, page=MEASURE)
+
+
+def _open(folder: Path, subject: str) -> _Opened:
+    state = open_sitting(folder, subject)
+    demographics = read_demographics(folder).get(state.subject, {})
+    private_folder(state.sessions)
+    return _Opened(state, demographics)
+
+
+def _unreadable(problems: Iterable[tuple[str, str]]) -> str:
+    found = list(problems)
+    file, reason = found[0]
+    said = Message(
+        "study.unreadable",
+        "{count} files of this subject cannot be read and do not count; the first is {file}: {reason}",
+        count=len(found),
+        file=file,
+        reason=Verbatim(reason),
+    )
+    return translated(said)

@@ -1,0 +1,223 @@
+"""Choices of the page: folder, engine and its options, and the buttons that analyse, report and measure."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+from PySide6.QtCore import QSettings, Signal
+from PySide6.QtWidgets import (
+    QCheckBox,
+    QComboBox,
+    QFileDialog,
+    QFrame,
+    QHBoxLayout,
+    QLineEdit,
+    QProgressBar,
+    QPushButton,
+    QSizePolicy,
+    QVBoxLayout,
+    QWidget,
+)
+
+from tissueid.app.small_window import FoldingBox
+from tissueid.app.views.studies.study_data import StudyData
+from tissueid.app.widgets import ElidedLabel, plain_label, plain_tip, show_level
+from tissueid.formatting import clean
+from tissueid.identification import engine_label, engine_names, get_engine
+from tissueid.language import _
+from tissueid.messages import Message, Verbatim, translated
+from tissueid.procedures.study_plans import StudyPlan
+
+_STEPS = 1000
+_ONE_ROW = 620
+_FOLDER, _ENGINE, _OPTIONS, _HELD_OUT = "study/folder", "study/engine", "study/options", "study/held-out"
+
+
+class RequestRow(QFrame):
+    """Signals: ``chosen`` carries a folder; the others are sent by the buttons."""
+
+    chosen = Signal(object)
+    wanted = Signal()
+    report_wanted = Signal()
+    template_wanted = Signal()
+    sitting_wanted = Signal(str)
+    unwanted = Signal()
+
+    def __init__(self, parent: QWidget | None = None) -> None:
+        super().__init__(parent)
+        self.setProperty("role", "card")
+        self.path: Path | None = None
+        self.open = QPushButton(_("Open study…"))
+        self.open.setToolTip(_("A folder of sessions, with a protocol.json if sittings follow a protocol"))
+        self.folder = ElidedLabel()
+        self.engine = QComboBox()
+        self.engine.setAccessibleName(_("Engine of the study"))
+        for name in engine_names():
+            self.engine.addItem(engine_label(name), name)
+        self.options = QLineEdit()
+        self.options.setAccessibleName(_("Options of the engine"))
+        self.options.setPlaceholderText(_("Options: NAME=VALUE"))
+        self.held_out = QCheckBox(_("Hold a quarter out"))
+        self.held_out.setToolTip(_("Fit three quarters of each test and score the rest; otherwise fit whole tests"))
+        self.analyse = QPushButton(_("Analyse"))
+        self.analyse.setToolTip(_("Sessions that are new or changed; after a cancellation it continues"))
+        self.report = QPushButton(_("Write report"))
+        self.report.setToolTip(_("Analyse what has changed, compute all statistics, and open the page"))
+        self.protocol = plain_label("muted")
+        self.template = QPushButton(_("New protocol"))
+        self.template.setToolTip(_("Write a protocol.json to begin with; change it in a text editor"))
+        self.subject = QLineEdit()
+        self.subject.setPlaceholderText(_("Subject, such as P01"))
+        self.subject.setAccessibleName(_("Pseudonym of the subject, never a name"))
+        self.subject.setToolTip(self.subject.accessibleName())
+        self.measure = QPushButton(_("Measure subject"))
+        self.measure.setToolTip(_("Lead through the sitting of this subject on the page Measure; nothing starts yet"))
+        self.doing = ElidedLabel()
+        self.doing.setProperty("role", "muted")
+        self.bar = QProgressBar()
+        self.bar.setTextVisible(False)
+        self.bar.setAccessibleName(_("Progress of the study"))
+        self.stop = QPushButton(_("Cancel"))
+        self.stop.setAccessibleName(_("Cancel the work on the study"))
+        self._arrange()
+        self.open.clicked.connect(self._choose)
+        self.analyse.clicked.connect(self.wanted)
+        self.report.clicked.connect(self.report_wanted)
+        self.template.clicked.connect(self.template_wanted)
+        self.stop.clicked.connect(self.unwanted)
+        self.measure.clicked.connect(self._ask_sitting)
+        self.subject.returnPressed.connect(self._ask_sitting)
+        self.engine.currentIndexChanged.connect(self._describe_options)
+        self.engine.setCurrentIndex(self.engine.findData(StudyPlan.model_fields["engine"].default))
+        self._describe_options()
+        self.show_study(None)
+        self.clear()
+
+    @property
+    def fields(self) -> list[QWidget]:
+        """Widgets in tab order."""
+        first = [self.open, self.engine, self.options, self.held_out, self.analyse, self.report]
+        return [*first, self.template, self.subject, self.measure, self.stop]
+
+    def plan(self, folder: Path, *, workers: int | None) -> StudyPlan:
+        """Return the plan of an analysis.
+
+        Raises:
+            UnusableInputError: a value is not possible.
+        """
+        return StudyPlan(
+            folder=folder,
+            engine=str(self.engine.currentData()),
+            options=tuple(self.options.text().replace(";", " ").split()),
+            held_out=self.held_out.isChecked(),
+            workers=workers,
+        )
+
+    def show_study(self, data: StudyData | None) -> None:
+        """Show the folder and the protocol of a study."""
+        self.path = None if data is None else data.folder
+        self.folder.setText(_("No study is open.") if data is None else clean(str(data.folder)))
+        for part in (self.template, self.subject, self.measure, self.protocol):
+            part.setVisible(data is not None)
+        if data is None:
+            return
+        show_level(self.protocol, "check" if data.protocol_problem else "")
+        if data.protocol is not None:
+            said = Message(
+                "study.protocol",
+                "Protocol: {name}, {count} tests for each subject",
+                name=Verbatim(clean(data.protocol.name)),
+                count=data.steps,
+            )
+            self.protocol.setText(translated(said))
+        else:
+            self.protocol.setText(
+                translated(data.protocol_problem) or _("Without a protocol: tests are only analysed.")
+            )
+        self.template.setVisible(data.protocol is None and not data.protocol_problem)
+        for part in (self.subject, self.measure):
+            part.setVisible(data.protocol is not None)
+
+    def show_progress(self, fraction: float | None, step: str) -> None:
+        """Show the step, and its completed share from 0 to 1 or None where that is not known."""
+        for part in (self.doing, self.bar, self.stop):
+            part.show()
+        self.doing.setText(translated(step))
+        self.bar.setRange(0, 0 if fraction is None else _STEPS)
+        self.bar.setValue(0 if fraction is None else round(_STEPS * fraction))
+
+    def clear(self) -> None:
+        """Hide the progress."""
+        for part in (self.doing, self.bar, self.stop):
+            part.hide()
+
+    def update_enabled(self, *, busy: bool) -> None:
+        """Enable what makes sense now; Cancel is always possible."""
+        self.open.setEnabled(not busy)
+        for part in (self.analyse, self.report, self.template, self.measure):
+            part.setEnabled(not busy and self.path is not None)
+
+    def save(self, settings: QSettings) -> None:
+        """Save the choices."""
+        settings.setValue(_FOLDER, "" if self.path is None else str(self.path))
+        settings.setValue(_ENGINE, self.engine.currentData())
+        settings.setValue(_OPTIONS, self.options.text())
+        settings.setValue(_HELD_OUT, "yes" if self.held_out.isChecked() else "no")
+
+    def restore(self, settings: QSettings) -> Path | None:
+        """Restore the choices; return the folder of the last study, if it is still there."""
+        place = self.engine.findData(str(settings.value(_ENGINE, "")))
+        self.engine.setCurrentIndex(place if place >= 0 else self.engine.currentIndex())
+        self.options.setText(clean(str(settings.value(_OPTIONS, "")))[:2000])
+        self.held_out.setChecked(str(settings.value(_HELD_OUT, "no")) == "yes")
+        kept = str(settings.value(_FOLDER, ""))
+        return Path(kept) if kept and Path(kept).is_dir() else None
+
+    def _arrange(self) -> None:
+        top = QHBoxLayout()
+        top.setSpacing(8)
+        top.addWidget(self.open)
+        top.addWidget(self.folder, 1)
+        chosen, led = QWidget(), QWidget()
+        how, who = FoldingBox(_ONE_ROW, chosen), FoldingBox(_ONE_ROW, led)
+        hows: tuple[QWidget, ...] = (self.engine, self.options, self.held_out, self.analyse, self.report)
+        for part in hows:
+            how.addWidget(part)
+        whos: tuple[QWidget, ...] = (self.protocol, self.template, self.subject, self.measure)
+        for part in whos:
+            who.addWidget(part)
+        for box in (how, who):
+            box.setContentsMargins(0, 0, 0, 0)
+            box.setSpacing(8)
+        self.engine.setSizeAdjustPolicy(QComboBox.SizeAdjustPolicy.AdjustToMinimumContentsLengthWithIcon)
+        self.engine.setMinimumContentsLength(12)
+        self.subject.setMaximumWidth(200)
+        for button in (self.measure, self.template):
+            button.setSizePolicy(QSizePolicy.Policy.Maximum, QSizePolicy.Policy.Fixed)
+        going = QHBoxLayout()
+        going.setSpacing(8)
+        going.addWidget(self.doing, 2)
+        going.addWidget(self.bar, 1)
+        going.addWidget(self.stop)
+        rows = QVBoxLayout(self)
+        rows.setContentsMargins(12, 8, 12, 8)
+        rows.setSpacing(6)
+        rows.addLayout(top)
+        rows.addWidget(chosen)
+        rows.addWidget(led)
+        rows.addLayout(going)
+
+    def _describe_options(self) -> None:
+        names = ", ".join(get_engine(str(self.engine.currentData())).model_fields)
+        self.options.setToolTip(plain_tip(_("Of this engine: {names}").format(names=names)))
+
+    def _choose(self) -> None:
+        dialog = QFileDialog(self.window(), _("Open a study"), "" if self.path is None else str(self.path))
+        dialog.setFileMode(QFileDialog.FileMode.Directory)
+        dialog.setOption(QFileDialog.Option.ShowDirsOnly)
+        dialog.fileSelected.connect(lambda path: self.chosen.emit(Path(path)))
+        dialog.open()
+
+    def _ask_sitting(self) -> None:
+        if self.measure.isEnabled() and self.measure.isVisible():
+            self.sitting_wanted.emit(self.subject.text())

@@ -1,0 +1,237 @@
+"""Content of a study as the page shows it: the tests of its table, and sessions without a row. Independent of Qt."""
+
+from __future__ import annotations
+
+import csv
+import math
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from tissueid.errors import UnusableInputError
+from tissueid.formatting import clean
+from tissueid.language import marked
+from tissueid.messages import Message, Verbatim
+from tissueid.procedures.study_plans import RESULTS
+from tissueid.procedures.study_protocol import PROTOCOL_FILE, Protocol, read_protocol, sitting_steps
+
+if TYPE_CHECKING:
+    from tissueid.procedures.control import Control
+    from tissueid.procedures.study_plans import StudyPlan, StudyReportPlan
+    from tissueid.studies.study_statistics import StudyStatistics
+
+TABLE = "table.csv"
+STD_SUFFIX = "_sd"
+NOT_ANALYSED = marked("not in the table yet: Analyse reads it, or says why it cannot be read")
+_LARGEST_TABLE = 500_000_000
+_MOST_COLUMNS = 1000
+_LONGEST = 200
+_MOST_FAILURES = 1000
+
+
+@dataclass(frozen=True, slots=True)
+class TestRow:
+    """A test of the table, or a session without one: ``problem`` says why. ``values`` are by parameter, SI.
+
+    ``values`` and ``stds`` are NaN where the engine gave none. ``words`` is what a search looks through, folded.
+    """
+
+    __test__ = False
+
+    session: str
+    subject: str = ""
+    site: str = ""
+    condition: str = ""
+    minutes: float = math.nan
+    repeat: int = 0
+    quality: str = ""
+    engine: str = ""
+    vaf_percent: float = math.nan
+    problem: str = ""
+    values: tuple[float, ...] = ()
+    stds: tuple[float, ...] = ()
+    words: str = ""
+
+
+@dataclass(frozen=True)
+class StudyData:
+    """A study: its tests in the order of the table, the names of the parameters, and the number of session files.
+
+    ``protocol`` is None where there is none, or where it cannot be used: ``protocol_problem`` then says why.
+    """
+
+    folder: Path
+    rows: tuple[TestRow, ...] = ()
+    parameters: tuple[str, ...] = ()
+    sessions: int = 0
+    protocol: Protocol | None = None
+    protocol_problem: str = ""
+
+    @property
+    def tests(self) -> int:
+        """Number of tests in the table."""
+        return sum(bool(row.repeat) for row in self.rows)
+
+    @property
+    def without_row(self) -> int:
+        """Number of sessions without a test in the table."""
+        return len(self.rows) - self.tests
+
+    @property
+    def steps(self) -> int:
+        """Number of tests of each subject by the protocol."""
+        return 0 if self.protocol is None else len(sitting_steps(self.protocol, ""))
+
+
+def load_study(folder: Path, failures: Mapping[str, str] | None = None) -> StudyData:
+    """Read the table of a study and list its sessions.
+
+    Args:
+        folder: of the study.
+        failures: reason by session file, from a run.
+
+    Raises:
+        UnusableInputError: the folder or the table cannot be read.
+    """
+    if not folder.is_dir():
+        raise UnusableInputError(Message("study.no_folder", "{folder} is not a folder", folder=str(folder)))
+    results = folder / RESULTS
+    rows, parameters = _read_table(results / TABLE)
+    files = [str(path.relative_to(folder)) for path in folder.rglob("*.h5") if results not in path.parents]
+    listed = {row.session for row in rows}
+    reasons = {file: reason.removeprefix(str(folder / file)).strip(" :") for file, reason in (failures or {}).items()}
+    missing = [_without_test(file, reasons.get(file, NOT_ANALYSED)) for file in sorted(set(files) - listed)]
+    protocol, problem = None, ""
+    if (folder / PROTOCOL_FILE).exists():
+        try:
+            protocol = read_protocol(folder)
+        except UnusableInputError as error:
+            problem = error.message
+    return StudyData(folder, (*missing[:_MOST_FAILURES], *rows), parameters, len(files), protocol, problem)
+
+
+def analyse_study(plan: StudyPlan, control: Control) -> StudyData:
+    """Analyse the sessions that have changed and return the content of the study.
+
+    Raises:
+        UnusableInputError: the folder, the engine or an option cannot be used, or a package is missing.
+        CancelledError: it was cancelled; what is analysed already is kept.
+    """
+    from tissueid.procedures.study_run import run_study
+
+    run = run_study(plan, control)
+    return load_study(plan.folder, run.failures)
+
+
+def report_and_load(plan: StudyReportPlan, control: Control) -> tuple[Path, StudyData]:
+    """Write the report of a study; return its page and the content of the study.
+
+    Raises:
+        UnusableInputError: the folder, the engine, an option or a file cannot be used, or a package is missing.
+        CancelledError: it was cancelled; what is analysed already is kept.
+    """
+    from tissueid.procedures.study_report import report_study
+
+    found = report_study(plan, control)
+    return found.page, load_study(plan.folder, found.run.failures)
+
+
+def statistics_of(folder: Path, control: Control) -> StudyStatistics:
+    """Return the statistics of the table of a study.
+
+    Raises:
+        UnusableInputError: there is no table yet, it cannot be read, or a package is missing.
+    """
+    from tissueid.procedures.study_run import check_packages
+
+    check_packages("pandas", "pyarrow", "statsmodels", "sklearn")
+    import pandas as pd
+
+    from tissueid.studies.study_statistics import study_statistics
+
+    control.progress(None, marked("Computing statistics"))
+    path = folder / RESULTS / "table.parquet"
+    try:
+        table = pd.read_parquet(path)
+    except (OSError, ValueError) as error:
+        raise UnusableInputError(
+            Message("study.no_table", "{folder} has no table yet: analyse its sessions first", folder=str(folder))
+        ) from error
+    return study_statistics(table)
+
+
+def _read_table(path: Path) -> tuple[list[TestRow], tuple[str, ...]]:
+    if not path.is_file():
+        return [], ()
+    try:
+        if path.stat().st_size > _LARGEST_TABLE:
+            raise ValueError("it is too large")
+        with path.open(encoding="utf-8", newline="") as file:
+            lines = csv.reader(file)
+            head = next(lines, [])
+            if len(head) > _MOST_COLUMNS or not {"session", "subject", "site"} <= set(head):
+                raise ValueError("it is not the table of a study")
+            parameters = tuple(name for name in head if f"{name}{STD_SUFFIX}" in head)
+            read = _Reader(head, parameters)
+            return [read(cells) for cells in lines if len(cells) == len(head)], parameters
+    except (OSError, ValueError, csv.Error) as error:
+        raise UnusableInputError(
+            Message(
+                "study.table_unreadable",
+                "{path} cannot be read: {reason}",
+                path=str(path),
+                reason=Verbatim(str(error).splitlines()[0]),
+            )
+        ) from error
+
+
+class _Reader:
+    """Makes rows from the cells of lines."""
+
+    def __init__(self, head: Sequence[str], parameters: Sequence[str]) -> None:
+        self._at = {name: place for place, name in enumerate(head)}
+        self._values = [self._at[name] for name in parameters]
+        self._stds = [self._at[f"{name}{STD_SUFFIX}"] for name in parameters]
+
+    def __call__(self, cells: Sequence[str]) -> TestRow:
+        row = TestRow(
+            self._text(cells, "session"),
+            self._text(cells, "subject"),
+            self._text(cells, "site"),
+            self._text(cells, "condition"),
+            _number(self._text(cells, "minutes_since_application")),
+            int(_finite(self._text(cells, "repeat")) or 1),
+            self._text(cells, "quality"),
+            self._text(cells, "engine"),
+            _number(self._text(cells, "vaf_percent")),
+            self._text(cells, "problem"),
+            tuple(_number(cells[place]) for place in self._values),
+            tuple(_number(cells[place]) for place in self._stds),
+        )
+        return _searched(row)
+
+    def _text(self, cells: Sequence[str], name: str) -> str:
+        place = self._at.get(name)
+        return "" if place is None else clean(cells[place])[:_LONGEST]
+
+
+def _without_test(session: str, problem: str) -> TestRow:
+    return _searched(TestRow(session, problem=problem))
+
+
+def _searched(row: TestRow) -> TestRow:
+    words = (row.subject, row.site, row.condition, row.quality, row.engine, row.problem, row.session)
+    return replace(row, words=" ".join(words).casefold())
+
+
+def _number(text: str) -> float:
+    try:
+        return float(text) if text else math.nan
+    except ValueError:
+        return math.nan
+
+
+def _finite(text: str) -> float:
+    value = _number(text)
+    return value if math.isfinite(value) and abs(value) < 1e9 else 0.0

@@ -1,0 +1,198 @@
+"""The tests of a study: filters, choice of parameters, and the table."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+
+from PySide6.QtCore import Qt
+from PySide6.QtGui import QKeySequence, QShortcut
+from PySide6.QtWidgets import (
+    QAbstractItemView,
+    QComboBox,
+    QHBoxLayout,
+    QHeaderView,
+    QLabel,
+    QLineEdit,
+    QMenu,
+    QPushButton,
+    QTableView,
+    QVBoxLayout,
+    QWidget,
+)
+
+from tissueid.app.small_window import FoldingBox
+from tissueid.app.theme import Theme
+from tissueid.app.views.studies.study_data import StudyData
+from tissueid.app.views.studies.tests_model import SUBJECT, WITHOUT, TestsModel
+from tissueid.formatting import clean, label_and_unit, subject_text
+from tissueid.language import _, marked
+from tissueid.messages import Message, translated
+
+_ALL = (marked("All subjects"), marked("All sites"), marked("All conditions"))
+_NAMES = (marked("Subject"), marked("Site"), marked("Condition"))
+_MOST_OFFERED = 2000
+_ROW, _LEAST = 22, 96
+_MEASURED = 60
+"""Rows that are looked at for the width of a column."""
+_WIDEST = 240
+_FILTERS_IN_A_ROW = 620
+_MOST_SPANS = 300
+
+
+class TestsTab(QWidget):
+    """Filters above the table."""
+
+    __test__ = False
+
+    def __init__(self, parent: QWidget | None = None) -> None:
+        super().__init__(parent)
+        self.model = TestsModel(self)
+        self._data: StudyData | None = None
+        self.words = QLineEdit()
+        self.words.setPlaceholderText(_("Search in all columns"))
+        self.words.setAccessibleName(_("Search in all columns"))
+        self.words.setToolTip(_("Rows that have every word (Ctrl+F)"))
+        self.words.setClearButtonEnabled(True)
+        self.choices = tuple(QComboBox() for _name in _NAMES)
+        self.subject, self.site, self.condition = self.choices
+        for choice, name, everything in zip(self.choices, _NAMES, _ALL, strict=True):
+            choice.setAccessibleName(_("Filter by {column}").format(column=_(name)))
+            choice.setSizeAdjustPolicy(QComboBox.SizeAdjustPolicy.AdjustToMinimumContentsLengthWithIcon)
+            choice.setMinimumContentsLength(8)
+            choice.addItem(_(everything), "")
+            choice.currentIndexChanged.connect(self._filter)
+        self.parameters = QPushButton(_("Parameters"))
+        self.parameters.setToolTip(_("Columns of the table"))
+        self.parameters.setMenu(QMenu(self))
+        self.count = QLabel()
+        self.count.setProperty("role", "muted")
+        self.count.setWordWrap(True)
+        self.count.setMinimumWidth(1)
+        self.table = QTableView()
+        self._dress()
+        holder = QWidget()
+        first = FoldingBox(_FILTERS_IN_A_ROW, holder)
+        first.setContentsMargins(0, 0, 0, 0)
+        first.setSpacing(6)
+        for part in (self.words, *self.choices, self.parameters):
+            first.addWidget(part)
+        rows = QVBoxLayout(self)
+        rows.setContentsMargins(0, 8, 0, 0)
+        rows.setSpacing(6)
+        rows.addWidget(holder)
+        rows.addWidget(self.table, 1)
+        foot = QHBoxLayout()
+        foot.addWidget(self.count, 1)
+        rows.addLayout(foot)
+        self.words.textChanged.connect(self._filter)
+        self.model.modelReset.connect(self._span)
+        self.model.layoutChanged.connect(self._span)
+        find = QShortcut(QKeySequence(QKeySequence.StandardKey.Find), self)
+        find.setContext(Qt.ShortcutContext.WidgetWithChildrenShortcut)
+        find.activated.connect(self.words.setFocus)
+
+    def show_study(self, data: StudyData) -> None:
+        """Show the tests of a study; filters and columns stay as far as they fit."""
+        self._data = data
+        tests = [row for row in data.rows if row.repeat]
+        self._offer(self.subject, {row.subject for row in tests})
+        self._offer(self.site, {row.site for row in tests})
+        self._offer(self.condition, {row.condition for row in tests})
+        self.model.show_study(data)
+        self._filter()
+        self._fill_menu()
+        self.table.resizeColumnsToContents()
+        header = self.table.horizontalHeader()
+        header.resizeSection(SUBJECT, header.fontMetrics().horizontalAdvance("P-0000000"))  # not the width of a reason
+        for column in range(self.model.columnCount()):
+            header.resizeSection(column, min(header.sectionSize(column), _WIDEST))
+
+    def apply_theme(self, theme: Theme) -> None:
+        """Apply the colours of a theme."""
+        self.model.apply_theme(theme)
+        self.table.viewport().update()
+
+    @property
+    def fields(self) -> list[QWidget]:
+        """Widgets in tab order."""
+        return [self.words, *self.choices, self.parameters, self.table]
+
+    def _dress(self) -> None:
+        table = self.table
+        table.setModel(self.model)
+        table.setAccessibleName(_("Tests of the study"))
+        table.setSelectionBehavior(QAbstractItemView.SelectionBehavior.SelectRows)
+        table.setEditTriggers(QAbstractItemView.EditTrigger.NoEditTriggers)
+        table.setTabKeyNavigation(False)
+        table.setWordWrap(False)
+        table.setShowGrid(False)
+        table.setMinimumHeight(_LEAST)
+        table.verticalHeader().hide()
+        table.verticalHeader().setDefaultSectionSize(_ROW)
+        table.verticalHeader().setSectionResizeMode(QHeaderView.ResizeMode.Fixed)
+        header = table.horizontalHeader()
+        header.setDefaultAlignment(Qt.AlignmentFlag.AlignLeft | Qt.AlignmentFlag.AlignVCenter)
+        header.setHighlightSections(False)
+        header.setResizeContentsPrecision(_MEASURED)
+        table.setSortingEnabled(True)
+        table.sortByColumn(-1, Qt.SortOrder.AscendingOrder)
+
+    def _filter(self) -> None:
+        subject, site, condition = (str(choice.currentData() or "") for choice in self.choices)
+        self.model.filter(self.words.text(), subject, site, condition)
+        data = self._data
+        if data is None:
+            return
+        said = translated(
+            Message(
+                "study.count",
+                "{shown} of {count} rows; {tests} tests of {sessions} sessions",
+                shown=len(self.model.shown),
+                count=len(data.rows),
+                tests=data.tests,
+                sessions=data.sessions,
+            )
+        )
+        if data.without_row:
+            without = Message(
+                "study.without_row",
+                "Sessions without a test in the table: {count}; the first rows say why",
+                count=data.without_row,
+            )
+            said = f"{said}. {translated(without)}"
+        self.count.setText(said)
+
+    def _span(self) -> None:
+        """Give the reason of a session without a test the whole row."""
+        self.table.clearSpans()
+        for row in self.model.without_test[:_MOST_SPANS]:
+            self.table.setSpan(row, 0, 1, self.model.columnCount())
+
+    def _offer(self, choice: QComboBox, values: Iterable[str]) -> None:
+        """Offer values; the chosen one stays if it is among them."""
+        asked = str(choice.currentData() or "")
+        choice.blockSignals(True)
+        for place in range(choice.count() - 1, 0, -1):
+            choice.removeItem(place)
+        for value in sorted({value for value in values if value}, key=str.casefold)[:_MOST_OFFERED]:
+            choice.addItem(subject_text(value) if choice is self.subject else clean(value), value)
+        if choice is self.condition and choice.count() > 1:
+            choice.addItem(_("without a condition"), WITHOUT)
+        choice.setCurrentIndex(max(0, choice.findData(asked)))
+        choice.blockSignals(False)
+
+    def _fill_menu(self) -> None:
+        menu = self.parameters.menu()
+        menu.clear()
+        assert self._data is not None
+        for name in self._data.parameters:
+            action = menu.addAction(_(label_and_unit(name)[0]))
+            action.setCheckable(True)
+            action.setChecked(name in self.model.parameters)
+            action.setData(name)
+            action.toggled.connect(self._choose_parameters)
+        self.parameters.setEnabled(bool(self._data.parameters))
+
+    def _choose_parameters(self) -> None:
+        chosen = [str(action.data()) for action in self.parameters.menu().actions() if action.isChecked()]
+        self.model.show_parameters(chosen)

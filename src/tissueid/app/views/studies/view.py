@@ -1,0 +1,283 @@
+"""The page ``studies``: the table of a study, its analysis, figures and report, and the way to a subject's sitting."""
+
+from __future__ import annotations
+
+import functools
+from collections.abc import Callable
+from itertools import pairwise
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from PySide6.QtCore import Qt, QTimer
+from PySide6.QtWidgets import QAbstractButton, QTabWidget, QVBoxLayout, QWidget
+
+from tissueid.app.context import AppContext, View
+from tissueid.app.jobs import JobControl
+from tissueid.app.theme import Theme
+from tissueid.app.views.studies.figures_tab import FiguresTab
+from tissueid.app.views.studies.request_row import RequestRow
+from tissueid.app.views.studies.study_data import (
+    StudyData,
+    analyse_study,
+    load_study,
+    report_and_load,
+    statistics_of,
+)
+from tissueid.app.views.studies.tests_tab import TestsTab
+from tissueid.app.words import in_words
+from tissueid.errors import CancelledError, UnusableInputError
+from tissueid.language import _
+from tissueid.messages import Message, translated
+from tissueid.procedures.control import Control
+from tissueid.procedures.study_plans import StudyReportPlan
+from tissueid.procedures.study_sitting import ProtocolPlan, write_protocol
+
+if TYPE_CHECKING:
+    from tissueid.studies.study_statistics import StudyStatistics
+
+_TAB = "study/tab"
+_LOOK_MS = 100
+"""Interval at which the progress is shown, ms."""
+_CANCELLED = Message("study.cancelled", "Cancelled. What is analysed is kept, and Analyse continues.")
+
+
+class StudiesView(View):
+    """The page ``studies``. Analysis, statistics and report run in separate processes and can be cancelled."""
+
+    name = "studies"
+
+    def __init__(self, context: AppContext, parent: QWidget | None = None) -> None:
+        super().__init__(context, parent)
+        self.data: StudyData | None = None
+        self._control = JobControl()
+        self._running = self._changed = False
+        self.asking = RequestRow()
+        self.tests = TestsTab()
+        self.figures = FiguresTab()
+        self.tabs = QTabWidget()
+        self.tabs.setDocumentMode(True)
+        self.tabs.tabBar().setDrawBase(False)
+        self.tabs.tabBar().setAccessibleName(_("Tests and figures"))
+        # One stop of the tab key, not two: the bar alone.
+        self.tabs.setFocusProxy(None)  # type: ignore[arg-type]
+        self.tabs.setFocusPolicy(Qt.FocusPolicy.NoFocus)
+        self.tabs.tabBar().setFocusPolicy(Qt.FocusPolicy.StrongFocus)
+        self.tabs.addTab(self.tests, _("Tests"))
+        self.tabs.addTab(self.figures, _("Figures"))
+        rows = QVBoxLayout(self)
+        rows.setContentsMargins(12, 10, 12, 6)
+        rows.setSpacing(8)
+        rows.addWidget(self.asking)
+        rows.addWidget(self.tabs, 1)
+        order = [*self.asking.fields, self.tabs.tabBar(), *self.tests.fields, *self.figures.fields]
+        for before, after in pairwise(order):
+            QWidget.setTabOrder(before, after)
+        self._looking = QTimer(self)
+        self._looking.setInterval(_LOOK_MS)
+        self._looking.timeout.connect(self._show_progress)
+        # Not from within a job's end: the other pages must have settled first.
+        self._soon = QTimer(self)
+        self._soon.setSingleShot(True)
+        self._soon.setInterval(0)
+        self._soon.timeout.connect(self._read_again)
+        self.asking.chosen.connect(self.open_study)
+        self.asking.wanted.connect(self.analyse)
+        self.asking.report_wanted.connect(self.write_report)
+        self.asking.template_wanted.connect(self.write_template)
+        self.asking.sitting_wanted.connect(self.begin_sitting)
+        self.asking.unwanted.connect(self.cancel)
+        self.figures.wanted.connect(self.compute_figures)
+        self._last = self.asking.restore(context.settings)
+        self.tabs.setCurrentIndex(1 if str(context.settings.value(_TAB, "0")) == "1" else 0)
+
+    # -- what the window tells ------------------------------------------------------------------------------------
+
+    def enter(self) -> None:
+        """Open the study of the last start, or read a table again after tests were recorded."""
+        if self.data is None and self._last is not None:
+            last, self._last = self._last, None
+            self.open_study(last)
+        self._soon.start()
+
+    def update_enabled(self, *, busy: bool, testing: bool) -> None:
+        """Enable or disable the controls."""
+        self.asking.update_enabled(busy=busy or testing)
+        has_table = self.data is not None and self.data.tests > 0
+        self.figures.update_enabled(busy=busy or testing, has_table=has_table)
+        if not busy:
+            self._soon.start()
+
+    def waiting(self) -> tuple[QWidget, ...]:
+        """The buttons that are disabled while other work runs."""
+        asking = self.asking
+        return asking.open, asking.analyse, asking.report, asking.template, asking.measure, self.figures.compute
+
+    def buttons(self) -> tuple[QAbstractButton, ...]:
+        """Return the buttons that the command palette offers."""
+        asking = self.asking
+        return (
+            asking.open,
+            asking.analyse,
+            asking.report,
+            asking.template,
+            asking.measure,
+            asking.stop,
+            self.figures.compute,
+        )
+
+    def on_session_saved(self, path: Path) -> None:
+        """Read the study again when it is shown the next time, if the session belongs to it."""
+        self._changed = self._changed or (self.data is not None and self.data.folder in path.parents)
+
+    def offer_files(self, paths: list[Path]) -> bool:
+        """Open a folder that was dropped on this page."""
+        if len(paths) == 1 and paths[0].is_dir():
+            self.open_study(paths[0])
+            return True
+        return False
+
+    def apply_theme(self, theme: Theme) -> None:
+        """Apply the colours of a theme."""
+        self.tests.apply_theme(theme)
+        self.figures.apply_theme(theme)
+
+    def cancel(self) -> None:
+        """Cancel the running work; what is analysed is kept."""
+        self._control.cancel()
+
+    def save_state(self) -> None:
+        """Save folder, engine and options."""
+        self.asking.save(self.context.settings)
+        self.context.settings.setValue(_TAB, self.tabs.currentIndex())
+
+    # -- what a person asks for -------------------------------------------------------------------------------------
+
+    def open_study(self, folder: Path) -> None:
+        """Read the table of a study and show it."""
+        if not self.context.busy:
+            self.context.jobs.do(functools.partial(load_study, folder), self._opened, self._failed)
+
+    def analyse(self) -> None:
+        """Analyse the sessions that are new or changed."""
+        if self.data is not None and (plan := self._plan(self.data.folder)) is not None:
+            self._start(functools.partial(analyse_study, plan), self._analysed)
+
+    def write_report(self) -> None:
+        """Write the report and open it."""
+        if self.data is not None and (plan := self._plan(self.data.folder)) is not None:
+            report = StudyReportPlan(**plan.model_dump())
+            self._start(functools.partial(report_and_load, report), self._reported)
+
+    def compute_figures(self) -> None:
+        """Compute the statistics of the table and offer their figures."""
+        if self.data is not None:
+            self._start(functools.partial(statistics_of, self.data.folder), self._computed)
+
+    def write_template(self) -> None:
+        """Write a protocol to begin with."""
+        if self.data is not None and not self.context.busy:
+            work = functools.partial(_templated, self.data.folder)
+            self.context.jobs.do(work, self._opened, self._failed)
+
+    def begin_sitting(self, subject: str) -> None:
+        """Lead through the sitting of a subject on the page Measure."""
+        if self.data is not None:
+            self.context.begin_sitting(self.data.folder, subject)
+
+    # -- jobs -----------------------------------------------------------------------------------------------------
+
+    def _plan(self, folder: Path) -> Any:
+        try:
+            return self.asking.plan(folder, workers=None if self.context.services.separate_process else 1)
+        except UnusableInputError as error:
+            self.context.say(in_words(error), problem=True)
+            return None
+
+    def _start(self, work: Callable[[Control], Any], done: Callable[[Any], None]) -> None:
+        if self.context.busy:
+            return
+        self._control = control = JobControl()
+        separate = self.context.services.separate_process
+
+        def run() -> Any:
+            from tissueid.procedures.separate_process import run_in_process
+
+            return run_in_process(work, control) if separate else work(control)
+
+        self._running, self._done = True, done
+        self._looking.start()
+        self._show_progress()
+        why = _("A study is being analysed on Studies: cancel it there, or wait.")
+        self.context.jobs.do(functools.partial(_outcome, run), self._ended, self._broke, why=why)
+
+    def _show_progress(self) -> None:
+        if self._running:
+            self.asking.show_progress(self._control.fraction, self._control.step or _("Starting"))
+
+    def _over(self) -> None:
+        self._running = False
+        self._looking.stop()
+        self.asking.clear()
+
+    def _ended(self, result: Any) -> None:
+        self._over()
+        if result is None:
+            self.context.say(translated(_CANCELLED))
+            self._changed = True
+        else:
+            self._done(result)
+
+    def _broke(self, words: str) -> None:
+        self._over()
+        self._failed(words)
+
+    def _failed(self, words: str) -> None:
+        self.context.say_failed(words)
+
+    def _opened(self, data: StudyData) -> None:
+        other = self.data is None or self.data.folder != data.folder
+        self.data, self._changed = data, False
+        self.asking.show_study(data)
+        self.tests.show_study(data)
+        if other:
+            self.figures.clear()
+
+    def _analysed(self, data: StudyData) -> None:
+        self._opened(data)
+        self.figures.clear()
+        if not data.without_row:
+            self.context.say(_("The study is analysed."))
+            return
+        said = Message(
+            "study.analysed",
+            "The study is analysed. Sessions without a test in the table: {count}; the first rows say why.",
+            count=data.without_row,
+        )
+        self.context.say(translated(said), problem=True)
+
+    def _reported(self, found: tuple[Path, StudyData]) -> None:
+        page, data = found
+        self._analysed(data)
+        self.context.show_file(page)
+
+    def _computed(self, found: StudyStatistics) -> None:
+        self.figures.show_statistics(found)
+        self.tabs.setCurrentWidget(self.figures)
+
+    def _read_again(self) -> None:
+        if self._changed and self.data is not None and self.isVisible() and not self.context.busy:
+            self._changed = False
+            self.open_study(self.data.folder)
+
+
+def _outcome(run: Callable[[], Any]) -> Any:
+    """Return the result of work, None where it was cancelled."""
+    try:
+        return run()
+    except CancelledError:
+        return None
+
+
+def _templated(folder: Path) -> StudyData:
+    write_protocol(ProtocolPlan(folder=folder))
+    return load_study(folder)

@@ -1,0 +1,248 @@
+"""Demographic values of the subjects of a study, in its file ``subjects.csv``, and photographs of sites."""
+
+from __future__ import annotations
+
+import csv
+import io
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from tissueid.atomic_write import atomic_file, private_folder, unused_path
+from tissueid.errors import UnusableInputError
+from tissueid.formatting import clean
+from tissueid.language import marked
+from tissueid.messages import Message, Verbatim, joined
+from tissueid.procedures.output_files import unwritable, write_text
+from tissueid.procedures.study_plans import SUBJECTS_FILE
+from tissueid.procedures.study_protocol import check_pseudonym
+
+if TYPE_CHECKING:
+    from tissueid.procedures.study_protocol import Protocol
+
+PHOTOGRAPHS = "photographs"
+"""Folder of a study with its photographs."""
+_LARGEST_FILE = 10_000_000
+_LARGEST_PHOTOGRAPH = 30_000_000
+_LONGEST = 200
+_SUBJECT = "subject"
+
+
+@dataclass(frozen=True)
+class DemographicField:
+    """A value of a subject: title, and the least and greatest number, or the choices of a text (any text if empty).
+
+    ``unit`` is that of the number.
+    """
+
+    title: str
+    bounds: tuple[float, float] | None = None
+    unit: str = ""
+    choices: tuple[str, ...] = ()
+
+
+DEMOGRAPHIC_FIELDS: Mapping[str, DemographicField] = {
+    "age_years": DemographicField(marked("Age"), (0.0, 120.0), marked("years")),
+    "weight_kg": DemographicField(marked("Body weight"), (1.0, 500.0), "kg"),
+    "height_m": DemographicField(marked("Body height"), (0.3, 2.6), "m"),
+    "gender": DemographicField(marked("Gender"), choices=(marked("female"), marked("male"), marked("other"))),
+    "handedness": DemographicField(marked("Handedness"), choices=(marked("left"), marked("right"), marked("both"))),
+    "ethnicity": DemographicField(marked("Ethnicity")),
+    "skin_conditions": DemographicField(marked("Skin conditions")),
+}
+"""Known values by column of the file; the ranges are those of living people, with some room."""
+
+
+def demographic_value(name: str, text: str) -> str:
+    """Return a demographic value as it is stored; "" for one that is not known.
+
+    Raises:
+        UnusableInputError: the name is unknown, or the value is not possible.
+    """
+    if name not in DEMOGRAPHIC_FIELDS:
+        raise UnusableInputError(
+            Message(
+                "subjects.unknown",
+                "'{name}' is no demographic value; known: {known}",
+                name=Verbatim(clean(name)[:_LONGEST]),
+                known=joined(map(Verbatim, DEMOGRAPHIC_FIELDS)),
+            )
+        )
+    field, value = DEMOGRAPHIC_FIELDS[name], text.strip()
+    if not value:
+        return ""
+    if field.bounds is not None:
+        return _number(name, field.bounds, value)
+    if field.choices and value not in field.choices:
+        raise UnusableInputError(
+            Message(
+                "subjects.choice",
+                "{name} must be one of {known}, got '{value}'",
+                name=Verbatim(name),
+                known=joined(map(Verbatim, field.choices)),
+                value=Verbatim(clean(value)[:_LONGEST]),
+            )
+        )
+    if not value.isprintable() or len(value) > _LONGEST or "@" in value or value[0] in "=+-":
+        raise UnusableInputError(
+            Message(
+                "subjects.text",
+                "{name} must be one line of at most {most} characters, without '@' and not a formula",
+                name=Verbatim(name),
+                most=_LONGEST,
+            )
+        )
+    return value
+
+
+def read_demographics(folder: Path) -> dict[str, dict[str, str]]:
+    """Return the rows of ``subjects.csv`` by subject; empty without a file.
+
+    Raises:
+        UnusableInputError: the file cannot be read, has no column ``subject``, or a subject is missing or twice.
+    """
+    path = folder / SUBJECTS_FILE
+    if not path.is_file():
+        return {}
+    try:
+        if path.stat().st_size > _LARGEST_FILE:
+            raise UnusableInputError(Message("study.subjects_size", "{path} is too large", path=str(path)))
+        rows = list(csv.DictReader(io.StringIO(path.read_text(encoding="utf-8-sig"), newline="")))
+    except (OSError, ValueError, csv.Error) as error:
+        why = Verbatim(str(error).splitlines()[0])
+        raise UnusableInputError(
+            Message("study.subjects_unreadable", "{path} cannot be read: {reason}", path=str(path), reason=why)
+        ) from error
+    if any(_SUBJECT not in row for row in rows):
+        raise UnusableInputError(
+            Message("study.subjects_column", "{path} must have a column 'subject'", path=str(path))
+        )
+    found = {row[_SUBJECT]: {name: value or "" for name, value in row.items() if name} for row in rows}
+    if len(found) < len(rows) or not all(found):
+        raise UnusableInputError(
+            Message("study.subjects_twice", "in {path} each row must name another subject", path=str(path))
+        )
+    return found
+
+
+def save_demographics(folder: Path, subject: str, values: Mapping[str, str]) -> None:
+    """Write the values of a subject to ``subjects.csv`` atomically; other rows and columns stay.
+
+    Raises:
+        UnusableInputError: the subject is no pseudonym, a value is not possible, or the file cannot be used.
+    """
+    subject = check_pseudonym(subject)
+    checked = {name: demographic_value(name, text) for name, text in values.items()}
+    rows = read_demographics(folder)
+    rows[subject] = rows.get(subject, {}) | {_SUBJECT: subject} | checked
+    columns = list(dict.fromkeys([_SUBJECT, *(name for row in rows.values() for name in row)]))
+    text = io.StringIO(newline="")
+    writer = csv.DictWriter(text, columns, restval="", lineterminator="\n")
+    writer.writeheader()
+    writer.writerows(rows.values())
+    write_text(folder / SUBJECTS_FILE, text.getvalue())
+
+
+def missing_demographics(protocol: Protocol, folder: Path, subject: str) -> list[str]:
+    """Return the values that the protocol asks for and the file does not have.
+
+    Raises:
+        UnusableInputError: the file cannot be read.
+    """
+    known = read_demographics(folder).get(subject, {})
+    return [name for name in protocol.demographics if not known.get(name, "").strip()]
+
+
+def add_photograph(folder: Path, subject: str, site: str, source: Path) -> Path:
+    """Copy a photograph of a site into the folder of a study, and return the copy. No file is replaced.
+
+    Descriptions in the file, such as place, time and owner of the camera, are left out.
+
+    Raises:
+        UnusableInputError: it is no JPEG or PNG picture, too large, or cannot be read or written.
+    """
+    from tissueid.acquisition.waveform_file import read_at_most  # it imports scipy
+
+    subject = check_pseudonym(subject)
+    too_large = Message(
+        "photograph.large",
+        "{path} is larger than {most:g} MB",
+        path=str(source),
+        most=_LARGEST_PHOTOGRAPH / 1e6,
+    )
+    data = read_at_most(source, _LARGEST_PHOTOGRAPH, too_large)
+    try:
+        suffix, bare = (".jpg", _bare_jpeg(data)) if data[:2] == _JPEG else (".png", _bare_png(data))
+    except (ValueError, IndexError) as error:
+        raise UnusableInputError(
+            Message("photograph.kind", "{path} is not a JPEG or PNG picture", path=str(source))
+        ) from error
+    place = "".join(c if c.isalnum() else "-" for c in site).strip("-")[:60] or "site"
+    target = folder / PHOTOGRAPHS / f"{subject} {place}{suffix}"
+    try:
+        private_folder(target.parent)
+        target = unused_path(target)
+        with atomic_file(target, new=True) as partial:
+            partial.write_bytes(bare)
+    except OSError as error:
+        raise unwritable(target, error) from error
+    return target
+
+
+def _number(name: str, bounds: tuple[float, float], text: str) -> str:
+    try:
+        value = float(text.replace(",", "."))
+    except ValueError:
+        value = float("nan")
+    if not bounds[0] <= value <= bounds[1]:
+        raise UnusableInputError(
+            Message(
+                "subjects.range",
+                "{name} must be a number from {least:g} to {most:g}, got '{value}'",
+                name=Verbatim(name),
+                least=bounds[0],
+                most=bounds[1],
+                value=Verbatim(clean(text)[:_LONGEST]),
+            )
+        )
+    return f"{value:.10g}"
+
+
+_JPEG, _PNG = b"\xff\xd8", b"\x89PNG\r\n\x1a\n"
+_START_OF_SCAN, _ADOBE = 0xDA, 0xEE
+_DESCRIPTIONS: Sequence[bytes] = (b"tEXt", b"iTXt", b"zTXt", b"eXIf", b"tIME")
+
+
+def _bare_jpeg(data: bytes) -> bytes:
+    """Return a JPEG picture without application segments and comments; ValueError where it is none."""
+    kept, at = bytearray(data[:2]), 2
+    while True:
+        if data[at] != 0xFF:
+            raise ValueError("a segment must begin with a marker")
+        marker, length = data[at + 1], int.from_bytes(data[at + 2 : at + 4], "big")
+        if length < 2 or at + 2 + length > len(data):
+            raise ValueError("a segment is cut off")
+        if marker == _START_OF_SCAN:
+            return bytes(kept + data[at:])
+        described = 0xE1 <= marker <= 0xEF and marker != _ADOBE
+        if not described and marker != 0xFE:
+            kept += data[at : at + 2 + length]
+        at += 2 + length
+
+
+def _bare_png(data: bytes) -> bytes:
+    """Return a PNG picture without descriptions; ValueError where it is none."""
+    if data[:8] != _PNG or data[12:16] != b"IHDR":
+        raise ValueError("no picture begins like this")
+    kept, at = bytearray(data[:8]), 8
+    while at < len(data):
+        kind, end = data[at + 4 : at + 8], at + 12 + int.from_bytes(data[at : at + 4], "big")
+        if end > len(data):
+            raise ValueError("a part is cut off")
+        if kind not in _DESCRIPTIONS:
+            kept += data[at:end]
+        if kind == b"IEND":
+            return bytes(kept)
+        at = end
+    raise ValueError("the end is missing")

@@ -1,0 +1,240 @@
+"""The page of studies: table, filters, analysis that can be cancelled and continues, figures, report, and sittings."""
+
+import json
+from pathlib import Path
+
+import pytest
+from app.benches import WAIT_MS
+from app.views.test_clinician import idle, press
+from coded import shows
+from procedures.test_study import SUBJECTS, fill
+from PySide6.QtCore import Qt
+
+from tissueid.app.views.studies import view as studies_view
+from tissueid.app.views.studies.study_data import NOT_ANALYSED, load_study
+from tissueid.app.views.studies.tests_model import SITE, SUBJECT, WITHOUT
+from tissueid.errors import UnusableInputError
+from tissueid.procedures.study_plans import RESULTS
+from tissueid.procedures.study_protocol import PROTOCOL_FILE, protocol_text, template
+
+pytestmark = [pytest.mark.qt_log_level_fail("WARNING"), pytest.mark.qt_log_ignore("This plugin does not support")]
+
+HEAD = "session,subject,site,condition,minutes_since_application,repeat,quality,engine,vaf_percent,problem,m_kg,m_kg_sd"
+TESTS = (
+    ("a/1.h5", "P01", "arm", "", "", 1, "good", "lms", 80.0, "", 0.003, 0.0001),
+    ("a/1.h5", "P01", "arm", "lotion", 60.0, 1, "look", "lms", 85.5, "", 0.002, ""),
+    ("b/1.h5", "P02", "leg", "", "", 1, "repeat", "lms", "", "too short", "", ""),
+)
+
+
+@pytest.fixture
+def folder(tmp_path):
+    """A study with a table of three tests, and a session that is not in it."""
+    study = tmp_path / "study"
+    (study / RESULTS).mkdir(parents=True)
+    lines = [HEAD, *(",".join(map(str, row)) for row in TESTS)]
+    (study / RESULTS / "table.csv").write_text("\n".join(lines))
+    for name in ("a/1.h5", "b/1.h5", "c/new.h5"):
+        (study / name).parent.mkdir(exist_ok=True)
+        (study / name).touch()
+    return study
+
+
+@pytest.fixture(scope="module")
+def recorded(tmp_path_factory):
+    """A study of a few sessions, not analysed; tests that change it copy it."""
+    path = tmp_path_factory.mktemp("recorded") / "study"
+    fill(path)
+    return path
+
+
+def opened(qtbot, window, folder):
+    window.pages.show("studies")
+    page = window.ui.views["studies"]
+    page.open_study(folder)
+    qtbot.waitUntil(lambda: idle(window), timeout=WAIT_MS)
+    return page
+
+
+def texts(page, column):
+    model = page.tests.model
+    return [model.data(model.index(row, column)) for row in range(model.rowCount())]
+
+
+# -- the table ------------------------------------------------------------------------------------------------------
+
+
+def test_a_study_is_read(folder):
+    data = load_study(folder)
+    assert (data.tests, data.without_row, data.sessions) == (3, 1, 3)
+    assert data.parameters == ("m_kg",)
+    assert data.rows[0].problem == NOT_ANALYSED
+    assert load_study(folder, {str(Path("c/new.h5")): "damaged"}).rows[0].problem == "damaged"
+    assert data.rows[2].minutes == 60.0
+
+
+@pytest.mark.parametrize("text", ["a,b\n1,2\n", "", "session,subject,site" + ",x" * 1000, "\udcff"])
+def test_a_table_that_is_none_is_refused(folder, text):
+    (folder / RESULTS / "table.csv").write_bytes(text.encode("utf-8", "surrogateescape"))
+    with pytest.raises(UnusableInputError, match=r"table\.csv"):
+        load_study(folder)
+
+
+def test_rows_are_filtered_and_sorted(qtbot, window, folder):
+    page = opened(qtbot, window, folder)
+    tests, model = page.tests, page.tests.model
+    assert texts(page, SITE) == ["", "arm", "arm", "leg"]
+    assert texts(page, SUBJECT)[0].startswith(f"{Path('c/new.h5')}: ")
+    assert tests.table.columnSpan(0, 0) == model.columnCount()
+    assert shows(tests.count.text(), "study.count", shown=4, count=4, tests=3, sessions=3)
+    assert shows(tests.count.text(), "study.without_row", count=1)
+    tests.words.setText("P01 LOTION")
+    assert texts(page, SITE) == ["arm"]
+    assert tests.table.columnSpan(0, 0) == 1
+    tests.words.clear()
+    tests.site.setCurrentIndex(tests.site.findData("leg"))
+    assert texts(page, SUBJECT) == ["P02"]
+    tests.site.setCurrentIndex(0)
+    tests.condition.setCurrentIndex(tests.condition.findData(WITHOUT))
+    assert texts(page, SITE) == ["arm", "leg"]
+    tests.condition.setCurrentIndex(0)
+    mass = 7
+    tests.table.sortByColumn(mass, Qt.SortOrder.AscendingOrder)
+    assert texts(page, mass) == ["", "2", "3.00 ± 0.10", "—"]
+    tests.table.sortByColumn(mass, Qt.SortOrder.DescendingOrder)
+    assert texts(page, mass) == ["", "3.00 ± 0.10", "2", "—"]
+    tests.table.sortByColumn(SUBJECT, Qt.SortOrder.DescendingOrder)
+    assert texts(page, SUBJECT)[1:] == ["P02", "P01", "P01"]
+    assert tests.table.columnSpan(0, 0) == model.columnCount()
+
+
+def test_columns_are_chosen(qtbot, window, folder):
+    page = opened(qtbot, window, folder)
+    count = page.tests.model.columnCount()
+    (action,) = page.tests.parameters.menu().actions()
+    action.setChecked(False)
+    assert page.tests.model.columnCount() == count - 1
+    action.setChecked(True)
+    assert page.tests.model.columnCount() == count
+
+
+def test_a_folder_that_is_no_study_says_why(qtbot, window, folder, tmp_path):
+    page = opened(qtbot, window, tmp_path / "nowhere")
+    assert shows(window.ui.notice.text.text(), "study.no_folder")
+    assert page.data is None
+    (folder / RESULTS / "table.csv").write_text("rubbish")
+    opened(qtbot, window, folder)
+    assert shows(window.ui.notice.text.text(), "study.table_unreadable")
+
+
+# -- analysis -------------------------------------------------------------------------------------------------------
+
+
+def choose_lms(page):
+    page.asking.engine.setCurrentIndex(page.asking.engine.findData("lms"))
+
+
+def test_a_study_is_analysed_drawn_and_reported(qtbot, open_window, recorded):
+    shown = []
+    window = open_window(show_file=lambda path: shown.append(path) or True)
+    (recorded / "damaged.h5").write_bytes(b"rubbish" * 99)
+    page = opened(qtbot, window, recorded)
+    assert page.data.tests == 0
+    assert not page.figures.compute.isEnabled()
+    choose_lms(page)
+    press(qtbot, page.asking.analyse)
+    qtbot.waitUntil(lambda: idle(window), timeout=WAIT_MS)
+    assert page.data.tests == 4 * SUBJECTS
+    assert shows(window.ui.notice.text.text(), "study.analysed", count=1)
+    assert "damaged.h5: " in texts(page, SUBJECT)[0]
+    assert NOT_ANALYSED not in texts(page, SUBJECT)[0]
+    assert page.asking.bar.isHidden()
+    press(qtbot, page.asking.report)
+    qtbot.waitUntil(lambda: idle(window), timeout=WAIT_MS)
+    assert (recorded / RESULTS / "report.html").stat().st_size > 10_000
+    page.compute_figures()
+    qtbot.waitUntil(lambda: idle(window), timeout=WAIT_MS)
+    assert page.tabs.currentWidget() is page.figures
+    titles = [page.figures.kind.itemText(place) for place in range(page.figures.kind.count())]
+    assert titles[:3] == ["Subjects", "Sites", "Variation"]
+    for place in range(len(titles)):
+        page.figures.kind.setCurrentIndex(place)
+        assert page.figures.canvas.plots
+    page.figures.kind.setCurrentIndex(0)
+    page.figures.parameter.setCurrentIndex(page.figures.parameter.findData("stiffness_n_per_m"))
+    assert page.figures.canvas.plots[0].y.label == "Stiffness"
+
+
+def test_a_cancelled_analysis_continues(qtbot, window, tmp_path, monkeypatch):
+    fill(tmp_path / "s", subjects=1)
+    page = opened(qtbot, window, tmp_path / "s")
+    choose_lms(page)
+    analyse = studies_view.analyse_study
+
+    def cancelled_soon(plan, control):
+        checks = []
+
+        def cancelled():
+            checks.append(1)
+            return len(checks) > 1
+
+        monkeypatch.setattr(control, "cancelled", cancelled)
+        return analyse(plan, control)
+
+    monkeypatch.setattr(studies_view, "analyse_study", cancelled_soon)
+    page.analyse()
+    assert page.asking.stop.isVisible()
+    assert not page.asking.analyse.isEnabled()
+    qtbot.waitUntil(lambda: idle(window), timeout=WAIT_MS)
+    assert shows(window.ui.notice.text.text(), "study.cancelled")
+    assert len(list((tmp_path / "s" / RESULTS).glob("lms-*/*.json"))) == 1
+    monkeypatch.setattr(studies_view, "analyse_study", analyse)
+    page.analyse()
+    qtbot.waitUntil(lambda: idle(window), timeout=WAIT_MS)
+    assert page.data.tests == 4
+
+
+def test_a_wrong_option_says_why(qtbot, window, recorded):
+    page = opened(qtbot, window, recorded)
+    page.asking.options.setText("nonsense=1")
+    page.analyse()
+    qtbot.waitUntil(lambda: idle(window), timeout=WAIT_MS)
+    assert shows(window.ui.notice.text.text(), "option.unknown")
+
+
+# -- protocol and sitting -------------------------------------------------------------------------------------------
+
+
+def test_a_study_without_a_protocol_gets_one(qtbot, window, folder):
+    page = opened(qtbot, window, folder)
+    assert not page.asking.measure.isVisible()
+    press(qtbot, page.asking.template)
+    qtbot.waitUntil(lambda: idle(window), timeout=WAIT_MS)
+    assert (folder / PROTOCOL_FILE).read_text(encoding="utf-8") == protocol_text(template())
+    assert shows(page.asking.protocol.text(), "study.protocol", count=20)
+    assert not page.asking.template.isVisible()
+    page.asking.subject.setText("P07")
+    press(qtbot, page.asking.measure)
+    qtbot.waitUntil(lambda: idle(window) and window.study.leads, timeout=WAIT_MS)
+    assert window.ui.page == "measure"
+    assert window.ui.form.subject.text() == "P07"
+    window.study.dialog.reject()
+
+
+def test_a_bad_protocol_is_stated_on_the_page(qtbot, window, folder):
+    (folder / PROTOCOL_FILE).write_text(json.dumps({"name": "x", "sites": []}))
+    page = opened(qtbot, window, folder)
+    assert shows(page.asking.protocol.text(), "protocol.no_site")
+    assert not page.asking.measure.isVisible()
+    assert not page.asking.template.isVisible()
+    assert page.data.tests == 3
+
+
+def test_the_last_study_is_opened_again(qtbot, open_window, folder):
+    window = open_window()
+    opened(qtbot, window, folder)
+    window.close()
+    again = open_window()
+    again.pages.show("studies")
+    qtbot.waitUntil(lambda: idle(again) and again.ui.views["studies"].data is not None, timeout=WAIT_MS)
+    assert again.ui.views["studies"].data.folder == folder

@@ -1,0 +1,160 @@
+"""A sitting of a study leads the page of the guided test; it starts no test by itself."""
+
+import json
+
+import pytest
+from app.benches import WAIT_MS
+from app.views.test_clinician import idle, press, run_test, seeded
+from coded import shows
+
+from tissueid.procedures.study_plans import SUBJECTS_FILE
+from tissueid.procedures.study_protocol import PROTOCOL_FILE
+from tissueid.procedures.study_sitting import open_sitting
+from tissueid.procedures.study_subjects import read_demographics
+from tissueid.sessions import read_session
+
+pytestmark = [pytest.mark.qt_log_level_fail("WARNING"), pytest.mark.qt_log_ignore("This plugin does not support")]
+
+LOTION = {"product": "lotion", "minutes_since_application": 60.0}
+PROTOCOL = {
+    "name": "Lotion",
+    "sites": ["left calf", "abdomen"],
+    "repeats": 1,
+    "seconds": 1.0,
+    "demographics": [],
+    "conditions": [{}, LOTION],
+}
+
+
+@pytest.fixture
+def study(tmp_path):
+    folder = tmp_path / "study"
+    folder.mkdir()
+
+    def write(**changes):
+        (folder / PROTOCOL_FILE).write_text(json.dumps(PROTOCOL | changes))
+        return folder
+
+    return write
+
+
+def begin(qtbot, window, folder, subject="P01"):
+    window.context.begin_sitting(folder, subject)
+    qtbot.waitUntil(lambda: idle(window), timeout=WAIT_MS)
+
+
+def test_the_window_leads_through_a_sitting(qtbot, open_window, bench, study):
+    window = open_window(opener=seeded(bench))
+    folder, ui, card = study(), window.ui, window.ui.study_card
+    assert card.isHidden()
+    begin(qtbot, window, folder)
+    assert card.isVisible()
+    assert card.progress_text.text() == "1 of 4"
+    assert (ui.form.site.currentText(), ui.form.subject.text()) == ("left calf", "P01")
+    assert card.map.next_site == "left calf"
+    assert not window.testing
+    run_test(qtbot, window, ui.start)
+    assert card.progress_text.text() == "2 of 4"
+    assert ui.form.site.currentText() == "abdomen"
+    assert card.map.finished == {"left calf"}
+    assert not ui.gate.repeats.offers_repeat
+    assert ui.gate.run_again.isHidden()
+    (path,) = (folder / "P01").glob("*.h5")
+    assert read_session(path).subject.pseudonym == "P01"
+    assert open_sitting(folder, "P01").step == window.study.state.step
+    press(qtbot, card.leave)
+    assert card.isHidden()
+    assert ui.form.folder == window.services.folder
+    assert ui.form.subject.text() == ""
+    begin(qtbot, window, folder)
+    assert card.progress_text.text() == "2 of 4"
+
+
+def test_a_condition_is_filled_in_and_stored(qtbot, open_window, bench, study):
+    window = open_window(opener=seeded(bench))
+    folder, ui = study(sites=["left calf"], conditions=[LOTION]), window.ui
+    begin(qtbot, window, folder)
+    assert (ui.form.product.text(), ui.form.minutes.given) == ("lotion", 60.0)
+    assert shows(ui.study_card.condition.text(), "study.after", minutes=60.0)
+    ui.form.minutes.give(63.5)
+    run_test(qtbot, window, ui.start)
+    (path,) = (folder / "P01").glob("*.h5")
+    notes = read_session(path).test().notes
+    assert (notes["condition"], notes["minutes_since_application"]) == ("lotion", 63.5)
+    assert ui.study_card.map.next_site == ""
+    assert shows(ui.study_card.site.text(), "study.all", total=1)
+    assert shows(ui.notice.text.text(), "study.complete")
+
+
+def test_demographic_values_are_asked_for_once(qtbot, open_window, study):
+    window = open_window()
+    folder = study(demographics=["age_years", "gender", "skin_conditions"])
+    begin(qtbot, window, folder)
+    dialog = window.study.dialog
+    assert dialog.isVisible()
+    dialog.fields["skin_conditions"].setText("a@b")
+    dialog.save()
+    assert shows(dialog.problem.text(), "subjects.text")
+    assert not (folder / SUBJECTS_FILE).exists()
+    dialog.fields["skin_conditions"].setText("none")
+    dialog.fields["age_years"].give(30.0)
+    dialog.fields["gender"].setCurrentIndex(1)
+    dialog.save()
+    qtbot.waitUntil(lambda: idle(window), timeout=WAIT_MS)
+    wanted = {"subject": "P01", "age_years": "30", "gender": "female", "skin_conditions": "none"}
+    assert read_demographics(folder)["P01"] == wanted
+    window.study.dialog = None
+    begin(qtbot, window, folder)
+    assert window.study.dialog is None
+    window.study.ask_demographics()
+    assert window.study.dialog.fields["age_years"].given == 30.0
+    window.study.dialog.reject()
+
+
+@pytest.mark.parametrize(("subject", "code"), [("John Smith", "protocol.pseudonym"), ("P01", "protocol.none")])
+def test_a_sitting_that_cannot_be_opened_says_why(qtbot, window, tmp_path, subject, code, study):
+    folder = study() if code == "protocol.pseudonym" else tmp_path
+    begin(qtbot, window, folder, subject)
+    assert window.study.state is None
+    assert window.ui.study_card.isHidden()
+    assert shows(window.ui.notice.text.text(), code)
+
+
+def test_unreadable_sessions_of_a_subject_are_mentioned(qtbot, window, study):
+    folder = study()
+    (folder / "P01").mkdir()
+    (folder / "P01" / "x.h5").write_bytes(b"rubbish")
+    begin(qtbot, window, folder)
+    assert shows(window.ui.notice.text.text(), "study.unreadable", count=1, file="x.h5")
+    assert window.ui.study_card.progress_text.text() == "1 of 4"
+
+
+def test_a_photograph_goes_into_the_folder(qtbot, window, tmp_path, study):
+    folder = study(photograph=True)
+    begin(qtbot, window, folder)
+    assert window.ui.study_card.photograph.isVisible()
+    source = tmp_path / "p.png"
+    window.ui.study_card.grab().save(str(source))
+    window.study.add_photograph(str(source))
+    qtbot.waitUntil(lambda: idle(window), timeout=WAIT_MS)
+    assert [path.name for path in (folder / "photographs").iterdir()] == ["P01 left-calf.png"]
+    (tmp_path / "p.jpg").write_bytes(b"no")
+    window.study.add_photograph(str(tmp_path / "p.jpg"))
+    qtbot.waitUntil(lambda: idle(window), timeout=WAIT_MS)
+    assert shows(window.ui.notice.text.text(), "photograph.kind")
+
+
+def test_condition_fields(window):
+    form = window.ui.form
+    form.site.setCurrentText("abdomen")
+    assert not form.minutes.isEnabled()
+    assert form.plan().condition == ""
+    form.product.setText("lotion")
+    assert form.minutes.isEnabled()
+    assert form.plan().minutes_since_application is None
+    form.minutes.lineEdit().setText("12,5 min")
+    assert form.plan().minutes_since_application == 12.5
+    form.minutes.lineEdit().setText("-3")
+    assert form.plan().minutes_since_application == 12.5
+    form.product.clear()
+    assert form.plan().minutes_since_application is None
