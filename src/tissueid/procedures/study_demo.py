@@ -15,6 +15,7 @@ from tissueid.gap.workers import executor
 from tissueid.instrument import Instrument, SimulatedInstrument
 from tissueid.language import marked
 from tissueid.messages import Message
+from tissueid.procedures.cluster import check_packages
 from tissueid.procedures.control import Control, CountedProgress
 from tissueid.procedures.output_files import write_text
 from tissueid.procedures.plan_options import Option, Plan
@@ -31,7 +32,6 @@ from tissueid.procedures.simulated_population import (
 )
 from tissueid.procedures.study_plans import SUBJECTS_FILE, StudyReportPlan
 from tissueid.procedures.study_report import StudyReport, report_study
-from tissueid.procedures.study_run import check_packages
 from tissueid.procedures.test_plan import TestPlan
 from tissueid.procedures.test_run import TestControl, run_test
 

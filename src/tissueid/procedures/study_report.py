@@ -7,10 +7,11 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from tissueid.language import marked
+from tissueid.procedures.cluster import check_packages
 from tissueid.procedures.control import Control
 from tissueid.procedures.output_files import HTML, PDF, check_different, check_output, unwritable, write_text
 from tissueid.procedures.study_plans import RESULTS, StudyReportPlan
-from tissueid.procedures.study_run import StudyRun, check_packages, run_study
+from tissueid.procedures.study_run import StudyRun, run_study
 
 if TYPE_CHECKING:
     from tissueid.studies.study_statistics import StudyStatistics

@@ -11,16 +11,15 @@ import functools
 import hashlib
 import json
 from collections.abc import Mapping
-from contextlib import AbstractContextManager
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
 from tissueid import __version__
 from tissueid.atomic_write import private_folder
 from tissueid.errors import TissueIDError, UnusableInputError
-from tissueid.gap.workers import Executor, executor
 from tissueid.language import marked
 from tissueid.messages import Message, Verbatim
+from tissueid.procedures.cluster import check_packages, plan_executor
 from tissueid.procedures.control import Control, CountedProgress
 from tissueid.procedures.plan_options import parse_options
 from tissueid.procedures.session_store import FolderStore, RemoteStore, SessionStore
@@ -104,28 +103,6 @@ def run_study(plan: StudyPlan, control: Control) -> StudyRun:
     return StudyRun(plan, table, failures, len(keys), len(new))
 
 
-def check_packages(*names: str) -> None:
-    """Check that optional packages are installed.
-
-    Raises:
-        UnusableInputError: one is missing; the message names the command that installs it.
-    """
-    import importlib.util
-    import sys
-
-    for name in names:
-        if importlib.util.find_spec(name) is None:
-            raise UnusableInputError(
-                Message(
-                    "study.no_package",
-                    "studies need {package}, which is not installed: {python} -m pip install 'tissueid[{extra}]'",
-                    package=Verbatim(name),
-                    python=Verbatim(sys.executable),
-                    extra=Verbatim("cluster" if name in ("distributed", "fsspec") else "study"),
-                )
-            )
-
-
 def _analysis(plan: StudyPlan, options: Mapping[str, Any]) -> str:
     about = json.dumps([dict(options), plan.held_out, __version__], sort_keys=True)
     return f"{plan.engine}-{hashlib.sha256(about.encode()).hexdigest()[:12]}"
@@ -146,24 +123,6 @@ def _decoded(content: bytes | None) -> dict[str, Any] | None:
     except ValueError:  # a damaged file is computed again
         return None
     return found if isinstance(found, dict) and ("rows" in found or _FAILED in found) else None
-
-
-def plan_executor(workers: int | None, scheduler: str | None) -> AbstractContextManager[Executor]:
-    """Return the executor of a plan: processes of this machine, or the workers of a Dask scheduler.
-
-    Args:
-        workers: number of processes; None for one per processor.
-        scheduler: address such as ``tcp://host:8786``, or None for this machine.
-
-    Raises:
-        UnusableInputError: the package is missing, or no scheduler answers.
-    """
-    if scheduler is None:
-        return executor(workers)
-    check_packages("distributed")
-    from tissueid.procedures.cluster import cluster_executor
-
-    return cluster_executor(scheduler)
 
 
 def _analysed(
