@@ -18,6 +18,7 @@ EXTRAS: Mapping[str, str] = {
     "sklearn": "study",
     "statsmodels": "study",
     "distributed": "cluster",
+    "fsspec": "cluster",
 }
 """Extra that installs each optional package, by the name under which the package is imported."""
 

@@ -232,6 +232,14 @@ def test_a_drift_is_distinguished_from_a_jump():
     assert finding.value == pytest.approx(0.72e-3, rel=0.15)
 
 
+@pytest.mark.parametrize("phase", [0.0, 1.57, 3.14, 4.71])
+def test_a_breath_is_no_drift_that_asks_for_a_repeat(phase):
+    test = Desk().run(with_preload(Noise(seed=4, seconds=4.0, sample_rate=RATE).build(), 0.5))
+    breath = 0.08e-3 * np.sin(2.0 * np.pi * 0.25 * np.arange(test.samples) / RATE + phase)
+    finding = found(with_signal(test, "position", test.signals["position"] + breath)).get("reference_moved")
+    assert finding is None or (finding.severity == "look" and finding.value < 0.25e-3)
+
+
 @pytest.mark.parametrize(("metres", "severity"), [(0.3e-3, "look"), (-0.3e-3, "look"), (-0.8e-3, "repeat")])
 def test_a_jump_during_the_preload_is_found(metres, severity):
     finding = found(Desk().run(hook=lambda bench, at: move(bench, metres) if at == 500 else None))["reference_moved"]

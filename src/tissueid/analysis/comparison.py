@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -20,6 +20,9 @@ from tissueid.identification.registry import engine_names, get_engine
 from tissueid.identification.validation.repeats import Ceiling
 from tissueid.language import marked
 from tissueid.messages import Message, Verbatim, joined
+
+Fits = Callable[[Sequence[Engine], Split], "list[Analysis | str]"]
+"""Function that fits engines to a split record: an analysis of each, or the reason for which it refused."""
 
 
 @dataclass(frozen=True)
@@ -107,8 +110,9 @@ def compare(
     ceiling: Ceiling | None = None,
     sweep: bool = False,
     progress: Progress = lambda _what, _share: None,
+    fits: Fits | None = None,
 ) -> EngineComparison:
-    """Fit engines one after another, score them on the same samples, and recommend one.
+    """Fit engines one after another, or as ``fits`` does it, score them on the same samples, and recommend one.
 
     An engine that refuses the record gets a row with the reason. ``ceiling`` is the highest VAF that repeats allow,
     from :func:`known_ceiling`. ``sweep`` adds scores against memory. ``progress`` is called with the name of the
@@ -119,13 +123,11 @@ def compare(
     """
     done: dict[str, Analysis] = {}
     refused: dict[str, str] = {}
-    for engine in engines:
-        progress(engine.name, 0.0)
-        try:
-            done[engine.name] = fit_split(engine, parts)
-        except UnusableInputError as error:
-            refused[engine.name] = error.message
-        progress(engine.name, 1.0)
+    for engine, outcome in zip(engines, (fits or _fit_each(progress))(engines, parts), strict=True):
+        if isinstance(outcome, Analysis):
+            done[engine.name] = outcome
+        else:
+            refused[engine.name] = outcome
     if not done:
         raise UnusableInputError(_no_engine_message(refused))
     rows = dict(zip(done, scored(list(done.values()), parts), strict=True))
@@ -146,6 +148,26 @@ def compare(
         ceiling=ceiling,
         memory_sweep=memory_sweep(engines, parts, progress) if sweep else (),
     )
+
+
+def fit_or_reason(parts: Split, engine: Engine) -> Analysis | str:
+    """Fit an engine; return the reason where it refuses the record. It can run in another process."""
+    try:
+        return fit_split(engine, parts)
+    except UnusableInputError as error:
+        return error.message
+
+
+def _fit_each(progress: Progress) -> Fits:
+    def fits(engines: Sequence[Engine], parts: Split) -> list[Analysis | str]:
+        found: list[Analysis | str] = []
+        for engine in engines:
+            progress(engine.name, 0.0)
+            found.append(fit_or_reason(parts, engine))
+            progress(engine.name, 1.0)
+        return found
+
+    return fits
 
 
 def _no_engine_message(refused: Mapping[str, str]) -> str:

@@ -15,8 +15,8 @@ from tissueid.procedures.study_plans import RESULTS, StudyPlan, StudyReportPlan
 from tissueid.procedures.study_report import StudyReport, report_study
 from tissueid.procedures.study_run import StudyRun, run_study
 from tissueid.studies.repeatability import variation
-from tissueid.studies.study_statistics import usable_tests
 from tissueid.studies.study_table import as_json_rows
+from tissueid.studies.usable_tests import parameters_used, usable_tests
 from tissueid.units import display_unit
 
 
@@ -43,8 +43,8 @@ def print_table(plan: StudyPlan, json_file: Path | None) -> None:
     check_json(json_file)
     with console_control() as control:
         run = run_study(plan, control)
-    used, parameters, _remarks = usable_tests(run.table)
-    rows = variation(used, parameters)
+    used = usable_tests(run.table).used
+    rows = variation(used, parameters_used(used, []))
     console = human_output(json_file)
     shown = table(
         "Parameters by site", "Site", "Parameter", "Subjects", "Tests", "Mean", "SD", "CV within", "CV between"
@@ -68,7 +68,7 @@ def print_report(plan: StudyReportPlan, json_file: Path | None) -> None:
         UnusableInputError: the folder, an option or a file cannot be used.
     """
     check_json(json_file)
-    check_different(json_file, plan.report)
+    check_different(json_file, plan.report, plan.pdf)
     with console_control() as control:
         found = report_study(plan, control)
     _print_report(found, json_file)
@@ -91,7 +91,7 @@ def _print_report(found: StudyReport, json_file: Path | None) -> None:
     for remark in found.statistics.remarks:
         console.print(f"note: {remark}", markup=False, soft_wrap=True)
     _print_counts(found.run, json_file)
-    console.print(f"report: {found.page}", markup=False, soft_wrap=True)
+    console.print(f"report: {found.page} and {found.pdf}", markup=False, soft_wrap=True)
     if json_file is not None:
         write_json(json_file, found.as_answer())
 

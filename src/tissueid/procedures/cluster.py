@@ -3,10 +3,12 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Sequence
-from contextlib import contextmanager
+from contextlib import AbstractContextManager, contextmanager
 from typing import Any, TypeVar
 
 from tissueid.errors import CancelledError, UnusableInputError
+from tissueid.extras import check_packages
+from tissueid.gap.workers import Executor, executor
 from tissueid.messages import Message, Verbatim
 
 T = TypeVar("T")
@@ -71,3 +73,19 @@ def cluster_executor(address: str) -> Iterator[ClusterExecutor]:
         yield ClusterExecutor(client)
     finally:
         client.close()
+
+
+def plan_executor(workers: int | None, scheduler: str | None) -> AbstractContextManager[Executor]:
+    """Return the executor of a plan: processes of this machine, or the workers of a Dask scheduler.
+
+    Args:
+        workers: number of processes; None for one per processor.
+        scheduler: address such as ``tcp://host:8786``, or None for this machine.
+
+    Raises:
+        UnusableInputError: the package is missing, or no scheduler answers.
+    """
+    if scheduler is None:
+        return executor(workers)
+    check_packages("distributed")
+    return cluster_executor(scheduler)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import functools
 import os
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
@@ -9,16 +10,20 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
 from tissueid.errors import UnusableInputError
+from tissueid.language import marked
 from tissueid.messages import Message, Verbatim
-from tissueid.procedures.control import Control
+from tissueid.procedures.cluster import plan_executor
+from tissueid.procedures.control import Control, CountedProgress
 from tissueid.procedures.identification import FitPlan
 from tissueid.procedures.output_files import HTML, check_output, check_report, unwritable
 from tissueid.procedures.plan_options import Option, parse_options
 
 if TYPE_CHECKING:  # each takes long to import
-    from tissueid.analysis import EngineComparison
+    from tissueid.analysis import Analysis, EngineComparison, Split
     from tissueid.identification import Engine
     from tissueid.sessions import Session
+
+_FITTING = marked("Fitting engines")
 
 
 class ComparePlan(FitPlan):
@@ -35,6 +40,10 @@ class ComparePlan(FitPlan):
         tuple[str, ...],
         Option("--option", metavar="ENGINE.NAME=VALUE", help="option of one engine; may be repeated"),
     ] = ()
+    scheduler: Annotated[
+        str | None,
+        Option("--scheduler", metavar="ADDRESS", help="Dask scheduler, such as tcp://host:8786: fit engines there"),
+    ] = None
     sweep: Annotated[bool, Option("--memory-sweep", help="also compute scores against memory; slow")] = False
     page: Annotated[Path | None, Option("--out", metavar="FILE", help="write the report, one HTML page")] = None
     figures: Annotated[
@@ -81,6 +90,7 @@ def run_comparison(plan: ComparePlan, control: Control) -> ComparedTests:
         sweep=plan.sweep,
         detrend=plan.detrend,
         band_hz=(plan.low_hz, plan.high_hz),
+        scheduler=plan.scheduler,
     )
     figures = _draw(compared, plan.page, plan.figures, control)
     return ComparedTests(session, compared.found, compared.no_ceiling, figures)
@@ -99,10 +109,12 @@ def compare_engines(
     sweep: bool = False,
     detrend: bool = False,
     band_hz: tuple[float | None, float | None] = (None, None),
+    scheduler: str | None = None,
 ) -> ComparedTests:
     """Fit engines to one test, or to several jointly, and compare them; arguments as the options of ``ComparePlan``.
 
-    The control shows the name of each engine, and other steps, with the completed share of the step.
+    With the address of a Dask ``scheduler`` its workers fit the engines, each one at a time. The control shows the
+    name of each engine, and other steps, with the completed share of the step.
 
     Raises:
         UnusableInputError: a test cannot be used, or every engine refused it.
@@ -125,8 +137,17 @@ def compare_engines(
         ceiling = known_ceiling(session, parts)
     except UnusableInputError as error:
         ceiling, no_ceiling = None, error.message
-    found = compare(engines, parts, ceiling=ceiling, sweep=sweep, progress=_shown(control))
+    fits = None if scheduler is None else functools.partial(_fits_on_cluster, scheduler, control)
+    found = compare(engines, parts, ceiling=ceiling, sweep=sweep, progress=_shown(control), fits=fits)
     return ComparedTests(session, found, no_ceiling)
+
+
+def _fits_on_cluster(scheduler: str, control: Control, engines: Sequence[Engine], parts: Split) -> list[Analysis | str]:
+    from tissueid.analysis.comparison import fit_or_reason
+
+    done = CountedProgress(control, _FITTING, len(engines))
+    with plan_executor(None, scheduler) as pool:
+        return pool.do(functools.partial(fit_or_reason, parts), list(engines), control.check, done)
 
 
 def _shown(control: Control) -> Callable[[str, float], None]:

@@ -19,7 +19,7 @@ from platformdirs import user_cache_path
 
 from tissueid import __version__
 from tissueid.errors import CancelledError, UnusableInputError
-from tissueid.gap import Diagnosis, as_answer, diagnose, executor, prepare
+from tissueid.gap import Diagnosis, as_answer, diagnose, prepare
 from tissueid.gap.answer_store import store_answer, stored_answer
 from tissueid.gap.history import GapHistory, HistoryEntry
 from tissueid.gap.twin_export import against_twin
@@ -27,6 +27,7 @@ from tissueid.gap.workers import SerialExecutor
 from tissueid.instrument.twin_file import TwinFile, read_twin
 from tissueid.language import marked
 from tissueid.messages import Message, Verbatim
+from tissueid.procedures.cluster import plan_executor
 from tissueid.procedures.control import Control, CountedProgress
 from tissueid.procedures.gap_plans import FolderPlan, WatchPlan
 from tissueid.procedures.output_files import HTML, check_output, write_text
@@ -61,7 +62,7 @@ def watch_folder(plan: WatchPlan, control: Control) -> WatchedFolder:
     """
     check_output(plan.report, HTML)
     twin = read_twin(plan.twin)
-    answers = _diagnosed(_session_files(plan.folder), twin, plan.workers, control, as_answer)
+    answers = _diagnosed(_session_files(plan.folder), twin, plan, control, as_answer)
     entries = [_entry(path, answer) for path, answer in answers.items()]
     if all(entry.answer is None for entry in entries):
         raise UnusableInputError(
@@ -90,7 +91,7 @@ def diagnose_folder(
         UnusableInputError: there are no session files.
         CancelledError: it was cancelled.
     """
-    answers = _diagnosed(_session_files(plan.folder), None, plan.workers, control, of)
+    answers = _diagnosed(_session_files(plan.folder), None, plan, control, of)
     return {path: answer.get(_REASON) or answer for path, answer in answers.items()}
 
 
@@ -113,14 +114,14 @@ def _session_files(folder: Path) -> list[Path]:
 def _diagnosed(
     files: Sequence[Path],
     twin: TwinFile | None,
-    workers: int | None,
+    plan: FolderPlan,
     control: Control,
     of: Callable[[Diagnosis], dict[str, Any]],
 ) -> dict[Path, dict[str, Any]]:
     kept = _kept_answers(files, twin, of)
     done = CountedProgress(control, _DIAGNOSING, len(files))
     try:
-        with executor(workers) as pool:
+        with plan_executor(plan.workers, plan.scheduler) as pool:
             work = functools.partial(_of_file, of, twin, kept)
             answers = pool.do(work, files, control.check, done)
     except (CancelledError, KeyboardInterrupt):

@@ -92,6 +92,10 @@ class FolderPlan(Plan):
     """Diagnosis of all sessions of a folder. After a kill the same plan continues where it was."""
 
     folder: Annotated[Path, Option(argument=True, metavar="FOLDER", help="a folder of session files")]
+    scheduler: Annotated[
+        str | None,
+        Option("--scheduler", metavar="ADDRESS", help="Dask scheduler, such as tcp://host:8786, for a cluster"),
+    ] = None
     workers: Annotated[
         int | None,
         Option("--workers", metavar="N", help="number of processes; default: one per core"),

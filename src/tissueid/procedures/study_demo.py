@@ -1,14 +1,12 @@
-"""A simulated population as in the studies of the thesis (Chen 2010, 7.1.1), measured, analysed and reported."""
+"""A simulated population as in the studies of the thesis (Chen 2010, chapter 7), measured, analysed and reported."""
 
 from __future__ import annotations
 
 import functools
-from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Annotated
 
-import numpy as np
 from pydantic import Field
 
 from tissueid.atomic_write import private_folder
@@ -16,30 +14,32 @@ from tissueid.errors import UnusableInputError
 from tissueid.extras import check_packages
 from tissueid.gap.workers import executor
 from tissueid.instrument import Instrument, SimulatedInstrument
-from tissueid.instrument.tissues import TISSUES
 from tissueid.language import marked
 from tissueid.messages import Message
 from tissueid.procedures.control import Control, CountedProgress
 from tissueid.procedures.output_files import write_text
 from tissueid.procedures.plan_options import Option, Plan
+from tissueid.procedures.simulated_population import (
+    LOTION_MINUTES,
+    LOTION_SITE,
+    LOTIONS,
+    MATERIAL_TESTS,
+    MATERIALS,
+    SITES,
+    population,
+    sample_name,
+    subjects_file,
+)
 from tissueid.procedures.study_plans import SUBJECTS_FILE, StudyReportPlan
 from tissueid.procedures.study_report import StudyReport, report_study
 from tissueid.procedures.test_plan import TestPlan
 from tissueid.procedures.test_run import TestControl, run_test
 
-SITES: Mapping[str, str] = {
-    "right posterior forearm": "forearm",
-    "right anterior forearm": "anterior-forearm",
-    "left posterior forearm": "forearm",
-    "left anterior forearm": "anterior-forearm",
-}
-"""Sites in the order of the thesis, and their simulated tissues."""
 _MEASURING = marked("Measuring the simulated population")
-HEAVIER_MALE = 1.15
-"""Mass of the tissue at the anterior sites of males relative to females, chosen (Fig. 7.5)."""
-HEAVIER_PER_BMI = 0.03
-"""Relative change of the mass at the anterior sites for 1 kg/m² of body mass index, chosen (Fig. 7.6)."""
-MEAN_BMI = 23.0
+SCALING = ("scaling=1000",)
+"""Stiffness of the linear stage in the thesis, 1000 N/m."""
+MARGIN = 0.1
+"""Relative margin of equivalence of the lotions, chosen."""
 
 
 class PopulationPlan(Plan):
@@ -52,6 +52,7 @@ class PopulationPlan(Plan):
         float, Option("--seconds", metavar="S", help="length of each test without its preload"), Field(ge=1.0, le=30.0)
     ] = 4.0
     seed: Annotated[int, Option("--seed", metavar="N", help="seed of the population"), Field(ge=0, lt=2**31)] = 0
+    products: Annotated[bool, Option(help="also measure materials, and two lotions on each subject")] = True
     workers: Annotated[
         int | None,
         Option("--workers", metavar="N", help="number of processes; default: one per processor"),
@@ -60,49 +61,13 @@ class PopulationPlan(Plan):
 
 
 @dataclass(frozen=True)
-class Person:
-    """Demographic values of one simulated subject. ``number`` is the person of ``SimulatedTissue.of_subject``."""
+class Series:
+    """Repeated tests of one subject or sample at one site: pseudonym, site, seed of the instrument, and condition."""
 
-    pseudonym: str
-    number: int
-    gender: str
-    age_years: float
-    height_m: float
-    weight_kg: float
-    handedness: str
-
-    @property
-    def bmi(self) -> float:
-        """Body mass index, kg/m²."""
-        return self.weight_kg / self.height_m**2
-
-    def mass_factor(self, site: str) -> float:
-        """Return the relative mass of the tissue at a site, with the effects of gender and body mass index."""
-        if "anterior" not in site:
-            return 1.0
-        return (HEAVIER_MALE if self.gender == "male" else 1.0) * float(np.exp(HEAVIER_PER_BMI * (self.bmi - MEAN_BMI)))
-
-
-def population(count: int, seed: int) -> list[Person]:
-    """Draw subjects as in the thesis: 18 to 36 years, both genders equally often."""
-    random = np.random.default_rng([seed, 7])
-    people = []
-    for number in range(count):
-        male = number % 2 == 1
-        height = random.normal(1.77 if male else 1.64, 0.065)
-        bmi = float(np.clip(random.normal(MEAN_BMI, 2.8), 17.5, 33.0))
-        people.append(
-            Person(
-                f"P-{number + 1:03d}",
-                1000 * seed + number,
-                "male" if male else "female",
-                float(random.integers(18, 37)),
-                round(float(height), 3),
-                round(bmi * float(height) ** 2, 1),
-                "left" if random.random() < 0.1 else "right",
-            )
-        )
-    return people
+    subject: str
+    site: str
+    seed: int
+    condition: str = ""
 
 
 def run_population(plan: PopulationPlan, control: Control) -> StudyReport:
@@ -119,37 +84,46 @@ def run_population(plan: PopulationPlan, control: Control) -> StudyReport:
         )
     private_folder(plan.out)
     people = population(plan.subjects, plan.seed)
-    write_text(plan.out / SUBJECTS_FILE, _as_csv(people))
-    sittings = [(person, site) for person in people for site in SITES]
-    done = CountedProgress(control, _MEASURING, len(sittings))
+    write_text(plan.out / SUBJECTS_FILE, subjects_file(people, MATERIALS if plan.products else ()))
+    series = [Series(person.pseudonym, site, person.seed(site)) for person in people for site in SITES]
+    if plan.products:
+        series += [
+            Series(person.pseudonym, LOTION_SITE, person.seed(LOTION_SITE) + 10 + number, lotion)
+            for person in people
+            for number, lotion in enumerate(LOTIONS)
+        ]
+        series += [Series(sample_name(name), name, number, "") for number, name in enumerate(MATERIALS)]
+    done = CountedProgress(control, _MEASURING, len(series))
     with executor(plan.workers) as pool:
-        pool.do(functools.partial(measure_site, plan), sittings, control.check, done)
-    return report_study(StudyReportPlan(folder=plan.out, workers=plan.workers), control)
+        pool.do(functools.partial(measure_series, plan), series, control.check, done)
+    return report_study(StudyReportPlan(folder=plan.out, workers=plan.workers, options=SCALING, margin=MARGIN), control)
 
 
-def measure_site(plan: PopulationPlan, sitting: tuple[Person, str]) -> Path:
-    """Run the tests of one subject at one site on a simulated instrument; return the session file.
+def measure_series(plan: PopulationPlan, series: Series) -> Path:
+    """Run the tests of one series on a simulated instrument; return the session file.
 
     Raises:
         UnusableInputError: the session cannot be written.
     """
-    person, site = sitting
-    place = list(SITES).index(site)
-    tissue = TISSUES[SITES[site]].of_subject(person.number).heavier(person.mass_factor(site)).varied(1.0)
-    seed = 100 * person.number + place
+    if series.site in MATERIALS:
+        tissue, repeats = MATERIALS[series.site], MATERIAL_TESTS
+    else:
+        person = next(who for who in population(plan.subjects, plan.seed) if who.pseudonym == series.subject)
+        tissue, repeats = person.tissue(series.site, series.condition), plan.repeats
 
     def opened(_address: str) -> Instrument:
-        return SimulatedInstrument(tissue, seed=seed)
+        return SimulatedInstrument(tissue, seed=series.seed)
 
     test = TestPlan(
-        url=f"simulated://{SITES[site]}",
-        site=site,
-        out=plan.out / f"{person.pseudonym} {site}.h5",
-        subject=person.pseudonym,
-        repeats=plan.repeats,
-        seconds=plan.seconds,
-        seed=plan.seed,
+        url="simulated://forearm",
+        site=series.site,
+        out=plan.out / f"{' '.join(filter(None, (series.subject, series.site, series.condition)))}.h5",
+        subject=series.subject,
+        repeats=repeats,
+        seconds=plan.seconds,  # and the stimulus of the guided test, which is one for all subjects (thesis 7.1.1)
         calibration=False,
+        condition=series.condition,
+        minutes_since_application=LOTION_MINUTES if series.condition else None,
     )
     outcome = run_test(test, TestControl(), None, opener=opened)
     if outcome.error is not None:
@@ -157,12 +131,3 @@ def measure_site(plan: PopulationPlan, sitting: tuple[Person, str]) -> Path:
     if outcome.not_saved is not None:
         raise outcome.not_saved
     return test.out
-
-
-def _as_csv(people: list[Person]) -> str:
-    head = "subject,age_years,weight_kg,height_m,gender,handedness"
-    rows = [
-        f"{who.pseudonym},{who.age_years:g},{who.weight_kg:g},{who.height_m:g},{who.gender},{who.handedness}"
-        for who in people
-    ]
-    return "\n".join([head, *rows]) + "\n"

@@ -21,6 +21,14 @@ class StudyPlan(Plan):
     """The folder of a study, and the engine whose parameters are compared."""
 
     folder: Annotated[Path, Option(argument=True, metavar="FOLDER", help="folder of the sessions; subfolders count")]
+    sessions: Annotated[
+        str | None,
+        Option(
+            "--sessions",
+            metavar="URL",
+            help="read the sessions by fsspec, such as s3://bucket/study; FOLDER keeps the subjects, table and report",
+        ),
+    ] = None
     engine: Annotated[str, Option("--engine", metavar="NAME", help="engine of the parameters")] = "wiener"
     options: Annotated[
         tuple[str, ...],
@@ -46,6 +54,9 @@ class StudyReportPlan(StudyPlan):
     report: Annotated[
         Path | None, Option("--out", metavar="FILE", help="HTML page; default: report.html in the results of the study")
     ] = None
+    pdf: Annotated[
+        Path | None, Option("--pdf", metavar="FILE", help="the same as PDF; default: report.pdf in the results")
+    ] = None
     factors: Annotated[
         tuple[str, ...],
         Option("--factor", metavar="NAME", help="column with groups of subjects, such as gender; may be repeated"),
@@ -58,9 +69,9 @@ class StudyReportPlan(StudyPlan):
         str,
         Option("--before", metavar="CONDITION", help="condition of the reference; default: without one"),
     ] = ""
-    after: Annotated[str | None, Option("--after", metavar="CONDITION", help="condition that is compared with it")] = (
-        None
-    )
+    after: Annotated[
+        str | None, Option("--after", metavar="CONDITION", help="condition that is compared; default: all others")
+    ] = None
     margin: Annotated[
         float | None,
         Option("--margin", metavar="SHARE", help="relative difference that still counts as equivalent, such as 0.1"),

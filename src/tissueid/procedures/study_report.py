@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any
 from tissueid.extras import check_packages
 from tissueid.language import marked
 from tissueid.procedures.control import Control
-from tissueid.procedures.output_files import HTML, check_output, write_text
+from tissueid.procedures.output_files import HTML, PDF, check_different, check_output, unwritable, write_text
 from tissueid.procedures.study_plans import RESULTS, StudyReportPlan
 from tissueid.procedures.study_run import StudyRun, run_study
 
@@ -26,6 +26,7 @@ class StudyReport:
     run: StudyRun
     statistics: StudyStatistics
     page: Path
+    pdf: Path
 
     def as_answer(self) -> dict[str, Any]:
         """Return the statistics for JSON."""
@@ -41,8 +42,11 @@ def report_study(plan: StudyReportPlan, control: Control) -> StudyReport:
     """
     check_packages("pandas", "pyarrow", "statsmodels", "sklearn")
     check_output(plan.report, HTML)
+    check_output(plan.pdf, PDF)
+    check_different(plan.report, plan.pdf)
     run = run_study(plan, control)
     from tissueid.reports.study import study_html
+    from tissueid.reports.study_pdf import write_study_pdf
     from tissueid.studies.study_statistics import study_statistics
 
     control.progress(0.0, _COMPUTING)
@@ -56,6 +60,12 @@ def report_study(plan: StudyReportPlan, control: Control) -> StudyReport:
     )
     control.check()
     page = plan.report or plan.folder / RESULTS / "report.html"
-    write_text(page, study_html(str(plan.folder.name), plan.engine, found, run.failures))
+    name = plan.folder.resolve().name
+    write_text(page, study_html(name, plan.engine, found, run.failures))
+    pdf = plan.pdf or plan.folder / RESULTS / "report.pdf"
+    try:
+        write_study_pdf(pdf, name, plan.engine, found, run.failures)
+    except OSError as error:
+        raise unwritable(pdf, error) from error
     control.progress(1.0, _COMPUTING)
-    return StudyReport(run, found, page)
+    return StudyReport(run, found, page, pdf)

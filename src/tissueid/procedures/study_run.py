@@ -11,20 +11,19 @@ import functools
 import hashlib
 import json
 from collections.abc import Mapping
-from contextlib import AbstractContextManager
 from dataclasses import dataclass
-from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from tissueid import __version__
-from tissueid.atomic_write import atomic_file, private_folder
+from tissueid.atomic_write import private_folder
 from tissueid.errors import TissueIDError, UnusableInputError
 from tissueid.extras import check_packages
-from tissueid.gap.workers import Executor, executor
 from tissueid.language import marked
 from tissueid.messages import Message, Verbatim
+from tissueid.procedures.cluster import plan_executor
 from tissueid.procedures.control import Control, CountedProgress
 from tissueid.procedures.plan_options import parse_options
+from tissueid.procedures.session_store import FolderStore, RemoteStore, SessionStore
 from tissueid.procedures.study_plans import CONDITION, MINUTES_SINCE, RESULTS, SUBJECTS_FILE, StudyPlan
 
 if TYPE_CHECKING:
@@ -33,7 +32,6 @@ if TYPE_CHECKING:
     from tissueid.sessions import Session, Test
 
 _ANALYSING = marked("Analysing sessions")
-_LARGEST_RESULT = 5_000_000
 _FAILED = "failed"
 
 
@@ -62,28 +60,33 @@ def run_study(plan: StudyPlan, control: Control) -> StudyRun:
 
     options = parse_options(plan.options)
     get_engine(plan.engine).from_options(options)
-    files = _session_files(plan.folder)
+    store = _store(plan)
+    keys = store.sessions()
+    if not keys:
+        where = plan.sessions or str(plan.folder)
+        raise UnusableInputError(Message("study.no_sessions", "there are no session files in {folder}", folder=where))
     subjects = read_subjects(path) if (path := plan.folder / SUBJECTS_FILE).is_file() else None
     results = plan.folder / RESULTS
-    kept = results / _analysis(plan, options)
-    for folder in (results, kept):
+    for folder in (plan.folder, results):
         private_folder(folder)
-    keys = {path: _key(plan.folder, path) for path in files}
-    for stale in {path.stem for path in kept.glob("*.json")} - set(keys.values()):
-        (kept / f"{stale}.json").unlink(missing_ok=True)
-    known = {path: found for path, key in keys.items() if (found := _stored(kept, key)) is not None}
-    new = [path for path in files if path not in known]
-    work = functools.partial(_analysed, plan, options, kept, {path: keys[path] for path in new})
+    analysis = _analysis(plan, options)
+    stored = set(store.results(analysis))
+    for stale in stored - set(keys.values()):
+        store.remove_result(analysis, stale)
+    known = {
+        name: found
+        for name, key in keys.items()
+        if key in stored and (found := _decoded(store.read_result(analysis, key))) is not None
+    }
+    new = [name for name in keys if name not in known]
+    work = functools.partial(_analysed, plan, options, store, analysis)
     if new:
         done = CountedProgress(control, _ANALYSING, len(new))
-        with _executor(plan) as pool:
-            known |= dict(zip(new, pool.do(work, new, control.check, done), strict=True))
-    failures = {
-        str(path.relative_to(plan.folder)): reason for path in files if (reason := known[path].get(_FAILED)) is not None
-    }
-    rows = [
-        row | {"session": str(path.relative_to(plan.folder))} for path in files for row in known[path].get("rows", ())
-    ]
+        with plan_executor(plan.workers, plan.scheduler) as pool:
+            items = [(name, keys[name]) for name in new]
+            known |= dict(zip(new, pool.do(work, items, control.check, done), strict=True))
+    failures = {name: reason for name in keys if (reason := known[name].get(_FAILED)) is not None}
+    rows = [row | {"session": name} for name in keys for row in known[name].get("rows", ())]
     if not rows:
         name, reason = next(iter(failures.items()))
         raise UnusableInputError(
@@ -98,19 +101,7 @@ def run_study(plan: StudyPlan, control: Control) -> StudyRun:
     table = study_table(rows, subjects)
     for suffix in ("csv", "parquet"):
         write_table(table, results / f"table.{suffix}")
-    return StudyRun(plan, table, failures, len(files), len(new))
-
-
-def _session_files(folder: Path) -> list[Path]:
-    if not folder.is_dir():
-        raise UnusableInputError(Message("study.no_folder", "{folder} is not a folder", folder=str(folder)))
-    results = folder / RESULTS
-    files = sorted(path for path in folder.rglob("*.h5") if results not in path.parents)
-    if not files:
-        raise UnusableInputError(
-            Message("study.no_sessions", "there are no session files in {folder}", folder=str(folder))
-        )
-    return files
+    return StudyRun(plan, table, failures, len(keys), len(new))
 
 
 def _analysis(plan: StudyPlan, options: Mapping[str, Any]) -> str:
@@ -118,51 +109,41 @@ def _analysis(plan: StudyPlan, options: Mapping[str, Any]) -> str:
     return f"{plan.engine}-{hashlib.sha256(about.encode()).hexdigest()[:12]}"
 
 
-def _key(folder: Path, path: Path) -> str:
-    try:
-        status = path.stat()
-    except OSError:
-        stamp = (-1, -1)
-    else:
-        stamp = (status.st_size, status.st_mtime_ns)
-    return hashlib.sha256(json.dumps((str(path.relative_to(folder)), *stamp)).encode()).hexdigest()[:40]
+def _store(plan: StudyPlan) -> SessionStore:
+    if plan.sessions is None:
+        return FolderStore(plan.folder)
+    check_packages("fsspec")
+    return RemoteStore(plan.sessions)
 
 
-def _stored(kept: Path, key: str) -> dict[str, Any] | None:
-    path = kept / f"{key}.json"
+def _decoded(content: bytes | None) -> dict[str, Any] | None:
+    if content is None:
+        return None
     try:
-        if path.stat().st_size > _LARGEST_RESULT:
-            return None
-        found = json.loads(path.read_text(encoding="utf-8"))
-    except (OSError, ValueError):  # a missing or damaged file is computed again
+        found = json.loads(content)
+    except ValueError:  # a damaged file is computed again
         return None
     return found if isinstance(found, dict) and ("rows" in found or _FAILED in found) else None
 
 
-def _executor(plan: StudyPlan) -> AbstractContextManager[Executor]:
-    if plan.scheduler is None:
-        return executor(plan.workers)
-    from tissueid.procedures.cluster import cluster_executor
-
-    return cluster_executor(plan.scheduler)
-
-
 def _analysed(
-    plan: StudyPlan, options: Mapping[str, Any], kept: Path, keys: Mapping[Path, str], path: Path
+    plan: StudyPlan, options: Mapping[str, Any], store: SessionStore, analysis: str, item: tuple[str, str]
 ) -> dict[str, Any]:
     # Called in the worker, which stores the result at once.
     from tissueid.sessions import read_session
 
+    name, key = item
     found: dict[str, Any]
     try:
-        session = read_session(path)
+        with store.local_file(name) as path:
+            session = read_session(path)
         found = {"rows": [row for test in session.tests for row in _rows(session, test, plan, options)]}
     except TissueIDError as error:
         found = {_FAILED: str(error)}
     if not found.get("rows") and _FAILED not in found:
         found[_FAILED] = "no test could be analysed"
-    with contextlib.suppress(OSError), atomic_file(kept / f"{keys[path]}.json") as partial:
-        partial.write_text(json.dumps(found), encoding="utf-8")
+    with contextlib.suppress(OSError):
+        store.write_result(analysis, key, json.dumps(found).encode())
     return found
 
 
@@ -172,6 +153,7 @@ def _rows(session: Session, test: Test, plan: StudyPlan, options: Mapping[str, A
     from tissueid.analysis.split import split
     from tissueid.identification import get_engine
 
+    quality = judge(test, session.instrument)
     row: dict[str, Any] = {
         "session_id": session.session_id,
         "created": session.created,
@@ -185,7 +167,8 @@ def _rows(session: Session, test: Test, plan: StudyPlan, options: Mapping[str, A
         "orientation_deg": test.notes.get("orientation_deg"),
         "kind": test.kind,
         "status": test.status,
-        "quality": judge(test, session.instrument).verdict,
+        "quality": quality.verdict,
+        "findings": ", ".join(one.code for one in quality.findings if one.severity == quality.verdict),
         "engine": plan.engine,
     }
     row |= session.subject.demographics

@@ -5,9 +5,10 @@ from __future__ import annotations
 import io
 import textwrap
 import warnings
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 
+from matplotlib.axes import Axes
 from matplotlib.backends.backend_pdf import FigureCanvasPdf, PdfPages
 from matplotlib.figure import Figure
 
@@ -83,7 +84,7 @@ def _write(
     result: tuple[FurtherTable, Sequence[str]] | None,
     further: Sequence[FurtherTable],
 ) -> None:
-    paper = _PageWriter()
+    paper = PageWriter()
     _heading(paper, session, test)
     if result is not None:
         table, below = result
@@ -97,23 +98,10 @@ def _write(
     for table in further:
         paper.table(*table)
     _figures(paper, analyses)
-    with PdfPages(
-        target,
-        metadata={
-            "CreationDate": None,
-            "Producer": None,
-            "Title": _("TissueID report"),
-            "Subject": _("Session {name}").format(name=session.session_id),
-        },
-    ) as pages:
-        for number, page in enumerate(paper.pages, 1):
-            page.text(_LEFT / _WIDTH, 0.45 / _HEIGHT, _(RESEARCH_LINE), fontsize=8.0, color=MUTED, fontweight="bold")
-            count = _("TissueID · page {number} of {count}").format(number=number, count=len(paper.pages))
-            page.text(_RIGHT / _WIDTH, 0.45 / _HEIGHT, count, fontsize=8.0, color=MUTED, ha="right")
-            FigureCanvasPdf(page).print_pdf(pages)  # type: ignore[no-untyped-call] # savefig draws a page twice
+    paper.write(target, _("Session {name}").format(name=session.session_id))
 
 
-class _PageWriter:
+class PageWriter:
     """Writer of PDF pages from top to bottom; begins a new page when one is full."""
 
     def __init__(self) -> None:
@@ -147,24 +135,52 @@ class _PageWriter:
         axes.plot([_LEFT / _WIDTH, _RIGHT / _WIDTH], at, color=MUTED, linewidth=0.6)
         self.y -= 0.03
 
-    def table(self, heading: str, heads: Sequence[str], rows: Sequence[Sequence[str]]) -> None:
+    def table(self, heading: str, heads: Sequence[str], rows: Sequence[Sequence[str]], *, size: float = 9.0) -> None:
         """A table whose columns are as wide as what stands in them; where that is too wide, the first gives way."""
         self.ensure_room(min(3.0, _LINE * (len(rows) + 3)))
         self.y -= 0.08
         self.line(heading, size=11.0, bold=True)
+        letter, line = _LETTER * size / 9.0, _LINE * size / 9.0
         letters = [max(_shown(head), *(len(row[place]) for row in rows)) for place, head in enumerate(heads)]
-        most = int((_RIGHT - _LEFT) / _LETTER) - sum(letters[1:]) - 3 * len(letters)
+        most = int((_RIGHT - _LEFT) / letter) - sum(letters[1:]) - 3 * len(letters)
         letters[0] = max(8, min(letters[0], most))
-        starts = [_LEFT + _LETTER * (sum(letters[:place]) + 3 * place) for place in range(len(letters))]
+        starts = [_LEFT + letter * (sum(letters[:place]) + 3 * place) for place in range(len(letters))]
         if any(heads):
-            self.y -= _LINE
+            self.y -= line
             for x, head in zip(starts, heads, strict=True):
-                self.text(x, head, size=8.0, colour=MUTED)
+                self.text(x, head, size=8.0 * size / 9.0, colour=MUTED)
         for row in rows:
-            self.ensure_room(_LINE)
-            self.y -= _LINE
+            self.ensure_room(line)
+            self.y -= line
             for x, cell, wide in zip(starts, row, letters, strict=True):
-                self.text(x, _short(cell, wide))
+                self.text(x, _short(cell, wide), size=size)
+
+    def write(self, target: io.BytesIO, subject: str) -> None:
+        """Write all pages as PDF, with their numbers; ``subject`` is what the report is about."""
+        metadata = {"CreationDate": None, "Producer": None, "Title": _("TissueID report"), "Subject": subject}
+        with PdfPages(target, metadata=metadata) as pages:
+            for number, page in enumerate(self.pages, 1):
+                line, at = _(RESEARCH_LINE), 0.45 / _HEIGHT
+                page.text(_LEFT / _WIDTH, at, line, fontsize=8.0, color=MUTED, fontweight="bold")
+                count = _("TissueID · page {number} of {count}").format(number=number, count=len(self.pages))
+                page.text(_RIGHT / _WIDTH, at, count, fontsize=8.0, color=MUTED, ha="right")
+                FigureCanvasPdf(page).print_pdf(pages)  # type: ignore[no-untyped-call] # savefig draws a page twice
+
+    def drawings(self, draws: Sequence[tuple[str, Callable[[Axes], object]]], inches: float = 2.5) -> None:
+        """Draw figures in one row, each under its title, with room for a key of two lines."""
+        self.ensure_room(inches + 0.3)
+        width = (_RIGHT - _LEFT) / len(draws)
+        page = self.pages[-1]
+        for place, (title, draw) in enumerate(draws):
+            x, y = _LEFT + place * width, self.y - inches - 0.1
+            middle = (x + 0.5 * width) / _WIDTH
+            words = _short(clean(title), int(width / _LETTER))
+            page.text(middle, (self.y - 0.2) / _HEIGHT, words, fontsize=9.0, color=INK, fontweight="bold", ha="center")
+            axes = page.add_axes(
+                ((x + 0.5) / _WIDTH, (y + 0.7) / _HEIGHT, (width - 0.65) / _WIDTH, (inches - 1.4) / _HEIGHT)
+            )
+            draw(axes)
+        self.y -= inches + 0.15
 
     def _new_page(self) -> None:
         page = Figure(figsize=(_WIDTH, _HEIGHT))
@@ -173,7 +189,7 @@ class _PageWriter:
         self.y = _TOP
 
 
-def _heading(paper: _PageWriter, session: Session, test: Test) -> None:
+def _heading(paper: PageWriter, session: Session, test: Test) -> None:
     site = test.site[:1].upper() + test.site[1:]
     paper.line(_short(site, 55) or _("Tissue measurement"), size=17.0, bold=True)
     paper.y -= 0.06
@@ -203,7 +219,7 @@ def _heading(paper: _PageWriter, session: Session, test: Test) -> None:
     paper.draw_rule()
 
 
-def _verdict(paper: _PageWriter, test: Test, analyses: Analyses) -> None:
+def _verdict(paper: PageWriter, test: Test, analyses: Analyses) -> None:
     verdict = judge(test, analyses)
     paper.line(_(verdict.headline), size=13.0, colour=_COLOURS[verdict.level], bold=True)
     lines = [line for reason in verdict.reasons for line in textwrap.wrap(clean(report_text(reason)), _ACROSS)]
@@ -213,7 +229,7 @@ def _verdict(paper: _PageWriter, test: Test, analyses: Analyses) -> None:
         paper.line(_("… The HTML report has all of it."), colour=MUTED)
 
 
-def _numbers(paper: _PageWriter, test: Test, analyses: Analyses) -> None:
+def _numbers(paper: PageWriter, test: Test, analyses: Analyses) -> None:
     rows = []
     for found in key_numbers(analyses):
         value = f"{found.value} ± {found.std}" if found.std else found.value
@@ -238,7 +254,7 @@ def _short(text: str, most: int) -> str:
 # -- figures ------------------------------------------------------------------------------------------------------
 
 
-def _figures(paper: _PageWriter, analyses: Analyses) -> None:
+def _figures(paper: PageWriter, analyses: Analyses) -> None:
     """Four of them, two by two, in what is left of the page or on a new one."""
     paper.ensure_room(_LEAST_FIGURES)
     figure = paper.pages[-1]

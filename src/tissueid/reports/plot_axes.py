@@ -198,7 +198,7 @@ def scale_axes(axes: Axes, plot: Plot, factors: tuple[float, float], look: Look)
         axes.yaxis.set_major_locator(MaxNLocator(nbins=6, steps=[1, 2, 5, 10]))
     for along, ticks, factor in ((axes.xaxis, plot.x.ticks, factors[0]), (axes.yaxis, plot.y.ticks, factors[1])):
         if ticks:
-            labels = [clean(translated(text)) for _, text in ticks]
+            labels = ["\n".join(map(clean, translated(text).split("\n"))) for _, text in ticks]
             along.set_ticks([factor * place for place, _ in ticks], labels=labels, parse_math=False)
     if plot.square:
         axes.set_box_aspect(1.0)

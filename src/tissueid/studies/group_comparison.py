@@ -9,19 +9,23 @@ from __future__ import annotations
 
 import warnings
 from collections.abc import Sequence
+from typing import Any
 
 import numpy as np
 import pandas as pd
 import statsmodels.formula.api as smf
 from scipy import stats
 from statsmodels.stats.anova import anova_lm
+from statsmodels.stats.diagnostic import het_breuschpagan
 from statsmodels.stats.meta_analysis import combine_effects
+from statsmodels.stats.multicomp import pairwise_tukeyhsd
 from statsmodels.stats.multitest import multipletests
 from statsmodels.stats.oneway import anova_oneway
-from statsmodels.stats.weightstats import ttost_paired
+from statsmodels.stats.weightstats import CompareMeans, DescrStatsW, ttost_paired
 from statsmodels.tools.sm_exceptions import ConvergenceWarning
 
-from tissueid.studies.repeatability import paired_difference
+from tissueid.studies.repeatability import CONFIDENCE, paired_difference
+from tissueid.studies.sample_size import detectable_effect
 from tissueid.studies.study_table import STD_SUFFIX
 
 LEAST_PER_GROUP = 2
@@ -65,8 +69,10 @@ def one_way(means: pd.DataFrame, factor: str, parameters: Sequence[str]) -> pd.D
 
     Returns:
         columns ``site``, ``factor``, ``parameter``, ``groups``, ``subjects``, ``statistic`` (F), ``p_value``,
-        ``p_corrected``, ``effect_size`` (partial eta squared), ``method`` ("anova" or "welch"), ``normal`` (residuals,
-        by Shapiro and Wilk), ``equal_variances``, ``smallest_difference``, ``largest_std``.
+        ``p_corrected``, ``p_weighted`` (weights as in ``regressions``), ``effect_size`` (partial eta squared),
+        ``method`` ("anova" or "welch"), ``normal`` (residuals, by Shapiro and Wilk), ``equal_variances``,
+        ``smallest_difference``, ``largest_std``, ``detectable`` (Cohen's f that these groups show with a power of 80
+        %), and for two groups the ``difference`` of the second from the first with its 95 % interval ``low``, ``high``.
     """
     rows = []
     for site, subjects in means.groupby("site", sort=True):
@@ -91,13 +97,16 @@ def one_way(means: pd.DataFrame, factor: str, parameters: Sequence[str]) -> pd.D
                     "subjects": sum(map(len, values)),
                     "statistic": float(found.statistic),
                     "p_value": float(found.pvalue),
+                    "p_weighted": _weighted_p(subjects, factor, name),
                     "effect_size": between / (between + found.df_denom),
                     "method": "anova" if equal else "welch",
                     "normal": _normal(np.concatenate([group - group.mean() for group in values])),
                     "equal_variances": equal,
                     "smallest_difference": float(gaps.min()),
                     "largest_std": max(float(group.std(ddof=1)) for group in values),
+                    "detectable": detectable_effect(len(values), sum(map(len, values))),
                 }
+                | _difference(values, equal=equal)
             )
     return corrected(pd.DataFrame(rows))
 
@@ -141,7 +150,8 @@ def regressions(means: pd.DataFrame, regressor: str, parameters: Sequence[str]) 
 
     Returns:
         columns ``site``, ``factor``, ``parameter``, ``subjects``, ``slope``, ``slope_low``, ``slope_high``,
-        ``intercept``, ``r_squared``, ``p_value``, ``p_corrected``, ``weighted``.
+        ``intercept``, ``r_squared``, ``p_value``, ``p_corrected``, ``weighted``, ``normal`` (residuals), and
+        ``equal_variances`` (Breusch and Pagan 1979).
     """
     rows = []
     for site, subjects in means.groupby("site", sort=True):
@@ -159,8 +169,8 @@ def regressions(means: pd.DataFrame, regressor: str, parameters: Sequence[str]) 
             fit = smf.ols("value ~ x", data).fit()
             weighted = bool(data["u"].notna().all())
             if weighted:
-                rest = max(float(fit.mse_resid) - float((data["u"] ** 2).mean()), 0.0)
-                fit = smf.wls("value ~ x", data, weights=1.0 / np.maximum(rest + data["u"] ** 2, 1e-300)).fit()
+                fit = smf.wls("value ~ x", data, weights=_weights(fit, data["u"])).fit()
+            residuals = np.asarray(fit.wresid)
             low, high = fit.conf_int().loc["x"]
             rows.append(
                 {
@@ -175,6 +185,8 @@ def regressions(means: pd.DataFrame, regressor: str, parameters: Sequence[str]) 
                     "r_squared": float(fit.rsquared),
                     "p_value": float(fit.pvalues["x"]),
                     "weighted": weighted,
+                    "normal": _normal(residuals),
+                    "equal_variances": bool(het_breuschpagan(residuals, fit.model.exog)[1] >= ASSUMPTION_ALPHA),
                 }
             )
     return corrected(pd.DataFrame(rows))
@@ -187,7 +199,8 @@ def mixed_model(table: pd.DataFrame, factor: str, parameters: Sequence[str]) -> 
 
     Returns:
         columns ``factor``, ``parameter``, ``level``, ``reference``, ``subjects``, ``tests``, ``difference``, ``low``,
-        ``high``, ``p_value``, ``p_corrected``, ``between_std`` (between subjects), ``within_std``, ``converged``.
+        ``high``, ``p_value``, ``p_corrected``, ``effect_size`` (difference over the total standard deviation),
+        ``between_std`` (between subjects), ``within_std``, ``normal`` (residuals), ``converged``.
     """
     rows = []
     for name in parameters:
@@ -201,6 +214,8 @@ def mixed_model(table: pd.DataFrame, factor: str, parameters: Sequence[str]) -> 
             warnings.simplefilter("ignore", ConvergenceWarning)
             fit = smf.mixedlm("value ~ C(level)", data, groups=data["subject"]).fit(reml=True)
         bounds = fit.conf_int()
+        total = float(np.sqrt(max(fit.cov_re.iloc[0, 0], 0.0) + fit.scale))
+        normal = _normal(np.asarray(fit.resid))
         for level in levels[1:]:
             key = f"C(level)[T.{level}]"
             rows.append(
@@ -215,8 +230,10 @@ def mixed_model(table: pd.DataFrame, factor: str, parameters: Sequence[str]) -> 
                     "low": float(bounds.loc[key, 0]) * scale,
                     "high": float(bounds.loc[key, 1]) * scale,
                     "p_value": float(fit.pvalues[key]),
+                    "effect_size": float(fit.params[key]) / total,
                     "between_std": float(np.sqrt(max(fit.cov_re.iloc[0, 0], 0.0))) * scale,
                     "within_std": float(np.sqrt(fit.scale)) * scale,
+                    "normal": normal,
                     "converged": bool(fit.converged),
                 }
             )
@@ -237,7 +254,7 @@ def efficacy(
 
     Returns:
         columns ``site``, ``parameter``, ``before``, ``after``, ``subjects``, ``difference``, ``std``, ``low``,
-        ``high``, ``effect_size``, ``p_value``, ``p_corrected`` and, with a margin,
+        ``high``, ``effect_size``, ``p_value``, ``p_corrected``, ``normal`` (differences) and, with a margin,
         ``equivalence_p_value`` of two one-sided tests (Schuirmann 1987).
     """
     rows = []
@@ -253,11 +270,92 @@ def efficacy(
             row: dict[str, object] = {"site": str(site), "parameter": name, "before": before, "after": after}
             row["subjects"] = len(pairs)
             row |= paired_difference(first, second)
+            row["normal"] = _normal(second - first)
             if margin is not None:
                 bound = abs(margin * first.mean())
                 row["equivalence_p_value"] = float(ttost_paired(second, first, -bound, bound)[0])
             rows.append(row)
     return corrected(pd.DataFrame(rows))
+
+
+def site_means(means: pd.DataFrame, parameters: Sequence[str]) -> pd.DataFrame:
+    """Return the mean of the subjects at each site, weighted by their uncertainties (``pooled_mean``; Fig. 7.3).
+
+    Returns:
+        columns ``site``, ``parameter``, ``subjects``, ``mean``, ``low``, ``high`` (95 % interval), ``std`` (between
+        subjects, all that is seen) and ``between_std`` (without the uncertainty of each subject's mean).
+    """
+    rows = []
+    for site, subjects in means.groupby("site", sort=True):
+        for name in parameters:
+            data = subjects[[name, name + STD_SUFFIX]].astype(float).dropna()
+            if len(data) < 3 or np.ptp(data[name]) == 0.0 or (data[name + STD_SUFFIX] <= 0.0).any():
+                continue
+            mean, error, between = pooled_mean(data[name].to_numpy(), data[name + STD_SUFFIX].to_numpy())
+            reach = float(stats.t.ppf(0.5 + 0.5 * CONFIDENCE, len(data) - 1)) * error
+            rows.append(
+                {
+                    "site": str(site),
+                    "parameter": name,
+                    "subjects": len(data),
+                    "mean": mean,
+                    "low": mean - reach,
+                    "high": mean + reach,
+                    "std": float(data[name].std(ddof=1)),
+                    "between_std": between,
+                }
+            )
+    return pd.DataFrame(rows)
+
+
+def materials(tests: pd.DataFrame, parameters: Sequence[str], factor: str = "material") -> pd.DataFrame:
+    """Compare materials by their tests, each pair by Tukey's honestly significant difference (Fig. 7.10).
+
+    Args:
+        tests: one row per test of a sample, with the column ``factor``.
+        parameters: columns to compare.
+        factor: column with the material.
+
+    Returns:
+        columns ``parameter``, ``level``, ``tests``, ``mean``, ``std``, ``statistic`` (F of all materials),
+        ``p_value``, ``p_corrected``, ``unlike`` (number of other materials from which it differs, 5 % for all pairs
+        together).
+    """
+    rows = []
+    for name in parameters:
+        groups = _groups(tests, factor, name)
+        values = list(groups.values())
+        if len(groups) < 2 or all(np.ptp(group) == 0.0 for group in values):
+            continue
+        found = anova_oneway(values, use_var="equal" if _equal_variances(values) else "unequal", welch_correction=True)
+        labels = np.repeat(list(groups), [len(group) for group in values])
+        scale = float(np.concatenate(values).std())
+        pairs = pairwise_tukeyhsd(np.concatenate(values) / scale, labels)
+        first, second = np.triu_indices(len(groups), 1)
+        for place, (level, group) in enumerate(groups.items()):
+            unlike = pairs.reject[(first == place) | (second == place)]
+            rows.append(
+                {
+                    "parameter": name,
+                    "level": level,
+                    "tests": len(group),
+                    "mean": float(group.mean()),
+                    "std": float(group.std(ddof=1)),
+                    "statistic": float(found.statistic),
+                    "p_value": float(found.pvalue),
+                    "unlike": int(unlike.sum()),
+                }
+            )
+    if not rows:
+        return pd.DataFrame()
+    table = pd.DataFrame(rows)
+    once = corrected(table.drop_duplicates("parameter")[["parameter", "p_value"]].copy())
+    table.insert(
+        table.columns.get_loc("p_value") + 1,
+        "p_corrected",
+        table["parameter"].map(once.set_index("parameter")["p_corrected"]),
+    )
+    return table
 
 
 def pooled_mean(values: Sequence[float], stds: Sequence[float]) -> tuple[float, float, float]:
@@ -298,6 +396,32 @@ def _normal(residuals: np.ndarray) -> bool | None:
     if len(residuals) < 4 or np.ptp(residuals) == 0.0:
         return None
     return bool(stats.shapiro(residuals).pvalue >= ASSUMPTION_ALPHA)
+
+
+def _weights(fit: Any, uncertain: pd.Series) -> pd.Series:
+    # 1 / (s^2 + u^2): s is the spread of an unweighted fit without the uncertainty of the values.
+    rest = max(float(fit.mse_resid) - float((uncertain**2).mean()), 0.0)
+    return 1.0 / np.maximum(rest + uncertain**2, 1e-300)
+
+
+def _weighted_p(subjects: pd.DataFrame, factor: str, name: str) -> float:
+    if name + STD_SUFFIX not in subjects:
+        return float("nan")
+    data = subjects[[factor, name, name + STD_SUFFIX]].rename(columns={factor: "group", name: "value"}).dropna()
+    counts = data["group"].value_counts()
+    data = data[data["group"].isin(counts.index[counts >= LEAST_PER_GROUP])]
+    if data["group"].nunique() < 2 or len(data) <= data["group"].nunique() or np.ptp(data["value"]) == 0.0:
+        return float("nan")
+    weights = _weights(smf.ols("value ~ C(group)", data).fit(), data[name + STD_SUFFIX].astype(float))
+    return float(smf.wls("value ~ C(group)", data, weights=weights).fit().f_pvalue)
+
+
+def _difference(values: Sequence[np.ndarray], *, equal: bool) -> dict[str, float]:
+    if len(values) != 2:
+        return {"difference": float("nan"), "low": float("nan"), "high": float("nan")}
+    compared = CompareMeans(DescrStatsW(values[1]), DescrStatsW(values[0]))
+    low, high = compared.tconfint_diff(1.0 - CONFIDENCE, usevar="pooled" if equal else "unequal")
+    return {"difference": float(values[1].mean() - values[0].mean()), "low": float(low), "high": float(high)}
 
 
 def _levels(values: pd.Series) -> int:

@@ -9,13 +9,19 @@ from dataclasses import dataclass
 import numpy as np
 import pandas as pd
 from numpy.typing import NDArray
+from scipy.stats import permutation_test
+from sklearn import config_context
 from sklearn.cross_decomposition import PLSRegression
 from sklearn.decomposition import PCA
-from sklearn.model_selection import KFold, cross_val_predict, permutation_test_score
+from sklearn.model_selection import KFold
+
+from tissueid.studies.group_comparison import corrected
 
 FOLDS = 5
-PERMUTATIONS = 200
+PERMUTATIONS = 99
 LEAST_SUBJECTS = 8
+MOST_COMPONENTS = 3
+"""Largest number of components: 16 subjects do not determine more."""
 _SEED = 0
 
 
@@ -25,7 +31,8 @@ def partial_least_squares(
     """Regress each demographic value on all parameters at each site by partial least squares (Table 7.4).
 
     The number of components is that of the least error in cross-validation; the p-value is that of permutations of the
-    subjects (Ojala and Garriga 2010). Two groups are coded as 0 and 1 in alphabetical order.
+    subjects (Ojala and Garriga 2010), each with its own number of components. Two groups are coded as 0 and 1 in
+    alphabetical order.
 
     Args:
         means: one row per subject and site.
@@ -35,7 +42,7 @@ def partial_least_squares(
 
     Returns:
         columns ``site``, ``response``, ``subjects``, ``components``, ``q_squared`` (held-out share of the variance),
-        ``p_value``.
+        ``p_value``, ``p_corrected``.
     """
     rows = []
     for site, subjects in means.groupby("site", sort=True):
@@ -47,21 +54,13 @@ def partial_least_squares(
             x = data[list(parameters)].to_numpy(float)
             x = x[:, np.ptp(x, axis=0) > 0.0]
             folds = KFold(min(FOLDS, len(data)), shuffle=True, random_state=_SEED)
-            most = min(x.shape[1], len(data) - len(data) // FOLDS - 1)
+            most = min(MOST_COMPONENTS, x.shape[1], len(data) - len(data) // FOLDS - 1)
             with warnings.catch_warnings():
                 # Parameters that depend on each other have fewer components than their number.
                 warnings.filterwarnings("ignore", "y residual is constant")
-                errors = [_held_out_error(x, y, count, folds) for count in range(1, most + 1)]
-                components = int(np.argmin(errors)) + 1
-                _score, _drawn, p_value = permutation_test_score(
-                    _model(components),
-                    x,
-                    y,
-                    cv=folds,
-                    n_permutations=permutations,
-                    scoring="neg_mean_squared_error",
-                    random_state=_SEED,
-                )
+                errors = _held_out_errors(x, y, most, folds)
+                p_value = _p_value(x, y, folds, most, permutations)
+            components = int(np.argmin(errors)) + 1
             rows.append(
                 {
                     "site": str(site),
@@ -69,10 +68,10 @@ def partial_least_squares(
                     "subjects": len(data),
                     "components": components,
                     "q_squared": 1.0 - errors[components - 1] / float(np.var(y)),
-                    "p_value": float(p_value),
+                    "p_value": p_value,
                 }
             )
-    return pd.DataFrame(rows)
+    return corrected(pd.DataFrame(rows))
 
 
 @dataclass(frozen=True, eq=False)
@@ -97,13 +96,37 @@ def principal_components(kernels: NDArray[np.float64], count: int = 3) -> Princi
     )
 
 
-def _model(components: int) -> PLSRegression:
-    return PLSRegression(components)
+def _p_value(x: NDArray[np.float64], y: NDArray[np.float64], folds: KFold, most: int, permutations: int) -> float:
+    # Least error over the numbers of components, of y and of permutations of it: with a number that was chosen for y
+    # the p-values would be too small.
+    def least(values: NDArray[np.float64]) -> float:
+        return float(_held_out_errors(x, values, most, folds).min())
+
+    found = permutation_test(
+        (y,),
+        least,
+        permutation_type="pairings",
+        vectorized=False,
+        n_resamples=permutations,
+        alternative="less",
+        rng=np.random.default_rng(_SEED),
+    )
+    return float(found.pvalue)
 
 
-def _held_out_error(x: NDArray[np.float64], y: NDArray[np.float64], components: int, folds: KFold) -> float:
-    predicted = cross_val_predict(_model(components), x, y, cv=folds)
-    return float(np.mean((np.ravel(predicted) - y) ** 2))
+def _held_out_errors(x: NDArray[np.float64], y: NDArray[np.float64], most: int, folds: KFold) -> NDArray[np.float64]:
+    # Mean squared errors in cross-validation with 1 to ``most`` components, shape (most,): components are nested, and
+    # one fit has all of them.
+    errors = np.zeros(most)
+    with config_context(assume_finite=True, skip_parameter_validation=True):
+        for train, test in folds.split(x):
+            middle, spread = x[train].mean(axis=0), x[train].std(axis=0, ddof=1)
+            scaled = (x - middle) / np.where(spread > 0.0, spread, 1.0)
+            fit = PLSRegression(most, scale=False).fit(scaled[train], y[train])
+            steps = (scaled[test] @ fit.x_rotations_) * fit.y_loadings_  # (held out, components)
+            predicted = y[train].mean() + np.cumsum(steps, axis=1)
+            errors += np.sum((predicted - y[test, None]) ** 2, axis=0)
+    return np.asarray(errors / y.size)
 
 
 def _numbers(values: pd.Series) -> NDArray[np.float64] | None:

@@ -5,9 +5,11 @@ from __future__ import annotations
 import math
 import warnings
 from collections.abc import Callable, Sequence
+from functools import cache
 
 import numpy as np
 import pandas as pd
+from scipy.optimize import brentq
 from statsmodels.stats.power import FTestAnovaPower, TTestIndPower
 from statsmodels.tools.sm_exceptions import ConvergenceWarning
 
@@ -16,6 +18,7 @@ POWERS = (0.8, 0.9)
 LEAST = 2.0
 """Least number of participants of a group."""
 _MOST = 1_000_000
+_LARGEST_EFFECT = 20.0
 
 
 def participants(effect_size: float, power: float = 0.8, *, groups: int = 2, alpha: float = ALPHA) -> float:
@@ -35,6 +38,26 @@ def participants(effect_size: float, power: float = 0.8, *, groups: int = 2, alp
     return _solved(
         lambda: FTestAnovaPower().solve_power(abs(effect_size), power=power, alpha=alpha, k_groups=groups) / groups
     )
+
+
+@cache
+def detectable_effect(groups: int, subjects: int, power: float = 0.8, alpha: float = ALPHA) -> float:
+    """Return the effect (Cohen's f; half of Cohen's d for two groups) that a comparison of groups shows with a power.
+
+    Args:
+        groups: number of groups.
+        subjects: of all groups together, taken as equally large groups.
+        power: probability to find the effect.
+        alpha: size of the test.
+    """
+    if subjects <= groups + 1:
+        return math.inf
+    reached = FTestAnovaPower().power  # its own solver looks up to 1 only
+
+    def missing(size: float) -> float:
+        return float(reached(size, subjects, alpha, groups)) - power
+
+    return float(brentq(missing, 1e-6, _LARGEST_EFFECT)) if missing(_LARGEST_EFFECT) > 0.0 else math.inf
 
 
 def sample_sizes(comparison: pd.DataFrame, powers: Sequence[float] = POWERS) -> pd.DataFrame:

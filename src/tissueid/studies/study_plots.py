@@ -2,18 +2,23 @@
 
 from __future__ import annotations
 
+import textwrap
+
 import numpy as np
 import pandas as pd
 
 from tissueid.analysis.curves.plot import CONFIDENCE, Axis, Bars, Curve, Plot
 from tissueid.formatting import label_and_unit
-from tissueid.language import marked
+from tissueid.language import _, marked
 from tissueid.messages import Verbatim
-from tissueid.studies.study_table import DEMOGRAPHICS
+from tissueid.studies.study_table import DEMOGRAPHICS, MATERIAL
 from tissueid.units import display_unit
 
 COLOURS = ("measured", "model", "depth-1", "depth-5", "depth-9", "muted")
 """Roles of the colours of sites or groups."""
+_LARGEST_FORCE_N = 12.0
+_MOST_SUBJECTS_NAMED = 5
+_TICK_LETTERS = 11
 
 
 def parameter_axis(name: str) -> tuple[Axis, float]:
@@ -37,7 +42,8 @@ def subjects_plot(table: pd.DataFrame, name: str) -> Plot:
         x = np.array([subjects.index(who) + 1.0 for who in mean.index]) + _offset(place, len(sites))
         y, half = mean.to_numpy(), std.to_numpy()
         parts.append(Curve(x, y, Verbatim(str(site)), _colour(place), "bars", y - half, y + half))
-    ticks = tuple((k + 1.0, Verbatim(str(who))) for k, who in enumerate(subjects)) if len(subjects) <= 20 else ()
+    every = -(-len(subjects) // _MOST_SUBJECTS_NAMED)
+    ticks = tuple((k + 1.0, Verbatim(str(subjects[k]))) for k in range(0, len(subjects), every))
     return Plot(marked("Mean and standard deviation of each subject"), Axis("Subject", ticks=ticks), axis, tuple(parts))
 
 
@@ -67,7 +73,7 @@ def groups_plot(means: pd.DataFrame, factor: str, name: str) -> Plot:
         parts.append(
             Curve(np.array(x), centre, Verbatim(level), _colour(place), "bars", centre - reach, centre + reach)
         )
-    ticks = tuple((k + 1.0, Verbatim(str(site))) for k, site in enumerate(sites))
+    ticks = tuple((k + 1.0, _in_lines(str(site))) for k, site in enumerate(sites))
     return Plot(marked("Groups by site"), Axis("Site", ticks=ticks), axis, tuple(parts))
 
 
@@ -99,7 +105,7 @@ def first_test_plot(table: pd.DataFrame, name: str) -> Plot:
     for site, tests in table.sort_values("repeat").groupby("site", sort=True):
         found = [
             (values.iloc[1:].mean() - values.iloc[0]) * factor
-            for _who, values in tests.groupby("subject")[name]
+            for _subject, values in tests.groupby("subject")[name]
             if len(values) > 1
         ]
         groups[str(site)] = np.array(found)
@@ -112,7 +118,8 @@ def variation_plot(rows: pd.DataFrame) -> Plot:
     means = rows.groupby("parameter", sort=False)[["individual_cv", "population_cv"]].mean() * 100.0
     places = np.arange(1.0, len(means) + 1.0)
     ticks = tuple(
-        (place, label_and_unit(str(name))[0]) for place, name in zip(places.tolist(), means.index, strict=True)
+        (place, _in_lines(_(label_and_unit(str(name))[0])))
+        for place, name in zip(places.tolist(), means.index, strict=True)
     )
     parts = (
         Bars(places - 0.2, means["individual_cv"].to_numpy(), 0.36, marked("within a subject"), "measured"),
@@ -120,6 +127,53 @@ def variation_plot(rows: pd.DataFrame) -> Plot:
     )
     axis = Axis(marked("Coefficient of variation"), "%")
     return Plot(marked("Coefficients of variation, mean of the sites"), Axis("", ticks=ticks), axis, parts)
+
+
+def materials_plot(samples: pd.DataFrame, means: pd.DataFrame, name: str) -> Plot:
+    """Return mean and spread of the tests of each material, and of the subjects at each site (Fig. 7.10)."""
+    axis, factor = parameter_axis(name)
+    groups = {
+        str(key): values[name].dropna().to_numpy() * factor for key, values in samples.groupby(MATERIAL, sort=True)
+    }
+    if name in means:
+        for site, values in means.groupby("site", sort=True):
+            groups[str(site)] = values[name].dropna().to_numpy() * factor
+    return _groups_plot(marked("Materials and sites"), marked("Material or site"), axis, groups)
+
+
+def conditions_plot(means: pd.DataFrame, before: str, name: str) -> Plot:
+    """Return the relative change under each condition of each subject and on average, by site (Figs. 7.21, 7.22)."""
+    groups: dict[str, np.ndarray] = {}
+    wide = means.pivot_table(index=["site", "subject"], columns="condition", values=name)
+    if before in wide:
+        for condition in wide.columns.drop(before):
+            pairs = wide[[before, condition]].dropna()
+            for site, own in pairs.groupby(level="site"):
+                change = 100.0 * (own[condition] / own[before] - 1.0)
+                groups[f"{condition}, {site}"] = change.to_numpy()
+    shown = Axis(label_and_unit(name)[0], "%", zero=True)
+    return _groups_plot(marked("Change from the reference"), marked("Condition"), shown, groups)
+
+
+def nonlinearity_plot(means: pd.DataFrame, samples: pd.DataFrame) -> Plot:
+    """Return the static nonlinearity C1 (1 - exp(-C2 F)) of the mean parameters of each site and material (Fig. 7.13).
+
+    Args:
+        means: one row per subject and site, with ``c1_m`` and ``c2_per_n``.
+        samples: one row per test of a material.
+    """
+    force = np.linspace(0.0, _LARGEST_FORCE_N, 61)
+    parts = []
+    found = [*means.groupby("site", sort=True), *(samples.groupby(MATERIAL, sort=True) if len(samples) else ())]
+    for place, (key, rows) in enumerate(found):
+        c1, c2 = float(rows["c1_m"].mean()), float(rows["c2_per_n"].mean())
+        parts.append(Curve(force, 1e3 * c1 * (1.0 - np.exp(-c2 * force)), Verbatim(str(key)), _colour(place)))
+    return Plot(
+        marked("Static nonlinearity of the mean parameters"),
+        Axis(marked("Static force"), "N"),
+        Axis(marked("Depth"), "mm"),
+        tuple(parts),
+    )
 
 
 def _groups_plot(title: str, label: str, axis: Axis, groups: dict[str, np.ndarray]) -> Plot:
@@ -132,8 +186,13 @@ def _groups_plot(title: str, label: str, axis: Axis, groups: dict[str, np.ndarra
         half = values.std(ddof=1) if len(values) > 1 else 0.0
         mean = np.array([values.mean()])
         parts.append(Curve(np.array([place + 1.0]), mean, "", "model", "bars", mean - half, mean + half, width=1.4))
-    ticks = tuple((k + 1.0, Verbatim(site)) for k, site in enumerate(groups))
+    ticks = tuple((k + 1.0, _in_lines(site)) for k, site in enumerate(groups))
     return Plot(title, Axis(label, ticks=ticks), axis, tuple(parts))
+
+
+def _in_lines(name: str) -> Verbatim:
+    """Return a name in lines of about ``_TICK_LETTERS`` letters, for ticks that stand side by side."""
+    return Verbatim("\n".join(textwrap.wrap(name, _TICK_LETTERS, break_long_words=False)))
 
 
 def _offset(place: int, count: int) -> float:

@@ -8,39 +8,37 @@ from typing import Any
 
 import pandas as pd
 
-from tissueid.messages import Listing, Message, Verbatim
+from tissueid.messages import Message, Verbatim
 from tissueid.studies.group_comparison import (
     efficacy,
     general_linear,
+    materials,
     mixed_model,
     one_way,
     regressions,
+    site_means,
     subject_means,
 )
 from tissueid.studies.multivariate import partial_least_squares
 from tissueid.studies.repeatability import first_test, reliability, variation
 from tissueid.studies.sample_size import sample_sizes
-from tissueid.studies.study_table import as_json_rows, parameters_of
+from tissueid.studies.study_table import MATERIAL, as_json_rows
+from tissueid.studies.thesis_tables import thesis_tables
+from tissueid.studies.usable_tests import has_groups, has_values, parameters_used, usable_tests
 
-THESIS_SIX = (
-    "damping_ratio",
-    "natural_frequency_rad_per_s",
-    "scaled_mass_s2",
-    "scaled_damping_s",
-    "c1_m",
-    "c2_per_n",
-)
-"""Parameters of the Wiener fit that the thesis studies (7.1.1)."""
-FACTORS = ("gender", "ethnicity", "handedness")
-REGRESSORS = ("age_years", "height_m", "weight_kg", "bmi_kg_per_m2")
-_MOST_PARAMETERS = 12
+FACTORS = ("gender", "ethnicity", "age_group", "handedness")
+REGRESSORS = ("age_years", "height_m", "weight_kg", "weight_per_height_kg_per_m", "bmi_kg_per_m2")
+LINEAR = ("mass_kg", "damping_n_s_per_m", "stiffness_n_per_m", "natural_frequency_rad_per_s", "damping_ratio")
+"""Linear parameters of Fig. 7.10, of materials and products."""
 
 
 @dataclass(frozen=True)
 class StudyStatistics:
     """Statistics of a study. ``tables`` are results by key, ``remarks`` say what was left out.
 
-    ``used`` holds the tests that count, ``means`` one row per subject, site and condition.
+    ``used`` holds the tests of subjects that count, ``means`` one row per subject, site and condition, ``samples`` the
+    tests of materials. ``left_out`` has one row per test that does not count, with the reason. ``thesis`` are the
+    tables of the thesis beside those of the study, by their number.
     """
 
     used: pd.DataFrame
@@ -48,6 +46,9 @@ class StudyStatistics:
     parameters: tuple[str, ...]
     tables: dict[str, pd.DataFrame] = field(default_factory=dict)
     remarks: tuple[Message, ...] = ()
+    left_out: pd.DataFrame = field(default_factory=pd.DataFrame)
+    samples: pd.DataFrame = field(default_factory=pd.DataFrame)
+    thesis: dict[str, pd.DataFrame] = field(default_factory=dict)
 
     def as_answer(self) -> dict[str, Any]:
         """Return the statistics for JSON."""
@@ -57,6 +58,10 @@ class StudyStatistics:
             "sites": sorted(map(str, self.used["site"].unique())),
             "parameters": list(self.parameters),
             "remarks": [str(remark) for remark in self.remarks],
+            "left_out": as_json_rows(self.left_out.assign(reason=self.left_out["reason"].map(str)))
+            if len(self.left_out)
+            else [],
+            "thesis": {key: as_json_rows(table) for key, table in self.thesis.items()},
             "statistics": {key: as_json_rows(table) for key, table in self.tables.items()},
         }
 
@@ -77,142 +82,117 @@ def study_statistics(
         factors: columns with groups of subjects; those of ``FACTORS`` that the table has by default.
         regressors: columns with values of subjects; those of ``REGRESSORS`` that the table has by default.
         before: condition of the reference, "" for tests without one; tests under other conditions are compared only.
-        after: condition that is compared with it.
+        after: condition that is compared with it; all others if not given.
         margin: relative margin of equivalence.
     """
-    used, parameters, remarks = usable_tests(table)
+    found = usable_tests(table)
+    remarks = list(found.remarks)
+    used, samples = _persons_and_samples(found.used)
+    parameters = parameters_used(used if len(used) else samples, remarks)
     keys = ("subject", "site", "condition")
-    means = subject_means(used, parameters, keys) if parameters else used.head(0)
+    linear = [name for name in LINEAR if name in used and used[name].notna().any()]
+    measured = list(dict.fromkeys([*parameters, *linear]))
+    means = subject_means(used, measured, keys) if parameters and len(used) else used.head(0)
     plain = used[used["condition"] == before]
-    if plain.empty:
+    if plain.empty and len(used):
         plain = used
         remarks.append(
             Message("study.all_conditions", "repeatability and groups use the tests of all conditions: none is without")
         )
-    own = means[means["condition"].isin(plain["condition"].unique())] if parameters else means
-    tables = {
-        "variation": variation(plain, parameters),
-        "reliability": reliability(plain, parameters),
-        "first_test": first_test(plain, parameters),
-        "sites": mixed_model(plain, "site", parameters),
-    }
-    remarks += [_left_out(key) for key in ("variation", "reliability") if tables[key].empty]
-    chosen = [name for name in factors or FACTORS if _has_groups(own, name, remarks, stated=bool(factors))]
-    if chosen and parameters:
+    own = means[means["condition"].isin(plain["condition"].unique())].copy() if len(means) else means
+    tables: dict[str, pd.DataFrame] = {}
+    if len(used):
+        remarks += too_few_repeats(plain)
+        tables |= {
+            "variation": variation(plain, parameters),
+            "reliability": reliability(plain, parameters),
+            "site_means": site_means(own, parameters),
+            "first_test": first_test(plain, parameters),
+            "sites": mixed_model(plain, "site", parameters),
+        }
+        remarks += [_left_out(key) for key in ("variation", "reliability") if tables[key].empty]
+    if len(own) and parameters:
+        tables |= _between_subjects(own, parameters, factors, regressors, remarks)
+        tables |= _conditions(means, measured, before, after, margin, remarks)
+    if len(samples):
+        tables["materials"] = materials(samples, list(dict.fromkeys([*linear, *parameters])) or measured)
+    tables = {key: rows for key, rows in tables.items() if not rows.empty}
+    thesis = thesis_tables(own, tables, parameters)
+    return StudyStatistics(used, means, tuple(parameters), tables, tuple(remarks), found.left_out, samples, thesis)
+
+
+def _persons_and_samples(used: pd.DataFrame) -> tuple[pd.DataFrame, pd.DataFrame]:
+    if MATERIAL not in used:
+        return used, used.head(0)
+    sample = used[MATERIAL].notna()
+    return used[~sample].copy(), used[sample].copy()
+
+
+def _between_subjects(
+    own: pd.DataFrame,
+    parameters: Sequence[str],
+    factors: Sequence[str],
+    regressors: Sequence[str],
+    remarks: list[Message],
+) -> dict[str, pd.DataFrame]:
+    tables = {}
+    chosen = [name for name in factors or FACTORS if has_groups(own, name, remarks, stated=bool(factors))]
+    if chosen:
         tables["groups"] = _joined([one_way(own, name, parameters) for name in chosen])
         if len(chosen) > 1:
             tables["general_linear"] = general_linear(own, chosen, parameters)
         if not tables["groups"].empty:
             tables["sample_sizes"] = sample_sizes(tables["groups"])
-    values = [name for name in regressors or REGRESSORS if _has_values(own, name, remarks, stated=bool(regressors))]
-    if values and parameters:
+    values = [name for name in regressors or REGRESSORS if has_values(own, name, remarks, stated=bool(regressors))]
+    if values:
         tables["regressions"] = _joined([regressions(own, name, parameters) for name in values])
-    responses = [*values, *(name for name in chosen if own[name].nunique() == 2)]
-    if responses and parameters:
+    responses = [*values, *(name for name in chosen if own[name].nunique() == 2 and name != "age_group")]
+    if responses:
         tables["partial_least_squares"] = partial_least_squares(own, responses, parameters)
-    if after is not None and parameters:
-        tables["efficacy"] = efficacy(means, before, after, parameters, margin)
-        if tables["efficacy"].empty:
-            remarks.append(
-                Message(
-                    "study.no_pairs",
-                    "no three subjects were tested at one site under both conditions, {before} and {after}",
-                    before=Verbatim(before or "''"),
-                    after=Verbatim(after),
-                )
-            )
-    tables = {key: found for key, found in tables.items() if not found.empty}
-    return StudyStatistics(used, means, tuple(parameters), tables, tuple(remarks))
+    return tables
 
 
-def usable_tests(table: pd.DataFrame) -> tuple[pd.DataFrame, list[str], list[Message]]:
-    """Return the tests that count, the parameters that are compared, and a statement of what is left out."""
-    remarks: list[Message] = []
-    used = _usable(table, remarks)
-    return used, _parameters(used, remarks), remarks
-
-
-def _usable(table: pd.DataFrame, remarks: list[Message]) -> pd.DataFrame:
-    usable = table[(table["status"] == "completed") & (table["quality"] != "repeat")]
-    if (dropped := len(table) - len(usable)) > 0:
-        remarks.append(
-            Message(
-                "study.tests_dropped",
-                "{count} of {total} tests do not count: not completed, not analysed, or their quality is 'repeat'",
-                count=dropped,
-                total=len(table),
-            )
+def _conditions(
+    means: pd.DataFrame,
+    parameters: Sequence[str],
+    before: str,
+    after: str | None,
+    margin: float | None,
+    remarks: list[Message],
+) -> dict[str, pd.DataFrame]:
+    others = [after] if after is not None else sorted(set(means["condition"]) - {before})
+    if not others:
+        return {}
+    found = _joined([efficacy(means, before, other, parameters, margin) for other in others])
+    paired = set() if found.empty else set(found["after"])
+    remarks += [
+        Message(
+            "study.no_pairs",
+            "no three subjects were tested at one site under both conditions, {before} and {after}",
+            before=Verbatim(before or "''"),
+            after=Verbatim(other),
         )
-    kinds = usable["configuration"].nunique()
-    if kinds > 1:
-        most = usable["configuration"].mode().iloc[0]
-        remarks.append(
-            Message(
-                "study.configurations",
-                "the tests have {count} configurations; only those with '{kept}' count",
-                count=kinds,
-                kept=Verbatim(str(most)),
-            )
+        for other in others
+        if other not in paired
+    ]
+    return {"efficacy": found}
+
+
+def too_few_repeats(plain: pd.DataFrame) -> list[Message]:
+    """State the series of a single test, which have no variation within a subject."""
+    counts = plain.groupby(["subject", "site"]).size()
+    single = int((counts < 2).sum())
+    if not single or single == len(counts):  # the latter is stated where the tables are missing
+        return []
+    return [
+        Message(
+            "study.single_tests",
+            "{count} of {total} series have one test that counts: they enter means and groups, not the variation "
+            "within a subject",
+            count=single,
+            total=len(counts),
         )
-        usable = usable[usable["configuration"] == most]
-    return usable.assign(condition=usable["condition"].fillna(""))
-
-
-def _parameters(used: pd.DataFrame, remarks: list[Message]) -> list[str]:
-    found = parameters_of(used)
-    if all(name in found for name in THESIS_SIX):
-        return list(THESIS_SIX)
-    constant = [name for name in found if used[name].dropna().nunique() < 2]
-    if constant:
-        remarks.append(
-            Message(
-                "study.constant",
-                "constant in all tests, and therefore left out: {names}",
-                names=Listing(tuple(constant)),
-            )
-        )
-    return [name for name in found if name not in constant][:_MOST_PARAMETERS]
-
-
-def _has_groups(means: pd.DataFrame, name: str, remarks: list[Message], *, stated: bool) -> bool:
-    if name not in means or means[name].dropna().empty:
-        if stated:
-            remarks.append(Message("study.no_column", "no subject has a value of '{name}'", name=Verbatim(name)))
-        return False
-    if means[name].nunique() < 2:
-        remarks.append(Message("study.one_group", "all subjects have the same '{name}'", name=Verbatim(name)))
-        return False
-    _count_missing(means, name, remarks)
-    return True
-
-
-def _has_values(means: pd.DataFrame, name: str, remarks: list[Message], *, stated: bool) -> bool:
-    numbers = pd.to_numeric(means[name], errors="coerce") if name in means else pd.Series(dtype=float)
-    if numbers.dropna().empty:
-        if stated:
-            remarks.append(Message("study.no_number", "no subject has a number for '{name}'", name=Verbatim(name)))
-        return False
-    if numbers.dropna().nunique() < 3:
-        remarks.append(
-            Message("study.too_few_values", "'{name}' has too few values for a regression", name=Verbatim(name))
-        )
-        return False
-    means[name] = numbers
-    _count_missing(means, name, remarks)
-    return True
-
-
-def _count_missing(means: pd.DataFrame, name: str, remarks: list[Message]) -> None:
-    missing = means.loc[means[name].isna(), "subject"].nunique()
-    if missing:
-        remarks.append(
-            Message(
-                "study.missing",
-                "{count} subjects have no value of '{name}' and do not count in its comparisons",
-                count=int(missing),
-                name=Verbatim(name),
-            )
-        )
+    ]
 
 
 def _left_out(key: str) -> Message:

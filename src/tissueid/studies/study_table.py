@@ -31,6 +31,7 @@ DESCRIPTION = (
     "kind",
     "status",
     "quality",
+    "findings",
     "engine",
     "vaf_percent",
     "vaf_validation_percent",
@@ -43,11 +44,18 @@ DEMOGRAPHICS = (
     "weight_kg",
     "height_m",
     "bmi_kg_per_m2",
+    "weight_per_height_kg_per_m",
+    "age_group",
     "gender",
     "handedness",
     "ethnicity",
     "skin_conditions",
+    "material",
 )
+MATERIAL = "material"
+"""Column of a sample's material; a row with one is of a sample, not of a person."""
+AGE_LIMIT_YEARS = 25.0
+"""Limit of the two groups of age in thesis 7.1.2."""
 _LARGEST_SUBJECTS = 10_000_000
 _MOST_COLUMNS = 100
 
@@ -73,6 +81,11 @@ def study_table(rows: Iterable[Mapping[str, Any]], subjects: pd.DataFrame | None
     if {"weight_kg", "height_m"} <= set(table.columns):
         weight, height = (pd.to_numeric(table[name], errors="coerce") for name in ("weight_kg", "height_m"))
         table["bmi_kg_per_m2"] = weight / height**2
+        table["weight_per_height_kg_per_m"] = weight / height
+    if "age_years" in table:
+        age = pd.to_numeric(table["age_years"], errors="coerce")
+        groups = pd.Series(f"< {AGE_LIMIT_YEARS:g}", table.index).where(age < AGE_LIMIT_YEARS, f"≥ {AGE_LIMIT_YEARS:g}")
+        table["age_group"] = groups.where(age.notna())
     first = [*KEYS, *DESCRIPTION, *DEMOGRAPHICS]
     return table[[name for name in first if name in table] + [name for name in table if name not in first]]
 

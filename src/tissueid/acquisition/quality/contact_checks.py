@@ -166,7 +166,7 @@ def baseline_shift(prepared: PreparedTest) -> tuple[float, float, bool] | None:
     noise = (rest @ rest - gain[best]) / freedom
     size = float(rest @ candidates[:, best] / norm[best])
     sudden = best < steps.shape[1]
-    shift = size if sudden else size * float(at[-1] - at[0])
+    shift = size if sudden else _bounded_drift(size, at, common, y)
     least = max(MOVED_M, MOVED_SHARE * float(np.std(prepared.position[part])))
     # Bonferroni correction: one test per block. Good tests are twenty times below this threshold.
     certain = gain[best] / noise > float(stats.f.isf(1e-4 / y.size, 1, freedom))
@@ -174,6 +174,14 @@ def baseline_shift(prepared: PreparedTest) -> tuple[float, float, bool] | None:
         return None
     place_s = prepared.test.preload_s + float(at[3:-3][best] if sudden else at[0])
     return shift, place_s, sudden
+
+
+def _bounded_drift(rate: float, at: Array, common: Array, y: Array) -> float:
+    # In a few seconds a ramp and the creep (last column of ``common``) are nearly collinear: a breath gives both large
+    # and opposite amplitudes. The drift is therefore at most the range of the motion that both describe together.
+    ramp = rate * (at - at[0])
+    creep = common[:, -1] * float(np.linalg.lstsq(common, y - ramp, rcond=None)[0][-1])
+    return float(np.sign(rate) * min(np.ptp(ramp), np.ptp(ramp + creep)))
 
 
 def preload_shift(prepared: PreparedTest) -> tuple[float, float, bool] | None:

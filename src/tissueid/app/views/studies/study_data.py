@@ -143,7 +143,7 @@ def statistics_of(folder: Path, control: Control) -> StudyStatistics:
     Raises:
         UnusableInputError: there is no table yet, it cannot be read, or a package is missing.
     """
-    from tissueid.procedures.study_run import check_packages
+    from tissueid.extras import check_packages
 
     check_packages("pandas", "pyarrow", "statsmodels", "sklearn")
     import pandas as pd

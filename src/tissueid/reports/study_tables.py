@@ -1,0 +1,214 @@
+"""Tables of a study for people: statistics, the tables of the thesis beside them, and the tests that do not count."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping
+from typing import Any
+
+import pandas as pd
+
+from tissueid.formatting import axis_label, label_and_unit, number
+from tissueid.language import _, marked
+from tissueid.messages import MISSING, translated
+from tissueid.reports.tables import Table
+from tissueid.studies.thesis_tables import MEAN_SITE
+from tissueid.units import display_unit
+
+MOST_LEFT_OUT = 200
+"""Largest number of tests that are listed one by one."""
+HEADINGS: Mapping[str, str] = {
+    "variation": marked("Variation within and between subjects"),
+    "reliability": marked("Reliability of a single test"),
+    "site_means": marked("Means by site"),
+    "first_test": marked("First test against the later ones"),
+    "sites": marked("Differences between sites"),
+    "groups": marked("Differences between groups"),
+    "general_linear": marked("Groups adjusted for each other"),
+    "sample_sizes": marked("Participants per group for 80 and 90 % power"),
+    "regressions": marked("Regressions on values of the subjects"),
+    "partial_least_squares": marked("Partial least squares of all parameters"),
+    "efficacy": marked("Conditions compared within subjects"),
+    "materials": marked("Materials"),
+    "7.1": marked("Table 7.1 of the thesis: variation within a subject"),
+    "7.2": marked("Table 7.2 of the thesis: variation between subjects"),
+    "7.3a": marked("Table 7.3a of the thesis: groups"),
+    "7.3b": marked("Table 7.3b of the thesis: regressions"),
+    "7.3c": marked("Table 7.3c of the thesis: participants per group"),
+    "7.4": marked("Table 7.4 of the thesis: partial least squares"),
+    "7.5": marked("Table 7.5 of the thesis: right-handed males of 18 to 28 years, left arm"),
+}
+_NOTES = {
+    "variation": marked(
+        "Individual: standard deviation over the tests of a subject divided by their mean, averaged over the subjects. "
+        "Population: the same over the means of the subjects. In brackets: 95 % interval, bootstrap over subjects."
+    ),
+    "reliability": marked(
+        "ICC(A,1): share of the variance that is between subjects (McGraw and Wong 1996). A change of a single test "
+        "that is smaller than the minimal detectable change can be chance."
+    ),
+    "site_means": marked(
+        "Weighted by the uncertainty of each subject's mean: random-effects model of Paule and Mandel. The standard "
+        "deviation is that of the subjects; between subjects it is without the uncertainty of their means."
+    ),
+    "first_test": marked("Mean of the later tests of a subject less the first test; paired t test."),
+    "sites": marked(
+        "Mixed model with the subject as random effect; the first site is the reference. Effect size: difference over "
+        "the total standard deviation."
+    ),
+    "groups": marked(
+        "One-way analysis of variance of the subjects' means, Welch's form where the variances differ (Levene). "
+        "Effect size: partial eta squared. Corrected by Holm's method over the parameters and sites of a factor. "
+        "Weighted: by the uncertainty of each subject's mean. Detectable: Cohen's f that these groups show with a "
+        "power of 80 % (half of Cohen's d for two groups)."
+    ),
+    "general_linear": marked("Type II sums of squares; each factor is adjusted for the others."),
+    "sample_sizes": marked("From the smallest difference of two means and the largest standard deviation; size 0.05."),
+    "regressions": marked(
+        "Slope in SI units of the parameter per unit of the value. Weighted by the uncertainty of each subject's mean. "
+        "Equal variances: Breusch and Pagan."
+    ),
+    "partial_least_squares": marked(
+        "Components by cross-validation, p-value by permutations, each with its own components. "
+        "Q²: share of the variance of held-out subjects that is predicted."
+    ),
+    "efficacy": marked(
+        "Difference after less before, paired by subject; effect size: Cohen's d. Equivalence: two one-sided tests."
+    ),
+    "materials": marked(
+        "Analysis of variance over the tests, Welch's form where the variances differ. The last column is the number "
+        "of other materials from which this one differs (Tukey, 5 % for all pairs together)."
+    ),
+    "7.1": marked("Individual coefficient of variation; in brackets its 95 % interval. The last column is the ratio."),
+    "7.2": marked("Population coefficient of variation; in brackets its 95 % interval. The last column is the ratio."),
+    "7.3a": marked(
+        "Smallest p-value over the six parameters. The thesis' cells are not legible; its text is given instead."
+    ),
+    "7.3b": marked("The thesis' cells are not legible; its text is given instead."),
+    "7.3c": marked("Parameter with the fewest participants. The thesis' text gives ranges over its parameters."),
+    "7.4": marked("P-values; the number of components is not printed in the thesis."),
+    "7.5": marked(
+        "Mean and standard deviation; one-way analysis of variance. The heads of the printed columns contradict the "
+        "text and are interchanged here. Seven subjects reproduce the four printed p-values."
+    ),
+}
+_COLUMNS: Mapping[str, str] = {
+    "site": marked("Site"),
+    "factor": marked("Quantity or group"),
+    "response": marked("Quantity or group"),
+    "parameter": marked("Parameter"),
+    "level": marked("Level"),
+    "reference": marked("Reference"),
+    "before": marked("Reference"),
+    "after": marked("Condition"),
+    "subjects": marked("Subjects"),
+    "left_out": marked("Left out"),
+    "tests": marked("Tests"),
+    "groups": marked("Groups"),
+    "mean": marked("Mean"),
+    "std": marked("Standard deviation"),
+    "between_std": marked("Between subjects"),
+    "within_std": marked("Within a subject"),
+    "individual_cv": marked("Individual CV"),
+    "population_cv": marked("Population CV"),
+    "icc": marked("ICC(A,1)"),
+    "minimal_detectable_change": marked("Minimal detectable change"),
+    "difference": marked("Difference"),
+    "slope": marked("Slope"),
+    "statistic": marked("F"),
+    "effect_size": marked("Effect size"),
+    "r_squared": marked("R²"),
+    "q_squared": marked("Q²"),
+    "components": marked("Components"),
+    "p_value": marked("p"),
+    "p_corrected": marked("p corrected"),
+    "p_weighted": marked("p weighted"),
+    "equivalence_p_value": marked("p of equivalence"),
+    "method": marked("Method"),
+    "normal": marked("Normal residuals"),
+    "equal_variances": marked("Equal variances"),
+    "participants_80": marked("80 %"),
+    "participants_90": marked("90 %"),
+    "detectable": marked("Detectable"),
+    "unlike": marked("Differs from"),
+    "study": marked("Study"),
+    "anterior": marked("Anterior"),
+    "posterior": marked("Posterior"),
+    "thesis_anterior": marked("Thesis, anterior"),
+    "thesis_posterior": marked("Thesis, posterior"),
+    "thesis": marked("Thesis"),
+    "thesis_p": marked("Thesis, p"),
+    "thesis_participants": marked("Thesis, participants"),
+    "ratio": marked("Study over thesis"),
+    "converged": marked("Converged"),
+}
+_IN_UNITS = (
+    "mean",
+    "std",
+    "between_std",
+    "within_std",
+    "difference",
+    "minimal_detectable_change",
+    "anterior",
+    "posterior",
+    "thesis_anterior",
+    "thesis_posterior",
+)
+_P_VALUES = ("p_value", "p_corrected", "p_weighted", "equivalence_p_value")
+_INTERVALS = {
+    "individual_cv": ("individual_cv_low", "individual_cv_high"),
+    "population_cv": ("population_cv_low", "population_cv_high"),
+    "icc": ("icc_low", "icc_high"),
+    "mean": ("low", "high"),
+    "difference": ("low", "high"),
+    "study": ("study_low", "study_high"),
+    "slope": ("slope_low", "slope_high"),
+}
+_METHODS = {"anova": marked("analysis of variance"), "welch": marked("Welch")}
+
+
+def study_table(key: str, rows: pd.DataFrame) -> Table:
+    """Return one table of statistics, or of the thesis beside them, for people; ``key`` is its key."""
+    columns = [name for name in _COLUMNS if name in rows and not (key == "materials" and name == "p_weighted")]
+    head = tuple(_(_COLUMNS[name]) for name in columns)
+    cells = tuple(tuple(_cell(row, name) for name in columns) for row in rows.to_dict("records"))
+    return Table(_(HEADINGS[key]), head, cells, _(_NOTES[key]))
+
+
+def _cell(row: Mapping[str, Any], name: str) -> str:
+    value = row[name]
+    if value is None or (isinstance(value, float) and math.isnan(value)):
+        return MISSING
+    if isinstance(value, bool):
+        return _("yes") if value else _("no")
+    if name == "parameter":
+        return axis_label(str(value), display_unit(label_and_unit(str(value))[1])[0])
+    if name in ("factor", "response"):
+        return _(label_and_unit(str(value))[0])
+    if name == "method":
+        return _(_METHODS[str(value)])
+    if isinstance(value, str):
+        return _("mean") if name == "site" and value == MEAN_SITE else value
+    scale = display_unit(label_and_unit(str(row["parameter"]))[1])[1] if name in _IN_UNITS else 1.0
+    if name in _P_VALUES or (name == "thesis" and "response" in row):
+        return "< 0.0005" if value < 0.0005 else f"{value:.3f}"
+    text = "∞" if math.isinf(value) else number(float(value) * scale, 3)
+    if f"{name}_std" in row:
+        return f"{text} ± {number(float(row[name + '_std']) * scale, 2)}"
+    low, high = (row.get(edge) for edge in _INTERVALS.get(name, ("", "")))
+    if low is not None and high is not None and math.isfinite(low) and math.isfinite(high):
+        text += f" [{number(low * scale, 3)}, {number(high * scale, 3)}]"
+    return text
+
+
+def left_out_table(rows: pd.DataFrame) -> Table:
+    """Return the tests that do not count, with the reasons; the first ``MOST_LEFT_OUT`` one by one."""
+    head = (_("Session"), _("Test"), _("Subject"), _("Site"), _("Reason"))
+    shown = rows.head(MOST_LEFT_OUT)
+    cells = tuple(
+        (str(row["session"]), str(row["test"]), str(row["subject"]), str(row["site"]), translated(row["reason"]))
+        for row in shown.to_dict("records")
+    )
+    more = len(rows) - len(shown)
+    note = _("{count} further tests are in the JSON of the report.").format(count=more) if more else ""
+    return Table(_("Tests that do not count"), head, cells, note)
