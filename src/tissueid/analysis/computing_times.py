@@ -42,9 +42,8 @@ class Timing:
 
     @property
     def power(self) -> float:
-        """Power of the size with which the time grows over the upper half of the sizes."""
-        half = len(self.sizes) // 2
-        return float(np.polyfit(np.log(self.sizes[half:]), np.log(self.seconds[half:]), 1)[0])
+        """Power of the size with which the time grows over the largest three sizes."""
+        return float(np.polyfit(np.log(self.sizes[-3:]), np.log(self.seconds[-3:]), 1)[0])
 
 
 def shortest(work: Callable[[], object]) -> float:
@@ -137,15 +136,16 @@ def lags_for(rows: int) -> int:
 def technique_times(record: Record) -> dict[str, float]:
     """Return the times, s, of the techniques of Table 8.1 by the algorithms of the thesis, on a test at 2 kHz.
 
-    LMS with 250 lags; six Wiener passes; a second-order system at every third sample, with three rows for each
-    parameter; 15 partitions of 40 lags at every fourth sample. NaN where a sample was not received.
+    LMS with 250 lags; six Wiener passes; a second-order system at every third sample and up to 15 partitions of 40 lags
+    at every fourth sample, both with three rows for each parameter. NaN where a sample was not received.
     """
     x, y = record.input, record.output
     if not (np.isfinite(x).all() and np.isfinite(y).all()):
         return dict.fromkeys(("LMS", "Wiener", "Volterra", "depth"), float("nan"))
     third, fourth = every(record, 3), every(record, 4)
     memory = lags_for(len(third))
-    edges = np.quantile(fourth.output, np.linspace(0.0, 1.0, _PARTITIONS + 1))
+    partitions = min(_PARTITIONS, max(2, len(fourth) // (_SHARE * _PARTITION_LAGS)))
+    edges = np.quantile(fourth.output, np.linspace(0.0, 1.0, partitions + 1))
     edges[[0, -1]] = -np.inf, np.inf
     inputs = third.input - third.input.mean()
     work: dict[str, Callable[[], object]] = {

@@ -72,6 +72,7 @@ def _localized(preset: str) -> tuple[Recording, ...]:
 
 
 _LARGE = {POSTERIOR: LARGE} | {preset: Recording(f"{preset}-large", preset) for preset in (ANTERIOR, DISTAL, UPPER)}
+_ELEVEN = Recording(f"{POSTERIOR}-11n", POSTERIOR, (0.0, 11.0), seed=6)
 _WHITE = {preset: _white(f"{preset}-white", preset) for preset in (POSTERIOR, ANTERIOR, DISTAL, UPPER)}
 _SYSTEMS = {
     LINEAR: ("linear", (0.5, 10.5)),
@@ -125,7 +126,7 @@ _COMPARED: tuple[ThesisFigure, ...] = (
         "3.12",
         marked("Static nonlinearity with ranges of 11, 7 and 1 N, and impulse responses by depth"),
         (
-            Source("11 N", Recording(f"{POSTERIOR}-11n", POSTERIOR, (0.0, 11.0), seed=6)),
+            Source("11 N", _ELEVEN),
             Source("7 N", Recording(f"{POSTERIOR}-7n", POSTERIOR, (2.0, 9.0), seed=5)),
             *(Source("1 N", one) for one in _localized(POSTERIOR)),
         ),
@@ -266,7 +267,7 @@ _COMPARED: tuple[ThesisFigure, ...] = (
     ThesisFigure(
         "5.11",
         marked("Depth partitions against direction partitions"),
-        (Source(SITES[POSTERIOR], _LARGE[POSTERIOR]),),
+        (Source(SITES[POSTERIOR], _ELEVEN),),
         ("depth,partitions=10", "direction,partitions=5"),
         ("depth",),
         direction_rows,

@@ -15,7 +15,7 @@ Outcome = tuple[DrawnFigures, Sequence[Row]]
 """Pictures and comparison of a figure."""
 _QUICK_SECONDS = 2.0
 """Longest test of a quick run, s."""
-_QUICK_STEP_M = 0.007
+_QUICK_STEP_M = 0.005
 """Distance of the positions of the sweep of a quick run, m."""
 
 
