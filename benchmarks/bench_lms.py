@@ -8,8 +8,9 @@ from collections.abc import Iterable
 
 import numpy as np
 
-from benchmarks import plain, records
+from benchmarks import records
 from benchmarks.base import Comparison
+from tissueid.analysis import published_algorithms as published
 from tissueid.identification.impulse_response import factor_input
 from tissueid.identification.preparation import prepare
 
@@ -23,9 +24,9 @@ def comparisons() -> Iterable[Comparison]:
         return factor_input(prepare(record, None, LAGS / record.sample_rate_hz)).kernel(record.output)
 
     def in_numpy() -> np.ndarray:
-        return plain.impulse_response(record.input, record.output, LAGS)[0]
+        return published.impulse_response(record.input, record.output, LAGS)[0]
 
-    _, condition = plain.impulse_response(record.input, record.output, LAGS)
+    _, condition = published.impulse_response(record.input, record.output, LAGS)
     yield Comparison(
         title="LMS impulse response",
         setting=f"{LAGS} lags, {len(record)} samples, cond R = {condition:.0f}",

@@ -7,8 +7,8 @@ from collections.abc import Iterable
 import numpy as np
 from scipy import linalg, signal
 
-from benchmarks import plain_partitions
 from benchmarks.base import Comparison
+from tissueid.analysis import published_algorithms as published
 from tissueid.identification.least_squares import factor
 from tissueid.identification.partitions.cells import Partitions, place_breakpoints
 from tissueid.identification.partitions.regression import lagged_regressors
@@ -46,14 +46,14 @@ def _against_both(samples: int, floor: float | None) -> Iterable[Comparison]:
     partitions = Partitions(breakpoints, directional=False, pole=0.0)
     open_ended = np.concatenate([[-np.inf], breakpoints[1:-1], [np.inf]])
     used = np.arange(samples) >= LAGS - 1
-    tall = plain_partitions.construct(x, y, open_ended, LAGS).T
+    tall = published.construct_partitions(x, y, open_ended, LAGS).T
 
     def product() -> np.ndarray:
         regressors = lagged_regressors(x, partitions.cells(y), PARTITIONS, used, LagGrid(LAGS, 1))
         return factor(regressors.gram(), regressors).solve(y[used])
 
     def in_numpy() -> np.ndarray:
-        return plain_partitions.depth_partitions(x, y, open_ended, LAGS)
+        return published.depth_partitions(x, y, open_ended, LAGS)
 
     def reference() -> np.ndarray:
         return linalg.lstsq(tall, y[used], lapack_driver="gelsd")[0]

@@ -7,8 +7,8 @@ from collections.abc import Iterable
 import numpy as np
 from scipy import linalg, signal
 
-from benchmarks import plain_volterra
 from benchmarks.base import Comparison
+from tissueid.analysis import published_algorithms as published
 from tissueid.identification.volterra.methods import VolterraStimulus, factor_stimulus
 
 MEMORY = 40
@@ -48,7 +48,7 @@ def comparisons() -> Iterable[Comparison]:
     x = stimulus(white=True)
     y, again = response(x, 2), response(x, 3)
     factor = factored(x)
-    stored = plain_volterra.orthonormalise(plain_volterra.construct(x, MEMORY))
+    stored = published.orthonormalise(published.construct_volterra(x, MEMORY))
     explicit = factor.regressors.matrix()
     size = f"M = {explicit.shape[1]}, N = {ROWS}"
 
@@ -59,7 +59,7 @@ def comparisons() -> Iterable[Comparison]:
         return factored(x).solve(y)
 
     def in_numpy() -> np.ndarray:
-        return plain_volterra.volterra(x, y, MEMORY)
+        return published.volterra(x, y, MEMORY)
 
     few = {"blocks": 2, "runs_in_block": 2}
     yield Comparison("Volterra, whole answer", f"{size}, white", whole, in_numpy, difference, 1e-8, 30.0, **few)
@@ -67,7 +67,7 @@ def comparisons() -> Iterable[Comparison]:
         "Volterra, second response, against the plain whole answer",
         f"{size}, white",
         lambda: factor.solve(again),
-        lambda: plain_volterra.volterra(x, again, MEMORY),
+        lambda: published.volterra(x, again, MEMORY),
         difference,
         1e-8,
         300.0,
@@ -77,7 +77,7 @@ def comparisons() -> Iterable[Comparison]:
         "Volterra, second response, against the plain one with alpha and beta stored",
         f"{size}, white",
         lambda: factor.solve(again),
-        lambda: plain_volterra.answer(stored, again[MEMORY:]),
+        lambda: published.solve(stored, again[MEMORY:]),
         difference,
         1e-8,
         **few,
@@ -102,7 +102,7 @@ def comparisons() -> Iterable[Comparison]:
         "Volterra, whole answer, low-passed input",
         f"{size}, 200 Hz at 667 Hz, condition {condition:.0e}",
         lambda: factored(coloured).solve(hard),
-        lambda: plain_volterra.volterra(coloured, hard, MEMORY),
+        lambda: published.volterra(coloured, hard, MEMORY),
         difference,
         1e-3,
         **few,

@@ -4,8 +4,9 @@ from __future__ import annotations
 
 from collections.abc import Iterable
 
-from benchmarks import plain, records
+from benchmarks import records
 from benchmarks.base import Comparison
+from tissueid.analysis import published_algorithms as published
 from tissueid.identification.engines.wiener import Wiener
 from tissueid.identification.impulse_response import factor_input
 from tissueid.identification.preparation import prepare
@@ -31,7 +32,7 @@ def comparisons() -> Iterable[Comparison]:
         return parameters["c1_m"].value, parameters["c2_per_n"].value
 
     def in_numpy() -> tuple[float, float]:
-        return plain.wiener(record.input, record.output, LAGS, PASSES)
+        return published.wiener(record.input, record.output, LAGS, PASSES)
 
     def difference(ours: tuple[float, float], theirs: tuple[float, float]) -> float:
         return max(abs(a / b - 1.0) for a, b in zip(ours, theirs, strict=True))

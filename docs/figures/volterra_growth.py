@@ -21,7 +21,7 @@ import numpy as np
 ROOT = Path(__file__).parents[2]
 sys.path.insert(0, str(ROOT))
 
-from benchmarks import plain_volterra  # noqa: E402
+from tissueid.analysis import published_algorithms as published  # noqa: E402
 from tissueid.identification.volterra.methods import factor_stimulus  # noqa: E402
 from tissueid.identification.volterra.regressors import coefficient_count  # noqa: E402
 
@@ -59,9 +59,9 @@ def measure(memory: int, rows: int, *, plain: bool) -> dict[str, float]:
         "here, second response": seconds(lambda: kept.solve(y)),
     }
     if plain:
-        stored = plain_volterra.orthonormalise(plain_volterra.construct(x, memory))
-        found["plain, whole answer"] = seconds(lambda: plain_volterra.volterra(x, y, memory))
-        found["plain, second response"] = seconds(lambda: plain_volterra.answer(stored, y[memory:]))
+        stored = published.orthonormalise(published.construct_volterra(x, memory))
+        found["plain, whole answer"] = seconds(lambda: published.volterra(x, y, memory))
+        found["plain, second response"] = seconds(lambda: published.solve(stored, y[memory:]))
     return found
 
 

@@ -7,10 +7,9 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from tissueid.analysis.simulated_systems import WienerSystem
 from tissueid.errors import UnusableInputError
-from tissueid.identification.base import Array
 from tissueid.identification.engines.depth import Depth
-from tissueid.identification.second_order import SecondOrder
 from tissueid.records import Record
 
 SAMPLE_RATE_HZ = 500.0
@@ -19,9 +18,7 @@ MEMORY_S = 0.12
 LEVELS_N = (1.0, 2.0, 3.0, 4.0, 5.0)
 """Mean force of each partition."""
 _NOISE_N = 0.5
-_SYSTEM = SecondOrder(0.06, 20.0, 1000.0)
-"""Linear dynamics: mass, damping and stiffness of C.1.4."""
-_C1_M, _C2_PER_N = 0.007, 0.2
+_SYSTEM = WienerSystem()
 _SETTLING = 200
 """Samples before the record, in which the system forgets that it was at rest."""
 
@@ -72,8 +69,7 @@ def _error(continuous: int, repetitions: int, seeds: Sequence[int]) -> Partition
         except UnusableInputError:
             continue
         assert profile is not None
-        slope = _C2_PER_N * (_C1_M - profile.position) * _SYSTEM.stiffness
-        truth = np.array([[_SYSTEM.mass], [_SYSTEM.damping], [_SYSTEM.stiffness]]) / slope
+        truth = np.array([of(profile.position) for of in (_SYSTEM.mass, _SYSTEM.damping, _SYSTEM.stiffness)])
         values = np.array([profile.mass, profile.damping, profile.stiffness])
         found.append(100.0 * np.nanmean(np.abs(values / truth - 1.0), axis=1))
     mass, damping, stiffness = np.mean(found, axis=0) if found else np.full(3, np.nan)
@@ -90,8 +86,7 @@ def stepped_wiener(continuous: int, repetitions: int, seed: int) -> Record:
     before = _SETTLING + round(MEMORY_S * SAMPLE_RATE_HZ) - 1
     force = np.concatenate([np.full(before, levels[0]), np.repeat(levels, continuous)])
     force = force + _NOISE_N * random.standard_normal(force.size)
-    load = _SYSTEM.stiffness * _SYSTEM.simulate(force, SAMPLE_RATE_HZ, "zero-order")
-    position: Array = _C1_M * (1.0 - np.exp(-_C2_PER_N * load))
+    position = _SYSTEM.position(force, SAMPLE_RATE_HZ)
     return Record(force[_SETTLING:], position[_SETTLING:], SAMPLE_RATE_HZ)
 
 

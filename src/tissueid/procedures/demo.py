@@ -136,14 +136,20 @@ def _check_target(out: Path) -> None:
 
 
 @contextmanager
-def firmware_process(preset: str, seed: int) -> Iterator[str]:
+def firmware_process(preset: str, seed: int, *, speed: float = _SPEED, coil: str = "ideal") -> Iterator[str]:
     """Run the simulated firmware in its own process; yield the URL of its serial port.
+
+    Args:
+        preset: tissue.
+        seed: of the sensor noise.
+        speed: seconds of the instrument per second.
+        coil: force constant along the stroke: ideal or finite.
 
     Raises:
         UnusableInputError: the preset is unknown.
         InstrumentError: the process did not start.
     """
-    command = ("-m", "firmware_sim", "--preset", preset, "--seed", str(seed), "--speed", str(_SPEED))
+    command = ("-m", "firmware_sim", "--preset", preset, "--seed", str(seed), "--speed", str(speed), "--coil", coil)
     with tempfile.TemporaryFile("w+") as complaints:
         process = start(*command, stdout=subprocess.PIPE, stderr=complaints, text=True)
         assert process.stdout is not None

@@ -3,8 +3,9 @@
 from __future__ import annotations
 
 import json
+import time
 from collections.abc import Iterable, Mapping, Sequence
-from dataclasses import asdict
+from dataclasses import asdict, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
@@ -19,16 +20,20 @@ from tissueid.procedures.plan_options import Option, Plan
 
 if TYPE_CHECKING:  # each takes long to import
     from tissueid.instrument import Instrument
-    from tissueid.procedures.thesis_figures import Recording, ThesisFigure
+    from tissueid.procedures.thesis_recipe import Recording, Source, ThesisFigure
     from tissueid.reports.reproduction import ReproducedFigure
 
 _SESSIONS, _FIGURES = "sessions", "figures"
-_RESULTS, _PAGE = "results.json", "report.html"
+_RESULTS, _PAGE, _TEXT = "results.json", "report.html", "reproduction.md"
 _MADE_BY = "tissueid reproduce"
-_QUICK = 3
-"""Number of repeats of a site, and of small tests of a series, that a quick run keeps."""
+_QUICK = 2
+"""Number of repeats of a site, and of small tests of a series, that a quick run keeps: the first and the last."""
 _SEED = 1
 """Seed of the sensor noise of the simulated instrument."""
+_ATTEMPTS = 3
+"""Number of times that a test is tried: a busy computer can miss the deadlines of the instrument."""
+_SPEED, _QUICK_SPEED = 4.0, 8.0
+"""Seconds of the instrument per second, also in a quick run; divided by the number of the attempt."""
 _RECORDING = marked("Recording {name}")
 _FITTING = marked("Fitting figure {number}")
 
@@ -42,12 +47,25 @@ class ReproductionPlan(Plan):
     ] = ()
     out: Annotated[
         Path | None,
-        Option("--out", metavar="DIR", help="folder for sessions/, figures/, results.json, report.html"),
+        Option(
+            "--out", metavar="DIR", help="folder for sessions/, figures/, results.json, report.html, reproduction.md"
+        ),
     ] = None
     sweep: Annotated[
         Path | None, Option("--sweep-file", metavar="FILE", help="dynamic sweep that is drawn under depth profiles")
     ] = None
-    quick: Annotated[bool, Option("--quick", help="fewer repeats; the same figures")] = False
+    silverbox: Annotated[
+        Path | None,
+        Option("--silverbox", metavar="FILE", help="score engines on this record of the Silverbox benchmark instead"),
+    ] = None
+    wiener_hammerstein: Annotated[
+        Path | None,
+        Option("--wiener-hammerstein", metavar="FILE", help="the same for the Wiener-Hammerstein benchmark of 2009"),
+    ] = None
+    quick: Annotated[
+        bool,
+        Option("--quick", help="shorter and fewer tests; without numbers, only the figures that share a few of them"),
+    ] = False
 
 
 def listed_figures() -> tuple[tuple[str, str], ...]:
@@ -67,7 +85,8 @@ def run_reproduction(plan: ReproductionPlan, control: Control) -> tuple[Reproduc
         InstrumentError: the simulated instrument did not start.
         CancelledError: it was cancelled; recorded sessions are kept.
     """
-    from tissueid.procedures.thesis_figures import FIGURES
+    from tissueid.procedures.field_benchmarks import SILVERBOX, WIENER_HAMMERSTEIN, run_benchmark
+    from tissueid.procedures.thesis_figures import FIGURES, QUICK_TESTS
 
     known = {figure.number.casefold(): figure for figure in FIGURES}
     for number in plan.numbers:
@@ -82,36 +101,43 @@ def run_reproduction(plan: ReproductionPlan, control: Control) -> tuple[Reproduc
             )
     if plan.out is None:
         raise UnusableInputError(Message("reproduce.no_folder", "--out is required: a folder for the figures"))
-    chosen = [known[number.casefold()] for number in plan.numbers] or list(FIGURES)
+    records = ((SILVERBOX, plan.silverbox), (WIENER_HAMMERSTEIN, plan.wiener_hammerstein))
+    scored = [(benchmark, path) for benchmark, path in records if path is not None]
+    chosen = [known[number.casefold()] for number in plan.numbers] or ([] if scored else list(FIGURES))
+    if plan.quick and not plan.numbers:
+        chosen = [one for one in chosen if {source.recording.name for source in one.sources} <= QUICK_TESTS]
     chosen = [_quick(figure) for figure in chosen] if plan.quick else chosen
     calibration = None if plan.sweep is None else sweep_columns(plan.sweep)
+    began = time.perf_counter()
     _check_folder(plan.out)
     sessions = plan.out / _SESSIONS
-    private_folder(sessions)
+    try:
+        private_folder(sessions)
+        private_folder(plan.out / _FIGURES)
+    except OSError as error:
+        raise unwritable(sessions, error) from error
     failed = _record((source.recording for figure in chosen for source in figure.sources), sessions, control)
-    made = []
+    made = [run_benchmark(benchmark, path, control) for benchmark, path in scored]
     for place, figure in enumerate(chosen):
         control.progress(place / len(chosen), Message("reproduce.fitting", _FITTING, number=figure.number))
         control.check()
-        made.append(_reproduced(figure, sessions, calibration if figure.calibration else None, failed, plan.quick))
+        begin = time.perf_counter()
+        one = _reproduced(figure, sessions, calibration if figure.calibration else None, failed, plan.quick)
+        made.append(replace(one, remark=figure.remark, seconds=time.perf_counter() - begin))
     try:
-        _write(plan.out, made)
+        _write(plan, plan.out, made, began)
     except OSError as error:
         raise unwritable(Path(error.filename or plan.out), error) from error
     return tuple(made)
 
 
 def _quick(figure: ThesisFigure) -> ThesisFigure:
-    """Return a figure with at most ``_QUICK`` sources of the same label and fits."""
-    from dataclasses import replace
-
-    kept: dict[Any, int] = {}
-    sources = []
+    """Return a figure with shorter tests, and at most ``_QUICK`` sources of the same label and fits."""
+    groups: dict[Any, list[Source]] = {}
     for source in figure.sources:
-        key = source.label, source.fits
-        kept[key] = kept.get(key, 0) + 1
-        if kept[key] <= _QUICK:
-            sources.append(source)
+        groups.setdefault((source.label, source.fits), []).append(source)
+    kept = [one for group in groups.values() for one in (group[:: max(1, len(group) - 1)])[:_QUICK]]
+    sources = [replace(one, recording=one.recording.shortened()) for one in figure.sources if one in kept]
     return replace(figure, sources=tuple(sources))
 
 
@@ -123,7 +149,10 @@ def _check_folder(out: Path) -> None:
     """
     if out.exists() and not out.is_dir():
         raise UnusableInputError(Message("demo.no_folder", "{path} is not a folder", path=str(out)))
-    private_folder(out)
+    try:
+        private_folder(out)
+    except OSError as error:
+        raise unwritable(out, error) from error
     if not any((out / name).exists() for name in (_RESULTS, _PAGE)):
         return
     try:
@@ -143,58 +172,79 @@ def _check_folder(out: Path) -> None:
 def _record(recordings: Iterable[Recording], folder: Path, control: Control) -> dict[str, str]:
     """Play the tests that are not yet in the folder, each on a simulated instrument of its own.
 
-    Return why a test could not be recorded, by its name.
+    Quick tests of one tissue follow each other on one instrument. Return why a test could not be recorded, by its name.
 
     Raises:
         CancelledError: it was cancelled.
     """
-    from tissueid.acquisition import journal_path
     from tissueid.instrument import open_instrument
     from tissueid.procedures.demo import firmware_process
 
     missing = {one.name: one for one in recordings if not (folder / f"{one.name}.h5").exists()}
+    waiting = sorted(missing.values(), key=lambda one: one.preset if one.quick else "")
+    tried: dict[str, int] = {}
     failed: dict[str, str] = {}
-    for done, one in enumerate(missing.values()):
-        control.check()
-        control.progress(done / len(missing), Message("reproduce.recording", _RECORDING, name=Verbatim(one.name)))
-        path = folder / f"{one.name}.h5"
-        journal_path(path).unlink(missing_ok=True)  # of an earlier attempt; it holds a simulated test
-        with firmware_process(one.preset, _SEED) as url:  # of its own, with a cool coil
+    while waiting:
+        first = waiting[0]
+        speed = (_QUICK_SPEED if first.quick else _SPEED) / (1 + tried.get(first.name, 0))
+        with firmware_process(first.preset, _SEED, speed=speed, coil=first.coil) as url:  # with a cool coil
             instrument = open_instrument(url)
             try:
-                _play(instrument, one, path)
+                while waiting and (waiting[0].preset, waiting[0].coil) == (first.preset, first.coil):
+                    one = waiting[0]
+                    control.check()
+                    share = 1.0 - len(waiting) / len(missing)
+                    control.progress(share, Message("reproduce.recording", _RECORDING, name=Verbatim(one.name)))
+                    tried[one.name] = tried.get(one.name, 0) + 1
+                    _play(instrument, one, folder / f"{one.name}.h5", control)
+                    waiting.pop(0)
+                    if not one.quick:
+                        break
             except CancelledError:
                 raise
             except TissueIDError as error:
-                failed[one.name] = error.message
+                name = waiting[0].name
+                if tried[name] == _ATTEMPTS:
+                    failed[name] = error.message
+                    waiting.pop(0)
             finally:
                 instrument.close()
     return failed
 
 
-def _play(instrument: Instrument, recording: Recording, path: Path) -> None:
-    """Find the surface and play one test into its session."""
-    from tissueid.acquisition import GuidedTest, SessionRecorder, run_guided_test
+def _play(instrument: Instrument, recording: Recording, path: Path, control: Control) -> None:
+    """Record a test, or a sweep, into its session; without a complete one there is no file."""
+    from tissueid.acquisition import GuidedTest, SessionRecorder, journal_path, run_guided_test
     from tissueid.acquisition.guided import find_surface
+    from tissueid.calibration.sweep import Sweep, SweepPlan
     from tissueid.instrument import CLINICAL
     from tissueid.sessions import Subject
     from tissueid.stimuli.base import with_preload
     from tissueid.stimuli.kinds.noise import Noise
+    from tissueid.stimuli.kinds.rtig import Rtig
 
-    low, high = recording.force_n
-    noise = Noise(
-        force_min_n=low,
-        force_max_n=high,
-        seconds=recording.seconds,
-        seed=recording.seed,
-        distribution=recording.distribution,
-        sample_rate=instrument.device.sample_rate_hz,
-        **dict(recording.options),
-    )
-    surface = find_surface(instrument)
+    journal_path(path).unlink(missing_ok=True)  # of an earlier attempt; it holds a simulated test
     recorder = SessionRecorder(path, instrument.device, Subject("REPRODUCTION"))
-    test = GuidedTest(with_preload(noise.build()), site=recording.preset.replace("-", " "), limits=CLINICAL)
-    run_guided_test(instrument, test, recorder, surface_m=surface)
+    low, high = recording.force_n
+    given = {"force_min_n": low, "force_max_n": high, "seconds": recording.seconds, "seed": recording.seed}
+    given |= {"sample_rate": instrument.device.sample_rate_hz, **dict(recording.options)}
+    try:
+        if recording.stimulus == "sweep":
+            sweep = SweepPlan(seconds=recording.seconds, seed=recording.seed, **dict(recording.options))
+            Sweep(instrument, sweep, recorder, cancelled=control.check).run()
+        else:
+            stimulus = (
+                Rtig(**given)
+                if recording.stimulus == "rtig"
+                else with_preload(Noise(distribution=recording.distribution, **given).build())
+            )
+            surface = find_surface(instrument, cancelled=control.check)
+            test = GuidedTest(stimulus, site=recording.preset.replace("-", " "), limits=CLINICAL)
+            run_guided_test(instrument, test, recorder, surface_m=surface, cancelled=control.check)
+    except BaseException:
+        recorder.finish_or_discard()
+        path.unlink(missing_ok=True)
+        raise
     recorder.finish()
 
 
@@ -213,9 +263,13 @@ def _reproduced(
     if lacking := [failed[s.recording.name] for s in figure.sources if s.recording.name in failed]:
         return ReproducedFigure(figure.number, figure.title, why=lacking[0])
     try:
+        sessions = [read_session(folder / f"{one.recording.name}.h5") for one in figure.sources]
+        if figure.recorded is not None:
+            drawn, studied = figure.recorded(dict(zip([one.label for one in figure.sources], sessions, strict=True)))
+            return ReproducedFigure(figure.number, figure.title, tuple(studied), report=drawn)
         sources = [
-            TestSource(one.label, read_session(folder / f"{one.recording.name}.h5"), (1,), one.fits)
-            for one in figure.sources
+            TestSource(one.label, session, (1,), one.fits)
+            for one, session in zip(figure.sources, sessions, strict=True)
         ]
         found = overlay(
             sources,
@@ -225,31 +279,51 @@ def _reproduced(
             sweep=figure.sweep,
         )
         rows = tuple(figure.rows(found))
+        report = overlay_report(found, calibration, figure.pictures)
+        if figure.drawn is not None:
+            more = figure.drawn(found)
+            report = replace(report, pictures=report.pictures + more.pictures, plots=report.plots + more.plots)
     except UnusableInputError as error:
         return ReproducedFigure(figure.number, figure.title, why=error.message)
-    report = overlay_report(found, calibration, figure.pictures)
     return ReproducedFigure(figure.number, figure.title, rows, report=report)
 
 
-def _write(out: Path, made: Sequence[ReproducedFigure]) -> None:
-    """Write the pictures and numbers of each figure, the results and the page.
+def _write(plan: ReproductionPlan, out: Path, made: Sequence[ReproducedFigure], began: float) -> None:
+    """Write the pictures and numbers of each figure, the results, the page and its text.
 
     Raises:
         OSError: the disk is full or not writable.
     """
-    from tissueid.reports.reproduction import write_reproduction
+    from tissueid import __version__
+    from tissueid.reports.reproduction import as_markdown, write_reproduction
 
     for one in made:
-        if one.report is not None and one.report.pictures:
+        if one.report is not None and one.report.pictures and not plan.quick:  # a quick run has them on its page
             folder = out / _FIGURES / one.number.replace(" ", "-").lower()
             private_folder(out / _FIGURES)
             one.report.write_figures(folder)
             write_text(folder / "numbers.csv", one.report.csv())
-    write_text(out / _RESULTS, json_text({"made_by": _MADE_BY, "figures": [answer_of(one) for one in made]}))
     write_reproduction(out / _PAGE, made)
+    results = {
+        "made_by": _MADE_BY,
+        "software": f"tissueid {__version__}",
+        "quick": plan.quick,
+        "seconds": time.perf_counter() - began,
+        "figures": [answer_of(one) for one in made],
+    }
+    write_text(out / _RESULTS, json_text(results))
+    write_text(out / _TEXT, as_markdown(results))
 
 
 def answer_of(figure: ReproducedFigure) -> dict[str, Any]:
-    """Return a figure for JSON: number, title, and thesis and present value of each quantity."""
-    rows = [asdict(row) for row in figure.rows]
-    return {"number": figure.number, "title": str(figure.title), "rows": rows, "why_missing": figure.why or None}
+    """Return a figure for JSON: number, title, thesis and present value of each quantity, and the remark."""
+    rows = [{name: str(value) for name, value in asdict(row).items()} for row in figure.rows]
+    return {
+        "number": figure.number,
+        "title": str(figure.title),
+        "rows": rows,
+        "why_missing": str(figure.why) or None,
+        "remark": str(figure.remark),
+        "seconds": figure.seconds,
+        "against": str(figure.against),
+    }

@@ -10,16 +10,26 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from tissueid.analysis.computing_times import (
+    engine_seconds,
+    lags_for,
+    orthonormalisation_times,
+    shortest,
+    technique_times,
+)
 from tissueid.analysis.curves.kernel_overlay import kernel_lobes
 from tissueid.analysis.curves.overlay import loop_width
+from tissueid.analysis.curves.times import time_plot
 from tissueid.analysis.overlay import Overlay, OverlayEntry, RepeatedValue, repeated_values, series_profiles
 from tissueid.analysis.partition_error import partition_errors
-from tissueid.formatting import fixed, number
+from tissueid.analysis.published_algorithms import volterra
+from tissueid.formatting import fixed, grouped, number
 from tissueid.identification.engines.lms import LmsModel
+from tissueid.identification.engines.volterra import Volterra
 from tissueid.identification.volterra.model import VolterraModel
 from tissueid.language import marked
 from tissueid.reports.overlay import DrawnFigures, partition_error_figures
-from tissueid.reports.reproduction import Row
+from tissueid.reports.reproduction import PlotGrid, Row, drawn_grids
 
 if TYPE_CHECKING:
     from tissueid.identification.depth_profile import DepthProfile
@@ -28,27 +38,41 @@ POSTERIOR, ANTERIOR = "left-posterior-forearm", "left-anterior-forearm"
 DISTAL, UPPER = "left-distal-forearm", "upper-arm"
 RELAXING = "skin-anterior-relaxing"
 LINEAR, WIENER, DPN = "linear-demo", "wiener-demo", "dpn-demo"
+SKIN_ANTERIOR, SKIN_POSTERIOR, SKIN_DISTAL = "skin-anterior", "skin-posterior", "skin-distal"
+SKIN_SITES = {
+    SKIN_ANTERIOR: "anterior forearm",
+    SKIN_POSTERIOR: "posterior forearm",
+    SKIN_DISTAL: "distal side of the forearm",
+}
+"""Sites of Table 3.1, after whose numbers these tissues were made."""
 SITES = {
     POSTERIOR: "left posterior forearm",
     DISTAL: "left distal forearm",
     ANTERIOR: "left anterior forearm",
     UPPER: "upper arm",
 }
+EXACT = "volterra,method=exact"
+LAGS_3, LAGS_5 = (
+    "downsample=3,memory=0.0615,rows=downsampled",
+    "downsample=5,memory=0.0775,rows=downsampled",
+)
+"""Every 3rd and every 5th sample, with 41 and 31 lags: three rows remain for each parameter (thesis 4.3)."""
 ORDERS = {"first kernel": ",order=1", "second kernel": "", "filtered": ",smoothing=1"}
 """Fits of Fig. 4.13 by kernels, and their options."""
 
 
-def _entry(found: Overlay, source: str = "", fit: str = "") -> OverlayEntry:
+def entry_of(found: Overlay, source: str = "", fit: str = "") -> OverlayEntry:
     """Return the first entry of a source and a fit; "" for any."""
     return next(one for one in found.entries if source in ("", one.source) and fit in ("", one.fit.label))
 
 
 def _vaf(found: Overlay, source: str = "", fit: str = "") -> float:
     """Return the VAF of the fitted samples, scheduled where the model has a schedule, percent."""
-    return _entry(found, source, fit).shown_percent
+    return entry_of(found, source, fit).shown_percent
 
 
-def _percent(value: float) -> str:
+def percent(value: float) -> str:
+    """Return a percentage with one decimal."""
     return f"{fixed(value, 1)} %"
 
 
@@ -59,7 +83,7 @@ def correlation_rows(found: Overlay) -> list[Row]:
     u = np.where(np.isfinite(u), u, 0.0)
     power = float(u @ u)
     first = next(lag for lag in range(1, u.size) if float(u[lag:] @ u[:-lag]) < 0.0)
-    model = _entry(found).analysis.model
+    model = entry_of(found).analysis.model
     assert isinstance(model, LmsModel)
     rest = max(abs(float(u[lag:] @ u[:-lag])) / power for lag in range(20, 200))
     milliseconds = 1e3 / record.sample_rate_hz
@@ -133,7 +157,7 @@ def localized_rows(found: Overlay) -> list[Row]:
     mass = [profile.mass for key, profile in series_profiles(found).items() if key[1] == "lms"]
     spread = max(float(np.ptp(one) / one.mean()) for one in mass)
     return [
-        Row(marked("VAF of each small test"), marked("better than 90 %"), f"{_percent(lowest)} or more"),
+        Row(marked("VAF of each small test"), marked("better than 90 %"), f"{percent(lowest)} or more"),
         *_stiffness_rows(found, "lms"),
         Row(marked("mass along depth"), marked("does not change appreciably"), f"± {fixed(50.0 * spread, 0)} %"),
     ]
@@ -141,7 +165,7 @@ def localized_rows(found: Overlay) -> list[Row]:
 
 def lobe_rows(found: Overlay) -> list[Row]:
     """Return VAF and lobes of the kernel of a DPN system and of a Wiener system (Fig. 4.5)."""
-    model, simple = (_entry(found, source).analysis.model for source in ("DPN", "Wiener"))
+    model, simple = (entry_of(found, source).analysis.model for source in ("DPN", "Wiener"))
     assert isinstance(model, VolterraModel)
     assert isinstance(simple, VolterraModel)
     assert model.kernel2 is not None
@@ -149,7 +173,7 @@ def lobe_rows(found: Overlay) -> list[Row]:
     spacing_s = model.lag_spacing / model.sample_rate_hz
     lobes, other = kernel_lobes(model.kernel2, spacing_s), kernel_lobes(simple.kernel2, spacing_s)
     return [
-        Row(marked("VAF of a second-order kernel on a DPN"), "95.8 %", _percent(_vaf(found, "DPN"))),
+        Row(marked("VAF of a second-order kernel on a DPN"), "95.8 %", percent(_vaf(found, "DPN"))),
         Row(
             marked("width of the centre lobe over its lag"),
             marked("narrower than a Wiener system's"),
@@ -166,8 +190,8 @@ def lobe_rows(found: Overlay) -> list[Row]:
 def rate_rows(found: Overlay) -> list[Row]:
     """Return the VAF at two sample rates (Fig. 4.8)."""
     return [
-        Row(marked("VAF, every 3rd sample"), "94.8 % (4.3.1), 95 %", _percent(_vaf(found, fit="667 Hz"))),
-        Row(marked("VAF, every 5th sample"), "96.4 %", _percent(_vaf(found, fit="400 Hz"))),
+        Row(marked("VAF, every 3rd sample"), "94.8 % (4.3.1), 95 %", percent(_vaf(found, fit="667 Hz"))),
+        Row(marked("VAF, every 5th sample"), "96.4 %", percent(_vaf(found, fit="400 Hz"))),
     ]
 
 
@@ -175,7 +199,7 @@ def site_kernel_rows(found: Overlay) -> list[Row]:
     """Return the peaks of the first-order kernels of the sites (Figs. 4.12, 4.14)."""
     peaks = []
     for source in found.sources:
-        model = _entry(found, source).analysis.model
+        model = entry_of(found, source).analysis.model
         assert isinstance(model, VolterraModel)
         assert model.kernel1 is not None
         peaks.append(f"{source} {fixed(1e3 * float(model.kernel1.max()), 0)}")
@@ -204,34 +228,37 @@ def input_rows(found: Overlay) -> list[Row]:
     for place, (source, rate) in enumerate((("low-passed", 667), ("white", 500))):
         for fit, *thesis in _INPUT_ROWS:
             label = f"{fit} at {rate} Hz" if fit in ORDERS else fit
-            rows.append(Row(f"VAF, {source}, {fit}", thesis[place], _percent(_vaf(found, source, label))))
+            rows.append(Row(f"VAF, {source}, {fit}", thesis[place], percent(_vaf(found, source, label))))
     return rows
 
 
 def strategy_rows(found: Overlay) -> list[Row]:
     """Return the VAF of each strategy against noise (Fig. 4.15)."""
     thesis = {"raw": "94.8 %", "filtered": "90.4 %", "downsampled": "96.4 %", "white": "94.5 %"}
-    rows = [Row(f"VAF, {fit}", said, _percent(_vaf(found, fit=fit))) for fit, said in thesis.items()]
-    return [*rows, Row("VAF, regularised", "not in the thesis", _percent(_vaf(found, fit="regularised")))]
+    rows = [Row(f"VAF, {fit}", said, percent(_vaf(found, fit=fit))) for fit, said in thesis.items()]
+    return [*rows, Row("VAF, regularised", "not in the thesis", percent(_vaf(found, fit="regularised")))]
 
 
 def partition_study(quick: bool) -> tuple[DrawnFigures, list[Row]]:
     """Return the error of partitions against continuous length and repetitions (Fig. 5.2)."""
-    lengths, repetitions = (20, 50, 100, 200, 500, 1000), (1, 2, 5, 10)
+    lengths: tuple[int, ...] = (20, 50, 100, 200, 500, 1000)
+    repetitions: tuple[int, ...] = (1, 2, 5, 10)
+    if quick:
+        lengths, repetitions = (50, 200), (1, 5)
     errors = partition_errors(lengths, repetitions, range(1 if quick else 5))
     enough = [one.mean_percent for one in errors if one.points >= 500 and np.isfinite(one.mean_percent)]
     few = [one for one in errors if one.points < 500]
     said = ", ".join(
-        f"{one.points}: {_percent(one.mean_percent) if np.isfinite(one.mean_percent) else 'no fit'}" for one in few
+        f"{one.points}: {percent(one.mean_percent) if np.isfinite(one.mean_percent) else 'no fit'}" for one in few
     )
     longest = max(errors, key=lambda one: one.points)
     return partition_error_figures(errors), [
-        Row(marked("error of M, B and K from 500 samples on"), marked("under 5 %"), f"at most {_percent(max(enough))}"),
+        Row(marked("error of M, B and K from 500 samples on"), marked("under 5 %"), f"at most {percent(max(enough))}"),
         Row(marked("with fewer samples"), marked("larger"), said),
         Row(
             marked("trend with length and repetitions"),
             marked("falls with both"),
-            f"{_percent(longest.mean_percent)} at {longest.points}",
+            f"{percent(longest.mean_percent)} at {longest.points}",
         ),
     ]
 
@@ -239,9 +266,9 @@ def partition_study(quick: bool) -> tuple[DrawnFigures, list[Row]]:
 def six_rows(found: Overlay) -> list[Row]:
     """Return the VAF of six partitions of two systems and of skin (Figs. 5.6 to 5.8)."""
     return [
-        Row(marked("VAF, Wiener system"), marked("near 96 %, 240 parameters"), _percent(_vaf(found, "Wiener"))),
-        Row(marked("VAF, DPN system"), marked("not given"), _percent(_vaf(found, "DPN"))),
-        Row(marked("VAF, skin"), "90.3 %", _percent(_vaf(found, SITES[POSTERIOR]))),
+        Row(marked("VAF, Wiener system"), marked("near 96 %, 240 parameters"), percent(_vaf(found, "Wiener"))),
+        Row(marked("VAF, DPN system"), marked("not given"), percent(_vaf(found, "DPN"))),
+        Row(marked("VAF, skin"), "90.3 %", percent(_vaf(found, SITES[POSTERIOR]))),
     ]
 
 
@@ -285,8 +312,8 @@ def frequency_rows(found: Overlay) -> list[Row]:
 def direction_rows(found: Overlay) -> list[Row]:
     """Return VAF of partitions by depth and by direction, and parameters in over out (Fig. 5.11)."""
     rows = [
-        Row(marked("VAF, 10 depth partitions"), "91.9 %", _percent(_vaf(found, fit="depth"))),
-        Row(marked("VAF, 5 partitions a direction"), "91.2 %", _percent(_vaf(found, fit="direction"))),
+        Row(marked("VAF, 10 depth partitions"), "91.9 %", percent(_vaf(found, fit="depth"))),
+        Row(marked("VAF, 5 partitions a direction"), "91.2 %", percent(_vaf(found, fit="direction"))),
     ]
     profile = next(p for key, p in series_profiles(found).items() if key[1] == "direction")
     into, out = (profile.direction == way for way in (1, -1))
@@ -318,14 +345,25 @@ def memory_rows(found: Overlay) -> list[Row]:
         }
 
     lms, wiener, second, depth = (scores(fit) for fit in ("LMS", "Wiener", "second Volterra", "7 partitions"))
+    longest = max(second)  # a short test has too few rows for a long memory
     gain = np.mean([wiener[ms][0] - lms[ms][0] for ms in (60, 80, 100, 120)])
     lowest = min(second, key=lambda ms: second[ms][1])
     worst = next((ms for ms in sorted(second) if ms > lowest and second[ms][1] > lms[ms][1]), None)
-    best = [ms for ms in sorted(depth) if depth[ms][1] <= min(one[ms][1] for one in (lms, wiener, second))]
+    record = next(iter(found.records.values()))
+    memory = lags_for(len(record))
+    inputs = record.input - record.input.mean()
+    printed = shortest(lambda: volterra(inputs, record.output, memory))
+    engine = Volterra(memory=(memory + 1) / record.sample_rate_hz, downsample=1, method="exact")
+    here = shortest(lambda: engine.fit(record))
+    best = [ms for ms in sorted(depth) if depth[ms][1] <= min(one[ms][1] for one in (lms, wiener, second) if ms in one)]
     return [
         Row(marked("VAF of LMS, 30 and 60 lags of 2 ms"), marked("level from 30"), _two(lms)),
         Row(marked("gain of Wiener over LMS"), marked("about 5"), f"{fixed(float(gain), 1)}"),
-        Row(marked("VAF of the second-order kernel at 60 lags"), marked("almost perfect"), _percent(second[120][0])),
+        Row(
+            marked("VAF of the second-order kernel at 60 lags"),
+            marked("almost perfect"),
+            f"{percent(second[longest][0])} at {longest // 2}",
+        ),
         Row(marked("its lowest AICc"), marked("20 to 30 lags, then it rises"), f"{lowest // 2} lags"),
         Row(marked("its AICc is the worst"), marked("from 40 lags"), f"from {worst // 2} lags" if worst else "never"),
         Row(
@@ -333,11 +371,16 @@ def memory_rows(found: Overlay) -> list[Row]:
             marked("from 30 lags"),
             f"from {_tail(best, sorted(depth))} lags",
         ),
+        Row(
+            f"second order, {memory} lags: time here; of the thesis' algorithm on this computer",
+            marked("not given"),
+            f"{number(here, 2)} s; {number(printed, 2)} s",
+        ),
     ]
 
 
 def _two(scores: dict[float, tuple[float, float]]) -> str:
-    return f"{_percent(scores[60][0])} and {_percent(scores[120][0])}"
+    return f"{percent(scores[60][0])} and {percent(scores[120][0])}"
 
 
 def _tail(best: Sequence[float], every: Sequence[float]) -> str:
@@ -350,6 +393,8 @@ def _tail(best: Sequence[float], every: Sequence[float]) -> str:
     return "no" if first is None else str(int(first // 2))
 
 
+_MEMORIES, _QUICK_MEMORIES = (5, 8, 12, 16, 20, 25, 30, 35, 40), (5, 8, 12)
+"""Lags of the fits of Fig. 4.2: up to 903 parameters."""
 _TECHNIQUES = (
     ("LMS", marked("70 to 75 %"), marked("good"), "0.2 to 1.0 s"),
     ("Wiener", marked("75 to 80 %"), marked("good"), "2.0 to 5.0 s"),
@@ -360,20 +405,49 @@ _TECHNIQUES = (
 
 
 def technique_rows(found: Overlay) -> list[Row]:
-    """Return VAF, interpretability and time of each technique (Table 8.1)."""
+    """Return VAF, interpretability and time of each technique, and the time of the thesis' algorithm (Table 8.1)."""
+    printed = technique_times(next(iter(found.records.values())))
     rows = []
     for fit, vaf, read, seconds in _TECHNIQUES:
-        entry = _entry(found, fit=fit)
-        spent = entry.analysis.model.report.seconds or float("nan")
-        here = f"{_percent(_vaf(found, fit=fit))}, {entry.fit.engine.family.interpretability}, {fixed(spent, 2)} s"
-        rows.append(Row(fit, f"{vaf}, {read}, {seconds}", here))
+        entry = entry_of(found, fit=fit)
+        analysis = entry.analysis
+        spent = engine_seconds(entry.fit.engine, analysis.record, analysis.fit_part)
+        here = f"{percent(_vaf(found, fit=fit))}, {entry.fit.engine.family.interpretability}"
+        rows.append(Row(f"{fit}: VAF, interpretability", f"{vaf}, {read}", here))
+        times = f"{number(spent, 2)} s; {number(printed[fit], 2)} s"
+        rows.append(Row(f"{fit}: time here; of the thesis' algorithm on this computer", seconds, times))
     return rows
 
 
+def orthonormalisation_study(quick: bool) -> tuple[DrawnFigures, list[Row]]:
+    """Return the time of the orthonormalisation against the number of parameters (Fig. 4.2)."""
+    found = orthonormalisation_times(_QUICK_MEMORIES if quick else _MEMORIES)
+    thesis, stored, here, again = found
+    most = grouped(thesis.sizes[-1])
+    ratio = thesis.seconds[-1] / stored.seconds[-1]
+    heading = marked("Time against the number of parameters")
+    alt = marked("Seconds against parameters for the thesis' algorithm and for the one used here.")
+    grid = PlotGrid("times", heading, alt, [[time_plot(found, marked("Parameters"))]], row_height=3.8, over=False)
+    return drawn_grids([grid]), [
+        Row(marked("power of the number of parameters, thesis' algorithm"), "2", fixed(thesis.power, 2)),
+        Row(marked("orthonormalisation over solution"), marked("one to two orders of magnitude"), fixed(ratio, 1)),
+        Row(
+            f"{most} parameters: thesis' algorithm; here",
+            marked("80 to 100 s in all (Table 8.1)"),
+            f"{number(thesis.seconds[-1], 2)} s; {number(here.seconds[-1], 2)} s",
+        ),
+        Row(
+            f"{most} parameters, second output: thesis' algorithm; here",
+            marked("one to two orders of magnitude less"),
+            f"{number(stored.seconds[-1], 2)} s; {number(again.seconds[-1], 2)} s",
+        ),
+    ]
+
+
 TABLE_3_1 = {
-    ANTERIOR: ((78.06, 2.33), (82.60, 1.96), (0.0194, 0.001), (4.84, 0.166), (7.42, 0.302), (0.191, 0.0153)),
-    POSTERIOR: ((86.53, 0.72), (89.14, 0.58), (0.0259, 0.0004), (5.22, 0.0843), (9.77, 0.145), (0.154, 0.0162)),
-    DISTAL: ((76.05, 1.65), (81.33, 1.62), (0.0235, 0.0012), (7.00, 0.222), (4.71, 0.360), (0.442, 0.0327)),
+    SKIN_ANTERIOR: ((78.06, 2.33), (82.60, 1.96), (0.0194, 0.001), (4.84, 0.166), (7.42, 0.302), (0.191, 0.0153)),
+    SKIN_POSTERIOR: ((86.53, 0.72), (89.14, 0.58), (0.0259, 0.0004), (5.22, 0.0843), (9.77, 0.145), (0.154, 0.0162)),
+    SKIN_DISTAL: ((76.05, 1.65), (81.33, 1.62), (0.0235, 0.0012), (7.00, 0.222), (4.71, 0.360), (0.442, 0.0327)),
 }
 """Mean and standard deviation over ten tests of each quantity at each site."""
 _QUANTITIES = (
@@ -394,7 +468,7 @@ def repeat_rows(found: Overlay) -> list[Row]:
     }
     rows = []
     for preset, thesis in TABLE_3_1.items():
-        site = SITES[preset]
+        site = SKIN_SITES[preset]
         for (fit, quantity, label, scale, decimals), (mean, std) in zip(_QUANTITIES, thesis, strict=True):
             one = values[site, fit, quantity]
             here = f"{fixed(scale * one.mean, decimals)} ± {number(scale * one.std, 2)}"

@@ -6,22 +6,23 @@ of the sites and systems of the thesis; its comparison holds the thesis' numbers
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
-from dataclasses import dataclass
-from typing import Any
+from dataclasses import replace
 
-from tissueid.analysis.overlay import Overlay
 from tissueid.language import marked
 from tissueid.procedures.thesis_comparisons import (
     ANTERIOR,
     DISTAL,
     DPN,
+    EXACT,
+    LAGS_3,
+    LAGS_5,
     LINEAR,
     MEMORIES_S,
     ORDERS,
     POSTERIOR,
     RELAXING,
     SITES,
+    SKIN_SITES,
     TABLE_3_1,
     UPPER,
     WIENER,
@@ -33,6 +34,7 @@ from tissueid.procedures.thesis_comparisons import (
     localized_rows,
     loop_rows,
     memory_rows,
+    orthonormalisation_study,
     partition_rows,
     partition_study,
     range_rows,
@@ -43,54 +45,11 @@ from tissueid.procedures.thesis_comparisons import (
     strategy_rows,
     technique_rows,
 )
-from tissueid.reports.overlay import DrawnFigures
-from tissueid.reports.reproduction import Row
-
-
-@dataclass(frozen=True)
-class Recording:
-    """A test on a simulated tissue: noise over a range of force, N, after its preload.
-
-    ``options`` are further options of the noise. ``name`` is that of its file.
-    """
-
-    name: str
-    preset: str
-    force_n: tuple[float, float] = (-3.5, 10.5)
-    seconds: float = 4.0
-    seed: int = 1
-    distribution: str = "uniform"
-    options: tuple[tuple[str, Any], ...] = ()
-
-
-@dataclass(frozen=True)
-class Source:
-    """A recording in a figure: its label, and the labels of the fits that are run on it; empty for all."""
-
-    label: str
-    recording: Recording
-    fits: tuple[str, ...] = ()
-
-
-@dataclass(frozen=True)
-class ThesisFigure:
-    """A figure or table: tests, fits ([LABEL=]ENGINE,OPTION=VALUE), pictures, and the comparison.
-
-    ``pictures`` are keys of ``reports.overlay``; the other arguments are those of ``analysis.overlay.overlay``.
-    ``study`` makes figures and rows of a figure without tests instead; its argument is whether the run is quick.
-    """
-
-    number: str
-    title: str
-    sources: tuple[Source, ...]
-    fits: tuple[str, ...]
-    pictures: tuple[str, ...]
-    rows: Callable[[Overlay], Sequence[Row]]
-    whole: bool = True
-    downsample: int = 1
-    sweep: tuple[str, tuple[float, ...]] = ("", ())
-    calibration: bool = False
-    study: Callable[[bool], tuple[DrawnFigures, Sequence[Row]]] | None = None
+from tissueid.procedures.thesis_inputs import INPUT_FIGURES
+from tissueid.procedures.thesis_kernels import KERNEL_FIGURES, LARGE
+from tissueid.procedures.thesis_recipe import Recording, Source, ThesisFigure
+from tissueid.procedures.thesis_remarks import REMARKS
+from tissueid.procedures.thesis_signals import GAUSSIAN, SIGNAL_FIGURES
 
 
 def _white(name: str, preset: str, force_n: tuple[float, float] = (-3.5, 10.5)) -> Recording:
@@ -112,7 +71,8 @@ def _localized(preset: str) -> tuple[Recording, ...]:
     )
 
 
-_LARGE = {preset: Recording(f"{preset}-large", preset) for preset in (POSTERIOR, ANTERIOR, DISTAL, UPPER)}
+_LARGE = {POSTERIOR: LARGE} | {preset: Recording(f"{preset}-large", preset) for preset in (ANTERIOR, DISTAL, UPPER)}
+_ELEVEN = Recording(f"{POSTERIOR}-11n", POSTERIOR, (0.0, 11.0), seed=6)
 _WHITE = {preset: _white(f"{preset}-white", preset) for preset in (POSTERIOR, ANTERIOR, DISTAL, UPPER)}
 _SYSTEMS = {
     LINEAR: ("linear", (0.5, 10.5)),
@@ -135,15 +95,17 @@ def _range_tests() -> tuple[Source, ...]:
 
 def _repeats(count: int) -> tuple[Source, ...]:
     return tuple(
-        Source(SITES[preset], Recording(f"{preset}-repeat-{seed}", preset, seed=100 + seed))
+        Source(
+            SKIN_SITES[preset],
+            Recording(f"{preset}-repeat-{seed}", preset, (0.5, 10.5), seed=100 + seed, distribution="gaussian"),
+        )
         for preset in TABLE_3_1
         for seed in range(count)
     )
 
 
 _TEN = 10
-_EXACT = "volterra,method=exact"
-FIGURES: tuple[ThesisFigure, ...] = (
+_COMPARED: tuple[ThesisFigure, ...] = (
     ThesisFigure(
         "3.4",
         marked("Autocorrelation of the force and its correlation with the position"),
@@ -164,7 +126,7 @@ FIGURES: tuple[ThesisFigure, ...] = (
         "3.12",
         marked("Static nonlinearity with ranges of 11, 7 and 1 N, and impulse responses by depth"),
         (
-            Source("11 N", Recording(f"{POSTERIOR}-11n", POSTERIOR, (0.0, 11.0), seed=6)),
+            Source("11 N", _ELEVEN),
             Source("7 N", Recording(f"{POSTERIOR}-7n", POSTERIOR, (2.0, 9.0), seed=5)),
             *(Source("1 N", one) for one in _localized(POSTERIOR)),
         ),
@@ -182,13 +144,18 @@ FIGURES: tuple[ThesisFigure, ...] = (
         calibration=True,
     ),
     ThesisFigure(
+        "4.2",
+        marked("Time of the orthonormalisation against the number of parameters"),
+        study=orthonormalisation_study,
+    ),
+    ThesisFigure(
         "4.5",
         marked("Second-order kernel of a DPN system and of a Wiener system"),
         tuple(
             Source(label, _white(f"{preset}-white", preset, force_n))
             for label, preset, force_n in (("DPN", DPN, (-11.0, 11.5)), ("Wiener", WIENER, (0.5, 11.5)))
         ),
-        (f"second={_EXACT},downsample=1,memory=0.08",),
+        (f"second={EXACT},downsample=1,memory=0.08",),
         ("second-kernels", "first-kernels"),
         lobe_rows,
         downsample=4,
@@ -198,8 +165,8 @@ FIGURES: tuple[ThesisFigure, ...] = (
         marked("Second-order kernels of two sample rates"),
         (Source(SITES[POSTERIOR], _LARGE[POSTERIOR]),),
         (
-            f"667 Hz={_EXACT},downsample=3,rows=downsampled",
-            f"400 Hz={_EXACT},downsample=5,rows=downsampled",
+            f"667 Hz={EXACT},{LAGS_3}",
+            f"400 Hz={EXACT},{LAGS_5}",
         ),
         ("second-kernels",),
         rate_rows,
@@ -208,7 +175,7 @@ FIGURES: tuple[ThesisFigure, ...] = (
         "4.12",
         marked("Filtered kernels of four sites"),
         tuple(Source(label, _LARGE[preset]) for preset, label in SITES.items()),
-        (f"filtered={_EXACT},downsample=3,smoothing=1",),
+        (f"filtered={EXACT},downsample=3,smoothing=1",),
         ("second-kernels", "first-kernels"),
         site_kernel_rows,
     ),
@@ -223,7 +190,7 @@ FIGURES: tuple[ThesisFigure, ...] = (
             "LMS=lms",
             "Wiener=wiener",
             *(
-                f"{label} at {rate} Hz={_EXACT},downsample={step}{options}"
+                f"{label} at {rate} Hz={EXACT},downsample={step}{options}"
                 for rate, step in ((667, 3), (500, 4))
                 for label, options in ORDERS.items()
             ),
@@ -235,7 +202,7 @@ FIGURES: tuple[ThesisFigure, ...] = (
         "4.14",
         marked("Kernels of a white input at four sites, without a filter"),
         tuple(Source(label, _WHITE[preset]) for preset, label in SITES.items()),
-        (f"white={_EXACT},downsample=4",),
+        (f"white={EXACT},downsample=4",),
         ("second-kernels", "first-kernels"),
         site_kernel_rows,
     ),
@@ -247,10 +214,10 @@ FIGURES: tuple[ThesisFigure, ...] = (
             Source("white", _WHITE[POSTERIOR], ("white",)),
         ),
         (
-            f"raw={_EXACT},downsample=3",
-            f"filtered={_EXACT},downsample=3,smoothing=1",
-            f"downsampled={_EXACT},downsample=5",
-            f"white={_EXACT},downsample=4",
+            f"raw={EXACT},{LAGS_3}",
+            f"filtered={EXACT},{LAGS_3},smoothing=1",
+            f"downsampled={EXACT},{LAGS_5}",
+            f"white={EXACT},downsample=4",
             "regularised=volterra",
         ),
         ("second-kernels",),
@@ -259,10 +226,6 @@ FIGURES: tuple[ThesisFigure, ...] = (
     ThesisFigure(
         "5.2",
         marked("Error of depth partitions against continuous length and repetitions"),
-        (),
-        (),
-        (),
-        lambda _found: (),
         study=partition_study,
     ),
     ThesisFigure(
@@ -304,7 +267,7 @@ FIGURES: tuple[ThesisFigure, ...] = (
     ThesisFigure(
         "5.11",
         marked("Depth partitions against direction partitions"),
-        (Source(SITES[POSTERIOR], _LARGE[POSTERIOR]),),
+        (Source(SITES[POSTERIOR], _ELEVEN),),
         ("depth,partitions=10", "direction,partitions=5"),
         ("depth",),
         direction_rows,
@@ -316,8 +279,8 @@ FIGURES: tuple[ThesisFigure, ...] = (
         (
             "LMS=lms,taper=0",
             "Wiener=wiener",
-            f"first Volterra={_EXACT},order=1,downsample=1",
-            f"second Volterra={_EXACT},downsample=1",
+            f"first Volterra={EXACT},order=1,downsample=1",
+            f"second Volterra={EXACT},downsample=1",
             "7 partitions=depth,correct=false,downsample=1",
         ),
         ("sweep",),
@@ -337,9 +300,25 @@ FIGURES: tuple[ThesisFigure, ...] = (
         "Table 8.1",
         marked("VAF, interpretability and time of four techniques"),
         (Source(SITES[POSTERIOR], _LARGE[POSTERIOR]),),
-        ("LMS=lms", "Wiener=wiener", f"Volterra={_EXACT},downsample=3,rows=downsampled", "depth=depth,correct=false"),
+        ("LMS=lms", "Wiener=wiener", f"Volterra={EXACT},{LAGS_3}", "depth=depth,correct=false"),
         ("scores",),
         technique_rows,
     ),
 )  # fmt: skip
+
+
+def _place(figure: ThesisFigure) -> tuple[int, int, int]:
+    """Return the order of a figure: by chapter, figures before tables, by number."""
+    chapter, number = figure.number.removeprefix("Table ").split(".")
+    return int(chapter), int(figure.number.startswith("Table")), int(number)
+
+
+QUICK_TESTS = frozenset(
+    [LARGE.name, GAUSSIAN.name, *(source.recording.name for one in SIGNAL_FIGURES for source in one.sources)]
+)
+"""Tests that a quick run plays; it leaves out the figures that need others."""
+FIGURES: tuple[ThesisFigure, ...] = tuple(
+    replace(figure, remark=REMARKS[figure.number])
+    for figure in sorted((*_COMPARED, *SIGNAL_FIGURES, *KERNEL_FIGURES, *INPUT_FIGURES), key=_place)
+)
 """The figures and tables, in the order of the thesis."""

@@ -2,16 +2,19 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
+from typing import Any
 
 from tissueid import __version__
-from tissueid.language import _
+from tissueid.analysis.curves.plot import Plot
+from tissueid.formatting import fixed
+from tissueid.language import _, marked
 from tissueid.messages import translated
-from tissueid.reports.blocks import FigureGroup
+from tissueid.reports.blocks import FigureGroup, picture
 from tissueid.reports.html import RESEARCH_LINE, template, write_text_atomically
-from tissueid.reports.overlay import DrawnFigures, OverlayReport, overlay_scores
+from tissueid.reports.overlay import DrawnFigures, OverlayReport, grid_figure, overlay_scores
 from tissueid.reports.tables import Table
 
 
@@ -26,13 +29,47 @@ class Row:
 
 @dataclass(frozen=True, eq=False)
 class ReproducedFigure:
-    """A figure of the thesis with its comparison and its pictures; ``why`` says why it could not be made."""
+    """A figure of the thesis with its comparison and its pictures; ``why`` says why it could not be made.
+
+    ``remark`` says what agrees, what differs and why. ``seconds`` is the time of fits and pictures, and
+    ``against`` the heading of what it is compared with.
+    """
 
     number: str
     title: str
     rows: tuple[Row, ...] = ()
     why: str = ""
     report: DrawnFigures | None = None
+    remark: str = ""
+    seconds: float = 0.0
+    against: str = marked("Thesis")
+
+
+@dataclass(frozen=True, eq=False)
+class PlotGrid:
+    """Rows of plots that are one picture, with its texts in English."""
+
+    key: str
+    heading: str
+    alt: str
+    rows: Sequence[Sequence[Plot]]
+    caption: str = ""
+    row_height: float = 3.0
+    over: bool = True
+
+
+def drawn_grids(grids: Sequence[PlotGrid]) -> DrawnFigures:
+    """Return grids of plots as pictures."""
+    pictures = tuple(
+        picture(
+            grid.key,
+            _(grid.heading),
+            _(grid.alt),
+            lambda grid=grid: (grid_figure(grid.rows, grid.row_height, over=grid.over), _(grid.caption)),  # type: ignore[misc]
+        )
+        for grid in grids
+    )
+    return DrawnFigures(pictures, tuple(plot for grid in grids for row in grid.rows for plot in row))
 
 
 def write_reproduction(path: Path, made: Sequence[ReproducedFigure]) -> None:
@@ -68,9 +105,43 @@ def comparison(figure: ReproducedFigure) -> Table:
     """Return the numbers of the thesis and those found here."""
     return Table(
         f"{figure.number}. {translated(figure.title)}",
-        (_("Quantity"), _("Thesis"), _("Here")),
+        (_("Quantity"), translated(figure.against), _("Here")),
         tuple((translated(row.what), translated(row.thesis), translated(row.here)) for row in figure.rows),
+        translated(figure.remark),
     )
+
+
+def as_markdown(results: Mapping[str, Any]) -> str:
+    """Return the numbers of a results file as Markdown: a section for each figure, in English.
+
+    Args:
+        results: content of ``results.json``.
+    """
+    parts = []
+    for one in results["figures"]:
+        name = f"Fig. {one['number']}" if one["number"][0].isdigit() else one["number"]
+        lines = [f"### {name}: {one['title']}", ""]
+        if one["rows"]:
+            lines += [f"| quantity | {one['against'].lower()} | TissueID |", "| --- | --- | --- |"]
+            lines += [
+                f"| {_cell(row['what'])} | {_cell(row['thesis'])} | {_cell(row['here'])} |" for row in one["rows"]
+            ]
+            lines.append("")
+        if one["why_missing"]:
+            lines += [f"Not made: {one['why_missing']}.", ""]
+        if one["remark"]:
+            lines += [one["remark"], ""]
+        parts.append("\n".join(lines))
+    seconds = float(results["seconds"])
+    head = (
+        f"{len(results['figures'])} figures and tables, {results['software']}, "
+        f"{'quick run, ' if results['quick'] else ''}{fixed(seconds / 60.0, 1)} minutes.\n\n"
+    )
+    return head + "\n".join(parts)
+
+
+def _cell(text: str) -> str:
+    return text.replace("|", "\\|")
 
 
 def _scores(made: Sequence[ReproducedFigure]) -> list[Table]:
@@ -82,4 +153,4 @@ def _scores(made: Sequence[ReproducedFigure]) -> list[Table]:
     return tables
 
 
-__all__ = ["ReproducedFigure", "Row", "comparison", "write_reproduction"]
+__all__ = ["PlotGrid", "ReproducedFigure", "Row", "as_markdown", "comparison", "drawn_grids", "write_reproduction"]

@@ -210,7 +210,10 @@ def _rows_of(part: Curve | Surface | Bars, plot: Plot) -> list[tuple[object, ...
     y = part.height if isinstance(part, Bars) else part.y
     low, high = (None, None) if isinstance(part, Bars) else (part.low, part.high)
     count = max(np.size(part.x), np.size(y))
-    columns = [[""] * count if v is None else np.broadcast_to(v, count).tolist() for v in (part.x, y, low, high)]
+    columns = [  # spans and levels have values along one axis alone
+        [""] * count if v is None or not np.size(v) else np.broadcast_to(v, count).tolist()
+        for v in (part.x, y, low, high)
+    ]
     return [(x, ends[0], y, ends[1], low, high, "", "") for x, y, low, high in zip(*columns, strict=True)]
 
 

@@ -1,0 +1,165 @@
+"""Benchmarks of system identification: errors of the engines on published records, beside published results.
+
+The records are not part of the program: the file is named on the command line.
+"""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Mapping
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from tissueid.errors import UnusableInputError
+from tissueid.formatting import fixed
+from tissueid.identification import engine_label, get_engine
+from tissueid.language import marked
+from tissueid.messages import Message
+from tissueid.procedures.control import Control
+from tissueid.records import Record
+from tissueid.reports.reproduction import ReproducedFigure, Row
+from tissueid.sessions.imports import Choices, Source, import_test, parse_map
+
+_WARM = 50
+"""Samples at the start of a test part that are not scored, as in the definition of both benchmarks."""
+
+
+@dataclass(frozen=True)
+class FieldBenchmark:
+    """A record with its parts, the engines that are fitted, and published results.
+
+    ``fitted`` and ``tests`` are first sample and end of the parts, by name. ``engines`` are engine and options.
+    ``published`` is a text for an engine and a part, or for "" and a part in a row of its own.
+    """
+
+    number: str
+    title: str
+    mapping: tuple[str, ...]
+    rate_hz: float
+    samples: int
+    fitted: tuple[int, int]
+    tests: Mapping[str, tuple[int, int]]
+    engines: tuple[tuple[str, Mapping[str, Any]], ...]
+    published: Mapping[tuple[str, str], str]
+    remark: str
+
+
+_MULTISINE, _ARROW, _ARROW_INSIDE = "multisine", "arrow", "arrow without extrapolation"
+SILVERBOX = FieldBenchmark(
+    "Silverbox",
+    marked("Silverbox: a mass on a hardening spring as an electronic circuit (Wigren and Schoukens 2013)"),
+    ("input=V1:V", "output=V2:V"),
+    1e7 / 2**14,
+    131_072,
+    (40_650, 60_650),
+    {_MULTISINE: (105_712, 127_400), _ARROW: (100, 40_575), _ARROW_INSIDE: (100, 32_100)},
+    (
+        ("lms", {"memory": 0.25}),
+        ("wiener", {"memory": 0.25}),
+        ("dpn", {}),
+    ),
+    {
+        ("lms", _MULTISINE): marked("linear: 6.96 mV"),
+        ("dpn", _ARROW): marked(
+            "0.26 mV: polynomial nonlinear state space (Paduart 2008); 0.32 mV: LS-SVM, NARX (Espinoza et al. 2004); "
+            "0.96 mV: physical parameters (Hjalmarsson and Schoukens 2004); 1.3 mV: local linear models (Verdult "
+            "2004)"
+        ),
+        ("dpn", _MULTISINE): marked("best: 0.26 to 0.36 mV"),
+    },
+    marked(
+        "The linear error is the published one. The circuit is a mass on a spring whose stiffness depends on the "
+        "position, which is what the engine dpn fits; a Wiener curve cannot describe it. Inside the fitted "
+        "amplitudes dpn reaches the best published errors; where the arrow exceeds them, its curves extrapolate and "
+        "the error rises. Parts as in the definition of the benchmark, but only the first 20,000 of its 65,062 "
+        "samples for estimation are fitted, because a fit of all takes minutes."
+    ),
+)
+WIENER_HAMMERSTEIN = FieldBenchmark(
+    "Wiener-Hammerstein",
+    marked("Wiener-Hammerstein benchmark: a curve between two linear filters (Schoukens, Suykens and Ljung 2009)"),
+    ("input=u:V", "output=y:V"),
+    51_200.0,
+    188_000,
+    (5_200, 25_200),
+    {"test": (105_200, 184_000)},
+    (
+        ("lms", {"memory": 0.003}),
+        ("cascade", {"memory": 0.003, "structure": "lnl"}),
+    ),
+    {
+        ("lms", "test"): marked("linear: 43.4 mV"),
+        ("cascade", "test"): marked(
+            "0.24 mV: state space with encoder (Beintema, Toth and Schoukens 2021); 0.28 mV: initialised by the "
+            "quadratic best linear approximation (Schoukens, Pintelon and Rolain 2014); 0.30 mV: split of poles and "
+            "zeros (Sjöberg, Lauwers and Schoukens 2012); 0.42 mV: polynomial nonlinear state space (Paduart et al. "
+            "2012); 4.1 mV: LS-SVM (Falck et al. 2009)"
+        ),
+    },
+    marked(
+        "The linear error is the published one. The structure LNL of the engine cascade is that of the system. Parts "
+        "as in the definition of the benchmark, but only the first 20,000 of its 100,000 samples for estimation are "
+        "fitted."
+    ),
+)
+
+
+def run_benchmark(benchmark: FieldBenchmark, path: Path, control: Control) -> ReproducedFigure:
+    """Fit the engines to the estimation part of a record and score their free runs on its test parts.
+
+    Args:
+        benchmark: parts, engines and published results.
+        path: MAT or CSV file of the record.
+        control: progress and cancellation.
+
+    Raises:
+        UnusableInputError: the file cannot be read, or is another record.
+        CancelledError: it was cancelled.
+    """
+    found = import_test(Source.parsed(str(path)), parse_map(benchmark.mapping), Choices(), rate_hz=benchmark.rate_hz)
+    record = found.test.record()
+    if len(record) != benchmark.samples:
+        raise UnusableInputError(
+            Message(
+                "reproduce.other_record",
+                "{path} has {count} samples, but the record {name} has {expected}: name the file of the benchmark",
+                path=str(path),
+                count=len(record),
+                name=benchmark.number,
+                expected=benchmark.samples,
+            )
+        )
+    begin = time.perf_counter()
+    rows = []
+    for place, (engine, options) in enumerate(benchmark.engines):
+        control.check()
+        step = Message("reproduce.benchmark", "{name}: fitting {engine}", name=benchmark.number, engine=engine)
+        control.progress(place / len(benchmark.engines), step)
+        started = time.perf_counter()
+        model = get_engine(engine).from_options(dict(options)).fit(record[slice(*benchmark.fitted)])
+        spent = time.perf_counter() - started
+        for name, part in benchmark.tests.items():
+            error_mv = 1e3 * free_run_error(model.simulate, record[slice(*part)])
+            published = benchmark.published.get((engine, name), marked("not quoted"))
+            what = f"{engine_label(engine)}, {name}: RMS error of the free run"
+            rows.append(Row(what, published, f"{fixed(error_mv, 2)} mV ({fixed(spent, 0)} s)"))
+    return ReproducedFigure(
+        benchmark.number,
+        benchmark.title,
+        tuple(rows),
+        remark=benchmark.remark,
+        seconds=time.perf_counter() - begin,
+        against=marked("Published"),
+    )
+
+
+def free_run_error(simulate: Any, record: Record) -> float:
+    """Return the root-mean-square error of a simulation of a record after its first ``_WARM`` samples."""
+    error = (record.output - simulate(record.input))[_WARM:]
+    return float(np.sqrt(np.nanmean(error**2)))
+
+
+__all__ = ["SILVERBOX", "WIENER_HAMMERSTEIN", "FieldBenchmark", "free_run_error", "run_benchmark"]
