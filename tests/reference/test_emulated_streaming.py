@@ -1,6 +1,8 @@
 """The driver and feedback tests over the line of the emulated microcontroller, in its time; a host that is killed."""
 
 import json
+import subprocess
+import sys
 import time
 
 import numpy as np
@@ -10,7 +12,7 @@ from reference.lines import EmulatedLine
 from tissueid import wire
 from tissueid.acquisition import GuidedTest, SessionRecorder, run_guided_test
 from tissueid.errors import LinkLostError
-from tissueid.instrument import Limits, SerialInstrument
+from tissueid.instrument import Limits, SerialInstrument, SerialLink
 from tissueid.instrument.link import broken_error
 from tissueid.stimuli import get_stimulus
 
@@ -88,6 +90,32 @@ def test_a_killed_host_releases_the_coil_in_time(link, tmp_path):
                     released_at = on_at
     print(f"released {released_at - killed_at:.3f} s after the last byte of the host")
     assert WATCHDOG_S - 0.11 <= released_at - killed_at <= WATCHDOG_S + 0.02
+
+
+@pytest.mark.soak
+def test_a_killed_process_releases_the_coil(emulated, tmp_path):
+    """In real time: the server of the emulator, and a test of the command line that is killed in its run."""
+    server = [sys.executable, "-m", "firmware_sim.reference.emulator"]
+    with subprocess.Popen(server, stdout=subprocess.PIPE, text=True) as device:
+        url = device.stdout.readline().strip()
+        command = [*("--device", url, "--site", "x", "--out", tmp_path / "s.h5", "--stimulus", "noise")]
+        command += ["--max-force", "5", "--seconds", "25"]
+        with subprocess.Popen([sys.executable, "-m", "tissueid", "test", *command], stdout=subprocess.DEVNULL) as host:
+            time.sleep(0.5)
+            # The server accepts one host at a time: wait for the journal to grow before the host is killed.
+            while host.poll() is None and sum(path.stat().st_size for path in tmp_path.iterdir()) < 600_000:
+                time.sleep(0.2)
+            host.kill()
+        time.sleep(1.5)
+        link = SerialLink(url)
+        decoder, end, states = wire.FrameDecoder(), time.monotonic() + 10.0, []
+        link.write(wire.encode_frame(wire.Frame(wire.MessageType.STATUS_REQUEST)))
+        while not states and time.monotonic() < end:
+            frames = [frame for frame in decoder.feed(link.read(0.1)) if frame.type == wire.MessageType.STATUS]
+            states += [wire.unpack(wire.STATUS, frame.payload, tail=True)[0] for frame in frames]
+        link.close()
+        device.terminate()
+    assert (states[0]["state"], states[0]["faults"]) == (wire.State.FAULT, wire.Fault.WATCHDOG)
 
 
 @pytest.mark.soak
