@@ -124,7 +124,7 @@ def make_stimulus(kind: str, **options: Any) -> Stimulus:
         options: options of the kind, such as ``seconds=4.0, force_min_n=0.5, force_max_n=10.5, seed=1``.
 
     Returns:
-        The stimulus: ``values``, shape (n,), in ``unit`` (N or V) at ``sample_rate_hz``.
+        The stimulus with its ``values``, shape (n,), in ``unit`` (N or V) at ``sample_rate_hz``.
 
     Raises:
         UnusableInputError: the kind or an option is unknown or out of bounds, or the kind is generated during a test.
@@ -205,7 +205,7 @@ def compare(
         options: options of engines, by the name of the engine.
 
     Returns:
-        The comparison: ``entries`` with the scores (or the reason why an engine refused the record), ``analyses`` by
+        The comparison, with the scores as ``entries`` (or the reason why an engine refused the record), ``analyses`` by
         engine, and the ``recommendation`` with its reasons.
 
     Raises:
@@ -315,7 +315,7 @@ def diagnose(
         workers: number of processes; None for one per core.
 
     Returns:
-        The diagnosis: ``verdict``, ``where`` (stage of the signal chain), ``ranking`` of the effects with their
+        The diagnosis, with ``verdict``, ``where`` (stage of the signal chain), ``ranking`` of the effects with their
         probabilities, ``combination`` of the named effects, and ``next_experiment``.
 
     Raises:
