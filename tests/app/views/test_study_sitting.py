@@ -158,3 +158,13 @@ def test_condition_fields(window):
     assert form.plan().minutes_since_application == 12.5
     form.product.clear()
     assert form.plan().minutes_since_application is None
+
+
+def test_a_test_that_the_instrument_cannot_play_is_mentioned(qtbot, window, study):
+    window.ui.form.tell_force(window.ui.form.instrument.url, 7.8)
+    begin(qtbot, window, study(stimulus="thesis"))
+    assert shows(window.ui.notice.text.text(), "form.preset_force", most=7.8)
+    window.ui.form.tell_force(window.ui.form.instrument.url, 20.0)
+    begin(qtbot, window, study(stimulus="thesis"), "P02")
+    plan = window.ui.form.plan()
+    assert (plan.min_force_n, plan.max_force_n) == (-5.0, 11.8)
