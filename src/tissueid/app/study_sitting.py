@@ -124,12 +124,7 @@ class StudySitting(QObject):
             "condition": condition.product,
             "minutes_since_application": condition.minutes_since_application,
             "limits": protocol.limits,
-            "set_up": {
-                "name": protocol.configuration,
-                "probe": protocol.probe,
-                "coupling": protocol.coupling,
-                "orientation_deg": condition.orientation_deg,
-            },
+            "set_up": protocol.set_up(condition),
             "preset": protocol.stimulus,
             "repeats": 1,
             "under_probe": "",
