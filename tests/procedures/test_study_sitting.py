@@ -338,3 +338,14 @@ def test_a_protocol_knows_its_plan(tmp_path):
     plan = protocol.plan(sitting_steps(protocol, "P01")[0], "simulated://forearm", tmp_path / "a.h5")
     assert (plan.condition, plan.minutes_since_application, plan.min_force_n) == ("lotion", 60.0, -5.0)
     assert plan.notes["condition"] == "lotion"
+
+
+def test_the_command_says_where_the_sitting_stands(tmp_path, capsys):
+    folder = put(tmp_path / "s", QUICK | {"sites": ["abdomen"], "repeats": 1, "demographics": ["gender"]})
+    command = ["study", "sitting", str(folder), "--subject", "P01", "--device", "simulated://forearm?seed=1"]
+    assert main([*command, "--value", "gender=female", "--json", str(tmp_path / "a.json")]) == 0
+    answer = json.loads((tmp_path / "a.json").read_text())
+    assert (answer["steps"], answer["done"], answer["problems"]) == (1, 1, {})
+    assert [test["site"] for test in answer["tests"] if test["counts"]] == ["abdomen"]
+    assert "P01: 1 of 1 steps done" in capsys.readouterr().out
+    assert read_demographics(folder)["P01"]["gender"] == "female"
