@@ -101,6 +101,11 @@ def test_sites_measured_out_of_order_are_not_asked_again():
     assert step.condition == LOTION
 
 
+def test_spaces_around_names_do_not_keep_a_sitting_from_going_on():
+    protocol = two_products(sites=[" a "], repeats=1, conditions=[{"product": "lotion "}])
+    assert next_step(protocol, "P", [recorded("a", Condition(product="lotion"))]) is None
+
+
 def test_a_test_of_no_use_is_asked_again_a_few_times():
     protocol = two_products(attempts=2)
     step = next_step(protocol, "P", [recorded("a", counts=False)])
@@ -134,7 +139,7 @@ def test_a_template_is_read_again(tmp_path):
     [
         ({"sites": []}, "protocol.no_site"),
         ({"sites": ["a", "a"]}, "protocol.twice"),
-        ({"sites": ["a\n"]}, "protocol.text"),
+        ({"sites": ["a\tb"]}, "protocol.text"),
         ({"sites": [" "]}, "protocol.empty"),
         ({"conditions": []}, "protocol.no_condition"),
         ({"conditions": [{"minutes_since_application": 3}]}, "protocol.minutes"),
@@ -181,7 +186,7 @@ def test_a_folder_without_a_protocol_says_how_to_get_one(tmp_path):
         read_protocol(tmp_path)
 
 
-@pytest.mark.parametrize("text", ["John Smith", "a@b.org", "", "..", "../P1", "P" * 41, "Jürgen", "P1."])
+@pytest.mark.parametrize("text", ["John Smith", "a@b.org", "", "..", "../P1", "P" * 41, "Jürgen", "P1.", "Results"])
 def test_a_name_is_no_pseudonym(text):
     with pytest.raises(UnusableInputError, check=coded("protocol.pseudonym")):
         check_pseudonym(text)
@@ -333,3 +338,14 @@ def test_a_protocol_knows_its_plan(tmp_path):
     plan = protocol.plan(sitting_steps(protocol, "P01")[0], "simulated://forearm", tmp_path / "a.h5")
     assert (plan.condition, plan.minutes_since_application, plan.min_force_n) == ("lotion", 60.0, -5.0)
     assert plan.notes["condition"] == "lotion"
+
+
+def test_the_command_says_where_the_sitting_stands(tmp_path, capsys):
+    folder = put(tmp_path / "s", QUICK | {"sites": ["abdomen"], "repeats": 1, "demographics": ["gender"]})
+    command = ["study", "sitting", str(folder), "--subject", "P01", "--device", "simulated://forearm?seed=1"]
+    assert main([*command, "--value", "gender=female", "--json", str(tmp_path / "a.json")]) == 0
+    answer = json.loads((tmp_path / "a.json").read_text())
+    assert (answer["steps"], answer["done"], answer["problems"]) == (1, 1, {})
+    assert [test["site"] for test in answer["tests"] if test["counts"]] == ["abdomen"]
+    assert "P01: 1 of 1 steps done" in capsys.readouterr().out
+    assert read_demographics(folder)["P01"]["gender"] == "female"

@@ -142,15 +142,26 @@ class ConfigurationChooser(QWidget):
         }
 
     def choose(
-        self, name: str, probe: str | None = None, coupling: str = "none", orientation_deg: float | None = None
+        self,
+        configuration: str,
+        probe: str | None = None,
+        coupling: str = "none",
+        external_spring_n_per_m: float = 0.0,
+        orientation_deg: float | None = None,
+        initial_length_m: float | None = None,
+        normal_preload_n: float | None = None,
     ) -> None:
-        """Choose a configuration and what goes with it; its first probe for None."""
-        self.name.setCurrentIndex(self.name.findData(name))
+        """Choose a configuration and what goes with it: the fields of :meth:`values`; its first probe for None."""
+        self.name.setCurrentIndex(self.name.findData(configuration))
         self.probe.setCurrentIndex(0 if probe is None else self.probe.findData(probe))
         self.coupling.setCurrentIndex(self.coupling.findData(coupling))
         if self.orientation.findData(orientation_deg) < 0:
             self.orientation.addItem(f"{orientation_deg:g}°", orientation_deg)
         self.orientation.setCurrentIndex(self.orientation.findData(orientation_deg))
+        if external_spring_n_per_m > 0.0:
+            self.spring.setValue(external_spring_n_per_m)
+        self.initial_length.setValue(1e3 * (initial_length_m or 0.0))
+        self.normal_preload.setValue(normal_preload_n or 0.0)
 
     def _value(self, field: QWidget, value: Any, otherwise: Any) -> Any:
         return value if self.chosen in self._only[field] else otherwise

@@ -49,21 +49,28 @@ class PresetChooser(QWidget):
         model = self.choice.model()
         assert isinstance(model, QStandardItemModel)
         for place, preset in enumerate(PRESETS):
-            allowed = preset.needed_n <= most_n
-            words = Message(
-                "form.preset_force",
-                "{title} is not offered: it needs {needed:g} N, and limits and instrument allow {most:g} N.",
-                title=_(preset.title),
-                needed=preset.needed_n,
-                most=most_n,
-            )
-            model.item(place).setEnabled(allowed)
-            self.choice.setItemData(place, "" if allowed else translated(words), Qt.ItemDataRole.ToolTipRole)
-            if not allowed:
-                reasons.append(translated(words))
+            words = why_not_offered(preset, most_n)
+            model.item(place).setEnabled(not words)
+            self.choice.setItemData(place, words, Qt.ItemDataRole.ToolTipRole)
+            if words:
+                reasons.append(words)
         self.reason.setText("\n".join(reasons))
         self.reason.setVisible(bool(reasons))
 
     def _choose(self) -> None:
         name = self.choice.currentData()
         self.chosen.emit(next((preset for preset in PRESETS if preset.name == name), None))
+
+
+def why_not_offered(preset: Preset, most_n: float) -> str:
+    """Return why a test is not offered where limits and instrument allow ``most_n``, N; "" where it is."""
+    if preset.needed_n <= most_n:
+        return ""
+    words = Message(
+        "form.preset_force",
+        "{title} is not offered: it needs {needed:g} N, and limits and instrument allow {most:g} N.",
+        title=_(preset.title),
+        needed=preset.needed_n,
+        most=most_n,
+    )
+    return translated(words)

@@ -13,6 +13,7 @@ from PySide6.QtWidgets import QFileDialog
 from tissueid.app.context import AppContext
 from tissueid.app.layout import Layout
 from tissueid.app.navigation_bar import MEASURE
+from tissueid.app.presets import why_not_offered
 from tissueid.app.views.clinician.demographics_dialog import DemographicsDialog
 from tissueid.atomic_write import private_folder
 from tissueid.language import _
@@ -123,17 +124,14 @@ class StudySitting(QObject):
             "condition": condition.product,
             "minutes_since_application": condition.minutes_since_application,
             "limits": protocol.limits,
-            "set_up": {
-                "name": protocol.configuration,
-                "probe": protocol.probe,
-                "coupling": protocol.coupling,
-                "orientation_deg": condition.orientation_deg,
-            },
+            "set_up": protocol.set_up(condition),
             "preset": protocol.stimulus,
             "repeats": 1,
             "under_probe": "",
         }
         self._ui.form.fill(values | ({} if protocol.seconds is None else {"seconds": protocol.seconds}))
+        if words := why_not_offered(protocol.preset, self._ui.form.max_force.maximum()):
+            self._say(words, problem=True)
 
     def _save(self, values: dict[str, str]) -> None:
         state = self.state

@@ -16,13 +16,22 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Annotated, Any, Literal, Self
 
-from pydantic import BaseModel, BeforeValidator, ConfigDict, Field, ValidationError, model_validator
+from pydantic import (
+    BaseModel,
+    BeforeValidator,
+    ConfigDict,
+    Field,
+    StringConstraints,
+    ValidationError,
+    model_validator,
+)
 
 from tissueid.errors import UnusableInputError
 from tissueid.formatting import clean
 from tissueid.language import marked
 from tissueid.messages import Action, Message, Verbatim, joined
 from tissueid.option_errors import option_error
+from tissueid.procedures.study_plans import RESULTS
 from tissueid.procedures.test_plan import MAX_TEXT, TestPlan
 from tissueid.procedures.test_presets import PRESETS, Preset
 from tissueid.untrusted_input import json_value
@@ -32,11 +41,14 @@ PROTOCOL_FILE = "protocol.json"
 _LARGEST_PROTOCOL = 1_000_000
 _MOST_STEPS = 10_000
 """Most steps of one sitting."""
+PHOTOGRAPHS = "photographs"
+"""Folder of a study with its photographs."""
+_OTHER_FOLDERS = (RESULTS, PHOTOGRAPHS)
 _PSEUDONYM = re.compile(r"[A-Za-z0-9][A-Za-z0-9._-]{0,39}")
 
 Demographic = Literal["age_years", "weight_kg", "height_m", "gender", "handedness", "ethnicity", "skin_conditions"]
 """Values of a subject that a protocol can ask for."""
-_Line = Annotated[str, Field(max_length=MAX_TEXT)]
+_Line = Annotated[str, StringConstraints(strip_whitespace=True, max_length=MAX_TEXT)]
 
 
 class _Part(BaseModel):
@@ -83,6 +95,9 @@ class Protocol(_Part):
     configuration: str = "indentation"
     probe: str | None = None
     coupling: str = "none"
+    external_spring_n_per_m: float = 0.0
+    initial_length_m: float | None = None
+    normal_preload_n: float | None = None
     attempts: Annotated[int, Field(ge=1, le=20)] = 3
     photograph: bool = False
 
@@ -125,6 +140,18 @@ class Protocol(_Part):
         """The test that is run."""
         return next(preset for preset in PRESETS if preset.name == self.stimulus)
 
+    def set_up(self, condition: Condition) -> dict[str, Any]:
+        """Return the fields of a test plan that say how the instrument meets the tissue."""
+        return {
+            "configuration": self.configuration,
+            "probe": self.probe,
+            "coupling": self.coupling,
+            "external_spring_n_per_m": self.external_spring_n_per_m,
+            "initial_length_m": self.initial_length_m,
+            "normal_preload_n": self.normal_preload_n,
+            "orientation_deg": condition.orientation_deg,
+        }
+
     def plan(self, step: SittingStep, url: str, out: Path, **values: Any) -> TestPlan:
         """Return the plan of the test of a step; ``values`` replace fields of it."""
         given: dict[str, Any] = {
@@ -133,13 +160,10 @@ class Protocol(_Part):
             "subject": step.subject,
             "site": step.site,
             "limits": self.limits,
-            "configuration": self.configuration,
-            "probe": self.probe,
-            "coupling": self.coupling,
             "condition": step.condition.product,
             "minutes_since_application": step.condition.minutes_since_application,
-            "orientation_deg": step.condition.orientation_deg,
         }
+        given |= self.set_up(step.condition)
         return TestPlan(**(given | self.preset.plan_values(self.seconds) | values))
 
 
@@ -253,7 +277,7 @@ def check_pseudonym(text: str) -> str:
         UnusableInputError: it looks like a name or an address, or cannot be the name of a folder.
     """
     pseudonym = text.strip()
-    if not _PSEUDONYM.fullmatch(pseudonym) or pseudonym.endswith("."):
+    if not _PSEUDONYM.fullmatch(pseudonym) or pseudonym.endswith(".") or pseudonym.lower() in _OTHER_FOLDERS:
         raise UnusableInputError(
             Message(
                 "protocol.pseudonym",

@@ -16,13 +16,11 @@ from tissueid.language import marked
 from tissueid.messages import Message, Verbatim, joined
 from tissueid.procedures.output_files import unwritable, write_text
 from tissueid.procedures.study_plans import SUBJECTS_FILE
-from tissueid.procedures.study_protocol import check_pseudonym
+from tissueid.procedures.study_protocol import PHOTOGRAPHS, check_pseudonym
 
 if TYPE_CHECKING:
     from tissueid.procedures.study_protocol import Protocol
 
-PHOTOGRAPHS = "photographs"
-"""Folder of a study with its photographs."""
 _LARGEST_FILE = 10_000_000
 _LARGEST_PHOTOGRAPH = 30_000_000
 _LONGEST = 200

@@ -158,3 +158,34 @@ def test_condition_fields(window):
     assert form.plan().minutes_since_application == 12.5
     form.product.clear()
     assert form.plan().minutes_since_application is None
+
+
+def test_a_test_that_the_instrument_cannot_play_is_mentioned(qtbot, window, study):
+    window.ui.form.tell_force(window.ui.form.instrument.url, 7.8)
+    begin(qtbot, window, study(stimulus="thesis"))
+    assert shows(window.ui.notice.text.text(), "form.preset_force", most=7.8)
+    window.ui.form.tell_force(window.ui.form.instrument.url, 20.0)
+    begin(qtbot, window, study(stimulus="thesis"), "P02")
+    plan = window.ui.form.plan()
+    assert (plan.min_force_n, plan.max_force_n) == (-5.0, 11.8)
+
+
+SLIDING = {"external_spring_n_per_m": 300.0, "normal_preload_n": 1.0}
+STRETCHING = {"initial_length_m": 0.02, "coupling": "tape"}
+
+
+@pytest.mark.parametrize(
+    ("configuration", "values", "condition"),
+    [
+        ("surface", SLIDING, {}),
+        ("extension", STRETCHING, {"orientation_deg": 90.0}),
+        ("extension", STRETCHING, {"orientation_deg": 17.5}),
+        ("indentation", {"probe": "indenter-5mm"}, {}),
+    ],
+)
+def test_the_form_gives_the_plan_of_the_protocol(qtbot, window, study, configuration, values, condition):
+    begin(qtbot, window, study(conditions=[condition], configuration=configuration, **values))
+    state, plan = window.study.state, window.ui.form.plan()
+    expected = state.protocol.plan(state.step, plan.url, plan.out).set_up()
+    assert plan.set_up() == expected
+    assert plan.set_up().name == configuration
