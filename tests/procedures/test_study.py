@@ -12,10 +12,15 @@ from reports.synthetic_sitting import make_session, make_test
 from tissueid.cli import main
 from tissueid.errors import CancelledError, UnusableInputError
 from tissueid.procedures.control import Control
+from tissueid.procedures.simulated_population import MATERIALS, population, sample_name, subjects_file
+from tissueid.procedures.study_demo import PopulationPlan, Series, measure_series
 from tissueid.procedures.study_plans import RESULTS, SUBJECTS_FILE, StudyPlan, StudyReportPlan
 from tissueid.procedures.study_report import report_study
 from tissueid.procedures.study_run import run_study
+from tissueid.reports.study import study_html
+from tissueid.reports.study_pdf import write_study_pdf
 from tissueid.sessions import Subject, write_session
+from tissueid.studies.study_statistics import study_statistics
 from tissueid.studies.study_table import parameters_of, read_subjects
 
 SUBJECTS, SITES, REPEATS = 4, ("arm", "leg"), 2
@@ -194,3 +199,62 @@ def test_missing_demographics_and_one_group_are_stated(tmp_path):
     assert codes >= {"study.one_group", "study.no_column", "study.too_few_values", "study.no_pairs"}
     assert not found.statistics.tables.get("groups", pd.DataFrame()).size
     assert np.isfinite(found.statistics.tables["variation"]["individual_cv"]).all()
+
+
+def test_sessions_by_an_address_of_fsspec(folder, run, tmp_path):
+    fsspec = pytest.importorskip("fsspec")
+    files = fsspec.filesystem("memory")
+    for path in folder.glob("*.h5"):
+        files.put_file(str(path), f"/store/{path.name}")
+    plan = plan_of(tmp_path / "here", sessions="memory://store")
+    found = run_study(plan, Control())
+    assert found.analysed == run.sessions
+    assert found.table["stiffness_n_per_m"].tolist() == run.table["stiffness_n_per_m"].tolist()
+    assert run_study(plan, Control()).analysed == 0
+    files.pipe_file("/store/P0-arm.h5", b"rubbish" * 99)
+    again = run_study(plan, Control())
+    assert (again.analysed, list(again.failures)) == (1, ["P0-arm.h5"])
+    assert not [name for name in files.find("/store") if name.endswith(".partial")]
+
+
+def test_addresses_that_cannot_be_used(tmp_path, monkeypatch):
+    pytest.importorskip("fsspec")
+    for url in ("memory://nothing", "nonsense://a"):
+        with pytest.raises(UnusableInputError, check=coded("study.no_address")):
+            run_study(plan_of(tmp_path / "s", sessions=url), Control())
+    monkeypatch.setattr("importlib.util.find_spec", lambda name: None if name == "fsspec" else True)
+    with pytest.raises(UnusableInputError, check=coded("study.no_package")) as caught:
+        run_study(plan_of(tmp_path / "s", sessions="memory://nothing"), Control())
+    assert "tissueid[cluster]" in str(caught.value)
+
+
+def test_the_simulated_population_has_its_effects_and_one_stimulus(tmp_path):
+    people = population(16, 0)
+    assert {person.gender for person in people} == {"male", "female"}
+    person = next(person for person in people if person.gender == "male")
+    heavy, plain = (person.tissue(site) for site in ("left anterior forearm", "left posterior forearm"))
+    assert heavy.tissue.mass_kg / plain.tissue.mass_kg == pytest.approx(person.mass_factor("left anterior forearm"))
+    treated = person.tissue("left anterior forearm", "moisturising lotion")
+    assert treated.tissue.stiffness_n_per_m == pytest.approx(0.9 * heavy.tissue.stiffness_n_per_m)
+    path = tmp_path / SUBJECTS_FILE
+    path.write_text(subjects_file(people, MATERIALS))
+    read = read_subjects(path).set_index("subject")
+    assert read["material"].dropna().tolist() == list(MATERIALS)
+    assert read.loc[person.pseudonym, "gender"] == "male"
+
+
+def test_a_material_is_measured_and_reported(tmp_path):
+    plan = PopulationPlan(out=tmp_path, subjects=2, seconds=1.0, workers=1)
+    for name in ("acrylamide 10 %", "acrylamide 30 %"):
+        measure_series(plan, Series(sample_name(name), name, 1))
+    (tmp_path / SUBJECTS_FILE).write_text(subjects_file((), MATERIALS))
+    found = study_statistics(run_study(plan_of(tmp_path), Control()).table)
+    rows = found.tables["materials"].set_index(["parameter", "level"])["mean"]
+    assert rows["stiffness_n_per_m", "acrylamide 30 %"] > 1.5 * rows["stiffness_n_per_m", "acrylamide 10 %"]
+    few = found.tables["materials"]
+    few = replace(found, tables={"materials": few[few["parameter"] == "stiffness_n_per_m"]})
+    page = study_html("gels", "lms", few, {"bad.h5": "cannot be read"})
+    assert "acrylamide 30 %" in page
+    assert "bad.h5" in page
+    write_study_pdf(tmp_path / "report.pdf", "gels", "lms", few, {"bad.h5": "cannot be read"})
+    assert (tmp_path / "report.pdf").read_bytes().startswith(b"%PDF")

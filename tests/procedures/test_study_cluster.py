@@ -8,6 +8,7 @@ import pytest
 from procedures.test_study import fill, plan_of
 
 from tissueid.errors import UnusableInputError
+from tissueid.procedures.comparison import ComparePlan, run_comparison
 from tissueid.procedures.control import Control
 from tissueid.procedures.study_plans import RESULTS
 from tissueid.procedures.study_run import run_study
@@ -36,6 +37,16 @@ def test_the_table_is_the_same(tmp_path):
     with cluster(1, processes=False) as running:
         found = run_study(plan_of(there, scheduler=running.scheduler_address), Control())
     pd.testing.assert_frame_equal(found.table, known.table)
+
+
+def test_engines_of_a_comparison_are_fitted_on_the_cluster(tmp_path):
+    fill(tmp_path, subjects=1)
+    plan = ComparePlan(session=tmp_path / "P0-arm.h5", engines=("lms", "hammerstein"))
+    here = run_comparison(plan, Control()).found
+    with cluster(1, processes=False) as running:
+        there = run_comparison(plan.model_copy(update={"scheduler": running.scheduler_address}), Control()).found
+    assert there.recommendation == here.recommendation
+    assert list(there.analyses) == list(here.analyses)
 
 
 @pytest.mark.soak

@@ -3,20 +3,23 @@
 import numpy as np
 import pandas as pd
 import pytest
+from scipy import stats
 
 from tissueid.studies.group_comparison import (
     corrected,
     efficacy,
     general_linear,
+    materials,
     mixed_model,
     one_way,
     pooled_mean,
     regressions,
+    site_means,
     subject_means,
 )
 from tissueid.studies.multivariate import partial_least_squares, principal_components
 from tissueid.studies.repeatability import ALL_SITES, first_test, paired_difference, reliability, variation
-from tissueid.studies.sample_size import participants, sample_sizes
+from tissueid.studies.sample_size import detectable_effect, participants, sample_sizes
 
 PLANTS = {
     "ctrl": [4.17, 5.58, 5.18, 6.11, 4.50, 4.61, 5.17, 4.53, 5.33, 5.14],
@@ -217,3 +220,33 @@ def test_pooled_mean_weights_by_uncertainty():
     assert mean == pytest.approx(1.05, abs=0.01)
     assert 0.0 < between < 0.2
     assert error < 0.1
+
+
+def test_effect_that_groups_can_show():
+    size = detectable_effect(2, 16)
+    assert participants(2.001 * size, 0.8) == 8
+    assert detectable_effect(2, 5) > 1.0
+    assert detectable_effect(2, 3) == np.inf
+
+
+def test_weighted_mean_of_a_site_is_that_of_equal_uncertainties():
+    means = subject_means(study(sites=("arm",)), ["k"]).assign(k_sd=2.0)
+    row = site_means(means, ["k"]).iloc[0]
+    assert row["mean"] == pytest.approx(means["k"].mean(), rel=1e-6)
+    assert row["between_std"] == pytest.approx(np.sqrt(means["k"].var() - 4.0), rel=1e-6)
+    reach = stats.t.ppf(0.975, 15) * means["k"].std() / 4.0
+    assert row["high"] - row["mean"] == pytest.approx(reach, rel=1e-6)
+
+
+def test_materials_by_tukey():
+    found = materials(plants().rename(columns={"group": "material"}), ["weight"]).set_index("level")
+    assert found.loc["ctrl", "p_value"] == pytest.approx(0.01590995832562, rel=1e-6)
+    assert found["unlike"].to_dict() == {"ctrl": 0, "trt1": 1, "trt2": 1}  # R: TukeyHSD, trt2-trt1 p = 0.0120064
+
+
+def test_difference_of_two_groups():
+    two = plants()[lambda table: table["group"] != "ctrl"]
+    row = one_way(two, "group", ["weight"]).iloc[0]
+    assert row["difference"] == pytest.approx(0.865, rel=1e-6)
+    known = stats.ttest_ind(PLANTS["trt2"], PLANTS["trt1"]).confidence_interval()
+    assert (row["low"], row["high"]) == pytest.approx((known.low, known.high), rel=1e-6)

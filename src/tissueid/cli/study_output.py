@@ -91,7 +91,8 @@ def _print_report(found: StudyReport, json_file: Path | None) -> None:
     for remark in found.statistics.remarks:
         console.print(f"note: {remark}", markup=False, soft_wrap=True)
     _print_counts(found.run, json_file)
-    console.print(f"report: {found.page} and {found.pdf}", markup=False, soft_wrap=True)
+    pages = " and ".join(str(path) for path in (found.page, found.pdf) if path is not None)
+    console.print(f"report: {pages}", markup=False, soft_wrap=True)
     if json_file is not None:
         write_json(json_file, found.as_answer())
 

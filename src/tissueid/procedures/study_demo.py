@@ -96,7 +96,10 @@ def run_population(plan: PopulationPlan, control: Control) -> StudyReport:
     done = CountedProgress(control, _MEASURING, len(series))
     with executor(plan.workers) as pool:
         pool.do(functools.partial(measure_series, plan), series, control.check, done)
-    return report_study(StudyReportPlan(folder=plan.out, workers=plan.workers, options=SCALING, margin=MARGIN), control)
+    report = StudyReportPlan(
+        folder=plan.out, workers=plan.workers, options=SCALING, margin=MARGIN, pdf=plan.out / "report.pdf"
+    )
+    return report_study(report, control)
 
 
 def measure_series(plan: PopulationPlan, series: Series) -> Path:

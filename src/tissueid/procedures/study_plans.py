@@ -54,9 +54,7 @@ class StudyReportPlan(StudyPlan):
     report: Annotated[
         Path | None, Option("--out", metavar="FILE", help="HTML page; default: report.html in the results of the study")
     ] = None
-    pdf: Annotated[
-        Path | None, Option("--pdf", metavar="FILE", help="the same as PDF; default: report.pdf in the results")
-    ] = None
+    pdf: Annotated[Path | None, Option("--pdf", metavar="FILE", help="write the report as PDF, too")] = None
     factors: Annotated[
         tuple[str, ...],
         Option("--factor", metavar="NAME", help="column with groups of subjects, such as gender; may be repeated"),

@@ -26,7 +26,7 @@ class StudyReport:
     run: StudyRun
     statistics: StudyStatistics
     page: Path
-    pdf: Path
+    pdf: Path | None
 
     def as_answer(self) -> dict[str, Any]:
         """Return the statistics for JSON."""
@@ -62,10 +62,10 @@ def report_study(plan: StudyReportPlan, control: Control) -> StudyReport:
     page = plan.report or plan.folder / RESULTS / "report.html"
     name = plan.folder.resolve().name
     write_text(page, study_html(name, plan.engine, found, run.failures))
-    pdf = plan.pdf or plan.folder / RESULTS / "report.pdf"
-    try:
-        write_study_pdf(pdf, name, plan.engine, found, run.failures)
-    except OSError as error:
-        raise unwritable(pdf, error) from error
+    if plan.pdf is not None:
+        try:
+            write_study_pdf(plan.pdf, name, plan.engine, found, run.failures)
+        except OSError as error:
+            raise unwritable(plan.pdf, error) from error
     control.progress(1.0, _COMPUTING)
-    return StudyReport(run, found, page, pdf)
+    return StudyReport(run, found, page, plan.pdf)

@@ -26,7 +26,7 @@ _SEED = 0
 
 
 def partial_least_squares(
-    means: pd.DataFrame, responses: Sequence[str], parameters: Sequence[str], permutations: int = PERMUTATIONS
+    means: pd.DataFrame, responses: Sequence[str], parameters: Sequence[str], permutations: int | None = None
 ) -> pd.DataFrame:
     """Regress each demographic value on all parameters at each site by partial least squares (Table 7.4).
 
@@ -38,7 +38,7 @@ def partial_least_squares(
         means: one row per subject and site.
         responses: columns with demographic values: numbers, or two groups.
         parameters: columns of the parameters.
-        permutations: number of permutations.
+        permutations: number of permutations; ``PERMUTATIONS`` by default.
 
     Returns:
         columns ``site``, ``response``, ``subjects``, ``components``, ``q_squared`` (held-out share of the variance),
@@ -59,7 +59,7 @@ def partial_least_squares(
                 # Parameters that depend on each other have fewer components than their number.
                 warnings.filterwarnings("ignore", "y residual is constant")
                 errors = _held_out_errors(x, y, most, folds)
-                p_value = _p_value(x, y, folds, most, permutations)
+                p_value = _p_value(x, y, folds, most, permutations or PERMUTATIONS)
             components = int(np.argmin(errors)) + 1
             rows.append(
                 {

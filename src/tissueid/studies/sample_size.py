@@ -18,7 +18,7 @@ POWERS = (0.8, 0.9)
 LEAST = 2.0
 """Least number of participants of a group."""
 _MOST = 1_000_000
-_LARGEST_EFFECT = 20.0
+_SMALLEST_EFFECT, _LARGEST_EFFECT = 0.01, 20.0
 
 
 def participants(effect_size: float, power: float = 0.8, *, groups: int = 2, alpha: float = ALPHA) -> float:
@@ -57,7 +57,11 @@ def detectable_effect(groups: int, subjects: int, power: float = 0.8, alpha: flo
     def missing(size: float) -> float:
         return float(reached(size, subjects, alpha, groups)) - power
 
-    return float(brentq(missing, 1e-6, _LARGEST_EFFECT)) if missing(_LARGEST_EFFECT) > 0.0 else math.inf
+    most = _SMALLEST_EFFECT
+    while missing(most) < 0.0 and most < _LARGEST_EFFECT:
+        most *= 2.0
+    # The power of very large effects of few subjects is not finite.
+    return float(brentq(missing, 0.5 * most, most)) if missing(most) >= 0.0 else math.inf
 
 
 def sample_sizes(comparison: pd.DataFrame, powers: Sequence[float] = POWERS) -> pd.DataFrame:

@@ -181,10 +181,10 @@ def _unusable(table: pd.DataFrame) -> list[_Reason]:
         if status == "completed":
             continue
         for text in problem[table["status"] == status].unique():
-            words = Message("study.reason.status", "{status}", status=Verbatim(str(status)))
+            words = Message("study.reason.status", "status '{status}'", status=Verbatim(str(status)))
             if text:
                 words = Message(
-                    "study.reason.problem", "{status}: {why}", status=Verbatim(str(status)), why=Verbatim(text)
+                    "study.reason.problem", "status '{status}': {why}", status=Verbatim(str(status)), why=Verbatim(text)
                 )
             found.append(_Reason((table["status"] == status) & (problem == text), words))
     repeat = (table["quality"] == "repeat") & (table["status"] == "completed")

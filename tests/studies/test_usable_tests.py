@@ -1,0 +1,111 @@
+"""What does not count is stated with its reason; nothing crashes and nothing is dropped silently."""
+
+import numpy as np
+import pandas as pd
+import pytest
+from studies.generated_tables import SITES, generated_table
+
+from tissueid.studies.study_statistics import study_statistics
+from tissueid.studies.usable_tests import usable_tests
+
+
+@pytest.fixture(autouse=True)
+def _quick(monkeypatch):
+    monkeypatch.setattr("tissueid.studies.repeatability.RESAMPLES", 20)
+    monkeypatch.setattr("tissueid.studies.multivariate.PERMUTATIONS", 3)
+
+
+def codes(found):
+    return {remark.code for remark in found.remarks}
+
+
+def drawn(**options):
+    return generated_table(3, **({"subjects": 6, "repeats": 2} | options))
+
+
+def test_every_test_that_does_not_count_is_listed_with_its_reason():
+    table = drawn().assign(findings="")
+    table.loc[0, ["quality", "findings"]] = "repeat", "reference_moved"
+    table.loc[1, ["status", "problem"]] = "not analysed", "too short"
+    table.loc[2, "status"] = "aborted"
+    table.loc[3, "configuration"] = "extension"
+    found = usable_tests(table)
+    assert [reason.code for reason in found.left_out["reason"]] == [
+        "study.reason.quality",
+        "study.reason.problem",
+        "study.reason.status",
+        "study.reason.configuration",
+    ]
+    assert len(found.used) + len(found.left_out) == len(table)
+    assert codes(found) == {"study.tests_dropped", "study.configurations"}
+    answer = study_statistics(table).as_answer()
+    assert "reference_moved" in answer["left_out"][0]["reason"]
+
+
+def test_values_in_another_unit_do_not_count():
+    table = drawn()
+    table["height_m"] *= 100.0
+    table["bmi_kg_per_m2"] = table["weight_kg"] / table["height_m"] ** 2
+    found = study_statistics(table)
+    assert "study.implausible" in codes(found)
+    factors = set(found.tables["regressions"]["factor"])
+    assert "age_years" in factors
+    assert factors.isdisjoint({"height_m", "bmi_kg_per_m2"})
+
+
+def test_tests_without_a_value_are_counted():
+    table = drawn()
+    table.loc[:3, ["k", "k_sd"]] = np.nan
+    found = study_statistics(table)
+    remark = next(one for one in found.remarks if one.code == "study.no_value")
+    assert remark.values["count"] == 4
+
+
+def test_one_group_constant_parameter_and_single_tests_are_stated():
+    table = drawn(names=("k", "c")).assign(gender="female", c=5.0)
+    table = table[(table["repeat"] == 1) | (table["subject"] != "P-000")]
+    found = study_statistics(table)
+    assert codes(found) >= {"study.one_group", "study.constant", "study.single_tests"}
+    assert found.parameters == ("k",)
+    alone = study_statistics(table[table["repeat"] == 1])
+    assert codes(alone) >= {"study.no_variation", "study.no_reliability"}
+    assert "variation" not in alone.tables
+
+
+def test_a_group_of_one_subject_and_anonymous_tests_are_stated():
+    table = drawn()
+    table.loc[table["subject"] == "P-001", "gender"] = "other"
+    table.loc[table["subject"] == "P-002", "subject"] = "anonymous"
+    assert codes(study_statistics(table)) >= {"study.small_group", "study.anonymous"}
+
+
+def test_no_test_counts():
+    table = drawn().assign(quality="repeat")
+    found = study_statistics(table)
+    assert not found.tables
+    assert len(found.left_out) == len(table)
+
+
+def test_samples_of_materials_are_compared_apart_from_subjects():
+    table = drawn().assign(material=None, stiffness_n_per_m=1000.0, stiffness_n_per_m_sd=1.0)
+    random = np.random.default_rng(0)
+    gels = table.head(12).assign(
+        subject=np.repeat(["M-1", "M-2"], 6), material=np.repeat(["soft", "hard"], 6), site="sample", gender=None
+    )
+    gels["stiffness_n_per_m"] = np.repeat([1000.0, 2000.0], 6) + random.normal(size=12)
+    found = study_statistics(pd.concat([table, gels], ignore_index=True))
+    rows = found.tables["materials"].set_index(["parameter", "level"])
+    assert rows.loc["stiffness_n_per_m", "hard"]["unlike"] == 1
+    assert rows.loc["stiffness_n_per_m", "hard"]["mean"] == pytest.approx(2000.0, abs=2.0)
+    assert set(found.used["site"]) == set(SITES)
+    only = study_statistics(gels)
+    assert "materials" in only.tables
+
+
+def test_all_conditions_are_compared_with_the_reference():
+    found = study_statistics(drawn(lotion=-0.2, repeats=3), margin=0.05)
+    rows = found.tables["efficacy"]
+    assert set(rows["after"]) == {"lotion"}
+    assert (rows["high"] < 0.0).all()
+    assert (rows["equivalence_p_value"] > 0.5).all()
+    assert (found.tables["site_means"]["between_std"] <= found.tables["site_means"]["std"]).all()
