@@ -185,6 +185,7 @@ def _record(recordings: Iterable[Recording], folder: Path, control: Control) -> 
     tried: dict[str, int] = {}
     failed: dict[str, str] = {}
     while waiting:
+        control.check()
         first = waiting[0]
         speed = (_QUICK_SPEED if first.quick else _SPEED) / (1 + tried.get(first.name, 0))
         with firmware_process(first.preset, _SEED, speed=speed, coil=first.coil) as url:  # with a cool coil

@@ -29,7 +29,6 @@ from tissueid.reports.reproduction import PlotGrid, Row, drawn_grids
 from tissueid.sessions import Session
 from tissueid.stimuli.interchange import autocorrelation, interchange
 from tissueid.stimuli.kinds.interchange import Interchange
-from tissueid.stimuli.kinds.noise import Noise
 
 _UNIFORM = Interchange(
     spectrum="band", cutoff_hz=200.0, seconds=5.0, lags=500, tolerance=1e-6, force_min_n=0.5, force_max_n=10.5
@@ -54,20 +53,17 @@ def _given_input(_quick: bool) -> Outcome:
     search = _UNIFORM.design()
     seconds = time.perf_counter() - begin
     stimulus = _UNIFORM.stimulus_from(search)
-    filtered = Noise(distribution="gaussian", force_min_n=0.5, force_max_n=10.5, seconds=5.0).build().values
     target = _UNIFORM.build_spectrum().autocorrelation(_UNIFORM.lags, _UNIFORM.sample_rate)
     wanted = _UNIFORM.build_spectrum().power(_GRID, _UNIFORM.sample_rate)
     hz = np.asarray(np.fft.rfftfreq(_GRID, 1.0 / _UNIFORM.sample_rate), dtype=np.float64)
     exact = bool(np.array_equal(np.sort(search.values), _UNIFORM.build_distribution().levels(_UNIFORM.samples)))
     plots = (
-        *amplitude_plots(stimulus.values, "N", filtered),
+        *amplitude_plots(stimulus.values, "N"),
         power_plot(stimulus.values, stimulus.sample_rate_hz, "N", (hz, wanted)),
         *autocorrelation_plots(autocorrelation(stimulus.values, 100), stimulus.sample_rate_hz, target[:101]),
     )
     heading = marked("Input with a given distribution and autocorrelation")
-    alt = marked(
-        "Distribution with that of filtered Gaussian noise (dashed), spectrum and autocorrelation with targets."
-    )
+    alt = marked("Distribution, spectrum and autocorrelation of the input, with their targets.")
     rows = [
         Row(marked("distribution"), marked("the desired one"), marked("exact") if exact else marked("not exact")),
         Row(
@@ -209,9 +205,8 @@ def _feedback(
         rows.append(Row(f"{label}: length of a cycle", cycles[label], f"{fixed(length, 2)} s"))
         shares.append(100.0 * float(test.notes.get("generating_share", float("nan"))))
     rows.append(Row(marked("computing time relative to the test"), share, f"{fixed(max(shares), 1)} %"))
-    pictures = tuple(panel.picture() for panel in feedback_panels(runs) if panel.key != "feedback-settling")
-    if all(run.profile is None for run in runs):
-        pictures = tuple(one for one in pictures if one.key != "feedback-parameters")
+    shown = ("feedback-series", "feedback-distributions")
+    pictures = tuple(panel.picture() for panel in feedback_panels(runs) if panel.key in shown)
     return DrawnFigures(pictures, ()), rows
 
 

@@ -211,7 +211,17 @@ def _validated(name: str, quick: bool) -> Outcome:
     ):
         position = system.position(force, RATE_HZ)
         record = Record(force[warm:], position[warm:], RATE_HZ)
-        profile = Depth(memory=0.12, partitions=7, downsample=1, hold="zero-order").fit(record).depth_profile()
+        profile = (
+            Depth(
+                memory=0.12,
+                partitions=7,
+                downsample=1,
+                hold="zero-order",
+                correct=not quick,  # takes most of the time
+            )
+            .fit(record)
+            .depth_profile()
+        )
         assert profile is not None
         profiles[label] = profile
         errors = [

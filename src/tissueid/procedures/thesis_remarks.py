@@ -30,7 +30,7 @@ REMARKS: Mapping[str, str] = {
     ),
     "3.5": marked(
         "VAF, mass and stiffness agree. Damping is about half: damping of the simulated skin differs by direction, "
-        "and a linear fit finds the mean. A larger one would lower the VAF of Table 3.1 below that of the thesis."
+        "and a linear fit finds the mean. The tissue was chosen for mass, stiffness and VAF."
     ),
     "3.8": marked(
         "The curve rises and stiffens as in the figure, with loops at low force. C2 agrees; C1, and with it the "
@@ -38,8 +38,8 @@ REMARKS: Mapping[str, str] = {
         "tissues of Table 3.1 agree with its values."
     ),
     "3.9": marked(
-        "The course agrees: most of the change in the first pass, then a slight fall of the VAF of the cascade. It "
-        "settles in fewer passes, because every pass uses the factored correlations of the same input."
+        "The course agrees: most of the change in the first pass, then a slight fall of the VAF of the cascade. This "
+        "record settles in fewer passes."
     ),
     "3.10": marked("Both scores agree within half a point, and so does the gain by the static nonlinearity."),
     "3.11": marked(
@@ -52,7 +52,7 @@ REMARKS: Mapping[str, str] = {
     ),
     "3.13": marked(
         "Agrees: every small test is fitted to more than 90 %, the posterior site is stiffer at every depth, and "
-        "mass stays the same. VAF is higher, because the simulated probe has no hand and no breath behind it."
+        "mass stays the same. VAF is higher, because nothing but its force moves the simulated probe."
     ),
     "Table 3.1": marked(
         "VAF, scaled mass, scaled damping and C1 are close to the thesis, after which these tissues were made. C2 of "
@@ -73,7 +73,7 @@ REMARKS: Mapping[str, str] = {
     "4.4": marked("Agrees exactly: a square has no linear part, and a second-order kernel describes it without error."),
     "4.5": marked(
         "The shape agrees: a negative centre that is narrower than that of a Wiener system, with two positive side "
-        "lobes. VAF is two points higher, because the noise of the thesis' simulation is not known."
+        "lobes. VAF is two points higher, and the noise of the thesis' simulation is not known."
     ),
     "4.6": marked(
         "VAF and number of parameters agree, and the second kernel is noise, as in the figure. The AIC differs by "
@@ -87,7 +87,7 @@ REMARKS: Mapping[str, str] = {
     ),
     "4.9": marked(
         "The pattern agrees: noise at high spatial frequencies, which the filter removes. The loss of VAF is smaller "
-        "(1.3 points, not 4.3), because the simulated tissue has a smoother kernel and less noise."
+        "(1.3 points, not 4.3), and depends on the spacing of the lags and on the tissue."
     ),
     "4.10": marked(
         "Agrees: before the filter the diagonal of the second kernel is noise many times the first kernel; after it "
@@ -101,7 +101,7 @@ REMARKS: Mapping[str, str] = {
     "4.13": marked(
         "Wiener gains and second-order scores agree within 2.5 points for both inputs. The first kernel of the "
         "low-passed input scores 5 points less than in the thesis: there it scores 11 points more than LMS on the "
-        "same record, which a linear model cannot do in free run with the same memory. The filter costs less (see "
+        "same record, which a linear model hardly can in free run with the same memory. The filter costs less (see "
         "Fig. 4.9)."
     ),
     "4.14": marked(
@@ -113,7 +113,7 @@ REMARKS: Mapping[str, str] = {
         "Regularisation, which the thesis does not have, gives a smooth kernel at the same VAF as the filter."
     ),
     "5.1": marked(
-        "Agrees: both inputs recover the nonlinearity. Errors are below 1 %, because the offset of each partition is "
+        "Agrees: both inputs recover the nonlinearity. Errors are below 1 %, because the bias of the partitions is "
         "corrected; the deviations of the thesis at the ends do not appear."
     ),
     "5.2": marked(
@@ -125,16 +125,16 @@ REMARKS: Mapping[str, str] = {
         "Agrees: with equal counts the outermost partitions are the widest, and kernels are more damped when deeper."
     ),
     "5.5": marked(
-        "VAF and number of parameters agree; VAF is 1.5 points higher, because the simulated tissue has less noise."
+        "VAF and number of parameters agree; VAF is 3 to 4 points higher, because the simulated tissue has less noise."
     ),
     "5.6": marked(
         "The order agrees: Wiener above skin, and the DPN resembles skin in that the peak moves with depth. The "
         "simulated systems have less noise than those of the thesis, hence 99.5 % instead of 96 %."
     ),
     "5.9": marked(
-        "The trend and the order of the sites agree, and so does damping. Stiffness of partitions is 7 to 10 % above "
-        "that of small tests, not below: kernels are corrected for the offset of their partition, and the simulated "
-        "tissue has little relaxation. With the tissue of Fig. 5.10 the thesis' difference appears."
+        "The trend and the order of the sites agree, and so does damping. Stiffness of partitions is a few percent "
+        "above that of small tests, not below. The thesis explains its difference by cross terms of skin, of which "
+        "the simulated tissue has few."
     ),
     "5.10": marked(
         "The direction agrees: stiffness is higher with the lower cutoff, and damping the same. Mass is uncertain "
@@ -153,8 +153,9 @@ REMARKS: Mapping[str, str] = {
         "search starts from a surrogate with the right spectrum and chooses its partners."
     ),
     "6.2": marked(
-        "The order of the methods and their growth agree: n² for the definition, near n for a swap, none for a swap "
-        "with fixed lags. The error falls fast and then levels off, as in the figure."
+        "The order of the methods agrees: steepest for the definition, near n for a swap, level for a swap with "
+        "fixed lags. The overhead of each call lowers the growth of the definition at these sizes. The error falls "
+        "fast and then levels off, as in the figure."
     ),
     "6.3": marked(
         "The order of the scores agrees: RLS like LMS, ALS far above. The score of ALS is that of responses that "
@@ -176,7 +177,7 @@ REMARKS: Mapping[str, str] = {
     ),
     "6.10": marked(
         "Agrees: with identification the cycles are as short as 0.2 s, and all three distributions are near uniform. "
-        "It takes a few percent of the test instead of 150 %."
+        "It takes a fraction of the test instead of 150 %."
     ),
     "6.12": marked(
         "The linear system shows little variation and the others stiffen with depth. Levels are averaged, as the "

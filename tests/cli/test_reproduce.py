@@ -1,0 +1,186 @@
+"""``tissueid reproduce``: a quick run from the cable to the page, failing tests, bad input, benchmarks of the field."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Iterator
+from contextlib import contextmanager
+from pathlib import Path
+
+import numpy as np
+import pytest
+from outside_data import REAL
+from reports.page_check import checked
+from reports.synthetic_sitting import make_session, make_test
+
+import tissueid.instrument
+from tissueid.cli import main
+from tissueid.errors import CancelledError, InstrumentError
+from tissueid.messages import Message
+from tissueid.procedures import demo, field_benchmarks, reproduction
+from tissueid.procedures.control import Control
+from tissueid.procedures.field_benchmarks import SILVERBOX, WIENER_HAMMERSTEIN, run_benchmark
+from tissueid.procedures.thesis_figures import FIGURES, QUICK_TESTS
+from tissueid.procedures.thesis_recipe import Recording
+from tissueid.procedures.thesis_remarks import REMARKS
+from tissueid.sessions import write_session
+
+
+def complaint(capsys: pytest.CaptureFixture[str], *arguments: object) -> str:
+    assert main([*map(str, arguments)]) == 2
+    captured = capsys.readouterr()
+    assert captured.out == ""
+    assert "Traceback" not in captured.err
+    return captured.err.strip().splitlines()[-1]
+
+
+@pytest.mark.timeout(600)
+def test_the_quick_reproduction(tmp_path: Path) -> None:
+    out = tmp_path / "thesis"
+    assert main(["reproduce", "--quick", "--out", str(out), "--json", str(tmp_path / "answer.json")]) == 0
+    results = json.loads((out / "results.json").read_text())
+    expected = [one.number for one in FIGURES if {s.recording.name for s in one.sources} <= QUICK_TESTS]
+    assert [one["number"] for one in results["figures"]] == expected
+    assert len(expected) > 25
+    assert {one["number"]: one["why_missing"] for one in results["figures"] if one["why_missing"]} == {}
+    assert all(one["rows"] and one["remark"] for one in results["figures"])
+    assert all("nan" not in row["here"] for one in results["figures"] for row in one["rows"])
+    page = " ".join(checked((out / "report.html").read_text()).text.split())
+    assert REMARKS["5.4"] in page
+    assert "| VAF, nonparametric | 75.79 % |" in (out / "reproduction.md").read_text()
+    assert {path.stem.removesuffix("-quick") for path in (out / "sessions").glob("*.h5")} == QUICK_TESTS
+    scores = {row["what"]: row["here"] for one in results["figures"] for row in one["rows"]}
+    assert float(scores["VAF, nonparametric"].split()[0]) == pytest.approx(75.0, abs=5.0)
+    assert float(scores["stiffness, N/m" if "stiffness, N/m" in scores else "damping ratio"].split()[0]) < 1.0
+
+
+@pytest.mark.soak
+@pytest.mark.timeout(1800)
+def test_every_figure_in_a_quick_run(tmp_path: Path) -> None:
+    numbers = [one.number for one in FIGURES]
+    assert main(["reproduce", *numbers, "--quick", "--out", str(tmp_path / "thesis")]) == 0
+    results = json.loads((tmp_path / "thesis" / "results.json").read_text())
+    assert {one["number"]: one["why_missing"] for one in results["figures"] if one["why_missing"]} == {}
+
+
+def test_every_figure_has_a_remark_and_a_remark_no_other_figure() -> None:
+    assert set(REMARKS) == {one.number for one in FIGURES}
+    assert all(str(text).endswith(".") for text in REMARKS.values())
+
+
+@pytest.fixture
+def cable(monkeypatch: pytest.MonkeyPatch) -> list[float]:
+    """Replace the simulated instrument; return the speeds at which it is started."""
+    speeds: list[float] = []
+
+    class Idle:
+        def close(self) -> None:
+            pass
+
+    @contextmanager
+    def process(_preset: str, _seed: int, *, speed: float, coil: str) -> Iterator[str]:
+        assert coil == "ideal"
+        speeds.append(speed)
+        yield "nowhere"
+
+    monkeypatch.setattr(demo, "firmware_process", process)
+    monkeypatch.setattr(tissueid.instrument, "open_instrument", lambda _url: Idle())
+    return speeds
+
+
+def test_a_failed_test_is_repeated_more_slowly(
+    tmp_path: Path, cable: list[float], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def play(_instrument: object, one: Recording, path: Path, _control: Control) -> None:
+        if one.name == "never" or len(cable) == 1:
+            raise InstrumentError(Message("test.silent", "silent"))
+        write_session(path, make_session(make_test(1, seconds=1.0)))
+
+    monkeypatch.setattr(reproduction, "_play", play)
+    recordings = [Recording("second", "linear-demo"), Recording("never", "linear-demo")]
+    assert reproduction._record(recordings, tmp_path, Control()) == {"never": "silent"}
+    assert cable == [4.0, 2.0, 4.0, 2.0, pytest.approx(4.0 / 3.0)]
+    assert [path.name for path in tmp_path.glob("*.h5")] == ["second.h5"]
+
+
+def test_quick_tests_of_one_tissue_share_an_instrument(
+    tmp_path: Path, cable: list[float], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def play(_instrument: object, _one: Recording, path: Path, _control: Control) -> None:
+        write_session(path, make_session(make_test(1, seconds=1.0)))
+
+    monkeypatch.setattr(reproduction, "_play", play)
+    tests = [Recording(name, preset).shortened() for name, preset in (("a", "x"), ("b", "y"), ("c", "x"))]
+    assert reproduction._record(tests, tmp_path, Control()) == {}
+    assert len(cable) == 2
+
+
+def test_a_cancelled_run_keeps_its_sessions_and_writes_nothing_else(
+    tmp_path: Path, cable: list[float], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    class Stopped(Control):
+        def cancelled(self) -> bool:
+            return any((tmp_path / "out" / "sessions").glob("*.h5"))
+
+    def play(_instrument: object, _one: Recording, path: Path, _control: Control) -> None:
+        write_session(path, make_session(make_test(1, seconds=1.0)))
+
+    monkeypatch.setattr(reproduction, "_play", play)
+    plan = reproduction.ReproductionPlan(numbers=("3.11",), out=tmp_path / "out")
+    with pytest.raises(CancelledError):
+        reproduction.run_reproduction(plan, Stopped())
+    assert [path.name for path in (tmp_path / "out" / "sessions").glob("*.h5")] == ["linear-demo-full.h5"]
+    assert not (tmp_path / "out" / "results.json").exists()
+    assert len(cable) == 1
+
+
+def test_one_line_for_a_folder_or_file_that_cannot_be_used(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    assert "cannot write" in complaint(capsys, "reproduce", "3.4", "--out", "/proc/tissueid")
+    file = tmp_path / "file.csv"
+    file.write_text("u,y\n1,2\n2,3\n")
+    assert "is not a folder" in complaint(capsys, "reproduce", "3.4", "--out", file)
+    other = tmp_path / "other"
+    other.mkdir()
+    (other / "report.html").write_text("mine")
+    assert "contains other results" in complaint(capsys, "reproduce", "3.4", "--out", other)
+    assert (other / "report.html").read_text() == "mine"
+    assert "V1" in complaint(capsys, "reproduce", "--silverbox", file, "--out", tmp_path / "out")
+    assert "no such file" in complaint(
+        capsys, "reproduce", "--silverbox", tmp_path / "no.mat", "--out", tmp_path / "out"
+    )
+    words = complaint(capsys, "reproduce", "--wiener-hammerstein", file, "--out", tmp_path / "out")
+    assert "2 samples" in words
+    assert "188000" in words
+    assert not (tmp_path / "out" / "results.json").exists()
+
+
+def test_a_benchmark_is_scored_on_its_parts(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    random = np.random.Generator(np.random.PCG64(1))
+    u = random.standard_normal(3000)
+    y = np.convolve(u, np.exp(-np.arange(30) / 6.0))[: u.size] + 0.01 * random.standard_normal(u.size)
+    path = tmp_path / "record.csv"
+    np.savetxt(path, np.column_stack([u, y]), delimiter=",", header="u,y", comments="")
+    small = field_benchmarks.FieldBenchmark(
+        "small", "title", ("input=u:V", "output=y:V"), 1000.0, 3000, (0, 2000), {"rest": (2000, 3000)},
+        (("lms", {"memory": 0.05}),), {("lms", "rest"): "10 mV"}, "remark",
+    )  # fmt: skip
+    figure = run_benchmark(small, path, Control())
+    assert [(row.thesis, row.here.split()[1]) for row in figure.rows] == [("10 mV", "mV")]
+    assert 10.0 <= float(figure.rows[0].here.split()[0]) < 15.0  # the noise, and the error of the fit
+
+
+@pytest.mark.parametrize(
+    ("benchmark_", "name", "part", "linear_mv"),
+    [(SILVERBOX, "SNLS80mV.mat", "multisine", 6.96), (WIENER_HAMMERSTEIN, "wiener_hammerstein.csv", "test", 43.4)],
+    ids=("silverbox", "wiener-hammerstein"),
+)
+def test_linear_errors_are_those_published(
+    benchmark_: field_benchmarks.FieldBenchmark, name: str, part: str, linear_mv: float, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    if not (REAL / name).exists():
+        pytest.skip("needs the real records")
+    from dataclasses import replace
+
+    linear = replace(benchmark_, engines=benchmark_.engines[:1], tests={part: benchmark_.tests[part]})
+    (row,) = run_benchmark(linear, REAL / name, Control()).rows
+    assert float(row.here.split()[0]) == pytest.approx(linear_mv, rel=0.02)
