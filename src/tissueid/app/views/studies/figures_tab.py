@@ -15,7 +15,7 @@ from tissueid.language import _
 from tissueid.messages import translated
 
 if TYPE_CHECKING:
-    from tissueid.studies.study_figures import StudyFigure
+    from tissueid.reports.study import Plots
     from tissueid.studies.study_statistics import StudyStatistics
 
 _MOST_REMARKS = 6
@@ -28,7 +28,7 @@ class FiguresTab(QWidget):
 
     def __init__(self, parent: QWidget | None = None) -> None:
         super().__init__(parent)
-        self.figures: list[StudyFigure] = []
+        self.figures: list[tuple[str, Plots]] = []
         self.compute = QPushButton(_("Compute figures"))
         self.compute.setToolTip(_("Statistics and figures of the table as it is"))
         self.kind, self.parameter = QComboBox(), QComboBox()
@@ -72,14 +72,14 @@ class FiguresTab(QWidget):
 
     def show_statistics(self, found: StudyStatistics) -> None:
         """Offer the figures of the statistics; the chosen kind and parameter stay if they are there."""
-        from tissueid.studies.study_figures import study_figures
+        from tissueid.reports.study import study_plots
 
         title = self.kind.currentText()
-        self.figures = study_figures(found)
+        self.figures = [(heading, plots) for _key, heading, plots in study_plots(found) if plots]
         self.kind.blockSignals(True)
         self.kind.clear()
-        for figure in self.figures:
-            self.kind.addItem(translated(figure.title))
+        for heading, _plots in self.figures:
+            self.kind.addItem(heading)
         self.kind.setCurrentIndex(max(0, self.kind.findText(title)))
         self.kind.blockSignals(False)
         self.kind.setEnabled(bool(self.figures))
@@ -102,17 +102,20 @@ class FiguresTab(QWidget):
         if not 0 <= self.kind.currentIndex() < len(self.figures):
             self.canvas.say_missing(_("The table has no parameter that can be drawn."))
             return
+        from tissueid.reports.study import OF_SEVERAL  # it imports matplotlib
+
         asked = self.parameter.currentData()
         self.parameter.blockSignals(True)
         self.parameter.clear()
-        for name in self.figures[self.kind.currentIndex()].plots:
-            self.parameter.addItem(_(label_and_unit(name)[0]) if name else _("all parameters"), name)
+        for name in self.figures[self.kind.currentIndex()][1]:
+            several = name in OF_SEVERAL
+            self.parameter.addItem(_("all parameters") if several else _(label_and_unit(name)[0]), name)
         self.parameter.setCurrentIndex(max(0, self.parameter.findData(asked)))
         self.parameter.blockSignals(False)
         self.parameter.setEnabled(self.parameter.count() > 1)
         self._draw()
 
     def _draw(self) -> None:
-        plots = self.figures[self.kind.currentIndex()].plots
+        plots = self.figures[self.kind.currentIndex()][1]
         if (make := plots.get(self.parameter.currentData())) is not None:
             self.canvas.show_plots([make()])
