@@ -223,7 +223,7 @@ def test_addresses_that_cannot_be_used(tmp_path, monkeypatch):
         with pytest.raises(UnusableInputError, check=coded("study.no_address")):
             run_study(plan_of(tmp_path / "s", sessions=url), Control())
     monkeypatch.setattr("importlib.util.find_spec", lambda name: None if name == "fsspec" else True)
-    with pytest.raises(UnusableInputError, check=coded("study.no_package")) as caught:
+    with pytest.raises(UnusableInputError, check=coded("extra.missing")) as caught:
         run_study(plan_of(tmp_path / "s", sessions="memory://nothing"), Control())
     assert "tissueid[cluster]" in str(caught.value)
 
