@@ -11,7 +11,6 @@ from collections.abc import Callable, Iterator
 from functools import cache
 from importlib.resources import files
 from importlib.resources.abc import Traversable
-from pathlib import Path
 from typing import Any, TypeVar
 
 from firmware_sim.layers import Layer
@@ -54,19 +53,6 @@ def load_preset(name: str) -> Tissue:
     if found is None:
         raise ValueError(f"unknown tissue preset {name!r}; known: {', '.join(preset_names())}")
     return parse_preset(name, found.read_text(encoding="utf-8"))
-
-
-def read_preset(path: Path) -> Tissue:
-    """Return the tissue of a preset file outside this folder, named by its stem.
-
-    Raises:
-        ValueError: the file cannot be read or is invalid.
-    """
-    try:
-        text = path.read_text(encoding="utf-8")
-    except OSError as error:
-        raise ValueError(f"cannot read tissue preset {path}: {error.strerror}") from error
-    return parse_preset(path.stem, text)
 
 
 def parse_preset(name: str, text: str) -> Tissue:

@@ -10,7 +10,7 @@ from plant_support import MATERIALS, SKIN, bench_record
 from firmware_sim.bench import Bench
 from firmware_sim.local_values import local_values
 from firmware_sim.plant import Plant, PlantParameters
-from firmware_sim.presets import DEFAULT, load_preset, parse_preset, preset_names, read_preset
+from firmware_sim.presets import DEFAULT, load_preset, parse_preset, preset_names
 from firmware_sim.tissue import EXTRAS, Branch, Exponential, Tissue
 from tissueid.identification import get_engine
 
@@ -161,15 +161,6 @@ def test_an_unknown_name_lists_the_known_ones():
         load_preset("knee")
     assert "\n" not in str(caught.value)
     assert all(name in str(caught.value) for name in preset_names())
-
-
-def test_a_preset_can_lie_anywhere(tmp_path):
-    path = tmp_path / "mine.toml"
-    path.write_text(SOUND, encoding="utf-8")
-    assert read_preset(path) == replace(load_preset(DEFAULT), name="mine")
-    Bench(read_preset(path)).block(np.zeros(2), energised=True)
-    with pytest.raises(ValueError, match="cannot read tissue preset"):
-        read_preset(tmp_path / "absent.toml")
 
 
 @pytest.mark.parametrize(

@@ -15,11 +15,9 @@ from tissueid.errors import CancelledError, UnusableInputError
 from tissueid.identification import Model
 from tissueid.identification.engines.lms import Lms, LmsModel
 from tissueid.identification.validation.bootstrap import Bands, Method, bootstrap
-from tissueid.identification.validation.frequency_band import frequency_response_band, linear_kernel_covariance
 from tissueid.records import Record
 
 SHORT = systems.PlainFir(lags=15)
-FREQUENCY = np.array([5.0, 20.0, 60.0, 90.0])
 
 
 def fir_record(*seed: int, n: int = 3000, pole: float = 0.8, low_pass: bool = False, slanted: bool = False) -> Record:
@@ -152,41 +150,3 @@ class Fussy(systems.PlainFir):
 def test_an_engine_that_refuses_most_draws_is_refused():
     with pytest.raises(UnusableInputError, check=coded("bootstrap.refused", reason="no")):
         bootstrap(Fussy(lags=15), fir_record(130), slice(0, 3000), kernel, 20)
-
-
-def test_a_bode_band_is_the_spread_of_repeats():
-    lag = np.arange(15) / systems.RATE
-    found, reported = [], []
-    for run in range(80):
-        record = fir_record(131, run, low_pass=True)
-        model = SHORT.fit(record)
-        covariance = linear_kernel_covariance(model, record)
-        band = frequency_response_band(model.kernel * systems.RATE, covariance, lag, FREQUENCY)
-        found.append([band.magnitude, np.unwrap(np.angle(band.response))])
-        reported.append([band.magnitude_std, band.phase_std_rad])
-    ratio = np.mean(reported, axis=0) / np.std(found, axis=0, ddof=1)
-    assert np.mean(ratio) == pytest.approx(1.0, abs=0.15)
-    assert np.all((ratio > 0.6) & (ratio < 1.6))
-
-
-def test_the_covariance_agrees_with_the_deviations_of_lms():
-    record = fir_record(132, pole=0.0)
-    model = Lms(memory=0.015).fit(record)
-    found = np.sqrt(np.diag(linear_kernel_covariance(model, record)))
-    np.testing.assert_allclose(found, model.impulse_response_std, rtol=0.15)
-
-
-def test_a_frequency_response_is_the_transform():
-    lag = np.arange(15) / systems.RATE
-    band = frequency_response_band(systems.KERNEL[:15] * systems.RATE, np.full(15, 0.1), lag, FREQUENCY)
-    exact = [np.sum(systems.KERNEL[:15] * np.exp(-2j * np.pi * f * lag)) for f in FREQUENCY]
-    np.testing.assert_allclose(band.response, exact)
-    alike = frequency_response_band(systems.KERNEL[:15] * systems.RATE, np.eye(15) * 0.01, lag, FREQUENCY)
-    np.testing.assert_allclose(alike.magnitude_std, band.magnitude_std)
-    silent = frequency_response_band(np.zeros(15), np.eye(15), lag, FREQUENCY)
-    assert np.all(np.isinf(silent.phase_std_rad))
-
-
-def test_a_bode_band_of_mismatched_shapes_is_refused():
-    with pytest.raises(UnusableInputError, check=coded("frequency_band.arguments")):
-        frequency_response_band(np.ones(5), np.ones(4), np.arange(5.0), FREQUENCY)

@@ -8,7 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
-from typing import Literal, Self, TypeVar
+from typing import Literal, TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
@@ -69,15 +69,6 @@ class SecondOrder:
     mass: float
     damping: float
     stiffness: float
-
-    @classmethod
-    def from_impulse_coefficients(cls, a1: float, a2: float, a3: float, sample_rate_hz: float) -> Self:
-        """Return the system with h(t) = A1 sin(A2 t) exp(A3 t), output per input and sample (Eqs. 3.6, 3.8-3.12)."""
-        natural_frequency = float(np.hypot(a2, a3))  # Eqs. 3.8 and 3.9 combined
-        damping_ratio = -a3 / natural_frequency
-        stiffness = natural_frequency / (a1 * np.sqrt(1.0 - damping_ratio**2) * sample_rate_hz)
-        mass = stiffness / natural_frequency**2
-        return cls(mass=mass, damping=2.0 * damping_ratio * natural_frequency * mass, stiffness=stiffness)
 
     @property
     def natural_frequency_rad_per_s(self) -> float:
