@@ -117,8 +117,8 @@ def wiener(u: Array, y: Array, lags: int, passes: int) -> tuple[float, float]:
 
 
 def direct_autocorrelation(values: Array) -> Array:
-    """Return all lags (n,) of the biased autocorrelation by the definition (Eq. 3.3): a product for each lag."""
-    return np.array([values[: values.size - lag] @ values[lag:] for lag in range(values.size)]) / values.size
+    """Return all lags (n,) of the biased autocorrelation by its definition (Eq. 3.3): a scalar product for each."""
+    return np.asarray(np.correlate(values, values, "full")[values.size - 1 :] / values.size)
 
 
 def transformed_autocorrelation(values: Array) -> Array:

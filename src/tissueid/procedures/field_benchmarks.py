@@ -50,7 +50,7 @@ class FieldBenchmark:
 _MULTISINE, _ARROW, _ARROW_INSIDE = "multisine", "arrow", "arrow without extrapolation"
 SILVERBOX = FieldBenchmark(
     "Silverbox",
-    marked("Silverbox: a mass on a hardening spring as an electronic circuit (Wigren and Schoukens 2013)"),
+    marked("Mass on a hardening spring as an electronic circuit (Wigren and Schoukens 2013)"),
     ("input=V1:V", "output=V2:V"),
     1e7 / 2**14,
     131_072,
@@ -80,7 +80,7 @@ SILVERBOX = FieldBenchmark(
 )
 WIENER_HAMMERSTEIN = FieldBenchmark(
     "Wiener-Hammerstein",
-    marked("Wiener-Hammerstein benchmark: a curve between two linear filters (Schoukens, Suykens and Ljung 2009)"),
+    marked("Curve between two linear filters (Schoukens, Suykens and Ljung 2009)"),
     ("input=u:V", "output=y:V"),
     51_200.0,
     188_000,

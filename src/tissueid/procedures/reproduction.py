@@ -132,13 +132,14 @@ def run_reproduction(plan: ReproductionPlan, control: Control) -> tuple[Reproduc
 
 
 def _quick(figure: ThesisFigure) -> ThesisFigure:
-    """Return a figure with shorter tests, and at most ``_QUICK`` sources of the same label and fits."""
+    """Return a figure with shorter tests, half of a sweep, and at most ``_QUICK`` sources of a label and its fits."""
     groups: dict[Any, list[Source]] = {}
     for source in figure.sources:
         groups.setdefault((source.label, source.fits), []).append(source)
     kept = [one for group in groups.values() for one in (group[:: max(1, len(group) - 1)])[:_QUICK]]
     sources = [replace(one, recording=one.recording.shortened()) for one in figure.sources if one in kept]
-    return replace(figure, sources=tuple(sources))
+    option, values = figure.sweep
+    return replace(figure, sources=tuple(sources), sweep=(option, values[1::2]))
 
 
 def _check_folder(out: Path) -> None:

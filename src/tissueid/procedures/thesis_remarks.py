@@ -61,9 +61,8 @@ REMARKS: Mapping[str, str] = {
     ),
     "4.2": marked(
         "Both algorithms give the same coefficients within 3e-15. Times are of this run. The thesis' algorithm grows "
-        "faster than M² on this computer once the matrix exceeds the cache, and its solution step is a loop in "
-        "Python, so that it is less than ten times faster than the orthonormalisation. The Gram matrix used here "
-        "makes the whole fit tens of times faster."
+        "about with M², as in the figure; its solution step is a loop in Python, so that it is less than ten times "
+        "faster than the orthonormalisation. The Gram matrix used here makes the whole fit tens of times faster."
     ),
     "4.3": marked(
         "Agrees: the first kernel has the shape of the linear stage; the second one is its negative product for a "
@@ -143,19 +142,18 @@ REMARKS: Mapping[str, str] = {
         "it by less than 8 %. The thesis prints no ratio."
     ),
     "5.11": marked(
-        "VAF and its small loss agree, mass is the same in and out, and damping is larger inwards. Stiffness is "
+        "The small loss of VAF agrees, mass is the same in and out, and damping is larger inwards. Stiffness is "
         "almost equal in both directions, because the simulated skin has only its damping by direction. The test "
         "goes into the skin only, from 0 to 11 N: with one that also pulls, the correction of so many partitions "
-        "finds no stable system."
+        "finds no stable system. VAF is higher on such a test."
     ),
     "6.1": marked(
         "Agrees, with an exact distribution. It takes a fraction of a second and no million swaps, because the "
         "search starts from a surrogate with the right spectrum and chooses its partners."
     ),
     "6.2": marked(
-        "The order of the methods agrees: steepest for the definition, near n for a swap, level for a swap with "
-        "fixed lags. The overhead of each call lowers the growth of the definition at these sizes. The error falls "
-        "fast and then levels off, as in the figure."
+        "The order of the methods agrees, and so does their growth: steepest, near n², for the definition, near n "
+        "for a swap, level for a swap with fixed lags. The error falls fast and then levels off, as in the figure."
     ),
     "6.3": marked(
         "The order of the scores agrees: RLS like LMS, ALS far above. The score of ALS is that of responses that "
