@@ -23,6 +23,16 @@ from tissueid.sessions import Subject, write_session
 from tissueid.studies.study_statistics import study_statistics
 from tissueid.studies.study_table import parameters_of, read_subjects
 
+
+@pytest.fixture(autouse=True)
+def _quick(monkeypatch):
+    # Figures, resamples and permutations take most of the time.
+    monkeypatch.setattr("tissueid.reports.study.MOST_DRAWN", 1)
+    monkeypatch.setattr("tissueid.reports.study.MOST_COMPARED", 1)
+    monkeypatch.setattr("tissueid.studies.repeatability.RESAMPLES", 20)
+    monkeypatch.setattr("tissueid.studies.multivariate.PERMUTATIONS", 3)
+
+
 SUBJECTS, SITES, REPEATS = 4, ("arm", "leg"), 2
 
 

@@ -75,9 +75,9 @@ class Person:
         return 100 * self.number + list(SITES).index(site)
 
     def tissue(self, site: str, condition: str = "") -> SimulatedTissue:
-        """Return the tissue at a site, with its variation between tests, under a lotion or without one."""
+        """Return the tissue at a site, under a lotion or without one; the instrument varies it from test to test."""
         kind = replace(TISSUES[SITES[site]], people=PEOPLE)
-        found = kind.of_subject(self.number).heavier(self.mass_factor(site)).varied(1.0)
+        found = kind.of_subject(self.number).heavier(self.mass_factor(site))
         factor, skin = LOTIONS.get(condition, 1.0), found.tissue
         stretched = replace(  # depth at constant force divided by the factor
             skin,

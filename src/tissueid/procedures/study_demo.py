@@ -108,14 +108,16 @@ def measure_series(plan: PopulationPlan, series: Series) -> Path:
     Raises:
         UnusableInputError: the session cannot be written.
     """
+    variation: float | None = None
     if series.site in MATERIALS:
         tissue, repeats = MATERIALS[series.site], MATERIAL_TESTS
     else:
         person = next(who for who in population(plan.subjects, plan.seed) if who.pseudonym == series.subject)
-        tissue, repeats = person.tissue(series.site, series.condition), plan.repeats
+        # With a variation, the first test compresses the skin lastingly, which the later ones meet (Fig. 7.4).
+        tissue, repeats, variation = person.tissue(series.site, series.condition), plan.repeats, 1.0
 
     def opened(_address: str) -> Instrument:
-        return SimulatedInstrument(tissue, seed=series.seed)
+        return SimulatedInstrument(tissue, seed=series.seed, variation=variation)
 
     test = TestPlan(
         url="simulated://forearm",

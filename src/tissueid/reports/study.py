@@ -35,13 +35,13 @@ from tissueid.studies.study_statistics import StudyStatistics
 
 Plots = Mapping[str, Callable[[], Plot]]
 """Functions that compute plots, by the name of the parameter."""
-_MOST_DRAWN = 6
+MOST_DRAWN = 6
 """Largest number of parameters that are drawn."""
 OF_SEVERAL = ("cv", "c")
 """Names of plots that show several parameters."""
 WIDE_GROUPS = ("materials", "conditions")
 """Groups of figures with many names along the abscissa."""
-_MOST_COMPARED = 10
+MOST_COMPARED = 10
 """Largest number of parameters that are drawn of conditions."""
 
 
@@ -80,7 +80,7 @@ def tables_of(found: StudyStatistics) -> list[Table]:
 
 def study_plots(found: StudyStatistics) -> Iterator[tuple[str, str, Plots]]:
     """Yield key, heading and plots by parameter of each group of figures."""
-    names = found.parameters[:_MOST_DRAWN]
+    names = found.parameters[:MOST_DRAWN]
     tables = found.tables
     if len(found.used):
         plain = found.used[found.used["condition"] == _reference(found)]
@@ -104,14 +104,14 @@ def study_plots(found: StudyStatistics) -> Iterator[tuple[str, str, Plots]]:
         means = found.means
     if "materials" in tables:
         shown = dict.fromkeys(tables["materials"]["parameter"])
-        plots = {name: partial(materials_plot, found.samples, means, name) for name in list(shown)[:_MOST_DRAWN]}
+        plots = {name: partial(materials_plot, found.samples, means, name) for name in list(shown)[:MOST_DRAWN]}
         yield "materials", _(HEADINGS["materials"]), plots
     if {"c1_m", "c2_per_n"} <= set(found.parameters):
         yield "curve", _("Static nonlinearity"), {"c": partial(nonlinearity_plot, means, found.samples)}
     if "efficacy" in tables:
         before = str(tables["efficacy"]["before"].iloc[0])
         shown = dict.fromkeys(tables["efficacy"]["parameter"])
-        plots = {name: partial(conditions_plot, found.means, before, name) for name in list(shown)[:_MOST_COMPARED]}
+        plots = {name: partial(conditions_plot, found.means, before, name) for name in list(shown)[:MOST_COMPARED]}
         yield "conditions", _(HEADINGS["efficacy"]), plots
 
 
