@@ -52,7 +52,12 @@ class ReproductionPlan(Plan):
         ),
     ] = None
     sweep: Annotated[
-        Path | None, Option("--sweep-file", metavar="FILE", help="dynamic sweep that is drawn under depth profiles")
+        Path | None,
+        Option(
+            "--sweep-file",
+            metavar="FILE",
+            help="dynamic sweep that is drawn under depth profiles; default: a simulated one",
+        ),
     ] = None
     silverbox: Annotated[
         Path | None,
@@ -87,6 +92,8 @@ def run_reproduction(plan: ReproductionPlan, control: Control) -> tuple[Reproduc
     """
     from tissueid.procedures.field_benchmarks import SILVERBOX, WIENER_HAMMERSTEIN, run_benchmark
     from tissueid.procedures.thesis_figures import FIGURES, QUICK_TESTS
+    from tissueid.procedures.thesis_signals import SWEEP, sweep_of
+    from tissueid.sessions import read_session
 
     known = {figure.number.casefold(): figure for figure in FIGURES}
     for number in plan.numbers:
@@ -116,7 +123,13 @@ def run_reproduction(plan: ReproductionPlan, control: Control) -> tuple[Reproduc
         private_folder(plan.out / _FIGURES)
     except OSError as error:
         raise unwritable(sessions, error) from error
-    failed = _record((source.recording for figure in chosen for source in figure.sources), sessions, control)
+    recordings = [source.recording for figure in chosen for source in figure.sources]
+    swept = SWEEP.shortened() if plan.quick else SWEEP
+    if calibration is None and any(figure.calibration for figure in chosen):
+        recordings.append(swept)
+    failed = _record(recordings, sessions, control)
+    if calibration is None and swept in recordings and swept.name not in failed:
+        calibration = sweep_of(read_session(sessions / f"{swept.name}.h5"))
     made = [run_benchmark(benchmark, path, control) for benchmark, path in scored]
     for place, figure in enumerate(chosen):
         control.progress(place / len(chosen), Message("reproduce.fitting", _FITTING, number=figure.number))

@@ -16,9 +16,10 @@ from tissueid.analysis.curves.sweep import Region
 from tissueid.analysis.curves.validation import prediction_plots
 from tissueid.analysis.overlay import Overlay, OverlayEntry
 from tissueid.calibration.sweep import sweep_tests
-from tissueid.calibration.sweep_analysis import SpringMass, analyse_sweep
+from tissueid.calibration.sweep_analysis import SpringMass, SweepResult, analyse_sweep
 from tissueid.calibration.sweep_file import as_calibration
 from tissueid.formatting import fixed
+from tissueid.identification.base import Array
 from tissueid.identification.engines.lms import LmsModel
 from tissueid.identification.engines.spectral import Spectral, SpectralModel
 from tissueid.identification.engines.wiener import WienerModel
@@ -55,14 +56,23 @@ def _wiener(found: Overlay) -> tuple[OverlayEntry, WienerModel]:
 # -- chapter 2 --------------------------------------------------------------------------------------------------------
 
 
-def _swept(sessions: Mapping[str, Session]) -> Outcome:
-    """Return parameters and Bode diagrams along the stroke, and the ranges of Table 2.1 (Fig. 2.12)."""
-    (session,) = sessions.values()
+def _analysed(session: Session) -> tuple[SweepResult, dict[str, dict[str, Array]]]:
     found = analyse_sweep(sweep_tests(session), session.instrument, SpringMass(_SPRING_N_PER_M))
-    tables = {
+    return found, {
         table: {name: np.asarray(values) for name, values in columns.items()}
         for table, columns in as_calibration(found).tables.items()
     }
+
+
+def sweep_of(session: Session) -> dict[str, Array]:
+    """Return the parameters by position of a recorded sweep, which are drawn under depth profiles (thesis 2.4.1)."""
+    return _analysed(session)[1]["sweep"]
+
+
+def _swept(sessions: Mapping[str, Session]) -> Outcome:
+    """Return parameters and Bode diagrams along the stroke, and the ranges of Table 2.1 (Fig. 2.12)."""
+    (session,) = sessions.values()
+    found, tables = _analysed(session)
     low, high = found.region.min_m.value, found.region.max_m.value
     region = Region(low, high, found.region.plateau_n_per_a.value, session.instrument.force_constant_n_per_a)
     sweep = tables["sweep"]
@@ -275,6 +285,8 @@ def _prediction_rows(found: Overlay) -> list[Row]:
 
 
 _STEPS = (("from_m", 0.002), ("to_m", 0.030), ("step_m", 0.002))
+SWEEP = Recording("sweep", "calibration-spring", stimulus="sweep", options=_STEPS, coil="finite")
+"""The dynamic sweep of a spring along a coil that leaves its field at both ends."""
 SIGNAL_FIGURES: tuple[ThesisFigure, ...] = (
     ThesisFigure(
         "2.12",
@@ -282,7 +294,7 @@ SIGNAL_FIGURES: tuple[ThesisFigure, ...] = (
         (
             Source(
                 "sweep",
-                Recording("sweep", "calibration-spring", stimulus="sweep", options=_STEPS, coil="finite"),
+                SWEEP,
             ),
         ),
         recorded=_swept,
@@ -331,4 +343,4 @@ SIGNAL_FIGURES: tuple[ThesisFigure, ...] = (
 )
 """Figures of chapters 2 and 3 from a sweep and from one large test."""
 
-__all__ = ["GAUSSIAN", "SIGNAL_FIGURES"]
+__all__ = ["GAUSSIAN", "SIGNAL_FIGURES", "SWEEP", "sweep_of"]
