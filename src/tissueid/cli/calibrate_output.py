@@ -15,7 +15,7 @@ from rich.text import Text
 
 from tissueid.calibration.labels import headline_of
 from tissueid.calibration.store import calibration_folder, is_in_calibration_folder
-from tissueid.cli.output import ConsoleControl, check_json, console, progress_bars
+from tissueid.cli.output import ConsoleControl, at_terminal, check_json, console, progress_bars
 from tissueid.errors import UnusableInputError
 from tissueid.messages import Message
 from tissueid.procedures.calibration_files import CalibrationResult
@@ -33,7 +33,7 @@ class TerminalControl(ConsoleControl):
     @property
     def attended(self) -> bool:
         """Whether input and messages are those of a terminal."""
-        return sys.stdin.isatty() and sys.stderr.isatty()
+        return at_terminal()
 
     def ask(self, prompt: str) -> None:
         """Show an instruction and wait for Enter."""

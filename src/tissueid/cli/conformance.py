@@ -7,7 +7,9 @@ from pathlib import Path
 
 import typer
 
-from tissueid.cli.output import check_json, console_control, human_output, message_json, table, write_json
+from tissueid.cli.output import at_terminal, check_json, console_control, human_output, message_json, table, write_json
+from tissueid.errors import UnusableInputError
+from tissueid.messages import Message
 from tissueid.procedures.conformance import Conformance, ConformancePlan, run_conformance
 from tissueid.procedures.instrument_access import audit_trail
 from tissueid.procedures.output_files import check_different
@@ -22,6 +24,10 @@ def print_conformance(plan: ConformancePlan, json_file: Path | None) -> None:
     """
     check_different(plan.out, json_file)
     check_json(json_file)
+    if plan.attended and not at_terminal():
+        raise UnusableInputError(
+            Message("conformance.no_terminal", "--attended needs a person at a terminal, and there is no terminal")
+        )
     with console_control() as control:
         found = run_conformance(plan, control, audit_trail("technician"))
     out = human_output(json_file, width=120)
@@ -31,9 +37,12 @@ def print_conformance(plan: ConformancePlan, json_file: Path | None) -> None:
     for item in found.results:
         rows.add_row(item.id, item.title, "FAILED" if item.outcome == "failed" else item.outcome)
     out.print(rows)
+    reasons: dict[str, list[str]] = {}
     for item in found.results:
         if item.reason:
-            out.print(f"{item.id}: {item.reason}", markup=False, soft_wrap=True)
+            reasons.setdefault(item.reason, []).append(item.id)
+    for reason, clauses in reasons.items():
+        out.print(f"{', '.join(clauses)}: {reason}", markup=False, soft_wrap=True)
     out.print(found.headline, markup=False)
     if json_file is not None:
         write_json(json_file, _answer(found))

@@ -5,7 +5,7 @@ from __future__ import annotations
 import sys
 from pathlib import Path
 
-from tissueid.cli.output import check_json, console, console_control, human_output
+from tissueid.cli.output import at_terminal, check_json, console, console_control, human_output
 from tissueid.cli.twin_output import print_twin
 from tissueid.errors import CancelledError, UnusableInputError
 from tissueid.gap import Diagnosis
@@ -61,7 +61,7 @@ def _chosen(members: tuple[str, ...]) -> tuple[str, ...]:
         UnusableInputError: the answer names something else.
         CancelledError: the input ended.
     """
-    if len(members) < 2 or not (sys.stdin.isatty() and sys.stderr.isatty()):
+    if len(members) < 2 or not at_terminal():
         return members
     console.print("Which effects should the twin have? Numbers separated by commas; Enter selects all.")
     line = sys.stdin.readline()

@@ -54,6 +54,11 @@ def human_output(json_file: Path | None, width: int | None = None) -> Console:
     return out
 
 
+def at_terminal() -> bool:
+    """Return whether input and messages are those of a terminal."""
+    return sys.stdin.isatty() and sys.stderr.isatty()
+
+
 def check_json(target: Path | None) -> None:
     """Check the target of JSON output as ``check_output`` does."""
     check_output(target, ("{", "["))

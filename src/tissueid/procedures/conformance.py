@@ -118,7 +118,15 @@ def run_conformance(
         CancelledError: it was cancelled; the coil is released.
     """
     from tissueid.instrument import SerialLink
-    from tissueid.instrument.conformance import CLAUSES, Confirmed, DeviceUnderTest, LinkLine, Unattended, run_suite
+    from tissueid.instrument.conformance import (
+        CLAUSES,
+        Confirmed,
+        DeviceUnderTest,
+        LinkLine,
+        Unattended,
+        in_order,
+        run_suite,
+    )
 
     if plan.attached is None:
         raise UnusableInputError(
@@ -136,7 +144,7 @@ def run_conformance(
                     "conformance.unknown_clause",
                     "there is no clause {name}; there are: {known}",
                     name=Verbatim(repr(identity)),
-                    known=Verbatim(", ".join(CLAUSES)),
+                    known=Verbatim(", ".join(item.id for item in in_order())),
                 )
             )
     check_output(plan.out, HTML)

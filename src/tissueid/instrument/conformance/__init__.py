@@ -8,7 +8,7 @@ from tissueid.instrument.conformance import frame_clauses, run_clauses, safety_c
 from tissueid.instrument.conformance.clause import CLAUSES, Clause, ClauseResult
 from tissueid.instrument.conformance.device import Confirmed, DeviceUnderTest
 from tissueid.instrument.conformance.line import Act, Attendant, Line, LinkLine, Unattended
-from tissueid.instrument.conformance.suite import passed, run_suite
+from tissueid.instrument.conformance.suite import in_order, passed, run_suite
 
 _MODULES = (frame_clauses, run_clauses, setpoint_clauses, safety_clauses)
 
@@ -23,6 +23,7 @@ __all__ = [
     "Line",
     "LinkLine",
     "Unattended",
+    "in_order",
     "passed",
     "run_suite",
 ]

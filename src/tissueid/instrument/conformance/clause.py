@@ -26,12 +26,13 @@ class Clause:
     """A clause of docs/protocol.md: ``id`` begins with the number of its section.
 
     ``check`` is called with a ``DeviceUnderTest`` and raises ViolationError or NotTestedError. ``drives`` is true if it
-    can enable the amplifier.
+    can enable the amplifier, ``person`` if a person must act at the device.
     """
 
     id: str
     title: str
     drives: bool
+    person: bool
     check: Check
 
 
@@ -50,13 +51,13 @@ CLAUSES: dict[str, Clause] = {}
 """All clauses by id; the modules of this package add theirs."""
 
 
-def clause(identity: str, title: str, *, drives: bool = False) -> Callable[[Check], Check]:
+def clause(identity: str, title: str, *, drives: bool = False, person: bool = False) -> Callable[[Check], Check]:
     """Return a decorator that registers a check as the one of a clause."""
 
     def add(check: Check) -> Check:
         if identity in CLAUSES:
             raise ValueError(f"clause {identity} is registered twice")
-        CLAUSES[identity] = Clause(identity, title, drives, check)
+        CLAUSES[identity] = Clause(identity, title, drives, person, check)
         return check
 
     return add

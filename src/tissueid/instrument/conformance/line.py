@@ -66,7 +66,7 @@ class Attendant(Protocol):
 
 
 class Unattended:
-    """No person is at the device: clauses that need one are not tested."""
+    """No person is at the device: clauses that need one are not begun."""
 
     def perform(self, act: Act) -> float:  # noqa: D102
         return 0.0

@@ -245,7 +245,9 @@ def _soft_start(device: DeviceUnderTest) -> None:
     require(not flagged[count:].any(), "no flag 32 after 50 ms", "samples with it")
 
 
-@clause("5.6a", marked("The button releases the coil, and prevents every motion while it is down"), drives=True)
+@clause(
+    "5.6a", marked("The button releases the coil, and prevents every motion while it is down"), drives=True, person=True
+)
 def _button(device: DeviceUnderTest) -> None:
     device.load(_quiet(device, 0.1))
     device.keep_alive(True)
@@ -306,7 +308,7 @@ def _steps(device: DeviceUnderTest) -> NDArray[np.int16]:
     return np.where(on, high, low).astype("<i2")
 
 
-@clause("5.8a", marked("A position that does not follow the force is a SENSOR fault"), drives=True)
+@clause("5.8a", marked("A position that does not follow the force is a SENSOR fault"), drives=True, person=True)
 def _position_sensor(device: DeviceUnderTest) -> None:
     first = device.begin_run(_steps(device))
     device.pump(0.2)
@@ -317,7 +319,7 @@ def _position_sensor(device: DeviceUnderTest) -> None:
     require(faults in (Fault.SENSOR, Fault.STROKE), "fault SENSOR", faults)
 
 
-@clause("5.8b", marked("A current that does not follow the voltage is an OPEN_COIL fault"), drives=True)
+@clause("5.8b", marked("A current that does not follow the voltage is an OPEN_COIL fault"), drives=True, person=True)
 def _open_coil(device: DeviceUnderTest) -> None:
     volts = device.known.device.voltage_for_force(device.force_n)
     if _SHARE * volts < 2.2:
@@ -330,7 +332,7 @@ def _open_coil(device: DeviceUnderTest) -> None:
     _require_fault(run, Fault.OPEN_COIL)
 
 
-@clause("5.9a", marked("A supply that sags latches BROWN_OUT in any state, again while it lasts"))
+@clause("5.9a", marked("A supply that sags latches BROWN_OUT in any state, again while it lasts"), person=True)
 def _supply(device: DeviceUnderTest) -> None:
     seconds = device.act(Act.LOWER_SUPPLY)
     device.wait(lambda: bool(device.statuses), seconds + 0.1, "fault BROWN_OUT in IDLE")

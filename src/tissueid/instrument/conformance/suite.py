@@ -21,6 +21,7 @@ _MOST_SILENT = 2
 
 _SILENT = Message("conformance.silent", "not reached: the device does not answer")
 _BROKEN = Message("conformance.broken", "not reached: the connection broke")
+_UNATTENDED = Message("conformance.unattended", "needs a person at the instrument (--attended)")
 _NO_TIME = Message("conformance.no_time", "not reached: the clauses took too long")
 
 
@@ -40,7 +41,7 @@ def run_suite(
         CancelledError: the check of the device was cancelled; the coil is released.
     """
     wanted = None if only is None else set(only)
-    chosen = [item for item in sorted(CLAUSES.values(), key=_place) if wanted is None or item.id in wanted]
+    chosen = [item for item in in_order() if wanted is None or item.id in wanted]
     begin = device.line.clock()
     results: list[ClauseResult] = []
     silent = 0
@@ -53,6 +54,9 @@ def run_suite(
             if rest is not None:
                 results.append(ClauseResult(clause.id, clause.title, "not tested", rest))
                 continue
+            if clause.person and not device.attended:
+                results.append(ClauseResult(clause.id, clause.title, "not tested", _UNATTENDED))
+                continue
             result, answered, broken = _tested(device, clause)
             results.append(result)
             silent = 0 if answered else silent + 1
@@ -60,6 +64,11 @@ def run_suite(
     finally:
         _release_coil(device)
     return tuple(results)
+
+
+def in_order() -> list[Clause]:
+    """Return all clauses in the order of the document."""
+    return sorted(CLAUSES.values(), key=_place)
 
 
 def _place(clause: Clause) -> tuple[int, int, str]:
