@@ -151,3 +151,17 @@ def test_the_program_runs_nothing_of_the_folder_once_it_has_begun(hostile: Path,
     bare = {name: value for name, value in os.environ.items() if name != "PYTHONSAFEPATH"}
     done = subprocess.run([sys.executable, *start, "--version"], env=bare, capture_output=True, text=True, check=False)
     assert (done.returncode, ran_in(hostile)) == (0, ""), done.stderr
+
+
+def test_a_script_without_a_guard_runs_once(tmp_path: Path):
+    script = tmp_path / "script.py"
+    script.write_text(
+        "from operator import neg\n"
+        "from tissueid.gap.workers import executor\n"
+        "print('begun')\n"
+        "with executor(2) as pool:\n"
+        "    print(pool.do(neg, [1, 2], lambda: False, lambda _: None))\n"
+    )
+    found = run(str(script), capture_output=True, text=True, check=True)
+    assert found.stdout.splitlines() == ["begun", "[-1, -2]"]
+    assert found.stderr == ""

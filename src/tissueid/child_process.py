@@ -11,7 +11,8 @@ import multiprocessing
 import os
 import subprocess
 import sys
-from multiprocessing.context import SpawnContext
+from multiprocessing.context import SpawnContext, SpawnProcess
+from types import ModuleType
 from typing import Any
 
 SAFE_PATH = {"PYTHONSAFEPATH": "1"}
@@ -53,6 +54,20 @@ def spawn_context() -> SpawnContext:
     # Its processes inherit the environment and the path of this process.
     os.environ.update(SAFE_PATH)
     return multiprocessing.get_context("spawn")
+
+
+def start_worker(process: SpawnProcess) -> None:
+    """Start a process of ``spawn_context`` that does not run the caller's script again.
+
+    Its function must be in a module. Without this, a script that is not guarded by ``if __name__ == "__main__":`` would
+    run once more in each process.
+    """
+    script = sys.modules["__main__"]
+    sys.modules["__main__"] = ModuleType("__main__")
+    try:
+        process.start()
+    finally:
+        sys.modules["__main__"] = script
 
 
 def _command(arguments: tuple[str, ...]) -> list[str]:

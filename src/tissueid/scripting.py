@@ -306,13 +306,11 @@ def diagnose(
 ) -> Diagnosis:
     """Diagnose the gap between a session and its simulation. This takes some ten seconds to minutes.
 
-    Call it below ``if __name__ == "__main__":`` in a script, because it starts processes; ``workers=1`` starts none.
-
     Args:
         session: a session file or a session.
         fit: numbers of the fitted tests; () for those chosen automatically.
         check: numbers of the held-out tests.
-        workers: number of processes; None for one per core.
+        workers: number of processes; None for one per core, 1 for none besides this one.
 
     Returns:
         The diagnosis, with ``verdict``, ``where`` (stage of the signal chain), ``ranking`` of the effects with their

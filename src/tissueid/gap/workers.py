@@ -13,7 +13,7 @@ from multiprocessing.connection import Connection, wait
 from multiprocessing.process import BaseProcess, parent_process
 from typing import Any, Protocol, TypeVar
 
-from tissueid.child_process import spawn_context
+from tissueid.child_process import spawn_context, start_worker
 from tissueid.errors import CancelledError
 
 T = TypeVar("T")
@@ -121,7 +121,7 @@ class Pool:
             ours, theirs = context.Pipe()
             process = context.Process(target=_serve, args=(theirs,), daemon=True)
             try:
-                process.start()
+                start_worker(process)
                 self._members.append((process, ours))
             finally:
                 theirs.close()

@@ -8,7 +8,7 @@ from collections.abc import Callable
 from multiprocessing.connection import Connection
 from typing import TypeVar
 
-from tissueid.child_process import spawn_context
+from tissueid.child_process import spawn_context, start_worker
 from tissueid.errors import CancelledError
 from tissueid.language import current_language, set_language
 from tissueid.procedures.control import Control
@@ -34,7 +34,7 @@ def run_in_process(work: Callable[[Control], R], control: Control) -> R:
     context = spawn_context()
     ours, theirs = context.Pipe()
     process = context.Process(target=_work, args=(work, current_language(), theirs))
-    process.start()
+    start_worker(process)
     theirs.close()
     try:
         while not control.cancelled():
