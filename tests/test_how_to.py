@@ -24,7 +24,7 @@ HOW_TO = ROOT / "docs" / "how-to"
 
 def install(page: Path, site: Path) -> None:
     """Make the package of a page, and put it where an installer would."""
-    (declared,) = blocks(page, "toml")
+    declared, *_ = blocks(page, "toml")
     project = tomllib.loads(declared)
     (module,) = project["tool"]["hatch"]["build"]["targets"]["wheel"]["include"]
     (site / module).write_text(blocks(page, "python")[0], encoding="utf-8")
@@ -61,6 +61,8 @@ run("refused", "identify", f"{site}/session.h5", "--engine", "massless", "--opti
 run("effects", "gap", "effects", "--json", "-")
 run("twin", "gap", "accept", f"{site}/session.h5", "--effect", "nosuch_magnet", "--out", f"{site}/rig.toml")
 exec(compile(open(example).read(), "docs/how-to/effect.md", "exec"), {})
+run("by hand", "twin", "show", f"{site}/by_hand.toml")
+run("test", "test", "--device", f"simulated://{site}/by_hand.toml", "--site", "magnet", "--out", f"{site}/magnet.h5", "--seconds", "1")
 
 from tissueid import Record, list_engines
 random, true = np.random.default_rng(3), (2000.0, 12.0)  # N/m, N s/m
@@ -124,6 +126,7 @@ def found(tmp_path_factory: pytest.TempPathFactory) -> dict[str, Any]:
     write_session(site / "session.h5", make_session())
     example = site / "example.txt"
     example.write_text(blocks(HOW_TO / "effect.md", "python")[1], encoding="utf-8")
+    (site / "by_hand.toml").write_text(blocks(HOW_TO / "effect.md", "toml")[1], encoding="utf-8")
     path = os.pathsep.join(filter(None, [str(site), os.environ.get("PYTHONPATH")]))
     done = subprocess.run(
         [sys.executable, "-W", "error::UserWarning", "-c", IN_THE_PROGRAM, str(site), str(example)],
@@ -165,6 +168,8 @@ def test_the_effect_is_listed_and_offered_at_the_command_line(found: dict[str, A
     (declared,) = [item for item in json.loads(found["effects"][1]) if item["effect"] == "stray_magnet"]
     assert declared["stage"] == "mechanics"
     assert [item["name"] for item in declared["parameters"]] == ["force_n", "place_m"]
+    for name in ("by hand", "test"):
+        assert found[name][0] == 0, found[name][2]
     status, _, err = found["twin"]
     assert (status, "stray_magnet" in err) == (2, True)
 
