@@ -15,7 +15,7 @@ from tissueid.gap.preparation import prepare
 from tissueid.gap.scoring import floor, score_candidate
 from tissueid.gap.twin_export import against_twin, check_same_instrument, twin_file_of, with_prior_twin
 from tissueid.instrument import open_instrument
-from tissueid.instrument.twin_file import read_twin, write_twin
+from tissueid.instrument.twin_file import device_of, read_twin, write_twin
 from tissueid.instrument.twin_list import MOST_BYTES
 from tissueid.sessions import Session, Test
 from tissueid.twin.catalogue import effect
@@ -137,6 +137,12 @@ def test_a_saved_twin_can_be_simulated(content, tmp_path):
         assert "arm, version 1" in instrument.device.model
     finally:
         instrument.close()
+
+
+def test_its_simulation_reports_its_filter(content):
+    filtered = content.model_copy(update={"instrument": content.instrument | {"filter_time_s": 8e-5}})
+    assert device_of(filtered).filter_time_s == pytest.approx(8e-5)
+    assert device_of(content).filter_time_s == content.instrument["filter_time_s"] == 0.0
 
 
 def _with(content, *path, value):

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import re
 from dataclasses import asdict, fields
 from pathlib import Path
@@ -364,6 +365,7 @@ def write_twin(path: Path, content: TwinFile) -> None:
 def device_of(content: TwinFile) -> DeviceDescription:
     """Return the device description of a twin."""
     figures = content.instrument
+    filter_time_s = figures["filter_time_s"]
     return DeviceDescription(
         model=twin_model(content.name, content.version),
         coil_resistance_ohm=figures["resistance_ohm"],
@@ -375,4 +377,5 @@ def device_of(content: TwinFile) -> DeviceDescription:
         amplifier_limit_v=figures["amplifier_limit_v"],
         stroke_m=figures["stroke_m"],
         sample_rate_hz=content.sample_rate_hz,
+        filter_corner_hz=0.5 / (math.pi * filter_time_s) if filter_time_s > 0.0 else 0.0,
     )
