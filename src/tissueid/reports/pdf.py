@@ -265,7 +265,7 @@ class PageWriter:
 def text_width(words: str, size: float) -> float:
     """Return the width of a line of text in inches."""
     width, _height, _descent = _MEASURE.get_text_width_height_descent(words, FontProperties(size=size), False)
-    return float(width) / _MEASURE.dpi
+    return float(width / _MEASURE.dpi)
 
 
 def _fit_axes(page: Figure, drawn: Sequence[Axes], cells: Sequence[tuple[float, float, float, float]]) -> None:
