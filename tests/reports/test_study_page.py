@@ -93,6 +93,15 @@ def test_no_text_of_the_figures_overlaps_another_one(kind):
         assert max(box.x1 for box in boxes) <= page.bbox.width
 
 
+def test_a_heading_and_its_key_stay_with_their_figures():
+    paper = PageWriter()
+    paper.y = 0.75 + 2.8  # a row fits, but not with heading and key
+    means = table()
+    _figures(paper, "subjects", "Heading", {name: partial(subjects_plot, means, name) for name in NAMES})
+    assert [bool(page.axes) for page in paper.pages] == [False, True]
+    assert [len(page.legends) for page in paper.pages] == [0, 1]
+
+
 def test_a_power_of_ten_stands_in_the_label_of_the_ordinate():
     axes = Figure().subplots()
     values = np.linspace(1e-5, 4e-5, 5)

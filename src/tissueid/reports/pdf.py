@@ -50,16 +50,16 @@ _ACROSS = 100
 _MOST_REASONS = 6
 _LETTER = 0.066
 """Inches that a letter of 9 points takes on average, and some more."""
-_HANDLE = 0.55
-"""Inches of a sign of a key with its gaps."""
+_KEY_SIZE, _HANDLE = 7.5, 0.42
+"""Size of the letters of a key in points, and inches of a sign with its gaps."""
 _ORDINATE, _LEAST = 0.8, 0.3
 """Inches that the labels of an ordinate take at most, and the smallest width and height of axes."""
 _FIGURES, _LEAST_FIGURES = 5.2, 4.2
 _COLOURS = {"good": GREEN, "check": "#9a6200", "poor": LOST}
 _WHOLE_TABLE, _START_OF_TABLE = 3.0, 1.2
 """Height of a table up to which it stands on one page, and room that is needed to begin a longer one; inches."""
-_MEASURE = cast(Any, RendererAgg)(1, 1, 100.0)
-"""Measures the width of texts."""
+_MEASURE = cast(Any, RendererAgg)(1, 1, 1200.0)
+"""Measures the width of texts; at this resolution glyphs are not moved to whole pixels."""
 Analyses = Mapping[str, Analysis]
 
 
@@ -216,8 +216,7 @@ class PageWriter:
         """Draw the key of the figures below, in columns across the page."""
         if not handles:
             return
-        longest = max(text_width(clean(name), 8.0) for name in names) + _HANDLE
-        columns = max(1, min(len(names), int((_RIGHT - _LEFT) / longest)))
+        columns, height = key_size(names)
         at = (_LEFT / _WIDTH, (self.y - 0.04) / _HEIGHT)
         self.pages[-1].legend(
             list(handles),
@@ -225,11 +224,13 @@ class PageWriter:
             loc="upper left",
             bbox_to_anchor=at,
             ncols=columns,
-            fontsize=8.0,
+            fontsize=_KEY_SIZE,
+            handlelength=1.6,
+            columnspacing=1.2,
             borderpad=0.2,
             borderaxespad=0.0,
         )
-        self.y -= 0.06 + 0.18 * -(-len(names) // columns)
+        self.y -= height
 
     def drawings(self, draws: Sequence[tuple[str, Callable[[Axes], object]]], inches: float, count: int = 0) -> None:
         """Draw figures in one row, each below its title, as large as their labels leave room for.
@@ -260,6 +261,15 @@ class PageWriter:
         page.set_layout_engine("none")  # everything has its place already
         self.pages.append(page)
         self.y = _TOP
+
+
+def key_size(names: Sequence[str]) -> tuple[int, float]:
+    """Return the number of columns of a key across the page and its height in inches."""
+    if not names:
+        return 1, 0.0
+    longest = max(text_width(clean(name), _KEY_SIZE) for name in names) + _HANDLE
+    columns = max(1, min(len(names), int((_RIGHT - _LEFT) / longest)))
+    return columns, 0.06 + 0.18 * -(-len(names) // columns)
 
 
 def text_width(words: str, size: float) -> float:

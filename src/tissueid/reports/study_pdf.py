@@ -18,7 +18,7 @@ from tissueid.atomic_write import atomic_file
 from tissueid.formatting import clean
 from tissueid.language import _
 from tissueid.messages import translated
-from tissueid.reports.pdf import TEXT_WIDTH, PageWriter, text_width
+from tissueid.reports.pdf import TEXT_WIDTH, PageWriter, key_size, text_width
 from tissueid.reports.plot_renderer import draw_plot
 from tissueid.reports.study import caption_of, is_wide, plot_label, simulated_line, study_facts, study_plots, tables_of
 from tissueid.reports.study_tables import ABOUT, COLUMNS
@@ -30,8 +30,8 @@ _ACROSS = 105
 """Letters that fit across at 9 points."""
 _PER_ROW = 2
 """Figures side by side."""
-_ROW_INCHES, _HEAD_INCHES = 2.15, 0.75
-"""Height of a row of figures, and of the heading, explanation and key above the first."""
+_ROW_INCHES, _HEAD_INCHES = 2.15, 0.5
+"""Height of a row of figures, and of the heading and explanation above the first."""
 _SHORTEST_HEAD = 6
 """Smallest number of letters in a line of the head of a column."""
 _TABLE_SIZES = (7.5, 7.0, 6.6)
@@ -98,15 +98,16 @@ def _figures(paper: PageWriter, key: str, heading: str, plots: Mapping[str, Call
     count = 1 if is_wide(made) else _PER_ROW
     names = list(made)
     handles = _key_of(made[names[0]])
+    key_height = key_size(handles[1])[1]
     caption = caption_of(key)
-    paper.ensure_room(_ROW_INCHES + _HEAD_INCHES)
+    paper.ensure_room(_ROW_INCHES + key_height + _HEAD_INCHES)
     paper.y -= 0.08
     paper.line(heading, size=11.0, bold=True)
     _wrapped(paper, caption, size=8.0)
     page = None
     for first in range(0, len(names), count):
         row = [(plot_label(name, made[name]), partial(_draw, made[name])) for name in names[first : first + count]]
-        paper.ensure_room(_ROW_INCHES)
+        paper.ensure_room(_ROW_INCHES + (0.0 if page else key_height))
         if paper.pages[-1] is not page:  # the key stands once on each page
             page = paper.pages[-1]
             paper.key(*handles)
