@@ -109,6 +109,8 @@ def _figures(paper: PageWriter, key: str, heading: str, plots: Mapping[str, Call
         row = [(plot_label(name, made[name]), partial(_draw, made[name])) for name in names[first : first + count]]
         paper.ensure_room(_ROW_INCHES + (0.0 if page else key_height))
         if paper.pages[-1] is not page:  # the key stands once on each page
+            if page is not None:
+                paper.line(_("{heading}, continued").format(heading=heading), colour=MUTED)
             page = paper.pages[-1]
             paper.key(*handles)
         paper.drawings(row, _ROW_INCHES, count)
