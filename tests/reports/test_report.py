@@ -27,7 +27,7 @@ from tissueid.errors import UnusableInputError
 from tissueid.messages import MISSING, code_of
 from tissueid.records import Estimate
 from tissueid.reports import Comparison, ComparisonRow, html, report_html, write_report
-from tissueid.reports.pdf import _PageWriter, write_pdf
+from tissueid.reports.pdf import PageWriter, write_pdf
 from tissueid.reports.record_pictures import signals_figure
 from tissueid.reports.style import to_svg
 from tissueid.reports.tables import parameter_table, readable_date, score_table, settings_tables
@@ -404,7 +404,7 @@ def test_html_and_pdf_of_a_simulation_say_so(session: Session, analyses: Analyse
     for name, one in (("real", real), ("played", played)):
         lines = drawn.setdefault(name, [])
         with pytest.MonkeyPatch.context() as patch:
-            patch.setattr(_PageWriter, "line", lambda _self, words, lines=lines, **_: lines.append(words))
+            patch.setattr(PageWriter, "line", lambda _self, words, lines=lines, **_: lines.append(words))
             write_pdf(tmp_path / f"{name}.pdf", one, one.test(1), analyses[1])
     assert [SIMULATED_LINE in drawn[name] for name in ("real", "played")] == [False, True]
     pages = [report_html(one, {1: analyses[1]}) for one in (real, played)]

@@ -6,11 +6,13 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+from tissueid.errors import UnusableInputError
 from tissueid.extras import check_packages
 from tissueid.language import marked
 from tissueid.procedures.control import Control
 from tissueid.procedures.output_files import HTML, PDF, check_different, check_output, unwritable, write_text
 from tissueid.procedures.study_plans import RESULTS, StudyReportPlan
+from tissueid.procedures.study_protocol import read_protocol
 from tissueid.procedures.study_run import StudyRun, run_study
 
 if TYPE_CHECKING:
@@ -31,6 +33,14 @@ class StudyReport:
     def as_answer(self) -> dict[str, Any]:
         """Return the statistics for JSON."""
         return {"failures": dict(self.run.failures), "sessions": self.run.sessions} | self.statistics.as_answer()
+
+
+def _name(folder: Path) -> str:
+    """Return the name in the protocol of a study, or that of its folder if it has no readable protocol."""
+    try:
+        return read_protocol(folder).name
+    except UnusableInputError:
+        return folder.resolve().name
 
 
 def report_study(plan: StudyReportPlan, control: Control) -> StudyReport:
@@ -60,7 +70,7 @@ def report_study(plan: StudyReportPlan, control: Control) -> StudyReport:
     )
     control.check()
     page = plan.report or plan.folder / RESULTS / "report.html"
-    name = plan.folder.resolve().name
+    name = _name(plan.folder)
     write_text(page, study_html(name, plan.engine, found, run.failures))
     if plan.pdf is not None:
         try:

@@ -33,6 +33,8 @@ if TYPE_CHECKING:
 
 _ANALYSING = marked("Analysing sessions")
 _FAILED = "failed"
+_FORMAT = 2
+"""Format of stored rows: those of another one are computed again."""
 
 
 @dataclass(frozen=True)
@@ -105,7 +107,7 @@ def run_study(plan: StudyPlan, control: Control) -> StudyRun:
 
 
 def _analysis(plan: StudyPlan, options: Mapping[str, Any]) -> str:
-    about = json.dumps([dict(options), plan.held_out, __version__], sort_keys=True)
+    about = json.dumps([dict(options), plan.held_out, __version__, _FORMAT], sort_keys=True)
     return f"{plan.engine}-{hashlib.sha256(about.encode()).hexdigest()[:12]}"
 
 
@@ -165,6 +167,7 @@ def _rows(session: Session, test: Test, plan: StudyPlan, options: Mapping[str, A
         "configuration": test.configuration,
         "coupling": test.notes.get("coupling"),
         "orientation_deg": test.notes.get("orientation_deg"),
+        "simulated": session.instrument.simulated,
         "kind": test.kind,
         "status": test.status,
         "quality": quality.verdict,

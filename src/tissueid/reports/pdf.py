@@ -7,10 +7,14 @@ import textwrap
 import warnings
 from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
+from typing import Any, cast
 
+from matplotlib.artist import Artist
 from matplotlib.axes import Axes
+from matplotlib.backends.backend_agg import FigureCanvasAgg, RendererAgg
 from matplotlib.backends.backend_pdf import FigureCanvasPdf, PdfPages
 from matplotlib.figure import Figure
+from matplotlib.font_manager import FontProperties
 
 from tissueid.analysis import Analysis
 from tissueid.analysis.curves.single_test import plots_of_test
@@ -24,6 +28,8 @@ from tissueid.messages import translated
 from tissueid.reports.blocks import report_text
 from tissueid.reports.configured import surface_of
 from tissueid.reports.html import NOTHING_ANALYSED, RESEARCH_LINE
+from tissueid.reports.plot_axes import turn_names
+from tissueid.reports.plot_layout import wrap_label
 from tissueid.reports.plot_renderer import draw_plot
 from tissueid.reports.style import GREEN, INK, LOST, MUTED, drawing
 from tissueid.reports.tables import readable_date, status_text
@@ -34,6 +40,8 @@ FurtherTable = tuple[str, Sequence[str], Sequence[Sequence[str]]]
 """A heading, the heads of columns, and rows."""
 
 _WIDTH, _HEIGHT = 8.27, 11.69
+TEXT_WIDTH = 6.77
+"""Inches between the margins."""
 _LEFT, _RIGHT, _TOP, _BOTTOM = 0.75, 7.52, 11.0, 0.75
 """Inches on A4, from its lower left corner."""
 _LINE = 0.175
@@ -42,8 +50,16 @@ _ACROSS = 100
 _MOST_REASONS = 6
 _LETTER = 0.066
 """Inches that a letter of 9 points takes on average, and some more."""
+_KEY_SIZE, _HANDLE = 7.5, 0.42
+"""Size of the letters of a key in points, and inches of a sign with its gaps."""
+_ORDINATE, _LEAST = 0.8, 0.3
+"""Inches that the labels of an ordinate take at most, and the smallest width and height of axes."""
 _FIGURES, _LEAST_FIGURES = 5.2, 4.2
 _COLOURS = {"good": GREEN, "check": "#9a6200", "poor": LOST}
+_WHOLE_TABLE, _START_OF_TABLE = 3.0, 1.2
+"""Height of a table up to which it stands on one page, and room that is needed to begin a longer one; inches."""
+_MEASURE = cast(Any, RendererAgg)(1, 1, 1200.0)
+"""Measures the width of texts; at this resolution glyphs are not moved to whole pixels."""
 Analyses = Mapping[str, Analysis]
 
 
@@ -135,25 +151,55 @@ class PageWriter:
         axes.plot([_LEFT / _WIDTH, _RIGHT / _WIDTH], at, color=MUTED, linewidth=0.6)
         self.y -= 0.03
 
-    def table(self, heading: str, heads: Sequence[str], rows: Sequence[Sequence[str]], *, size: float = 9.0) -> None:
-        """A table whose columns are as wide as what stands in them; where that is too wide, the first gives way."""
-        self.ensure_room(min(3.0, _LINE * (len(rows) + 3)))
+    def table(
+        self,
+        heading: str,
+        heads: Sequence[str],
+        rows: Sequence[Sequence[str]],
+        *,
+        size: float = 9.0,
+        widths: Sequence[float] | None = None,
+    ) -> None:
+        """A table whose columns are as wide as what stands in them; where that is too wide, the first gives way.
+
+        Heads may have several lines and stand again on each page; ``widths`` of all columns are in inches, if known.
+        """
+        whole = _LINE * size / 9.0 * (len(rows) + 4)
+        self.ensure_room(whole if whole < _WHOLE_TABLE else _START_OF_TABLE)
         self.y -= 0.08
         self.line(heading, size=11.0, bold=True)
-        letter, line = _LETTER * size / 9.0, _LINE * size / 9.0
+        letter = _LETTER * size / 9.0
+        if widths is not None:
+            starts = [_LEFT + sum(widths[:place]) for place in range(len(widths))]
+            self._rows(starts, heads, rows, size)
+            return
         letters = [max(_shown(head), *(len(row[place]) for row in rows)) for place, head in enumerate(heads)]
         most = int((_RIGHT - _LEFT) / letter) - sum(letters[1:]) - 3 * len(letters)
         letters[0] = max(8, min(letters[0], most))
         starts = [_LEFT + letter * (sum(letters[:place]) + 3 * place) for place in range(len(letters))]
-        if any(heads):
-            self.y -= line
-            for x, head in zip(starts, heads, strict=True):
-                self.text(x, head, size=8.0 * size / 9.0, colour=MUTED)
+        short = [[_short(cell, wide) for cell, wide in zip(row, letters, strict=True)] for row in rows]
+        self._rows(starts, heads, short, size)
+
+    def _rows(self, starts: Sequence[float], heads: Sequence[str], rows: Sequence[Sequence[str]], size: float) -> None:
+        line = _LINE * size / 9.0
+        self._heads(starts, heads, size)
         for row in rows:
+            page = self.pages[-1]
             self.ensure_room(line)
+            if self.pages[-1] is not page:
+                self._heads(starts, heads, size)
             self.y -= line
-            for x, cell, wide in zip(starts, row, letters, strict=True):
-                self.text(x, _short(cell, wide), size=size)
+            for x, cell in zip(starts, row, strict=True):
+                self.text(x, cell, size=size)
+
+    def _heads(self, starts: Sequence[float], heads: Sequence[str], size: float) -> None:
+        split = [head.split("\n") for head in heads]
+        count = max(map(len, split)) if any(heads) else 0
+        for place in range(count):
+            self.y -= _LINE * size / 9.0
+            for x, lines in zip(starts, split, strict=True):
+                if place >= count - len(lines):
+                    self.text(x, lines[place - count + len(lines)], size=8.0 * size / 9.0, colour=MUTED)
 
     def write(self, target: io.BytesIO, subject: str) -> None:
         """Write all pages as PDF, with their numbers; ``subject`` is what the report is about."""
@@ -166,27 +212,87 @@ class PageWriter:
                 page.text(_RIGHT / _WIDTH, at, count, fontsize=8.0, color=MUTED, ha="right")
                 FigureCanvasPdf(page).print_pdf(pages)  # type: ignore[no-untyped-call] # savefig draws a page twice
 
-    def drawings(self, draws: Sequence[tuple[str, Callable[[Axes], object]]], inches: float = 2.5) -> None:
-        """Draw figures in one row, each under its title, with room for a key of two lines."""
-        self.ensure_room(inches + 0.3)
-        width = (_RIGHT - _LEFT) / len(draws)
+    def key(self, handles: Sequence[Artist], names: Sequence[str]) -> None:
+        """Draw the key of the figures below, in columns across the page."""
+        if not handles:
+            return
+        columns, height = key_size(names)
+        at = (_LEFT / _WIDTH, (self.y - 0.04) / _HEIGHT)
+        self.pages[-1].legend(
+            list(handles),
+            [clean(name) for name in names],
+            loc="upper left",
+            bbox_to_anchor=at,
+            ncols=columns,
+            fontsize=_KEY_SIZE,
+            handlelength=1.6,
+            columnspacing=1.2,
+            borderpad=0.2,
+            borderaxespad=0.0,
+        )
+        self.y -= height
+
+    def drawings(self, draws: Sequence[tuple[str, Callable[[Axes], object]]], inches: float, count: int = 0) -> None:
+        """Draw figures in one row, each below its title, as large as their labels leave room for.
+
+        Args:
+            draws: titles, and functions that draw on empty axes.
+            inches: height of the row with titles and labels.
+            count: number of figures that fit in the row; that of ``draws`` if not given.
+        """
+        self.ensure_room(inches)
+        width = (_RIGHT - _LEFT) / (count or len(draws))
         page = self.pages[-1]
+        drawn, cells = [], []
         for place, (title, draw) in enumerate(draws):
-            x, y = _LEFT + place * width, self.y - inches - 0.1
-            middle = (x + 0.5 * width) / _WIDTH
+            x, y, high = _LEFT + place * width, self.y - inches + 0.1, inches - 0.35
             words = _short(clean(title), int(width / _LETTER))
-            page.text(middle, (self.y - 0.2) / _HEIGHT, words, fontsize=9.0, color=INK, fontweight="bold", ha="center")
-            axes = page.add_axes(
-                ((x + 0.5) / _WIDTH, (y + 0.7) / _HEIGHT, (width - 0.65) / _WIDTH, (inches - 1.4) / _HEIGHT)
-            )
+            page.text(x / _WIDTH, (self.y - 0.17) / _HEIGHT, words, fontsize=9.0, color=INK, fontweight="bold")
+            cells.append((x, y, width - 0.15, high))
+            axes = page.add_axes((x / _WIDTH, y / _HEIGHT, (width - 0.15) / _WIDTH, high / _HEIGHT))
             draw(axes)
-        self.y -= inches + 0.15
+            turn_names(axes, width - _ORDINATE)
+            drawn.append(axes)
+        _fit_axes(page, drawn, cells)
+        self.y -= inches
 
     def _new_page(self) -> None:
         page = Figure(figsize=(_WIDTH, _HEIGHT))
         page.set_layout_engine("none")  # everything has its place already
         self.pages.append(page)
         self.y = _TOP
+
+
+def key_size(names: Sequence[str]) -> tuple[int, float]:
+    """Return the number of columns of a key across the page and its height in inches."""
+    if not names:
+        return 1, 0.0
+    longest = max(text_width(clean(name), _KEY_SIZE) for name in names) + _HANDLE
+    columns = max(1, min(len(names), int((_RIGHT - _LEFT) / longest)))
+    return columns, 0.06 + 0.18 * -(-len(names) // columns)
+
+
+def text_width(words: str, size: float) -> float:
+    """Return the width of a line of text in inches."""
+    width, _height, _descent = _MEASURE.get_text_width_height_descent(words, FontProperties(size=size), False)
+    return float(width / _MEASURE.dpi)
+
+
+def _fit_axes(page: Figure, drawn: Sequence[Axes], cells: Sequence[tuple[float, float, float, float]]) -> None:
+    """Place axes so that they fill their cells (left, bottom, width, height in inches) with all their labels."""
+    renderer = cast(Any, FigureCanvasAgg(page)).get_renderer()
+    for _attempt in range(3):  # ticks and lines of labels follow the size
+        edges = []
+        for axes in drawn:
+            wrap_label(axes, axes.bbox.height)
+            inside, outside = axes.get_window_extent(renderer), axes.get_tightbbox(renderer)
+            outside = inside if outside is None else outside
+            ends = inside.x0 - outside.x0, inside.y0 - outside.y0, outside.x1 - inside.x1, outside.y1 - inside.y1
+            edges.append([max(0.0, end / page.dpi) for end in ends])
+        below, above = max(edge[1] for edge in edges), max(edge[3] for edge in edges)
+        for axes, (left, _below, right, _above), (x, y, width, height) in zip(drawn, edges, cells, strict=True):
+            size = max(_LEAST, width - left - right), max(_LEAST, height - below - above)
+            axes.set_position(((x + left) / _WIDTH, (y + below) / _HEIGHT, size[0] / _WIDTH, size[1] / _HEIGHT))
 
 
 def _heading(paper: PageWriter, session: Session, test: Test) -> None:
@@ -244,7 +350,7 @@ def _numbers(paper: PageWriter, test: Test, analyses: Analyses) -> None:
 
 def _shown(head: str) -> int:
     """Letters of 9 points that the head of a column takes, which has 8."""
-    return round(8 * len(head) / 9)
+    return round(8 * max(map(len, head.split("\n"))) / 9)
 
 
 def _short(text: str, most: int) -> str:

@@ -6,6 +6,7 @@ which changes matplotlib's global settings.
 
 from __future__ import annotations
 
+import itertools
 import textwrap
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
@@ -17,12 +18,13 @@ from matplotlib.cm import ScalarMappable
 from matplotlib.collections import QuadMesh
 from matplotlib.colorbar import Colorbar
 from matplotlib.colors import BoundaryNorm, ListedColormap
+from matplotlib.figure import Figure
 from matplotlib.text import Text
-from matplotlib.ticker import MaxNLocator, MultipleLocator
+from matplotlib.ticker import FuncFormatter, MaxNLocator, MultipleLocator
 from mpl_toolkits.mplot3d import Axes3D
 
 from tissueid.analysis.curves.plot import Axis, Bars, Plot, depth_roles
-from tissueid.formatting import clean
+from tissueid.formatting import clean, superscript
 from tissueid.messages import translated
 from tissueid.reports.style import (
     BLUE,
@@ -78,12 +80,55 @@ PAGE = Look()
 """The look of reports on white; pages replace its colours by those of their style sheet."""
 _DEPTH_ROLES = dict(zip(depth_roles(len(DEPTHS)), DEPTHS, strict=True))
 _WRAP = 48
+_SMALLEST, _LARGEST = 1e-4, 1e6
+"""Numbers on an ordinate below and above which the power of ten stands in its label."""
+_TURN_DEGREES = 30.0
+_LONGEST_TURNED = 30
+"""Number of letters of a turned name that are shown."""
+_SMALL_NAMES = 7.0
+"""Size of names that do not fit otherwise, in points."""
+_BETWEEN_NAMES = 4.0
+"""Gap between the names of neighbouring ticks, in points."""
 
 
 def label_of(axis: Axis, units: Units = clinical) -> str:
     """Return quantity and unit of an axis as they are shown."""
     label, unit = translated(axis.label), translated(units(axis.unit)[0])
     return f"{label} ({unit})" if label and unit else label or unit
+
+
+def label_with_power(axes: Axes, axis: Axis, units: Units = clinical) -> str:
+    """Return the label of an ordinate, with the power of ten of its numbers if these are very small or large.
+
+    Matplotlib would write the power above the axis, where a key or a title is.
+    """
+    label = label_of(axis, units)
+    top = float(np.max(np.abs(axes.get_ylim())))
+    if axis.log or axis.ticks or isinstance(axes, Axes3D) or not (0.0 < top < _SMALLEST or _LARGEST <= top < np.inf):
+        return label
+    exponent = 3 * int(np.floor(np.log10(top) / 3.0))
+    power, unit = f"10{superscript(exponent)}", translated(units(axis.unit)[0])
+    axes.yaxis.set_major_formatter(FuncFormatter(lambda value, _place: f"{value / 10.0**exponent:.6g}"))
+    return f"{translated(axis.label)} ({power} {unit})" if unit else f"{label} ({power})"
+
+
+def turn_names(axes: Axes, width: float) -> None:
+    """Make names along the abscissa smaller, or turn them, where neighbours would touch; ``width`` is in inches."""
+    places, labels = axes.get_xticks(), axes.get_xticklabels()
+    if len(places) < 2 or len(labels) != len(places):
+        return
+    dots = float(cast(Figure, axes.get_figure(root=True)).dpi)
+    scale = dots * width / abs(float(np.diff(axes.get_xlim())[0]))
+    gap = _BETWEEN_NAMES * dots / 72.0
+    usual = labels[0].get_fontsize()
+    for size in (usual, _SMALL_NAMES):
+        axes.tick_params(axis="x", labelsize=size)
+        halves = [0.5 * label.get_window_extent().width if label.get_text() else 0.0 for label in labels]
+        named = [(scale * float(place), half) for place, half in zip(places, halves, strict=True) if half]
+        if all(b - a > left + right + gap for (a, left), (b, right) in itertools.pairwise(named)):
+            return
+    names = [clean(textwrap.shorten(label.get_text(), _LONGEST_TURNED, placeholder="…")) for label in labels]
+    axes.set_xticks(places, names, rotation=_TURN_DEGREES, ha="right", rotation_mode="anchor", parse_math=False)
 
 
 def dress(axes: Axes, look: Look) -> None:
@@ -219,6 +264,8 @@ __all__ = [
     "dress",
     "finish_bar",
     "label_of",
+    "label_with_power",
     "say_missing",
     "scale_axes",
+    "turn_names",
 ]

@@ -39,7 +39,7 @@ def lay_out(figure: Figure) -> None:
     every = figure.get_axes()
     for axes, room in _rooms(figure, every):
         _thin_frequencies(axes)
-        _wrap_label(axes, room)
+        wrap_label(axes, room)
         _place_key(axes, room)
     width, height = figure.bbox.size
     if not every or min(width, height) < 1.0:
@@ -81,8 +81,8 @@ def _thin_frequencies(axes: Axes) -> None:
     locator.set_params(subs=(1.0,) if few else (1.0, 2.0, 5.0))
 
 
-def _wrap_label(axes: Axes, room: float) -> None:
-    """Break the label of an ordinate that is longer than the height of its axes."""
+def wrap_label(axes: Axes, room: float) -> None:
+    """Break the label of an ordinate that is longer than ``room``, the height of its axes in pixels."""
     label = axes.yaxis.label
     text = label.get_text().replace("\n", " ")
     if text:
@@ -133,4 +133,4 @@ def _broken(text: str, most: int) -> str:
     return "\n".join(lines)
 
 
-__all__ = ["lay_out"]
+__all__ = ["lay_out", "wrap_label"]

@@ -13,7 +13,18 @@ from mpl_toolkits.mplot3d import Axes3D
 
 from tissueid.analysis.curves.plot import Axis, Bars, Curve, Plot
 from tissueid.messages import translated
-from tissueid.reports.plot_axes import PAGE, Look, Units, clinical, depth_bar, dress, label_of, say_missing, scale_axes
+from tissueid.reports.plot_axes import (
+    PAGE,
+    Look,
+    Units,
+    clinical,
+    depth_bar,
+    dress,
+    label_of,
+    label_with_power,
+    say_missing,
+    scale_axes,
+)
 from tissueid.reports.plot_layout import lay_out
 from tissueid.reports.plot_parts import DrawnLine, draw_bars, draw_curve, draw_image, draw_mark, draw_surface
 from tissueid.reports.style import FULL_WIDTH, HALF_WIDTH, drawing, new_figure
@@ -52,7 +63,7 @@ def draw_plot(
     if not plot.missing:
         scale_axes(axes, plot, factors, look)
         axes.set_xlabel(label_of(plot.x, units))
-        axes.set_ylabel(label_of(plot.y, units))
+        axes.set_ylabel(label_with_power(axes, plot.y, units))
         for mark in plot.marks:
             draw_mark(axes, mark, factors, look)
     if title and plot.title and plot.title != plot.y.label:

@@ -10,15 +10,18 @@ from matplotlib.figure import FigureBase
 
 from tissueid import __version__
 from tissueid.analysis.curves.plot import Plot
+from tissueid.device import SIMULATED_LINE
 from tissueid.formatting import label_and_unit
 from tissueid.identification import engine_label
-from tissueid.language import _
+from tissueid.language import _, marked
 from tissueid.messages import MISSING, translated
 from tissueid.reports.blocks import FigureGroup
 from tissueid.reports.html import RESEARCH_LINE, template
 from tissueid.reports.panel_sheet import Panel
+from tissueid.reports.plot_axes import turn_names
 from tissueid.reports.plot_renderer import draw_plot, key_over
-from tissueid.reports.study_tables import HEADINGS, left_out_table, study_table
+from tissueid.reports.study_tables import HEADINGS, left_out_table, study_tables
+from tissueid.reports.style import FULL_WIDTH, HALF_WIDTH
 from tissueid.reports.tables import Table
 from tissueid.studies.study_plots import (
     conditions_plot,
@@ -37,10 +40,36 @@ Plots = Mapping[str, Callable[[], Plot]]
 """Functions that compute plots, by the name of the parameter."""
 MOST_DRAWN = 6
 """Largest number of parameters that are drawn."""
+CAPTIONS: Mapping[str, str] = {
+    "subjects": marked("Points and bars: mean and standard deviation of the tests of each subject."),
+    "sites": marked(
+        "Circles: means of the subjects. Points and bars: mean and standard deviation of the subjects at each site."
+    ),
+    "variation": marked(
+        "Standard deviation over mean: of the tests of a subject, and of the means of the subjects; mean of the sites."
+    ),
+    "first": marked(
+        "Mean of the later tests less the first test. Circles: subjects. Points and bars: their mean and standard "
+        "deviation."
+    ),
+    "by": marked("Points and bars: mean of the subjects of each group and its 95 % interval."),
+    "on": marked("Points: means of the subjects. Lines: regression at each site."),
+    "materials": marked(
+        "Circles: tests of a material, or means of the subjects at a site. Points and bars: their mean and standard "
+        "deviation."
+    ),
+    "curve": marked("From the mean constants C₁ and C₂; lines of sites are solid, those of materials are dashed."),
+    "conditions": marked(
+        "Change in percent of the reference. Circles: subjects. Points and bars: their mean and standard deviation."
+    ),
+}
+"""What the signs of a figure are, by the first word of the key of its group."""
 OF_SEVERAL = ("cv", "c")
 """Names of plots that show several parameters."""
-WIDE_GROUPS = ("materials", "conditions")
-"""Groups of figures with many names along the abscissa."""
+_MOST_HALF, _LETTERS_HALF = 5, 44
+"""Largest number of groups along the abscissa of a figure of half the width, and of letters of their names."""
+_AROUND = 0.9
+"""Width of labels beside the axes of a figure, in inches."""
 MOST_COMPARED = 10
 """Largest number of parameters that are drawn of conditions."""
 
@@ -50,6 +79,7 @@ def study_html(name: str, engine: str, found: StudyStatistics, failures: Mapping
     return template("study.html.j2").render(
         title=_("Study {name}").format(name=name),
         research_line=_(RESEARCH_LINE),
+        simulated_line=simulated_line(found),
         software=f"tissueid {__version__}",
         facts=study_facts(found, engine),
         remarks=[translated(remark) for remark in found.remarks],
@@ -65,17 +95,34 @@ def study_facts(found: StudyStatistics, engine: str) -> tuple[tuple[str, str], .
     samples = sorted(map(str, found.samples["material"].unique())) if len(found.samples) else []
     return (
         (_("Subjects"), str(found.used["subject"].nunique())),
-        (_("Sites"), ", ".join(sorted(map(str, found.used["site"].unique()))) or MISSING),
-        *([(_("Materials"), ", ".join(samples))] if samples else []),
+        (_("Sites"), "; ".join(sorted(map(str, found.used["site"].unique()))) or MISSING),
+        *([(_("Materials"), "; ".join(samples))] if samples else []),
         (_("Tests that count"), str(len(found.used) + len(found.samples))),
+        *([(_("Recorded"), dates)] if (dates := _dates(found)) else []),
         (_("Engine"), _(engine_label(engine))),
     )
+
+
+def _dates(found: StudyStatistics) -> str:
+    days = sorted(str(one)[:10] for table in (found.used, found.samples) if len(table) for one in table["created"])
+    if not days or days[0] == days[-1]:
+        return "".join(days[:1])
+    return _("{first} to {last}").format(first=days[0], last=days[-1])
+
+
+def simulated_line(found: StudyStatistics) -> str:
+    """Return the remark that tests are simulated, with their number if others are not; "" if none is."""
+    count, total = found.simulated_tests, len(found.used) + len(found.samples)
+    if not count or count == total:
+        return _(SIMULATED_LINE) if count else ""
+    some = _("{count} of {total} tests are simulated.").format(count=count, total=total)
+    return f"{_(SIMULATED_LINE)} {some}"
 
 
 def tables_of(found: StudyStatistics) -> list[Table]:
     """Return all tables of a report: what does not count, the thesis beside the study, the statistics."""
     tables = [left_out_table(found.left_out)] if len(found.left_out) else []
-    return tables + [study_table(key, rows) for key, rows in {**found.thesis, **found.tables}.items()]
+    return tables + [one for key, rows in {**found.thesis, **found.tables}.items() for one in study_tables(key, rows)]
 
 
 def study_plots(found: StudyStatistics) -> Iterator[tuple[str, str, Plots]]:
@@ -93,11 +140,11 @@ def study_plots(found: StudyStatistics) -> Iterator[tuple[str, str, Plots]]:
             plots: Plots = {name: partial(first_test_plot, plain, name) for name in names}
             yield "first", _(HEADINGS["first_test"]), plots
         for factor in _factors(tables.get("groups")):
-            title = _("By {factor}").format(factor=_(label_and_unit(factor)[0]))
+            title = _("Groups: {factor}").format(factor=_(label_and_unit(factor)[0]))
             yield f"by-{factor}", title, {name: partial(groups_plot, means, factor, name) for name in names}
         rows = tables.get("regressions", pd.DataFrame())
         for regressor in _factors(rows):
-            title = _("Against {quantity}").format(quantity=_(label_and_unit(regressor)[0]))
+            title = _("Regression: {quantity}").format(quantity=_(label_and_unit(regressor)[0]))
             plots = {name: partial(regression_plot, means, regressor, name, rows) for name in names}
             yield f"on-{regressor}", title, plots
     else:
@@ -125,23 +172,39 @@ def _factors(rows: pd.DataFrame | None) -> list[str]:
 
 
 def _group(key: str, heading: str, plots: Plots) -> FigureGroup:
-    panels = [
-        _panel(f"{key}-{name}", name, make, wide=key in WIDE_GROUPS or name in OF_SEVERAL)
-        for name, make in plots.items()
-    ]
+    made = {name: make() for name, make in plots.items()}
+    wide = is_wide(made)
+    panels = [_panel(f"{key}-{name}", name, plot, caption_of(key), wide=wide) for name, plot in made.items()]
     return FigureGroup(f"g-{key}", heading, tuple(panel.picture().block for panel in panels))
 
 
-def _panel(key: str, name: str, make: Callable[[], Plot], *, wide: bool) -> Panel:
-    plot = make()
+def caption_of(key: str) -> str:
+    """Return what the signs of the figures of a group are."""
+    return _(CAPTIONS[key.partition("-")[0]])
 
+
+def is_wide(plots: Mapping[str, Plot]) -> bool:
+    """Whether figures need the full width: they show several parameters or have many groups along the abscissa."""
+    names = [
+        [translated(text) for _place, text in plot.x.ticks] for plot in plots.values() if plot.x.limits is not None
+    ]
+    many = any(
+        len(one) > _MOST_HALF
+        or len(one) * max((len(line) + 1 for text in one for line in text.split("\n")), default=0) > _LETTERS_HALF
+        for one in names
+    )
+    return many or bool(set(OF_SEVERAL) & set(plots))
+
+
+def _panel(key: str, name: str, plot: Plot, caption: str, *, wide: bool) -> Panel:
     def draw(figure: FigureBase) -> None:
         axes = figure.subplots(1, 1)
         draw_plot(axes, plot, title=False, key=False)
+        turn_names(axes, (FULL_WIDTH if wide else HALF_WIDTH) - _AROUND)
         key_over(figure, axes)
 
-    label = plot_label(name, plot)
-    return Panel(key, label, translated(plot.title), translated(plot.title) + ".", draw, wide=wide, height=3.0)
+    label, title = plot_label(name, plot), translated(plot.title)
+    return Panel(key, label, title, f"{title}. {caption}", draw, wide=wide, height=3.0)
 
 
 def plot_label(name: str, plot: Plot) -> str:

@@ -12,8 +12,8 @@ from tissueid.formatting import axis_label, label_and_unit, number
 from tissueid.language import _, marked
 from tissueid.messages import MISSING, translated
 from tissueid.reports.tables import Table
+from tissueid.studies.study_plots import NO_CONDITION, parameter_axis
 from tissueid.studies.thesis_tables import MEAN_SITE
-from tissueid.units import display_unit
 
 MOST_LEFT_OUT = 200
 """Largest number of tests that are listed one by one."""
@@ -65,16 +65,14 @@ _NOTES = {
     "general_linear": marked("Type II sums of squares; each factor is adjusted for the others."),
     "sample_sizes": marked("From the smallest difference of two means and the largest standard deviation; size 0.05."),
     "regressions": marked(
-        "Slope in SI units of the parameter per unit of the value. Weighted by the uncertainty of each subject's mean. "
+        "Slope in the unit of the parameter per unit of the value. Weighted by the uncertainty of each subject's mean. "
         "Equal variances: Breusch and Pagan."
     ),
     "partial_least_squares": marked(
         "Components by cross-validation, p-value by permutations, each with its own components. "
         "Q²: share of the variance of held-out subjects that is predicted."
     ),
-    "efficacy": marked(
-        "Difference after less before, paired by subject; effect size: Cohen's d. Equivalence: two one-sided tests."
-    ),
+    "efficacy": marked("Difference to the reference, paired by subject; effect size: Cohen's d."),
     "materials": marked(
         "Analysis of variance over the tests, Welch's form where the variances differ. The last column is the number "
         "of other materials from which this one differs (Tukey, 5 % for all pairs together)."
@@ -92,7 +90,7 @@ _NOTES = {
         "text and are interchanged here. Seven subjects reproduce the four printed p-values."
     ),
 }
-_COLUMNS: Mapping[str, str] = {
+COLUMNS: Mapping[str, str] = {
     "site": marked("Site"),
     "factor": marked("Quantity or group"),
     "response": marked("Quantity or group"),
@@ -101,14 +99,7 @@ _COLUMNS: Mapping[str, str] = {
     "reference": marked("Reference"),
     "before": marked("Reference"),
     "after": marked("Condition"),
-    "subjects": marked("Subjects"),
-    "left_out": marked("Left out"),
-    "tests": marked("Tests"),
-    "groups": marked("Groups"),
     "mean": marked("Mean"),
-    "std": marked("Standard deviation"),
-    "between_std": marked("Between subjects"),
-    "within_std": marked("Within a subject"),
     "individual_cv": marked("Individual CV"),
     "population_cv": marked("Population CV"),
     "icc": marked("ICC(A,1)"),
@@ -124,9 +115,14 @@ _COLUMNS: Mapping[str, str] = {
     "p_corrected": marked("p corrected"),
     "p_weighted": marked("p weighted"),
     "equivalence_p_value": marked("p of equivalence"),
+    "std": marked("Standard deviation"),
+    "between_std": marked("Between subjects"),
+    "within_std": marked("Within a subject"),
+    "subjects": marked("Subjects"),
+    "left_out": marked("Left out"),
+    "tests": marked("Tests"),
+    "groups": marked("Groups"),
     "method": marked("Method"),
-    "normal": marked("Normal residuals"),
-    "equal_variances": marked("Equal variances"),
     "participants_80": marked("80 %"),
     "participants_90": marked("90 %"),
     "detectable": marked("Detectable"),
@@ -148,12 +144,40 @@ _IN_UNITS = (
     "between_std",
     "within_std",
     "difference",
+    "slope",
     "minimal_detectable_change",
     "anterior",
     "posterior",
     "thesis_anterior",
     "thesis_posterior",
 )
+ABOUT = ("site", "factor", "response", "parameter", "level", "reference", "before", "after")
+"""Columns that say what a row is about; they come first."""
+_ONCE = (
+    "reference",
+    "before",
+    "after",
+    "subjects",
+    "left_out",
+    "tests",
+    "groups",
+    "components",
+    "detectable",
+    "method",
+    "converged",
+)
+"""Columns that stand in the note of a table if all rows have the same value."""
+_BY_FACTOR = ("groups", "sample_sizes", "regressions")
+"""Statistics that have a table for each factor."""
+_MARKS: Mapping[str, tuple[str, str, str]] = {
+    "normal": (
+        "*",
+        marked("the residuals are not normal (Shapiro and Wilk, 5 %)."),
+        marked("Where there are fewer than four values, it is not tested whether the residuals are normal."),
+    ),
+    "equal_variances": ("†", marked("the variances differ."), ""),
+}
+"""Marks of a p-value whose assumption does not hold, what they mean, and what it means if it was not tested."""
 _P_VALUES = ("p_value", "p_corrected", "p_weighted", "equivalence_p_value")
 _INTERVALS = {
     "individual_cv": ("individual_cv_low", "individual_cv_high"),
@@ -167,12 +191,49 @@ _INTERVALS = {
 _METHODS = {"anova": marked("analysis of variance"), "welch": marked("Welch")}
 
 
-def study_table(key: str, rows: pd.DataFrame) -> Table:
-    """Return one table of statistics, or of the thesis beside them, for people; ``key`` is its key."""
-    columns = [name for name in _COLUMNS if name in rows and not (key == "materials" and name == "p_weighted")]
-    head = tuple(_(_COLUMNS[name]) for name in columns)
-    cells = tuple(tuple(_cell(row, name) for name in columns) for row in rows.to_dict("records"))
-    return Table(_(HEADINGS[key]), head, cells, _(_NOTES[key]))
+def study_tables(key: str, rows: pd.DataFrame) -> list[Table]:
+    """Return the tables of one kind of statistics, or of the thesis beside them, for people: one for each factor."""
+    factors = list(rows["factor"].unique()) if key in _BY_FACTOR else []
+    if len(factors) < 2:
+        return [study_table(key, rows)]
+    return [
+        study_table(key, rows[rows["factor"] == one], f"{_(HEADINGS[key])}: {_(label_and_unit(str(one))[0])}")
+        for one in factors
+    ]
+
+
+def study_table(key: str, rows: pd.DataFrame, caption: str = "") -> Table:
+    """Return one table; ``key`` is its kind, ``caption`` another heading, which names the factor."""
+    left_out = {"materials": "p_weighted", "sites": "factor"}.get(key)  # which says nothing there
+    columns = [name for name in COLUMNS if name in rows and name != left_out]
+    if caption and "factor" in columns:
+        columns.remove("factor")
+    lines = [{name: _cell(row, name) for name in columns} for row in rows.to_dict("records")]
+    same = [name for name in _ONCE if name in columns and len({line[name] for line in lines}) == 1 < len(lines)]
+    columns = [name for name in columns if name not in same]
+    head = tuple(_(COLUMNS[name]) for name in columns)
+    cells = tuple(tuple(line[name] for name in columns) for line in lines)
+    note = " ".join([_(_NOTES[key]), *_assumptions(rows)])
+    if same:
+        values = "; ".join(f"{_(COLUMNS[name])}: {lines[0][name]}" for name in same)
+        note += " " + _("The same in all rows: {values}.").format(values=values)
+    if "margin" in rows:
+        margin = _("Equivalence: two one-sided tests with a margin of {percent} % of the mean under the reference.")
+        note += " " + margin.format(percent=number(100.0 * float(rows["margin"].iloc[0]), 3))
+    return Table(caption or _(HEADINGS[key]), head, cells, note)
+
+
+def _assumptions(rows: pd.DataFrame) -> list[str]:
+    """Return what the marks of p-values mean, and whether the normality of residuals could be tested."""
+    notes = []
+    for name, (mark, text, untested) in _MARKS.items():
+        if name not in rows:
+            continue
+        if rows[name].eq(False).any():
+            notes.append(f"{mark}: {_(text)}")
+        if untested and rows[name].isna().any():
+            notes.append(_(untested))
+    return notes
 
 
 def _cell(row: Mapping[str, Any], name: str) -> str:
@@ -182,16 +243,19 @@ def _cell(row: Mapping[str, Any], name: str) -> str:
     if isinstance(value, bool):
         return _("yes") if value else _("no")
     if name == "parameter":
-        return axis_label(str(value), display_unit(label_and_unit(str(value))[1])[0])
+        return axis_label(str(value), parameter_axis(str(value))[0].unit)
+    if name in ("before", "after") and not value:
+        return _(NO_CONDITION)
     if name in ("factor", "response"):
         return _(label_and_unit(str(value))[0])
     if name == "method":
         return _(_METHODS[str(value)])
     if isinstance(value, str):
         return _("mean") if name == "site" and value == MEAN_SITE else value
-    scale = display_unit(label_and_unit(str(row["parameter"]))[1])[1] if name in _IN_UNITS else 1.0
+    scale = parameter_axis(str(row["parameter"]))[1] if name in _IN_UNITS else 1.0
     if name in _P_VALUES or (name == "thesis" and "response" in row):
-        return "< 0.0005" if value < 0.0005 else f"{value:.3f}"
+        marks = "".join(mark for key, (mark, *_rest) in _MARKS.items() if name == "p_value" and _is_false(row.get(key)))
+        return ("< 0.0005" if value < 0.0005 else f"{value:.3f}") + marks
     text = "∞" if math.isinf(value) else number(float(value) * scale, 3)
     if f"{name}_std" in row:
         return f"{text} ± {number(float(row[name + '_std']) * scale, 2)}"
@@ -199,6 +263,10 @@ def _cell(row: Mapping[str, Any], name: str) -> str:
     if low is not None and high is not None and math.isfinite(low) and math.isfinite(high):
         text += f" [{number(low * scale, 3)}, {number(high * scale, 3)}]"
     return text
+
+
+def _is_false(value: Any) -> bool:
+    return value is not None and value == False  # noqa: E712 # numpy's too, and not that of a missing value
 
 
 def left_out_table(rows: pd.DataFrame) -> Table:

@@ -256,7 +256,7 @@ def efficacy(
     Returns:
         columns ``site``, ``parameter``, ``before``, ``after``, ``subjects``, ``difference``, ``std``, ``low``,
         ``high``, ``effect_size``, ``p_value``, ``p_corrected``, ``normal`` (differences) and, with a margin,
-        ``equivalence_p_value`` of two one-sided tests (Schuirmann 1987).
+        ``margin`` and ``equivalence_p_value`` of two one-sided tests (Schuirmann 1987).
     """
     rows = []
     for site, tests in means.groupby("site", sort=True):
@@ -273,6 +273,7 @@ def efficacy(
             row |= paired_difference(first, second)
             row["normal"] = _normal(second - first)
             if margin is not None:
+                row["margin"] = margin
                 bound = abs(margin * first.mean())
                 row["equivalence_p_value"] = float(ttost_paired(second, first, -bound, bound)[0])
             rows.append(row)

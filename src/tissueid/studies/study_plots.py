@@ -7,18 +7,30 @@ import textwrap
 import numpy as np
 import pandas as pd
 
-from tissueid.analysis.curves.plot import CONFIDENCE, Axis, Bars, Curve, Plot
+from tissueid.analysis.curves.plot import CONFIDENCE, Axis, Bars, Curve, Kind, Plot
 from tissueid.formatting import label_and_unit
 from tissueid.language import _, marked
 from tissueid.messages import Verbatim
 from tissueid.studies.study_table import DEMOGRAPHICS, MATERIAL
 from tissueid.units import display_unit
 
-COLOURS = ("measured", "model", "depth-1", "depth-5", "depth-9", "muted")
+COLOURS = ("measured", "model", "good", "poor", "check", "text")
 """Roles of the colours of sites or groups."""
+_MARKERS = ("o", "s", "^", "D", "v")
+"""Shapes of the points of sites or groups; with the colours they are 30 pairs before one occurs again."""
+_LINES: tuple[Kind, ...] = ("line", "dotted")
+_MATERIAL_LINES: tuple[Kind, ...] = ("dashed", "dashdot")
+"""Kinds of lines of sites and of materials: the second where the colours of the first are used up."""
+NO_CONDITION = marked("without")
+"""Name of the condition of tests without a product."""
 _LARGEST_FORCE_N = 12.0
-_MOST_SUBJECTS_NAMED = 5
+_SUBJECT_LETTERS = 46
+"""Letters of the names of subjects that fit below a figure of half the width of a page."""
 _TICK_LETTERS = 11
+_SMALL = {"scaled_damping_s": ("ms", 1e3), "scaled_mass_s2": ("ms²", 1e6)}
+"""Units of parameters whose values in SI are small, and their factors from SI."""
+_POINTS_AT, _MEAN_AT = -0.12, 0.14
+"""Places of the single points and of the mean with its bar, relative to the tick of their group."""
 
 
 def parameter_axis(name: str) -> tuple[Axis, float]:
@@ -26,7 +38,7 @@ def parameter_axis(name: str) -> tuple[Axis, float]:
     label, unit = label_and_unit(name)
     if name in DEMOGRAPHICS:  # of a person, not of tissue
         return Axis(label, unit), 1.0
-    shown, factor = display_unit(unit)
+    shown, factor = _SMALL.get(name) or display_unit(unit)
     return Axis(label, shown), factor
 
 
@@ -41,9 +53,10 @@ def subjects_plot(table: pd.DataFrame, name: str) -> Plot:
         mean, std = groups.mean() * factor, groups.std(ddof=1).fillna(0.0) * factor
         x = np.array([subjects.index(who) + 1.0 for who in mean.index]) + _offset(place, len(sites))
         y, half = mean.to_numpy(), std.to_numpy()
-        parts.append(Curve(x, y, Verbatim(str(site)), _colour(place), "bars", y - half, y + half))
-    every = -(-len(subjects) // _MOST_SUBJECTS_NAMED)
-    ticks = tuple((k + 1.0, Verbatim(str(subjects[k]))) for k in range(0, len(subjects), every))
+        parts.append(_bars(x, y, half, str(site), place))
+    letters = sum(len(str(who)) + 1 for who in subjects)
+    every = -(-letters // _SUBJECT_LETTERS)
+    ticks = tuple((k + 1.0, Verbatim("" if k % every else str(who))) for k, who in enumerate(subjects))
     return Plot(marked("Mean and standard deviation of each subject"), Axis("Subject", ticks=ticks), axis, tuple(parts))
 
 
@@ -70,9 +83,7 @@ def groups_plot(means: pd.DataFrame, factor: str, name: str) -> Plot:
                 y.append(values.mean())
                 half.append(CONFIDENCE * values.std(ddof=1) / np.sqrt(len(values)) if len(values) > 1 else 0.0)
         centre, reach = np.array(y), np.array(half)
-        parts.append(
-            Curve(np.array(x), centre, Verbatim(level), _colour(place), "bars", centre - reach, centre + reach)
-        )
+        parts.append(_bars(np.array(x), centre, reach, level, place))
     ticks = tuple((k + 1.0, _in_lines(str(site))) for k, site in enumerate(sites))
     return Plot(marked("Groups by site"), Axis("Site", ticks=ticks), axis, tuple(parts))
 
@@ -87,14 +98,15 @@ def regression_plot(means: pd.DataFrame, regressor: str, name: str, rows: pd.Dat
         x = own[regressor].to_numpy(float)
         if not x.size:
             continue
-        parts.append(
-            Curve(x * factor, own[name].to_numpy() * scale, Verbatim(str(site)), _colour(place), "points", width=1.8)
-        )
+        points = x * factor, own[name].to_numpy() * scale
+        marker = _MARKERS[place % len(_MARKERS)]
+        parts.append(Curve(*points, Verbatim(str(site)), _colour(place), "points", marker=marker))
         line = rows[(rows["site"] == str(site)) & (rows["parameter"] == name) & (rows["factor"] == regressor)]
         if len(line):
             ends = np.array([x.min(), x.max()])
             fitted = line["intercept"].iloc[0] + line["slope"].iloc[0] * ends
-            parts.append(Curve(ends * factor, fitted * scale, "", _colour(place)))
+            kind = _LINES[place // len(COLOURS) % len(_LINES)]
+            parts.append(Curve(ends * factor, fitted * scale, "", _colour(place), kind))
     return Plot(marked("Regression on a value of the subjects"), abscissa, axis, tuple(parts))
 
 
@@ -143,16 +155,24 @@ def materials_plot(samples: pd.DataFrame, means: pd.DataFrame, name: str) -> Plo
 
 def conditions_plot(means: pd.DataFrame, before: str, name: str) -> Plot:
     """Return the relative change under each condition of each subject and on average, by site (Figs. 7.21, 7.22)."""
-    groups: dict[str, np.ndarray] = {}
+    groups: dict[tuple[str, str], np.ndarray] = {}
     wide = means.pivot_table(index=["site", "subject"], columns="condition", values=name)
     if before in wide:
         for condition in wide.columns.drop(before):
             pairs = wide[[before, condition]].dropna()
             for site, own in pairs.groupby(level="site"):
                 change = 100.0 * (own[condition] / own[before] - 1.0)
-                groups[f"{condition}, {site}"] = change.to_numpy()
+                groups[str(condition) or _(NO_CONDITION), str(site)] = change.to_numpy()
+    conditions, sites = ({key[place] for key in groups} for place in (0, 1))
+    label = _("Condition")
+    if len(conditions) == 1:  # what all groups share stands in the label
+        label, named = f"{label}: {conditions.pop()}", {site: values for (_condition, site), values in groups.items()}
+    elif len(sites) == 1:
+        label, named = f"{label}, {sites.pop()}", {condition: values for (condition, _site), values in groups.items()}
+    else:
+        named = {"; ".join(key): values for key, values in groups.items()}
     shown = Axis(label_and_unit(name)[0], "%", zero=True)
-    return _groups_plot(marked("Change from the reference"), marked("Condition"), shown, groups)
+    return _groups_plot(marked("Change from the reference"), Verbatim(label), shown, named)
 
 
 def nonlinearity_plot(means: pd.DataFrame, samples: pd.DataFrame) -> Plot:
@@ -164,10 +184,13 @@ def nonlinearity_plot(means: pd.DataFrame, samples: pd.DataFrame) -> Plot:
     """
     force = np.linspace(0.0, _LARGEST_FORCE_N, 61)
     parts = []
-    found = [*means.groupby("site", sort=True), *(samples.groupby(MATERIAL, sort=True) if len(samples) else ())]
-    for place, (key, rows) in enumerate(found):
-        c1, c2 = float(rows["c1_m"].mean()), float(rows["c2_per_n"].mean())
-        parts.append(Curve(force, 1e3 * c1 * (1.0 - np.exp(-c2 * force)), Verbatim(str(key)), _colour(place)))
+    materials = list(samples.groupby(MATERIAL, sort=True)) if len(samples) else []
+    for groups, kinds in ((list(means.groupby("site", sort=True)), _LINES), (materials, _MATERIAL_LINES)):
+        for place, (key, rows) in enumerate(groups):
+            c1, c2 = float(rows["c1_m"].mean()), float(rows["c2_per_n"].mean())
+            kind = kinds[place // len(COLOURS) % len(kinds)]
+            depth = 1e3 * c1 * (1.0 - np.exp(-c2 * force))
+            parts.append(Curve(force, depth, Verbatim(str(key)), _colour(place), kind))
     return Plot(
         marked("Static nonlinearity of the mean parameters"),
         Axis(marked("Static force"), "N"),
@@ -181,13 +204,22 @@ def _groups_plot(title: str, label: str, axis: Axis, groups: dict[str, np.ndarra
     for place, values in enumerate(groups.values()):
         if not len(values):
             continue
-        spread = place + 1.0 + 0.3 * (np.linspace(-1.0, 1.0, len(values)) if len(values) > 1 else np.zeros(1))
-        parts.append(Curve(spread, values, "", "muted", "points", width=1.4, opacity=0.7))
+        reach = min(0.18, 0.03 * len(values))
+        spread = np.linspace(-reach, reach, len(values)) if len(values) > 1 else np.zeros(1)
+        x = place + 1.0 + _POINTS_AT + spread
+        parts.append(Curve(x, values, "", "muted", "circles", width=0.8))
         half = values.std(ddof=1) if len(values) > 1 else 0.0
         mean = np.array([values.mean()])
-        parts.append(Curve(np.array([place + 1.0]), mean, "", "model", "bars", mean - half, mean + half, width=1.4))
+        x = np.array([place + 1.0 + _MEAN_AT])
+        parts.append(Curve(x, mean, "", "model", "bars", mean - half, mean + half, width=1.2))
     ticks = tuple((k + 1.0, _in_lines(site)) for k, site in enumerate(groups))
-    return Plot(title, Axis(label, ticks=ticks), axis, tuple(parts))
+    limits = (0.4, len(groups) + 0.6) if groups else None
+    return Plot(title, Axis(label, ticks=ticks, limits=limits), axis, tuple(parts))
+
+
+def _bars(x: np.ndarray, y: np.ndarray, half: np.ndarray, name: str, place: int) -> Curve:
+    marker = _MARKERS[place % len(_MARKERS)]
+    return Curve(x, y, Verbatim(name), _colour(place), "bars", y - half, y + half, marker=marker)
 
 
 def _in_lines(name: str) -> Verbatim:

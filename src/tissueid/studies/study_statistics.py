@@ -22,7 +22,7 @@ from tissueid.studies.group_comparison import (
 from tissueid.studies.multivariate import partial_least_squares
 from tissueid.studies.repeatability import first_test, reliability, variation
 from tissueid.studies.sample_size import sample_sizes
-from tissueid.studies.study_table import MATERIAL, as_json_rows
+from tissueid.studies.study_table import MATERIAL, SIMULATED, as_json_rows
 from tissueid.studies.thesis_tables import thesis_tables
 from tissueid.studies.usable_tests import has_groups, has_values, parameters_used, usable_tests
 
@@ -50,10 +50,17 @@ class StudyStatistics:
     samples: pd.DataFrame = field(default_factory=pd.DataFrame)
     thesis: dict[str, pd.DataFrame] = field(default_factory=dict)
 
+    @property
+    def simulated_tests(self) -> int:
+        """Number of tests that count and that a simulation recorded."""
+        tables = (self.used, self.samples)
+        return sum(int(table[SIMULATED].eq(True).sum()) for table in tables if SIMULATED in table)
+
     def as_answer(self) -> dict[str, Any]:
         """Return the statistics for JSON."""
         return {
             "tests": len(self.used),
+            "simulated_tests": self.simulated_tests,
             "subjects": int(self.used["subject"].nunique()),
             "sites": sorted(map(str, self.used["site"].unique())),
             "parameters": list(self.parameters),

@@ -28,6 +28,7 @@ DESCRIPTION = (
     "configuration",
     "coupling",
     "orientation_deg",
+    "simulated",
     "kind",
     "status",
     "quality",
@@ -52,6 +53,8 @@ DEMOGRAPHICS = (
     "skin_conditions",
     "material",
 )
+SIMULATED = "simulated"
+"""Column that says whether a simulation recorded the test."""
 MATERIAL = "material"
 """Column of a sample's material; a row with one is of a sample, not of a person."""
 AGE_LIMIT_YEARS = 25.0

@@ -72,7 +72,7 @@ class FiguresTab(QWidget):
 
     def show_statistics(self, found: StudyStatistics) -> None:
         """Offer the figures of the statistics; the chosen kind and parameter stay if they are there."""
-        from tissueid.reports.study import study_plots
+        from tissueid.reports.study import simulated_line, study_plots
 
         title = self.kind.currentText()
         self.figures = [(heading, plots) for _key, heading, plots in study_plots(found) if plots]
@@ -83,7 +83,8 @@ class FiguresTab(QWidget):
         self.kind.setCurrentIndex(max(0, self.kind.findText(title)))
         self.kind.blockSignals(False)
         self.kind.setEnabled(bool(self.figures))
-        remarks = [translated(remark) for remark in found.remarks]
+        simulated = simulated_line(found)
+        remarks = [*([simulated] if simulated else []), *(translated(remark) for remark in found.remarks)]
         more = [_("and {count} more: see the report").format(count=len(remarks) - _MOST_REMARKS)]
         shown = remarks[:_MOST_REMARKS] + (more if len(remarks) > _MOST_REMARKS else [])
         self.remarks.setText("\n".join(shown))
