@@ -36,8 +36,6 @@ from tissueid.procedures.test_plan import TestPlan
 from tissueid.procedures.test_run import TestControl, run_test
 
 _MEASURING = marked("Measuring the simulated population")
-SCALING = ("scaling=1000",)
-"""Stiffness of the linear stage in the thesis, 1000 N/m."""
 MARGIN = 0.1
 """Relative margin of equivalence of the lotions, chosen."""
 
@@ -96,9 +94,7 @@ def run_population(plan: PopulationPlan, control: Control) -> StudyReport:
     done = CountedProgress(control, _MEASURING, len(series))
     with executor(plan.workers) as pool:
         pool.do(functools.partial(measure_series, plan), series, control.check, done)
-    report = StudyReportPlan(
-        folder=plan.out, workers=plan.workers, options=SCALING, margin=MARGIN, pdf=plan.out / "report.pdf"
-    )
+    report = StudyReportPlan(folder=plan.out, workers=plan.workers, margin=MARGIN, pdf=plan.out / "report.pdf")
     return report_study(report, control)
 
 
