@@ -61,13 +61,16 @@ def folder(tmp_path_factory):
     return path
 
 
-def apply_lotion(folder, subjects):
+def apply_lotion(folder, subjects, repeats=1):
     """Write a second session per subject at the arm, under a lotion that softens the skin by a tenth."""
     for who in range(subjects):
-        test = make_test(1, seconds=1.0, seed=10 * who + 1)
-        scale = 0.9 * (1.0 + 0.05 * who)
-        signals = test.signals | {"position": test.signals["position"] / scale}
-        made = make_session(replace(test, site="arm", signals=signals, notes={"condition": "lotion"}))
+        tests = []
+        for number in range(1, repeats + 1):
+            test = make_test(number, seconds=1.0, seed=10 * who + number)
+            scale = 0.9 * (1.0 + 0.05 * who)
+            signals = test.signals | {"position": test.signals["position"] / scale}
+            tests.append(replace(test, site="arm", signals=signals, notes={"condition": "lotion"}))
+        made = make_session(*tests)
         write_session(folder / f"P{who}-lotion.h5", replace(made, subject=Subject(f"P-{who}"), session_id=f"{who}-l"))
 
 
@@ -164,6 +167,17 @@ def test_a_condition_is_compared_within_subjects(tmp_path):
     assert row["p_value"] < 0.01
     assert row["equivalence_p_value"] < 0.05
     assert found.tables["variation"].set_index("site").loc["arm", "tests"].iloc[0] == SUBJECTS * REPEATS
+
+
+def test_the_table_of_the_shell_has_each_condition_apart(tmp_path, capsys):
+    fill(tmp_path / "s", subjects=2)
+    apply_lotion(tmp_path / "s", 2, repeats=2)
+    assert main(["study", "table", str(tmp_path / "s"), "--engine", "lms", "--workers", "1", "--json", "-"]) == 0
+    rows = json.loads(capsys.readouterr().out)["rows"]
+    tests = {(row["site"], row["condition"]): row["tests"] for row in rows}
+    assert tests == {("arm", ""): 4, ("leg", ""): 4, ("arm", "lotion"): 4}
+    assert main(["study", "table", str(tmp_path / "s"), "--engine", "lms", "--workers", "1"]) == 0
+    assert "lotion" in capsys.readouterr().out
 
 
 @pytest.mark.parametrize(

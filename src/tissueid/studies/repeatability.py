@@ -61,6 +61,17 @@ def variation(table: pd.DataFrame, parameters: Sequence[str]) -> pd.DataFrame:
     return pd.DataFrame(rows)
 
 
+def variation_by_condition(table: pd.DataFrame, parameters: Sequence[str]) -> pd.DataFrame:
+    """Return ``variation`` of the tests under each condition, with the column ``condition`` ("" without one)."""
+    found = []
+    for condition, tests in table.groupby(table["condition"].fillna(""), sort=True):
+        rows = variation(tests, parameters)
+        if not rows.empty:
+            rows.insert(1, "condition", str(condition))
+            found.append(rows)
+    return pd.concat(found, ignore_index=True) if found else pd.DataFrame()
+
+
 def reliability(table: pd.DataFrame, parameters: Sequence[str]) -> pd.DataFrame:
     """Return the intraclass correlation and the minimal detectable change.
 

@@ -73,8 +73,8 @@ SUBGROUP = {
 """Table 7.5: mean and standard deviation at the anterior and at the posterior site, and p, SI.
 
 The thesis prints mass and damping of a linear stage of 1000 N/m (and depths in mm); divided by it they are ``mass /
-stiffness`` and ``damping / stiffness``, as the engine reports them. The heads of the printed columns contradict the text
-(anterior larger in all four) and are taken as interchanged.
+stiffness`` and ``damping / stiffness``, as the engine reports them. The heads of the printed columns contradict the
+text (anterior larger in all four) and are taken as interchanged.
 """
 MEAN_SITE = "mean"
 """Site of a row with the mean of the sites."""
