@@ -216,13 +216,37 @@ def test_from_the_shell(folder, capsys):
 
 def test_missing_demographics_and_one_group_are_stated(tmp_path):
     fill(tmp_path / "s", subjects=3)
-    (tmp_path / "s" / SUBJECTS_FILE).write_text("subject,gender,age_years\nP-0,female,30\nP-1,female,\n")
+    apply_lotion(tmp_path / "s", subjects=1)
+    (tmp_path / "s" / SUBJECTS_FILE).write_text("subject,gender,age_years,shoe\nP-0,female,30,\nP-1,female,,\n")
     plan = StudyReportPlan(folder=tmp_path / "s", engine="lms", workers=1, factors=("gender", "shoe"), after="lotion")
     found = report_study(plan, Control())
     codes = {remark.code for remark in found.statistics.remarks}
     assert codes >= {"study.one_group", "study.no_column", "study.too_few_values", "study.no_pairs"}
     assert not found.statistics.tables.get("groups", pd.DataFrame()).size
     assert np.isfinite(found.statistics.tables["variation"]["individual_cv"]).all()
+
+
+@pytest.mark.parametrize(
+    ("option", "code", "known"),
+    [
+        (("--factor", "shoe"), "study.unknown_column", "gender"),
+        (("--regress", "shoe"), "study.unknown_column", "age_years"),
+        (("--after", "cream"), "study.unknown_condition", ""),
+        (("--before", "cream"), "study.unknown_condition", ""),
+    ],
+)
+def test_an_unknown_column_or_condition_is_refused_with_the_known_ones(folder, run, capsys, option, code, known):
+    before = {path: path.stat().st_mtime_ns for path in (folder / RESULTS).glob("report.html")}
+    assert main(["study", "report", str(folder), "--engine", "lms", "--workers", "1", *option]) == 2
+    said = capsys.readouterr().err
+    assert option[1] in said
+    assert known in said
+    assert len(said.splitlines()) == 1
+    assert {path: path.stat().st_mtime_ns for path in (folder / RESULTS).glob("report.html")} == before
+    plan = {"--factor": "factors", "--regress": "regressors", "--after": "after", "--before": "before"}[option[0]]
+    value = (option[1],) if plan in ("factors", "regressors") else option[1]
+    with pytest.raises(UnusableInputError, check=coded(code)):
+        report_study(StudyReportPlan(folder=folder, engine="lms", workers=1, **{plan: value}), Control())
 
 
 def test_sessions_by_an_address_of_fsspec(folder, run, tmp_path):

@@ -17,6 +17,10 @@ from statsmodels.stats.anova import anova_lm
 
 CONFIDENCE = 0.95
 RESAMPLES = 2000
+LEAST_COMPLETE = 3
+"""Least number of subjects with the same repeats for an intraclass correlation."""
+LEAST_FIRST = 3
+"""Least number of series of two tests or more for a comparison of the first test with the later ones."""
 _SEED = 0
 ALL_SITES = "all"
 """Value of the column ``site`` where the sites are taken together."""
@@ -88,7 +92,7 @@ def reliability(table: pd.DataFrame, parameters: Sequence[str]) -> pd.DataFrame:
         wide = tests.pivot_table(index="subject", columns="repeat", values=name)
         complete = wide.dropna()
         subjects, repeats = complete.shape
-        if subjects < 3 or repeats < 2:
+        if subjects < LEAST_COMPLETE or repeats < 2:
             continue
         icc, low, high = absolute_agreement(complete.to_numpy())
         error = float(complete.to_numpy().std(ddof=1)) * np.sqrt(max(1.0 - icc, 0.0))
@@ -144,7 +148,7 @@ def first_test(table: pd.DataFrame, parameters: Sequence[str]) -> pd.DataFrame:
             for _who, group in tests.sort_values("repeat").groupby(["subject", "site"])
             if len(values := group[name]) > 1
         ]
-        if len(pairs) < 3:
+        if len(pairs) < LEAST_FIRST:
             continue
         first, later = np.array(pairs).T
         row = paired_difference(first, later)
