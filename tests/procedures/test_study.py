@@ -13,7 +13,7 @@ from tissueid.cli import main
 from tissueid.errors import CancelledError, UnusableInputError
 from tissueid.procedures.control import Control
 from tissueid.procedures.simulated_population import MATERIALS, population, sample_name, subjects_file
-from tissueid.procedures.study_demo import PopulationPlan, Series, measure_series
+from tissueid.procedures.study_demo import PopulationPlan, Series, measure_series, run_population
 from tissueid.procedures.study_plans import RESULTS, SUBJECTS_FILE, StudyPlan, StudyReportPlan
 from tissueid.procedures.study_report import report_study
 from tissueid.procedures.study_run import run_study
@@ -289,6 +289,61 @@ def test_the_simulated_population_has_its_effects_and_one_stimulus(tmp_path):
     read = read_subjects(path).set_index("subject")
     assert read["material"].dropna().tolist() == list(MATERIALS)
     assert read.loc[person.pseudonym, "gender"] == "male"
+
+
+def test_an_interrupted_population_continues_in_its_own_folder(tmp_path, monkeypatch):
+    reported = []
+    monkeypatch.setattr("tissueid.procedures.study_demo.report_study", lambda plan, _control: reported.append(plan))
+    plan = PopulationPlan(out=tmp_path / "p", subjects=2, repeats=2, seconds=1.0, products=False, workers=1)
+
+    class Impatient(Control):
+        looks = 0
+
+        def cancelled(self):
+            self.looks += 1
+            return self.looks > 3
+
+    with pytest.raises(CancelledError):
+        run_population(plan, Impatient())
+    first = {path: path.stat().st_mtime_ns for path in plan.out.glob("*.h5")}
+    assert len(first) == 3
+    assert not reported
+    with pytest.raises(UnusableInputError, check=coded("study.other_population")):
+        run_population(plan.model_copy(update={"seed": 1}), Control())
+    missing = plan.out / "P-002 right posterior forearm.h5"
+    missing.with_name(missing.name + ".journal").write_bytes(b"of a process that was ended")
+    run_population(plan, Control())
+    assert len(list(plan.out.glob("*.h5"))) == 8
+    assert missing.is_file()
+    assert not list(plan.out.glob("*.journal"))
+    assert {path: path.stat().st_mtime_ns for path in first} == first
+    table = run_study(reported[0], Control()).table
+    assert table["scaled_mass_s2"].to_numpy() == pytest.approx(
+        (table["mass_kg"] / table["stiffness_n_per_m"]).to_numpy(), rel=1e-6
+    )
+
+
+def test_other_folders_are_no_population(tmp_path):
+    for content in ("{", "[]", '{"made_by": "somebody"}'):
+        (tmp_path / "population.json").write_text(content)
+        with pytest.raises(UnusableInputError, check=coded("study.folder_used")):
+            run_population(PopulationPlan(out=tmp_path), Control())
+        assert [path.name for path in tmp_path.iterdir()] == ["population.json"]
+
+
+def test_an_interrupted_series_leaves_no_session(tmp_path, monkeypatch):
+    plan = PopulationPlan(out=tmp_path, subjects=2, repeats=2, seconds=1.0, workers=1)
+    calls = []
+
+    def interrupted(_control):
+        calls.append(1)
+        if len(calls) > 600:
+            raise KeyboardInterrupt
+
+    monkeypatch.setattr("tissueid.procedures.test_run.TestControl.check", interrupted)
+    with pytest.raises(KeyboardInterrupt):
+        measure_series(plan, Series(sample_name("latex"), "latex", 1))
+    assert not list(tmp_path.iterdir())
 
 
 def test_a_material_is_measured_and_reported(tmp_path):
