@@ -14,7 +14,7 @@ from tissueid.errors import CancelledError, UnusableInputError
 from tissueid.procedures.control import Control
 from tissueid.procedures.simulated_population import MATERIALS, population, sample_name, subjects_file
 from tissueid.procedures.study_demo import PopulationPlan, Series, measure_series, run_population
-from tissueid.procedures.study_plans import RESULTS, SUBJECTS_FILE, StudyPlan, StudyReportPlan
+from tissueid.procedures.study_plans import NOT_ANALYSED_FILE, RESULTS, SUBJECTS_FILE, StudyPlan, StudyReportPlan
 from tissueid.procedures.study_report import report_study
 from tissueid.procedures.study_run import run_study
 from tissueid.reports.study import study_html
@@ -103,7 +103,9 @@ def test_what_has_not_changed_is_not_analysed_again(run, folder):
     changed.write_bytes(b"rubbish" * 99)
     found = run_study(plan_of(folder), Control())
     assert found.analysed == 1
-    assert list(found.failures) == ["P0-arm.h5"]
+    assert found.failures == {"P0-arm.h5": "is damaged, or not an HDF5 session"}
+    written = pd.read_csv(folder / RESULTS / NOT_ANALYSED_FILE)
+    assert written[["session", "reason"]].to_numpy().tolist() == [list(item) for item in found.failures.items()]
     assert len(found.table) == len(run.table) - REPEATS
     changed.write_bytes(content)
     again = run_study(plan_of(folder), Control())

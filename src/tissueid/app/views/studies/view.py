@@ -230,6 +230,7 @@ class StudiesView(View):
     def _broke(self, words: str) -> None:
         self._over()
         self._failed(words)
+        self._changed = True  # a run without a usable session leaves the reason of each
 
     def _failed(self, words: str) -> None:
         self.context.say_failed(words)
