@@ -246,6 +246,8 @@ def test_a_bad_protocol_is_stated_on_the_page(qtbot, window, folder):
     (folder / PROTOCOL_FILE).write_text(json.dumps({"name": "x", "sites": []}))
     page = opened(qtbot, window, folder)
     assert shows(page.asking.protocol.text(), "protocol.no_site")
+    assert shows(window.ui.notice.text.text(), "protocol.no_site")
+    assert "'sites'" in window.ui.notice.text.text()
     assert not page.asking.measure.isVisible()
     assert not page.asking.template.isVisible()
     assert page.data.tests == 3

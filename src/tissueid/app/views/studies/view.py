@@ -242,6 +242,8 @@ class StudiesView(View):
         self.tests.show_study(data)
         if other:
             self.figures.clear()
+            if data.protocol_problem:
+                self.context.say(translated(data.protocol_problem), problem=True)
 
     def _analysed(self, data: StudyData) -> None:
         self._opened(data)
