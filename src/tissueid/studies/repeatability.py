@@ -30,8 +30,8 @@ def variation(table: pd.DataFrame, parameters: Sequence[str]) -> pd.DataFrame:
     """Return coefficients of variation within and between subjects.
 
     The individual one is the standard deviation over the tests of a subject divided by their mean, averaged over the
-    subjects; the population one is the standard deviation of the subjects' means divided by their mean. A site counts
-    where two subjects or more have two tests or more.
+    subjects; the population one is the standard deviation of the subjects' means divided by their mean. A subject
+    counts with two tests or more.
 
     Returns:
         columns ``site``, ``parameter``, ``subjects``, ``tests``, ``mean``, ``std`` (between subjects),
