@@ -200,17 +200,22 @@ def _mixed(rows: pd.DataFrame, sites: Sequence[str]) -> list[Message]:
             Message("study.few_for_sites", "the sites are not compared: that needs {least} subjects", least=LEAST_MIXED)
         ]
     remarks = []
-    for column, value, code, text in (
-        (
-            "singular",
-            True,
-            "study.singular",
-            "the mixed model of sites finds no variance between subjects, perhaps because there are few: {names}",
-        ),
-        ("converged", False, "study.not_converged", "the mixed model of sites did not converge: {names}"),
-    ):
-        if names := tuple(dict.fromkeys(rows.loc[rows[column] == value, "parameter"])):
-            remarks.append(Message(code, text, names=Listing(names)))
+    if singular := tuple(dict.fromkeys(rows.loc[rows["singular"], "parameter"])):
+        remarks.append(
+            Message(
+                "study.singular",
+                "the mixed model of sites finds no variance between subjects, perhaps because there are few: {names}",
+                names=Listing(singular),
+            )
+        )
+    if unsettled := tuple(dict.fromkeys(rows.loc[~rows["converged"], "parameter"])):
+        remarks.append(
+            Message(
+                "study.not_converged",
+                "the mixed model of sites did not converge: {names}",
+                names=Listing(unsettled),
+            )
+        )
     return remarks
 
 
