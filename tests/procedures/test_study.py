@@ -13,8 +13,8 @@ from tissueid.cli import main
 from tissueid.errors import CancelledError, UnusableInputError
 from tissueid.procedures.control import Control
 from tissueid.procedures.simulated_population import MATERIALS, population, sample_name, subjects_file
-from tissueid.procedures.study_demo import PopulationPlan, Series, measure_series
-from tissueid.procedures.study_plans import RESULTS, SUBJECTS_FILE, StudyPlan, StudyReportPlan
+from tissueid.procedures.study_demo import PopulationPlan, Series, measure_series, run_population
+from tissueid.procedures.study_plans import NOT_ANALYSED_FILE, RESULTS, SUBJECTS_FILE, StudyPlan, StudyReportPlan
 from tissueid.procedures.study_report import report_study
 from tissueid.procedures.study_run import run_study
 from tissueid.reports.study import study_html
@@ -61,13 +61,16 @@ def folder(tmp_path_factory):
     return path
 
 
-def apply_lotion(folder, subjects):
+def apply_lotion(folder, subjects, repeats=1):
     """Write a second session per subject at the arm, under a lotion that softens the skin by a tenth."""
     for who in range(subjects):
-        test = make_test(1, seconds=1.0, seed=10 * who + 1)
-        scale = 0.9 * (1.0 + 0.05 * who)
-        signals = test.signals | {"position": test.signals["position"] / scale}
-        made = make_session(replace(test, site="arm", signals=signals, notes={"condition": "lotion"}))
+        tests = []
+        for number in range(1, repeats + 1):
+            test = make_test(number, seconds=1.0, seed=10 * who + number)
+            scale = 0.9 * (1.0 + 0.05 * who)
+            signals = test.signals | {"position": test.signals["position"] / scale}
+            tests.append(replace(test, site="arm", signals=signals, notes={"condition": "lotion"}))
+        made = make_session(*tests)
         write_session(folder / f"P{who}-lotion.h5", replace(made, subject=Subject(f"P-{who}"), session_id=f"{who}-l"))
 
 
@@ -100,7 +103,9 @@ def test_what_has_not_changed_is_not_analysed_again(run, folder):
     changed.write_bytes(b"rubbish" * 99)
     found = run_study(plan_of(folder), Control())
     assert found.analysed == 1
-    assert list(found.failures) == ["P0-arm.h5"]
+    assert found.failures == {"P0-arm.h5": "is damaged, or not an HDF5 session"}
+    written = pd.read_csv(folder / RESULTS / NOT_ANALYSED_FILE)
+    assert written[["session", "reason"]].to_numpy().tolist() == [list(item) for item in found.failures.items()]
     assert len(found.table) == len(run.table) - REPEATS
     changed.write_bytes(content)
     again = run_study(plan_of(folder), Control())
@@ -166,6 +171,17 @@ def test_a_condition_is_compared_within_subjects(tmp_path):
     assert found.tables["variation"].set_index("site").loc["arm", "tests"].iloc[0] == SUBJECTS * REPEATS
 
 
+def test_the_table_of_the_shell_has_each_condition_apart(tmp_path, capsys):
+    fill(tmp_path / "s", subjects=2)
+    apply_lotion(tmp_path / "s", 2, repeats=2)
+    assert main(["study", "table", str(tmp_path / "s"), "--engine", "lms", "--workers", "1", "--json", "-"]) == 0
+    rows = json.loads(capsys.readouterr().out)["rows"]
+    tests = {(row["site"], row["condition"]): row["tests"] for row in rows}
+    assert tests == {("arm", ""): 4, ("leg", ""): 4, ("arm", "lotion"): 4}
+    assert main(["study", "table", str(tmp_path / "s"), "--engine", "lms", "--workers", "1"]) == 0
+    assert "lotion" in capsys.readouterr().out
+
+
 @pytest.mark.parametrize(
     ("content", "code"),
     [
@@ -202,13 +218,37 @@ def test_from_the_shell(folder, capsys):
 
 def test_missing_demographics_and_one_group_are_stated(tmp_path):
     fill(tmp_path / "s", subjects=3)
-    (tmp_path / "s" / SUBJECTS_FILE).write_text("subject,gender,age_years\nP-0,female,30\nP-1,female,\n")
+    apply_lotion(tmp_path / "s", subjects=1)
+    (tmp_path / "s" / SUBJECTS_FILE).write_text("subject,gender,age_years,shoe\nP-0,female,30,\nP-1,female,,\n")
     plan = StudyReportPlan(folder=tmp_path / "s", engine="lms", workers=1, factors=("gender", "shoe"), after="lotion")
     found = report_study(plan, Control())
     codes = {remark.code for remark in found.statistics.remarks}
     assert codes >= {"study.one_group", "study.no_column", "study.too_few_values", "study.no_pairs"}
     assert not found.statistics.tables.get("groups", pd.DataFrame()).size
     assert np.isfinite(found.statistics.tables["variation"]["individual_cv"]).all()
+
+
+@pytest.mark.parametrize(
+    ("option", "code", "known"),
+    [
+        (("--factor", "shoe"), "study.unknown_column", "gender"),
+        (("--regress", "shoe"), "study.unknown_column", "age_years"),
+        (("--after", "cream"), "study.unknown_condition", ""),
+        (("--before", "cream"), "study.unknown_condition", ""),
+    ],
+)
+def test_an_unknown_column_or_condition_is_refused_with_the_known_ones(folder, run, capsys, option, code, known):
+    before = {path: path.stat().st_mtime_ns for path in (folder / RESULTS).glob("report.html")}
+    assert main(["study", "report", str(folder), "--engine", "lms", "--workers", "1", *option]) == 2
+    said = capsys.readouterr().err
+    assert option[1] in said
+    assert known in said
+    assert len(said.splitlines()) == 1
+    assert {path: path.stat().st_mtime_ns for path in (folder / RESULTS).glob("report.html")} == before
+    plan = {"--factor": "factors", "--regress": "regressors", "--after": "after", "--before": "before"}[option[0]]
+    value = (option[1],) if plan in ("factors", "regressors") else option[1]
+    with pytest.raises(UnusableInputError, check=coded(code)):
+        report_study(StudyReportPlan(folder=folder, engine="lms", workers=1, **{plan: value}), Control())
 
 
 def test_sessions_by_an_address_of_fsspec(folder, run, tmp_path):
@@ -251,6 +291,61 @@ def test_the_simulated_population_has_its_effects_and_one_stimulus(tmp_path):
     read = read_subjects(path).set_index("subject")
     assert read["material"].dropna().tolist() == list(MATERIALS)
     assert read.loc[person.pseudonym, "gender"] == "male"
+
+
+def test_an_interrupted_population_continues_in_its_own_folder(tmp_path, monkeypatch):
+    reported = []
+    monkeypatch.setattr("tissueid.procedures.study_demo.report_study", lambda plan, _control: reported.append(plan))
+    plan = PopulationPlan(out=tmp_path / "p", subjects=2, repeats=2, seconds=1.0, products=False, workers=1)
+
+    class Impatient(Control):
+        looks = 0
+
+        def cancelled(self):
+            self.looks += 1
+            return self.looks > 3
+
+    with pytest.raises(CancelledError):
+        run_population(plan, Impatient())
+    first = {path: path.stat().st_mtime_ns for path in plan.out.glob("*.h5")}
+    assert len(first) == 3
+    assert not reported
+    with pytest.raises(UnusableInputError, check=coded("study.other_population")):
+        run_population(plan.model_copy(update={"seed": 1}), Control())
+    missing = plan.out / "P-002 right posterior forearm.h5"
+    missing.with_name(missing.name + ".journal").write_bytes(b"of a process that was ended")
+    run_population(plan, Control())
+    assert len(list(plan.out.glob("*.h5"))) == 8
+    assert missing.is_file()
+    assert not list(plan.out.glob("*.journal"))
+    assert {path: path.stat().st_mtime_ns for path in first} == first
+    table = run_study(reported[0], Control()).table
+    assert table["scaled_mass_s2"].to_numpy() == pytest.approx(
+        (table["mass_kg"] / table["stiffness_n_per_m"]).to_numpy(), rel=1e-6
+    )
+
+
+def test_other_folders_are_no_population(tmp_path):
+    for content in ("{", "[]", '{"made_by": "somebody"}'):
+        (tmp_path / "population.json").write_text(content)
+        with pytest.raises(UnusableInputError, check=coded("study.folder_used")):
+            run_population(PopulationPlan(out=tmp_path), Control())
+        assert [path.name for path in tmp_path.iterdir()] == ["population.json"]
+
+
+def test_an_interrupted_series_leaves_no_session(tmp_path, monkeypatch):
+    plan = PopulationPlan(out=tmp_path, subjects=2, repeats=2, seconds=1.0, workers=1)
+    calls = []
+
+    def interrupted(_control):
+        calls.append(1)
+        if len(calls) > 600:
+            raise KeyboardInterrupt
+
+    monkeypatch.setattr("tissueid.procedures.test_run.TestControl.check", interrupted)
+    with pytest.raises(KeyboardInterrupt):
+        measure_series(plan, Series(sample_name("latex"), "latex", 1))
+    assert not list(tmp_path.iterdir())
 
 
 def test_a_material_is_measured_and_reported(tmp_path):

@@ -4,6 +4,7 @@ import numpy as np
 import pandas as pd
 import pytest
 from scipy import stats
+from sklearn.cross_decomposition import PLSRegression
 
 from tissueid.studies.group_comparison import (
     corrected,
@@ -17,7 +18,7 @@ from tissueid.studies.group_comparison import (
     site_means,
     subject_means,
 )
-from tissueid.studies.multivariate import partial_least_squares, principal_components
+from tissueid.studies.multivariate import component_steps, partial_least_squares, principal_components
 from tissueid.studies.repeatability import ALL_SITES, first_test, paired_difference, reliability, variation
 from tissueid.studies.sample_size import detectable_effect, participants, sample_sizes
 
@@ -204,6 +205,19 @@ def test_partial_least_squares():
     assert found.loc["bmi", "p_value"] == pytest.approx(1 / 41)
     assert found.loc["age", "q_squared"] < 0.2
     assert found.loc["bmi", "q_squared"] > 0.8
+
+
+def test_components_of_partial_least_squares_are_those_of_scikit_learn():
+    random = np.random.default_rng(0)
+    x, y, new = random.normal(size=(13, 6)), random.normal(size=13), random.normal(size=(4, 6))
+    x -= x.mean(axis=0)
+    steps = component_steps(x, y, new, 3)
+    for count in (1, 2, 3):
+        reference = PLSRegression(count, scale=False).fit(x, y).predict(new)
+        assert y.mean() + steps[:, :count].sum(axis=1) == pytest.approx(reference, rel=1e-10)
+    dependent = component_steps(x[:, :1] * [1.0, 2.0], y, new[:, :1] * [1.0, 2.0], 3)
+    assert np.abs(dependent[:, 0]).min() > 0.0
+    assert not dependent[:, 1:].any()
 
 
 def test_principal_components_of_kernels():

@@ -49,6 +49,15 @@ def test_p_values_of_table_7_5_follow_from_its_means_and_seven_subjects(name):
         assert row["p_value"] == pytest.approx(p_value, rel=1e-6)
 
 
+def test_table_7_5_is_in_si():
+    # Mass over stiffness is the reciprocal square of the natural frequency, which skin has near 200 rad/s.
+    for mean, _std in SUBGROUP["scaled_mass_s2"][:2]:
+        assert 100.0 < mean**-0.5 < 250.0
+    for place in (0, 1):
+        mass, damping = SUBGROUP["scaled_mass_s2"][place][0], SUBGROUP["scaled_damping_s"][place][0]
+        assert 0.3 < damping / (2.0 * mass**0.5) < 1.0  # damping ratio
+
+
 def test_last_rows_of_tables_7_1_and_7_2_are_the_means_of_the_sites():
     for table, printed in zip((INDIVIDUAL, POPULATION), PRINTED_MEANS, strict=True):
         assert np.mean(list(table.values()), axis=0) == pytest.approx(printed, abs=6e-4)

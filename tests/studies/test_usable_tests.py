@@ -109,3 +109,47 @@ def test_all_conditions_are_compared_with_the_reference():
     assert (rows["high"] < 0.0).all()
     assert (rows["equivalence_p_value"] > 0.5).all()
     assert (found.tables["site_means"]["between_std"] <= found.tables["site_means"]["std"]).all()
+
+
+def test_statistics_that_need_more_subjects_say_how_many():
+    found = study_statistics(drawn(subjects=3), regressors=["age_years"])
+    remark = next(one for one in found.remarks if one.code == "study.few_for_regression")
+    assert remark.values["name"] == "age_years"
+    assert remark.values["least"] == 4
+    assert "regressions" not in found.tables
+    assert all(site in str(remark) for site in SITES)
+    assert codes(found) >= {"study.few_for_groups", "study.few_for_linear", "study.few_for_least_squares"}
+    two = codes(study_statistics(drawn(subjects=2)))
+    assert two >= {"study.few_for_first_test", "study.few_for_means", "study.few_for_sites"}
+    many = study_statistics(drawn(subjects=9), factors=["gender"])
+    assert not {code for code in codes(many) if code.startswith("study.few")}
+    assert "regressions" in many.tables
+
+
+def test_a_site_with_few_subjects_is_named():
+    table = drawn(subjects=6, repeats=3, lotion=-0.1)
+    last = table["subject"].isin(["P-003", "P-004", "P-005"]) & (table["site"] == SITES[1])
+    table = table[
+        ~last & ~((table["condition"] == "lotion") & (table["site"] == SITES[1]) & (table["subject"] == "P-000"))
+    ]
+    found = study_statistics(table, regressors=["age_years"], factors=["gender"])
+    named = {one.code: str(one) for one in found.remarks}
+    for code in ("study.few_for_regression", "study.few_for_groups", "study.few_pairs"):
+        assert SITES[1] in named[code]
+        assert SITES[0] not in named[code]
+    assert "efficacy" in found.tables
+
+
+def test_a_constant_parameter_of_one_site_is_named():
+    table = drawn(names=("k", "c"))
+    table.loc[table["site"] == SITES[1], "c"] = 5.0
+    remark = next(one for one in study_statistics(table).remarks if one.code == "study.parameters_missing")
+    assert remark.values["names"].items == ("c",)
+
+
+def test_a_model_without_variance_between_subjects_is_a_remark_and_no_warning(recwarn):
+    found = study_statistics(drawn(subjects=3, between=0.0, names=("k", "c")))
+    assert "study.singular" in codes(found)
+    assert found.tables["sites"]["singular"].any()
+    assert not recwarn.list
+    assert "study.singular" not in codes(study_statistics(drawn(subjects=9)))

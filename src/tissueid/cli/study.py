@@ -29,7 +29,7 @@ def run_command(plan: StudyPlan, json_file: JsonFile = None) -> None:
 
 @add_command(study, "table", "study_plans")
 def table_command(plan: StudyPlan, json_file: JsonFile = None) -> None:
-    """Show mean, standard deviation and variation of each parameter by site.
+    """Show mean, standard deviation and variation of each parameter by site and condition.
 
     Analyses what has changed before.
     """

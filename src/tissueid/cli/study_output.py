@@ -14,7 +14,7 @@ from tissueid.procedures.study_demo import PopulationPlan, run_population
 from tissueid.procedures.study_plans import RESULTS, StudyPlan, StudyReportPlan
 from tissueid.procedures.study_report import StudyReport, report_study
 from tissueid.procedures.study_run import StudyRun, run_study
-from tissueid.studies.repeatability import variation
+from tissueid.studies.repeatability import variation_by_condition
 from tissueid.studies.study_table import as_json_rows
 from tissueid.studies.usable_tests import parameters_used, usable_tests
 from tissueid.units import display_unit
@@ -35,7 +35,7 @@ def print_run(plan: StudyPlan, json_file: Path | None) -> None:
 
 
 def print_table(plan: StudyPlan, json_file: Path | None) -> None:
-    """Analyse a study and print mean and variation by site and parameter.
+    """Analyse a study and print mean and variation by site, condition and parameter.
 
     Raises:
         UnusableInputError: the folder or an option cannot be used.
@@ -44,17 +44,19 @@ def print_table(plan: StudyPlan, json_file: Path | None) -> None:
     with console_control() as control:
         run = run_study(plan, control)
     used = usable_tests(run.table).used
-    rows = variation(used, parameters_used(used, []))
+    rows = variation_by_condition(used, parameters_used(used, []))
     console = human_output(json_file)
-    shown = table(
-        "Parameters by site", "Site", "Parameter", "Subjects", "Tests", "Mean", "SD", "CV within", "CV between"
-    )
+    several = not rows.empty and rows["condition"].nunique() > 1
+    where = ("Site", "Condition") if several else ("Site",)
+    title = "Parameters by site and condition" if several else "Parameters by site"
+    shown = table(title, *where, "Parameter", "Subjects", "Tests", "Mean", "SD", "CV within", "CV between")
     for row in rows.to_dict("records"):
         unit, factor = display_unit(label_and_unit(row["parameter"])[1])
         cells = [_text(row["mean"], factor), _text(row["std"], factor)]
         cells += [_percent(row[name]) for name in ("individual_cv", "population_cv")]
         name = axis_label(row["parameter"], unit)
-        shown.add_row(row["site"], name, str(row["subjects"]), str(row["tests"]), *cells)
+        place = (row["site"], row["condition"] or MISSING) if several else (row["site"],)
+        shown.add_row(*place, name, str(row["subjects"]), str(row["tests"]), *cells)
     console.print(shown)
     _print_counts(run, json_file)
     if json_file is not None:

@@ -7,6 +7,7 @@ import os
 import pickle
 import signal
 import threading
+import time
 from collections.abc import Callable, Collection, Iterator, Sequence
 from contextlib import contextmanager
 from multiprocessing.connection import Connection, wait
@@ -22,7 +23,7 @@ R = TypeVar("R")
 POLL_S = 0.2
 """Interval of the check for cancellation, s."""
 EXIT_TIMEOUT_S = 2.0
-"""Time for a process to end on request before it is killed, s."""
+"""Time for all processes together to end on request before they are killed, s."""
 
 
 class Executor(Protocol):
@@ -132,8 +133,9 @@ class Pool:
         leaving = [(process, pipe) for process, pipe in self._members if pipe in pipes]
         for process, _ in leaving:
             process.terminate()
+        latest = time.monotonic() + EXIT_TIMEOUT_S
         for process, pipe in leaving:
-            process.join(EXIT_TIMEOUT_S)
+            process.join(max(latest - time.monotonic(), 0.0))
             if process.is_alive():
                 process.kill()
                 process.join()

@@ -2,10 +2,11 @@
 
 from __future__ import annotations
 
+import contextlib
 import functools
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Annotated
+from typing import Annotated, Any
 
 from pydantic import Field
 
@@ -17,7 +18,7 @@ from tissueid.instrument import Instrument, SimulatedInstrument
 from tissueid.language import marked
 from tissueid.messages import Message
 from tissueid.procedures.control import Control, CountedProgress
-from tissueid.procedures.output_files import write_text
+from tissueid.procedures.output_files import json_text, write_text
 from tissueid.procedures.plan_options import Option, Plan
 from tissueid.procedures.simulated_population import (
     LOTION_MINUTES,
@@ -34,10 +35,14 @@ from tissueid.procedures.study_plans import SUBJECTS_FILE, StudyReportPlan
 from tissueid.procedures.study_report import StudyReport, report_study
 from tissueid.procedures.test_plan import TestPlan
 from tissueid.procedures.test_run import TestControl, run_test
+from tissueid.sessions.hdf5_members import journal_path
+from tissueid.untrusted_input import json_value
 
 _MEASURING = marked("Measuring the simulated population")
-SCALING = ("scaling=1000",)
-"""Stiffness of the linear stage in the thesis, 1000 N/m."""
+_MARK, _MADE_BY = "population.json", "tissueid study demo"
+_OPTIONS = ("subjects", "repeats", "seconds", "seed", "products")
+"""Options on which the sessions depend."""
+_LONGEST_MARK = 10_000
 MARGIN = 0.1
 """Relative margin of equivalence of the lotions, chosen."""
 
@@ -73,16 +78,14 @@ class Series:
 def run_population(plan: PopulationPlan, control: Control) -> StudyReport:
     """Measure a simulated population by guided tests, analyse the sessions and write the report.
 
+    In the folder of an interrupted population with the same options, only the missing sessions are measured.
+
     Raises:
-        UnusableInputError: the folder is not empty or cannot be made, or a package is missing.
+        UnusableInputError: the folder holds anything else or cannot be made, or a package is missing.
         CancelledError: it was cancelled; the finished sessions are kept.
     """
     check_packages("pandas", "pyarrow", "statsmodels", "sklearn")
-    if plan.out.exists() and (not plan.out.is_dir() or any(plan.out.iterdir())):
-        raise UnusableInputError(
-            Message("study.folder_used", "{folder} exists and is not an empty folder", folder=str(plan.out))
-        )
-    private_folder(plan.out)
+    _take_folder(plan)
     people = population(plan.subjects, plan.seed)
     write_text(plan.out / SUBJECTS_FILE, subjects_file(people, MATERIALS if plan.products else ()))
     series = [Series(person.pseudonym, site, person.seed(site)) for person in people for site in SITES]
@@ -93,17 +96,19 @@ def run_population(plan: PopulationPlan, control: Control) -> StudyReport:
             for number, lotion in enumerate(LOTIONS)
         ]
         series += [Series(sample_name(name), name, number, "") for number, name in enumerate(MATERIALS)]
-    done = CountedProgress(control, _MEASURING, len(series))
-    with executor(plan.workers) as pool:
-        pool.do(functools.partial(measure_series, plan), series, control.check, done)
-    report = StudyReportPlan(
-        folder=plan.out, workers=plan.workers, options=SCALING, margin=MARGIN, pdf=plan.out / "report.pdf"
-    )
+    series = [one for one in series if not session_path(plan, one).exists()]
+    if series:
+        done = CountedProgress(control, _MEASURING, len(series))
+        with executor(plan.workers) as pool:
+            pool.do(functools.partial(measure_series, plan), series, control.check, done)
+    report = StudyReportPlan(folder=plan.out, workers=plan.workers, margin=MARGIN, pdf=plan.out / "report.pdf")
     return report_study(report, control)
 
 
 def measure_series(plan: PopulationPlan, series: Series) -> Path:
     """Run the tests of one series on a simulated instrument; return the session file.
+
+    A series that was interrupted leaves no session file, so that it is measured again.
 
     Raises:
         UnusableInputError: the session cannot be written.
@@ -122,7 +127,7 @@ def measure_series(plan: PopulationPlan, series: Series) -> Path:
     test = TestPlan(
         url="simulated://forearm",
         site=series.site,
-        out=plan.out / f"{' '.join(filter(None, (series.subject, series.site, series.condition)))}.h5",
+        out=session_path(plan, series),
         subject=series.subject,
         repeats=repeats,
         seconds=plan.seconds,  # and the stimulus of the guided test, which is one for all subjects (thesis 7.1.1)
@@ -130,9 +135,48 @@ def measure_series(plan: PopulationPlan, series: Series) -> Path:
         condition=series.condition,
         minutes_since_application=LOTION_MINUTES if series.condition else None,
     )
+    journal_path(test.out).unlink(missing_ok=True)  # of a process that was ended
     outcome = run_test(test, TestControl(), None, opener=opened)
     if outcome.error is not None:
+        test.out.unlink(missing_ok=True)
         raise outcome.error
     if outcome.not_saved is not None:
         raise outcome.not_saved
     return test.out
+
+
+def session_path(plan: PopulationPlan, series: Series) -> Path:
+    """Return the session file of a series."""
+    return plan.out / f"{' '.join(filter(None, (series.subject, series.site, series.condition)))}.h5"
+
+
+def _take_folder(plan: PopulationPlan) -> None:
+    """Make the folder and mark it as one of a population with these options.
+
+    Raises:
+        UnusableInputError: it is a file, or holds anything but such a population.
+    """
+    mark = {"made_by": _MADE_BY, "options": plan.model_dump(mode="json", include=set(_OPTIONS))}
+    if plan.out.exists() and (not plan.out.is_dir() or any(plan.out.iterdir())):
+        found: Any = None
+        with contextlib.suppress(OSError, ValueError):
+            found = json_value((plan.out / _MARK).read_text(encoding="utf-8")[:_LONGEST_MARK])
+        if not isinstance(found, dict) or found.get("made_by") != _MADE_BY:
+            raise UnusableInputError(
+                Message(
+                    "study.folder_used",
+                    "{folder} exists and is neither empty nor the folder of an earlier 'study demo'",
+                    folder=str(plan.out),
+                )
+            )
+        if found != mark:
+            raise UnusableInputError(
+                Message(
+                    "study.other_population",
+                    "{folder} holds a simulated population with other options; give the same ones, or another folder",
+                    folder=str(plan.out),
+                )
+            )
+        return
+    private_folder(plan.out)
+    write_text(plan.out / _MARK, json_text(mark))

@@ -104,31 +104,43 @@ class Protocol(_Part):
     @model_validator(mode="after")
     def _usable(self) -> Self:
         if not self.sites:
-            raise ValueError(Message("protocol.no_site", "give at least one site"))
+            raise ValueError(Message("protocol.no_site", "'sites': give at least one site"))
         names = [site.site for site in self.sites]
         for text in (self.name, *names, *(condition.product for condition in self.conditions)):
             if not text.isprintable():
-                raise ValueError(Message("protocol.text", "a text must be one line of printable characters"))
+                raise ValueError(
+                    Message(
+                        "protocol.text", "'name', 'sites' and products must each be one line of printable characters"
+                    )
+                )
         if not self.name.strip() or not all(name.strip() for name in names):
-            raise ValueError(Message("protocol.empty", "the name of the study and of each site must not be empty"))
+            raise ValueError(Message("protocol.empty", "'name' and the name of each of the 'sites' must not be empty"))
         for what, values in ((marked("sites"), names), (marked("conditions"), self.conditions)):
             if len(set(values)) < len(values):
                 raise ValueError(Message("protocol.twice", "two of the {what} are the same", what=what))
         if not self.conditions:
-            raise ValueError(Message("protocol.no_condition", "give at least one condition; it may be empty"))
+            raise ValueError(
+                Message("protocol.no_condition", "'conditions': give at least one condition; it may be empty")
+            )
         if any(one.minutes_since_application is not None and not one.product for one in self.conditions):
-            raise ValueError(Message("protocol.minutes", "minutes since an application need a product"))
+            raise ValueError(Message("protocol.minutes", "'conditions': 'minutes_since_application' needs a 'product'"))
         if self.stimulus not in {preset.name for preset in PRESETS}:
             raise ValueError(
                 Message(
                     "protocol.stimulus",
-                    "the stimulus must be one of {known}, got '{name}'",
+                    "'stimulus' must be one of {known}, got '{name}'",
                     known=joined(Verbatim(preset.name) for preset in PRESETS),
                     name=Verbatim(clean(self.stimulus)[:MAX_TEXT]),
                 )
             )
         if sum(self.repeats_at(site) for site in self.sites) * len(self.conditions) > _MOST_STEPS:
-            raise ValueError(Message("protocol.long", "a sitting may have at most {most} tests", most=_MOST_STEPS))
+            raise ValueError(
+                Message(
+                    "protocol.long",
+                    "'sites', 'repeats' and 'conditions': a sitting may have at most {most} tests",
+                    most=_MOST_STEPS,
+                )
+            )
         return self
 
     def repeats_at(self, site: Site) -> int:

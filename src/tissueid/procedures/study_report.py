@@ -8,14 +8,19 @@ from typing import TYPE_CHECKING, Any
 
 from tissueid.errors import UnusableInputError
 from tissueid.extras import check_packages
+from tissueid.formatting import clean
 from tissueid.language import marked
+from tissueid.messages import MISSING, Message, Verbatim, joined
 from tissueid.procedures.control import Control
 from tissueid.procedures.output_files import HTML, PDF, check_different, check_output, unwritable, write_text
 from tissueid.procedures.study_plans import RESULTS, StudyReportPlan
 from tissueid.procedures.study_protocol import read_protocol
 from tissueid.procedures.study_run import StudyRun, run_study
+from tissueid.procedures.test_plan import MAX_TEXT
 
 if TYPE_CHECKING:
+    import pandas as pd
+
     from tissueid.studies.study_statistics import StudyStatistics
 
 _COMPUTING = marked("Computing statistics")
@@ -47,7 +52,8 @@ def report_study(plan: StudyReportPlan, control: Control) -> StudyReport:
     """Analyse what has changed, compute the statistics and write the page.
 
     Raises:
-        UnusableInputError: the folder, the engine, an option or a file cannot be used, or a package is missing.
+        UnusableInputError: the folder, the engine, an option or a file cannot be used, a column or condition does not
+            exist, or a package is missing.
         CancelledError: it was cancelled; what is analysed already is kept.
     """
     check_packages("pandas", "pyarrow", "statsmodels", "sklearn")
@@ -55,6 +61,7 @@ def report_study(plan: StudyReportPlan, control: Control) -> StudyReport:
     check_output(plan.pdf, PDF)
     check_different(plan.report, plan.pdf)
     run = run_study(plan, control)
+    _check_names(plan, run.table)
     from tissueid.reports.study import study_html
     from tissueid.reports.study_pdf import write_study_pdf
     from tissueid.studies.study_statistics import study_statistics
@@ -79,3 +86,34 @@ def report_study(plan: StudyReportPlan, control: Control) -> StudyReport:
             raise unwritable(plan.pdf, error) from error
     control.progress(1.0, _COMPUTING)
     return StudyReport(run, found, page, plan.pdf)
+
+
+def _check_names(plan: StudyReportPlan, table: pd.DataFrame) -> None:
+    """Check that the table has the columns and conditions that were asked for.
+
+    Raises:
+        UnusableInputError: it has not.
+    """
+    from tissueid.studies.study_table import subject_columns
+
+    for name in (*plan.factors, *plan.regressors):
+        if name not in table:
+            raise UnusableInputError(
+                Message(
+                    "study.unknown_column",
+                    "there is no column '{name}'; columns with values of subjects: {known}",
+                    name=Verbatim(clean(name)[:MAX_TEXT]),
+                    known=joined(map(Verbatim, subject_columns(table))) or MISSING,
+                )
+            )
+    known = sorted({str(name) for name in table["condition"].dropna() if name})
+    for condition in filter(None, (plan.before, plan.after)):
+        if condition not in known:
+            raise UnusableInputError(
+                Message(
+                    "study.unknown_condition",
+                    "no test has the condition '{name}'; conditions: {known}",
+                    name=Verbatim(clean(condition)[:MAX_TEXT]),
+                    known=joined(map(Verbatim, known)) or MISSING,
+                )
+            )

@@ -7,11 +7,15 @@ options and version, KEY on the path, size and modification time of the file: a 
 from __future__ import annotations
 
 import contextlib
+import csv
 import functools
 import hashlib
+import io
+import itertools
 import json
 from collections.abc import Mapping
 from dataclasses import dataclass
+from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from tissueid import __version__
@@ -22,9 +26,17 @@ from tissueid.language import marked
 from tissueid.messages import Message, Verbatim
 from tissueid.procedures.cluster import plan_executor
 from tissueid.procedures.control import Control, CountedProgress
+from tissueid.procedures.output_files import write_text
 from tissueid.procedures.plan_options import parse_options
 from tissueid.procedures.session_store import FolderStore, RemoteStore, SessionStore
-from tissueid.procedures.study_plans import CONDITION, MINUTES_SINCE, RESULTS, SUBJECTS_FILE, StudyPlan
+from tissueid.procedures.study_plans import (
+    CONDITION,
+    MINUTES_SINCE,
+    NOT_ANALYSED_FILE,
+    RESULTS,
+    SUBJECTS_FILE,
+    StudyPlan,
+)
 
 if TYPE_CHECKING:
     import pandas as pd
@@ -35,6 +47,7 @@ _ANALYSING = marked("Analysing sessions")
 _FAILED = "failed"
 _FORMAT = 2
 """Format of stored rows: those of another one are computed again."""
+_MOST_FAILURES, _LONGEST_REASON = 100_000, 1000
 
 
 @dataclass(frozen=True)
@@ -88,6 +101,7 @@ def run_study(plan: StudyPlan, control: Control) -> StudyRun:
             items = [(name, keys[name]) for name in new]
             known |= dict(zip(new, pool.do(work, items, control.check, done), strict=True))
     failures = {name: reason for name in keys if (reason := known[name].get(_FAILED)) is not None}
+    _write_failures(results / NOT_ANALYSED_FILE, failures, keys)
     rows = [row | {"session": name} for name in keys for row in known[name].get("rows", ())]
     if not rows:
         name, reason = next(iter(failures.items()))
@@ -104,6 +118,33 @@ def run_study(plan: StudyPlan, control: Control) -> StudyRun:
     for suffix in ("csv", "parquet"):
         write_table(table, results / f"table.{suffix}")
     return StudyRun(plan, table, failures, len(keys), len(new))
+
+
+def read_failures(path: Path, keys: Mapping[str, str]) -> dict[str, str]:
+    """Return the reason of each session that could not be analysed and has not changed since.
+
+    Args:
+        path: file that a run wrote; empty without it, or if it cannot be used.
+        keys: key of each session by its name.
+    """
+    try:
+        with path.open(encoding="utf-8", newline="") as file:
+            lines = list(itertools.islice(csv.DictReader(file), _MOST_FAILURES))
+    except (OSError, ValueError, csv.Error):
+        return {}
+    return {
+        name: (line.get("reason") or "")[:_LONGEST_REASON]
+        for line in lines
+        if (name := line.get("session") or "") in keys and keys[name] == line.get("key")
+    }
+
+
+def _write_failures(path: Path, failures: Mapping[str, str], keys: Mapping[str, str]) -> None:
+    text = io.StringIO(newline="")
+    writer = csv.writer(text, lineterminator="\n")
+    writer.writerow(("session", "reason", "key"))
+    writer.writerows((name, " ".join(reason.split()), keys[name]) for name, reason in failures.items())
+    write_text(path, text.getvalue())
 
 
 def _analysis(plan: StudyPlan, options: Mapping[str, Any]) -> str:
@@ -135,13 +176,15 @@ def _analysed(
     from tissueid.sessions import read_session
 
     name, key = item
+    place = ""
     found: dict[str, Any]
     try:
         with store.local_file(name) as path:
+            place = str(path)
             session = read_session(path)
         found = {"rows": [row for test in session.tests for row in _rows(session, test, plan, options)]}
     except TissueIDError as error:
-        found = {_FAILED: str(error)}
+        found = {_FAILED: str(error).removeprefix(place).lstrip(" :")}  # the name of the file is stated with it
     if not found.get("rows") and _FAILED not in found:
         found[_FAILED] = "no test could be analysed"
     with contextlib.suppress(OSError):

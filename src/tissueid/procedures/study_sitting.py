@@ -53,7 +53,9 @@ class SittingRunPlan(Plan):
 
     folder: Annotated[Path, Option(argument=True, metavar="FOLDER", help="folder of a study with a protocol")]
     subject: Annotated[str, Option("--subject", metavar="PSEUDONYM", help="pseudonym such as P01, never a name")]
-    url: Annotated[str, Option("--device", metavar="URL", help="simulator, such as simulated://forearm?variation=1")]
+    url: Annotated[
+        str, Option("--device", metavar="URL", help="simulator, such as 'simulated://forearm?variation=1&subject=2'")
+    ]
     values: Annotated[
         tuple[str, ...],
         Option("--value", metavar="NAME=VALUE", help="demographic value, such as age_years=30; may be repeated"),

@@ -23,13 +23,22 @@ from statsmodels.stats.multicomp import pairwise_tukeyhsd
 from statsmodels.stats.multitest import multipletests
 from statsmodels.stats.oneway import anova_oneway
 from statsmodels.stats.weightstats import CompareMeans, DescrStatsW, ttost_paired
-from statsmodels.tools.sm_exceptions import ConvergenceWarning
+from statsmodels.tools.sm_exceptions import ConvergenceWarning, SingularMatrixWarning
 
 from tissueid.studies.repeatability import CONFIDENCE, paired_difference
 from tissueid.studies.sample_size import detectable_effect
 from tissueid.studies.study_table import STD_SUFFIX
 
 LEAST_PER_GROUP = 2
+"""Least number of subjects of a group, or of tests of a material."""
+LEAST_REGRESSION = 4
+"""Least number of subjects of a regression."""
+LEAST_MIXED = 3
+"""Least number of subjects of a mixed model."""
+LEAST_PAIRS = 3
+"""Least number of subjects that were tested under both conditions."""
+LEAST_POOLED = 3
+"""Least number of subjects of a weighted mean."""
 ASSUMPTION_ALPHA = 0.05
 """Size of the tests of equal variances and of normal residuals."""
 CORRECTION = "holm"
@@ -143,6 +152,11 @@ def general_linear(means: pd.DataFrame, factors: Sequence[str], parameters: Sequ
     return corrected(pd.DataFrame(rows))
 
 
+def least_adjusted(means: pd.DataFrame, factors: Sequence[str]) -> int:
+    """Return the least number of subjects of ``general_linear`` with all levels of these factors."""
+    return sum(_levels(means[factor].dropna()) for factor in factors) + 2
+
+
 def regressions(means: pd.DataFrame, regressor: str, parameters: Sequence[str]) -> pd.DataFrame:
     """Regress each parameter on one value of the subjects at each site, such as ``bmi`` (Fig. 7.6, Table 7.3b).
 
@@ -165,7 +179,7 @@ def regressions(means: pd.DataFrame, regressor: str, parameters: Sequence[str]) 
                     "u": uncertain.astype(float),
                 }
             ).dropna(subset=["value", "x"])
-            if len(data) < 4 or np.ptp(data["x"]) == 0.0 or np.ptp(data["value"]) == 0.0:
+            if len(data) < LEAST_REGRESSION or np.ptp(data["x"]) == 0.0 or np.ptp(data["value"]) == 0.0:
                 continue
             fit = smf.ols("value ~ x", data).fit()
             weighted = bool(data["u"].notna().all())
@@ -201,20 +215,23 @@ def mixed_model(table: pd.DataFrame, factor: str, parameters: Sequence[str]) -> 
     Returns:
         columns ``factor``, ``parameter``, ``level``, ``reference``, ``subjects``, ``tests``, ``difference``, ``low``,
         ``high``, ``p_value``, ``p_corrected``, ``effect_size`` (difference over the total standard deviation),
-        ``between_std`` (between subjects), ``within_std``, ``normal`` (residuals), ``converged``.
+        ``between_std`` (between subjects), ``within_std``, ``normal`` (residuals), ``converged``,
+        ``singular`` (no variance between subjects is found).
     """
     rows = []
     for name in parameters:
         data = table[["subject", factor, name]].dropna().rename(columns={name: "value"})
         levels = sorted(data[factor].astype(str).unique())
-        if len(levels) < 2 or data["subject"].nunique() < 3 or np.ptp(data["value"]) == 0.0:
+        if len(levels) < 2 or data["subject"].nunique() < LEAST_MIXED or np.ptp(data["value"]) == 0.0:
             continue
         scale = float(data["value"].std())  # the optimiser needs values near one
         data = data.assign(value=data["value"] / scale, level=data[factor].astype(str))
-        with warnings.catch_warnings():
+        with warnings.catch_warnings(record=True) as caught:
             warnings.simplefilter("ignore", ConvergenceWarning)
+            warnings.simplefilter("always", SingularMatrixWarning)
             fit = smf.mixedlm("value ~ C(level)", data, groups=data["subject"]).fit(reml=True)
-        bounds = fit.conf_int()
+            bounds = fit.conf_int()
+        singular = any(issubclass(one.category, SingularMatrixWarning) for one in caught)
         total = float(np.sqrt(max(fit.cov_re.iloc[0, 0], 0.0) + fit.scale))
         normal = _normal(np.asarray(fit.resid))
         for level in levels[1:]:
@@ -236,6 +253,7 @@ def mixed_model(table: pd.DataFrame, factor: str, parameters: Sequence[str]) -> 
                     "within_std": float(np.sqrt(fit.scale)) * scale,
                     "normal": normal,
                     "converged": bool(fit.converged),
+                    "singular": singular,
                 }
             )
     return corrected(pd.DataFrame(rows))
@@ -265,7 +283,7 @@ def efficacy(
             if not {before, after} <= set(wide.columns):
                 continue
             pairs = wide[[before, after]].dropna()
-            if len(pairs) < 3:
+            if len(pairs) < LEAST_PAIRS:
                 continue
             first, second = pairs[before].to_numpy(), pairs[after].to_numpy()
             row: dict[str, object] = {"site": str(site), "parameter": name, "before": before, "after": after}
@@ -291,7 +309,7 @@ def site_means(means: pd.DataFrame, parameters: Sequence[str]) -> pd.DataFrame:
     for site, subjects in means.groupby("site", sort=True):
         for name in parameters:
             data = subjects[[name, name + STD_SUFFIX]].astype(float).dropna()
-            if len(data) < 3 or np.ptp(data[name]) == 0.0 or (data[name + STD_SUFFIX] <= 0.0).any():
+            if len(data) < LEAST_POOLED or np.ptp(data[name]) == 0.0 or (data[name + STD_SUFFIX] <= 0.0).any():
                 continue
             mean, error, between = pooled_mean(data[name].to_numpy(), data[name + STD_SUFFIX].to_numpy())
             reach = float(stats.t.ppf(0.5 + 0.5 * CONFIDENCE, len(data) - 1)) * error

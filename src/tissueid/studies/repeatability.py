@@ -17,6 +17,10 @@ from statsmodels.stats.anova import anova_lm
 
 CONFIDENCE = 0.95
 RESAMPLES = 2000
+LEAST_COMPLETE = 3
+"""Least number of subjects with the same repeats for an intraclass correlation."""
+LEAST_FIRST = 3
+"""Least number of series of two tests or more for a comparison of the first test with the later ones."""
 _SEED = 0
 ALL_SITES = "all"
 """Value of the column ``site`` where the sites are taken together."""
@@ -26,8 +30,8 @@ def variation(table: pd.DataFrame, parameters: Sequence[str]) -> pd.DataFrame:
     """Return coefficients of variation within and between subjects.
 
     The individual one is the standard deviation over the tests of a subject divided by their mean, averaged over the
-    subjects; the population one is the standard deviation of the subjects' means divided by their mean. A site counts
-    where two subjects or more have two tests or more.
+    subjects; the population one is the standard deviation of the subjects' means divided by their mean. A subject
+    counts with two tests or more.
 
     Returns:
         columns ``site``, ``parameter``, ``subjects``, ``tests``, ``mean``, ``std`` (between subjects),
@@ -61,6 +65,17 @@ def variation(table: pd.DataFrame, parameters: Sequence[str]) -> pd.DataFrame:
     return pd.DataFrame(rows)
 
 
+def variation_by_condition(table: pd.DataFrame, parameters: Sequence[str]) -> pd.DataFrame:
+    """Return ``variation`` of the tests under each condition, with the column ``condition`` ("" without one)."""
+    found = []
+    for condition, tests in table.groupby(table["condition"].fillna(""), sort=True):
+        rows = variation(tests, parameters)
+        if not rows.empty:
+            rows.insert(1, "condition", str(condition))
+            found.append(rows)
+    return pd.concat(found, ignore_index=True) if found else pd.DataFrame()
+
+
 def reliability(table: pd.DataFrame, parameters: Sequence[str]) -> pd.DataFrame:
     """Return the intraclass correlation and the minimal detectable change.
 
@@ -77,7 +92,7 @@ def reliability(table: pd.DataFrame, parameters: Sequence[str]) -> pd.DataFrame:
         wide = tests.pivot_table(index="subject", columns="repeat", values=name)
         complete = wide.dropna()
         subjects, repeats = complete.shape
-        if subjects < 3 or repeats < 2:
+        if subjects < LEAST_COMPLETE or repeats < 2:
             continue
         icc, low, high = absolute_agreement(complete.to_numpy())
         error = float(complete.to_numpy().std(ddof=1)) * np.sqrt(max(1.0 - icc, 0.0))
@@ -133,7 +148,7 @@ def first_test(table: pd.DataFrame, parameters: Sequence[str]) -> pd.DataFrame:
             for _who, group in tests.sort_values("repeat").groupby(["subject", "site"])
             if len(values := group[name]) > 1
         ]
-        if len(pairs) < 3:
+        if len(pairs) < LEAST_FIRST:
             continue
         first, later = np.array(pairs).T
         row = paired_difference(first, later)

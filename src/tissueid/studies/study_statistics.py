@@ -8,10 +8,11 @@ from typing import Any
 
 import pandas as pd
 
-from tissueid.messages import Message, Verbatim
+from tissueid.messages import Message
 from tissueid.studies.group_comparison import (
     efficacy,
     general_linear,
+    least_adjusted,
     materials,
     mixed_model,
     one_way,
@@ -20,6 +21,16 @@ from tissueid.studies.group_comparison import (
     subject_means,
 )
 from tissueid.studies.multivariate import partial_least_squares
+from tissueid.studies.not_computed import (
+    no_adjusted_groups,
+    no_groups,
+    no_least_squares,
+    no_materials,
+    no_pairs,
+    no_regressions,
+    not_repeated,
+    parameters_missing,
+)
 from tissueid.studies.repeatability import first_test, reliability, variation
 from tissueid.studies.sample_size import sample_sizes
 from tissueid.studies.study_table import MATERIAL, SIMULATED, as_json_rows
@@ -30,6 +41,8 @@ FACTORS = ("gender", "ethnicity", "age_group", "handedness")
 REGRESSORS = ("age_years", "height_m", "weight_kg", "weight_per_height_kg_per_m", "bmi_kg_per_m2")
 LINEAR = ("mass_kg", "damping_n_s_per_m", "stiffness_n_per_m", "natural_frequency_rad_per_s", "damping_ratio")
 """Linear parameters of Fig. 7.10, of materials and products."""
+_OF_ALL = ("variation", "reliability", "site_means", "first_test", "groups", "regressions", "efficacy")
+"""Tables with a row for each parameter at each site."""
 
 
 @dataclass(frozen=True)
@@ -117,12 +130,14 @@ def study_statistics(
             "first_test": first_test(plain, parameters),
             "sites": mixed_model(plain, "site", parameters),
         }
-        remarks += [_left_out(key) for key in ("variation", "reliability") if tables[key].empty]
+        remarks += not_repeated(tables, sorted(map(str, plain["site"].unique())) if parameters else ())
     if len(own) and parameters:
         tables |= _between_subjects(own, parameters, factors, regressors, remarks)
         tables |= _conditions(means, measured, before, after, margin, remarks)
     if len(samples):
         tables["materials"] = materials(samples, list(dict.fromkeys([*linear, *parameters])) or measured)
+        remarks += no_materials(tables["materials"])
+    remarks += parameters_missing({key: rows for key, rows in tables.items() if key in _OF_ALL}, parameters)
     tables = {key: rows for key, rows in tables.items() if not rows.empty}
     thesis = thesis_tables(own, tables, parameters)
     return StudyStatistics(used, means, tuple(parameters), tables, tuple(remarks), found.left_out, samples, thesis)
@@ -143,19 +158,24 @@ def _between_subjects(
     remarks: list[Message],
 ) -> dict[str, pd.DataFrame]:
     tables = {}
+    sites = sorted(map(str, own["site"].unique()))
     chosen = [name for name in factors or FACTORS if has_groups(own, name, remarks, stated=bool(factors))]
     if chosen:
         tables["groups"] = _joined([one_way(own, name, parameters) for name in chosen])
+        remarks += no_groups(tables["groups"], chosen, sites)
         if len(chosen) > 1:
             tables["general_linear"] = general_linear(own, chosen, parameters)
+            remarks += no_adjusted_groups(tables["general_linear"], sites, least_adjusted(own, chosen))
         if not tables["groups"].empty:
             tables["sample_sizes"] = sample_sizes(tables["groups"])
     values = [name for name in regressors or REGRESSORS if has_values(own, name, remarks, stated=bool(regressors))]
     if values:
         tables["regressions"] = _joined([regressions(own, name, parameters) for name in values])
+        remarks += no_regressions(tables["regressions"], values, sites)
     responses = [*values, *(name for name in chosen if own[name].nunique() == 2 and name != "age_group")]
     if responses:
         tables["partial_least_squares"] = partial_least_squares(own, responses, parameters)
+        remarks += no_least_squares(tables["partial_least_squares"], responses, sites)
     return tables
 
 
@@ -171,17 +191,7 @@ def _conditions(
     if not others:
         return {}
     found = _joined([efficacy(means, before, other, parameters, margin) for other in others])
-    paired = set() if found.empty else set(found["after"])
-    remarks += [
-        Message(
-            "study.no_pairs",
-            "no three subjects were tested at one site under both conditions, {before} and {after}",
-            before=Verbatim(before or "''"),
-            after=Verbatim(other),
-        )
-        for other in others
-        if other not in paired
-    ]
+    remarks += no_pairs(found, means, before, others)
     return {"efficacy": found}
 
 
@@ -200,14 +210,6 @@ def too_few_repeats(plain: pd.DataFrame) -> list[Message]:
             total=len(counts),
         )
     ]
-
-
-def _left_out(key: str) -> Message:
-    if key == "variation":
-        return Message("study.no_variation", "no subject has two tests at one site: no coefficients of variation")
-    return Message(
-        "study.no_reliability", "no three subjects have the same two repeats at one site: no intraclass correlation"
-    )
 
 
 def _joined(tables: Sequence[pd.DataFrame]) -> pd.DataFrame:

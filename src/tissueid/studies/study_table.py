@@ -106,6 +106,16 @@ def parameters_of(table: pd.DataFrame) -> list[str]:
     ]
 
 
+def subject_columns(table: pd.DataFrame) -> list[str]:
+    """Return the columns with values of subjects: known demographic values and other columns of their file."""
+    others = {*KEYS, *DESCRIPTION, *parameters_of(table), MATERIAL}
+    return [
+        str(name)
+        for name in table
+        if name not in others and not str(name).endswith(STD_SUFFIX) and table[name].notna().any()
+    ]
+
+
 def read_subjects(path: Path) -> pd.DataFrame:
     """Read demographic values by subject from a CSV file with the column ``subject``.
 

@@ -65,13 +65,16 @@ PARTIAL_LEAST_SQUARES = {
 }
 """Table 7.4."""
 SUBGROUP = {
-    "scaled_mass_s2": ((0.0532, 0.0048), (0.0256, 0.0042), "< 0.0005"),
-    "scaled_damping_s": ((7.35, 1.49), (5.02, 0.57), "0.002"),
+    "scaled_mass_s2": ((53.2e-6, 4.8e-6), (25.6e-6, 4.2e-6), "< 0.0005"),
+    "scaled_damping_s": ((7.35e-3, 1.49e-3), (5.02e-3, 0.57e-3), "0.002"),
     "c1_m": ((11.99e-3, 0.79e-3), (8.66e-3, 1.03e-3), "< 0.0005"),
     "c2_per_n": ((0.287, 0.069), (0.170, 0.023), "0.001"),
 }
-"""Table 7.5: mean and standard deviation at the anterior and at the posterior site, and p, SI. The heads of the printed
-columns contradict the text (anterior larger in all four) and are taken as interchanged.
+"""Table 7.5: mean and standard deviation at the anterior and at the posterior site, and p, SI.
+
+The thesis prints mass and damping of a linear stage of 1000 N/m (and depths in mm); divided by it they are ``mass /
+stiffness`` and ``damping / stiffness``, as the engine reports them. The heads of the printed columns contradict the
+text (anterior larger in all four) and are taken as interchanged.
 """
 MEAN_SITE = "mean"
 """Site of a row with the mean of the sites."""

@@ -31,6 +31,8 @@ PLAUSIBLE = {
 }
 """Range of each demographic value; others have another unit, such as cm, and do not count."""
 _MOST_PARAMETERS = 12
+_LEAST_VALUES = 3
+"""Least number of different values of a regression."""
 _REPEAT = marked("quality 'repeat': {findings}")
 _WHERE = ("session", "test", "subject", "site", "condition")
 
@@ -164,9 +166,14 @@ def has_values(means: pd.DataFrame, name: str, remarks: list[Message], *, stated
         if stated:
             remarks.append(Message("study.no_number", "no subject has a number for '{name}'", name=Verbatim(name)))
         return False
-    if numbers.dropna().nunique() < 3:
+    if numbers.dropna().nunique() < _LEAST_VALUES:
         remarks.append(
-            Message("study.too_few_values", "'{name}' has too few values for a regression", name=Verbatim(name))
+            Message(
+                "study.too_few_values",
+                "no regression on '{name}': it has fewer than {least} different values",
+                name=Verbatim(name),
+                least=_LEAST_VALUES,
+            )
         )
         return False
     means[name] = numbers

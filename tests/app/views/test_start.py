@@ -23,7 +23,7 @@ from tissueid.sessions.accepted_result import AcceptedResult, AcceptedTest, Acce
 
 pytestmark = [pytest.mark.qt_log_level_fail("WARNING"), pytest.mark.qt_log_ignore("This plugin does not support")]
 
-PAGES = ["start", "measure", "research", "gap", "instrument"]
+PAGES = ["start", "measure", "research", "gap", "instrument", "studies"]
 
 
 @pytest.fixture

@@ -14,7 +14,8 @@ from tissueid.app.views.studies import view as studies_view
 from tissueid.app.views.studies.study_data import NOT_ANALYSED, load_study
 from tissueid.app.views.studies.tests_model import SITE, SUBJECT, WITHOUT
 from tissueid.errors import UnusableInputError
-from tissueid.procedures.study_plans import RESULTS
+from tissueid.procedures.session_store import FolderStore
+from tissueid.procedures.study_plans import NOT_ANALYSED_FILE, RESULTS
 from tissueid.procedures.study_protocol import PROTOCOL_FILE, protocol_text, template
 
 pytestmark = [pytest.mark.qt_log_level_fail("WARNING"), pytest.mark.qt_log_ignore("This plugin does not support")]
@@ -69,7 +70,13 @@ def test_a_study_is_read(folder):
     assert (data.tests, data.without_row, data.sessions) == (3, 1, 3)
     assert data.parameters == ("m_kg",)
     assert data.rows[0].problem == NOT_ANALYSED
-    assert load_study(folder, {str(Path("c/new.h5")): "damaged"}).rows[0].problem == "damaged"
+    name = str(Path("c/new.h5"))
+    failed = folder / RESULTS / NOT_ANALYSED_FILE
+    failed.write_text(f"session,reason,key\n{name},damaged,{FolderStore(folder).sessions()[name]}\n")
+    assert load_study(folder).rows[0].problem == "damaged"
+    for text in ("", "rubbish", f"session,reason,key\n{name},damaged,other\n"):
+        failed.write_text(text)
+        assert load_study(folder).rows[0].problem == NOT_ANALYSED
     assert data.rows[2].minutes == 60.0
 
 
@@ -148,6 +155,8 @@ def test_a_study_is_analysed_drawn_and_reported(qtbot, open_window, recorded):
     assert shows(window.ui.notice.text.text(), "study.analysed", count=1)
     assert "damaged.h5: " in texts(page, SUBJECT)[0]
     assert NOT_ANALYSED not in texts(page, SUBJECT)[0]
+    again = opened(qtbot, window, recorded)
+    assert texts(again, SUBJECT)[0] == "damaged.h5: is damaged, or not an HDF5 session"
     assert page.asking.bar.isHidden()
     press(qtbot, page.asking.report)
     qtbot.waitUntil(lambda: idle(window), timeout=WAIT_MS)
@@ -163,6 +172,18 @@ def test_a_study_is_analysed_drawn_and_reported(qtbot, open_window, recorded):
     page.figures.kind.setCurrentIndex(0)
     page.figures.parameter.setCurrentIndex(page.figures.parameter.findData("stiffness_n_per_m"))
     assert page.figures.canvas.plots[0].y.label == "Stiffness"
+
+
+def test_a_folder_of_unreadable_sessions_says_why_of_each(qtbot, window, tmp_path):
+    for name in ("a.h5", "b.h5"):
+        (tmp_path / name).write_bytes(b"rubbish" * 99)
+    page = opened(qtbot, window, tmp_path)
+    assert NOT_ANALYSED in texts(page, SUBJECT)[0]
+    page.analyse()
+    qtbot.waitUntil(lambda: idle(window) and NOT_ANALYSED not in texts(page, SUBJECT)[0], timeout=WAIT_MS)
+    assert texts(page, SUBJECT) == [f"{name}: is damaged, or not an HDF5 session" for name in ("a.h5", "b.h5")]
+    (tmp_path / "a.h5").write_bytes(b"another" * 99)
+    assert [row.problem == NOT_ANALYSED for row in load_study(tmp_path).rows] == [True, False]
 
 
 def test_a_cancelled_analysis_continues(qtbot, window, tmp_path, monkeypatch):
@@ -225,6 +246,8 @@ def test_a_bad_protocol_is_stated_on_the_page(qtbot, window, folder):
     (folder / PROTOCOL_FILE).write_text(json.dumps({"name": "x", "sites": []}))
     page = opened(qtbot, window, folder)
     assert shows(page.asking.protocol.text(), "protocol.no_site")
+    assert shows(window.ui.notice.text.text(), "protocol.no_site")
+    assert "'sites'" in window.ui.notice.text.text()
     assert not page.asking.measure.isVisible()
     assert not page.asking.template.isVisible()
     assert page.data.tests == 3

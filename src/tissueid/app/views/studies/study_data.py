@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import csv
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -13,7 +13,8 @@ from tissueid.errors import UnusableInputError
 from tissueid.formatting import clean
 from tissueid.language import marked
 from tissueid.messages import Message, Verbatim
-from tissueid.procedures.study_plans import RESULTS
+from tissueid.procedures.session_store import FolderStore
+from tissueid.procedures.study_plans import NOT_ANALYSED_FILE, RESULTS
 from tissueid.procedures.study_protocol import PROTOCOL_FILE, Protocol, read_protocol, sitting_steps
 
 if TYPE_CHECKING:
@@ -84,23 +85,21 @@ class StudyData:
         return 0 if self.protocol is None else len(sitting_steps(self.protocol, ""))
 
 
-def load_study(folder: Path, failures: Mapping[str, str] | None = None) -> StudyData:
-    """Read the table of a study and list its sessions.
-
-    Args:
-        folder: of the study.
-        failures: reason by session file, from a run.
+def load_study(folder: Path) -> StudyData:
+    """Read the table of a study and list its sessions, with the reason of those that could not be analysed.
 
     Raises:
         UnusableInputError: the folder or the table cannot be read.
     """
+    from tissueid.procedures.study_run import read_failures
+
     if not folder.is_dir():
         raise UnusableInputError(Message("study.no_folder", "{folder} is not a folder", folder=str(folder)))
     results = folder / RESULTS
     rows, parameters = _read_table(results / TABLE)
-    files = [str(path.relative_to(folder)) for path in folder.rglob("*.h5") if results not in path.parents]
+    files = FolderStore(folder).sessions()
     listed = {row.session for row in rows}
-    reasons = {file: reason.removeprefix(str(folder / file)).strip(" :") for file, reason in (failures or {}).items()}
+    reasons = read_failures(results / NOT_ANALYSED_FILE, files)
     missing = [_without_test(file, reasons.get(file, NOT_ANALYSED)) for file in sorted(set(files) - listed)]
     protocol, problem = None, ""
     if (folder / PROTOCOL_FILE).exists():
@@ -120,8 +119,8 @@ def analyse_study(plan: StudyPlan, control: Control) -> StudyData:
     """
     from tissueid.procedures.study_run import run_study
 
-    run = run_study(plan, control)
-    return load_study(plan.folder, run.failures)
+    run_study(plan, control)
+    return load_study(plan.folder)
 
 
 def report_and_load(plan: StudyReportPlan, control: Control) -> tuple[Path, StudyData]:
@@ -134,7 +133,7 @@ def report_and_load(plan: StudyReportPlan, control: Control) -> tuple[Path, Stud
     from tissueid.procedures.study_report import report_study
 
     found = report_study(plan, control)
-    return found.page, load_study(plan.folder, found.run.failures)
+    return found.page, load_study(plan.folder)
 
 
 def statistics_of(folder: Path, control: Control) -> StudyStatistics:

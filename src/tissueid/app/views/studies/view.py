@@ -230,6 +230,7 @@ class StudiesView(View):
     def _broke(self, words: str) -> None:
         self._over()
         self._failed(words)
+        self._changed = True  # a run without a usable session leaves the reason of each
 
     def _failed(self, words: str) -> None:
         self.context.say_failed(words)
@@ -241,6 +242,8 @@ class StudiesView(View):
         self.tests.show_study(data)
         if other:
             self.figures.clear()
+            if data.protocol_problem:
+                self.context.say(translated(data.protocol_problem), problem=True)
 
     def _analysed(self, data: StudyData) -> None:
         self._opened(data)
