@@ -62,7 +62,8 @@ run("effects", "gap", "effects", "--json", "-")
 run("twin", "gap", "accept", f"{site}/session.h5", "--effect", "nosuch_magnet", "--out", f"{site}/rig.toml")
 exec(compile(open(example).read(), "docs/how-to/effect.md", "exec"), {})
 run("by hand", "twin", "show", f"{site}/by_hand.toml")
-run("test", "test", "--device", f"simulated://{site}/by_hand.toml", "--site", "magnet", "--out", f"{site}/magnet.h5", "--seconds", "1")
+played = "--device", f"simulated://{site}/by_hand.toml", "--site", "magnet", "--seconds", "1"
+run("test", "test", *played, "--out", f"{site}/magnet.h5")
 
 from tissueid import Record, list_engines
 random, true = np.random.default_rng(3), (2000.0, 12.0)  # N/m, N s/m
