@@ -57,7 +57,7 @@ firmware: env ## build the reference firmware with the compilers that are instal
 
 conformance: env ## build the reference firmware and test it and the simulator against the protocol
 	@$(BIN)/python -m firmware_sim.reference.build
-	@$(BIN)/python -m pytest tests/reference -m "soak or not soak" -k "not ten_minutes" -rs --override-ini addopts="-q -p no:cacheprovider --import-mode=importlib"
+	@$(BIN)/python -m pytest tests/reference -m "soak or not soak" -k "not ten_minutes" -rs --timeout 900 --override-ini addopts="-q -p no:cacheprovider --import-mode=importlib"
 
 docs: env ## build the documentation site: docs/_build/html/index.html
 	@$(BIN)/python tools/build_docs.py
