@@ -10,6 +10,7 @@ import pytest
 from coded import coded
 
 from tissueid.cli import main
+from tissueid.device import DeviceDescription
 from tissueid.errors import FirmwareFaultError, InstrumentError, LimitError, LinkLostError
 from tissueid.instrument import Limits, find_instruments, open_instrument
 from tissueid.instrument.card import CardInstrument
@@ -194,9 +195,10 @@ def test_a_run_begins_and_ends_softly_and_is_watched_to_its_end(example):
     instrument.close()
 
 
-def test_impossible_properties_are_refused(example):
+@pytest.mark.parametrize("device", [DeviceDescription(force_constant_n_per_a=float("nan")), None])
+def test_impossible_properties_are_refused(example, device):
     card = Recorded(example)
-    card.device = type(card.device)(force_constant_n_per_a=float("nan"))
+    card.device = device
     with pytest.raises(InstrumentError, check=coded("card.property")):
         CardInstrument(card, "card")
     assert not card.enabled

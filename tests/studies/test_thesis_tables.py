@@ -1,4 +1,4 @@
-"""Tables of the thesis: its own numbers, and the tables of a study beside them."""
+"""Tables of the thesis: its own numbers, and the tables of a study next to them."""
 
 import numpy as np
 import pandas as pd

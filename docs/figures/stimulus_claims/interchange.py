@@ -10,6 +10,7 @@ import numpy as np
 from engine_claims.base import Claim
 
 from benchmarks import plain_interchange
+from tissueid.analysis.computing_times import swap_seconds
 from tissueid.errors import UnusableInputError
 from tissueid.stimuli.autocorrelation_bounds import error_bound
 from tissueid.stimuli.distributions import Binary, Uniform
@@ -203,18 +204,4 @@ def _grows(against: str, costs: dict[int, float], most: float) -> Claim:
 
 
 def _cost_us(samples: int, lags: int) -> float:
-    """Of one drawn pair, with its share of the sums that are taken anew after every sweep."""
-    start = np.random.Generator(np.random.PCG64(1)).permutation(Uniform().levels(samples))
-    target = Band(CUTOFF_HZ).autocorrelation(lags, RATE)
-    told: list[tuple[float, int]] = []
-    interchange(
-        start,
-        target,
-        tolerance=0.0,
-        max_trials=6 * max(10_000, samples),
-        seed=2,
-        guided=False,
-        on_progress=lambda progress: told.append((time.perf_counter(), progress.tried)),
-    )
-    when, tried = np.array(told).T
-    return 1e6 * float(np.min(np.diff(when) / np.diff(tried)))
+    return 1e6 * swap_seconds(samples, lags, 6)

@@ -76,25 +76,33 @@ def autocorrelation_times(sizes: Sequence[int]) -> tuple[Timing, ...]:
         Timing(name, tuple(sizes), tuple(shortest(lambda n=n, work=work: work(n)) for n in sizes))  # type: ignore[misc]
         for name, work in methods
     ]
-    return (*made, Timing("swap, compiled", tuple(sizes), tuple(_swap_s(n) for n in sizes), here=True))
+    return (
+        *made,
+        Timing("swap, compiled", tuple(sizes), tuple(swap_seconds(n, min(_LAGS, n // 2), 4) for n in sizes), here=True),
+    )
 
 
-def _swap_s(samples: int) -> float:
-    """Return the time of a tried pair of the compiled search, s."""
-    lags = min(_LAGS, samples // 2)
+def swap_seconds(samples: int, lags: int, sweeps: int) -> float:
+    """Return the time of a tried pair of the compiled search, s, with its share of the sums after every sweep.
+
+    Args:
+        samples: length of the stimulus.
+        lags: length of the autocorrelation.
+        sweeps: number of searches through all samples.
+    """
     start = np.random.Generator(np.random.PCG64(1)).permutation(Uniform().levels(samples))
     target = Band(_CUTOFF_HZ).autocorrelation(lags, _RATE_HZ)
-    told: list[tuple[float, int]] = []
+    reported: list[tuple[float, int]] = []
     interchange(
         start,
         target,
         tolerance=0.0,
-        max_trials=4 * max(10_000, samples),
+        max_trials=sweeps * max(10_000, samples),
         seed=2,
         guided=False,
-        on_progress=lambda progress: told.append((time.perf_counter(), progress.tried)),
+        on_progress=lambda progress: reported.append((time.perf_counter(), progress.tried)),
     )
-    when, tried = np.array(told).T
+    when, tried = np.array(reported).T
     return float(np.min(np.diff(when) / np.diff(tried)))
 
 
@@ -177,5 +185,6 @@ __all__ = [
     "lags_for",
     "orthonormalisation_times",
     "shortest",
+    "swap_seconds",
     "technique_times",
 ]

@@ -82,14 +82,17 @@ class CardInstrument(HostPlayedInstrument):
     """
 
     def __init__(self, card: Card, name: str, clock: Callable[[], float] = time.monotonic) -> None:
-        problem = implausible_property(asdict(card.device))
-        if problem is not None:
+        device = getattr(card, "device", None)
+        problem: Message | None = Message("card.device", "device must be a DeviceDescription")
+        if isinstance(device, DeviceDescription):
+            problem = implausible_property(asdict(device))
+        if not isinstance(device, DeviceDescription) or problem is not None:
             raise InstrumentError(
                 Message(
                     "card.property", "the driver of {name} reports an impossible value: {why}", name=name, why=problem
                 )
             )
-        super().__init__(card.device, winding=True)
+        super().__init__(device, winding=True)
         self._card = card
         self._name = Verbatim(name)
         self._clock = clock

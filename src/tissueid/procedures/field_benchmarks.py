@@ -1,4 +1,4 @@
-"""Benchmarks of system identification: errors of the engines on published records, beside published results.
+"""Benchmarks of system identification: errors of the engines on published records, and published results.
 
 The records are not part of the program: the file is named on the command line.
 """

@@ -118,7 +118,10 @@ class FolderStore:
 
 @dataclass(frozen=True)
 class RemoteStore:
-    """An address of fsspec, such as ``s3://bucket/study``; each worker opens it by itself."""
+    """An address of fsspec, such as ``s3://bucket/study``; each worker opens it by itself.
+
+    Every file system raises errors of its own, not only OSError.
+    """
 
     url: str
 
@@ -127,7 +130,7 @@ class RemoteStore:
         files, root = self._open()
         try:
             found = files.find(root, detail=True) if files.exists(root) else None
-        except OSError as error:
+        except Exception as error:
             raise self._unreadable(error) from error
         if found is None:
             raise self._unreadable(FileNotFoundError("there is nothing"))
@@ -145,13 +148,15 @@ class RemoteStore:
         with tempfile.TemporaryDirectory(prefix="tissueid-") as folder:
             path = Path(folder) / f"session{_ENDING}"
             try:
-                if (size := files.size(f"{root}/{name}") or 0) > _LARGEST_SESSION:
-                    raise UnusableInputError(
-                        Message("study.session_size", "{name} is too large ({size} bytes)", name=name, size=size)
-                    )
-                files.get_file(f"{root}/{name}", str(path))
-            except OSError as error:
+                size = files.size(f"{root}/{name}") or 0
+                if size <= _LARGEST_SESSION:
+                    files.get_file(f"{root}/{name}", str(path))
+            except Exception as error:
                 raise self._unreadable(error) from error
+            if size > _LARGEST_SESSION:
+                raise UnusableInputError(
+                    Message("study.session_size", "{name} is too large ({size} bytes)", name=name, size=size)
+                )
             yield path
 
     def results(self, analysis: str) -> list[str]:

@@ -78,8 +78,8 @@ class Protocol(_Part):
     """The protocol of a study.
 
     ``repeats`` are the tests at each site under each condition. ``attempts`` limits the tests of one repeat: the
-    sitting continues after so many whose quality is "repeat". ``stimulus`` is the name of a preset, ``seconds`` another
-    length of its stimulus. With ``photograph`` the window offers to add a photograph of each site.
+    sitting continues after this number of tests whose quality is "repeat". ``stimulus`` is the name of a preset,
+    ``seconds`` another length of its stimulus. With ``photograph`` the window offers to add a photograph of each site.
     """
 
     name: _Line

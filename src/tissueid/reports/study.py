@@ -69,7 +69,7 @@ OF_SEVERAL = ("cv", "c")
 _MOST_HALF, _LETTERS_HALF = 5, 44
 """Largest number of groups along the abscissa of a figure of half the width, and of letters of their names."""
 _AROUND = 0.9
-"""Width of labels beside the axes of a figure, in inches."""
+"""Width of labels left of the axes of a figure, in inches."""
 MOST_COMPARED = 10
 """Largest number of parameters that are drawn of conditions."""
 
@@ -120,7 +120,7 @@ def simulated_line(found: StudyStatistics) -> str:
 
 
 def tables_of(found: StudyStatistics) -> list[Table]:
-    """Return all tables of a report: what does not count, the thesis beside the study, the statistics."""
+    """Return all tables of a report: what does not count, the thesis and the study side by side, the statistics."""
     tables = [left_out_table(found.left_out)] if len(found.left_out) else []
     return tables + [one for key, rows in {**found.thesis, **found.tables}.items() for one in study_tables(key, rows)]
 

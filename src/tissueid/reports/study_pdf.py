@@ -117,7 +117,7 @@ def _figures(paper: PageWriter, key: str, heading: str, plots: Mapping[str, Call
 
 
 def _key_of(plot: Plot) -> tuple[list[Artist], list[str]]:
-    """Return signs and names of the curves of a plot, drawn on axes that nobody sees."""
+    """Return signs and names of the curves of a plot, drawn on invisible axes."""
     axes = Figure().subplots()
     draw_plot(axes, plot, title=False, key=False)
     handles, names = axes.get_legend_handles_labels()
@@ -155,9 +155,9 @@ def _parts(table: Table, size: float) -> list[tuple[Table, list[float]]]:
             taken.append(rest.pop(0))
         places = [*range(names), *taken]
         rows = tuple(tuple(row[place] for place in places) for row in table.rows)
-        beside = sum(widths[place] for place in places[:-1])
-        if beside + widths[places[-1]] > TEXT_WIDTH + _COLUMN_GAP:
-            rows = _wrapped_rows(rows, int(max(TEXT_WIDTH - beside, 1.0) * _LETTERS_PER_INCH * 7.0 / size))
+        before = sum(widths[place] for place in places[:-1])
+        if before + widths[places[-1]] > TEXT_WIDTH + _COLUMN_GAP:
+            rows = _wrapped_rows(rows, int(max(TEXT_WIDTH - before, 1.0) * _LETTERS_PER_INCH * 7.0 / size))
         head = tuple(table.head[place] for place in places)
         part = Table(table.caption, head, rows, "" if rest else table.note)
         parts.append((part, [widths[place] for place in places]))

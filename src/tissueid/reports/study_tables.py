@@ -1,4 +1,4 @@
-"""Tables of a study for people: statistics, the tables of the thesis beside them, and the tests that do not count."""
+"""Tables of a study for people: statistics, the tables of the thesis next to them, and the tests that do not count."""
 
 from __future__ import annotations
 
@@ -192,7 +192,7 @@ _METHODS = {"anova": marked("analysis of variance"), "welch": marked("Welch")}
 
 
 def study_tables(key: str, rows: pd.DataFrame) -> list[Table]:
-    """Return the tables of one kind of statistics, or of the thesis beside them, for people: one for each factor."""
+    """Return the tables of one kind of statistics, or of the thesis next to them, for people: one for each factor."""
     factors = list(rows["factor"].unique()) if key in _BY_FACTOR else []
     if len(factors) < 2:
         return [study_table(key, rows)]

@@ -51,7 +51,7 @@ class StudyStatistics:
 
     ``used`` holds the tests of subjects that count, ``means`` one row per subject, site and condition, ``samples`` the
     tests of materials. ``left_out`` has one row per test that does not count, with the reason. ``thesis`` are the
-    tables of the thesis beside those of the study, by their number.
+    tables of the thesis next to those of the study, by their number.
     """
 
     used: pd.DataFrame

@@ -1,4 +1,4 @@
-"""Tables 7.1 to 7.5 of the thesis (Chen 2010) beside those of a study at the same sites with the same parameters.
+"""Tables 7.1 to 7.5 of the thesis (Chen 2010), next to those of a study at the same sites with the same parameters.
 
 The cells of Table 7.3 are not legible in the copy that was used; what the text says of them is there instead.
 """
