@@ -1,11 +1,12 @@
 """A protocol gives the steps of a sitting; a sitting on the simulator is complete, continues and stores values."""
 
+import io
 import json
-import struct
-import zlib
 
 import pytest
 from coded import coded
+from PIL import Image
+from PIL.PngImagePlugin import PngInfo
 
 from tissueid.cli import main
 from tissueid.errors import CancelledError, UnusableInputError
@@ -241,32 +242,36 @@ def test_a_damaged_file_of_subjects_is_not_replaced(tmp_path):
         assert (tmp_path / SUBJECTS_FILE).read_text() == text
 
 
-def png(*parts):
-    def chunk(kind, data):
-        return struct.pack(">I", len(data)) + kind + data + struct.pack(">I", zlib.crc32(kind + data))
-
-    header = chunk(b"IHDR", struct.pack(">IIBBBBB", 1, 1, 8, 0, 0, 0, 0))
-    body = chunk(b"IDAT", zlib.compress(b"\0\0"))
-    return b"\x89PNG\r\n\x1a\n" + header + b"".join(chunk(*part) for part in parts) + body + chunk(b"IEND", b"")
-
-
-def jpeg(*segments):
-    parts = b"".join(bytes((0xFF, marker)) + struct.pack(">H", 2 + len(data)) + data for marker, data in segments)
-    return b"\xff\xd8" + parts + b"\xff\xda\x00\x02scan\xff\xd9"
+def picture(kind, **options):
+    """A red picture of 8 x 4 pixels with a blue left half."""
+    made, file = Image.new("RGB", (8, 4), "red"), io.BytesIO()
+    made.paste("blue", (0, 0, 4, 4))
+    made.save(file, kind, **options)
+    return file.getvalue()
 
 
-def test_photographs_are_copied_without_descriptions(tmp_path):
-    (tmp_path / "a.png").write_bytes(png((b"tEXt", b"Author\0John Smith")))
-    (tmp_path / "b.jpg").write_bytes(jpeg((0xE0, b"JFIF\0"), (0xE1, b"Exif\0\0John Smith"), (0xFE, b"John Smith")))
+def test_photographs_are_copied_upright_and_without_descriptions(tmp_path):
+    described, turned = PngInfo(), Image.Exif()
+    described.add_text("Author", "John Smith")
+    turned[0x0112], turned[0x013B] = 6, "John Smith"  # to be turned by 90 degrees; artist
+    (tmp_path / "a.png").write_bytes(picture("PNG", pnginfo=described))
+    (tmp_path / "b.jpg").write_bytes(picture("JPEG", exif=turned, comment="John Smith"))
     found = add_photograph(tmp_path / "s", "P01", "left forearm, posterior", tmp_path / "a.png")
     assert found.relative_to(tmp_path / "s").as_posix() == "photographs/P01 left-forearm--posterior.png"
-    assert found.read_bytes() == png()
-    again = add_photograph(tmp_path / "s", "P01", "left forearm, posterior", tmp_path / "a.png")
-    assert again != found
-    assert add_photograph(tmp_path / "s", "P01", "arm", tmp_path / "b.jpg").read_bytes() == jpeg((0xE0, b"JFIF\0"))
+    assert add_photograph(tmp_path / "s", "P01", "left forearm, posterior", tmp_path / "a.png") != found
+    upright = add_photograph(tmp_path / "s", "P01", "arm", tmp_path / "b.jpg")
+    for path in (found, upright):
+        assert b"John Smith" not in path.read_bytes()
+    with Image.open(found) as same, Image.open(upright) as other:
+        assert (same.size, same.getpixel((0, 0)), same.getpixel((7, 0))) == ((8, 4), (0, 0, 255), (255, 0, 0))
+        assert (other.size, other.getexif()) == ((4, 8), {})
+        assert other.getpixel((0, 0))[2] > 200 > 100 > other.getpixel((0, 7))[2]
 
 
-@pytest.mark.parametrize("data", [b"", b"\xff\xd8", b"GIF89a", png()[:-6], jpeg()[:4], b"\xff\xd8\xff\xe1\xff\xff"])
+CUT_OFF = picture("PNG")[:50], picture("JPEG")[:40]
+
+
+@pytest.mark.parametrize("data", [b"", b"\xff\xd8", b"GIF89a", *CUT_OFF, picture("GIF")])
 def test_what_is_no_photograph_is_refused(tmp_path, data):
     (tmp_path / "a.jpg").write_bytes(data)
     with pytest.raises(UnusableInputError, check=coded("photograph.kind")):

@@ -4,7 +4,8 @@ from __future__ import annotations
 
 import csv
 import io
-from collections.abc import Mapping, Sequence
+import warnings
+from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -155,7 +156,7 @@ def missing_demographics(protocol: Protocol, folder: Path, subject: str) -> list
 def add_photograph(folder: Path, subject: str, site: str, source: Path) -> Path:
     """Copy a photograph of a site into the folder of a study, and return the copy. No file is replaced.
 
-    Descriptions in the file, such as place, time and owner of the camera, are left out.
+    Descriptions in the file, such as place, time and owner of the camera, are left out; it is turned upright.
 
     Raises:
         UnusableInputError: it is no JPEG or PNG picture, too large, or cannot be read or written.
@@ -171,8 +172,8 @@ def add_photograph(folder: Path, subject: str, site: str, source: Path) -> Path:
     )
     data = read_at_most(source, _LARGEST_PHOTOGRAPH, too_large)
     try:
-        suffix, bare = (".jpg", _bare_jpeg(data)) if data[:2] == _JPEG else (".png", _bare_png(data))
-    except (ValueError, IndexError) as error:
+        suffix, bare = _bare_picture(data)
+    except ValueError as error:
         raise UnusableInputError(
             Message("photograph.kind", "{path} is not a JPEG or PNG picture", path=str(source))
         ) from error
@@ -207,40 +208,26 @@ def _number(name: str, bounds: tuple[float, float], text: str) -> str:
     return f"{value:.10g}"
 
 
-_JPEG, _PNG = b"\xff\xd8", b"\x89PNG\r\n\x1a\n"
-_START_OF_SCAN, _ADOBE = 0xDA, 0xEE
-_DESCRIPTIONS: Sequence[bytes] = (b"tEXt", b"iTXt", b"zTXt", b"eXIf", b"tIME")
+def _bare_picture(data: bytes) -> tuple[str, bytes]:
+    """Return ending and content of a JPEG or PNG picture, upright and without descriptions.
 
+    Raises:
+        ValueError: it is none, or damaged, or has too many pixels.
+    """
+    from PIL import Image, ImageOps
 
-def _bare_jpeg(data: bytes) -> bytes:
-    """Return a JPEG picture without application segments and comments; ValueError where it is none."""
-    kept, at = bytearray(data[:2]), 2
-    while True:
-        if data[at] != 0xFF:
-            raise ValueError("a segment must begin with a marker")
-        marker, length = data[at + 1], int.from_bytes(data[at + 2 : at + 4], "big")
-        if length < 2 or at + 2 + length > len(data):
-            raise ValueError("a segment is cut off")
-        if marker == _START_OF_SCAN:
-            return bytes(kept + data[at:])
-        described = 0xE1 <= marker <= 0xEF and marker != _ADOBE
-        if not described and marker != 0xFE:
-            kept += data[at : at + 2 + length]
-        at += 2 + length
-
-
-def _bare_png(data: bytes) -> bytes:
-    """Return a PNG picture without descriptions; ValueError where it is none."""
-    if data[:8] != _PNG or data[12:16] != b"IHDR":
-        raise ValueError("no picture begins like this")
-    kept, at = bytearray(data[:8]), 8
-    while at < len(data):
-        kind, end = data[at + 4 : at + 8], at + 12 + int.from_bytes(data[at : at + 4], "big")
-        if end > len(data):
-            raise ValueError("a part is cut off")
-        if kind not in _DESCRIPTIONS:
-            kept += data[at:end]
-        if kind == b"IEND":
-            return bytes(kept)
-        at = end
-    raise ValueError("the end is missing")
+    bare = io.BytesIO()
+    try:
+        with warnings.catch_warnings():
+            warnings.simplefilter("error", Image.DecompressionBombWarning)
+            with Image.open(io.BytesIO(data), formats=("JPEG", "PNG")) as picture:
+                kind = "PNG" if picture.format == "PNG" else "JPEG"
+                upright = ImageOps.exif_transpose(picture)
+                pixels = Image.new(upright.mode, upright.size)
+                pixels.paste(upright)
+                if upright.mode == "P" and (palette := upright.getpalette()) is not None:
+                    pixels.putpalette(palette)
+                pixels.save(bare, kind, quality=95)
+    except (OSError, SyntaxError, ValueError, Image.DecompressionBombWarning, Image.DecompressionBombError) as error:
+        raise ValueError(str(error)) from error
+    return (".png" if kind == "PNG" else ".jpg"), bare.getvalue()
