@@ -66,6 +66,16 @@ def _frozen_to_the_end() -> Iterator[None]:
         yield
 
 
+@pytest.fixture(scope="session", autouse=True)
+def _figures_as_texts() -> Iterator[None]:
+    """Pages get the texts of their figures: drawing takes most of the time of a page. ``reports`` draws them."""
+    from reports.in_german import texts_as_svg
+
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr("tissueid.reports.blocks.to_svg", texts_as_svg)
+        yield
+
+
 @pytest.fixture(scope="session")
 def _audit_folders(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Path]:
     """A folder for each test, without a look at those of all tests before: with thousands of them that takes long."""

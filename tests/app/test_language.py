@@ -1,9 +1,10 @@
 """Translations: every text of the program has one in every catalogue, and the pages show it."""
 
-import ast
+import functools
 import string
 from io import BytesIO
 from pathlib import Path
+from symtable import symtable
 
 import pytest
 from PySide6.QtCore import QLocale, QSettings
@@ -32,6 +33,13 @@ def entries():
                 yield from zip((entry.id[0], *entry.id[1:] * (len(entry.string) - 1)), entry.string, strict=True)
             elif entry.id:
                 yield entry.id, entry.string
+
+
+@pytest.fixture(scope="module", autouse=True)
+def _extracted_once():
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(translations, "extracted", functools.cache(translations.extracted))
+        yield
 
 
 @pytest.fixture(autouse=True)
@@ -89,15 +97,23 @@ def test_a_mnemonic_stays_a_mnemonic_and_spaces_at_the_ends_stay():
 def test_nothing_called_underscore_hides_the_lookup():
     """A loop or a parameter called ``_`` would shadow it in the whole function."""
     for path in sorted(SOURCE.rglob("*.py")):
-        for function in ast.walk(ast.parse(path.read_text(encoding="utf-8"))):
-            if isinstance(function, ast.FunctionDef):
-                own = set(ast.walk(function))
-                inner = [n for n in own if isinstance(n, ast.GeneratorExp | ast.ListComp | ast.DictComp | ast.SetComp)]
-                own -= {node for part in inner for node in ast.walk(part)}
-                calls = any(isinstance(n, ast.Call) and isinstance(n.func, ast.Name) and n.func.id == "_" for n in own)
-                binds = any(isinstance(n, ast.Name) and n.id == "_" and isinstance(n.ctx, ast.Store) for n in own)
-                binds |= any(isinstance(n, ast.arg) and n.arg == "_" for n in own)
-                assert not (calls and binds), f"{path.name}: {function.name}"
+        text = path.read_text(encoding="utf-8")
+        if "_(" in text:
+            hidden = [scope for scope in scopes(symtable(text, path.name, "exec")) if hides_the_lookup(scope)]
+            assert not hidden, f"{path.name}: {hidden}"
+
+
+def scopes(table):
+    yield table
+    for inner in table.get_children():
+        yield from scopes(inner)
+
+
+def hides_the_lookup(scope):
+    if scope.get_type() != "function" or "_" not in scope.get_identifiers():
+        return False
+    symbol = scope.lookup("_")
+    return symbol.is_local() and symbol.is_referenced()
 
 
 def test_a_lookup_falls_back_and_knows_one_from_many():

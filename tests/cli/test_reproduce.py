@@ -6,6 +6,7 @@ import json
 from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -17,7 +18,7 @@ import tissueid.instrument
 from tissueid.cli import main
 from tissueid.errors import CancelledError, InstrumentError
 from tissueid.messages import Message
-from tissueid.procedures import demo, field_benchmarks, reproduction
+from tissueid.procedures import demo, field_benchmarks, reproduction, thesis_figures
 from tissueid.procedures.control import Control
 from tissueid.procedures.field_benchmarks import SILVERBOX, WIENER_HAMMERSTEIN, run_benchmark
 from tissueid.procedures.thesis_figures import FIGURES, QUICK_TESTS
@@ -34,33 +35,62 @@ def complaint(capsys: pytest.CaptureFixture[str], *arguments: object) -> str:
     return captured.err.strip().splitlines()[-1]
 
 
+NUMBERS = ("3.4", "3.5", "4.9", "5.4", "6.2")
+"""A figure of each chapter with few tests; the others are run by ``make soak``."""
+
+
+def reproduced(out: Path, *numbers: str) -> list[dict[str, Any]]:
+    """Make figures in a quick run, check that none is missing, and return them."""
+    assert main(["reproduce", *numbers, "--quick", "--out", str(out), "--json", str(out.with_suffix(".json"))]) == 0
+    figures = json.loads((out / "results.json").read_text())["figures"]
+    assert {one["number"]: one["why_missing"] for one in figures if one["why_missing"]} == {}
+    assert all(one["rows"] and one["remark"] for one in figures)
+    assert all("nan" not in row["here"] for one in figures for row in one["rows"])
+    return figures
+
+
 @pytest.mark.timeout(600)
-def test_the_quick_reproduction(tmp_path: Path) -> None:
+def test_a_quick_reproduction(tmp_path: Path) -> None:
     out = tmp_path / "thesis"
-    assert main(["reproduce", "--quick", "--out", str(out), "--json", str(tmp_path / "answer.json")]) == 0
-    results = json.loads((out / "results.json").read_text())
-    expected = [one.number for one in FIGURES if {s.recording.name for s in one.sources} <= QUICK_TESTS]
-    assert [one["number"] for one in results["figures"]] == expected
-    assert len(expected) > 25
-    assert {one["number"]: one["why_missing"] for one in results["figures"] if one["why_missing"]} == {}
-    assert all(one["rows"] and one["remark"] for one in results["figures"])
-    assert all("nan" not in row["here"] for one in results["figures"] for row in one["rows"])
+    figures = reproduced(out, *NUMBERS)
+    assert [one["number"] for one in figures] == list(NUMBERS)
     page = " ".join(checked((out / "report.html").read_text()).text.split())
     assert REMARKS["5.4"] in page
     assert "| VAF, nonparametric | 75.79 % |" in (out / "reproduction.md").read_text()
-    assert {path.stem.removesuffix("-quick") for path in (out / "sessions").glob("*.h5")} == QUICK_TESTS
-    scores = {row["what"]: row["here"] for one in results["figures"] for row in one["rows"]}
+    scores = {row["what"]: row["here"] for one in figures for row in one["rows"]}
     assert float(scores["VAF, nonparametric"].split()[0]) == pytest.approx(75.0, abs=5.0)
     assert float(scores["damping ratio"]) < 1.0
 
 
 @pytest.mark.soak
 @pytest.mark.timeout(1800)
+def test_the_figures_that_a_quick_run_chooses(tmp_path: Path) -> None:
+    out = tmp_path / "thesis"
+    figures = reproduced(out)
+    assert len(figures) > 25
+    assert {path.stem.removesuffix("-quick") for path in (out / "sessions").glob("*.h5")} == QUICK_TESTS
+
+
+@pytest.mark.soak
+@pytest.mark.timeout(1800)
 def test_every_figure_in_a_quick_run(tmp_path: Path) -> None:
-    numbers = [one.number for one in FIGURES]
-    assert main(["reproduce", *numbers, "--quick", "--out", str(tmp_path / "thesis")]) == 0
-    results = json.loads((tmp_path / "thesis" / "results.json").read_text())
-    assert {one["number"]: one["why_missing"] for one in results["figures"] if one["why_missing"]} == {}
+    reproduced(tmp_path / "thesis", *(one.number for one in FIGURES))
+
+
+def test_without_numbers_a_quick_run_makes_the_figures_of_a_few_tests(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    played: list[str] = []
+
+    def record(recordings: list[Recording], _folder: Path, _control: Control) -> dict[str, str]:
+        played.extend(one.name.removesuffix("-quick") for one in recordings)
+        return {one.name: "silent" for one in recordings}
+
+    monkeypatch.setattr(reproduction, "_record", record)
+    monkeypatch.setattr(thesis_figures, "FIGURES", [one for one in FIGURES if one.sources])
+    made = reproduction.run_reproduction(reproduction.ReproductionPlan(quick=True, out=tmp_path / "out"), Control())
+    assert len(made) > 15
+    assert set(played) == QUICK_TESTS
 
 
 def test_every_figure_has_a_remark_and_a_remark_no_other_figure() -> None:

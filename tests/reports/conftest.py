@@ -1,12 +1,21 @@
 from __future__ import annotations
 
+from collections.abc import Iterator
+
 import pytest
 from reports.in_german import texts_as_svg
 from reports.synthetic_sitting import make_session, make_test
 
 from tissueid.analysis import Analysis, analyse_all
-from tissueid.reports import blocks
+from tissueid.reports import blocks, style
 from tissueid.sessions import Session
+
+
+@pytest.fixture(scope="module", autouse=True)
+def _figures_drawn() -> Iterator[None]:
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(blocks, "to_svg", style.to_svg)
+        yield
 
 
 @pytest.fixture(scope="session")

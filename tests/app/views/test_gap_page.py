@@ -62,7 +62,8 @@ def page_of(window):
 
 
 def wait(qtbot, window):
-    qtbot.waitUntil(lambda: not window.jobs, timeout=WAIT_MS)
+    # Between the end of a reading job and the diagnosis that was asked for meanwhile, no job runs.
+    qtbot.waitUntil(lambda: not window.jobs and not page_of(window)._running, timeout=WAIT_MS)
 
 
 @pytest.fixture
