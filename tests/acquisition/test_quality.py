@@ -546,7 +546,9 @@ def test_old_sessions_can_be_judged(good):
     assert partial(quality_of, good)() is None
 
 
-@pytest.mark.parametrize(("samples", "rate"), [(9000, 1.0), (400_000, 2000.0), (9000, 1e-6), (9000, 1e9)])
+@pytest.mark.parametrize(
+    ("samples", "rate"), [(9000, 1.0), pytest.param(400_000, 2000.0, marks=pytest.mark.soak), (9000, 1e-6), (9000, 1e9)]
+)
 def test_memory_stays_in_proportion_to_the_test(samples, rate):
     rng = np.random.default_rng(2)
     signals = {name: rng.standard_normal(samples) for name in ("command", "current", "force", "position")}

@@ -68,6 +68,7 @@ def pulls(truths, found):
     }
 
 
+@pytest.mark.soak
 def test_deviations_are_what_the_figures_scatter_by():
     """Three times too large or too small would be seen at once: 300 draws tell a deviation to 4 %."""
     random = np.random.default_rng(11)

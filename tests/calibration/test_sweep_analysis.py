@@ -363,6 +363,7 @@ def test_a_field_that_cannot_be_stored_is_named():
         as_calibration(result_of(Rig(), tuple(FEW)), conditions={"session_id": 1000 * "x"})
 
 
+@pytest.mark.soak
 def test_deviations_are_neither_too_small_nor_too_large():
     """Errors over deviations, root mean square: a third where they are three times too large, three where so small."""
     rig, off = Rig(), {}

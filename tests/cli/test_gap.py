@@ -316,6 +316,7 @@ def test_a_check_on_skin_scores_sets(tmp_path: Path, capsys, monkeypatch: pytest
 
 
 @pytest.mark.usefixtures("_recorded_here")
+@pytest.mark.soak
 def test_a_check_against_a_twin_scores_new_effects(tmp_path: Path, capsys, monkeypatch: pytest.MonkeyPatch):
     kept, out = tmp_path / "kept", tmp_path / "score.json"
     searched: list[int] = []

@@ -32,9 +32,9 @@ def run(folder: Path, shell: str, *more: str) -> subprocess.CompletedProcess[str
     ("shell", "more", "status"),
     [
         (">&- 2>&- <&-", (), 0),
-        (">&-", ("--json", "-"), 2),
+        pytest.param(">&-", ("--json", "-"), 2, marks=pytest.mark.soak),
         pytest.param(">/dev/full", (), 2, marks=pytest.mark.skipif(not Path("/dev/full").exists(), reason="no such")),
-        ("", ("--json", "-"), 0),
+        pytest.param("", ("--json", "-"), 0, marks=pytest.mark.soak),
     ],
 )
 def test_a_test_whose_output_is_lost_is_saved(tmp_path, shell, more, status):

@@ -52,7 +52,9 @@ def with_effect(name, times):
     return replace(dataset, tests=tuple(tests))
 
 
-@pytest.mark.parametrize("name", CANDIDATES)
+@pytest.mark.parametrize(
+    "name", [*CANDIDATES[:2], *(pytest.param(name, marks=pytest.mark.soak) for name in CANDIDATES[2:])]
+)
 def test_an_effect_above_its_limit_is_named_and_one_well_below_is_not(name):
     assert limits().of(effect(name)) is not None
     above = diagnose(with_effect(name, 1.5), SerialExecutor(), candidates=CANDIDATES)

@@ -48,6 +48,7 @@ def diagnosed(record, *names):
     return diagnose(dataset(record), SerialExecutor(), candidates=names)
 
 
+@pytest.mark.soak
 def test_friction_of_a_servo_axis_in_closed_loop_is_named():
     found = diagnosed(servo_axis(2, 10.0, ServoAxis(sample_rate_hz=500.0)), "dry_friction", "quadratic_drag")
     about = found.dataset.equivalent
@@ -72,13 +73,14 @@ def test_loops_that_harden_are_named_with_their_parameters():
     assert fitted["yield_m"] / about.output_m == pytest.approx(1e-3 / np.hypot(0.8, 1.1), rel=0.15)
 
 
+@pytest.mark.soak
 def test_a_circuit_with_square_and_cubic_stiffness_is_named():
     found = diagnosed(duffing(2, 6.0, Duffing(square_1_v=0.4)), "tissue_stiffening", "dry_friction")
     assert found.combination == ("tissue_stiffening",)
     assert found.gap.closed > 0.95
 
 
-@pytest.mark.parametrize("of_load", [False, True])
+@pytest.mark.parametrize("of_load", [False, pytest.param(True, marks=pytest.mark.soak)])
 def test_two_masses_are_a_baseline(of_load):
     record = two_mass_drive(1, 4.0, TwoMassDrive(coulomb_n=0.0), of_load=of_load)
     chosen = with_best_family(dataset(record))

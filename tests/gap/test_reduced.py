@@ -113,6 +113,7 @@ def test_a_linear_input_output_record_has_no_gap():
     assert gap(score_candidate(fit(observed)).checked_by) < 0.01
 
 
+@pytest.mark.soak
 def test_a_hardening_spring_is_separated_from_drag():
     observed = prepare(bare(duffing(6.0, seconds=8.0)))
     names = ["tissue_stiffening", "quadratic_drag"]

@@ -135,6 +135,7 @@ def test_a_special_case_starts_at_the_fit_of_its_general_form():
     assert by_name["dry_friction"].score == pytest.approx(by_name["directional_friction"].score, abs=0.05)
 
 
+@pytest.mark.soak
 def test_a_pair_is_named_among_nested_models():
     # With eddy currents, which resemble a delay, the general form of friction leads at first.
     alike = ("directional_friction", "dry_friction", "latency", "eddy_currents")
@@ -143,6 +144,7 @@ def test_a_pair_is_named_among_nested_models():
     assert result.gap.closed > 0.9
 
 
+@pytest.mark.soak
 def test_coarse_steps_are_named_in_a_pair():
     candidates = ("clock_skew", "quantization", "sensor_nonlinearity")
     result = diagnose(

@@ -102,6 +102,7 @@ def test_one_partition_is_the_linear_impulse_response():
     assert report["stiffness_n_per_m"].value == pytest.approx(simulated.STIFFNESS, rel=0.02)
 
 
+@pytest.mark.soak
 def test_standard_deviations_of_kernels_are_the_spread_of_repeats():
     found, reported = [], []
     for run in range(40):

@@ -173,6 +173,7 @@ def test_curves_over_the_central_depths_are_within_two_percent(name: str):
     assert model.degrees["direction"] == model.degrees["inertia"] == -1
 
 
+@pytest.mark.soak
 def test_white_force_held_at_500_hz():
     record = simulated_dpn.slow_record(simulated_dpn.THESIS, 1)
     model = Dpn(hold="zero-order").fit(record)
@@ -446,6 +447,7 @@ def _coverage(runs: int, tissue: simulated_dpn.Tissue, snr_db: float, colour: fl
     return held / runs
 
 
+@pytest.mark.soak
 def test_bands_hold_the_truth():
     runs = 6
     covered = _coverage(runs, simulated_dpn.SKIN, 30.0, 0.9)

@@ -233,6 +233,7 @@ def _coverage(runs: int, form: str, colour: float) -> dict[str, float]:
     return {name: float(np.mean(values)) for name, values in inside.items()}
 
 
+@pytest.mark.soak
 def test_intervals_hold_the_truth():
     runs = 16
     covered = _coverage(runs, "exponential", 0.0)

@@ -69,6 +69,7 @@ def test_the_pseudo_inverse_drops_what_the_tolerance_says(record: Record):
 
 
 @pytest.mark.parametrize("pole", [0.0, 0.9])
+@pytest.mark.soak
 def test_standard_deviation_of_each_lag_is_the_spread_of_repeats(pole: float):
     found, reported = [], []
     for run in range(80):

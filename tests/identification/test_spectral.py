@@ -53,6 +53,7 @@ def test_bode_diagram_of_a_known_system(record: Record):
     assert np.mean(spectra.coherence[BAND]) > 0.98
 
 
+@pytest.mark.soak
 def test_random_errors_are_the_spread_of_repeats():
     magnitude, phase, told_magnitude, told_phase = [], [], [], []
     for run in range(60):

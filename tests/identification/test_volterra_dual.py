@@ -122,6 +122,7 @@ def cubic() -> tuple[simulated_kernels.Known, RegressionKernels]:
     return known, regression_kernels(known.x, known.y, known.used, LAGS, 1, 3)
 
 
+@pytest.mark.soak
 def test_a_cubic_system_shows_its_kernels(cubic: tuple[simulated_kernels.Known, RegressionKernels]):
     known, found = cubic
     assert found.kernel2 is not None

@@ -261,6 +261,7 @@ def test_refusals(order: int, rows: int, refusal: Refusal):
 
 
 @pytest.mark.skipif(not SESSIONS, reason="the independent rig's sessions are not here")
+@pytest.mark.soak
 def test_nothing_is_lost_on_the_rig():
     record = read_session(SESSIONS[0]).test(None).record("force", "position")
     lags, spacing, cut = 41, 3, 6000

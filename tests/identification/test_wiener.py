@@ -72,6 +72,7 @@ def test_constants_under_noise_and_what_the_refinement_is_for(record: Record):
     assert iterated.vaf_percent > refined.details["vaf_linear_percent"]
 
 
+@pytest.mark.soak
 def test_refinement_makes_the_constants_better():
     errors: dict[bool, list[float]] = {True: [], False: []}
     for run in range(16):  # short records: the longer the record, the less is left to refine
@@ -101,6 +102,7 @@ def _coverage(runs: int) -> tuple[list[str], np.ndarray]:
     return [*truth, "stiffness_n_per_m"], inside / runs
 
 
+@pytest.mark.soak
 def test_intervals_hold_the_truth():
     runs = 40
     names, covered = _coverage(runs)

@@ -114,6 +114,7 @@ def test_long_lines(mark, tmp_path):
     refused(path)
 
 
+@pytest.mark.soak
 def test_many_long_lines_are_read_in_small_blocks(tmp_path):
     path = tmp_path / "a.csv"
     cells = ",".join(["0.125"] * 5000)

@@ -186,6 +186,7 @@ def test_one_group_constant_values_and_missing_values_give_no_row():
     assert partial_least_squares(means, ["bmi", "gender"], ["k"]).empty
 
 
+@pytest.mark.soak
 def test_false_positives_are_rare():
     found = [
         one_way(subject_means(study(seed=seed, sites=("arm",), repeats=2), ["k"]).assign(g=["a", "b"] * 8), "g", ["k"])
