@@ -251,7 +251,8 @@ class PageWriter:
             cells.append((x, y, width - 0.15, high))
             axes = page.add_axes((x / _WIDTH, y / _HEIGHT, (width - 0.15) / _WIDTH, high / _HEIGHT))
             draw(axes)
-            turn_names(axes, width - _ORDINATE)
+            if axes.get_xscale() == "linear":  # names, not frequencies
+                turn_names(axes, width - _ORDINATE)
             drawn.append(axes)
         _fit_axes(page, drawn, cells)
         self.y -= inches

@@ -30,6 +30,8 @@ HEADINGS: Mapping[str, str] = {
     "partial_least_squares": marked("Partial least squares of all parameters"),
     "efficacy": marked("Conditions compared within subjects"),
     "materials": marked("Materials"),
+    "kernel_components": marked("Principal components of the Volterra kernels"),
+    "kernel_scores": marked("Scores of the principal components"),
     "7.1": marked("Table 7.1 of the thesis: variation within a subject"),
     "7.2": marked("Table 7.2 of the thesis: variation between subjects"),
     "7.3a": marked("Table 7.3a of the thesis: groups"),
@@ -77,6 +79,15 @@ _NOTES = {
         "Analysis of variance over the tests, Welch's form where the variances differ. The last column is the number "
         "of other materials from which this one differs (Tukey, 5 % for all pairs together)."
     ),
+    "kernel_components": marked(
+        "Components of the kernels of all tests that count. Analysis of variance of their scores over sites, "
+        "orientations, conditions and materials, Welch's form where the variances differ (Levene); the tests of a "
+        "subject are averaged first. Corrected by Holm's method over the components of a kernel. Effect size: partial "
+        "eta squared. The sites of a subject count as independent."
+    ),
+    "kernel_scores": marked(
+        "Mean and standard deviation over the tests of each group, in standard deviations of all tests."
+    ),
     "7.1": marked("Individual coefficient of variation; in brackets its 95 % interval. The last column is the ratio."),
     "7.2": marked("Population coefficient of variation; in brackets its 95 % interval. The last column is the ratio."),
     "7.3a": marked(
@@ -91,6 +102,8 @@ _NOTES = {
     ),
 }
 COLUMNS: Mapping[str, str] = {
+    "kernel": marked("Kernel"),
+    "component": marked("Component"),
     "site": marked("Site"),
     "factor": marked("Quantity or group"),
     "response": marked("Quantity or group"),
@@ -99,6 +112,10 @@ COLUMNS: Mapping[str, str] = {
     "reference": marked("Reference"),
     "before": marked("Reference"),
     "after": marked("Condition"),
+    "share": marked("Share of the variance"),
+    "score_1": marked("Component 1"),
+    "score_2": marked("Component 2"),
+    "score_3": marked("Component 3"),
     "mean": marked("Mean"),
     "individual_cv": marked("Individual CV"),
     "population_cv": marked("Population CV"),
@@ -121,6 +138,7 @@ COLUMNS: Mapping[str, str] = {
     "subjects": marked("Subjects"),
     "left_out": marked("Left out"),
     "tests": marked("Tests"),
+    "means": marked("Means"),
     "groups": marked("Groups"),
     "method": marked("Method"),
     "participants_80": marked("80 %"),
@@ -151,7 +169,7 @@ _IN_UNITS = (
     "thesis_anterior",
     "thesis_posterior",
 )
-ABOUT = ("site", "factor", "response", "parameter", "level", "reference", "before", "after")
+ABOUT = ("kernel", "component", "site", "factor", "response", "parameter", "level", "reference", "before", "after")
 """Columns that say what a row is about; they come first."""
 _ONCE = (
     "reference",
@@ -161,6 +179,7 @@ _ONCE = (
     "left_out",
     "tests",
     "groups",
+    "means",
     "components",
     "detectable",
     "method",
@@ -246,7 +265,7 @@ def _cell(row: Mapping[str, Any], name: str) -> str:
         return axis_label(str(value), parameter_axis(str(value))[0].unit)
     if name in ("before", "after") and not value:
         return _(NO_CONDITION)
-    if name in ("factor", "response"):
+    if name in ("factor", "response", "kernel"):
         return _(label_and_unit(str(value))[0])
     if name == "method":
         return _(_METHODS[str(value)])
