@@ -15,6 +15,7 @@ from matplotlib.backends.backend_agg import FigureCanvasAgg, RendererAgg
 from matplotlib.backends.backend_pdf import FigureCanvasPdf, PdfPages
 from matplotlib.figure import Figure
 from matplotlib.font_manager import FontProperties
+from matplotlib.layout_engine import PlaceHolderLayoutEngine
 
 from tissueid.analysis import Analysis
 from tissueid.analysis.curves.single_test import plots_of_test
@@ -259,7 +260,7 @@ class PageWriter:
 
     def _new_page(self) -> None:
         page = Figure(figsize=(_WIDTH, _HEIGHT))
-        page.set_layout_engine("none")  # everything has its place already
+        page.set_layout_engine(PlaceHolderLayoutEngine(True, False))  # everything has its place already
         self.pages.append(page)
         self.y = _TOP
 

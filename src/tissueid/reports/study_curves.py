@@ -127,7 +127,7 @@ def _lines(curves: Sequence[GroupCurve], by: By, names: Sequence[str]) -> Plots:
     for some in own:
         for way in directions(some):
             shown = [one for one in some if one.direction == way]
-            plots[Verbatim(translated(title_of(shown[0])))] = partial(curve_plot, shown, groups)
+            plots[Verbatim(translated(title_of(shown[0], groups)))] = partial(curve_plot, shown, groups)
     return plots
 
 

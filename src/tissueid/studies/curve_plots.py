@@ -59,7 +59,7 @@ def curve_plot(curves: Sequence[GroupCurve], groups: Sequence[str]) -> Plot:
     """
     x, into, y, factor = _AXES[curves[0].curve]
     if curves[0].by == "change":
-        y, factor = Axis(y.label, "%", zero=True), 1.0
+        y, factor = Axis(Message("plot.change", "Change: {name}", name=y.label), "%", zero=True), 1.0
     parts = []
     named = [group for group in groups if group != ALL_SITES]
     for one in curves:
@@ -80,14 +80,15 @@ def curve_plot(curves: Sequence[GroupCurve], groups: Sequence[str]) -> Plot:
             low = np.maximum(low, 0.2 * mean)  # an interval of a few subjects can reach below zero
         dots = "o" if known.size == 1 else ""
         parts.append(Curve(at[some], mean, name_of(one), *style, low=low, high=high, marker=dots))
-    return Plot(title_of(curves[0]), x, y, tuple(parts))
+    return Plot(title_of(curves[0], groups), x, y, tuple(parts))
 
 
-def title_of(curve: GroupCurve) -> str:
-    """Return the quantity of a curve, with its direction if it has one."""
-    label = _AXES[curve.curve][2].label
-    way = _WAYS.get(curve.direction)
-    return Message("plot.direction", "{name}, {direction}", name=label, direction=way) if way else label
+def title_of(curve: GroupCurve, groups: Sequence[str]) -> str:
+    """Return the quantity of a curve with its direction, and the group where there is only one: it needs no key."""
+    title = _AXES[curve.curve][2].label
+    if way := _WAYS.get(curve.direction):
+        title = Message("plot.direction", "{name}, {direction}", name=title, direction=way)
+    return title if len(groups) > 1 else Message("plot.of_group", "{name}: {group}", name=title, group=name_of(curve))
 
 
 def name_of(curve: GroupCurve) -> str:
