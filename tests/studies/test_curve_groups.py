@@ -165,6 +165,21 @@ def test_components_of_kernels_tell_groups_and_their_scores_are_compared():
     assert {str(curve.name) for curve in scores_plot(first).curves} == {"arm", "leg"}
 
 
+def test_subjects_are_also_compared_without_the_materials():
+    table, curves = kernel_study()
+    samples = made_tests([("S", "gel", "", "gel"), ("S", "gel", "", "gel")]).assign(session=["g0.h5", "g1.h5"])
+    more = curves_table(
+        (session, 1, trimmed(KERNEL1, value * np.ones(40))) for session, value in (("g0.h5", 9.0), ("g1.h5", 9.1))
+    )
+    first, *_others = kernel_components(table, samples, pd.concat([curves, more]), [])
+    rows = component_table([first]).set_index(["component", "among"])
+    assert rows.loc[(1, "all"), ["groups", "means"]].tolist() == [3, 10]  # each test of a material counts
+    assert rows.loc[(1, "subjects"), ["groups", "means"]].tolist() == [2, 8]
+    people = first.scores[~first.scores["sample"]]
+    groups = [people.loc[people["group"] == site, "score_1"] for site in ("arm", "leg")]
+    assert rows.loc[(1, "subjects"), "statistic"] == pytest.approx(stats.f_oneway(*groups).statistic)
+
+
 def test_too_few_kernels_are_stated():
     table, curves = kernel_study(2)
     remarks = []

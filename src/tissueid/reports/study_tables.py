@@ -12,6 +12,7 @@ from tissueid.formatting import axis_label, label_and_unit, number
 from tissueid.language import _, marked
 from tissueid.messages import MISSING, translated
 from tissueid.reports.tables import Table
+from tissueid.studies.kernel_components import ALL_GROUPS, SUBJECTS
 from tissueid.studies.study_plots import NO_CONDITION, parameter_axis
 from tissueid.studies.thesis_tables import MEAN_SITE
 
@@ -104,6 +105,7 @@ _NOTES = {
 COLUMNS: Mapping[str, str] = {
     "kernel": marked("Kernel"),
     "component": marked("Component"),
+    "among": marked("Compared"),
     "site": marked("Site"),
     "factor": marked("Quantity or group"),
     "response": marked("Quantity or group"),
@@ -169,7 +171,19 @@ _IN_UNITS = (
     "thesis_anterior",
     "thesis_posterior",
 )
-ABOUT = ("kernel", "component", "site", "factor", "response", "parameter", "level", "reference", "before", "after")
+ABOUT = (
+    "kernel",
+    "component",
+    "among",
+    "site",
+    "factor",
+    "response",
+    "parameter",
+    "level",
+    "reference",
+    "before",
+    "after",
+)
 """Columns that say what a row is about; they come first."""
 _ONCE = (
     "reference",
@@ -180,6 +194,7 @@ _ONCE = (
     "tests",
     "groups",
     "means",
+    "among",
     "components",
     "detectable",
     "method",
@@ -207,6 +222,7 @@ _INTERVALS = {
     "study": ("study_low", "study_high"),
     "slope": ("slope_low", "slope_high"),
 }
+_AMONG = {ALL_GROUPS: marked("all groups"), SUBJECTS: marked("subjects alone")}
 _METHODS = {"anova": marked("analysis of variance"), "welch": marked("Welch")}
 
 
@@ -267,6 +283,8 @@ def _cell(row: Mapping[str, Any], name: str) -> str:
         return _(NO_CONDITION)
     if name in ("factor", "response", "kernel"):
         return _(label_and_unit(str(value))[0])
+    if name == "among":
+        return _(_AMONG[str(value)])
     if name == "method":
         return _(_METHODS[str(value)])
     if isinstance(value, str):

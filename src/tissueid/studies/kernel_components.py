@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 import pandas as pd
@@ -24,7 +25,9 @@ LEAST_TESTS = 3
 COMPONENTS = 3
 """Number of components that are reported."""
 _SCORE = "score_{}"
-_ALL = "all"
+ALL_GROUPS, SUBJECTS = "all", "subjects"
+"""Groups that an analysis of variance compares: all, or those of subjects alone."""
+_KEPT = ("groups", "subjects", "statistic", "p_value", "p_corrected", "effect_size", "method", "normal")
 
 
 @dataclass(frozen=True, eq=False)
@@ -95,21 +98,25 @@ def component_table(components: Sequence[KernelComponents]) -> pd.DataFrame:
     The scores of the tests of a subject in a group are averaged first; each test of a material counts.
 
     Returns:
-        columns ``kernel``, ``component``, ``share``, and those of ``group_comparison.one_way`` from ``groups`` on.
+        columns ``kernel``, ``component``, ``share``, ``among`` (``ALL_GROUPS``; also ``SUBJECTS`` where there are
+        materials), and ``groups``, ``means``, ``statistic``, ``p_value``, ``p_corrected``, ``effect_size``,
+        ``method``, ``normal`` as ``group_comparison.one_way``.
     """
-    rows = []
+    rows: list[dict[str, Any]] = []
     for one in components:
         units = one.scores.assign(unit=np.where(one.scores["sample"], np.arange(len(one.scores)), -1))
-        means = units.groupby(["group", "subject", "unit"], as_index=False)[one.names].mean().assign(site=_ALL)
-        tested = one_way(means, "group", one.names)
-        tested = tested.set_index("parameter") if len(tested) else tested
-        for place, name in enumerate(one.names):
-            row = {"kernel": one.curve, "component": place + 1, "share": float(one.shares[place])}
-            if name in tested.index:
-                kept = ("groups", "subjects", "statistic", "p_value", "p_corrected", "effect_size", "method", "normal")
-                values = tested.loc[name]
-                row |= {key: values[key] for key in kept}
-            rows.append(row)
+        means = units.groupby(["group", "subject", "sample", "unit"], as_index=False)[one.names].mean()
+        kinds = {ALL_GROUPS: means}
+        if means["sample"].any() and means.loc[~means["sample"], "group"].nunique() > 1:
+            kinds[SUBJECTS] = means[~means["sample"]]  # materials differ far more than sites
+        for among, chosen in kinds.items():
+            tested = one_way(chosen.assign(site=among), "group", one.names)
+            found = {} if tested.empty else tested.set_index("parameter")[list(_KEPT)].to_dict("index")
+            rows += [
+                {"kernel": one.curve, "component": place + 1, "share": float(one.shares[place]), "among": among}
+                | found.get(name, {})
+                for place, name in enumerate(one.names)
+            ]
     return pd.DataFrame(rows).rename(columns={"subjects": "means"})
 
 
