@@ -59,19 +59,35 @@ def test_tests_of_a_subject_are_averaged_before_the_subjects():
     assert answer["mean"] == pytest.approx([5.0] * 9)
 
 
-def test_a_mean_needs_four_fifths_of_the_rows_and_an_interval_three():
-    rows = np.array(
-        [[1.0, 1.0, 1.0], [2.0, 2.0, np.nan], [3.0, 3.0, np.nan], [4.0, 4.0, np.nan], [5.0, np.nan, np.nan]]
-    )
+def test_a_mean_needs_nine_tenths_of_the_rows_and_an_interval_three():
+    rows = np.tile(np.arange(1.0, 11.0)[:, None], 3)
+    rows[9, 1] = rows[8:, 2] = np.nan
     mean, low, high = mean_and_interval(rows)
-    assert mean == pytest.approx([3.0, 2.5, np.nan], nan_ok=True)
-    error = stats.sem(rows[:, 0])
-    assert (low[0], high[0]) == pytest.approx(stats.t.interval(0.95, 4, 3.0, error))
+    assert mean == pytest.approx([5.5, 5.0, np.nan], nan_ok=True)
+    assert (low[0], high[0]) == pytest.approx(stats.t.interval(0.95, 9, 5.5, stats.sem(rows[:, 0])))
+    assert (low[1], high[1]) == pytest.approx(stats.t.interval(0.95, 8, 5.0, stats.sem(rows[:9, 1])))
     assert np.isnan([low[2], high[2]]).all()
     two = mean_and_interval(rows[:2, :1])
     assert two[0] == pytest.approx([1.5])
     assert np.isnan(two[1]).all()
-    assert mean_and_interval(rows, 0.2)[0][2] == 1.0
+    assert mean_and_interval(rows, 0.5)[0][2] == pytest.approx(4.5)
+
+
+def test_subjects_whose_depths_do_not_overlap_are_drawn_one_by_one():
+    table = made_tests([("A", "arm", "", None), ("B", "arm", "", None)])
+    curves = pd.concat(
+        [
+            curves_for(table[:1], STIFFNESS, [1.0], first=20, count=3),
+            curves_for(table[1:], STIFFNESS, [2.0], first=50, count=3),
+        ]
+    )
+    found = chosen(group_curves(table, NO_SAMPLES, curves), "site", STIFFNESS)
+    assert [one.has_values for one in found] == [True]
+    assert not np.isfinite(found[0].mean).any()
+    thin, mean = curve_plot(found, ["arm"]).curves
+    assert np.isfinite(thin.y).sum() == 6
+    assert mean.y.size == 0
+    assert str(mean.name) == "arm"
 
 
 def test_groups_are_sites_orientations_conditions_and_materials():

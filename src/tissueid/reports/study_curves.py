@@ -38,20 +38,20 @@ MOST_PANELS = 24
 """Largest number of groups whose kernels are drawn."""
 _LINES = marked(
     "Lines: mean of the subjects, each the mean of its tests, or mean of the tests of a material. Bands: 95 % interval "
-    "of the mean. A line ends where fewer than four fifths of the subjects or tests have a value."
+    "of the mean. A line ends where fewer than nine tenths of the subjects or tests have a value."
 )
 CURVE_CAPTIONS: Mapping[str, str] = {
     "response": _LINES,
     "depth": marked(
         "Lines: mean of the subjects, each the mean of its tests, or mean of the tests of a material. Bands: 95 % "
-        "interval of the mean. Thin lines: subjects, or tests of a material. A mean ends where fewer than four "
-        "fifths of them have a value."
+        "interval of the mean. Thin lines: subjects, or tests of a material. A mean ends where fewer than nine "
+        "tenths of them have a value."
     ),
     "static": _LINES,
     "kernel": _LINES,
     "change": marked(
         "Change against the reference at the same depth, paired by subject. Lines: mean of the subjects. Bands: 95 % "
-        "interval of the mean. Thin lines: subjects. A mean ends where fewer than four fifths of them have a "
+        "interval of the mean. Thin lines: subjects. A mean ends where fewer than nine tenths of them have a "
         "value."
     ),
     "second": marked(

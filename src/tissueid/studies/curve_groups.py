@@ -27,7 +27,7 @@ ALL_SITES = ""
 """Group of the curves of all subjects at all sites, next to those of the materials."""
 WITHOUT = marked("without")
 """Name of the condition of tests without a product, in the names of groups."""
-_LEAST_SHARE, _LEAST_SHARE_BY_DEPTH = 0.8, 0.5
+_LEAST_SHARE, _LEAST_SHARE_BY_DEPTH = 0.9, 0.5
 """Share of the subjects, or of the tests of a material, that must have a value at a point of the grid: of curves, which
 have a step where the subjects change, and of kernels by depth."""
 _ROUNDING = 1e-9
@@ -154,7 +154,7 @@ def _means(by: By, rows: pd.DataFrame, *, person: bool = False) -> Iterator[Grou
         for group, tests in own.groupby("group", sort=True):
             values = np.stack([_mean_of(part) for _unit, part in tests.groupby(units, sort=True)])
             vaf = float(tests["vaf_percent"].mean()) if "vaf_percent" in tests else float("nan")
-            members = values[:MOST_MEMBERS] if name in _OF_DEPTH and not person else None
+            members = values[:MOST_MEMBERS] if name in _OF_DEPTH else None
             share = _LEAST_SHARE_BY_DEPTH if name == PARTITIONS else _LEAST_SHARE
             limits = mean_and_interval(values, share)
             yield GroupCurve(by, str(group), str(name), int(direction), *limits, len(values), vaf, members)
@@ -208,7 +208,7 @@ def chosen(curves: Iterable[GroupCurve], by: By, name: str, direction: int | Non
     found = [
         one
         for one in curves
-        if (one.by, one.curve) == (by, name) and direction in (None, one.direction) and np.isfinite(one.mean).any()
+        if (one.by, one.curve) == (by, name) and direction in (None, one.direction) and one.has_values
     ]
     return sorted(found, key=lambda one: one.group != ALL_SITES and not one.group.endswith(WITHOUT))
 
