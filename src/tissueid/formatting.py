@@ -48,6 +48,8 @@ _LABELS = {
     "damper_2_n_s_per_m": "Damper 2",
     "stiffness_in_n_per_m": "Stiffness inward",
     "stiffness_out_n_per_m": "Stiffness outward",
+    "kernel1_m_per_n_s": "First order",
+    "kernel2_m_per_n2_s2": "Second order",
     "seconds": "Length",
     "surface_position_m": "Surface of the tissue",
     "bmi_kg_per_m2": "Body mass index",

@@ -10,7 +10,9 @@ from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
 
 from tissueid.analysis.curves.plot import Axis, Curve, Plot
+from tissueid.analysis.curves.samples import GRIDS, KERNEL2
 from tissueid.device import SIMULATED_LINE
+from tissueid.messages import Verbatim
 from tissueid.reports.pdf import PageWriter
 from tissueid.reports.plot_axes import turn_names
 from tissueid.reports.plot_renderer import draw_plot
@@ -18,6 +20,7 @@ from tissueid.reports.study import study_facts, study_html
 from tissueid.reports.study_pdf import _figures, _parts, _with_broken_heads
 from tissueid.reports.study_tables import study_table, study_tables
 from tissueid.reports.tables import Table
+from tissueid.studies.curve_plots import surface_plot
 from tissueid.studies.study_plots import (
     COLOURS,
     conditions_plot,
@@ -91,6 +94,21 @@ def test_no_text_of_the_figures_overlaps_another_one(kind):
         boxes = [box for _text, box in text_boxes(page)]
         assert min(box.x0 for box in boxes) >= 0.0
         assert max(box.x1 for box in boxes) <= page.bbox.width
+
+
+def test_colour_bars_on_paper_move_with_their_kernels():
+    values = np.linspace(-0.5, 0.5, GRIDS[KERNEL2].x.size)
+    plots = {Verbatim(site): partial(surface_plot, KERNEL2, values, f"{site}, VAF 90.0 %") for site in SITES}
+    paper = PageWriter()
+    _figures(paper, "second-site", "Second-order kernels: sites", plots)
+    page = paper.pages[-1]
+    assert overlapping(page) == []
+    for axes in page.axes:
+        (bar,) = axes.child_axes
+        image, scale = axes.get_window_extent(), bar.get_window_extent()
+        assert image.x1 < scale.x0 < image.x1 + 0.2 * image.width
+        assert (scale.y0, scale.y1) == pytest.approx((image.y0, image.y1), abs=0.05 * image.height)
+        assert image.width == pytest.approx(image.height, rel=0.01)
 
 
 def test_a_heading_and_its_key_stay_with_their_figures():

@@ -5,7 +5,9 @@ import pandas as pd
 import pytest
 from studies.generated_tables import SITES, generated_table
 
+from tissueid.studies.repeatability import absolute_agreement, reliability
 from tissueid.studies.study_statistics import study_statistics
+from tissueid.studies.study_table import as_json_rows, study_table
 from tissueid.studies.usable_tests import usable_tests
 
 
@@ -153,3 +155,52 @@ def test_a_model_without_variance_between_subjects_is_a_remark_and_no_warning(re
     assert found.tables["sites"]["singular"].any()
     assert not recwarn.list
     assert "study.singular" not in codes(study_statistics(drawn(subjects=9)))
+
+
+def test_remarks_show_labels_and_keep_the_columns():
+    table = drawn(names=("stiffness_n_per_m",)).assign(gender="female")
+    table.loc[:3, "stiffness_n_per_m"] = np.nan
+    found = study_statistics(table)
+    by_code = {remark.code: remark for remark in found.remarks}
+    assert str(by_code["study.one_group"]) == "all subjects have the same 'Gender'"
+    assert "no value of 'Stiffness'" in by_code["study.no_value"]
+    assert by_code["study.no_value"].values["name"] == "stiffness_n_per_m"
+    answer = found.as_answer()
+    assert answer["remark_messages"][0]["code"] in by_code
+    assert len(answer["remark_messages"]) == len(answer["remarks"])
+
+
+def test_only_tests_that_count_are_numbered():
+    made = [("completed", "repeat"), ("completed", "good"), ("aborted", "good"), ("completed", "look")]
+    rows = [
+        {"session": "a.h5", "created": "2026", "test": number, "subject": "A", "site": "arm", "condition": ""}
+        | {
+            "configuration": "indentation",
+            "orientation_deg": None,
+            "engine": "lms",
+            "status": status,
+            "quality": quality,
+        }
+        for number, (status, quality) in enumerate(made, 1)
+    ]
+    table = study_table(rows)
+    assert table["repeat"].isna().tolist() == [True, False, True, False]
+    assert table["repeat"].dropna().tolist() == [1, 2]
+    assert len(usable_tests(table).used) == 2
+    assert [row["repeat"] for row in as_json_rows(table)] == [None, 1, None, 2]
+
+
+def test_reliability_pairs_the_tests_that_count():
+    values = {"A": [1.0, 1.1], "B": [2.0, 2.1], "C": [3.0, 3.1]}
+    rows = [
+        {"session": f"{who}.h5", "created": "2026", "test": number, "subject": who, "site": "arm", "condition": ""}
+        | {"configuration": "indentation", "orientation_deg": None, "engine": "lms", "status": "completed"}
+        | {"quality": quality, "k": value, "k_sd": 0.1}
+        for who, own in values.items()
+        for number, (quality, value) in enumerate(
+            [*([("repeat", 9.0)] if who == "B" else []), *(("good", one) for one in own)], 1
+        )
+    ]
+    row = reliability(usable_tests(study_table(rows)).used, ["k"]).iloc[0]  # B's tests 2 and 3 are its repeats 1 and 2
+    assert (row["subjects"], row["left_out"], row["repeats"]) == (3, 0, 2)
+    assert row["icc"] == pytest.approx(absolute_agreement(np.array(list(values.values())))[0])

@@ -15,6 +15,8 @@ SUBJECTS_FILE = "subjects.csv"
 """Name of the file with demographic values by subject."""
 RESULTS = "results"
 """Folder of a study with its results: one file per session, the tables and the report."""
+CURVES_FILE = "curves.parquet"
+"""Name of the file in the results with the sampled curves of each test."""
 NOT_ANALYSED_FILE = "not_analysed.csv"
 """Name of the file in the results with the reason of each session that could not be analysed."""
 

@@ -69,6 +69,7 @@ def report_study(plan: StudyReportPlan, control: Control) -> StudyReport:
     control.progress(0.0, _COMPUTING)
     found = study_statistics(
         run.table,
+        run.curves,
         factors=plan.factors,
         regressors=plan.regressors,
         before=plan.before,

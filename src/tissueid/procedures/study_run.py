@@ -1,7 +1,8 @@
 """Analysis of all sessions of a study, on one machine or a cluster. It continues after a kill.
 
-``results/ANALYSIS/KEY.json`` in the folder of the study holds the rows of one session. ANALYSIS depends on engine,
-options and version, KEY on the path, size and modification time of the file: a second run reads what has not changed.
+``results/ANALYSIS/KEY.json`` in the folder of the study holds the rows and sampled curves of one session. ANALYSIS
+depends on engine, options and version, KEY on the path, size and modification time of the file: a second run reads what
+has not changed.
 """
 
 from __future__ import annotations
@@ -31,6 +32,7 @@ from tissueid.procedures.plan_options import parse_options
 from tissueid.procedures.session_store import FolderStore, RemoteStore, SessionStore
 from tissueid.procedures.study_plans import (
     CONDITION,
+    CURVES_FILE,
     MINUTES_SINCE,
     NOT_ANALYSED_FILE,
     RESULTS,
@@ -41,21 +43,26 @@ from tissueid.procedures.study_plans import (
 if TYPE_CHECKING:
     import pandas as pd
 
+    from tissueid.analysis.curves.samples import SampledCurve
     from tissueid.sessions import Session, Test
 
 _ANALYSING = marked("Analysing sessions")
-_FAILED = "failed"
-_FORMAT = 2
+_FAILED, _CURVES = "failed", "curves"
+_FORMAT = 3
 """Format of stored rows: those of another one are computed again."""
 _MOST_FAILURES, _LONGEST_REASON = 100_000, 1000
 
 
 @dataclass(frozen=True)
 class StudyRun:
-    """The table of a study (one row per test), the sessions that could not be analysed with the reason, and counts."""
+    """The table of a study (one row per test), the sessions that could not be analysed with the reason, and counts.
+
+    ``curves`` is the table of the sampled curves (``studies/sampled_curves.py``).
+    """
 
     plan: StudyPlan
     table: pd.DataFrame
+    curves: pd.DataFrame
     failures: Mapping[str, str]
     sessions: int
     analysed: int
@@ -63,7 +70,7 @@ class StudyRun:
 
 
 def run_study(plan: StudyPlan, control: Control) -> StudyRun:
-    """Analyse every session of a study that has changed, and write the table as CSV and Parquet.
+    """Analyse every session of a study that has changed, and write the table and the sampled curves.
 
     Raises:
         UnusableInputError: the folder, the engine or an option cannot be used, or a package is missing.
@@ -71,6 +78,7 @@ def run_study(plan: StudyPlan, control: Control) -> StudyRun:
     """
     check_packages("pandas", "pyarrow", *(() if plan.scheduler is None else ("distributed",)))
     from tissueid.identification import get_engine
+    from tissueid.studies.sampled_curves import curves_table, write_curves
     from tissueid.studies.study_table import read_subjects, study_table, write_table
 
     options = parse_options(plan.options)
@@ -117,7 +125,11 @@ def run_study(plan: StudyPlan, control: Control) -> StudyRun:
     table = study_table(rows, subjects)
     for suffix in ("csv", "parquet"):
         write_table(table, results / f"table.{suffix}")
-    return StudyRun(plan, table, failures, len(keys), len(new))
+    curves = curves_table(
+        (name, test, curve) for name in keys for test, curve in known[name].get(_CURVES, ()) if name not in failures
+    )
+    write_curves(curves, results / CURVES_FILE)
+    return StudyRun(plan, table, curves, failures, len(keys), len(new))
 
 
 def read_failures(path: Path, keys: Mapping[str, str]) -> dict[str, str]:
@@ -160,19 +172,26 @@ def _store(plan: StudyPlan) -> SessionStore:
 
 
 def _decoded(content: bytes | None) -> dict[str, Any] | None:
+    from tissueid.analysis.curves.samples import from_json
+
     if content is None:
         return None
     try:
         found = json.loads(content)
-    except ValueError:  # a damaged file is computed again
+        if not isinstance(found, dict) or not ("rows" in found or _FAILED in found):
+            return None
+        # As arrays at once: the texts of thousands of sessions do not fit in memory as lists.
+        found[_CURVES] = [(int(test), from_json(stored)) for test, stored in found.get(_CURVES, ())]
+    except (ValueError, TypeError):  # a damaged file is computed again
         return None
-    return found if isinstance(found, dict) and ("rows" in found or _FAILED in found) else None
+    return found
 
 
 def _analysed(
     plan: StudyPlan, options: Mapping[str, Any], store: SessionStore, analysis: str, item: tuple[str, str]
 ) -> dict[str, Any]:
     # Called in the worker, which stores the result at once.
+    from tissueid.analysis.curves.samples import from_json
     from tissueid.sessions import read_session
 
     name, key = item
@@ -182,18 +201,27 @@ def _analysed(
         with store.local_file(name) as path:
             place = str(path)
             session = read_session(path)
-        found = {"rows": [row for test in session.tests for row in _rows(session, test, plan, options)]}
+        found = {"rows": [], _CURVES: []}
+        for test in session.tests:
+            row, sampled = _row(session, test, plan, options)
+            found["rows"].append(row)
+            # As they are read again, so that a second run gives the same report.
+            found[_CURVES] += [(test.number, from_json(curve.as_json())) for curve in sampled]
     except TissueIDError as error:
         found = {_FAILED: str(error).removeprefix(place).lstrip(" :")}  # the name of the file is stated with it
     if not found.get("rows") and _FAILED not in found:
         found[_FAILED] = "no test could be analysed"
     with contextlib.suppress(OSError):
-        store.write_result(analysis, key, json.dumps(found).encode())
+        stored = [(test, curve.as_json()) for test, curve in found.get(_CURVES, ())]
+        store.write_result(analysis, key, json.dumps(found | {_CURVES: stored}).encode())
     return found
 
 
-def _rows(session: Session, test: Test, plan: StudyPlan, options: Mapping[str, Any]) -> list[dict[str, Any]]:
+def _row(
+    session: Session, test: Test, plan: StudyPlan, options: Mapping[str, Any]
+) -> tuple[dict[str, Any], list[SampledCurve]]:
     from tissueid.acquisition.quality import judge
+    from tissueid.analysis.curves.samples import sampled_curves
     from tissueid.analysis.fitting import fit_split, fit_whole
     from tissueid.analysis.split import split
     from tissueid.identification import get_engine
@@ -221,13 +249,14 @@ def _rows(session: Session, test: Test, plan: StudyPlan, options: Mapping[str, A
     try:
         parts = split(session, test=test.number)
         fit = fit_split if plan.held_out else fit_whole
-        report = fit(get_engine(plan.engine).from_options(options), parts).model.report
+        analysis = fit(get_engine(plan.engine).from_options(options), parts)
     except UnusableInputError as error:
-        return [row | {"status": "not analysed", "problem": str(error)}]
+        return row | {"status": "not analysed", "problem": str(error)}, []
+    report = analysis.model.report
     row |= {"vaf_percent": report.vaf_percent, "vaf_validation_percent": report.vaf_validation_percent, "problem": ""}
     for name, estimate in report.reportable_parameters.items():
         row |= {name: _finite(estimate.value), f"{name}_sd": _finite(estimate.std)}
-    return [row]
+    return row, sampled_curves(analysis, test.surface_position_m)
 
 
 def _finite(value: float | None) -> float | None:

@@ -15,6 +15,7 @@ from matplotlib.backends.backend_agg import FigureCanvasAgg, RendererAgg
 from matplotlib.backends.backend_pdf import FigureCanvasPdf, PdfPages
 from matplotlib.figure import Figure
 from matplotlib.font_manager import FontProperties
+from matplotlib.layout_engine import PlaceHolderLayoutEngine
 
 from tissueid.analysis import Analysis
 from tissueid.analysis.curves.single_test import plots_of_test
@@ -251,14 +252,15 @@ class PageWriter:
             cells.append((x, y, width - 0.15, high))
             axes = page.add_axes((x / _WIDTH, y / _HEIGHT, (width - 0.15) / _WIDTH, high / _HEIGHT))
             draw(axes)
-            turn_names(axes, width - _ORDINATE)
+            if axes.get_xscale() == "linear":  # names, not frequencies
+                turn_names(axes, width - _ORDINATE)
             drawn.append(axes)
         _fit_axes(page, drawn, cells)
         self.y -= inches
 
     def _new_page(self) -> None:
         page = Figure(figsize=(_WIDTH, _HEIGHT))
-        page.set_layout_engine("none")  # everything has its place already
+        page.set_layout_engine(PlaceHolderLayoutEngine(True, False))  # everything has its place already
         self.pages.append(page)
         self.y = _TOP
 

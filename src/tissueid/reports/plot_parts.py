@@ -10,6 +10,7 @@ import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.cm import ScalarMappable
 from matplotlib.colors import Normalize
+from matplotlib.layout_engine import PlaceHolderLayoutEngine
 from matplotlib.lines import Line2D
 from mpl_toolkits.mplot3d import Axes3D
 
@@ -27,6 +28,8 @@ _BAND = 0.22
 _STEPS = 60
 """Largest number of rows and of columns of a drawn surface."""
 _COLUMNS = 900
+_BAR_INSIDE = (1.04, 0.02, 0.05, 0.96)
+"""Left, bottom, width and height of a colour bar that moves with its axes, as shares of them."""
 _STYLES: Mapping[str, Any] = {
     "line": DASHES[0],
     "dashed": DASHES[1],
@@ -169,7 +172,12 @@ def draw_image(axes: Axes, surface: Surface, factors: tuple[float, float], units
     else:
         columns = np.linspace(*_edges(x), x.size + 1)
         drawn = axes.pcolormesh(columns, factors[1] * surface.edges, values, rasterized=True, linewidth=0.0, **usual)
-    bar = axes.figure.colorbar(drawn, ax=axes, shrink=0.95, pad=0.02)
+    figure = axes.get_figure(root=True)
+    if figure is not None and isinstance(figure.get_layout_engine(), PlaceHolderLayoutEngine):
+        # Axes that are placed one by one, as on a page of a PDF: the bar has to move with them.
+        bar = axes.figure.colorbar(drawn, cax=axes.inset_axes(_BAR_INSIDE))
+    else:
+        bar = axes.figure.colorbar(drawn, ax=axes, shrink=0.95, pad=0.02)
     if bar.solids is not None:
         bar.solids.set_rasterized(True)
     finish_bar(bar, label_of(Axis(surface.name, unit)), look)

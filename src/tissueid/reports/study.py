@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Iterator, Mapping
 from functools import partial
 
 import pandas as pd
@@ -14,12 +14,13 @@ from tissueid.device import SIMULATED_LINE
 from tissueid.formatting import label_and_unit
 from tissueid.identification import engine_label
 from tissueid.language import _, marked
-from tissueid.messages import MISSING, translated
+from tissueid.messages import MISSING, Verbatim, translated
 from tissueid.reports.blocks import FigureGroup
 from tissueid.reports.html import RESEARCH_LINE, template
 from tissueid.reports.panel_sheet import Panel
 from tissueid.reports.plot_axes import turn_names
 from tissueid.reports.plot_renderer import draw_plot, key_over
+from tissueid.reports.study_curves import CURVE_CAPTIONS, Plots, curve_figures
 from tissueid.reports.study_tables import HEADINGS, left_out_table, study_tables
 from tissueid.reports.style import FULL_WIDTH, HALF_WIDTH
 from tissueid.reports.tables import Table
@@ -36,8 +37,6 @@ from tissueid.studies.study_plots import (
 )
 from tissueid.studies.study_statistics import StudyStatistics
 
-Plots = Mapping[str, Callable[[], Plot]]
-"""Functions that compute plots, by the name of the parameter."""
 MOST_DRAWN = 6
 """Largest number of parameters that are drawn."""
 CAPTIONS: Mapping[str, str] = {
@@ -62,12 +61,17 @@ CAPTIONS: Mapping[str, str] = {
     "conditions": marked(
         "Change in percent of the reference. Circles: subjects. Points and bars: their mean and standard deviation."
     ),
+    **CURVE_CAPTIONS,
 }
 """What the signs of a figure are, by the first word of the key of its group."""
 OF_SEVERAL = ("cv", "c")
 """Names of plots that show several parameters."""
 _MOST_HALF, _LETTERS_HALF = 5, 44
 """Largest number of groups along the abscissa of a figure of half the width, and of letters of their names."""
+_MOST_NAMES = 6
+"""Largest number of names in the key of a figure of half the width."""
+_HEIGHT, _ROW_OF_KEY = 3.0, 0.2
+"""Height of a figure, and of a row of a long key, in inches."""
 _AROUND = 0.9
 """Width of labels left of the axes of a figure, in inches."""
 MOST_COMPARED = 10
@@ -160,6 +164,7 @@ def study_plots(found: StudyStatistics) -> Iterator[tuple[str, str, Plots]]:
         shown = dict.fromkeys(tables["efficacy"]["parameter"])
         plots = {name: partial(conditions_plot, found.means, before, name) for name in list(shown)[:MOST_COMPARED]}
         yield "conditions", _(HEADINGS["efficacy"]), plots
+    yield from curve_figures(found)
 
 
 def _reference(found: StudyStatistics) -> str:
@@ -174,7 +179,10 @@ def _factors(rows: pd.DataFrame | None) -> list[str]:
 def _group(key: str, heading: str, plots: Plots) -> FigureGroup:
     made = {name: make() for name, make in plots.items()}
     wide = is_wide(made)
-    panels = [_panel(f"{key}-{name}", name, plot, caption_of(key), wide=wide) for name, plot in made.items()]
+    panels = [
+        _panel(f"{key}-{place if isinstance(name, Verbatim) else name}", name, plot, caption_of(key), wide=wide)
+        for place, (name, plot) in enumerate(made.items())
+    ]
     return FigureGroup(f"g-{key}", heading, tuple(panel.picture().block for panel in panels))
 
 
@@ -184,7 +192,7 @@ def caption_of(key: str) -> str:
 
 
 def is_wide(plots: Mapping[str, Plot]) -> bool:
-    """Whether figures need the full width: they show several parameters or have many groups along the abscissa."""
+    """Whether figures need the full width: they show several parameters, or have many groups or names."""
     names = [
         [translated(text) for _place, text in plot.x.ticks] for plot in plots.values() if plot.x.limits is not None
     ]
@@ -193,6 +201,7 @@ def is_wide(plots: Mapping[str, Plot]) -> bool:
         or len(one) * max((len(line) + 1 for text in one for line in text.split("\n")), default=0) > _LETTERS_HALF
         for one in names
     )
+    many |= any(sum(bool(curve.name) for curve in plot.curves) > _MOST_NAMES for plot in plots.values())
     return many or bool(set(OF_SEVERAL) & set(plots))
 
 
@@ -200,13 +209,16 @@ def _panel(key: str, name: str, plot: Plot, caption: str, *, wide: bool) -> Pane
     def draw(figure: FigureBase) -> None:
         axes = figure.subplots(1, 1)
         draw_plot(axes, plot, title=False, key=False)
-        turn_names(axes, (FULL_WIDTH if wide else HALF_WIDTH) - _AROUND)
+        if plot.x.ticks:  # names, not the numbers of an axis
+            turn_names(axes, (FULL_WIDTH if wide else HALF_WIDTH) - _AROUND)
         key_over(figure, axes)
 
     label, title = plot_label(name, plot), translated(plot.title)
-    return Panel(key, label, title, f"{title}. {caption}", draw, wide=wide, height=3.0)
+    names = sum(bool(curve.name) for curve in plot.curves)
+    height = _HEIGHT + _ROW_OF_KEY * max(0, names - _MOST_NAMES) / 2
+    return Panel(key, label, title, f"{title}. {caption}", draw, wide=wide, height=height)
 
 
 def plot_label(name: str, plot: Plot) -> str:
-    """Return the heading of a figure: the parameter, or the title of a plot of several parameters."""
-    return translated(plot.title) if name in OF_SEVERAL else _(label_and_unit(name)[0])
+    """Return the heading of a figure: the parameter, or the title of a plot of several parameters or of a group."""
+    return translated(plot.title) if name in OF_SEVERAL or isinstance(name, Verbatim) else _(label_and_unit(name)[0])

@@ -12,6 +12,7 @@ from tissueid.formatting import axis_label, label_and_unit, number
 from tissueid.language import _, marked
 from tissueid.messages import MISSING, translated
 from tissueid.reports.tables import Table
+from tissueid.studies.kernel_components import ALL_GROUPS, SUBJECTS
 from tissueid.studies.study_plots import NO_CONDITION, parameter_axis
 from tissueid.studies.thesis_tables import MEAN_SITE
 
@@ -30,6 +31,8 @@ HEADINGS: Mapping[str, str] = {
     "partial_least_squares": marked("Partial least squares of all parameters"),
     "efficacy": marked("Conditions compared within subjects"),
     "materials": marked("Materials"),
+    "kernel_components": marked("Principal components of the Volterra kernels"),
+    "kernel_scores": marked("Scores of the principal components"),
     "7.1": marked("Table 7.1 of the thesis: variation within a subject"),
     "7.2": marked("Table 7.2 of the thesis: variation between subjects"),
     "7.3a": marked("Table 7.3a of the thesis: groups"),
@@ -77,6 +80,15 @@ _NOTES = {
         "Analysis of variance over the tests, Welch's form where the variances differ. The last column is the number "
         "of other materials from which this one differs (Tukey, 5 % for all pairs together)."
     ),
+    "kernel_components": marked(
+        "Components of the kernels of all tests that count. Analysis of variance of their scores over sites, "
+        "orientations, conditions and materials, Welch's form where the variances differ (Levene); the tests of a "
+        "subject are averaged first. Corrected by Holm's method over the components of a kernel. Effect size: partial "
+        "eta squared. The sites of a subject count as independent."
+    ),
+    "kernel_scores": marked(
+        "Mean and standard deviation over the tests of each group, in standard deviations of all tests."
+    ),
     "7.1": marked("Individual coefficient of variation; in brackets its 95 % interval. The last column is the ratio."),
     "7.2": marked("Population coefficient of variation; in brackets its 95 % interval. The last column is the ratio."),
     "7.3a": marked(
@@ -91,6 +103,9 @@ _NOTES = {
     ),
 }
 COLUMNS: Mapping[str, str] = {
+    "kernel": marked("Kernel"),
+    "component": marked("Component"),
+    "among": marked("Compared"),
     "site": marked("Site"),
     "factor": marked("Quantity or group"),
     "response": marked("Quantity or group"),
@@ -99,6 +114,10 @@ COLUMNS: Mapping[str, str] = {
     "reference": marked("Reference"),
     "before": marked("Reference"),
     "after": marked("Condition"),
+    "share": marked("Share of the variance"),
+    "score_1": marked("Component 1"),
+    "score_2": marked("Component 2"),
+    "score_3": marked("Component 3"),
     "mean": marked("Mean"),
     "individual_cv": marked("Individual CV"),
     "population_cv": marked("Population CV"),
@@ -121,6 +140,7 @@ COLUMNS: Mapping[str, str] = {
     "subjects": marked("Subjects"),
     "left_out": marked("Left out"),
     "tests": marked("Tests"),
+    "means": marked("Means"),
     "groups": marked("Groups"),
     "method": marked("Method"),
     "participants_80": marked("80 %"),
@@ -151,7 +171,19 @@ _IN_UNITS = (
     "thesis_anterior",
     "thesis_posterior",
 )
-ABOUT = ("site", "factor", "response", "parameter", "level", "reference", "before", "after")
+ABOUT = (
+    "kernel",
+    "component",
+    "among",
+    "site",
+    "factor",
+    "response",
+    "parameter",
+    "level",
+    "reference",
+    "before",
+    "after",
+)
 """Columns that say what a row is about; they come first."""
 _ONCE = (
     "reference",
@@ -161,6 +193,8 @@ _ONCE = (
     "left_out",
     "tests",
     "groups",
+    "means",
+    "among",
     "components",
     "detectable",
     "method",
@@ -188,6 +222,7 @@ _INTERVALS = {
     "study": ("study_low", "study_high"),
     "slope": ("slope_low", "slope_high"),
 }
+_AMONG = {ALL_GROUPS: marked("all groups"), SUBJECTS: marked("subjects alone")}
 _METHODS = {"anova": marked("analysis of variance"), "welch": marked("Welch")}
 
 
@@ -246,8 +281,10 @@ def _cell(row: Mapping[str, Any], name: str) -> str:
         return axis_label(str(value), parameter_axis(str(value))[0].unit)
     if name in ("before", "after") and not value:
         return _(NO_CONDITION)
-    if name in ("factor", "response"):
+    if name in ("factor", "response", "kernel"):
         return _(label_and_unit(str(value))[0])
+    if name == "among":
+        return _(_AMONG[str(value)])
     if name == "method":
         return _(_METHODS[str(value)])
     if isinstance(value, str):

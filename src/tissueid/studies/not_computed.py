@@ -16,6 +16,7 @@ from tissueid.studies.group_comparison import (
 )
 from tissueid.studies.multivariate import LEAST_SUBJECTS
 from tissueid.studies.repeatability import LEAST_COMPLETE, LEAST_FIRST
+from tissueid.studies.study_table import label_of, labels_of
 
 Tables = Mapping[str, pd.DataFrame]
 
@@ -75,8 +76,9 @@ def no_groups(rows: pd.DataFrame, factors: Iterable[str], sites: Sequence[str]) 
     return [
         Message(
             "study.few_for_groups",
-            "groups of '{name}' are not compared at {sites}: that needs two groups of {least} subjects",
+            "groups of '{label}' are not compared at {sites}: that needs two groups of {least} subjects",
             name=Verbatim(name),
+            label=label_of(name),
             sites=missing,
             least=LEAST_PER_GROUP,
         )
@@ -104,8 +106,9 @@ def no_regressions(rows: pd.DataFrame, regressors: Iterable[str], sites: Sequenc
     return [
         Message(
             "study.few_for_regression",
-            "no regression on '{name}' at {sites}: it needs {least} subjects with a value",
+            "no regression on '{label}' at {sites}: it needs {least} subjects with a value",
             name=Verbatim(name),
+            label=label_of(name),
             sites=missing,
             least=LEAST_REGRESSION,
         )
@@ -122,9 +125,10 @@ def no_least_squares(rows: pd.DataFrame, responses: Iterable[str], sites: Sequen
     return [
         Message(
             "study.few_for_least_squares",
-            "no partial least squares at some or all sites, which need {least} subjects with a value: {names}",
+            "no partial least squares at some or all sites, which need {least} subjects with a value: {labels}",
             least=LEAST_SUBJECTS,
             names=Listing(tuple(map(Verbatim, lacking))),
+            labels=labels_of(lacking),
         )
     ]
 
@@ -186,8 +190,9 @@ def parameters_missing(tables: Tables, parameters: Sequence[str]) -> list[Messag
     return [
         Message(
             "study.parameters_missing",
-            "left out of some comparisons, because values are missing or constant at a site: {names}",
+            "left out of some comparisons, because values are missing or constant at a site: {labels}",
             names=Listing(tuple(sorted(lacking))),
+            labels=labels_of(sorted(lacking)),
         )
     ]
 
@@ -204,16 +209,18 @@ def _mixed(rows: pd.DataFrame, sites: Sequence[str]) -> list[Message]:
         remarks.append(
             Message(
                 "study.singular",
-                "the mixed model of sites finds no variance between subjects, perhaps because there are few: {names}",
+                "the mixed model of sites finds no variance between subjects, perhaps because there are few: {labels}",
                 names=Listing(singular),
+                labels=labels_of(singular),
             )
         )
     if unsettled := tuple(dict.fromkeys(rows.loc[~rows["converged"], "parameter"])):
         remarks.append(
             Message(
                 "study.not_converged",
-                "the mixed model of sites did not converge: {names}",
+                "the mixed model of sites did not converge: {labels}",
                 names=Listing(unsettled),
+                labels=labels_of(unsettled),
             )
         )
     return remarks

@@ -16,7 +16,7 @@ from tissueid.units import display_unit
 
 COLOURS = ("measured", "model", "good", "poor", "check", "text")
 """Roles of the colours of sites or groups."""
-_MARKERS = ("o", "s", "^", "D", "v")
+MARKERS = ("o", "s", "^", "D", "v")
 """Shapes of the points of sites or groups; with the colours they are 30 pairs before one occurs again."""
 _LINES: tuple[Kind, ...] = ("line", "dotted")
 _MATERIAL_LINES: tuple[Kind, ...] = ("dashed", "dashdot")
@@ -99,7 +99,7 @@ def regression_plot(means: pd.DataFrame, regressor: str, name: str, rows: pd.Dat
         if not x.size:
             continue
         points = x * factor, own[name].to_numpy() * scale
-        marker = _MARKERS[place % len(_MARKERS)]
+        marker = MARKERS[place % len(MARKERS)]
         parts.append(Curve(*points, Verbatim(str(site)), _colour(place), "points", marker=marker))
         line = rows[(rows["site"] == str(site)) & (rows["parameter"] == name) & (rows["factor"] == regressor)]
         if len(line):
@@ -218,7 +218,7 @@ def _groups_plot(title: str, label: str, axis: Axis, groups: dict[str, np.ndarra
 
 
 def _bars(x: np.ndarray, y: np.ndarray, half: np.ndarray, name: str, place: int) -> Curve:
-    marker = _MARKERS[place % len(_MARKERS)]
+    marker = MARKERS[place % len(MARKERS)]
     return Curve(x, y, Verbatim(name), _colour(place), "bars", y - half, y + half, marker=marker)
 
 

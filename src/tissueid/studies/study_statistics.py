@@ -8,7 +8,8 @@ from typing import Any
 
 import pandas as pd
 
-from tissueid.messages import Message
+from tissueid.messages import Message, stored
+from tissueid.studies.curve_groups import GroupCurve, group_curves
 from tissueid.studies.group_comparison import (
     efficacy,
     general_linear,
@@ -20,6 +21,7 @@ from tissueid.studies.group_comparison import (
     site_means,
     subject_means,
 )
+from tissueid.studies.kernel_components import KernelComponents, component_table, kernel_components, score_table
 from tissueid.studies.multivariate import partial_least_squares
 from tissueid.studies.not_computed import (
     no_adjusted_groups,
@@ -51,7 +53,8 @@ class StudyStatistics:
 
     ``used`` holds the tests of subjects that count, ``means`` one row per subject, site and condition, ``samples`` the
     tests of materials. ``left_out`` has one row per test that does not count, with the reason. ``thesis`` are the
-    tables of the thesis next to those of the study, by their number.
+    tables of the thesis next to those of the study, by their number. ``curves`` are the mean curves of the groups,
+    ``components`` the principal components of Volterra kernels.
     """
 
     used: pd.DataFrame
@@ -62,6 +65,8 @@ class StudyStatistics:
     left_out: pd.DataFrame = field(default_factory=pd.DataFrame)
     samples: pd.DataFrame = field(default_factory=pd.DataFrame)
     thesis: dict[str, pd.DataFrame] = field(default_factory=dict)
+    curves: tuple[GroupCurve, ...] = ()
+    components: tuple[KernelComponents, ...] = ()
 
     @property
     def simulated_tests(self) -> int:
@@ -78,16 +83,19 @@ class StudyStatistics:
             "sites": sorted(map(str, self.used["site"].unique())),
             "parameters": list(self.parameters),
             "remarks": [str(remark) for remark in self.remarks],
+            "remark_messages": [stored(remark) for remark in self.remarks],
             "left_out": as_json_rows(self.left_out.assign(reason=self.left_out["reason"].map(str)))
             if len(self.left_out)
             else [],
             "thesis": {key: as_json_rows(table) for key, table in self.thesis.items()},
             "statistics": {key: as_json_rows(table) for key, table in self.tables.items()},
+            "curves": [curve.as_answer() for curve in self.curves],
         }
 
 
 def study_statistics(
     table: pd.DataFrame,
+    curves: pd.DataFrame | None = None,
     *,
     factors: Sequence[str] = (),
     regressors: Sequence[str] = (),
@@ -99,6 +107,7 @@ def study_statistics(
 
     Args:
         table: of the study.
+        curves: sampled curves of its tests (``sampled_curves.curves_table``); None for statistics without curves.
         factors: columns with groups of subjects; those of ``FACTORS`` that the table has by default.
         regressors: columns with values of subjects; those of ``REGRESSORS`` that the table has by default.
         before: condition of the reference, "" for tests without one; tests under other conditions are compared only.
@@ -137,10 +146,18 @@ def study_statistics(
     if len(samples):
         tables["materials"] = materials(samples, list(dict.fromkeys([*linear, *parameters])) or measured)
         remarks += no_materials(tables["materials"])
+    components: tuple[KernelComponents, ...] = ()
+    groups: tuple[GroupCurve, ...] = ()
+    if curves is not None and len(found.used):
+        groups = group_curves(used, samples, curves, str(plain["condition"].iloc[0]) if len(plain) else before)
+        components = kernel_components(used, samples, curves, remarks)
+        tables |= {"kernel_components": component_table(components), "kernel_scores": score_table(components)}
     remarks += parameters_missing({key: rows for key, rows in tables.items() if key in _OF_ALL}, parameters)
     tables = {key: rows for key, rows in tables.items() if not rows.empty}
     thesis = thesis_tables(own, tables, parameters)
-    return StudyStatistics(used, means, tuple(parameters), tables, tuple(remarks), found.left_out, samples, thesis)
+    return StudyStatistics(
+        used, means, tuple(parameters), tables, tuple(remarks), found.left_out, samples, thesis, groups, components
+    )
 
 
 def _persons_and_samples(used: pd.DataFrame) -> tuple[pd.DataFrame, pd.DataFrame]:

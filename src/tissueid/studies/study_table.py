@@ -11,7 +11,8 @@ import pandas as pd
 
 from tissueid.atomic_write import atomic_file
 from tissueid.errors import UnusableInputError
-from tissueid.messages import Message, Verbatim
+from tissueid.formatting import label_and_unit
+from tissueid.messages import Listing, Message, Verbatim
 
 KEYS = (
     "session",
@@ -66,7 +67,8 @@ _MOST_COLUMNS = 100
 def study_table(rows: Iterable[Mapping[str, Any]], subjects: pd.DataFrame | None = None) -> pd.DataFrame:
     """Return the table of a study from rows of single tests.
 
-    The tests of a subject at a site under a condition with an engine are numbered by their time (column ``repeat``).
+    The tests of a subject at a site under a condition with an engine that count are numbered by their time (column
+    ``repeat``; missing for the others).
 
     Args:
         rows: values by column; demographic values of the session are included.
@@ -77,8 +79,8 @@ def study_table(rows: Iterable[Mapping[str, Any]], subjects: pd.DataFrame | None
         return pd.DataFrame(columns=[*KEYS, *DESCRIPTION])
     table = table.sort_values(["created", "session", "test"], kind="stable").reset_index(drop=True)
     same = ["subject", "site", "condition", "configuration", "orientation_deg", "engine"]
-    order = table.groupby(same, dropna=False).cumcount()
-    table["repeat"] = order + 1
+    order = table[counting(table)].groupby(same, dropna=False).cumcount() + 1
+    table["repeat"] = order.reindex(table.index).astype("Int64")
     if subjects is not None:
         table = _with_subjects(table, subjects)
     if {"weight_kg", "height_m"} <= set(table.columns):
@@ -91,6 +93,21 @@ def study_table(rows: Iterable[Mapping[str, Any]], subjects: pd.DataFrame | None
         table["age_group"] = groups.where(age.notna())
     first = [*KEYS, *DESCRIPTION, *DEMOGRAPHICS]
     return table[[name for name in first if name in table] + [name for name in table if name not in first]]
+
+
+def counting(table: pd.DataFrame) -> pd.Series:
+    """Return whether each test counts: it was completed and analysed, and its quality is not "repeat"."""
+    return (table["status"] == "completed") & (table["quality"] != "repeat")
+
+
+def label_of(name: str) -> str:
+    """Return the readable label of a column, in English, for messages."""
+    return label_and_unit(name)[0]
+
+
+def labels_of(names: Iterable[str]) -> Listing:
+    """Return the readable labels of columns as a list in messages."""
+    return Listing(tuple(map(label_of, names)))
 
 
 def parameters_of(table: pd.DataFrame) -> list[str]:

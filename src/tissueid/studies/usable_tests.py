@@ -11,7 +11,7 @@ import pandas as pd
 from tissueid.formatting import ANONYMOUS
 from tissueid.language import marked
 from tissueid.messages import Listing, Message, Verbatim
-from tissueid.studies.study_table import parameters_of
+from tissueid.studies.study_table import label_of, labels_of, parameters_of
 
 THESIS_SIX = (
     "damping_ratio",
@@ -99,17 +99,19 @@ def parameters_used(used: pd.DataFrame, remarks: list[Message]) -> list[str]:
         remarks.append(
             Message(
                 "study.constant",
-                "constant in all tests, and therefore left out: {names}",
+                "constant in all tests, and therefore left out: {labels}",
                 names=Listing(tuple(constant)),
+                labels=labels_of(constant),
             )
         )
     chosen = [name for name in found if name not in constant]
     remarks += [
         Message(
             "study.no_value",
-            "{count} tests have no value of '{name}', such as tests of other signals or units",
+            "{count} tests have no value of '{label}', such as tests of other signals or units",
             count=missing,
             name=Verbatim(name),
+            label=label_of(name),
         )
         for name in chosen
         if (missing := int(used[name].isna().sum()))
@@ -137,18 +139,27 @@ def has_groups(means: pd.DataFrame, name: str, remarks: list[Message], *, stated
     """
     if name not in means or means[name].dropna().empty:
         if stated:
-            remarks.append(Message("study.no_column", "no subject has a value of '{name}'", name=Verbatim(name)))
+            remarks.append(
+                Message(
+                    "study.no_column", "no subject has a value of '{label}'", name=Verbatim(name), label=label_of(name)
+                )
+            )
         return False
     if means[name].nunique() < 2:
-        remarks.append(Message("study.one_group", "all subjects have the same '{name}'", name=Verbatim(name)))
+        remarks.append(
+            Message(
+                "study.one_group", "all subjects have the same '{label}'", name=Verbatim(name), label=label_of(name)
+            )
+        )
         return False
     sizes = means.drop_duplicates("subject")[name].value_counts()
     if len(small := sizes.index[sizes < 2]):
         remarks.append(
             Message(
                 "study.small_group",
-                "groups of '{name}' with one subject do not count: {groups}",
+                "groups of '{label}' with one subject do not count: {groups}",
                 name=Verbatim(name),
+                label=label_of(name),
                 groups=Listing(tuple(map(str, small))),
             )
         )
@@ -164,14 +175,22 @@ def has_values(means: pd.DataFrame, name: str, remarks: list[Message], *, stated
     numbers = pd.to_numeric(means[name], errors="coerce") if name in means else pd.Series(dtype=float)
     if numbers.dropna().empty:
         if stated:
-            remarks.append(Message("study.no_number", "no subject has a number for '{name}'", name=Verbatim(name)))
+            remarks.append(
+                Message(
+                    "study.no_number",
+                    "no subject has a number for '{label}'",
+                    name=Verbatim(name),
+                    label=label_of(name),
+                )
+            )
         return False
     if numbers.dropna().nunique() < _LEAST_VALUES:
         remarks.append(
             Message(
                 "study.too_few_values",
-                "no regression on '{name}': it has fewer than {least} different values",
+                "no regression on '{label}': it has fewer than {least} different values",
                 name=Verbatim(name),
+                label=label_of(name),
                 least=_LEAST_VALUES,
             )
         )
@@ -259,9 +278,10 @@ def _without_implausible(used: pd.DataFrame, name: str, least: float, most: floa
     remarks.append(
         Message(
             "study.implausible",
-            "{count} subjects have a '{name}' outside {least:g} to {most:g}, perhaps in another unit, which is ignored",
+            "{count} subjects have a '{label}' outside {least:g} to {most:g}, perhaps in another unit; it is ignored",
             count=int(used.loc[wrong, "subject"].nunique()),
             name=Verbatim(name),
+            label=label_of(name),
             least=least,
             most=most,
         )
@@ -274,8 +294,9 @@ def _count_missing(means: pd.DataFrame, name: str, remarks: list[Message]) -> No
         remarks.append(
             Message(
                 "study.missing",
-                "{count} subjects have no value of '{name}' and do not count in its comparisons",
+                "{count} subjects have no value of '{label}' and do not count in its comparisons",
                 count=int(missing),
                 name=Verbatim(name),
+                label=label_of(name),
             )
         )

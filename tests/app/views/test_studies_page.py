@@ -166,6 +166,7 @@ def test_a_study_is_analysed_drawn_and_reported(qtbot, open_window, recorded):
     assert page.tabs.currentWidget() is page.figures
     titles = [page.figures.kind.itemText(place) for place in range(page.figures.kind.count())]
     assert titles[:3] == ["Subjects", "Sites", "Variation"]
+    assert any(title.startswith("Frequency response") for title in titles)
     for place in range(len(titles)):
         page.figures.kind.setCurrentIndex(place)
         assert page.figures.canvas.plots

@@ -12,10 +12,10 @@ from tissueid.app.theme import Theme
 from tissueid.app.widgets import plain_label
 from tissueid.formatting import label_and_unit
 from tissueid.language import _
-from tissueid.messages import translated
+from tissueid.messages import Verbatim, translated
 
 if TYPE_CHECKING:
-    from tissueid.reports.study import Plots
+    from tissueid.reports.study_curves import Plots
     from tissueid.studies.study_statistics import StudyStatistics
 
 _MOST_REMARKS = 6
@@ -109,8 +109,8 @@ class FiguresTab(QWidget):
         self.parameter.blockSignals(True)
         self.parameter.clear()
         for name in self.figures[self.kind.currentIndex()][1]:
-            several = name in OF_SEVERAL
-            self.parameter.addItem(_("all parameters") if several else _(label_and_unit(name)[0]), name)
+            label = str(name) if isinstance(name, Verbatim) else _(label_and_unit(name)[0])
+            self.parameter.addItem(_("all parameters") if name in OF_SEVERAL else label, str(name))
         self.parameter.setCurrentIndex(max(0, self.parameter.findData(asked)))
         self.parameter.blockSignals(False)
         self.parameter.setEnabled(self.parameter.count() > 1)

@@ -14,7 +14,7 @@ from tissueid.formatting import clean
 from tissueid.language import marked
 from tissueid.messages import Message, Verbatim
 from tissueid.procedures.session_store import FolderStore
-from tissueid.procedures.study_plans import NOT_ANALYSED_FILE, RESULTS
+from tissueid.procedures.study_plans import CURVES_FILE, NOT_ANALYSED_FILE, RESULTS
 from tissueid.procedures.study_protocol import PROTOCOL_FILE, Protocol, read_protocol, sitting_steps
 
 if TYPE_CHECKING:
@@ -33,9 +33,10 @@ _MOST_FAILURES = 1000
 
 @dataclass(frozen=True, slots=True)
 class TestRow:
-    """A test of the table, or a session without one: ``problem`` says why. ``values`` are by parameter, SI.
+    """A test of the table, or a session without one (``is_test`` is False): ``problem`` says why.
 
-    ``values`` and ``stds`` are NaN where the engine gave none. ``words`` is what a search looks through, folded.
+    ``repeat`` is 0 for a test that does not count. ``values`` and ``stds`` are by parameter, SI, and NaN where the
+    engine gave none. ``words`` is what a search looks through, folded.
     """
 
     __test__ = False
@@ -53,6 +54,7 @@ class TestRow:
     values: tuple[float, ...] = ()
     stds: tuple[float, ...] = ()
     words: str = ""
+    is_test: bool = True
 
 
 @dataclass(frozen=True)
@@ -72,7 +74,7 @@ class StudyData:
     @property
     def tests(self) -> int:
         """Number of tests in the table."""
-        return sum(bool(row.repeat) for row in self.rows)
+        return sum(row.is_test for row in self.rows)
 
     @property
     def without_row(self) -> int:
@@ -147,6 +149,7 @@ def statistics_of(folder: Path, control: Control) -> StudyStatistics:
     check_packages("pandas", "pyarrow", "statsmodels", "sklearn")
     import pandas as pd
 
+    from tissueid.studies.sampled_curves import read_curves
     from tissueid.studies.study_statistics import study_statistics
 
     control.progress(None, marked("Computing statistics"))
@@ -157,7 +160,7 @@ def statistics_of(folder: Path, control: Control) -> StudyStatistics:
         raise UnusableInputError(
             Message("study.no_table", "{folder} has no table yet: analyse its sessions first", folder=str(folder))
         ) from error
-    return study_statistics(table)
+    return study_statistics(table, read_curves(folder / RESULTS / CURVES_FILE))
 
 
 def _read_table(path: Path) -> tuple[list[TestRow], tuple[str, ...]]:
@@ -200,7 +203,7 @@ class _Reader:
             self._text(cells, "site"),
             self._text(cells, "condition"),
             _number(self._text(cells, "minutes_since_application")),
-            int(_finite(self._text(cells, "repeat")) or 1),
+            int(_finite(self._text(cells, "repeat"))),
             self._text(cells, "quality"),
             self._text(cells, "engine"),
             _number(self._text(cells, "vaf_percent")),
@@ -216,7 +219,7 @@ class _Reader:
 
 
 def _without_test(session: str, problem: str) -> TestRow:
-    return _searched(TestRow(session, problem=problem))
+    return _searched(TestRow(session, problem=problem, is_test=False))
 
 
 def _searched(row: TestRow) -> TestRow:

@@ -70,7 +70,7 @@ class TestsModel(QAbstractTableModel):
     @property
     def without_test(self) -> list[int]:
         """Shown rows that are a session without a test: their first cell says why."""
-        return [place for place, number in enumerate(self.shown) if not self._rows[number].repeat]
+        return [place for place, number in enumerate(self.shown) if not self._rows[number].is_test]
 
     @property
     def rows(self) -> Sequence[TestRow]:
@@ -131,15 +131,15 @@ class TestsModel(QAbstractTableModel):
             for place, row in enumerate(self._rows)
             if (not subject or row.subject == subject)
             and (not site or row.site == site)
-            and (not condition or (row.condition or WITHOUT * bool(row.repeat)) == condition)
+            and (not condition or (row.condition or WITHOUT * row.is_test) == condition)
             and all(word in row.words for word in wanted)
         ]
         column, order = self._sorted
         if 0 <= column < self.columnCount():
             key = self._key(column)
             keys = {place: key(self._rows[place]) for place in found}
-            first = [place for place in found if not self._rows[place].repeat]
-            tests = [place for place in found if self._rows[place].repeat]
+            first = [place for place in found if not self._rows[place].is_test]
+            tests = [place for place in found if self._rows[place].is_test]
             empty = [place for place in tests if keys[place] in ("", -math.inf)]
             known = [place for place in tests if keys[place] not in ("", -math.inf)]
             known.sort(key=lambda place: keys[place], reverse=order == Qt.SortOrder.DescendingOrder)
@@ -207,7 +207,7 @@ class TestsModel(QAbstractTableModel):
         return translated(row.problem) if column == len(self.parameters) else row.session
 
     def _about(self, row: TestRow, column: int) -> str:
-        if not row.repeat:
+        if not row.is_test:
             return f"{row.session}: {translated(row.problem)}" if column == 0 else ""
         if column == CONDITION:
             after = Message("study.after", "after {minutes:g} min", minutes=row.minutes)
@@ -218,7 +218,7 @@ class TestsModel(QAbstractTableModel):
         texts = {
             SUBJECT: subject_text(row.subject),
             SITE: row.site,
-            REPEAT: str(row.repeat),
+            REPEAT: str(row.repeat or MISSING),
             QUALITY: _(_QUALITY_WORDS[row.quality]) if row.quality in _QUALITY_WORDS else row.quality,
             ENGINE: self._labels.get(row.engine, row.engine),
         }
@@ -227,7 +227,7 @@ class TestsModel(QAbstractTableModel):
     def _value(self, row: TestRow, name: str) -> str:
         place = self._places[name]
         if not row.values or math.isnan(row.values[place]):
-            return "" if not row.repeat else MISSING
+            return MISSING if row.is_test else ""
         std = row.stds[place]
         found = Estimate(row.values[place], None if math.isnan(std) else std)
         return plus_minus(found, self._scales[name])

@@ -94,7 +94,7 @@ class TestsTab(QWidget):
     def show_study(self, data: StudyData) -> None:
         """Show the tests of a study; filters and columns stay as far as they fit."""
         self._data = data
-        tests = [row for row in data.rows if row.repeat]
+        tests = [row for row in data.rows if row.is_test]
         self._offer(self.subject, {row.subject for row in tests})
         self._offer(self.site, {row.site for row in tests})
         self._offer(self.condition, {row.condition for row in tests})

@@ -1,0 +1,230 @@
+"""Mean curves of the groups of a study: sites, orientations, conditions and materials (thesis, Figs. 7.11 to 7.21).
+
+The curves of the tests of a subject are averaged first, then those of the subjects. A material is averaged over its
+tests. Intervals are those of Student's t distribution at each point of the grid.
+"""
+
+from __future__ import annotations
+
+import warnings
+from collections.abc import Iterable, Iterator, Sequence
+from dataclasses import dataclass
+from typing import Any, Literal
+
+import numpy as np
+import pandas as pd
+from scipy import stats
+
+from tissueid.analysis.curves.plot import Array
+from tissueid.analysis.curves.samples import DAMPING, GRIDS, KERNEL1, KERNEL2, MASS, PARTITIONS, STIFFNESS
+from tissueid.language import marked
+from tissueid.studies.repeatability import CONFIDENCE
+from tissueid.studies.sampled_curves import curves_of
+from tissueid.studies.study_table import MATERIAL
+
+By = Literal["site", "condition", "material", "change"]
+ALL_SITES = ""
+"""Group of the curves of all subjects at all sites, next to those of the materials."""
+WITHOUT = marked("without")
+"""Name of the condition of tests without a product, in the names of groups."""
+_LEAST_SHARE, _LEAST_SHARE_BY_DEPTH = 0.9, 0.5
+"""Share of the subjects, or of the tests of a material, that must have a value at a point of the grid: of curves, which
+have a step where the subjects change, and of kernels by depth."""
+_ROUNDING = 1e-9
+_LEAST_OF_INTERVAL = 3
+"""Least number of subjects, or of tests of a material, of an interval: that of two is meaninglessly wide."""
+MOST_MEMBERS = 30
+"""Largest number of subjects, or of tests of a material, whose own curves are kept."""
+_OF_DEPTH = (MASS, DAMPING, STIFFNESS)
+_SURFACES = (KERNEL1, KERNEL2, PARTITIONS)
+
+
+@dataclass(frozen=True, eq=False)
+class GroupCurve:
+    """Mean curve of a group on the grid of ``curve``, (n,), with its 95 % interval; NaN where too few have a value.
+
+    ``by`` says what the groups are; those of "change" are changes in percent of the reference, paired by subject.
+    ``count`` is the number of subjects, or of tests of a material. ``vaf_percent`` is the mean VAF of their tests.
+    ``members`` (m, n) are the curves of the first ``MOST_MEMBERS`` of them, for curves over depth: their depths differ.
+    """
+
+    by: By
+    group: str
+    curve: str
+    direction: int
+    mean: Array
+    low: Array
+    high: Array
+    count: int
+    vaf_percent: float = float("nan")
+    members: Array | None = None
+
+    @property
+    def has_values(self) -> bool:
+        """Whether a mean or a member has a value."""
+        return bool(np.isfinite(self.mean).any() or (self.members is not None and np.isfinite(self.members).any()))
+
+    def as_answer(self) -> dict[str, Any]:
+        """Return the known points for JSON; the abscissas are named with their units."""
+        known = np.isfinite(self.mean)
+        grid = GRIDS[self.curve]
+        columns = {grid.x_name: grid.x} | ({} if grid.y is None else {grid.y_name: grid.y})
+        columns |= {"mean": self.mean, "low": self.low, "high": self.high}
+        return {
+            "by": self.by,
+            "group": self.group,
+            "curve": self.curve,
+            "direction": self.direction,
+            "count": self.count,
+            "vaf_percent": float(self.vaf_percent) if np.isfinite(self.vaf_percent) else None,
+        } | {name: [float(v) if np.isfinite(v) else None for v in values[known]] for name, values in columns.items()}
+
+
+def group_labels(tests: pd.DataFrame, by: By) -> pd.Series:
+    """Return the group of each test: site, condition at a site, or material, and orientation where there are several.
+
+    Args:
+        tests: tests that count, with the columns of a study table.
+        by: what the groups are.
+    """
+    labels = tests[MATERIAL if by == "material" else "site"].astype(str)
+    if by == "condition":
+        named = tests["condition"].astype(str).replace("", WITHOUT)
+        labels = named if labels.nunique() == 1 else labels + "; " + named
+    if "orientation_deg" in tests and (angle := tests["orientation_deg"].astype(float)).nunique() > 1:
+        turned = labels + angle.map(lambda value: f", {value:g}°")
+        labels = labels.where(angle.isna(), turned)
+    return labels
+
+
+def group_curves(
+    persons: pd.DataFrame, samples: pd.DataFrame, curves: pd.DataFrame, reference: str = ""
+) -> tuple[GroupCurve, ...]:
+    """Return the mean curves of all groups.
+
+    Args:
+        persons: tests of subjects that count.
+        samples: tests of materials that count.
+        curves: sampled curves (``sampled_curves.curves_table``); those of other tests do not count.
+        reference: condition whose tests are compared by site; conditions are compared with it.
+    """
+    if curves.empty:
+        return ()
+    plain = persons[persons["condition"] == reference]
+    several = persons.groupby("site")["condition"].transform("nunique") > 1 if len(persons) else pd.Series(dtype=bool)
+    treated = persons[several.astype(bool)] if len(persons) else persons
+    found: list[GroupCurve] = []
+    for by, tests in (("site", plain), ("condition", treated), ("material", samples)):
+        if len(tests):
+            found += _means(by, _with_curves(tests, by, curves))  # type: ignore[arg-type]
+    if len(samples) and len(plain):
+        whole = _with_curves(plain, "site", curves).assign(group=ALL_SITES)
+        found += _means("material", whole[~whole["curve"].isin(_SURFACES)], person=True)
+    if len(treated):
+        found += _changes(treated, curves, reference)
+    return tuple(found)
+
+
+def mean_and_interval(rows: Array, share: float = _LEAST_SHARE) -> tuple[Array, Array, Array]:
+    """Return mean and 95 % interval of the mean over rows (k, n) at each point, each (n,).
+
+    A mean is NaN where fewer than the ``share`` of the rows have a value, an interval also where fewer than three have.
+    """
+    count = np.isfinite(rows).sum(axis=0)
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore", RuntimeWarning)  # columns without a value
+        mean = np.nanmean(rows, axis=0)
+        mean[count < max(1.0, share * len(rows) - _ROUNDING)] = np.nan
+        error = np.nanstd(rows, axis=0, ddof=1) / np.sqrt(count)
+        half = stats.t.ppf(0.5 + 0.5 * CONFIDENCE, np.maximum(count - 1, 1)) * error
+    half = np.where(count >= _LEAST_OF_INTERVAL, half, np.nan)
+    return mean, mean - half, mean + half
+
+
+def _with_curves(tests: pd.DataFrame, by: By, curves: pd.DataFrame) -> pd.DataFrame:
+    columns = ["session", "test", "subject", "site", "condition", "vaf_percent"]
+    keys = tests[[name for name in columns if name in tests]].assign(group=group_labels(tests, by))
+    return keys.merge(curves, on=["session", "test"])
+
+
+def _means(by: By, rows: pd.DataFrame, *, person: bool = False) -> Iterator[GroupCurve]:
+    # A material is averaged over its tests, subjects over their means.
+    units = ["session", "test"] if by == "material" and not person else ["subject"]
+    for (name, direction), own in rows.groupby(["curve", "direction"], sort=False):
+        for group, tests in own.groupby("group", sort=True):
+            values = np.stack([_mean_of(part) for _unit, part in tests.groupby(units, sort=True)])
+            vaf = float(tests["vaf_percent"].mean()) if "vaf_percent" in tests else float("nan")
+            members = values[:MOST_MEMBERS] if name in _OF_DEPTH else None
+            share = _LEAST_SHARE_BY_DEPTH if name == PARTITIONS else _LEAST_SHARE
+            limits = mean_and_interval(values, share)
+            yield GroupCurve(by, str(group), str(name), int(direction), *limits, len(values), vaf, members)
+
+
+def _changes(treated: pd.DataFrame, curves: pd.DataFrame, reference: str) -> Iterator[GroupCurve]:
+    """Yield the relative change of each parameter against depth under each condition, paired by subject (Fig. 7.21)."""
+    rows = _with_curves(treated, "condition", curves[curves["curve"].isin(_OF_DEPTH)])
+    if rows.empty:
+        return
+    names = rows.groupby(["site", "condition"], sort=True)["group"].first()
+    for (name, direction), own in rows.groupby(["curve", "direction"], sort=False):
+        means = {key: _mean_of(part) for key, part in own.groupby(["site", "condition", "subject"], sort=True)}
+        for (site, condition), group in names.items():
+            if condition == reference:
+                continue
+            pairs = [
+                100.0 * (values / means[site, reference, subject] - 1.0)
+                for (where, what, subject), values in means.items()
+                if (where, what) == (site, condition) and (site, reference, subject) in means
+            ]
+            if pairs:
+                own_changes = np.stack(pairs)
+                limits = mean_and_interval(own_changes)
+                yield GroupCurve(
+                    "change",
+                    str(group),
+                    str(name),
+                    int(direction),
+                    *limits,
+                    len(pairs),
+                    members=own_changes[:MOST_MEMBERS],
+                )
+
+
+def _mean_of(rows: pd.DataFrame) -> Array:
+    """Return the mean of curves of the same name at each point of the grid where one has a value, (n,)."""
+    total = np.zeros(GRIDS[str(rows["curve"].iloc[0])].x.size)
+    count = np.zeros(total.size)
+    for curve in curves_of(rows):
+        values = curve.on_grid
+        known = np.isfinite(values)
+        total[known] += values[known]
+        count += known
+    mean: Array = np.divide(total, count, out=np.full(total.size, np.nan), where=count > 0)
+    return mean
+
+
+def chosen(curves: Iterable[GroupCurve], by: By, name: str, direction: int | None = None) -> list[GroupCurve]:
+    """Return the curves of a kind of groups and a name that have a value; all sites and no product come first."""
+    found = [
+        one
+        for one in curves
+        if (one.by, one.curve) == (by, name) and direction in (None, one.direction) and one.has_values
+    ]
+    return sorted(found, key=lambda one: one.group != ALL_SITES and not one.group.endswith(WITHOUT))
+
+
+def directions(curves: Sequence[GroupCurve]) -> list[int]:
+    """Return the directions of curves: into the tissue, out of it, both, as far as there are any."""
+    return [way for way in (0, 1, -1) if any(one.direction == way for one in curves)]
+
+
+__all__ = [
+    "ALL_SITES",
+    "By",
+    "GroupCurve",
+    "chosen",
+    "directions",
+    "group_curves",
+    "group_labels",
+    "mean_and_interval",
+]
