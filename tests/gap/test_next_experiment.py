@@ -27,7 +27,7 @@ def observed():
     random = np.random.default_rng(5)
     smooth = np.convolve(random.uniform(-1, 1, 4000), np.ones(5) / 5, "same")
     command = 14.0 + 14.0 * smooth
-    acting = [ActiveEffect(effect("dry_friction"), np.array([0.25, 3e-5, 0.2, 0.5]))]
+    acting = [ActiveEffect(effect("dry_friction"), np.array([0.25, 3e-5, 0.2, 0.0, 1.0]))]
     instrument, start = Instrument(weight_n=0.0), Start(14.0 / 12.0, SURFACE)
     read = simulate(command, RATE, instrument, Tissue(SURFACE), start, acting).readings
     noise = random.standard_normal((3, command.size))

@@ -31,7 +31,7 @@ NOW = datetime(2026, 3, 1, 9, 30, tzinfo=UTC)
 def observed():
     random = np.random.default_rng(5)
     command = 14.0 + 14.0 * np.convolve(random.uniform(-1, 1, 3000), np.ones(5) / 5, "same")
-    acting = [ActiveEffect(effect("dry_friction"), np.array([0.25, 3e-5, 0.2, 0.5]))]
+    acting = [ActiveEffect(effect("dry_friction"), np.array([0.25, 3e-5, 0.2, 0.0, 1.0]))]
     device = Instrument(weight_n=0.2, resistance_ohm=12.2)
     read = simulate(command, RATE, device, Tissue(SURFACE), Start(14.0 / 12.2, SURFACE), acting).readings
     noise = random.standard_normal((3, command.size))
@@ -62,6 +62,17 @@ def test_a_twin_comes_back_as_it_was_written(content, tmp_path):
     assert back == content
     assert back.twin.effects == ("dry_friction",)
     assert back.created == "2026-03-01T09:30:00Z"
+
+
+def test_a_twin_of_an_earlier_version_keeps_its_creeping_loops(content, tmp_path):
+    (friction,) = content.effects
+    earlier = {name: value for name, value in friction.parameters.items() if name != "spread"} | {"bristle_share": 0.5}
+    path = tmp_path / "arm.toml"
+    write_twin(path, content.model_copy(update={"effects": (friction.model_copy(update={"parameters": earlier}),)}))
+    (acting,) = read_twin(path).twin.acting
+    values = dict(zip((item.name for item in acting.effect.parameters), acting.values, strict=True))
+    assert (values["bristle_share"], values["spread"]) == (0.5, 1.0)
+    assert values["coulomb_n"] == friction.parameters["coulomb_n"]
 
 
 def test_it_holds_the_figures_with_their_uncertainty(content):

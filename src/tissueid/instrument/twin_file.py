@@ -82,9 +82,7 @@ class EffectPart(_Part):
         known = all_effects().get(self.name)
         if known is None:
             raise ValueError(Message("twin.unknown_effect", "there is no effect {name}", name=self.name))
-        values_by_name(known, self.parameters)
-        for parameter in known.parameters:
-            value = self.parameters[parameter.name]
+        for parameter, value in zip(known.parameters, values_by_name(known, self.parameters).tolist(), strict=True):
             slack = 1e-6 * (parameter.high - parameter.low)
             if not parameter.low - slack <= value <= parameter.high + slack:
                 raise ValueError(_outside(f"{self.name}: {parameter.name}", parameter.low, parameter.high, value))

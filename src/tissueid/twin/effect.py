@@ -55,7 +55,7 @@ class Parameter:
     has its own value in every test (for instance a phase). A ``fixed`` parameter is not fitted: it keeps the value of
     ``estimate_from_record`` or of the start. ``prior`` is its most probable value before the data and ``prior_std`` the
     standard deviation, in units of the fitted quantity (of its natural logarithm where ``logarithmic``); None: no
-    prior.
+    prior. ``default`` is its value where the file of a twin was written before the effect had it.
     """
 
     name: str
@@ -69,6 +69,7 @@ class Parameter:
     prior: float | None = None
     prior_std: float | None = None
     meaning: str = ""
+    default: float | None = None
 
     def __post_init__(self) -> None:
         if not self.low < self.high or (self.logarithmic and self.low <= 0.0):

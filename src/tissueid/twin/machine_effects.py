@@ -33,6 +33,8 @@ STOPS = 8
 _LIMITS = STOPS + 1
 _MOST_STRETCH = 30.0
 """Bound of the Bouc-Wen variable, which a hardening loop would exceed."""
+_FRICTION_SPREAD = 1.0
+"""Spread of the log presliding displacements."""
 IWAN, BOUC_WEN = 0.0, 1.0
 REFERENCE_M = 1e-3
 _SWINGS = (1.0, 3.0)
@@ -46,7 +48,7 @@ def friction_hook(where: int, b: FloatArray, p: FloatArray, s: FloatArray, dt: f
     velocity = b[bus.VELOCITY] + 0.5 * dt * b[bus.ACCELERATION]
     ratio = velocity / p[4]
     level = p[0] * (1.0 + p[2] * math.exp(-min(ratio * ratio, 50.0)))
-    b[bus.FORCE] -= level * friction_share(s, velocity, p[1], p[3], dt)
+    b[bus.FORCE] -= level * friction_share(s, velocity, p[1], _FRICTION_SPREAD, p[3], dt)
 
 
 def directional_friction_hook(where: int, b: FloatArray, p: FloatArray, s: FloatArray, dt: float) -> None:
@@ -54,7 +56,7 @@ def directional_friction_hook(where: int, b: FloatArray, p: FloatArray, s: Float
     velocity = b[bus.VELOCITY] + 0.5 * dt * b[bus.ACCELERATION]
     ratio = velocity / p[5]
     level = p[0] * (1.0 + p[3] * math.exp(-min(ratio * ratio, 50.0)))
-    share = friction_share(s, velocity, p[2], p[4], dt)
+    share = friction_share(s, velocity, p[2], _FRICTION_SPREAD, p[4], dt)
     b[bus.FORCE] -= level * share * (1.0 + p[1] * share)
 
 

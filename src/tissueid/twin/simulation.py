@@ -239,9 +239,10 @@ def values_by_name(effect: Effect, values: Mapping[str, float]) -> NDArray[np.fl
     """Return parameters in the order of their declaration from a mapping by name.
 
     Raises:
-        ValueError: a parameter is missing or unknown.
+        ValueError: a parameter without a default is missing, or one is unknown.
     """
     names = [parameter.name for parameter in effect.parameters]
-    if set(names) != set(values):
+    given = {item.name: item.default for item in effect.parameters if item.default is not None} | dict(values)
+    if set(names) != set(given):
         raise ValueError(f"{effect.name} takes {', '.join(names)}, not {', '.join(values) or 'nothing'}")
-    return np.array([values[name] for name in names], np.float64)
+    return np.array([given[name] for name in names], np.float64)

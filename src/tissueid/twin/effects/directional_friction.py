@@ -6,7 +6,7 @@ import math
 
 from tissueid.twin import bus
 from tissueid.twin.effect import Effect, FloatArray, Parameter
-from tissueid.twin.effects.dry_friction import STRIBECK_SPEED_M_S, friction_share
+from tissueid.twin.effects.dry_friction import BRISTLE_SHARE, SPREAD, STRIBECK_SPEED_M_S, friction_share
 
 
 def hook(where: int, b: FloatArray, p: FloatArray, s: FloatArray, dt: float) -> None:
@@ -14,7 +14,7 @@ def hook(where: int, b: FloatArray, p: FloatArray, s: FloatArray, dt: float) -> 
     velocity = b[bus.VELOCITY] + 0.5 * dt * b[bus.ACCELERATION]
     ratio = velocity / STRIBECK_SPEED_M_S
     level = p[0] * (1.0 + p[3] * math.exp(-min(ratio * ratio, 50.0)))
-    share = friction_share(s, velocity, p[2], p[4], dt)
+    share = friction_share(s, velocity, p[2], p[5], p[4], dt)
     b[bus.FORCE] -= level * share * (1.0 + p[1] * share)
 
 
@@ -33,13 +33,14 @@ EFFECT = Effect(
         Parameter("difference", "1", None, -0.95, 0.95, meaning="(in − out) / (in + out)"),
         Parameter("presliding_m", "m", None, 1e-6, 3e-4, True, meaning="displacement before it slides"),
         Parameter("stribeck_ratio", "1", None, -0.5, 3.0, prior=0.2, prior_std=0.5, meaning="extra friction at rest"),
-        Parameter("bristle_share", "1", None, 0.0, 1.0, prior=0.5, prior_std=0.5, meaning="share of creeping loops"),
+        BRISTLE_SHARE,
+        SPREAD,
     ),
     starts=(
-        (0.1, 0.4, 2e-5, 0.2, 0.5),
-        (0.1, -0.4, 2e-5, 0.2, 0.5),
-        (0.5, 0.4, 5e-5, 0.2, 0.5),
-        (0.5, -0.4, 5e-5, 0.2, 0.5),
+        (0.1, 0.4, 2e-5, 0.2, 0.0, 1.0),
+        (0.1, -0.4, 2e-5, 0.2, 0.0, 1.0),
+        (0.5, 0.4, 5e-5, 0.2, 0.0, 1.0),
+        (0.5, -0.4, 5e-5, 0.2, 0.0, 1.0),
     ),
     mistaken_for=("dry_friction", "directional_damping", "tissue_hysteresis", "preconditioning"),
     places=(bus.MECHANICS,),

@@ -11,6 +11,8 @@ STOPS = 8
 REFERENCE_N = 3.0
 """Reference static force of the size of a loop, N, as in a stochastic test."""
 _SMALL_N = 0.05
+SHORTEST_YIELD_M = 4e-5
+"""Displacement below which loops are those of a sliding contact: presliding takes micrometres, tissue does not."""
 _LIMITS = STOPS + 1
 
 
@@ -51,7 +53,9 @@ EFFECT = Effect(
     "(1966) 893-900; Wen, J. Eng. Mech. 102 (1976) 249-263",
     parameters=(
         Parameter("force_n", "N", 0.0, 1e-3, 10.0, True, meaning="half width of a loop at a static force of 3 N"),
-        Parameter("yield_m", "m", None, 5e-6, 5e-3, True, meaning="displacement at which half of it yields"),
+        Parameter(
+            "yield_m", "m", None, SHORTEST_YIELD_M, 5e-3, True, meaning="displacement at which half of it yields"
+        ),
         Parameter("growth", "1", None, 0.0, 2.0, prior=0.5, prior_std=0.5, meaning="power of the static force"),
         Parameter("bristle_share", "1", None, 0.0, 1.0, prior=0.3, prior_std=0.5, meaning="share of creeping loops"),
         Parameter("spread", "1", None, 0.0, 2.5, prior=1.0, prior_std=0.5, meaning="spread of the log yield lengths"),
