@@ -9,12 +9,12 @@ from typing import Any
 import numpy as np
 
 from tissueid.analysis.fitting import Analysis, fit_split, fit_whole
+from tissueid.analysis.scoring import scheduled_scores
 from tissueid.analysis.split import Split, split, split_records
 from tissueid.errors import UnusableInputError
 from tissueid.formatting import label_and_unit
 from tissueid.identification.base import Engine
 from tissueid.identification.depth_profile import DepthProfile
-from tissueid.identification.validation import aicc, vaf_percent
 from tissueid.language import marked
 from tissueid.messages import Message, Verbatim
 from tissueid.records import Estimate, Record
@@ -162,7 +162,7 @@ def overlay(
                 )
                 continue
             surface = source.session.test(source.tests[0]).surface_position_m
-            scheduled, criterion = _scheduled(analysis)
+            scheduled, criterion = scheduled_scores(analysis)
             entries.append(
                 OverlayEntry(source.label, replace(fit, engine=engine), analysis, surface, scheduled, criterion, value)
             )
@@ -201,18 +201,6 @@ def every(record: Record, step: int) -> Record:
     """Return every ``step``-th sample of a record, without a filter."""
     rate = record.sample_rate_hz / step
     return replace(record, input=record.input[::step], output=record.output[::step], sample_rate_hz=rate, joints=())
-
-
-def _scheduled(analysis: Analysis) -> tuple[float | None, float | None]:
-    """Return VAF (percent) and AICc of the run scheduled by the measured output, on the fitted samples."""
-    model, record = analysis.model, analysis.record
-    run = model.simulate_scheduled(record)
-    if run is None:
-        return None, None
-    residual = (record.output - run)[analysis.fit_part]
-    known = np.isfinite(residual)
-    measured = record.output[analysis.fit_part][known]
-    return vaf_percent(measured, measured - residual[known]), aicc(residual, model.report.n_parameters)
 
 
 def linear_row(analysis: Analysis) -> DepthProfile | None:

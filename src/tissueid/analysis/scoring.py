@@ -169,3 +169,15 @@ def _shared(masks: Sequence[Mask]) -> tuple[list[Mask], list[bool]]:
         if common.sum() >= _SHARED * max(masks[k].sum() for k in together):
             return [masks[k] if own[k] else common for k in range(len(masks))], own
         own[min(together, key=lambda k: int(masks[k].sum()))] = True
+
+
+def scheduled_scores(analysis: Analysis) -> tuple[float | None, float | None]:
+    """Return VAF (percent) and AICc of the run scheduled by the measured output, on the fitted samples."""
+    model, record = analysis.model, analysis.record
+    run = model.simulate_scheduled(record)
+    if run is None:
+        return None, None
+    residual = (record.output - run)[analysis.fit_part]
+    known = np.isfinite(residual)
+    measured = record.output[analysis.fit_part][known]
+    return vaf_percent(measured, measured - residual[known]), aicc(residual, model.report.n_parameters)

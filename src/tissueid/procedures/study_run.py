@@ -48,7 +48,7 @@ if TYPE_CHECKING:
 
 _ANALYSING = marked("Analysing sessions")
 _FAILED, _CURVES = "failed", "curves"
-_FORMAT = 3
+_FORMAT = 4
 """Format of stored rows: those of another one are computed again."""
 _MOST_FAILURES, _LONGEST_REASON = 100_000, 1000
 
@@ -223,6 +223,7 @@ def _row(
     from tissueid.acquisition.quality import judge
     from tissueid.analysis.curves.samples import sampled_curves
     from tissueid.analysis.fitting import fit_split, fit_whole
+    from tissueid.analysis.scoring import scheduled_scores
     from tissueid.analysis.split import split
     from tissueid.identification import get_engine
 
@@ -253,7 +254,12 @@ def _row(
     except UnusableInputError as error:
         return row | {"status": "not analysed", "problem": str(error)}, []
     report = analysis.model.report
-    row |= {"vaf_percent": report.vaf_percent, "vaf_validation_percent": report.vaf_validation_percent, "problem": ""}
+    row |= {
+        "vaf_percent": report.vaf_percent,
+        "vaf_validation_percent": report.vaf_validation_percent,
+        "vaf_scheduled_percent": scheduled_scores(analysis)[0],
+        "problem": "",
+    }
     for name, estimate in report.reportable_parameters.items():
         row |= {name: _finite(estimate.value), f"{name}_sd": _finite(estimate.std)}
     return row, sampled_curves(analysis, test.surface_position_m)

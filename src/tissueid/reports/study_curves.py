@@ -60,7 +60,8 @@ CURVE_CAPTIONS: Mapping[str, str] = {
     ),
     "partition": marked(
         "Kernels of the partitions of depth, mean of the subjects or of the tests of a material, where at least half "
-        "have a value; mean VAF of the tests. All groups have the same scale of colours."
+        "have a value; mean VAF of the tests in a run that is scheduled by the measured depth. All groups have the "
+        "same scale of colours."
     ),
     "components1": marked("Mean kernel of all tests, and its change by one standard deviation of each component."),
     "components2": marked(

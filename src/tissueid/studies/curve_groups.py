@@ -44,7 +44,8 @@ class GroupCurve:
     """Mean curve of a group on the grid of ``curve``, (n,), with its 95 % interval; NaN where too few have a value.
 
     ``by`` says what the groups are; those of "change" are changes in percent of the reference, paired by subject.
-    ``count`` is the number of subjects, or of tests of a material. ``vaf_percent`` is the mean VAF of their tests.
+    ``count`` is the number of subjects, or of tests of a material. ``vaf_percent`` is the mean VAF of their tests:
+    of the run that is scheduled by the measured depth for kernels by depth.
     ``members`` (m, n) are the curves of the first ``MOST_MEMBERS`` of them, for curves over depth: their depths differ.
     """
 
@@ -142,7 +143,7 @@ def mean_and_interval(rows: Array, share: float = _LEAST_SHARE) -> tuple[Array, 
 
 
 def _with_curves(tests: pd.DataFrame, by: By, curves: pd.DataFrame) -> pd.DataFrame:
-    columns = ["session", "test", "subject", "site", "condition", "vaf_percent"]
+    columns = ["session", "test", "subject", "site", "condition", "vaf_percent", "vaf_scheduled_percent"]
     keys = tests[[name for name in columns if name in tests]].assign(group=group_labels(tests, by))
     return keys.merge(curves, on=["session", "test"])
 
@@ -153,7 +154,8 @@ def _means(by: By, rows: pd.DataFrame, *, person: bool = False) -> Iterator[Grou
     for (name, direction), own in rows.groupby(["curve", "direction"], sort=False):
         for group, tests in own.groupby("group", sort=True):
             values = np.stack([_mean_of(part) for _unit, part in tests.groupby(units, sort=True)])
-            vaf = float(tests["vaf_percent"].mean()) if "vaf_percent" in tests else float("nan")
+            score = "vaf_scheduled_percent" if name == PARTITIONS else "vaf_percent"
+            vaf = float(tests[score].mean()) if score in tests else float("nan")
             members = values[:MOST_MEMBERS] if name in _OF_DEPTH else None
             share = _LEAST_SHARE_BY_DEPTH if name == PARTITIONS else _LEAST_SHARE
             limits = mean_and_interval(values, share)

@@ -37,6 +37,7 @@ DESCRIPTION = (
     "engine",
     "vaf_percent",
     "vaf_validation_percent",
+    "vaf_scheduled_percent",
     "problem",
 )
 STD_SUFFIX = "_sd"
