@@ -9,7 +9,6 @@ The build needs no network, and fails on a warning, a dead link, or anything tha
 from __future__ import annotations
 
 import argparse
-import importlib.util
 import os
 import re
 import shutil
@@ -20,28 +19,9 @@ from html.parser import HTMLParser
 from pathlib import Path
 from urllib.parse import unquote
 
-ROOT = Path(__file__).parents[1]
-NEEDED = ("sphinx", "myst_parser")
+from make_package import ROOT, problem
+
 _KEPT = ("*.md", "*.png", "*.svg", "*.json", "*.cff", "LICENSE")
-
-
-def missing_tool() -> str:
-    """Return a line that names a package that is missing and the command that installs it; "" if there is none."""
-    for name in NEEDED:
-        if importlib.util.find_spec(name) is None:
-            return f"this needs {name}, which is not installed: {sys.executable} -m pip install 'tissueid[docs]'"
-    return ""
-
-
-def unwritable(folder: Path) -> str:
-    """Return a line that says why a folder cannot be written; "" if it can."""
-    try:
-        folder.mkdir(parents=True, exist_ok=True)
-        with tempfile.TemporaryFile(dir=folder):
-            pass
-    except OSError as error:
-        return f"the site cannot be written: {error.filename or folder}: {error.strerror}"
-    return ""
 
 
 def stage(source: Path) -> None:
@@ -239,7 +219,7 @@ def main() -> int:
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("--out", type=Path, default=ROOT / "docs" / "_build" / "html", metavar="FOLDER")
     out = parser.parse_args().out
-    if reason := missing_tool() or unwritable(out):
+    if reason := problem("sphinx", out, "docs") or problem("myst_parser", out, "docs"):
         print(f"docs: {reason}", file=sys.stderr)
         return 2
     with tempfile.TemporaryDirectory(prefix="tissueid-docs-") as folder:

@@ -20,10 +20,13 @@ SHARE = ROOT / "build" / "share"
 """Generated files that ``hatch_build.py`` adds to the wheel, below ``share`` of the environment."""
 
 
-def problem(package: str, folder: Path) -> str:
-    """Return a line that names a missing package or an unwritable folder; "" if both are usable."""
+def problem(package: str, folder: Path, extra: str = "dev") -> str:
+    """Return a line that names a missing package or an unwritable folder; "" if both are usable.
+
+    ``extra`` is the extra of ``tissueid`` that has the package.
+    """
     if importlib.util.find_spec(package) is None:
-        return f"this needs {package}, which is not installed: {sys.executable} -m pip install 'tissueid[dev]'"
+        return f"this needs {package}, which is not installed: {sys.executable} -m pip install 'tissueid[{extra}]'"
     try:
         folder.mkdir(parents=True, exist_ok=True)
         with tempfile.TemporaryFile(dir=folder):
