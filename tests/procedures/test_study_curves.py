@@ -95,6 +95,10 @@ def test_parameters_by_depth_and_the_files(folder, tmp_path):
     assert {STIFFNESS, PARTITIONS} <= names
     shown = next(one for one in answer["curves"] if one["curve"] == PARTITIONS)
     assert len(shown["lag_s"]) == len(shown["depth_m"]) == len(shown["mean"])
+    of_group = found.run.table.query("site == 'arm' and condition == ''")
+    kernels = next(one for one in chosen(found.statistics.curves, "site", PARTITIONS) if one.group == "arm")
+    assert kernels.vaf_percent == pytest.approx(of_group["vaf_scheduled_percent"].mean())
+    assert of_group["vaf_scheduled_percent"].between(99.0, 100.0).all()
 
 
 def test_a_damaged_curve_is_sampled_again(folder):
