@@ -25,7 +25,7 @@ SCORES = ("vaf_percent", "vaf_validation_percent", "aicc", "n_parameters", "n_sa
 @pytest.fixture(scope="module")
 def session_file(tmp_path_factory: pytest.TempPathFactory) -> Path:
     path = tmp_path_factory.mktemp("comparison") / "s.h5"
-    write_session(path, make_session(make_test()))
+    write_session(path, make_session(make_test(seconds=1.5)))
     return path
 
 
