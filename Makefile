@@ -49,7 +49,7 @@ translations: env ## extract the texts of the program, update the catalogues and
 bench: env ## speed, as ratios measured side by side in one run
 	@$(BIN)/python -m benchmarks
 
-soak: env ## the long runs, an hour: streaming, damaged frames and files, killed hosts, coverage of intervals, long searches
+soak: env ## the long runs: streaming, damaged frames and files, killed hosts, coverage of intervals, long searches
 	@$(BIN)/python -m pytest -m soak --timeout 3600 -o addopts="-v -p no:cacheprovider --import-mode=importlib"
 
 firmware: env ## build the reference firmware with the compilers that are installed

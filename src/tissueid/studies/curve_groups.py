@@ -216,7 +216,7 @@ def chosen(curves: Iterable[GroupCurve], by: By, name: str, direction: int | Non
 
 
 def directions(curves: Sequence[GroupCurve]) -> list[int]:
-    """Return the directions of curves: into the tissue, out of it, both, as far as there are any."""
+    """Return the directions of curves as far as there are any: both, into the tissue, out of it."""
     return [way for way in (0, 1, -1) if any(one.direction == way for one in curves)]
 
 
