@@ -17,16 +17,13 @@ from scipy import stats
 
 from tissueid.analysis.curves.plot import Array
 from tissueid.analysis.curves.samples import DAMPING, GRIDS, KERNEL1, KERNEL2, MASS, PARTITIONS, STIFFNESS
-from tissueid.language import marked
 from tissueid.studies.repeatability import CONFIDENCE
 from tissueid.studies.sampled_curves import curves_of
-from tissueid.studies.study_table import MATERIAL
+from tissueid.studies.study_table import MATERIAL, NO_CONDITION
 
 By = Literal["site", "condition", "material", "change"]
 ALL_SITES = ""
 """Group of the curves of all subjects at all sites, next to those of the materials."""
-WITHOUT = marked("without")
-"""Name of the condition of tests without a product, in the names of groups."""
 _LEAST_SHARE, _LEAST_SHARE_BY_DEPTH = 0.9, 0.5
 """Share of the subjects, or of the tests of a material, that must have a value at a point of the grid: of curves, which
 have a step where the subjects change, and of kernels by depth."""
@@ -90,7 +87,7 @@ def group_labels(tests: pd.DataFrame, by: By) -> pd.Series:
     """
     labels = tests[MATERIAL if by == "material" else "site"].astype(str)
     if by == "condition":
-        named = tests["condition"].astype(str).replace("", WITHOUT)
+        named = tests["condition"].astype(str).replace("", NO_CONDITION)
         labels = named if labels.nunique() == 1 else labels + "; " + named
     if "orientation_deg" in tests and (angle := tests["orientation_deg"].astype(float)).nunique() > 1:
         turned = labels + angle.map(lambda value: f", {value:g}°")
@@ -205,14 +202,10 @@ def _mean_of(rows: pd.DataFrame) -> Array:
     return mean
 
 
-def chosen(curves: Iterable[GroupCurve], by: By, name: str, direction: int | None = None) -> list[GroupCurve]:
+def chosen(curves: Iterable[GroupCurve], by: By, name: str) -> list[GroupCurve]:
     """Return the curves of a kind of groups and a name that have a value; all sites and no product come first."""
-    found = [
-        one
-        for one in curves
-        if (one.by, one.curve) == (by, name) and direction in (None, one.direction) and one.has_values
-    ]
-    return sorted(found, key=lambda one: one.group != ALL_SITES and not one.group.endswith(WITHOUT))
+    found = [one for one in curves if (one.by, one.curve) == (by, name) and one.has_values]
+    return sorted(found, key=lambda one: one.group != ALL_SITES and not one.group.endswith(NO_CONDITION))
 
 
 def directions(curves: Sequence[GroupCurve]) -> list[int]:

@@ -24,9 +24,10 @@ from tissueid.analysis.curves.samples import (
 from tissueid.analysis.curves.units import FREQUENCY, LAG
 from tissueid.language import _, marked
 from tissueid.messages import Message, Verbatim
-from tissueid.studies.curve_groups import ALL_SITES, WITHOUT, GroupCurve
+from tissueid.studies.curve_groups import ALL_SITES, GroupCurve
 from tissueid.studies.kernel_components import KernelComponents
 from tissueid.studies.study_plots import COLOURS, MARKERS
+from tissueid.studies.study_table import NO_CONDITION
 
 _DEPTH = Axis(marked("Depth"), "mm")
 _FORCE = Axis(marked("Force after the linear stage"), "N")
@@ -96,7 +97,9 @@ def name_of(curve: GroupCurve) -> str:
     if curve.group == ALL_SITES:
         return marked("subjects, all sites")
     *where, last = curve.group.split("; ")
-    return Verbatim("; ".join([*where, _(WITHOUT)]) if curve.by == "condition" and last == WITHOUT else curve.group)
+    return Verbatim(
+        "; ".join([*where, _(NO_CONDITION)]) if curve.by == "condition" and last == NO_CONDITION else curve.group
+    )
 
 
 def kernel_panel(curve: GroupCurve, limit: float) -> Plot:

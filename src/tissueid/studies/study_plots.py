@@ -11,7 +11,7 @@ from tissueid.analysis.curves.plot import CONFIDENCE, Axis, Bars, Curve, Kind, P
 from tissueid.formatting import label_and_unit
 from tissueid.language import _, marked
 from tissueid.messages import Verbatim
-from tissueid.studies.study_table import DEMOGRAPHICS, MATERIAL
+from tissueid.studies.study_table import DEMOGRAPHICS, MATERIAL, NO_CONDITION
 from tissueid.units import display_unit
 
 COLOURS = ("measured", "model", "good", "poor", "check", "text")
@@ -21,8 +21,6 @@ MARKERS = ("o", "s", "^", "D", "v")
 _LINES: tuple[Kind, ...] = ("line", "dotted")
 _MATERIAL_LINES: tuple[Kind, ...] = ("dashed", "dashdot")
 """Kinds of lines of sites and of materials: the second where the colours of the first are used up."""
-NO_CONDITION = marked("without")
-"""Name of the condition of tests without a product."""
 _LARGEST_FORCE_N = 12.0
 _SUBJECT_LETTERS = 46
 """Letters of the names of subjects that fit below a figure of half the width of a page."""

@@ -12,6 +12,7 @@ import pandas as pd
 from tissueid.atomic_write import atomic_file
 from tissueid.errors import UnusableInputError
 from tissueid.formatting import label_and_unit
+from tissueid.language import marked
 from tissueid.messages import Listing, Message, Verbatim
 
 KEYS = (
@@ -59,6 +60,8 @@ SIMULATED = "simulated"
 """Column that says whether a simulation recorded the test."""
 MATERIAL = "material"
 """Column of a sample's material; a row with one is of a sample, not of a person."""
+NO_CONDITION = marked("without")
+"""Name of the condition of tests without a product."""
 AGE_LIMIT_YEARS = 25.0
 """Limit of the two groups of age in thesis 7.1.2."""
 _LARGEST_SUBJECTS = 10_000_000
