@@ -10,7 +10,6 @@ import numpy as np
 import pytest
 from coded import made, reads, says
 from gap_records import observed, recorded
-from reports.in_german import texts_as_svg
 
 from tissueid.app.views.gap.displayed_text import as_title
 from tissueid.app.views.gap.page_content_builder import page_content_of
@@ -21,7 +20,6 @@ from tissueid.gap.statement import LIKELY, has_ranking_probability, headline_of,
 from tissueid.gap.twin_export import twin_of, with_prior_twin
 from tissueid.gap.workers import SerialExecutor
 from tissueid.messages import code_of
-from tissueid.reports import blocks
 from tissueid.reports.gap import gap_html
 from tissueid.reports.gap_panels import gap_panels
 from tissueid.twin.effect import STAGE_NAMES
@@ -68,8 +66,7 @@ CASES = ("sure", "doubtful", "pair", "no gap", "unexplained", "nowhere", "twin")
 
 
 @pytest.mark.parametrize("case", CASES)
-def test_page_chain_tabs_report_and_shell_agree(qtbot, monkeypatch, case):
-    monkeypatch.setattr(blocks, "to_svg", texts_as_svg)
+def test_page_chain_tabs_report_and_shell_agree(qtbot, case):
     found = synthetic(case)
     story = page_content_of(found, recorded(EFFECT, SEED, SAMPLES))
     page = ResultPage()
