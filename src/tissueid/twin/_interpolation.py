@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 FloatArray = NDArray[np.float64]
 
 
+@njit(cache=True)  # type: ignore[untyped-decorator]
 def interpolate(values: FloatArray, at: FloatArray) -> FloatArray:
     """Interpolate at fractional sample numbers by a cubic Lagrange polynomial; hold the ends.
 
@@ -20,15 +21,17 @@ def interpolate(values: FloatArray, at: FloatArray) -> FloatArray:
     """
     if values.size < 4:
         return values
-    inside = np.clip(at, 0.0, values.size - 1.0)
-    first = np.clip(np.floor(inside).astype(np.int64), 1, values.size - 3)
-    t = inside - first
-    found: FloatArray = (
-        values[first - 1] * (-t * (t - 1.0) * (t - 2.0) / 6.0)
-        + values[first] * ((t + 1.0) * (t - 1.0) * (t - 2.0) / 2.0)
-        + values[first + 1] * (-(t + 1.0) * t * (t - 2.0) / 2.0)
-        + values[first + 2] * ((t + 1.0) * t * (t - 1.0) / 6.0)
-    )
+    found = np.empty(at.size)
+    for n in range(at.size):
+        inside = min(max(at[n], 0.0), values.size - 1.0)
+        first = min(max(int(inside), 1), values.size - 3)
+        t = inside - first
+        found[n] = (
+            values[first - 1] * (-t * (t - 1.0) * (t - 2.0) / 6.0)
+            + values[first] * ((t + 1.0) * (t - 1.0) * (t - 2.0) / 2.0)
+            + values[first + 1] * (-(t + 1.0) * t * (t - 2.0) / 2.0)
+            + values[first + 2] * ((t + 1.0) * t * (t - 1.0) / 6.0)
+        )
     return found
 
 
