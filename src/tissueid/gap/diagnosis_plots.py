@@ -18,6 +18,7 @@ from tissueid.gap.dataset import DatasetTest
 from tissueid.gap.diagnosis import Diagnosis, Ranked
 from tissueid.gap.error_regions import Profile, Spectrum
 from tissueid.gap.history import GapHistory, HistoryEntry
+from tissueid.gap.preparation import BLOCK_S
 from tissueid.gap.scoring import Candidate
 from tissueid.gap.statement import effect_title
 from tissueid.language import marked
@@ -59,7 +60,6 @@ the largest to the smallest gap."""
 _LEAST_ERROR = 0.01
 _HOURS_BELOW_S = 2.0 * 86400.0
 """Duration of a history below which its axis has hours instead of days."""
-_OVERLAY_S = 0.25
 _UNSEEN = 0.95
 """A stretch that no fit has seen is held out to this share: its ends may lie a sample or two off."""
 _MOST_ANSWERS = 40
@@ -164,7 +164,7 @@ def overlay_plots(shown: SignalOverlay) -> tuple[Plot, Plot]:
             TIME,
             Axis(label, unit),
             (recorded, *simulated),
-            note=marked("A quarter of a second of held-out data"),
+            note=marked("A tenth of a second of held-out data"),
         ),
         Plot(marked("Recorded less simulated"), TIME, Axis(marked("Left over"), fine_unit), (*left, *noise)),
     )
@@ -222,7 +222,7 @@ def largest_held_out_error(found: Diagnosis, channel: str) -> tuple[DatasetTest,
         if test.quiet and len(found.dataset.tests) > 1:
             continue
         held = test.purpose > 1
-        size = max(8, round(_OVERLAY_S * test.sample_rate_hz))
+        size = max(8, round(BLOCK_S * test.sample_rate_hz))
         error = (test.signals[channel] - _simulated(found.found.baseline, test, channel)) / found.dataset.noise[channel]
         for start in range(0, max(1, error.size - size + 1), max(1, size // 2)):
             inside = held[start : start + size] & np.isfinite(error[start : start + size])

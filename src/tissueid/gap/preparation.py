@@ -25,7 +25,7 @@ from tissueid.sessions import Session, Test
 
 T = TypeVar("T")
 
-BLOCK_S = 0.25
+BLOCK_S = 0.1
 """Length of the blocks that alternate between fit, choice and check, s: several times the memory of the chain."""
 SETTLING_S = 0.010
 """Time at the start of a test that is left out of every score, s: the coil's state before it is not recorded."""
@@ -52,7 +52,7 @@ _LEAST_BLOCKS = 16
 def prepare(session: Session, fit: Sequence[int] = (), check: Sequence[int] = ()) -> Dataset:
     """Prepare a session for the diagnosis.
 
-    Without ``fit`` and ``check``, blocks of a quarter of a second alternate: every second one is fitted, every fourth
+    Without ``fit`` and ``check``, blocks of a tenth of a second alternate: every second one is fitted, every fourth
     is used for the choice of candidates and every fourth for the check; a stochastic test of another amplitude and seed
     is held out completely. With them, whole tests are fitted and held out.
 

@@ -143,7 +143,7 @@ def gap_panels(found: Diagnosis) -> Iterator[Panel]:
         _("Before and after"),
         _("Recorded signals with the simulation before and after the effect was added, and both residuals below."),
         _(
-            "A quarter of a second that was held out of the fit: of those in which the signal moves, "
+            "A tenth of a second that was held out of the fit: of those in which the signal moves, "
             "that with the largest error. Below: recorded less simulated; dotted: what noise alone would leave."
         ),
         lambda figure: draw_overlay(figure, found),
