@@ -2,7 +2,8 @@
 
 The thresholds were set on eighty scenarios of the first simulated laboratory, those of pairs on 249 and some more
 (decisions 0025 and 0028), stricter ones also on parts of another draw (decision 0026), the conditions on further
-members on sixty of each laboratory (decision 0040). None of these is a draw that docs/gap.md reports.
+members on sixty of each laboratory (decision 0040) and on thirty on skin (decision 0046). None of these is a draw that
+docs/gap.md reports for these thresholds.
 """
 
 from __future__ import annotations
@@ -43,6 +44,9 @@ class Thresholds:
     set_leaves: float = 0.36
     """Largest share of the gap without a member that the set leaves, unless it is at the floor or the member is an
     effect of living tissue, which are expected together."""
+    set_leaves_score: float = 0.45
+    """The same as a share of the score, of which one is enough: an effect that is small in one channel, such as hum,
+    can matter more in the score than in the gap."""
     stand_in_closed: float = 0.9
     """Closed share of a set from which a further member is not named that can stand for the error in the form of one of
     its members."""
@@ -179,17 +183,26 @@ def grows(smaller: Candidate, larger: Candidate, thresholds: Thresholds = THRESH
 
 def is_needed(without: Tried, found: Tried, thresholds: Thresholds = THRESHOLDS) -> bool:
     """Return whether members of a set are named, by what their removal costs; ``without`` is the set without them."""
+    if not contributes(without, found, thresholds):
+        return False
+    if all(one.in_living_tissue for one in _added(without, found)) or found.score <= thresholds.at_the_floor:
+        return found.closed >= without.closed
+    of_score = thresholds.set_leaves_score * without.score
+    return found.score <= of_score or 1.0 - found.closed <= thresholds.set_leaves * (1.0 - without.closed)
+
+
+def contributes(without: Tried, found: Tried, thresholds: Thresholds = THRESHOLDS) -> bool:
+    """Return whether members of a set stay in it during a search, in which others can still be missing."""
     if without.cost - found.cost < thresholds.set_gain:
         return False
-    added = [effect(name) for name in found.effects if name not in without.effects]
     others = [effect(name) for name in without.effects]
-    if without.closed >= thresholds.stand_in_closed and any(
-        can_stand_for(one, other) for one in added for other in others
-    ):
-        return False
-    if all(one.in_living_tissue for one in added) or found.score <= thresholds.at_the_floor:
-        return found.closed >= without.closed
-    return 1.0 - found.closed <= thresholds.set_leaves * (1.0 - without.closed)
+    return without.closed < thresholds.stand_in_closed or not any(
+        can_stand_for(one, other) for one in _added(without, found) for other in others
+    )
+
+
+def _added(without: Tried, found: Tried) -> list[Effect]:
+    return [effect(name) for name in found.effects if name not in without.effects]
 
 
 def can_stand_for(one: Effect, other: Effect) -> bool:

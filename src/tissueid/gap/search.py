@@ -8,7 +8,7 @@ from functools import partial
 from typing import Literal, TypeVar
 
 from tissueid.gap.dataset import Dataset, Purpose
-from tissueid.gap.decision import THRESHOLDS
+from tissueid.gap.decision import THRESHOLDS, grows
 from tissueid.gap.fitting import ESTIMATES, MOST_STEPS, Fit, fit, re_estimate
 from tissueid.gap.machine_family import with_best_family
 from tissueid.gap.machine_library import acts_on_machine, effects_of
@@ -41,14 +41,22 @@ SHORT_STEPS_OF_MANY = 10
 ESTIMATES_IN_A_SHORT_FIT = 1
 """Re-estimates of an effect from the record in a short fit; a full fit repeats them."""
 STEPS_IN_A_SET = 30
-"""Optimiser steps of a set with a member more, less, or another: the final set is fitted to the end. A large set
-without a member gets a short fit."""
-LARGE_SET = 5
-TRACKING_RAD_S, STEPS_OF_TRACKING = 100.0, 40
-"""Bandwidth of the observer with which a fit of several effects begins, and most steps of this fit.
+"""Optimiser steps of a set with a member more, less, or another: the final set is fitted to the end."""
+SLOWLY = (300.0, 100.0, 30.0)
+WEAK_STARTS: tuple[tuple[int, tuple[float, ...], bool], ...] = (
+    (0, SLOWLY, True),
+    (1, (100.0,), True),
+    (1, SLOWLY, False),
+)
+"""Starts of a set: which weak start of each effect, bandwidths of the observers with which its fits begin, one after
+the other (rad/s), and whether effects that were fitted before keep their values.
 
-The error of a free run has many minima where several effects are far from their values; tracked, it has few.
+The error of a free run has many minima where several effects are far from their values; tracked, it has few. Which way
+leads to the least one differs from session to session.
 """
+FIRST_WEAK_STARTS = 2
+"""Weak starts that are fitted first; the others follow where these fits lower the misfit."""
+STEPS_OF_TRACKING = 40
 ROUNDS_OF_RESTARTS = 3
 STARTS_OF_A_MEMBER = 2
 """Starting points of each member from which the final set is fitted again."""
@@ -104,8 +112,8 @@ class Task:
     starts: tuple[tuple[float, ...], ...]
     near: Fit
     most_steps: int
-    tracking_rad_s: float = 0.0
-    """Bandwidth of an observer of the motion in a first fit, from which the fit of the free run starts."""
+    tracking_rad_s: tuple[float, ...] = ()
+    """Bandwidths of an observer of the motion in first fits, from which the fit of the free run starts."""
 
     def __str__(self) -> str:
         return " + ".join(self.names)
@@ -116,9 +124,9 @@ def refit(task: Task) -> Candidate:
     library = effects_of(task.dataset)
     effects = [library[name] for name in task.names]
     near, starts = task.near, task.starts
-    if task.tracking_rad_s > 0.0 and task.dataset.equivalent is None:
-        tracked = replace(task.dataset, tracking_rad_s=task.tracking_rad_s)
-        # Its slopes are a first guess for the free run, recomputed after the first step that gains less than predicted.
+    for bandwidth in task.tracking_rad_s if task.dataset.equivalent is None else ():
+        tracked = replace(task.dataset, tracking_rad_s=bandwidth)
+        # Its slopes are a first guess for the next fit, recomputed after the first step that gains less than predicted.
         near = fit(tracked, effects, starts, near=near, most_steps=STEPS_OF_TRACKING)
     found = fit(task.dataset, effects, starts, near=near, most_steps=task.most_steps)
     readings = ESTIMATES if task.most_steps == MOST_STEPS else ESTIMATES_IN_A_SHORT_FIT
@@ -191,6 +199,8 @@ class Search:
         self._progress = progress
         self._cancelled = cancelled
         self._known: tuple[str, ...] = ()
+        self._baseline: Fit | None = None
+        self._with_tissue: set[frozenset[str]] = set()
         self._starts: dict[str, tuple[tuple[float, ...], ...]] = {}
 
     @property
@@ -212,6 +222,7 @@ class Search:
         if dataset is not self._dataset:
             self._dataset = dataset
             first = fit(dataset, effects, cancelled=self._cancelled)
+        self._baseline = first
         found = score_candidate(first)
         self._progress(SearchProgress("baseline", 1, 1))
         return found
@@ -280,36 +291,36 @@ class Search:
         """Fit the effects of living tissue together, each from a weak start, in addition to those of another fit; none
         where there is nothing to fit.
 
-        There is nothing to fit where that fit has some of them already, such as that of an accepted twin.
+        There is nothing to fit where that fit has all of them, where an accepted twin has some, or where this was done
+        before.
 
         Living tissue shows several at once, and each conceals the others: together they have a wide minimum that adding
         one after the other misses.
         """
         if all(test.fixture != "tissue" for test in self._dataset.tests) or self._dataset.equivalent is not None:
             return ()
-        if any(effect(name).in_living_tissue for name in near.effects):
+        if any(effect(name).in_living_tissue for name in self._known):
             return ()
-        found = [effect(name) for name in self.names]
+        found = [effect(name) for name in self.names if name not in near.effects]
         chosen = [item for item in found if item.in_living_tissue][: MOST_EFFECTS - len(near.effects)]
-        if len(chosen) < 2:
-            return ()
         names = (*near.effects, *(item.name for item in chosen))
-        found_sets = self._run_tasks("tissue", refit, self._from_weak_starts(near, names))
-        return (min(found_sets, key=lambda item: item.fit.cost),)
+        if not chosen or len(names) < 2 or frozenset(names) in self._with_tissue:
+            return ()
+        self._with_tissue.add(frozenset(names))
+        tasks = self._from_weak_starts(near, names, STEPS_IN_A_SET)
+        found_sets = self._run_tasks("tissue", refit, tasks[:FIRST_WEAK_STARTS])
+        if grows(near, min(found_sets, key=misfit)):
+            found_sets += self._run_tasks("tissue", refit, tasks[FIRST_WEAK_STARTS:])
+        return (min(found_sets, key=_fitted_cost),)
 
-    def _from_weak_starts(self, baseline: Candidate, names: Sequence[str]) -> list[Task]:
-        held = {item.name: item.starts[0] for item in baseline.fit.parameters.effects}
-        return [
-            Task(
-                self._dataset,
-                tuple(names),
-                tuple(held.get(name) or effects_of(self._dataset)[name].weak_starts[k] for name in names),
-                baseline.fit,
-                MOST_STEPS,
-                TRACKING_RAD_S,
-            )
-            for k in range(2)
-        ]
+    def _from_weak_starts(self, near: Candidate, names: Sequence[str], most_steps: int) -> list[Task]:
+        library, tasks = effects_of(self._dataset), []
+        for k, bandwidths, keeps in WEAK_STARTS:
+            begin = near.fit if keeps or self._baseline is None else self._baseline
+            held = {item.name: item.starts[0] for item in begin.parameters.effects}
+            starts = tuple(held.get(name) or library[name].weak_starts[k] for name in names)
+            tasks.append(Task(self._dataset, tuple(names), starts, begin, most_steps, bandwidths))
+        return tasks
 
     def add_to(self, leaders: Sequence[Candidate]) -> tuple[Candidate, ...]:
         """Fit the leaders with one more effect each, best first; a leader with ``MOST_EFFECTS`` effects has no room."""
@@ -322,27 +333,34 @@ class Search:
         return self._full_fits("leading additions", short_fits, FULL_FITS_OF_SETS, STEPS_IN_A_SET)
 
     def remove_from(self, found: Candidate, names: Sequence[str]) -> list[Candidate]:
-        """Refit a set without each of ``names``, in their order."""
-        tasks = [self._smaller(found, (name,)) for name in names]
-        return self._run_tasks("removals", refit, tasks)
+        """Refit a set without each of ``names``, in their order; those that cost least are fitted further."""
+        smaller = self._run_tasks("removals", refit, [self._smaller(found, (name,)) for name in names])
+        further = sorted(range(len(names)), key=lambda k: smaller[k].fit.cost)[:FULL_FITS_OF_SETS]
+        tasks = [Task(self._dataset, smaller[k].effects, (), smaller[k].fit, STEPS_IN_A_SET) for k in further]
+        for k, item in zip(further, self._run_tasks("removals", refit, tasks), strict=True):
+            smaller[k] = item
+        return smaller
 
     def remove_all_from(self, found: Candidate, names: Sequence[str]) -> list[Candidate]:
         """Refit a set without all of ``names``."""
-        return self._run_tasks("removals", refit, [self._smaller(found, names)])
+        return self._run_tasks("removals", refit, [replace(self._smaller(found, names), most_steps=STEPS_IN_A_SET)])
 
     def _smaller(self, found: Candidate, names: Sequence[str]) -> Task:
         kept = tuple(name for name in found.effects if name not in names)
-        steps = STEPS_IN_A_SET if len(kept) < LARGE_SET else self._short_steps
-        return Task(self._dataset, kept, (), found.fit, steps)
+        return Task(self._dataset, kept, (), found.fit, self._short_steps)
 
     def polish(self, baseline: Candidate, found: Candidate) -> Candidate:
         """Fit a set to the end, from where it is, from weak starts, and from other starts of each member.
 
-        A set has many minima: where one member is at a wrong one, the others compensate for it.
+        A set has many minima: where one member is at a wrong one, the others compensate for it. At the noise floor
+        there is nothing to gain from another start.
         """
-        tasks = [Task(self._dataset, found.effects, (), found.fit, MOST_STEPS)]
-        tasks += self._from_weak_starts(baseline, found.effects)
-        best = min((found, *self._run_tasks("leading additions", refit, tasks)), key=_fitted_cost)
+        to_the_end = [Task(self._dataset, found.effects, (), found.fit, MOST_STEPS)]
+        best = min((found, *self._run_tasks("leading additions", refit, to_the_end)), key=_fitted_cost)
+        if best.score <= THRESHOLDS.at_the_floor:
+            return best
+        others = self._from_weak_starts(baseline, found.effects, MOST_STEPS)
+        best = min((best, *self._run_tasks("leading additions", refit, others)), key=_fitted_cost)
         for _ in range(ROUNDS_OF_RESTARTS):
             added = [name for name in best.effects if name not in baseline.effects]
             restarts = [

@@ -5,12 +5,13 @@ from __future__ import annotations
 from collections.abc import Callable, Sequence
 
 from tissueid.gap.closed_share import predicted_closed
-from tissueid.gap.decision import THRESHOLDS, Tried, cost, grows, is_needed
+from tissueid.gap.decision import THRESHOLDS, Tried, contributes, cost, grows
 from tissueid.gap.scoring import Candidate, closed, floor, gap, misfit, quiet_tests
 from tissueid.gap.search import Search, SearchResult
 from tissueid.twin.catalogue import effect
 from tissueid.twin.effect import nested
 
+Keep = Callable[[Sequence[Candidate]], Sequence[Candidate]]
 TOP_CANDIDATES = 2
 """Number of top single effects that are tried with a second effect."""
 MOST_MEMBERS = 6
@@ -78,15 +79,8 @@ def _with_sets(
     for item in keep(together):
         if grows(leaders[0], item):
             leaders = [_without_needless(search, baseline, item, keep)]
-    top = leaders[0]
     for again in (False, True):
-        while len(added(top, baseline)) < MOST_MEMBERS and cost(top) > THRESHOLDS.at_the_floor:
-            grown = min(keep(search.add_to(leaders)), key=misfit, default=None)
-            if grown is None or not grows(top, grown):
-                break
-            top = search.nested_with(baseline, grown)
-            leaders = [top]
-        top = _without_needless(search, baseline, top, keep)
+        top = _grown(search, baseline, leaders, keep)
         if again or len(added(top, baseline)) < 2 or predicted_closed(baseline, top) >= THRESHOLDS.structural:
             break
         # A member can be wrong: try others in its place.
@@ -94,8 +88,7 @@ def _with_sets(
         other = min(keep(search.replace_in(top, smaller)), key=misfit, default=None)
         if other is None or not grows(top, other):
             break
-        top = search.nested_with(baseline, other)
-        leaders = [top]
+        leaders = [search.nested_with(baseline, other)]
     if len(added(top, baseline)) > 1:
         top = search.polish(baseline, top)
     keep([top])
@@ -103,9 +96,29 @@ def _with_sets(
     return SearchResult(baseline, found.signatures, candidates), top if len(added(top, baseline)) > 1 else best
 
 
-def _without_needless(
-    search: Search, baseline: Candidate, top: Candidate, keep: Callable[[Sequence[Candidate]], Sequence[Candidate]]
-) -> Candidate:
+def _grown(search: Search, baseline: Candidate, leaders: Sequence[Candidate], keep: Keep) -> Candidate:
+    # Add to the leaders while the misfit falls, then remove what is not needed.
+    top = leaders[0]
+    while len(added(top, baseline)) < MOST_MEMBERS and cost(top) > THRESHOLDS.at_the_floor:
+        grown = min(keep(search.add_to(leaders)), key=misfit, default=None)
+        if grown is None or not grows(top, grown):
+            break
+        top = _with_all_of_tissue(search, baseline, search.nested_with(baseline, grown), keep)
+        leaders = [top]
+    return _without_needless(search, baseline, top, keep)
+
+
+def _with_all_of_tissue(search: Search, baseline: Candidate, top: Candidate, keep: Keep) -> Candidate:
+    # A set with some effects of tissue can conceal the others, as single effects do: fit them all together with the
+    # other members.
+    in_tissue = [name for name in added(top, baseline) if effect(name).in_living_tissue]
+    if not in_tissue or len(in_tissue) == len(added(top, baseline)) or cost(top) <= THRESHOLDS.at_the_floor:
+        return top
+    whole = min(keep(search.tissue_set(top)), key=misfit, default=top)
+    return _without_needless(search, baseline, whole, keep) if grows(top, whole) else top
+
+
+def _without_needless(search: Search, baseline: Candidate, top: Candidate, keep: Keep) -> Candidate:
     # Remove all members that contribute nothing, then one at a time the least needed.
     while len(added(top, baseline)) > 1:
         smaller = keep(search.remove_from(top, added(top, baseline)))
@@ -117,7 +130,7 @@ def _without_needless(
                 top = without
                 continue
         least = min(smaller, key=cost)
-        if is_needed(tried(baseline, least), tried(baseline, top)):
+        if contributes(tried(baseline, least), tried(baseline, top)):
             break
         top = least
     return top
