@@ -182,7 +182,7 @@ def test_equal_candidates_are_equally_likely_and_the_simpler_is_likelier():
         # A small gain suffices where it removes the rest, but not where it is chance.
         ((0.5, 0.97), (0.1, 0.99), True),
         ((0.3, 0.97), (0.05, 0.99), False),
-        # The form of the effect can be wrong where a pair hardly lowers the gap, unless the score falls by more than half.
+        # The form of the effect can be wrong where a pair hardly lowers the gap, but not where the score falls by half.
         ((2.0, 0.9), (1.0, 0.95), False),
         ((2.0, 0.9), (0.85, 0.95), True),
         ((2.0, float("nan")), (0.1, float("nan")), False),
