@@ -7,48 +7,111 @@ import math
 from tissueid.twin import bus
 from tissueid.twin.effect import Effect, FloatArray, Parameter
 
+MODES = 2
 _FREQUENCIES_HZ = tuple(5.0 * 1.18**k for k in range(20))
 """Frequencies of the scan, 5 to 116 Hz, close enough to find a narrow resonance."""
+APART, TOGETHER = 0.0, 1.0
+"""Where the tissue rests: elsewhere, or on the frame."""
 
 
 def hook(where: int, b: FloatArray, p: FloatArray, s: FloatArray, dt: float) -> None:
-    """Move the frame by the reaction; ``s[0]`` and ``s[1]`` are its position (m) and velocity (m/s)."""
+    """Move the frame by the reaction; ``s`` holds position (m) and velocity (m/s) of each mode."""
+    together = p[5] == TOGETHER
     if where == bus.SURFACE:
-        s[0] += 0.5 * dt * s[1]
-        b[bus.SURFACE_POSITION] -= s[0]
+        for k in range(MODES):
+            s[2 * k] += 0.5 * dt * s[2 * k + 1]
+            if not together:
+                b[bus.SURFACE_POSITION] -= s[2 * k]
         return
-    frame, angular = p[2], 2.0 * math.pi * p[0]
+    moving = b[bus.MASS] + b[bus.TISSUE_MASS]
+    # The frame is driven by the coil and the drag of the bearing; the tissue, with its damping and mass of the previous
+    # step, feels the absolute motion.
     relative = b[bus.VELOCITY] + 0.5 * dt * b[bus.ACCELERATION]
-    # The frame is driven by the coil and the drag of the bearing.
     reaction = b[bus.DAMPING] * relative - b[bus.FORCE_CONSTANT] * b[bus.CURRENT]
-    drag = 0.5 * dt * 2.0 * p[1] * angular
-    then = (s[1] * (1.0 - drag) + dt * (reaction / frame - angular * angular * s[0])) / (1.0 + drag)
-    acceleration = (then - s[1]) / dt
-    mean = 0.5 * (then + s[1])
-    s[1] = then
-    s[0] += 0.5 * dt * then
-    # Tissue is not on the frame: it feels the absolute motion, with the mass and damping of the previous step.
-    b[bus.FORCE] -= (b[bus.MASS] + b[bus.TISSUE_MASS]) * acceleration + b[bus.TISSUE_DAMPING] * mean
+    damping = b[bus.TISSUE_DAMPING]
+    if together:
+        # The force of the tissue is an internal one: what is left is the inertia of the absolute motion.
+        without = 0.0
+        for k in range(MODES):
+            angular = 2.0 * math.pi * p[0] * (p[3] if k > 0 else 1.0)
+            without -= angular * angular * s[2 * k] + 2.0 * p[1] * angular * s[2 * k + 1]
+        reaction = -moving * (b[bus.ACCELERATION] + without) / (1.0 + moving * (1.0 + p[4]) / p[2])
+        damping = 0.0
+    acceleration, mean = 0.0, 0.0
+    for k in range(MODES):
+        angular = 2.0 * math.pi * p[0] * (p[3] if k > 0 else 1.0)
+        share = p[4] if k > 0 else 1.0
+        drag = dt * p[1] * angular
+        before = s[2 * k + 1]
+        driven = dt * (share * reaction / p[2] - angular * angular * s[2 * k])
+        then = (before * (1.0 - drag) + driven) / (1.0 + drag)
+        acceleration += (then - before) / dt
+        mean += 0.5 * (then + before)
+        s[2 * k + 1] = then
+        s[2 * k] += 0.5 * dt * then
+    b[bus.FORCE] -= moving * acceleration + damping * mean
 
 
 EFFECT = Effect(
     name="mount_resonance",
     stage="mechanics",
     title="The frame moves",
-    equation="M y'' + 2 z w M y' + w^2 M y = -(coil force - bearing drag), x is read against the frame: the moving "
-    "part feels -m y'', the tissue x + y; vanishes with M = infinity",
-    signature="a narrow resonance and antiresonance in the response of position to force at one frequency, the same in "
-    "every test; linear: no distortion; current only near that frequency",
-    source="Inman, Engineering Vibration (2014) (two masses); Ewins, Modal Testing (2000)",
+    equation="M (y_k'' + 2 z w_k y_k' + w_k^2 y_k) = s_k R, k = 1, 2, s_1 = 1; x is read against the frame. Tissue "
+    "elsewhere: R = -(coil force - bearing drag), the moving part feels -m y'', the tissue x + y. Tissue on the frame: "
+    "R = -m (x'' + y''), the moving part feels -m y''. Vanishes with M = infinity",
+    signature="one or two narrow resonances and antiresonances in the response of position to force, the same in "
+    "every test; linear: no distortion; current only near these frequencies",
+    source="Inman, Engineering Vibration (2014) (two masses); Ewins, Modal Testing (2000) (several modes)",
     parameters=(
         Parameter(
             "frequency_hz", "Hz", None, 2.0, 200.0, True, meaning="resonance frequency of the frame on its mount"
         ),
         Parameter("damping_ratio", "1", None, 0.003, 1.0, True, meaning="damping ratio of the mount"),
         Parameter("frame_kg", "kg", math.inf, 0.05, 3000.0, True, meaning="mass of the frame"),
+        Parameter(
+            "second_ratio",
+            "1",
+            None,
+            1.3,
+            8.0,
+            True,
+            prior=2.5,
+            prior_std=0.5,
+            default=2.5,
+            meaning="frequency of the second mode relative to the first",
+        ),
+        Parameter(
+            "second_share",
+            "1",
+            None,
+            0.0,
+            1.0,
+            prior=0.0,
+            prior_std=0.3,
+            default=0.0,
+            meaning="motion of the second mode relative to the first, at equal force",
+        ),
+        Parameter(
+            "tissue_on_frame",
+            "1",
+            None,
+            0.0,
+            1.0,
+            fixed=True,
+            default=0.0,
+            meaning="1 where the tissue rests on the frame, 0 where it rests elsewhere",
+        ),
     ),
-    starts=((8.0, 0.05, 2.0), (20.0, 0.05, 1.0), (45.0, 0.05, 1.0), (100.0, 0.05, 0.5)),
-    scan=tuple((frequency, 0.05, 20.0) for frequency in _FREQUENCIES_HZ),
+    starts=(
+        (8.0, 0.05, 2.0, 2.5, 0.0, APART),
+        (20.0, 0.05, 1.0, 2.5, 0.0, APART),
+        (45.0, 0.05, 1.0, 2.5, 0.0, APART),
+        (100.0, 0.05, 0.5, 2.5, 0.0, APART),
+        (45.0, 0.05, 1.0, 2.5, 0.0, TOGETHER),
+    ),
+    scan=tuple(
+        (frequency, 0.05, 20.0, 2.5, 0.0, place) for place in (APART, TOGETHER) for frequency in _FREQUENCIES_HZ
+    ),
     mistaken_for=("viscoelasticity", "sensor_lag", "physiological_motion", "reflex"),
     places=(bus.SURFACE, bus.MECHANICS),
     hook=hook,
