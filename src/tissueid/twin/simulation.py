@@ -162,8 +162,8 @@ def prepared(acting: Sequence[ActiveEffect], on_tissue: bool) -> Prepared:
     """
     if len(acting) > bus.SLOTS:
         raise ValueError(f"at most {bus.SLOTS} effects act at once, not {len(acting)}")
-    # An effect that models lift-off needs the force of all others.
-    acting = sorted(acting, key=lambda item: item.effect.models_lift_off)
+    # A frame that carries the tissue needs the force of the tissue, an effect that models lift-off that of all others.
+    acting = sorted(acting, key=lambda item: (item.effect.models_lift_off, item.effect.stage != "tissue"))
     hooks = np.zeros(bus.SLOTS, np.int64)
     places = np.zeros((bus.SLOTS, bus.PLACES), np.bool_)
     parameters = np.zeros((bus.SLOTS, bus.MOST_PARAMETERS))
