@@ -355,12 +355,12 @@ class Search:
         A set has many minima: where one member is at a wrong one, the others compensate for it. At the noise floor
         there is nothing to gain from another start.
         """
-        to_the_end = [Task(self._dataset, found.effects, (), found.fit, MOST_STEPS)]
-        best = min((found, *self._run_tasks("leading additions", refit, to_the_end)), key=_fitted_cost)
+        tasks = [Task(self._dataset, found.effects, (), found.fit, MOST_STEPS)]
+        if found.score > THRESHOLDS.at_the_floor:
+            tasks += self._from_weak_starts(baseline, found.effects, MOST_STEPS)
+        best = min((found, *self._run_tasks("leading additions", refit, tasks)), key=_fitted_cost)
         if best.score <= THRESHOLDS.at_the_floor:
             return best
-        others = self._from_weak_starts(baseline, found.effects, MOST_STEPS)
-        best = min((best, *self._run_tasks("leading additions", refit, others)), key=_fitted_cost)
         for _ in range(ROUNDS_OF_RESTARTS):
             added = [name for name in best.effects if name not in baseline.effects]
             restarts = [
