@@ -231,8 +231,8 @@ class _Search:
         known = None if near is None else partial(self._jacobian, near=near)
         search = partial(minimise, problem, tolerance=TOLERANCE, bounds=bounds)
         found = search(problem.start(theta, known), most_steps=most_steps)
-        if found.converged and most_steps == MOST_STEPS and self._coarser:
-            # A fit to the end needs exact derivatives.
+        if found.converged and self._coarser and (most_steps == MOST_STEPS or found.steps == 0):
+            # A fit to the end needs exact derivatives, and so does one that coarse ones do not let begin.
             self._slope_step_s = STEP_S
             more = search(problem.restart(found.point), most_steps=most_steps)
             found = replace(more, steps=found.steps + more.steps)
