@@ -16,6 +16,8 @@ TOP_CANDIDATES = 2
 """Number of top single effects that are tried with a second effect."""
 MOST_MEMBERS = 6
 """Most effects of a set, in addition to those of the baseline."""
+LARGE_REMAINDER = 1.0
+"""Score from which a set is completed with the effects of tissue that it lacks, nats."""
 
 
 def search_sets(search: Search, baseline: Candidate) -> tuple[SearchResult, Candidate | None]:
@@ -112,7 +114,7 @@ def _with_all_of_tissue(search: Search, baseline: Candidate, top: Candidate, kee
     # A set with some effects of tissue can conceal the others, as single effects do: fit them all together with the
     # other members.
     in_tissue = [name for name in added(top, baseline) if effect(name).in_living_tissue]
-    if not in_tissue or len(in_tissue) == len(added(top, baseline)) or cost(top) <= THRESHOLDS.at_the_floor:
+    if not in_tissue or len(in_tissue) == len(added(top, baseline)) or top.score <= LARGE_REMAINDER:
         return top
     whole = min(keep(search.tissue_set(top)), key=misfit, default=top)
     return _without_needless(search, baseline, whole, keep) if grows(top, whole) else top
