@@ -12,7 +12,7 @@ from tissueid.gap.scoring import Candidate, ChannelError, closed, errors, floor,
 
 RESAMPLES = 400
 STRETCH_S = 0.25
-"""Length of the stretches that a bootstrap draws, s. In a simulation of errors whose size changes within 0.3 s,
+"""Least length of the stretches that a bootstrap draws, s. In a simulation of errors whose size changes within 0.3 s,
 intervals from stretches of 0.1 s hold the true share in 87 to 89 %, from those of 0.3 s in 92 to 93 %."""
 
 
@@ -80,14 +80,15 @@ def widened(middle: float, drawn: np.ndarray, count: int) -> tuple[float, float]
 
 
 def stretches(candidate: Candidate) -> list[list[ChannelError]]:
-    """Return the errors of every stretch of the check: successive blocks of a test that together last ``STRETCH_S``."""
+    """Return the errors of every stretch of the check: successive blocks of a test that last ``STRETCH_S`` or longer."""
     found = []
     tests = candidate.fit.parameters.dataset.tests
     for k, test in enumerate(tests):
         serving = test.serving(Purpose.CHECK)
-        stretch = (np.cumsum(serving) - 1) // max(1, round(STRETCH_S * test.sample_rate_hz))
-        for number in np.unique(stretch[serving]):
+        samples = np.flatnonzero(serving)
+        count = max(1, int(samples.size / (STRETCH_S * test.sample_rate_hz)))
+        for stretch in np.array_split(samples, count) if samples.size else ():
             alone = [replace(other, purpose=np.zeros_like(other.purpose)) for other in tests]
-            alone[k].purpose[serving & (stretch == number)] = Purpose.CHECK
+            alone[k].purpose[stretch] = Purpose.CHECK
             found.append(errors(candidate.fit, Purpose.CHECK, tests=alone))
     return found
