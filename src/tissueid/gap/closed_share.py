@@ -80,7 +80,7 @@ def widened(middle: float, drawn: np.ndarray, count: int) -> tuple[float, float]
 
 
 def stretches(candidate: Candidate) -> list[list[ChannelError]]:
-    """Return the errors of every stretch of the check: successive blocks of a test that last ``STRETCH_S`` or longer."""
+    """Return the errors of every stretch of the check: successive blocks of a test, ``STRETCH_S`` or longer."""
     found = []
     tests = candidate.fit.parameters.dataset.tests
     for k, test in enumerate(tests):
