@@ -41,7 +41,8 @@ SHORT_STEPS_OF_MANY = 10
 ESTIMATES_IN_A_SHORT_FIT = 1
 """Re-estimates of an effect from the record in a short fit; a full fit repeats them."""
 STEPS_IN_A_SET = 30
-"""Optimiser steps of a set with a member more, less, or another: the final set is fitted to the end."""
+"""Optimiser steps of a set with a member more, less, or another, or from another start: only the final set is fitted to
+the end."""
 SLOWLY = (300.0, 100.0, 30.0)
 WEAK_STARTS: tuple[tuple[int, tuple[float, ...], bool], ...] = (
     (0, SLOWLY, True),
@@ -350,17 +351,19 @@ class Search:
         return Task(self._dataset, kept, (), found.fit, self._short_steps)
 
     def polish(self, baseline: Candidate, found: Candidate) -> Candidate:
-        """Fit a set to the end, from where it is, from weak starts, and from other starts of each member.
+        """Fit a set from weak starts and from other starts of each member, and the best of these fits to the end.
 
         A set has many minima: where one member is at a wrong one, the others compensate for it. At the noise floor
         there is nothing to gain from another start.
         """
-        tasks = [Task(self._dataset, found.effects, (), found.fit, MOST_STEPS)]
+        best = found
         if found.score > THRESHOLDS.at_the_floor:
-            tasks += self._from_weak_starts(baseline, found.effects, MOST_STEPS)
-        best = min((found, *self._run_tasks("leading additions", refit, tasks)), key=_fitted_cost)
-        if best.score <= THRESHOLDS.at_the_floor:
-            return best
+            tasks = self._from_weak_starts(baseline, found.effects, STEPS_IN_A_SET)
+            best = self._restarted(baseline, min((found, *self._run_tasks("tissue", refit, tasks)), key=_fitted_cost))
+        to_the_end = [Task(self._dataset, best.effects, (), best.fit, MOST_STEPS)]
+        return min((best, *self._run_tasks("leading additions", refit, to_the_end)), key=_fitted_cost)
+
+    def _restarted(self, baseline: Candidate, best: Candidate) -> Candidate:
         for _ in range(ROUNDS_OF_RESTARTS):
             added = [name for name in best.effects if name not in baseline.effects]
             restarts = [
@@ -373,7 +376,8 @@ class Search:
             ]
             short_fits = sorted(self._run_tasks("replacements", refit, restarts), key=_fitted_cost)
             tasks = [
-                Task(self._dataset, item.effects, (), item.fit, MOST_STEPS) for item in short_fits[:FULL_FITS_OF_SETS]
+                Task(self._dataset, item.effects, (), item.fit, STEPS_IN_A_SET)
+                for item in short_fits[:FULL_FITS_OF_SETS]
             ]
             better = min((best, *self._run_tasks("leading replacements", refit, tasks)), key=_fitted_cost)
             if better.fit.cost > WORTH_A_ROUND * best.fit.cost:
