@@ -144,13 +144,27 @@ def test_a_slow_amplifier_is_its_transfer_function(lag, shape):
 
 def test_clipping_spans_hard_and_soft_limits():
     command = np.linspace(-40.0, 46.0, 500)
-    hard = play("amplifier_clipping", (20.0, 80.0, 0.0, 0.75), command).voltage
+    hard = play("amplifier_clipping", (20.0, 80.0, 0.0, 0.75, 0.0), command).voltage
     np.testing.assert_allclose(hard, np.clip(command, -15.0, 20.0), atol=0.07)
-    soft = play("amplifier_clipping", (20.0, 1.0, 0.0, 1.0), command).voltage
+    soft = play("amplifier_clipping", (20.0, 1.0, 0.0, 1.0, 0.0), command).voltage
     np.testing.assert_allclose(soft, 20.0 * np.tanh(command / 20.0), rtol=1e-6)
-    beyond = play("amplifier_clipping", (20.0, 80.0, 0.3, 1.0), command).voltage
+    beyond = play("amplifier_clipping", (20.0, 80.0, 0.3, 1.0, 0.0), command).voltage
     assert beyond[-1] == pytest.approx(0.3 * 46.0 + 0.7 * 20.0, rel=1e-6)
     assert (np.diff(beyond) > 0.0).all()
+    between = play("amplifier_clipping", (4.0, 80.0, 0.0, 0.5, 8.0), command).voltage
+    np.testing.assert_allclose(between, np.clip(command, 6.0, 12.0), atol=0.07)
+
+
+def test_clipping_starts_at_the_ends_of_the_recorded_voltage():
+    voltage = 8.0 + 3.0 * np.sin(np.linspace(0.0, 60.0, 3000))
+    around_zero, around_mean = effect("amplifier_clipping").starts_from([{"voltage": voltage}, {}], RATE)
+    assert (around_zero[0], around_zero[4]) == (pytest.approx(1.05 * 11.0, rel=1e-2), 0.0)
+    assert (around_mean[0], around_mean[3], around_mean[4]) == (
+        pytest.approx(1.05 * 3.0, rel=0.05),
+        pytest.approx(1.0, rel=0.05),
+        pytest.approx(8.0, rel=0.01),
+    )
+    assert effect("amplifier_clipping").starts_from([{"voltage": np.zeros(9)}], RATE) == ()
 
 
 def test_a_dead_zone_removes_small_commands():

@@ -284,7 +284,9 @@ def machine_effects() -> dict[str, Effect]:
             needs=frozenset({"position"}),
         ),
         replace(
-            amplifier_clipping.EFFECT, starts=((20.0, 8.0, 0.02, 1.0), (12.0, 1.5, 0.02, 1.0), (8.0, 8.0, 0.02, 1.0))
+            amplifier_clipping.EFFECT,
+            starts=((20.0, 8.0, 0.02, 1.0, 0.0), (12.0, 1.5, 0.02, 1.0, 0.0), (8.0, 8.0, 0.02, 1.0, 0.0)),
+            starts_from=None,
         ),
         amplifier_deadband.EFFECT,
     )

@@ -3,14 +3,20 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Mapping, Sequence
+
+import numpy as np
 
 from tissueid.twin import bus
 from tissueid.twin.effect import Effect, FloatArray, Parameter
 
+PEAK = 0.998
+"""Share of the readings that lie below the peak of a signal; the others can be noise."""
+
 
 def hook(where: int, b: FloatArray, p: FloatArray, s: FloatArray, dt: float) -> None:
     """Limit the voltage, with a remaining slope beyond the limit; the state holds the last input and output."""
-    limit, knee, beyond, ratio = p[0], p[1], p[2], p[3]
+    limit, knee, beyond, ratio, middle = p[0], p[1], p[2], p[3], p[4]
     mean = b[bus.VOLTAGE]
     end = mean + b[bus.VOLTAGE_RISE]
     for k in range(2):
@@ -20,27 +26,46 @@ def hook(where: int, b: FloatArray, p: FloatArray, s: FloatArray, dt: float) -> 
             s[1] = s[0]
             s[3] = s[2]
         elif asked != s[k]:
-            level = limit if asked > 0.0 else limit * ratio
-            logarithm = knee * math.log(abs(asked) / level) if asked != 0.0 else -700.0
+            swing = asked - middle
+            level = limit if swing > 0.0 else limit * ratio
+            logarithm = knee * math.log(abs(swing) / level) if swing != 0.0 else -700.0
             kept = 1.0
             if logarithm > 3.0:
-                kept = level / abs(asked)
+                kept = level / abs(swing)
             elif logarithm > -18.0:
                 power = math.exp(logarithm)
                 kept = math.exp(math.log(math.tanh(power) / power) / knee)
             s[k] = asked
-            s[2 + k] = asked * (beyond + (1.0 - beyond) * kept)
+            s[2 + k] = middle + swing * (beyond + (1.0 - beyond) * kept)
     b[bus.VOLTAGE] = s[2]
     b[bus.VOLTAGE_RISE] = s[3] - s[2]
     if b[bus.VOLTAGE_TILT] != 0.0:
         b[bus.VOLTAGE_TILT] = s[3] - s[2]
 
 
+def starts_from(tests: Sequence[Mapping[str, FloatArray]], sample_rate_hz: float) -> tuple[tuple[float, ...], ...]:
+    """Return limits near the ends of the recorded voltage, from zero and from its mean: a clipped one is there at its
+    limit."""
+    found = [signals["voltage"] for signals in tests if "voltage" in signals]
+    known = [values[np.isfinite(values)] for values in found]
+    moved = [values for values in known if values.size and np.ptp(values) > 0.0]
+    if not moved:
+        return ()
+    largest = max(moved, key=lambda values: float(np.ptp(values)))
+    mean, peak = float(np.mean(largest)), float(np.quantile(np.abs(largest), PEAK))
+    low, high = np.quantile(largest, [1.0 - PEAK, PEAK])
+    return (
+        (1.05 * peak, 8.0, 0.02, 1.0, 0.0),
+        (1.05 * float(high - mean), 4.0, 0.02, float(np.clip((mean - low) / (high - mean), 0.4, 2.5)), mean),
+    )
+
+
 EFFECT = Effect(
     name="amplifier_clipping",
     stage="drive",
     title="Amplifier clips below its rating",
-    equation="v = u (c + (1 - c) (tanh(x^p) / x^p)^(1/p)), x = |u|/L, r L for L where u < 0; vanishes with L = inf",
+    equation="v = m + w (c + (1 - c) (tanh(x^p) / x^p)^(1/p)), w = u - m, x = |w|/L, r L for L where w < 0; vanishes "
+    "with L = inf",
     signature="voltage against command bends at large commands, at once and without memory; odd and even distortion in "
     "voltage that is gone at smaller amplitude; current against voltage unchanged",
     source="Pintelon and Schoukens, System Identification, 2nd ed. (2012) ch. 3; Rapp, 2nd European Conf. on Satellite "
@@ -62,12 +87,24 @@ EFFECT = Effect(
             prior_std=0.4,
             meaning="negative limit relative to it",
         ),
+        Parameter(
+            "middle_v",
+            "V",
+            None,
+            -60.0,
+            60.0,
+            prior=0.0,
+            prior_std=20.0,
+            default=0.0,
+            meaning="voltage between the limits, from which they are counted",
+        ),
     ),
-    starts=((30.0, 1.5, 0.02, 1.0), (20.0, 8.0, 0.02, 1.0)),
+    starts=((30.0, 1.5, 0.02, 1.0, 0.0), (20.0, 8.0, 0.02, 1.0, 0.0)),
     mistaken_for=("amplifier_deadband", "flux_saturation", "amplifier_drift"),
     places=(bus.AMPLIFIER,),
     hook=hook,
     needs=frozenset({"command"}),
+    starts_from=starts_from,
     remedy="Check the supply under load and the amplifier's current limit; lower the amplitude until the clipping "
     "ends.",
 )
