@@ -156,15 +156,15 @@ def test_clipping_spans_hard_and_soft_limits():
 
 
 def test_clipping_starts_at_the_ends_of_the_recorded_voltage():
-    voltage = 8.0 + 3.0 * np.sin(np.linspace(0.0, 60.0, 3000))
-    around_zero, around_mean = effect("amplifier_clipping").starts_from([{"voltage": voltage}, {}], RATE)
+    voltage = 8.0 + 3.0 * np.sin(np.linspace(0.0, 40.0 * np.pi, 3000))
+    around_zero, around_mean = all_effects()["amplifier_clipping"].starts_from([{"voltage": voltage}, {}], RATE)
     assert (around_zero[0], around_zero[4]) == (pytest.approx(1.05 * 11.0, rel=1e-2), 0.0)
     assert (around_mean[0], around_mean[3], around_mean[4]) == (
         pytest.approx(1.05 * 3.0, rel=0.05),
         pytest.approx(1.0, rel=0.05),
         pytest.approx(8.0, rel=0.01),
     )
-    assert effect("amplifier_clipping").starts_from([{"voltage": np.zeros(9)}], RATE) == ()
+    assert all_effects()["amplifier_clipping"].starts_from([{"voltage": np.zeros(9)}], RATE) == ()
 
 
 def test_a_dead_zone_removes_small_commands():

@@ -37,8 +37,9 @@ class Thresholds:
     explained_share: float = 0.55
     """Largest share of the baseline's score that an explanation leaves."""
     clear_share: float = 0.12
-    """Largest share of the score that is left where more is required: for an effect with an exact law, and where the
-    evidence by stages contradicts the candidate."""
+    """Largest share of the score that is left by a candidate that explains the gap whatever share of it is closed:
+    rounding can leave most of it. More is not enough for an effect with an exact law, and where the evidence by stages
+    contradicts the candidate."""
     set_gain: float = 0.3
     """Least decrease of the score by a member of a set, nats."""
     set_leaves: float = 0.36
@@ -169,9 +170,9 @@ def decide(grounds: Grounds, thresholds: Thresholds = THRESHOLDS) -> frozenset[s
 
 def explains(baseline: float, best: Tried, thresholds: Thresholds = THRESHOLDS) -> bool:
     """Return whether a candidate explains the gap on held-out data; ``baseline`` is the score of the baseline."""
-    if best.score <= thresholds.at_the_floor:
+    if best.score <= max(thresholds.at_the_floor, thresholds.clear_share * baseline):
         return True
-    if best.score > (thresholds.clear_share if best.strict else thresholds.explained_share) * baseline:
+    if best.strict or best.score > thresholds.explained_share * baseline:
         return False
     return best.closed >= thresholds.explained_closed
 
