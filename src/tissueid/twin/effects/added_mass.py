@@ -41,7 +41,7 @@ EFFECT = Effect(
             prior=0.5,
             prior_std=0.3,
             default=0.5,
-            meaning="force of the growing mass: 1/2 conserves energy, 1 the momentum of mass that was at rest",
+            meaning="force of the growing mass (1/2 conserves energy, 1 the momentum of mass at rest)",
         ),
     ),
     starts=((0.01, 6e-3, 1.0, 0.5), (0.05, 6e-3, 2.0, 0.5), (0.05, 2e-3, 3.0, 0.5)),
