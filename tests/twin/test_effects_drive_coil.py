@@ -153,6 +153,8 @@ def test_clipping_spans_hard_and_soft_limits():
     assert (np.diff(beyond) > 0.0).all()
     between = play("amplifier_clipping", (4.0, 80.0, 0.0, 0.5, 8.0), command).voltage
     np.testing.assert_allclose(between, np.clip(command, 6.0, 12.0), atol=0.07)
+    at_rest = play("amplifier_clipping", (4.0, 80.0, 0.0, 0.5, 8.0), np.zeros(50)).voltage
+    np.testing.assert_allclose(at_rest, 6.0, atol=0.07)
 
 
 def test_clipping_starts_at_the_ends_of_the_recorded_voltage():
@@ -164,7 +166,9 @@ def test_clipping_starts_at_the_ends_of_the_recorded_voltage():
         pytest.approx(1.0, rel=0.05),
         pytest.approx(8.0, rel=0.01),
     )
-    assert all_effects()["amplifier_clipping"].starts_from([{"voltage": np.zeros(9)}], RATE) == ()
+    starts = all_effects()["amplifier_clipping"].starts_from
+    assert starts([{"voltage": np.zeros(9)}], RATE) == ()
+    assert len(starts([{"voltage": np.append(np.zeros(5000), 3.0)}], RATE)) == 1  # no swing on both sides of the mean
 
 
 def test_a_dead_zone_removes_small_commands():

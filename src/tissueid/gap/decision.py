@@ -46,8 +46,8 @@ class Thresholds:
     """Largest share of the gap without a member that the set leaves, unless it is at the floor or the member is an
     effect of living tissue, which are expected together."""
     set_leaves_score: float = 0.45
-    """The same as a share of the score, of which one is enough: an effect that is small in one channel, such as hum,
-    can matter more in the score than in the gap."""
+    """Largest share of the score without a member that the set leaves, sufficient in place of ``set_leaves``: hum or
+    rounding changes the score more than the gap."""
     stand_in_closed: float = 0.9
     """Closed share of a set from which a further member is not named that can stand for the error in the form of one of
     its members."""

@@ -289,8 +289,8 @@ class Search:
         return Task(self._dataset, tuple(item.name for item in effects), starts, near, MOST_STEPS)
 
     def tissue_set(self, near: Candidate) -> tuple[Candidate, ...]:
-        """Fit the effects of living tissue together, each from a weak start, in addition to those of another fit; none
-        where there is nothing to fit.
+        """Fit a set together with all effects of living tissue that it lacks, from weak starts; none where there is
+        nothing to fit.
 
         There is nothing to fit where that fit has all of them, where an accepted twin has some, or where this was done
         before.
@@ -308,19 +308,19 @@ class Search:
         if not chosen or len(names) < 2 or frozenset(names) in self._with_tissue:
             return ()
         self._with_tissue.add(frozenset(names))
-        tasks = self._from_weak_starts(near, names, STEPS_IN_A_SET)
+        tasks = self._from_weak_starts(near, names)
         found_sets = self._run_tasks("tissue", refit, tasks[:FIRST_WEAK_STARTS])
         if grows(near, min(found_sets, key=misfit)):
             found_sets += self._run_tasks("tissue", refit, tasks[FIRST_WEAK_STARTS:])
         return (min(found_sets, key=_fitted_cost),)
 
-    def _from_weak_starts(self, near: Candidate, names: Sequence[str], most_steps: int) -> list[Task]:
+    def _from_weak_starts(self, near: Candidate, names: Sequence[str]) -> list[Task]:
         library, tasks = effects_of(self._dataset), []
         for k, bandwidths, keeps in WEAK_STARTS:
             begin = near.fit if keeps or self._baseline is None else self._baseline
             held = {item.name: item.starts[0] for item in begin.parameters.effects}
             starts = tuple(held.get(name) or library[name].weak_starts[k] for name in names)
-            tasks.append(Task(self._dataset, tuple(names), starts, begin, most_steps, bandwidths))
+            tasks.append(Task(self._dataset, tuple(names), starts, begin, STEPS_IN_A_SET, bandwidths))
         return tasks
 
     def add_to(self, leaders: Sequence[Candidate]) -> tuple[Candidate, ...]:
@@ -358,8 +358,10 @@ class Search:
         """
         best = found
         if found.score > THRESHOLDS.at_the_floor:
-            tasks = self._from_weak_starts(baseline, found.effects, STEPS_IN_A_SET)
-            best = self._restarted(baseline, min((found, *self._run_tasks("tissue", refit, tasks)), key=_fitted_cost))
+            tasks = self._from_weak_starts(baseline, found.effects)
+            best = self._restarted(
+                baseline, min((found, *self._run_tasks("replacements", refit, tasks)), key=_fitted_cost)
+            )
         to_the_end = [Task(self._dataset, best.effects, (), best.fit, MOST_STEPS)]
         return min((best, *self._run_tasks("leading additions", refit, to_the_end)), key=_fitted_cost)
 

@@ -15,7 +15,10 @@ PEAK = 0.998
 
 
 def hook(where: int, b: FloatArray, p: FloatArray, s: FloatArray, dt: float) -> None:
-    """Limit the voltage, with a remaining slope beyond the limit; the state holds the last input and output."""
+    """Limit the voltage, with a remaining slope beyond the limit.
+
+    The state holds the last inputs, their outputs, and whether there were any.
+    """
     limit, knee, beyond, ratio, middle = p[0], p[1], p[2], p[3], p[4]
     mean = b[bus.VOLTAGE]
     end = mean + b[bus.VOLTAGE_RISE]
@@ -25,7 +28,7 @@ def hook(where: int, b: FloatArray, p: FloatArray, s: FloatArray, dt: float) -> 
         if k == 1 and asked == s[0]:
             s[1] = s[0]
             s[3] = s[2]
-        elif asked != s[k]:
+        elif asked != s[k] or s[4 + k] == 0.0:
             swing = asked - middle
             level = limit if swing > 0.0 else limit * ratio
             logarithm = knee * math.log(abs(swing) / level) if swing != 0.0 else -700.0
@@ -35,7 +38,7 @@ def hook(where: int, b: FloatArray, p: FloatArray, s: FloatArray, dt: float) -> 
             elif logarithm > -18.0:
                 power = math.exp(logarithm)
                 kept = math.exp(math.log(math.tanh(power) / power) / knee)
-            s[k] = asked
+            s[k], s[4 + k] = asked, 1.0
             s[2 + k] = middle + swing * (beyond + (1.0 - beyond) * kept)
     b[bus.VOLTAGE] = s[2]
     b[bus.VOLTAGE_RISE] = s[3] - s[2]
@@ -54,9 +57,15 @@ def starts_from(tests: Sequence[Mapping[str, FloatArray]], sample_rate_hz: float
     largest = max(moved, key=lambda values: float(np.ptp(values)))
     mean, peak = float(np.mean(largest)), float(np.quantile(np.abs(largest), PEAK))
     low, high = np.quantile(largest, [1.0 - PEAK, PEAK])
-    return (
-        (1.05 * peak, 8.0, 0.02, 1.0, 0.0),
-        (1.05 * float(high - mean), 4.0, 0.02, float(np.clip((mean - low) / (high - mean), 0.4, 2.5)), mean),
+    from_zero = (1.05 * peak, 8.0, 0.02, 1.0, 0.0)
+    if not low < mean < high:
+        return (from_zero,)
+    return from_zero, (
+        1.05 * float(high - mean),
+        4.0,
+        0.02,
+        float(np.clip((mean - low) / (high - mean), 0.4, 2.5)),
+        mean,
     )
 
 
@@ -71,7 +80,7 @@ EFFECT = Effect(
     source="Pintelon and Schoukens, System Identification, 2nd ed. (2012) ch. 3; Rapp, 2nd European Conf. on Satellite "
     "Communications (1991) 179-184, whose limiter it follows within 0.1 % of what is clipped",
     parameters=(
-        Parameter("limit_v", "V", math.inf, 1.0, 1000.0, True, meaning="output limit"),
+        Parameter("limit_v", "V", math.inf, 0.05, 1000.0, True, meaning="output limit"),
         Parameter("knee", "1", None, 0.8, 80.0, True, prior=1.5, prior_std=2.0, meaning="sharpness: 1 tanh, 50 hard"),
         Parameter(
             "slope_beyond", "1", 1.0, 0.0, 1.0, prior=0.0, prior_std=0.3, meaning="remaining gain beyond the limit"
