@@ -10,23 +10,23 @@ from tissueid.twin.effect import Effect, FloatArray, Parameter
 MODES = 2
 _FREQUENCIES_HZ = tuple(5.0 * 1.18**k for k in range(20))
 """Frequencies of the scan, 5 to 116 Hz, close enough to find a narrow resonance."""
-APART, TOGETHER = 0.0, 1.0
+ELSEWHERE, ON_FRAME = 0.0, 1.0
 """Where the tissue rests: elsewhere, or on the frame."""
 
 
 def hook(where: int, b: FloatArray, p: FloatArray, s: FloatArray, dt: float) -> None:
     """Move the frame by the reaction; ``s`` holds position (m) and velocity (m/s) of each mode."""
-    together = p[5] == TOGETHER
+    on_frame = p[5] == ON_FRAME
     if where == bus.SURFACE:
         for k in range(MODES):
             s[2 * k] += 0.5 * dt * s[2 * k + 1]
-            if not together:
+            if not on_frame:
                 b[bus.SURFACE_POSITION] -= s[2 * k]
         return
-    if together != (where == bus.TISSUE):
+    if on_frame != (where == bus.TISSUE):
         return
     relative = b[bus.VELOCITY] + 0.5 * dt * b[bus.ACCELERATION]
-    if together:
+    if on_frame:
         # The force of the tissue is an internal one: what is left is the inertia of the absolute motion.
         damping = 0.0
         reaction = (b[bus.DAMPING] + b[bus.TISSUE_DAMPING]) * relative + b[bus.TISSUE_FORCE] - b[bus.FORCE]
@@ -101,13 +101,13 @@ EFFECT = Effect(
         ),
     ),
     starts=(
-        (20.0, 0.05, 1.0, 2.5, 0.05, APART),
-        (45.0, 0.05, 1.0, 2.5, 0.05, APART),
-        (100.0, 0.05, 0.5, 2.5, 0.05, APART),
-        (45.0, 0.05, 1.0, 2.5, 0.05, TOGETHER),
+        (20.0, 0.05, 1.0, 2.5, 0.05, ELSEWHERE),
+        (45.0, 0.05, 1.0, 2.5, 0.05, ELSEWHERE),
+        (100.0, 0.05, 0.5, 2.5, 0.05, ELSEWHERE),
+        (45.0, 0.05, 1.0, 2.5, 0.05, ON_FRAME),
     ),
     scan=tuple(
-        (frequency, 0.05, 20.0, 2.5, 0.05, place) for place in (APART, TOGETHER) for frequency in _FREQUENCIES_HZ
+        (frequency, 0.05, 20.0, 2.5, 0.05, place) for place in (ELSEWHERE, ON_FRAME) for frequency in _FREQUENCIES_HZ
     ),
     mistaken_for=("viscoelasticity", "sensor_lag", "physiological_motion", "reflex"),
     places=(bus.SURFACE, bus.MECHANICS, bus.TISSUE),
