@@ -66,7 +66,8 @@ BRANCH_GAIN, BRANCH_TIME = 18, 18 + MAX_BRANCHES
 PULLED = 18 + 2 * MAX_BRANCHES  # rates (1/m) of mass, damping, stiffness when the tissue is pulled; 0: as pushed
 PROBE_RADIUS, PROBE_CORNER, PROBE_DEPTH, FOUNDATION = range(PULLED + 3, PULLED + 7)  # see firmware_sim.probe
 LAYER_COUNT, LAYERS = PULLED + 7, PULLED + 8  # MAX_LAYERS layers, see firmware_sim.layers
-TISSUE_SIZE = LAYERS + LAYER_VALUES * MAX_LAYERS
+REST_VELOCITY = LAYERS + LAYER_VALUES * MAX_LAYERS  # speed of the rest surface against the frame, m/s
+TISSUE_SIZE = REST_VELOCITY + 1
 
 # Columns of the output of advance.
 OUT_COLUMNS = 11
@@ -126,8 +127,10 @@ def tissue_mass(tissue: Array, depth: float) -> float:
 
 
 @_swift
-def _resistance(state: Array, tissue: Array, depth: float, velocity: float) -> tuple[float, float]:
-    # Total resisting force of the tissue at this depth and speed, without inertia, and its relaxed elastic part, N.
+def _resistance(state: Array, tissue: Array, depth: float, speed: float) -> tuple[float, float]:
+    # Total resisting force of the tissue at this depth and speed against the frame, without inertia, and its relaxed
+    # elastic part, N.
+    velocity = speed - tissue[REST_VELOCITY]
     elastic = _exponential(tissue, STIFFNESS, depth) * depth
     damping = _exponential(tissue, DAMPING, depth)
     mass_slope = 0.0

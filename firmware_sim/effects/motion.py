@@ -98,6 +98,7 @@ def _build(sources: int) -> Advance:
                     raised, rising = now - clock[3], (now - clock[4]) / step
                     clock[4] = now
                 law[kernel.REST_SURFACE] += -raised - clock[5]
+                law[kernel.REST_VELOCITY] = -rising - clock[6]
                 on_frame = force
                 if parallel:
                     depth = position - law[kernel.REST_SURFACE]
@@ -135,8 +136,7 @@ def _build(sources: int) -> Advance:
                         taken_along = 0.0
                         force += memory[base.CONTACT_LOSS, 3]
                     elif state[kernel.TOUCHING] > 0.0:
-                        # The plant's law uses the speed relative to the frame: add the motion of frame and surface.
-                        force += added - damping * (against - velocity)
+                        force += added
                     else:
                         taken_along = 0.0
                     force -= taken_along * clock[7]

@@ -17,6 +17,10 @@ GAP_CHANNELS = ("current", "position", "voltage")
 """Channels of the gap; the voltage counts where the command is known."""
 LEAST_RATIO = 1.0
 """Least ratio of error to noise variance: smaller errors count as noise."""
+RARE_BLOCKS = 0.2
+"""Share of the blocks, those with the largest error, that do not count against an accepted twin. The error that it left
+in its own session rests on one or two events where it is rare, such as lift-off, and says little about the next ones.
+"""
 
 
 @dataclass(frozen=True)
@@ -26,7 +30,7 @@ class ChannelError:
     ``square`` is the mean squared error (SI squared), ``noise`` the sensor noise (std, SI), ``spread`` the standard
     deviation of the recorded signal over the whole test, ``samples`` the number of samples. ``irreducible`` (std, SI)
     is the part that an effect leaves however well it is known, such as rounding, or that a saved twin is known to
-    leave.
+    leave. ``frequent`` is the mean squared error without rare events, where those do not count.
     """
 
     test: int
@@ -36,11 +40,13 @@ class ChannelError:
     spread: float
     samples: int
     irreducible: float = 0.0
+    frequent: float | None = None
 
     @property
     def ratio(self) -> float:
         """Mean squared error over the variance of noise and irreducible error, at least 1."""
-        return max(self.square / (self.noise**2 + self.irreducible**2), LEAST_RATIO)
+        square = self.square if self.frequent is None else self.frequent
+        return max(square / (self.noise**2 + self.irreducible**2), LEAST_RATIO)
 
 
 def errors(fitted: Fit, *purposes: Purpose, tests: Sequence[DatasetTest] | None = None) -> list[ChannelError]:
@@ -67,9 +73,23 @@ def errors(fitted: Fit, *purposes: Purpose, tests: Sequence[DatasetTest] | None 
                     float(np.nanstd(test.signals[name])),
                     int(mask.sum()),
                     irreducible.get(name, 0.0),
+                    without_rare_events(error, np.flatnonzero(mask)) if dataset.unmodelled else None,
                 )
             )
     return found
+
+
+def without_rare_events(error: FloatArray, samples: NDArray[np.intp]) -> float:
+    """Return the mean squared error without the blocks of largest error, ``RARE_BLOCKS`` of them.
+
+    Args:
+        error: errors, SI, shape (n,).
+        samples: their places in the test, ascending, shape (n,); a block ends where a place is left out.
+    """
+    begins = np.flatnonzero(np.diff(samples, prepend=samples[0] - 2) > 1)
+    sums, sizes = np.add.reduceat(error**2, begins), np.diff(begins, append=error.size)
+    kept = np.argsort(sums / sizes)[: begins.size - int(RARE_BLOCKS * begins.size)]
+    return float(sums[kept].sum() / sizes[kept].sum())
 
 
 def score(found: Sequence[ChannelError]) -> float:

@@ -166,6 +166,7 @@ def integrate(  # type: ignore[no-untyped-def]
                 half = position + 0.5 * step * velocity
             bus[b.POSITION] = half
             bus[b.SURFACE_POSITION] = tissue[SURFACE_M]
+            bus[b.SURFACE_VELOCITY] = 0.0
             if used[b.SURFACE]:
                 _call(b.SURFACE, effects, called, at_bus, at_parameters, wide, at_states, deep, step)
             depth = half - bus[b.SURFACE_POSITION]
@@ -218,6 +219,7 @@ def integrate(  # type: ignore[no-untyped-def]
                     _call(b.MECHANICS, effects, called, at_bus, at_parameters, wide, at_states, deep, step)
                 bus[b.STIFFNESS] = tissue[STIFFNESS]
                 bus[b.STIFFNESS_GROWTH] = tissue[STIFFNESS_GROWTH]
+                bus[b.VELOCITY] -= bus[b.SURFACE_VELOCITY]
                 if used[b.LIFT_OFF]:
                     _call(b.LIFT_OFF, effects, called, at_bus, at_parameters, wide, at_states, deep, step)
                     depth = bus[b.DEPTH]
@@ -232,7 +234,8 @@ def integrate(  # type: ignore[no-untyped-def]
                     half += 0.5 * step * bus[b.VELOCITY_JUMP] + bus[b.POSITION_SHIFT]
                 mass = bus[b.MASS] + bus[b.TISSUE_MASS]
                 drag = 0.5 * step * (bus[b.DAMPING] + bus[b.TISSUE_DAMPING]) / mass
-                push = step * (bus[b.FORCE] - bus[b.TISSUE_FORCE]) / mass
+                carried = bus[b.TISSUE_DAMPING] * bus[b.SURFACE_VELOCITY]
+                push = step * (bus[b.FORCE] - bus[b.TISSUE_FORCE] + carried) / mass
                 then = (velocity * (1.0 - drag) + push) / (1.0 + drag)
                 acceleration = (then - velocity) / step
                 velocity = then

@@ -11,7 +11,7 @@ from __future__ import annotations
 AMPLIFIER = 0
 """May change VOLTAGE, the output of an ideal amplifier of known gain and rated limit."""
 SURFACE = 1
-"""May change SURFACE_POSITION, where the tissue begins, before the depth is computed."""
+"""May change SURFACE_POSITION, where the tissue begins, before the depth is computed, and SURFACE_VELOCITY."""
 COIL = 2
 """May change RESISTANCE, INDUCTANCE, FORCE_CONSTANT, OPPOSING_VOLTAGE, and add to FORCE."""
 MECHANICS = 3
@@ -35,7 +35,7 @@ CURRENT = 2
 POSITION = 3
 """Position of the probe on the actuator scale, at the middle of the step."""
 VELOCITY = 4
-"""Velocity of the probe at the start of the step."""
+"""Velocity of the probe at the start of the step; from LIFT_OFF on relative to the surface."""
 SURFACE_POSITION = 5
 DEPTH = 6
 """POSITION minus SURFACE_POSITION; negative where the probe is off the surface."""
@@ -68,7 +68,9 @@ VOLTAGE_RISE = 22
 """Voltage at the end of the step, which is recorded, minus VOLTAGE, its mean over the step."""
 VOLTAGE_TILT = 23
 """Half the rise of a voltage that changes linearly within the step; it affects the current at the end."""
-# Numbers once given stay: compiled hooks are cached with them. 24 and 25 are free.
+# Numbers once given stay: compiled hooks are cached with them. 25 is free.
+SURFACE_VELOCITY = 24
+"""Velocity of the surface of tissue that moves as a whole; the laws of the tissue act on the motion relative to it."""
 VELOCITY_JUMP = 26
 """Velocity that an impact adds at the start of the step, for instance when two bodies meet."""
 POSITION_SHIFT = 27

@@ -8,6 +8,7 @@ from tissueid.twin import bus
 from tissueid.twin.effect import Effect, FloatArray, Parameter
 
 MODES = 2
+_ACCELERATION = 2 * MODES
 _FREQUENCIES_HZ = tuple(5.0 * 1.18**k for k in range(20))
 """Frequencies of the scan, 5 to 116 Hz, close enough to find a narrow resonance."""
 ELSEWHERE, ON_FRAME = 0.0, 1.0
@@ -15,27 +16,28 @@ ELSEWHERE, ON_FRAME = 0.0, 1.0
 
 
 def hook(where: int, b: FloatArray, p: FloatArray, s: FloatArray, dt: float) -> None:
-    """Move the frame by the reaction; ``s`` holds position (m) and velocity (m/s) of each mode."""
+    """Move the frame by the reaction; ``s`` holds position (m) and velocity (m/s) of each mode, and the acceleration."""
     on_frame = p[5] == ON_FRAME
     if where == bus.SURFACE:
         for k in range(MODES):
             s[2 * k] += 0.5 * dt * s[2 * k + 1]
             if not on_frame:
                 b[bus.SURFACE_POSITION] -= s[2 * k]
+                b[bus.SURFACE_VELOCITY] -= s[2 * k + 1]
+        if not on_frame:
+            b[bus.SURFACE_VELOCITY] -= 0.5 * dt * s[_ACCELERATION]
         return
     if on_frame != (where == bus.TISSUE):
         return
     relative = b[bus.VELOCITY] + 0.5 * dt * b[bus.ACCELERATION]
     if on_frame:
         # The force of the tissue is an internal one: what is left is the inertia of the absolute motion.
-        damping = 0.0
         reaction = (b[bus.DAMPING] + b[bus.TISSUE_DAMPING]) * relative + b[bus.TISSUE_FORCE] - b[bus.FORCE]
     else:
-        # The frame is driven by the coil and the drag of the bearing. The tissue feels the absolute motion, with the
-        # mass and damping of the previous step.
-        damping = b[bus.TISSUE_DAMPING]
+        # The frame is driven by the coil and the drag of the bearing. The mass of the tissue is that of the previous
+        # step.
         reaction = b[bus.DAMPING] * relative - b[bus.FORCE_CONSTANT] * b[bus.CURRENT]
-    acceleration, mean = 0.0, 0.0
+    acceleration = 0.0
     for k in range(MODES):
         angular = 2.0 * math.pi * p[0] * (p[3] if k > 0 else 1.0)
         share = p[4] if k > 0 else 1.0
@@ -44,10 +46,10 @@ def hook(where: int, b: FloatArray, p: FloatArray, s: FloatArray, dt: float) -> 
         driven = dt * (share * reaction / p[2] - angular * angular * s[2 * k])
         then = (before * (1.0 - drag) + driven) / (1.0 + drag)
         acceleration += (then - before) / dt
-        mean += 0.5 * (then + before)
         s[2 * k + 1] = then
         s[2 * k] += 0.5 * dt * then
-    b[bus.FORCE] -= (b[bus.MASS] + b[bus.TISSUE_MASS]) * acceleration + damping * mean
+    s[_ACCELERATION] = acceleration
+    b[bus.FORCE] -= (b[bus.MASS] + b[bus.TISSUE_MASS]) * acceleration
 
 
 EFFECT = Effect(

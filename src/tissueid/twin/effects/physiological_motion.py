@@ -209,16 +209,19 @@ _TREMOR = _PULSE + len(HEIGHTS[PULSE])
 _MEAN = _TREMOR + len(HEIGHTS[TREMOR])
 _TURNING = 16
 """State: whether the waves are initialised."""
+_BEFORE = 17
+"""State: the surface in the step before, m."""
 _UNITS = ("Hz", "Hz", "Hz", "rad", "rad", "Hz")
 
 
 def hook(where: int, b: FloatArray, p: FloatArray, s: FloatArray, dt: float) -> None:
     """Move the surface by thirteen waves at the middle of the step; harmonics follow from the fundamental.
 
-    ``s`` holds cosine and sine of each rate and of its change in a step, so that only the first step evaluates them.
-    The pulse, which breathing modulates, is evaluated at every step.
+    ``s`` holds cosine and sine of each rate and of its change in a step, so that only the first step evaluates them,
+    and the surface before. The pulse, which breathing modulates, is evaluated at every step.
     """
-    if s[_TURNING] == 0.0:
+    first_step = s[_TURNING] == 0.0
+    if first_step:
         s[_TURNING] = 1.0
         for rate in range(4):
             hertz = p[rate] if rate < 3 else p[5]
@@ -250,6 +253,8 @@ def hook(where: int, b: FloatArray, p: FloatArray, s: FloatArray, dt: float) -> 
         s[4 * rate] = cosine * turned - sine * aside
         s[4 * rate + 1] = sine * turned + cosine * aside
     b[bus.SURFACE_POSITION] += moved + p[_MEAN]
+    b[bus.SURFACE_VELOCITY] += 0.0 if first_step else (moved - s[_BEFORE]) / dt
+    s[_BEFORE] = moved
 
 
 EFFECT = Effect(
