@@ -291,6 +291,21 @@ def test_a_swinging_frame_rings_at_its_own_frequency():
     assert np.fft.rfftfreq(8000, 5e-4)[50:][ringing[50:].argmax()] == pytest.approx(40.0, rel=0.1)
 
 
+@pytest.mark.parametrize("extra", ["directional_damping", "recruited_mass"])
+def test_the_tissue_resists_motion_relative_to_its_own(extra):
+    law = load_preset("left-anterior-forearm").with_extras([extra]).to_array()
+    state = np.zeros(kernel.STATE_SIZE)
+
+    def resistance(speed):
+        return kernel._resistance(state, law, 0.003, speed)[0]
+
+    law[kernel.REST_VELOCITY] = 0.03
+    carried = [resistance(speed) for speed in (0.03, 0.05, 0.01)]
+    law[kernel.REST_VELOCITY] = 0.0
+    assert carried == pytest.approx([resistance(speed) for speed in (0.0, 0.02, -0.02)])
+    assert carried[1] != carried[0]
+
+
 def test_readings_of_position():
     true = recorded()
     play = recorded([EFFECTS["sensor_backlash"](level=6e-5)])

@@ -106,7 +106,6 @@ def test_a_single_effect_is_named_where_the_set_is_hardly_better():
         ("cogging", "tissue_stiffening", True),
         ("tissue_stiffening", "cogging", True),
         ("eddy_currents", "dry_friction", False),
-        ("viscoelasticity", "contact_loss", False),
         ("viscoelasticity", "tissue_hysteresis", True),
         ("sensor_nonlinearity", "latency", True),
         ("latency", "sensor_nonlinearity", False),
@@ -123,6 +122,19 @@ def test_an_effect_next_to_one_that_nearly_closes_the_gap_can_stand_for_its_form
     assert is_needed(alone, both) is named
     little = tried(2.0, THRESHOLDS.stand_in_closed - 0.1, "eddy_currents")
     assert is_needed(little, both)
+
+
+@pytest.mark.parametrize(
+    ("others", "added", "named"),
+    [
+        (("mount_resonance", "directional_damping"), "added_mass", True),
+        (("mount_resonance",), "added_mass", False),
+        (("directional_damping",), "viscoelasticity", True),
+        (("added_mass", "directional_damping"), "mount_resonance", False),
+    ],
+)
+def test_an_effect_of_living_tissue_next_to_another_stands_for_no_form(others, added, named):
+    assert is_needed(tried(2.6, 0.94, *others), tried(0.15, 0.999, *others, added)) is named
 
 
 @pytest.mark.parametrize(("other", "named"), [("viscoelasticity", True), ("dry_friction", False)])

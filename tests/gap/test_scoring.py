@@ -8,7 +8,16 @@ import numpy as np
 import pytest
 
 from tissueid.gap.closed_share import widened
-from tissueid.gap.scoring import Candidate, ChannelError, closed, floor, gap, quiet_tests, score
+from tissueid.gap.scoring import (
+    Candidate,
+    ChannelError,
+    closed,
+    floor,
+    gap,
+    quiet_tests,
+    score,
+    without_rare_events,
+)
 
 
 def error(test: int = 1, channel: str = "position", square: float = 4.0, **others: float) -> ChannelError:
@@ -55,6 +64,20 @@ def test_channels_add_up_and_tests_are_averaged():
 def test_irreducible_errors_count_as_noise():
     rounded = ChannelError(1, "position", 4.0, 1.0, 10.0, 100, irreducible=np.sqrt(3.0))
     assert rounded.ratio == pytest.approx(1.0)
+
+
+@pytest.mark.parametrize(("blocks", "rare", "left"), [(10, 2, 1.0), (10, 3, 1.0 + 99.0 / 8), (4, 1, 1.0 + 99.0 / 4)])
+def test_a_fifth_of_the_blocks_are_rare_events(blocks, rare, left):
+    errors = np.ones((blocks, 50))
+    errors[:rare] = 10.0
+    samples = (np.arange(blocks)[:, None] * 200 + np.arange(50)).ravel()
+    assert without_rare_events(errors.ravel(), samples) == pytest.approx(left)
+
+
+def test_rare_events_do_not_count_in_the_score_but_in_the_gap():
+    once = ChannelError(1, "position", 100.0, 1.0, 100.0, 100, frequent=np.e**2)
+    assert score([once]) == pytest.approx(1.0)
+    assert gap([once]) == pytest.approx(0.1)
 
 
 def test_the_gap_is_relative_to_the_recorded_deviation():

@@ -12,6 +12,7 @@ from scipy.integrate import solve_ivp
 from tissueid.twin import bus
 from tissueid.twin.catalogue import all_effects, effect
 from tissueid.twin.chain_parameters import Instrument, spring
+from tissueid.twin.simulation import ActiveEffect, Start, simulate
 
 MOST_PARAMETERS = 7
 """Most parameters that a fit of one effect to one test can determine."""
@@ -204,14 +205,18 @@ def test_starts_for_the_stop_are_read_from_the_record():
 
 
 @pytest.mark.parametrize(
-    ("second", "share", "together"), [(2.5, 0.0, 0.0), (1.8, 0.4, 0.0), (2.5, 0.0, 1.0), (1.8, 0.4, 1.0)]
+    ("second", "share", "together", "direction"),
+    [(2.5, 0.0, 0.0, 0.0), (1.8, 0.4, 0.0, 0.0), (2.5, 0.0, 1.0, 0.0), (1.8, 0.4, 1.0, 0.0), (1.8, 0.4, 0.0, 0.8)],
 )
-def test_masses_on_springs_move_as_an_independent_solution_has_them(second, share, together):
-    hertz, ratio, frame = 25.0, 0.04, 0.8
-    device, rest = Instrument(weight_n=0.0), spring(0.012, 1000.0, 0.004, 0.5)
+def test_masses_on_springs_move_as_an_independent_solution_has_them(second, share, together, direction):
+    hertz, ratio, frame, lossy = 25.0, 0.04, 0.8, 0.5 if direction == 0.0 else 6.0
+    device, rest = Instrument(weight_n=0.0), spring(0.012, 1000.0, 0.004, lossy)
     volts = noise(0.1, 0.0, 20.0)
     values = (hertz, ratio, frame, second, share, together)
-    mine = play("mount_resonance", values, volts, 20, rest, False, device).readings
+    acting = [ActiveEffect(effect("mount_resonance"), np.array(values))]
+    acting += [ActiveEffect(effect("directional_damping"), np.array((direction, 0.02)))] if direction else []
+    start = Start(volts[0] / device.resistance_ohm, 0.012)
+    mine = simulate(volts, RATE, device, rest, start, acting, on_tissue=bool(direction), substeps=20).readings
     modes = [(2 * math.pi * hertz, 1.0), (2 * math.pi * hertz * second, share)]
 
     def slope(t, y):
@@ -219,7 +224,7 @@ def test_masses_on_springs_move_as_an_independent_solution_has_them(second, shar
         volt = volts[min(int(t * RATE + 1e-9), volts.size - 1)]
         coil, base, base_v = 3.0 * current, states[0] + states[2], states[1] + states[3]
         seen, seen_v = (x, v) if together else (x + base, v + base_v)
-        contact = 1000.0 * (seen - 0.012) + 0.5 * seen_v
+        contact = 1000.0 * (seen - 0.012) + lossy * (1.0 + direction * math.tanh(seen_v / 0.02)) * seen_v
         reaction = -coil + 3.5 * v + (contact if together else 0.0)
         own = [-2 * ratio * w * states[2 * k + 1] - w * w * states[2 * k] for k, (w, _) in enumerate(modes)]
         bases = [found + part * reaction / frame for found, (_, part) in zip(own, modes, strict=True)]

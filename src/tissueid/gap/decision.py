@@ -197,8 +197,12 @@ def contributes(without: Tried, found: Tried, thresholds: Thresholds = THRESHOLD
     if without.cost - found.cost < thresholds.set_gain:
         return False
     others = [effect(name) for name in without.effects]
+    on_skin = any(other.in_living_tissue for other in others)
     return without.closed < thresholds.stand_in_closed or not any(
-        can_stand_for(one, other) for one in _added(without, found) for other in others
+        can_stand_for(one, other)
+        for one in _added(without, found)
+        for other in others
+        if not (on_skin and one.in_living_tissue)
     )
 
 
@@ -210,9 +214,7 @@ def can_stand_for(one: Effect, other: Effect) -> bool:
     """Return whether an effect can stand for an error in the form of another.
 
     It can where both act in the same stage, where one is easily mistaken for the other, and where it has more than
-    ``FLEXIBLE`` parameters, such as a curve along the stroke. Effects of living tissue are expected together.
+    ``FLEXIBLE`` parameters, such as a curve along the stroke.
     """
-    if one.in_living_tissue and other.in_living_tissue:
-        return False
     flexible = one.order > FLEXIBLE and one.stage != "environment"
     return flexible or one.stage == other.stage or one.name in other.mistaken_for or other.name in one.mistaken_for

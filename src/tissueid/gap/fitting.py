@@ -156,6 +156,18 @@ def residual_blocks(found: Fit) -> list[slice]:
     return blocks
 
 
+def residuals_without(found: Fit, name: str) -> FloatArray:
+    """Return the residuals of a fit without one of its effects, shape as ``Fit.residuals``, after a refit of the other
+    coordinates to first order."""
+    parameters = found.parameters
+    left, _ = _Search(parameters.without(name), weighed_as=parameters).residuals(found.theta)
+    own = {k for k, item in enumerate(parameters.coordinates) if item.name.startswith(f"{name}.")}
+    others = [k for k in range(found.theta.size) if k not in own and found.jacobian[:, k].any()]
+    slopes = found.jacobian[:, others].astype(np.float64)
+    basis, _ = np.linalg.qr(slopes / np.linalg.norm(slopes, axis=0))
+    return left - basis @ (basis.T @ left)
+
+
 class Differences:
     """Changes of the residuals of a fit by further effects, by simulations in steps of ``SLOPE_STEP_S``."""
 

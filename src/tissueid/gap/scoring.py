@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from tissueid.gap.dataset import DatasetTest, Purpose
-from tissueid.gap.fitting import Fit
+from tissueid.gap.fitting import Fit, residual_blocks
 
 FloatArray = NDArray[np.float64]
 
@@ -100,6 +100,14 @@ def score(found: Sequence[ChannelError]) -> float:
     """
     tests = {item.test for item in found}
     return float(sum(0.5 * np.log(item.ratio) for item in found)) / max(len(tests), 1)
+
+
+def fitted_score(fitted: Fit, residuals: FloatArray) -> float:
+    """Return the score of residuals on the fitted samples, shape as ``Fit.residuals``."""
+    blocks = residual_blocks(fitted)
+    tests = len(blocks) / len(fitted.parameters.dataset.channels)
+    squares = (float(np.mean(residuals[block] ** 2)) for block in blocks)
+    return float(sum(0.5 * np.log(max(square, LEAST_RATIO)) for square in squares)) / max(tests, 1.0)
 
 
 def gap(found: Sequence[ChannelError], quiet: Sequence[int] = ()) -> float:

@@ -46,12 +46,11 @@ class Screen:
         self._size = float(self._left @ self._left)
 
     def signatures(self, effect: Effect, starts: Sequence[tuple[float, ...]] = ()) -> list[Signature]:
-        """Return the signature of an effect at each of the starts; at all its starting points without ``starts``."""
-        if not starts:
-            declared = starts_of(self._baseline.parameters.dataset, effect, self._baseline.predictions)
-            starts = (*declared, *self._most_visible_starts(effect))
+        """Return the signature of an effect at each of the starts and at the most visible point of its grid; at all its
+        starting points without ``starts``."""
+        declared = starts or starts_of(self._baseline.parameters.dataset, effect, self._baseline.predictions)
         found = []
-        for start in starts:
+        for start in dict.fromkeys((*declared, *self._most_visible_starts(effect))):
             added, slopes = self._differences.at(effect, start)
             span = self.surviving(np.column_stack([added, slopes]))
             sizes = np.linalg.norm(span, axis=0)

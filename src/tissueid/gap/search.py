@@ -7,13 +7,15 @@ from dataclasses import dataclass, replace
 from functools import partial
 from typing import Literal, TypeVar
 
+import numpy as np
+
 from tissueid.gap.dataset import Dataset, Purpose
 from tissueid.gap.decision import THRESHOLDS, grows
-from tissueid.gap.fitting import ESTIMATES, MOST_STEPS, Fit, fit, re_estimate
+from tissueid.gap.fitting import ESTIMATES, MOST_STEPS, Fit, fit, re_estimate, residuals_without
 from tissueid.gap.machine_family import with_best_family
 from tissueid.gap.machine_library import acts_on_machine, effects_of
 from tissueid.gap.outliers import with_robust_noise
-from tissueid.gap.scoring import Candidate, misfit, score_candidate
+from tissueid.gap.scoring import Candidate, fitted_score, misfit, score_candidate
 from tissueid.gap.screening import Screen, Signature, best_aligned
 from tissueid.gap.workers import Executor
 from tissueid.twin.bus import MOST_EFFECTS
@@ -61,6 +63,9 @@ STEPS_OF_TRACKING = 40
 ROUNDS_OF_RESTARTS = 3
 STARTS_OF_A_MEMBER = 2
 """Starting points of each member from which the final set is fitted again."""
+CLEARLY_NEEDED = 1.5
+"""Rise of the score on the fitted samples by the removal of a member, with the others refitted to first order, above
+which the search does not fit the set without it, nats: such fits raised the score by at least 0.48."""
 WORTH_A_ROUND = 0.9
 """Cost relative to the last round below which another round of restarts follows."""
 FULL_FITS = 4
@@ -333,6 +338,15 @@ class Search:
         ]
         return self._full_fits("leading additions", short_fits, FULL_FITS_OF_SETS, STEPS_IN_A_SET)
 
+    def perhaps_needless(self, found: Candidate, names: Sequence[str]) -> list[str]:
+        """Return those of ``names`` whose removal a linear refit does not show to cost ``CLEARLY_NEEDED`` or more."""
+        before = fitted_score(found.fit, found.fit.residuals)
+        return [
+            name
+            for name in names
+            if fitted_score(found.fit, residuals_without(found.fit, name)) - before < CLEARLY_NEEDED
+        ]
+
     def remove_from(self, found: Candidate, names: Sequence[str]) -> list[Candidate]:
         """Refit a set without each of ``names``, in their order; those that cost least are fitted further."""
         smaller = self._run_tasks("removals", refit, [self._smaller(found, (name,)) for name in names])
@@ -369,12 +383,13 @@ class Search:
         for _ in range(ROUNDS_OF_RESTARTS):
             added = [name for name in best.effects if name not in baseline.effects]
             restarts = [
-                Task(self._dataset, (*without.effects, name), (*held, item.start), without.fit, self._short_steps)
+                Task(self._dataset, (*without.effects, name), (*held, start), without.fit, self._short_steps)
                 for name, without in zip(added, self.remove_from(best, added), strict=True)
                 for held in [[kept.starts[0] for kept in without.fit.parameters.effects]]
-                for item in sorted(screen(without.fit, [(name, ())]), key=lambda item: -item.alignment)[
-                    :STARTS_OF_A_MEMBER
-                ]
+                for start in _best_starts(without.fit, name)
+            ]
+            restarts += [
+                Task(self._dataset, best.effects, (), near, self._short_steps) for near in _other_minima(best.fit)
             ]
             short_fits = sorted(self._run_tasks("replacements", refit, restarts), key=_fitted_cost)
             tasks = [
@@ -449,6 +464,25 @@ class Search:
 
         self._progress(SearchProgress(what, 0, len(things)))
         return self._pool.do(work, things, self._cancelled, done)
+
+
+def _best_starts(near: Fit, name: str) -> list[tuple[float, ...]]:
+    found = sorted(screen(near, [(name, ())]), key=lambda item: -item.alignment)
+    return [item.start for item in found[:STARTS_OF_A_MEMBER]]
+
+
+def _other_minima(found: Fit) -> list[Fit]:
+    # The fit with some values of one of its effects replaced by those of another minimum, from which it can go on.
+    parameters, others = found.parameters, []
+    for held in parameters.effects:
+        for values in held.other_minima:
+            theta = found.theta.copy()
+            for item in held.parameters:
+                if item.name in values:
+                    value = values[item.name]
+                    theta[parameters.index[f"{held.name}.{item.name}"]] = np.log(value) if item.logarithmic else value
+            others.append(replace(found, theta=theta))
+    return others
 
 
 def _from_twin(baseline: Fit) -> Fit:

@@ -91,9 +91,19 @@ def _with_sets(
         if other is None or not grows(top, other):
             break
         leaders = [search.nested_with(baseline, other)]
-    if len(added(top, baseline)) > 1:
-        top = search.polish(baseline, top)
-    keep([top])
+    while len(added(top, baseline)) > 1:
+        (polished,) = keep([search.polish(baseline, top)])
+        gained, top = misfit(top) - misfit(polished), polished
+        if gained < THRESHOLDS.set_gain:
+            break
+        # At another minimum others can show.
+        larger = _grown(search, baseline, [top], keep)
+        if set(larger.effects) == set(top.effects):
+            break
+        top = larger
+    # The decision compares the set with those without each member.
+    names = added(top, baseline)
+    keep(search.remove_from(top, [name for name in names if frozenset(top.effects) - {name} not in fitted]))
     candidates = tuple(sorted(fitted.values(), key=cost))
     return SearchResult(baseline, found.signatures, candidates), top if len(added(top, baseline)) > 1 else best
 
@@ -123,16 +133,16 @@ def _with_all_of_tissue(search: Search, baseline: Candidate, top: Candidate, kee
 def _without_needless(search: Search, baseline: Candidate, top: Candidate, keep: Keep) -> Candidate:
     # Remove all members that contribute nothing, then one at a time the least needed.
     while len(added(top, baseline)) > 1:
-        smaller = keep(search.remove_from(top, added(top, baseline)))
-        names = added(top, baseline)
+        names = search.perhaps_needless(top, added(top, baseline))
+        smaller = keep(search.remove_from(top, names))
         idle = [name for name, without in zip(names, smaller, strict=True) if not grows(without, top)]
         if len(idle) > 1:
             without = keep(search.remove_all_from(top, idle))[0]
             if not grows(without, top):
                 top = without
                 continue
-        least = min(smaller, key=cost)
-        if contributes(tried(baseline, least), tried(baseline, top)):
+        least = min(smaller, key=cost, default=None)
+        if least is None or contributes(tried(baseline, least), tried(baseline, top)):
             break
         top = least
     return top

@@ -124,6 +124,9 @@ class Effect:
     """
     scan: tuple[tuple[float, ...], ...] = ()
     """Starting points on a fine grid for narrow minima, such as a resonance: the best aligned one is used."""
+    other_minima: tuple[Mapping[str, float], ...] = ()
+    """Values of some parameters from which a fitted set is fitted again: narrow minima that show only once the other
+    parameters are near their values, such as the frequency of a second mode."""
     special_case_of: str = ""
     """Name of the effect that includes this one as a special case. Parameters of the same name have the same meaning.
     """

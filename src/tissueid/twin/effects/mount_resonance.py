@@ -16,7 +16,7 @@ ELSEWHERE, ON_FRAME = 0.0, 1.0
 
 
 def hook(where: int, b: FloatArray, p: FloatArray, s: FloatArray, dt: float) -> None:
-    """Move the frame by the reaction; ``s`` holds position (m) and velocity (m/s) of each mode, and the acceleration."""
+    """Move the frame by the reaction; ``s`` holds position (m) and velocity (m/s) of each mode, then acceleration."""
     on_frame = p[5] == ON_FRAME
     if where == bus.SURFACE:
         for k in range(MODES):
@@ -111,6 +111,7 @@ EFFECT = Effect(
     scan=tuple(
         (frequency, 0.05, 20.0, 2.5, 0.05, place) for place in (ELSEWHERE, ON_FRAME) for frequency in _FREQUENCIES_HZ
     ),
+    other_minima=tuple({"second_ratio": ratio, "second_share": 0.1} for ratio in (1.5, 1.9, 2.4, 3.2)),
     mistaken_for=("viscoelasticity", "sensor_lag", "physiological_motion", "reflex"),
     places=(bus.SURFACE, bus.MECHANICS, bus.TISSUE),
     hook=hook,
