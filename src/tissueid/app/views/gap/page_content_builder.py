@@ -102,15 +102,12 @@ def _stage(found: Diagnosis, stage: Stage) -> StageContent:
         for item in where.findings
         if item.stage == stage
     ]
-    lines += [
-        Message(
-            "gap.stage_of_effect",
-            "The effect that explains the gap belongs to this stage: {name}.",
-            name=effect_title(name),
-        )
-        for name in found.combination
-        if name in all_effects() and all_effects()[name].stage == stage
+    named = [
+        effect_title(name) for name in found.combination if name in all_effects() and all_effects()[name].stage == stage
     ]
+    if named:
+        causes = Listing(tuple(named), "; ", "; ")
+        lines.append(Message("gap.stage_of_effect", "Named effects of this stage: {names}.", names=causes))
     return StageContent(
         stage, where.shares[stage], stage in found.at_fault, tuple(lines) or (_no_evidence(found, stage),)
     )
