@@ -67,7 +67,8 @@ PULLED = 18 + 2 * MAX_BRANCHES  # rates (1/m) of mass, damping, stiffness when t
 PROBE_RADIUS, PROBE_CORNER, PROBE_DEPTH, FOUNDATION = range(PULLED + 3, PULLED + 7)  # see firmware_sim.probe
 LAYER_COUNT, LAYERS = PULLED + 7, PULLED + 8  # MAX_LAYERS layers, see firmware_sim.layers
 REST_VELOCITY = LAYERS + LAYER_VALUES * MAX_LAYERS  # speed of the rest surface against the frame, m/s
-TISSUE_SIZE = REST_VELOCITY + 1
+FRAME_ACCELERATION = REST_VELOCITY + 1  # acceleration of the frame, m/s^2; the probe's own inertia is a force on it
+TISSUE_SIZE = FRAME_ACCELERATION + 1
 
 # Columns of the output of advance.
 OUT_COLUMNS = 11
@@ -181,7 +182,8 @@ def _contact_force(state: Array, plant: Array, tissue: Array) -> float:
     resistance, _ = _resistance(state, tissue, depth, velocity)
     probe = _probe_force(state, plant)
     mass = tissue_mass(tissue, depth)
-    return resistance + mass * (probe - resistance) / (plant[MOVING_MASS] + mass)
+    together = (probe - resistance) / (plant[MOVING_MASS] + mass) + tissue[FRAME_ACCELERATION]
+    return resistance + mass * together
 
 
 @_swift
@@ -261,7 +263,7 @@ def _derivative(state: Array, rate: Array, row: int, volts: float, plant: Array,
         rate[row, VELOCITY] = probe / plant[MOVING_MASS]
         rate[row, SURFACE] = state[SURFACE_VELOCITY]
         resistance, elastic = _resistance(state, tissue, depth, state[SURFACE_VELOCITY])
-        rate[row, SURFACE_VELOCITY] = -resistance / tissue_mass(tissue, depth)
+        rate[row, SURFACE_VELOCITY] = -resistance / tissue_mass(tissue, depth) - tissue[FRAME_ACCELERATION]
     for k in range(MAX_BRANCHES):
         rate[row, BRANCH + k] = (elastic - state[BRANCH + k]) / tissue[BRANCH_TIME + k]
 

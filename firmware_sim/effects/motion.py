@@ -89,6 +89,11 @@ def _build(sources: int) -> Advance:
                     law[k] = tissue_figures[k]
                 left = coil.coil(volts, halfway, position, velocity, step, plant, figures, memory)
                 force = mechanics.mechanics(position, velocity, plant[kernel.BEARING_DAMPING], step, figures, memory)
+                if mounted:
+                    pushing = plant[kernel.FORCE_CONSTANT] * halfway - plant[kernel.BEARING_DAMPING] * velocity
+                    clock[5], clock[6], clock[7] = mechanics.frame(
+                        -pushing - force, step, figures[base.MOUNT_RESONANCE], memory[base.MOUNT_RESONANCE], mass
+                    )
                 raised, rising = 0.0, 0.0
                 if moving:
                     now = environment.surface(start + t + 0.5 * step, figures[base.PHYSIOLOGICAL_MOTION])
@@ -97,9 +102,10 @@ def _build(sources: int) -> Advance:
                         clock[4] = now
                     raised, rising = now - clock[3], (now - clock[4]) / step
                     clock[4] = now
-                law[kernel.REST_SURFACE] += -raised - clock[5]
+                # The displacement in the middle of the step; speed and acceleration are means over it.
+                law[kernel.REST_SURFACE] += -raised - clock[5] + 0.5 * step * clock[6]
                 law[kernel.REST_VELOCITY] = -rising - clock[6]
-                on_frame = force
+                law[kernel.FRAME_ACCELERATION] = clock[7]
                 if parallel:
                     depth = position - law[kernel.REST_SURFACE]
                     against = velocity + clock[6] + rising
@@ -146,12 +152,6 @@ def _build(sources: int) -> Advance:
                 entering = state[kernel.VELOCITY]
                 _step(state, step, left, plant, law, work, after)
                 clock[1] = (state[kernel.VELOCITY] - entering) / step
-                if mounted:
-                    on_frame += plant[kernel.FORCE_CONSTANT] * halfway - plant[kernel.BEARING_DAMPING] * velocity
-                    moved = mechanics.frame(
-                        -on_frame, step, figures[base.MOUNT_RESONANCE], memory[base.MOUNT_RESONANCE], mass
-                    )
-                    clock[5], clock[6], clock[7] = moved
                 reading = sensing.sense(
                     state[kernel.POSITION], state[kernel.CURRENT], t + step, step, first, figures, memory, rings
                 )

@@ -20,6 +20,7 @@ from firmware_sim.laboratory.skin import (
     draw_skin_scenario,
     draw_skin_scenarios,
 )
+from firmware_sim.plant import Plant
 from tissueid.gap.scenarios import earlier_session, read_scenario, scenario_names, unseal
 from tissueid.twin.catalogue import all_effects
 
@@ -154,3 +155,17 @@ def test_earlier_sessions_are_written_once_for_each_person(tmp_path: Path):
         assert earlier_session(tmp_path / "out", name) == "earlier-0001"
     (test,) = read_scenario(tmp_path / "out", "earlier-0001").tests
     assert test.samples == 9000
+
+
+def test_a_frame_that_moves_lifts_the_probe_only_where_the_contact_force_ends():
+    hidden = (EFFECTS["mount_resonance"](level=0.17, frequency_hz=64.0, damping_ratio=0.024),)
+    scenario = replace(draw_skin_scenario(1, preset="left-distal-forearm", hidden=()), effects=hidden)
+    attached = replace(scenario, tissue=scenario.tissue.with_extras(scenario.tissue.extras - {"contact"}))
+    time = np.arange(3000) / 2000.0
+    commands = 12.0 + 16.0 * np.sin(2 * np.pi * 64.0 * time) * np.minimum(2.0 * time, 1.0)
+    lifted, held = (
+        Plant(one.parameters, one.tissue, effects=one.effects).advance(commands) for one in (scenario, attached)
+    )
+    assert lifted["touching"].all()
+    np.testing.assert_allclose(lifted["position"], held["position"], atol=1e-9)
+    assert np.ptp(lifted["position"][1000:]) > 2e-4

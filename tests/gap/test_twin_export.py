@@ -10,13 +10,16 @@ from coded import coded, holding
 
 from tissueid.device import DeviceDescription
 from tissueid.errors import UnusableInputError
+from tissueid.gap.diagnosis import diagnose
 from tissueid.gap.fitting import fit
 from tissueid.gap.preparation import prepare
 from tissueid.gap.scoring import floor, score_candidate
 from tissueid.gap.twin_export import against_twin, check_same_instrument, twin_file_of, with_prior_twin
+from tissueid.gap.workers import SerialExecutor
 from tissueid.instrument import open_instrument
 from tissueid.instrument.twin_file import device_of, read_twin, write_twin
 from tissueid.instrument.twin_list import MOST_BYTES
+from tissueid.messages import code_of
 from tissueid.sessions import Session, Test
 from tissueid.twin.catalogue import effect
 from tissueid.twin.chain_parameters import Instrument, Tissue
@@ -122,6 +125,14 @@ def test_what_a_twin_leaves_unmodelled_is_part_of_the_floor_of_later_sessions(ob
     assert floor(again.checked_by) > 5.0 * floor(bare.checked_by)
     improved = twin_file_of(again, "bare")
     assert improved.unmodelled["position"] == pytest.approx(content.unmodelled["position"], rel=0.1)
+
+
+def test_a_gap_in_the_check_alone_is_none_against_a_twin(observed, content, monkeypatch):
+    monkeypatch.setattr("tissueid.gap.diagnosis.shows_in_the_check_alone", lambda _: True)
+    later, known = against_twin(observed, content)
+    found = diagnose(later, SerialExecutor(), known=known, candidates=["latency"])
+    assert found.verdict == "no_gap"
+    assert [code_of(remark) for remark in found.remarks] == ["gap.only_in_check"]
 
 
 def test_a_twin_of_another_instrument_is_refused(observed, content):

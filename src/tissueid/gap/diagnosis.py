@@ -146,7 +146,9 @@ def diagnose(
         verdict = "effect" if names else "unexplained"
         best = next((item for item in found.candidates if names == set(added(item, baseline))), best)
     elif shows_in_the_check_alone(baseline):
-        verdict, remarks = "unexplained", (*remarks, RARE)
+        # Against a twin rare events do not count.
+        verdict = "no_gap" if dataset.unmodelled else "unexplained"
+        remarks = (*remarks, RARE)
     figures = figures_of(dataset, baseline, best)
     named = best if verdict == "effect" else None
     shares = None if named is None else _budget(search, baseline, named)

@@ -65,11 +65,17 @@ class Screen:
         return found
 
     def _most_visible_starts(self, effect: Effect) -> list[tuple[float, ...]]:
-        # The point of the grid at which the effect, at any size, is closest to the residual of the baseline.
+        # The point of the grid at which the effect, at any size, is closest to the residual of the baseline, for each
+        # combination of fixed parameters.
+        kinds: dict[tuple[float, ...], list[tuple[float, ...]]] = {}
+        for start in effect.scan:
+            fixed = (value for item, value in zip(effect.parameters, start, strict=True) if item.fixed)
+            kinds.setdefault(tuple(fixed), []).append(start)
+
         def seen(start: tuple[float, ...]) -> float:
             return cosine(self.surviving_change(effect, start), self._left)
 
-        return [max(effect.scan, key=seen)] if effect.scan else []
+        return [max(grid, key=seen) for grid in kinds.values()]
 
     def surviving_change(self, effect: Effect, start: Sequence[float]) -> FloatArray:
         """Return the change by an effect at a starting point that a refit cannot absorb, shape (residuals,)."""

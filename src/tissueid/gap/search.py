@@ -254,7 +254,7 @@ class Search:
             # The gap is explained: only effects with a similar signature can be rivals.
             worth = [item for item in worth if item.alignment >= RIVAL_ALIGNMENT * worth[0].alignment]
         short_fits += self._short_fits("candidates", baseline, worth[FIRST_STARTING_POINTS:])
-        candidates = self._full_fits("leading candidates", short_fits, FULL_FITS)
+        candidates = self._full_fits("leading candidates", short_fits, FULL_FITS, best_aligned_too=True)
         return SearchResult(baseline, tuple(signatures), self._with_nested(baseline, candidates))
 
     def further(self, found: SearchResult) -> SearchResult:
@@ -429,12 +429,19 @@ class Search:
         return self._run_tasks(what, refit, tasks)
 
     def _full_fits(
-        self, what: Work, short_fits: Sequence[Candidate], count: int, most_steps: int = MOST_STEPS
+        self,
+        what: Work,
+        short_fits: Sequence[Candidate],
+        count: int,
+        most_steps: int = MOST_STEPS,
+        best_aligned_too: bool = False,
     ) -> tuple[Candidate, ...]:
+        # A narrow minimum is reached in many steps, and a short fit towards it can leave more than others.
         ranked = _best_of_each(short_fits)
         if ranked and ranked[0].score <= THRESHOLDS.at_the_floor:
             count = sum(item.score <= RIVAL_SCORE for item in ranked[:count])
         fitting = sorted(ranked, key=lambda item: item.fit.cost)[: min(FULL_FITS_BY_COST, count)]
+        fitting += short_fits[:1] if best_aligned_too else []
         going_on = [
             item
             for place, item in enumerate(ranked)

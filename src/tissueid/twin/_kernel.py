@@ -167,6 +167,7 @@ def integrate(  # type: ignore[no-untyped-def]
             bus[b.POSITION] = half
             bus[b.SURFACE_POSITION] = tissue[SURFACE_M]
             bus[b.SURFACE_VELOCITY] = 0.0
+            bus[b.FRAME_ACCELERATION] = 0.0
             if used[b.SURFACE]:
                 _call(b.SURFACE, effects, called, at_bus, at_parameters, wide, at_states, deep, step)
             depth = half - bus[b.SURFACE_POSITION]

@@ -68,9 +68,11 @@ VOLTAGE_RISE = 22
 """Voltage at the end of the step, which is recorded, minus VOLTAGE, its mean over the step."""
 VOLTAGE_TILT = 23
 """Half the rise of a voltage that changes linearly within the step; it affects the current at the end."""
-# Numbers once given stay: compiled hooks are cached with them. 25 is free.
+# Numbers once given stay: compiled hooks are cached with them.
 SURFACE_VELOCITY = 24
 """Velocity of the surface of tissue that moves as a whole; the laws of the tissue act on the motion relative to it."""
+FRAME_ACCELERATION = 25
+"""Acceleration of the frame against which the position is read; its inertial force on probe and tissue is in FORCE."""
 VELOCITY_JUMP = 26
 """Velocity that an impact adds at the start of the step, for instance when two bodies meet."""
 POSITION_SHIFT = 27

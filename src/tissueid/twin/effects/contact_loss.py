@@ -56,8 +56,8 @@ def hook(where: int, b: FloatArray, p: FloatArray, s: FloatArray, dt: float) -> 
     middle = b[bus.VELOCITY] + 0.5 * dt * b[bus.ACCELERATION]
     # Contact force while probe and tissue move together.
     resisting = b[bus.TISSUE_FORCE] + b[bus.TISSUE_DAMPING] * middle
-    pushing = b[bus.FORCE] - b[bus.DAMPING] * middle
-    pressing = resisting + taken * (pushing - resisting) / (mass + taken)
+    pushing = b[bus.FORCE] - b[bus.DAMPING] * (middle + b[bus.SURFACE_VELOCITY])
+    pressing = resisting + taken * ((pushing - resisting) / (mass + taken) + b[bus.FRAME_ACCELERATION])
     if s[OFF] == 0.0:
         if pressing >= -p[1]:
             return

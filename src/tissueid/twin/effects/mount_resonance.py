@@ -48,7 +48,7 @@ def hook(where: int, b: FloatArray, p: FloatArray, s: FloatArray, dt: float) -> 
         acceleration += (then - before) / dt
         s[2 * k + 1] = then
         s[2 * k] += 0.5 * dt * then
-    s[_ACCELERATION] = acceleration
+    s[_ACCELERATION] = b[bus.FRAME_ACCELERATION] = acceleration
     b[bus.FORCE] -= (b[bus.MASS] + b[bus.TISSUE_MASS]) * acceleration
 
 
