@@ -11,7 +11,7 @@ from scipy.integrate import solve_ivp
 
 from tissueid.twin import bus
 from tissueid.twin.catalogue import all_effects, effect
-from tissueid.twin.chain_parameters import Instrument, spring
+from tissueid.twin.chain_parameters import Instrument, Tissue, spring
 from tissueid.twin.simulation import ActiveEffect, Start, simulate
 
 MOST_PARAMETERS = 7
@@ -239,6 +239,19 @@ def test_masses_on_springs_move_as_an_independent_solution_has_them(second, shar
         position.append(solved[1])
     assert np.sqrt(np.mean((mine.position - position) ** 2)) < 0.001 * np.std(position)
     assert change("mount_resonance", values, tissue=rest, on_tissue=False, command=volts) > 0.03
+
+
+@pytest.mark.parametrize(("mean", "lifts"), [(10.0, False), (0.0, True)])
+def test_a_frame_that_moves_lifts_the_probe_only_where_the_contact_force_ends(mean, lifts):
+    time = np.arange(3000) / RATE
+    volts = mean + 16.0 * np.sin(2 * np.pi * 64.0 * time) * np.minimum(2.0 * time, 1.0)
+    soft = Tissue(SURFACE, 0.03, 4.0, 300.0, 300.0, 400.0)
+    frame = ActiveEffect(effect("mount_resonance"), np.array((64.0, 0.024, 0.35, 2.5, 0.0, 0.0)))
+    loose, stuck = (
+        simulate(volts, RATE, Instrument(), soft, Start(mean / 12.0, SURFACE), [frame, held]).readings.position
+        for held in (ActiveEffect(effect("contact_loss"), np.array((0.1, adhesion_n))) for adhesion_n in (1e-3, 20.0))
+    )
+    assert bool(np.abs(loose - stuck).max() > 1e-5) is lifts
 
 
 def test_cogging_shifts_equilibria_by_its_force():
