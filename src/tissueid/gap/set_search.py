@@ -101,11 +101,11 @@ def _with_sets(
         if set(larger.effects) == set(top.effects):
             break
         top = larger
-    # The decision compares the set with those without each member.
-    names = added(top, baseline)
-    keep(search.remove_from(top, [name for name in names if frozenset(top.effects) - {name} not in fitted]))
-    candidates = tuple(sorted(fitted.values(), key=cost))
-    return SearchResult(baseline, found.signatures, candidates), top if len(added(top, baseline)) > 1 else best
+    if len(names := added(top, baseline)) > 1:
+        # The decision compares the set with those without each member.
+        keep(search.remove_from(top, [name for name in names if frozenset(top.effects) - {name} not in fitted]))
+        best = top
+    return SearchResult(baseline, found.signatures, tuple(sorted(fitted.values(), key=cost))), best
 
 
 def _grown(search: Search, baseline: Candidate, leaders: Sequence[Candidate], keep: Keep) -> Candidate:
