@@ -80,7 +80,8 @@ def errors(fitted: Fit, *purposes: Purpose, tests: Sequence[DatasetTest] | None 
 
 
 def without_rare_events(error: FloatArray, samples: NDArray[np.intp]) -> float:
-    """Return the mean squared error without the blocks of largest error, ``RARE_BLOCKS`` of them.
+    """Return the mean squared error without the blocks of largest error, ``RARE_BLOCKS`` of them and at least one of
+    several.
 
     Args:
         error: errors, SI, shape (n,).
@@ -88,7 +89,8 @@ def without_rare_events(error: FloatArray, samples: NDArray[np.intp]) -> float:
     """
     begins = np.flatnonzero(np.diff(samples, prepend=samples[0] - 2) > 1)
     sums, sizes = np.add.reduceat(error**2, begins), np.diff(begins, append=error.size)
-    kept = np.argsort(sums / sizes)[: begins.size - int(RARE_BLOCKS * begins.size)]
+    left_out = max(int(RARE_BLOCKS * begins.size), min(begins.size - 1, 1))
+    kept = np.argsort(sums / sizes)[: begins.size - left_out]
     return float(sums[kept].sum() / sizes[kept].sum())
 
 
