@@ -436,17 +436,17 @@ class Search:
         most_steps: int = MOST_STEPS,
         best_aligned_too: bool = False,
     ) -> tuple[Candidate, ...]:
-        # A narrow minimum is reached in many steps, and a short fit towards it can leave more than others.
         ranked = _best_of_each(short_fits)
         if ranked and ranked[0].score <= THRESHOLDS.at_the_floor:
             count = sum(item.score <= RIVAL_SCORE for item in ranked[:count])
         fitting = sorted(ranked, key=lambda item: item.fit.cost)[: min(FULL_FITS_BY_COST, count)]
-        fitting += short_fits[:1] if best_aligned_too else []
         going_on = [
-            item
-            for place, item in enumerate(ranked)
-            if (place < count or any(item is other for other in fitting)) and item.fit.steps >= self._short_steps
+            item for place, item in enumerate(ranked) if place < count or any(item is other for other in fitting)
         ]
+        if best_aligned_too and all(item is not other for item in short_fits[:1] for other in going_on):
+            # A narrow minimum is reached in many steps, and a short fit towards it can leave more than others.
+            going_on += short_fits[:1]
+        going_on = [item for item in going_on if item.fit.steps >= self._short_steps]
         tasks = [Task(self._dataset, item.effects, (), item.fit, most_steps) for item in going_on]
         finished = self._run_tasks(what, refit, tasks)
         others = [item for item in ranked if all(item is not other for other in going_on)]
