@@ -143,6 +143,18 @@ def test_effects_of_living_tissue_are_expected_and_need_not_leave_little(other, 
     assert is_needed(alone, both) is named
 
 
+@pytest.mark.parametrize(("left", "found", "named"), [(3.6, 0.11, True), (3.6, 0.3, False), (1.5, 0.11, False)])
+def test_a_member_that_brings_a_large_remainder_to_the_floor_stands_for_no_form(left, found, named):
+    others = ("amplifier_clipping", "directional_damping")
+    assert is_needed(tried(left, 0.93, *others), tried(found, 0.999, *others, "quadratic_drag")) is named
+
+
+def test_members_together_stand_for_a_form_only_if_each_can():
+    alone = tried(1.9, 0.95, "amplifier_clipping")
+    assert is_needed(alone, tried(0.3, 0.99, "amplifier_clipping", "amplifier_drift", "dry_friction"))
+    assert not is_needed(alone, tried(0.3, 0.99, "amplifier_clipping", "amplifier_drift"))
+
+
 def test_grounds_come_back_from_json():
     grounds = Grounds(3.0, (tried(0.05, 0.99, "amplifier_clipping"),))
     again = Grounds.from_dict(json.loads(json.dumps(asdict(grounds))))

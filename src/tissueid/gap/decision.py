@@ -51,6 +51,8 @@ class Thresholds:
     stand_in_closed: float = 0.9
     """Closed share of a set from which a further member is not named that can stand for the error in the form of one of
     its members."""
+    stand_in_score: float = 2.0
+    """Score without a member from which a set at the noise floor needs it whatever it can stand for, nats."""
     structural: float = 0.9
     """Closed share from which what a set leaves is taken as the structural error of its members, all of them right."""
     growth: float = 0.03
@@ -196,13 +198,13 @@ def contributes(without: Tried, found: Tried, thresholds: Thresholds = THRESHOLD
     """Return whether members of a set stay in it during a search, in which others can still be missing."""
     if without.cost - found.cost < thresholds.set_gain:
         return False
+    if found.score <= thresholds.at_the_floor and without.score >= thresholds.stand_in_score:
+        return True
     others = [effect(name) for name in without.effects]
     on_skin = any(other.in_living_tissue for other in others)
-    return without.closed < thresholds.stand_in_closed or not any(
-        can_stand_for(one, other)
+    return without.closed < thresholds.stand_in_closed or not all(
+        any(can_stand_for(one, other) for other in others) and not (on_skin and one.in_living_tissue)
         for one in _added(without, found)
-        for other in others
-        if not (on_skin and one.in_living_tissue)
     )
 
 

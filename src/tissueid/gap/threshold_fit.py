@@ -34,6 +34,7 @@ DECISION: dict[str, tuple[float, ...]] = {
     "set_gain": (0.3, 0.4, 0.5, 0.7, 1.0),
     "set_leaves": (0.1, 0.15, 0.2, 0.25, 0.3, 0.36),
     "set_leaves_score": (0.2, 0.25, 0.3, 0.36, 0.4, 0.45, 0.5),
+    "stand_in_score": (1.0, 1.5, 2.0, 3.0, 20.0),
     "stand_in_closed": (0.8, 0.85, 0.9, 0.93, 0.95, 0.97, 0.98, 0.99, 1.0),
 }
 """Values that are tried. Those of sets begin where the search ends, which has discarded what lies below."""
