@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -239,6 +240,12 @@ def test_masses_on_springs_move_as_an_independent_solution_has_them(second, shar
         position.append(solved[1])
     assert np.sqrt(np.mean((mine.position - position) ** 2)) < 0.001 * np.std(position)
     assert change("mount_resonance", values, tissue=rest, on_tissue=False, command=volts) > 0.03
+
+
+@pytest.mark.parametrize("values", [{"second": 2.0}, {"tissue_on_frame": 1.0}])
+def test_another_minimum_is_a_value_of_fitted_parameters(values):
+    with pytest.raises(ValueError, match="mount_resonance"):
+        replace(effect("mount_resonance"), other_minima=(values,))
 
 
 @pytest.mark.parametrize(("mean", "lifts"), [(10.0, False), (0.0, True)])

@@ -201,9 +201,9 @@ def contributes(without: Tried, found: Tried, thresholds: Thresholds = THRESHOLD
     if found.score <= thresholds.at_the_floor and without.score >= thresholds.stand_in_score:
         return True
     others = [effect(name) for name in without.effects]
-    on_skin = any(other.in_living_tissue for other in others)
+    with_tissue = any(other.in_living_tissue for other in others)
     return without.closed < thresholds.stand_in_closed or not all(
-        any(can_stand_for(one, other) for other in others) and not (on_skin and one.in_living_tissue)
+        any(can_stand_for(one, other) for other in others) and not (with_tissue and one.in_living_tissue)
         for one in _added(without, found)
     )
 

@@ -167,6 +167,9 @@ class Effect:
             raise ValueError(f"effect {self.name}: a hook takes at most {bus.MOST_PARAMETERS} parameters")
         if not self.starts or any(len(start) != len(self.parameters) for start in (*self.starts, *self.scan)):
             raise ValueError(f"effect {self.name}: a start gives every parameter a value")
+        names = {parameter.name for parameter in self.parameters if not parameter.fixed}
+        if any(not set(values) <= names for values in self.other_minima):
+            raise ValueError(f"effect {self.name}: another minimum is a value of a fitted parameter")
         if (self.hook is None) != (not self.places):
             raise ValueError(f"effect {self.name}: a hook needs the places that call it, and they a hook")
         if self.hook is None and self.recording is None:
