@@ -65,6 +65,29 @@ def test_whole_tests_that_are_held_out_are_predicted_as_well():
         )
 
 
+def test_errors_of_the_surfaces_are_fitted_where_tests_do_not_begin_at_them():
+    wrong_m = 1.5e-4
+    tests = [
+        replace(test, surface_position_m=test.surface_position_m - wrong_m)
+        for test in recorded("", 4, 3000, full=True).tests
+    ]
+    found = fit(prepare(replace(recorded("", 4, 3000, full=True), tests=tuple(tests))))
+    # A deeper surface and a stiffer tissue differ little, so that the prior keeps part of the error.
+    assert found.value("surface_shift_m") == pytest.approx(wrong_m, rel=0.4)
+    assert found.value("spring_shift_m") == pytest.approx(wrong_m, rel=0.15)
+    for item in errors(found, Purpose.CHECK):
+        assert item.square / item.noise**2 == pytest.approx(1.0, abs=0.3)
+    assert not {"surface_shift_m", "spring_shift_m"} & set(baseline(full=True).parameters.index)
+
+
+def test_a_fit_to_one_test_starts_a_fit_to_all():
+    seen = observed("", 4, full=True)
+    one = fit(replace(seen, tests=seen.tests[1:2]), near=baseline(full=True))
+    again = fit(seen, near=one)
+    assert one.residuals.size < again.residuals.size
+    assert again.cost == pytest.approx(baseline(full=True).cost, rel=1e-3)
+
+
 def test_predictions_are_those_of_the_vector():
     found = baseline()
     again = predict(found.parameters, found.theta)

@@ -71,6 +71,46 @@ def test_fixtures_and_surface():
     assert result == pytest.approx(recorded().tests[0].surface_position_m, abs=1e-4)
 
 
+def found_again(surface_errors_m: tuple[float, ...], moved_m: tuple[float, ...] = (0.0,) * 6) -> Session:
+    # A full session whose tests find the surface a millimetre above the probe at rest, each with an error.
+    tests = [
+        replace(
+            test,
+            signals=test.signals | {"position": test.signals["position"] + moved},
+            surface_position_m=test.surface_position_m - 1e-3 + error,
+        )
+        for test, error, moved in zip(recorded(full=True).tests, surface_errors_m, moved_m, strict=True)
+    ]
+    return Session(DEVICE, tests=tuple(tests))
+
+
+ERRORS_M = (1e-4, -2e-4, 0.0, 2e-4, -1e-4, 3e-4)
+
+
+def test_tests_that_rest_at_one_position_have_one_surface():
+    recorded_at = recorded(full=True).tests[0].surface_position_m
+    *on_tissue, on_spring = prepare(found_again(ERRORS_M)).tests
+    assert len({test.surface_m for test in on_tissue}) == 1
+    assert on_tissue[0].surface_m == pytest.approx(recorded_at - 1e-3, abs=2e-5)
+    assert on_spring.surface_m == recorded(full=True).tests[-1].surface_position_m - 1e-3 + 3e-4
+
+
+def test_surfaces_move_as_the_positions_at_rest_do():
+    recorded_at = recorded(full=True).tests[0].surface_position_m
+    moved = (0.0, 3e-4, -2e-4, 0.0, 1e-4, 0.0)
+    *on_tissue, _ = prepare(found_again(tuple(np.add(ERRORS_M, 2.0 * np.array(moved))), moved)).tests
+    depth = on_tissue[0].starting_position_m - on_tissue[0].surface_m
+    assert depth == pytest.approx(1e-3, abs=2.5e-4)
+    for test, by in zip(on_tissue, moved, strict=False):
+        assert test.starting_position_m - test.surface_m == pytest.approx(depth, abs=1e-6)
+        assert test.starting_position_m == pytest.approx(recorded_at + by, abs=2e-5)
+
+
+def test_surfaces_that_agree_better_than_the_positions_at_rest_are_kept():
+    session = found_again((0.0,) * 6, (0.0, 3e-4, -2e-4, 0.0, 1e-4, 0.0))
+    assert [test.surface_m for test in prepare(session).tests] == [test.surface_position_m for test in session.tests]
+
+
 def without_anything() -> Session:
     return Session(DEVICE)
 

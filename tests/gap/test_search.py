@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from functools import cache
 
 import pytest
@@ -12,7 +13,7 @@ from tissueid.gap.answer import as_answer
 from tissueid.gap.diagnosis import diagnose
 from tissueid.gap.preparation import prepare
 from tissueid.gap.scoring import Candidate
-from tissueid.gap.search import Search, SearchProgress, SearchResult, applicable
+from tissueid.gap.search import Search, SearchProgress, SearchResult, Task, applicable, refit
 from tissueid.gap.workers import SerialExecutor
 from tissueid.twin.bus import MOST_EFFECTS
 from tissueid.twin.catalogue import all_effects, effect
@@ -151,6 +152,29 @@ def test_coarse_steps_are_named_in_a_pair():
         observed("clock_skew+quantization", seed=8, samples=SAMPLES), SerialExecutor(), candidates=candidates
     )
     assert set(result.combination) == {"clock_skew", "quantization"}
+
+
+@pytest.mark.parametrize("full", [False, True])
+def test_a_fit_from_a_weak_start_ends_at_the_minimum(full):
+    seen = observed("dry_friction", samples=SAMPLES, full=full)
+    search = Search(seen, SerialExecutor(), CANDIDATES)
+    near = search.baseline().fit
+    weak = effect("dry_friction").weak_starts[0]
+    task = Task(search.dataset, ("dry_friction",), (weak,), near, 30)
+    tracked, untracked = refit(replace(task, tracking_rad_s=(100.0,))), refit(task)
+    assert tracked.score == pytest.approx(untracked.score, abs=0.02)
+    assert tracked.fit.cost == pytest.approx(untracked.fit.cost, rel=0.01)
+
+
+def test_each_set_without_a_member_is_fitted_once():
+    steps: list[SearchProgress] = []
+    search = Search(observed("dry_friction", samples=SAMPLES), SerialExecutor(), CANDIDATES, steps.append)
+    near, names = search.baseline().fit, ("dry_friction", "sensor_lag")
+    pair = refit(Task(search.dataset, names, tuple(effect(name).starts[0] for name in names), near, 6))
+    first = search.remove_from(pair, names)
+    steps.clear()
+    assert all(one is other for one, other in zip(search.remove_from(pair, names[::-1]), first[::-1], strict=True))
+    assert not steps
 
 
 def test_a_second_round_keeps_the_results_of_the_first():

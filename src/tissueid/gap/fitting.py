@@ -66,6 +66,11 @@ class Fit:
         slopes = self.jacobian.astype(np.float64)
         return slopes.T @ slopes
 
+    @property
+    def prediction_of_test(self) -> dict[int, dict[str, FloatArray]]:
+        """Prediction of each test by its number."""
+        return {test.number: found for test, found in zip(self.parameters.dataset.tests, self.predictions, strict=True)}
+
     def value(self, name: str) -> float:
         """Return a coordinate by name, in fitted units."""
         return float(self.theta[self.parameters.index[name]])
@@ -86,12 +91,13 @@ def fit(
         dataset: the tests.
         effects: effects in addition to the baseline.
         starts: starting point of each effect; its first declared one where none is given.
-        near: another fit that provides the starting values of common coordinates.
+        near: another fit that provides the starting values of common coordinates, to the same tests or to others.
         most_steps: most accepted steps.
         cancelled: callback that returns True to stop with ``CancelledError``.
     """
-    before, known = ((), None) if near is None else (near.predictions, near.parameters)
-    parameters = parametrise(dataset, effects, starts, before, known)
+    held = {} if near is None else near.prediction_of_test
+    before = [held.get(test.number, {}) for test in dataset.tests]
+    parameters = parametrise(dataset, effects, starts, before, None if near is None else near.parameters)
     theta = parameters.array("start")
     if near is not None:
         for k, item in enumerate(parameters.coordinates):
@@ -240,7 +246,8 @@ class _Search:
         prior = self._parameters.array("prior"), self._parameters.array("prior_std")
         bounds = Bounds(self._low, self._high, self._parameters.array("reach"))
         problem = SecantProblem(self.residuals, self._jacobian, self._steps, bounds, prior)
-        known = None if near is None else partial(self._jacobian, near=near)
+        same = near is not None and near.prediction_of_test.keys() == {test.number for test in self._tests}
+        known = partial(self._jacobian, near=near) if same else None
         search = partial(minimise, problem, tolerance=TOLERANCE, bounds=bounds)
         found = search(problem.start(theta, known), most_steps=most_steps)
         if found.converged and self._coarser and (most_steps == MOST_STEPS or found.steps == 0):

@@ -65,9 +65,9 @@ _TISSUE = (
     ("tissue_stiffness_n_per_m", 400.0, 10.0, 20000.0, True, 1.0),
     ("tissue_stiffness_growth_per_m", 200.0, -400.0, 1000.0, False, 200.0),
 )
-SURFACE_SHIFT = "surface_shift_m"
+SURFACE_SHIFT, SPRING_SHIFT = "surface_shift_m", "spring_shift_m"
 SURFACE_STD_M = 2e-4
-"""Standard deviation of the detected surface where the test does not begin at it, m."""
+"""Standard deviation of the detected surface of tissue or spring where the test does not begin at it, m."""
 _SPRING = (
     ("spring_mass_kg", 0.004, 0.0, 0.02, False, 0.005),
     ("spring_damping_n_s_per_m", 0.3, 0.0, 5.0, False, 0.5),
@@ -147,7 +147,7 @@ class Parametrisation:
             nominal = self.dataset.instrument.calibration_spring_n_per_m
             stiffness = nominal * float(np.exp(self._at(theta, "spring_stiffness_ratio")))
             mass, damping = self._at(theta, "spring_mass_kg"), self._at(theta, "spring_damping_n_s_per_m")
-            return spring(test.surface_m, stiffness, mass, damping)
+            return spring(test.surface_m + self._shift(theta, SPRING_SHIFT), stiffness, mass, damping)
         if self.dataset.equivalent is not None:
             if not self.dataset.equivalent.has_spring:
                 return nothing()
@@ -157,8 +157,10 @@ class Parametrisation:
             float(np.exp(self._at(theta, name))) if logarithmic else self._at(theta, name)
             for name, _, _, _, logarithmic, _ in _TISSUE
         ]
-        shift = self._at(theta, SURFACE_SHIFT) if SURFACE_SHIFT in self.index else 0.0
-        return Tissue(test.surface_m + shift, *values)
+        return Tissue(test.surface_m + self._shift(theta, SURFACE_SHIFT), *values)
+
+    def _shift(self, theta: FloatArray, name: str) -> float:
+        return self._at(theta, name) if name in self.index else 0.0
 
     def acting(self, theta: FloatArray, test: DatasetTest) -> list[ActiveEffect]:
         """Return the effects with their parameters in a test, after the coupling of an equivalent machine."""
@@ -286,10 +288,11 @@ def _of_instrument(dataset: Dataset) -> list[Coordinate]:
     found.append(Coordinate("weight_n", likely, -1.1 * weight, 1.1 * weight, 1e-3, weight, likely, std))
     if any(test.fixture == "tissue" for test in dataset.tests):
         found += [_scaled(*item) for item in _TISSUE]
-    if any(test.fixture == "tissue" and not test.starts_at_surface for test in dataset.tests):
-        found.append(Coordinate(SURFACE_SHIFT, 0.0, -1e-3, 1e-3, 1e-6, SURFACE_STD_M, 0.0, SURFACE_STD_M))
     if any(test.fixture == "spring" for test in dataset.tests):
         found += [_scaled(*item) for item in _SPRING]
+    for fixture, name in (("tissue", SURFACE_SHIFT), ("spring", SPRING_SHIFT)):
+        if any(test.fixture == fixture and not test.starts_at_surface for test in dataset.tests):
+            found.append(Coordinate(name, 0.0, -1e-3, 1e-3, 1e-6, SURFACE_STD_M, 0.0, SURFACE_STD_M))
     return found
 
 

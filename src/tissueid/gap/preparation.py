@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
+from dataclasses import replace
 from typing import TypeVar
 
 import numpy as np
@@ -10,7 +11,7 @@ from numpy.typing import NDArray
 
 from tissueid.device import GRAVITY_M_S2
 from tissueid.errors import UnusableInputError
-from tissueid.gap.dataset import Dataset, DatasetTest, Fixture, Purpose
+from tissueid.gap.dataset import AT_SURFACE_M, Dataset, DatasetTest, Fixture, Purpose
 from tissueid.gap.excitation import (
     LEAST_SAMPLES,
     ExcitedTest,
@@ -83,6 +84,7 @@ def prepare(session: Session, fit: Sequence[int] = (), check: Sequence[int] = ()
         other = None if (fit or check) else _other_amplitude([item.test for item in tests])
         seen = tuple(_dataset_test(item, fit, check, remarks, held_out=item.test is other) for item in tests)
         noise = channel_noise(seen)
+        seen = _on_one_surface(seen)
         return Dataset(
             session.instrument, seen, noise, tuple(remarks), gravity_m_s2=_gravity([item.test for item in tests])
         )
@@ -113,6 +115,24 @@ def prepare(session: Session, fit: Sequence[int] = (), check: Sequence[int] = ()
     deviation = float(np.sqrt(np.mean([np.nanvar(test.signals["position"]) for test in seen])))
     noise = {name: max(level, BARE_NOISE * deviation) for name, level in channel_noise(seen).items()}
     return Dataset(about.device(alike[0].sample_rate_hz), seen, noise, tuple(remarks), equivalent=about)
+
+
+def _on_one_surface(tests: Sequence[DatasetTest]) -> tuple[DatasetTest, ...]:
+    """Return the tests with surfaces that differ as the positions at which the probe rests before each stimulus do.
+
+    Every test finds the surface again, to a few tenths of a millimetre. Where the positions at rest agree better than
+    these surfaces, the probe rests at one depth, the median of all tests; positions within ``AT_SURFACE_M`` are one.
+    """
+    resting = [test for test in tests if test.fixture == "tissue" and not test.starts_at_surface]
+    starts = np.array([test.starting_position_m for test in resting])
+    surfaces = np.array([test.surface_m for test in resting])
+    if len(resting) < 2 or np.ptp(starts) >= np.ptp(surfaces):
+        return tuple(tests)
+    depth = float(np.median(starts - surfaces))
+    if np.ptp(starts) <= AT_SURFACE_M:
+        starts[:] = np.median(starts)
+    found = {test.number: float(start) - depth for test, start in zip(resting, starts, strict=True)}
+    return tuple(replace(test, surface_m=found.get(test.number, test.surface_m)) for test in tests)
 
 
 def _gravity(tests: Sequence[Test]) -> tuple[float, float]:

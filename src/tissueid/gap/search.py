@@ -130,13 +130,47 @@ def refit(task: Task) -> Candidate:
     library = effects_of(task.dataset)
     effects = [library[name] for name in task.names]
     near, starts = task.near, task.starts
-    for bandwidth in task.tracking_rad_s if task.dataset.equivalent is None else ():
-        tracked = replace(task.dataset, tracking_rad_s=bandwidth)
-        # Its slopes are a first guess for the next fit, recomputed after the first step that gains less than predicted.
-        near = fit(tracked, effects, starts, near=near, most_steps=STEPS_OF_TRACKING)
+    if task.tracking_rad_s and task.dataset.equivalent is None:
+        near, starts = _tracked(task, effects)
     found = fit(task.dataset, effects, starts, near=near, most_steps=task.most_steps)
     readings = ESTIMATES if task.most_steps == MOST_STEPS else ESTIMATES_IN_A_SHORT_FIT
     return score_candidate(re_estimate(found, task.most_steps, readings))
+
+
+def _tracked(task: Task, effects: Sequence[Effect]) -> tuple[Fit, tuple[tuple[float, ...], ...]]:
+    # The fit from which that of the free run starts, and the start of each effect.
+    part = _liveliest(task.dataset)
+    near, starts = task.near, task.starts
+    for bandwidth in task.tracking_rad_s:
+        # Its slopes are a first guess for the next fit, recomputed after the first step that gains less than predicted.
+        near = fit(replace(part, tracking_rad_s=bandwidth), effects, starts, near=near, most_steps=STEPS_OF_TRACKING)
+    if part is task.dataset:
+        return near, starts
+    found = fit(part, effects, starts, near=near, most_steps=task.most_steps)
+    values = [found.parameters.effect_values(found.theta, held, part.tests[0].number) for held in effects]
+    return _moved(task.near, found), tuple(tuple(map(float, of_effect)) for of_effect in values)
+
+
+def _liveliest(dataset: Dataset) -> Dataset:
+    """Return the dataset with only its fitted test on tissue of the fastest motion; itself where one test is fitted.
+
+    A fit to one test costs a fraction of a fit to all, has fewer minima, and determines most of tissue and instrument.
+    """
+    fitted = [test for test in dataset.tests if test.serving(Purpose.FIT).any()]
+    if len(fitted) < 2:
+        return dataset
+    speeds = [test.sample_rate_hz * float(np.nanstd(np.diff(test.signals["position"]))) for test in fitted]
+    on_tissue = [k for k, test in enumerate(fitted) if test.fixture == "tissue"] or list(range(len(fitted)))
+    return replace(dataset, tests=(fitted[max(on_tissue, key=speeds.__getitem__)],))
+
+
+def _moved(found: Fit, to: Fit) -> Fit:
+    # A fit with the values that another one has for the same coordinates.
+    theta = found.theta.copy()
+    for name, k in found.parameters.index.items():
+        if name in to.parameters.index:
+            theta[k] = to.value(name)
+    return replace(found, theta=theta)
 
 
 def screen(near: Fit, items: Sequence[tuple[str, Sequence[tuple[float, ...]]]]) -> list[Signature]:
@@ -178,6 +212,15 @@ class SearchResult:
         return [item for item in self.candidates if len(set(item.effects) - set(self.baseline.effects)) == 1]
 
 
+@dataclass
+class _Removals:
+    """Sets without one effect of ``found``, by the effect, and those of them with more steps than a short fit."""
+
+    found: Candidate
+    smaller: dict[str, Candidate]
+    fitted_further: set[str]
+
+
 class Search:
     """A search on one session.
 
@@ -207,6 +250,8 @@ class Search:
         self._known: tuple[str, ...] = ()
         self._baseline: Fit | None = None
         self._with_tissue: set[frozenset[str]] = set()
+        self._from_baseline: set[frozenset[str]] = set()
+        self._removed: dict[int, _Removals] = {}
         self._starts: dict[str, tuple[tuple[float, ...], ...]] = {}
 
     @property
@@ -313,6 +358,8 @@ class Search:
         if not chosen or len(names) < 2 or frozenset(names) in self._with_tissue:
             return ()
         self._with_tissue.add(frozenset(names))
+        if near.effects == self._known:
+            self._from_baseline.add(frozenset(names))
         tasks = self._from_weak_starts(near, names)
         found_sets = self._run_tasks("tissue", refit, tasks[:FIRST_WEAK_STARTS])
         if grows(near, min(found_sets, key=misfit)):
@@ -349,12 +396,17 @@ class Search:
 
     def remove_from(self, found: Candidate, names: Sequence[str]) -> list[Candidate]:
         """Refit a set without each of ``names``, in their order; those that cost least are fitted further."""
-        smaller = self._run_tasks("removals", refit, [self._smaller(found, (name,)) for name in names])
-        further = sorted(range(len(names)), key=lambda k: smaller[k].fit.cost)[:FULL_FITS_OF_SETS]
-        tasks = [Task(self._dataset, smaller[k].effects, (), smaller[k].fit, STEPS_IN_A_SET) for k in further]
-        for k, item in zip(further, self._run_tasks("removals", refit, tasks), strict=True):
-            smaller[k] = item
-        return smaller
+        done = self._removed.setdefault(id(found), _Removals(found, {}, set()))
+        new = [name for name in names if name not in done.smaller]
+        short_fits = self._run_tasks("removals", refit, [self._smaller(found, (name,)) for name in new])
+        done.smaller.update(zip(new, short_fits, strict=True))
+        least = sorted(names, key=lambda name: done.smaller[name].fit.cost)[:FULL_FITS_OF_SETS]
+        further = [name for name in least if name not in done.fitted_further]
+        near = [done.smaller[name] for name in further]
+        tasks = [Task(self._dataset, item.effects, (), item.fit, STEPS_IN_A_SET) for item in near]
+        done.smaller.update(zip(further, self._run_tasks("removals", refit, tasks), strict=True))
+        done.fitted_further.update(further)
+        return [done.smaller[name] for name in names]
 
     def remove_all_from(self, found: Candidate, names: Sequence[str]) -> list[Candidate]:
         """Refit a set without all of ``names``."""
@@ -372,7 +424,8 @@ class Search:
         """
         best = found
         if found.score > THRESHOLDS.at_the_floor:
-            tasks = self._from_weak_starts(baseline, found.effects)
+            done = frozenset(found.effects) in self._from_baseline
+            tasks = [] if done else self._from_weak_starts(baseline, found.effects)
             best = self._restarted(
                 baseline, min((found, *self._run_tasks("replacements", refit, tasks)), key=_fitted_cost)
             )
