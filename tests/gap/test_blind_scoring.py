@@ -192,6 +192,17 @@ def test_calibration_error_and_brier_score():
     assert figure(certain, "expected calibration error").value == 0.0
 
 
+def test_few_exact_probabilities_show_a_calibration_error():
+    def exact(*probabilities: float) -> float:
+        score = score_of([case(probability=value) for value in probabilities], SINGLE)
+        return figure(score, "calibration error of exact probabilities").value
+
+    assert exact(1.0, 0.0) == 0.0
+    # One answer at a half is off by a half, whether right or not; of many, about half are right.
+    assert exact(0.5) == pytest.approx(0.5)
+    assert exact(*[0.5] * 100) == pytest.approx(0.5 * np.sqrt(2.0 / np.pi / 100), rel=0.1)
+
+
 def test_risk_grows_as_more_is_answered():
     cases = [case(probability=0.9), case(probability=0.8), case(ranking="sensor_lag", probability=0.2)]
     result = np.array(score_of(cases, SINGLE).risk_coverage)

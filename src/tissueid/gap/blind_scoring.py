@@ -18,6 +18,8 @@ SURVIVES = 1.2
 """Least ratio of the gap to the floor on held-out data of a gap that survives the refit."""
 SURE = 0.9
 CALIBRATION_BINS = 10
+CALIBRATION_DRAWS = 1000
+"""Draws of answers that are right with exactly the stated probability."""
 PERMUTATIONS = 20
 """Number of permutations of the labels in the control for chance."""
 
@@ -364,6 +366,7 @@ def _figures(single: Sequence[Answered], targets: Targets) -> list[Measured]:
             at_least=False,
         ),
         Measured(marked("expected calibration error"), calibration_error(sure, right), sure.size),
+        Measured(marked("calibration error of exact probabilities, mean"), exact_calibration_error(sure), sure.size),
         Measured(marked("Brier score"), float(np.mean((sure - right) ** 2)) if sure.size else float("nan"), sure.size),
     ]
 
@@ -379,6 +382,17 @@ def calibration_error(sure: np.ndarray, right: np.ndarray) -> float:
         if inside.any():
             total += inside.sum() * abs(sure[inside].mean() - right[inside].mean())
     return float(total / sure.size)
+
+
+def exact_calibration_error(sure: np.ndarray) -> float:
+    """Return the mean expected calibration error that probabilities, shape (n,), would show if each were exact.
+
+    It is above 0 because each bin holds few answers (Broecker and Smith, Weather Forecast. 22 (2007) 651), and the
+    measured error is to be compared with it.
+    """
+    random = np.random.default_rng(0)
+    drawn = random.random((CALIBRATION_DRAWS, sure.size)) < sure
+    return float(np.mean([calibration_error(sure, right.astype(np.float64)) for right in drawn]))
 
 
 def _pair_scores(pairs: Sequence[Answered], targets: Targets) -> tuple[Measured, Measured]:
