@@ -111,6 +111,47 @@ def test_surfaces_that_agree_better_than_the_positions_at_rest_are_kept():
     assert [test.surface_m for test in prepare(session).tests] == [test.surface_position_m for test in session.tests]
 
 
+def off_the_skin(*flights_s: tuple[float, float]) -> Session:
+    # The session with the probe 3 mm off the skin in these times.
+    signals = recorded().tests[0].signals
+    position, times = signals["position"].copy(), np.arange(signals["position"].size) / RATE_HZ
+    surface = recorded().tests[0].surface_position_m
+    for left, back in flights_s:
+        position[(times >= left) & (times < back)] = surface - 3e-3
+        position[times >= back] = np.maximum(position[times >= back], surface)
+    return changed(recorded(), position=position)
+
+
+def unused(session: Session) -> np.ndarray:
+    return np.flatnonzero(prepare(session).tests[0].purpose == Purpose.NOTHING)[SETTLING:] / RATE_HZ
+
+
+def test_flights_and_the_time_after_them_are_not_used():
+    seen = prepare(off_the_skin((0.5, 0.55), (1.0, 1.02)))
+    result = unused(off_the_skin((0.5, 0.55), (1.0, 1.02)))
+    expected = np.r_[np.arange(1000, 1100 + 200), np.arange(2000, 2040 + 200)] / RATE_HZ
+    assert result == pytest.approx(expected)
+    assert says(seen.remarks[0], "gap.off_skin", number=1, seconds=pytest.approx(expected.size / RATE_HZ))
+    for purpose in (Purpose.FIT, Purpose.CHOICE, Purpose.CHECK):
+        assert seen.tests[0].serving(purpose).any()
+
+
+def test_a_probe_that_does_not_return_ends_the_part_that_is_used():
+    result = unused(off_the_skin((0.5, 0.55), (1.0, 3.0)))
+    assert result[-1] == (recorded().tests[0].samples - 1) / RATE_HZ
+    assert result.size == 300 + recorded().tests[0].samples - 2000
+
+
+def test_a_probe_off_the_skin_from_the_beginning_is_used():
+    assert not unused(off_the_skin((0.0, 0.4))).size
+
+
+def test_lost_readings_are_no_flight():
+    position = recorded().tests[0].signals["position"].copy()
+    position[1000:1050] = np.nan
+    assert not unused(changed(recorded(), position=position)).size
+
+
 def without_anything() -> Session:
     return Session(DEVICE)
 

@@ -32,6 +32,8 @@ SETTLING_S = 0.010
 """Time at the start of a test that is left out of every score, s: the coil's state before it is not recorded."""
 OFF_TISSUE_M = 2e-3
 """Distance above the surface from which the probe counts as off the tissue, m."""
+RETURN_S = 0.1
+"""Time after the probe met the skin again in which the error of its flight decays, s."""
 SHORTEST_S = 0.5
 """Least duration of a test in addition to twice its preload, s: every purpose needs a part of the stimulus."""
 MOST_FITTED = 32_768
@@ -220,15 +222,15 @@ def _dataset_test(
     elif not np.isfinite(surface):
         surface = float(np.nanmedian(signals["position"][: max(3, round(0.002 * rate))]))
     if fixture == "tissue" and item.by != "input":
-        left = _left_the_skin(signals["position"], surface)
-        purpose[left:] = Purpose.NOTHING
-        if left < size:
+        off = _off_the_skin(signals["position"], surface, rate)
+        purpose[off] = Purpose.NOTHING
+        if off.any():
             remarks.append(
                 Message(
-                    "gap.left_skin",
-                    "test {number} is used until the probe left the skin, {seconds:.2g} s",
+                    "gap.off_skin",
+                    "of test {number} {seconds:.2g} s are not used: the probe is off the skin or just back on it",
                     number=test.number,
-                    seconds=left / rate,
+                    seconds=off.sum() / rate,
                 )
             )
     return DatasetTest(
@@ -261,8 +263,18 @@ def _alternating_purposes(
     return purpose
 
 
-def _left_the_skin(position: NDArray[np.float64], surface_m: float) -> int:
-    # The first sample at which the probe is far off the skin, where its position drifts freely and errors grow without
-    # bound. The number of samples where the probe never is, or is from the beginning.
-    away = np.nan_to_num(position, nan=surface_m) < surface_m - OFF_TISSUE_M
-    return int(np.argmax(away)) if away.any() and not away[0] else position.size
+def _off_the_skin(position: NDArray[np.float64], surface_m: float, rate_hz: float) -> NDArray[np.bool_]:
+    # The samples from where the probe is far off the skin, drifting freely, until ``RETURN_S`` after it met the skin
+    # again, shape (n,). None where it is off from the beginning.
+    depth = np.nan_to_num(position, nan=surface_m) - surface_m
+    away = depth < -OFF_TISSUE_M
+    off = np.zeros(depth.size, np.bool_)
+    if not away.size or away[0]:
+        return off
+    end = 0
+    for left in np.flatnonzero(away[1:] & ~away[:-1]) + 1:
+        if left >= end:
+            on_skin = np.flatnonzero(depth[left:] >= 0.0)
+            end = depth.size if not on_skin.size else left + int(on_skin[0])
+        off[left : end + round(RETURN_S * rate_hz)] = True
+    return off
