@@ -272,9 +272,9 @@ def _off_the_skin(position: NDArray[np.float64], surface_m: float, rate_hz: floa
     if not away.size or away[0]:
         return off
     end = 0
-    for left in np.flatnonzero(away[1:] & ~away[:-1]) + 1:
+    for left in map(int, np.flatnonzero(away[1:] & ~away[:-1]) + 1):
         if left >= end:
             on_skin = np.flatnonzero(depth[left:] >= 0.0)
-            end = depth.size if not on_skin.size else left + int(on_skin[0])
+            end = left + int(on_skin[0]) if on_skin.size else depth.size
         off[left : end + round(RETURN_S * rate_hz)] = True
     return off
