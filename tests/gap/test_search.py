@@ -177,6 +177,30 @@ def test_each_set_without_a_member_is_fitted_once():
     assert not steps
 
 
+class Recorder(SerialExecutor):
+    """Executor that keeps the fits that it was asked for."""
+
+    def __init__(self) -> None:
+        self.tasks: list[Task] = []
+
+    def do(self, work, things, cancelled, done):
+        self.tasks += [item for item in things if isinstance(item, Task)]
+        return super().do(work, things, cancelled, done)
+
+
+def test_one_weak_start_is_on_the_surface_that_was_found():
+    session = recorded("directional_damping", samples=SAMPLES)
+    first = session.tests[0]
+    deeper = replace(first, surface_position_m=first.surface_position_m - 2e-4)
+    recorder = Recorder()
+    search = Search(prepare(replace(session, tests=(deeper,))), recorder, ("directional_damping", "added_mass"))
+    baseline = search.baseline()
+    assert abs(baseline.fit.value("surface_shift_m")) > 1e-5
+    search.tissue_set(baseline)
+    shifts = [task.near.value("surface_shift_m") for task in recorder.tasks]
+    assert shifts == [*[baseline.fit.value("surface_shift_m")] * 2, 0.0]
+
+
 def test_a_second_round_keeps_the_results_of_the_first():
     search = Search(observed("dry_friction", samples=SAMPLES), SerialExecutor(), ("sensor_lag", "tissue_stiffening"))
     first = search.singles(search.baseline())

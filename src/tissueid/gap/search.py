@@ -15,6 +15,7 @@ from tissueid.gap.fitting import ESTIMATES, MOST_STEPS, Fit, fit, re_estimate, r
 from tissueid.gap.machine_family import with_best_family
 from tissueid.gap.machine_library import acts_on_machine, effects_of
 from tissueid.gap.outliers import with_robust_noise
+from tissueid.gap.parameters import SURFACE_SHIFT
 from tissueid.gap.scoring import Candidate, fitted_score, misfit, score_candidate
 from tissueid.gap.screening import Screen, Signature, best_aligned
 from tissueid.gap.workers import Executor
@@ -52,7 +53,8 @@ WEAK_STARTS: tuple[tuple[int, tuple[float, ...], bool], ...] = (
     (1, SLOWLY, False),
 )
 """Starts of a set: which weak start of each effect, bandwidths of the observers with which its fits begin, one after
-the other (rad/s), and whether effects that were fitted before keep their values.
+the other (rad/s), and whether effects that were fitted before keep their values; otherwise the surface is the one that
+was found.
 
 The error of a free run has many minima where several effects are far from their values; tracked, it has few. Which way
 leads to the least one differs from session to session.
@@ -369,7 +371,7 @@ class Search:
     def _from_weak_starts(self, near: Candidate, names: Sequence[str]) -> list[Task]:
         library, tasks = effects_of(self._dataset), []
         for k, bandwidths, keeps in WEAK_STARTS:
-            begin = near.fit if keeps or self._baseline is None else self._baseline
+            begin = near.fit if keeps or self._baseline is None else _on_found_surface(self._baseline)
             held = {item.name: item.starts[0] for item in begin.parameters.effects}
             starts = tuple(held.get(name) or library[name].weak_starts[k] for name in names)
             tasks.append(Task(self._dataset, tuple(names), starts, begin, STEPS_IN_A_SET, bandwidths))
@@ -556,6 +558,16 @@ def _from_twin(baseline: Fit) -> Fit:
     for k, item in enumerate(parameters.coordinates):
         if item.name in parameters.dataset.priors and item.name != "weight_n":
             theta[k] = item.start
+    return replace(baseline, theta=theta)
+
+
+def _on_found_surface(baseline: Fit) -> Fit:
+    # Without the shift of the surface that stands for missing effects: it moves little in further fits, and contact
+    # ends at the wrong place.
+    theta = baseline.theta.copy()
+    for k, item in enumerate(baseline.parameters.coordinates):
+        if item.name == SURFACE_SHIFT:
+            theta[k] = item.prior
     return replace(baseline, theta=theta)
 
 
