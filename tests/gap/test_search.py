@@ -11,9 +11,10 @@ from gap_records import changed, observed, recorded
 from tissueid.errors import CancelledError
 from tissueid.gap.answer import as_answer
 from tissueid.gap.diagnosis import diagnose
+from tissueid.gap.fit_tasks import Task, refit
 from tissueid.gap.preparation import prepare
 from tissueid.gap.scoring import Candidate
-from tissueid.gap.search import Search, SearchProgress, SearchResult, Task, applicable, refit
+from tissueid.gap.search import Search, SearchProgress, SearchResult, applicable
 from tissueid.gap.workers import SerialExecutor
 from tissueid.twin.bus import MOST_EFFECTS
 from tissueid.twin.catalogue import all_effects, effect

@@ -7,17 +7,15 @@ from dataclasses import dataclass, replace
 from functools import partial
 from typing import Literal, TypeVar
 
-import numpy as np
-
 from tissueid.gap.dataset import Dataset, Purpose
 from tissueid.gap.decision import THRESHOLDS, grows
-from tissueid.gap.fitting import ESTIMATES, MOST_STEPS, Fit, fit, re_estimate, residuals_without
+from tissueid.gap.fit_tasks import Task, best_starts, from_twin, on_found_surface, other_minima, refit, screen
+from tissueid.gap.fitting import MOST_STEPS, Fit, fit, residuals_without
 from tissueid.gap.machine_family import with_best_family
 from tissueid.gap.machine_library import acts_on_machine, effects_of
 from tissueid.gap.outliers import with_robust_noise
-from tissueid.gap.parameters import SURFACE_SHIFT
 from tissueid.gap.scoring import Candidate, fitted_score, misfit, score_candidate
-from tissueid.gap.screening import Screen, Signature, best_aligned
+from tissueid.gap.screening import Signature, best_aligned
 from tissueid.gap.workers import Executor
 from tissueid.twin.bus import MOST_EFFECTS
 from tissueid.twin.catalogue import effect
@@ -41,8 +39,6 @@ SHORT_STEPS = 6
 """Optimiser steps of a short fit, which every candidate gets; the best candidates get a full fit."""
 SHORT_STEPS_OF_MANY = 10
 """Optimiser steps of a short fit to several tests, whose minima are narrower."""
-ESTIMATES_IN_A_SHORT_FIT = 1
-"""Re-estimates of an effect from the record in a short fit; a full fit repeats them."""
 STEPS_IN_A_SET = 30
 """Optimiser steps of a set with a member more, less, or another, or from another start: only the final set is fitted to
 the end."""
@@ -61,10 +57,7 @@ leads to the least one differs from session to session.
 """
 FIRST_WEAK_STARTS = 2
 """Weak starts that are fitted first; the others follow where these fits lower the misfit."""
-STEPS_OF_TRACKING = 40
 ROUNDS_OF_RESTARTS = 3
-STARTS_OF_A_MEMBER = 2
-"""Starting points of each member from which the final set is fitted again."""
 CLEARLY_NEEDED = 1.5
 """Rise of the score on the fitted samples by the removal of a member, with the others refitted to first order, above
 which the search does not fit the set without it, nats: such fits raised the score by at least 0.48."""
@@ -109,77 +102,6 @@ class SearchProgress:
     what: Work
     done: int
     total: int
-
-
-@dataclass(frozen=True)
-class Task:
-    """A fit to run: effects with their starting points, near another fit."""
-
-    dataset: Dataset
-    names: tuple[str, ...]
-    starts: tuple[tuple[float, ...], ...]
-    near: Fit
-    most_steps: int
-    tracking_rad_s: tuple[float, ...] = ()
-    """Bandwidths of an observer of the motion in first fits, from which the fit of the free run starts."""
-
-    def __str__(self) -> str:
-        return " + ".join(self.names)
-
-
-def refit(task: Task) -> Candidate:
-    """Run one fit; called in a worker process."""
-    library = effects_of(task.dataset)
-    effects = [library[name] for name in task.names]
-    near, starts = task.near, task.starts
-    if task.tracking_rad_s and task.dataset.equivalent is None:
-        near, starts = _tracked(task, effects)
-    found = fit(task.dataset, effects, starts, near=near, most_steps=task.most_steps)
-    readings = ESTIMATES if task.most_steps == MOST_STEPS else ESTIMATES_IN_A_SHORT_FIT
-    return score_candidate(re_estimate(found, task.most_steps, readings))
-
-
-def _tracked(task: Task, effects: Sequence[Effect]) -> tuple[Fit, tuple[tuple[float, ...], ...]]:
-    # The fit from which that of the free run starts, and the start of each effect.
-    part = _liveliest(task.dataset)
-    near, starts = task.near, task.starts
-    for bandwidth in task.tracking_rad_s:
-        # Its slopes are a first guess for the next fit, recomputed after the first step that gains less than predicted.
-        near = fit(replace(part, tracking_rad_s=bandwidth), effects, starts, near=near, most_steps=STEPS_OF_TRACKING)
-    if part is task.dataset:
-        return near, starts
-    found = fit(part, effects, starts, near=near, most_steps=task.most_steps)
-    values = [found.parameters.effect_values(found.theta, held, part.tests[0].number) for held in effects]
-    return _moved(task.near, found), tuple(tuple(map(float, of_effect)) for of_effect in values)
-
-
-def _liveliest(dataset: Dataset) -> Dataset:
-    """Return the dataset with only its fitted test on tissue of the fastest motion; itself where one test is fitted.
-
-    A fit to one test costs a fraction of a fit to all, has fewer minima, and determines most of tissue and instrument.
-    """
-    fitted = [test for test in dataset.tests if test.serving(Purpose.FIT).any()]
-    if len(fitted) < 2:
-        return dataset
-    speeds = [test.sample_rate_hz * float(np.nanstd(np.diff(test.signals["position"]))) for test in fitted]
-    on_tissue = [k for k, test in enumerate(fitted) if test.fixture == "tissue"] or list(range(len(fitted)))
-    return replace(dataset, tests=(fitted[max(on_tissue, key=speeds.__getitem__)],))
-
-
-def _moved(found: Fit, to: Fit) -> Fit:
-    # A fit with the values that another one has for the same coordinates.
-    theta = found.theta.copy()
-    for name, k in found.parameters.index.items():
-        if name in to.parameters.index:
-            theta[k] = to.value(name)
-    return replace(found, theta=theta)
-
-
-def screen(near: Fit, items: Sequence[tuple[str, Sequence[tuple[float, ...]]]]) -> list[Signature]:
-    """Return the signatures of effects on the residual of a fit, at the given starting points of each, or at all where
-    none are given; called in a worker process."""
-    screening, library = Screen(near), effects_of(near.parameters.dataset)
-    return [found for name, starts in items for found in screening.signatures(library[name], starts)]
 
 
 def _by_alignment(signatures: Sequence[Signature]) -> list[Signature]:
@@ -371,7 +293,7 @@ class Search:
     def _from_weak_starts(self, near: Candidate, names: Sequence[str]) -> list[Task]:
         library, tasks = effects_of(self._dataset), []
         for k, bandwidths, keeps in WEAK_STARTS:
-            begin = near.fit if keeps or self._baseline is None else _on_found_surface(self._baseline)
+            begin = near.fit if keeps or self._baseline is None else on_found_surface(self._baseline)
             held = {item.name: item.starts[0] for item in begin.parameters.effects}
             starts = tuple(held.get(name) or library[name].weak_starts[k] for name in names)
             tasks.append(Task(self._dataset, tuple(names), starts, begin, STEPS_IN_A_SET, bandwidths))
@@ -441,10 +363,10 @@ class Search:
                 Task(self._dataset, (*without.effects, name), (*held, start), without.fit, self._short_steps)
                 for name, without in zip(added, self.remove_from(best, added), strict=True)
                 for held in [[kept.starts[0] for kept in without.fit.parameters.effects]]
-                for start in _best_starts(without.fit, name)
+                for start in best_starts(without.fit, name)
             ]
             restarts += [
-                Task(self._dataset, best.effects, (), near, self._short_steps) for near in _other_minima(best.fit)
+                Task(self._dataset, best.effects, (), near, self._short_steps) for near in other_minima(best.fit)
             ]
             short_fits = sorted(self._run_tasks("replacements", refit, restarts), key=_fitted_cost)
             tasks = [
@@ -476,7 +398,7 @@ class Search:
     def _short_fits(self, what: Work, near: Candidate, signatures: Sequence[Signature]) -> list[Candidate]:
         worth = [item for item in signatures if item.alignment >= LEAST_ALIGNMENT]
         before = [held.starts[0] for held in near.fit.parameters.effects]
-        begin = _from_twin(near.fit) if near.effects == self._known else near.fit
+        begin = from_twin(near.fit) if near.effects == self._known else near.fit
         tasks = [
             Task(self._dataset, (*near.effects, item.effect), (*before, item.start), begin, self._short_steps)
             for item in worth
@@ -526,49 +448,6 @@ class Search:
 
         self._progress(SearchProgress(what, 0, len(things)))
         return self._pool.do(work, things, self._cancelled, done)
-
-
-def _best_starts(near: Fit, name: str) -> list[tuple[float, ...]]:
-    found = sorted(screen(near, [(name, ())]), key=lambda item: -item.alignment)
-    return [item.start for item in found[:STARTS_OF_A_MEMBER]]
-
-
-def _other_minima(found: Fit) -> list[Fit]:
-    # The fit with some values of one of its effects replaced by those of another minimum, from which it can go on.
-    parameters, others = found.parameters, []
-    for held in parameters.effects:
-        for values in held.other_minima:
-            theta = found.theta.copy()
-            for item in held.parameters:
-                if item.name in values:
-                    value = values[item.name]
-                    theta[parameters.index[f"{held.name}.{item.name}"]] = np.log(value) if item.logarithmic else value
-            others.append(replace(found, theta=theta))
-    return others
-
-
-def _from_twin(baseline: Fit) -> Fit:
-    """Return a refitted baseline with the values of its twin, where there is one, from which candidates are fitted.
-
-    The baseline absorbs what it can of a new effect: it moves the parameters of the accepted effects, and from there a
-    fit with the new effect ends in another minimum. The weight is that of the new session.
-    """
-    parameters = baseline.parameters
-    theta = baseline.theta.copy()
-    for k, item in enumerate(parameters.coordinates):
-        if item.name in parameters.dataset.priors and item.name != "weight_n":
-            theta[k] = item.start
-    return replace(baseline, theta=theta)
-
-
-def _on_found_surface(baseline: Fit) -> Fit:
-    # Without the shift of the surface that stands for missing effects: it moves little in further fits, and contact
-    # ends at the wrong place.
-    theta = baseline.theta.copy()
-    for k, item in enumerate(baseline.parameters.coordinates):
-        if item.name == SURFACE_SHIFT:
-            theta[k] = item.prior
-    return replace(baseline, theta=theta)
 
 
 def _fitted_cost(found: Candidate) -> float:

@@ -1,0 +1,139 @@
+"""Fits that a search runs in worker processes, and the fits that they start from."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from tissueid.gap.dataset import Dataset, Purpose
+from tissueid.gap.fitting import ESTIMATES, MOST_STEPS, Fit, fit, re_estimate
+from tissueid.gap.machine_library import effects_of
+from tissueid.gap.parameters import SURFACE_SHIFT
+from tissueid.gap.scoring import Candidate, score_candidate
+from tissueid.gap.screening import Screen, Signature
+from tissueid.twin.effect import Effect
+
+ESTIMATES_IN_A_SHORT_FIT = 1
+"""Re-estimates of an effect from the record in a short fit; a full fit repeats them."""
+STEPS_OF_TRACKING = 40
+STARTS_OF_A_MEMBER = 2
+"""Starting points of each member from which the final set is fitted again."""
+
+
+@dataclass(frozen=True)
+class Task:
+    """A fit to run: effects with their starting points, near another fit."""
+
+    dataset: Dataset
+    names: tuple[str, ...]
+    starts: tuple[tuple[float, ...], ...]
+    near: Fit
+    most_steps: int
+    tracking_rad_s: tuple[float, ...] = ()
+    """Bandwidths of an observer of the motion in first fits, from which the fit of the free run starts."""
+
+    def __str__(self) -> str:
+        return " + ".join(self.names)
+
+
+def refit(task: Task) -> Candidate:
+    """Run one fit; called in a worker process."""
+    library = effects_of(task.dataset)
+    effects = [library[name] for name in task.names]
+    near, starts = task.near, task.starts
+    if task.tracking_rad_s and task.dataset.equivalent is None:
+        near, starts = _tracked(task, effects)
+    found = fit(task.dataset, effects, starts, near=near, most_steps=task.most_steps)
+    readings = ESTIMATES if task.most_steps == MOST_STEPS else ESTIMATES_IN_A_SHORT_FIT
+    return score_candidate(re_estimate(found, task.most_steps, readings))
+
+
+def _tracked(task: Task, effects: Sequence[Effect]) -> tuple[Fit, tuple[tuple[float, ...], ...]]:
+    # The fit from which that of the free run starts, and the start of each effect.
+    part = _liveliest(task.dataset)
+    near, starts = task.near, task.starts
+    for bandwidth in task.tracking_rad_s:
+        # Its slopes are a first guess for the next fit, recomputed after the first step that gains less than predicted.
+        near = fit(replace(part, tracking_rad_s=bandwidth), effects, starts, near=near, most_steps=STEPS_OF_TRACKING)
+    if part is task.dataset:
+        return near, starts
+    found = fit(part, effects, starts, near=near, most_steps=task.most_steps)
+    values = [found.parameters.effect_values(found.theta, held, part.tests[0].number) for held in effects]
+    return _moved(task.near, found), tuple(tuple(map(float, of_effect)) for of_effect in values)
+
+
+def _liveliest(dataset: Dataset) -> Dataset:
+    """Return the dataset with only its fitted test on tissue of the fastest motion; itself where one test is fitted.
+
+    A fit to one test costs a fraction of a fit to all, has fewer minima, and determines most of tissue and instrument.
+    """
+    fitted = [test for test in dataset.tests if test.serving(Purpose.FIT).any()]
+    if len(fitted) < 2:
+        return dataset
+    speeds = [test.sample_rate_hz * float(np.nanstd(np.diff(test.signals["position"]))) for test in fitted]
+    on_tissue = [k for k, test in enumerate(fitted) if test.fixture == "tissue"] or list(range(len(fitted)))
+    return replace(dataset, tests=(fitted[max(on_tissue, key=speeds.__getitem__)],))
+
+
+def _moved(found: Fit, to: Fit) -> Fit:
+    # A fit with the values that another one has for the same coordinates.
+    theta = found.theta.copy()
+    for name, k in found.parameters.index.items():
+        if name in to.parameters.index:
+            theta[k] = to.value(name)
+    return replace(found, theta=theta)
+
+
+def screen(near: Fit, items: Sequence[tuple[str, Sequence[tuple[float, ...]]]]) -> list[Signature]:
+    """Return the signatures of effects on the residual of a fit, at the given starting points of each, or at all where
+    none are given; called in a worker process."""
+    screening, library = Screen(near), effects_of(near.parameters.dataset)
+    return [found for name, starts in items for found in screening.signatures(library[name], starts)]
+
+
+def best_starts(near: Fit, name: str) -> list[tuple[float, ...]]:
+    """Return the starting points of an effect that are best aligned with the residual of a fit, best first."""
+    found = sorted(screen(near, [(name, ())]), key=lambda item: -item.alignment)
+    return [item.start for item in found[:STARTS_OF_A_MEMBER]]
+
+
+def other_minima(found: Fit) -> list[Fit]:
+    """Return the fit with some values of one of its effects replaced by those of another minimum, for each of them."""
+    parameters, others = found.parameters, []
+    for held in parameters.effects:
+        for values in held.other_minima:
+            theta = found.theta.copy()
+            for item in held.parameters:
+                if item.name in values:
+                    value = values[item.name]
+                    theta[parameters.index[f"{held.name}.{item.name}"]] = np.log(value) if item.logarithmic else value
+            others.append(replace(found, theta=theta))
+    return others
+
+
+def from_twin(baseline: Fit) -> Fit:
+    """Return a refitted baseline with the values of its twin, where there is one, from which candidates are fitted.
+
+    The baseline absorbs what it can of a new effect: it moves the parameters of the accepted effects, and from there a
+    fit with the new effect ends in another minimum. The weight is that of the new session.
+    """
+    parameters = baseline.parameters
+    theta = baseline.theta.copy()
+    for k, item in enumerate(parameters.coordinates):
+        if item.name in parameters.dataset.priors and item.name != "weight_n":
+            theta[k] = item.start
+    return replace(baseline, theta=theta)
+
+
+def on_found_surface(baseline: Fit) -> Fit:
+    """Return a baseline with the surface that was found.
+
+    The shift of its fit stands for missing effects. It moves little in further fits, and contact ends at a wrong place.
+    """
+    theta = baseline.theta.copy()
+    for k, item in enumerate(baseline.parameters.coordinates):
+        if item.name == SURFACE_SHIFT:
+            theta[k] = item.prior
+    return replace(baseline, theta=theta)
