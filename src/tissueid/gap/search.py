@@ -71,8 +71,15 @@ FURTHER_FULL_FITS = 8
 """Starting points of the second round, and its full fits."""
 STARTS_OF_A_PARTNER = 2
 """Starting points of an effect that are screened with a set, those best aligned with the residual of the baseline."""
+TRIED_PARTNERS = 12
+"""Largest number of further effects of which each is tried with a set, from its best aligned starting point."""
+TRIAL_STEPS = 2
+"""Optimiser steps of a trial."""
 PARTNERS = 4
-"""Largest number of further effects refitted with a set, and of rivals refitted in the place of a member."""
+"""Effects that get a short fit after their trial: the best aligned and those of least cost. Far from its minimum a set
+with another effect can gain far more in a few steps than its alignment says."""
+BEST_ALIGNED = 2
+"""Best aligned effects among them."""
 FULL_FITS_OF_SETS = 2
 
 
@@ -305,7 +312,7 @@ class Search:
             larger
             for leader in leaders
             if len(leader.effects) < MOST_EFFECTS
-            for larger in self._short_fits("additions", leader, self._likely_partners(leader)[:PARTNERS])
+            for larger in self._with_partner("additions", leader, ())
         ]
         return self._full_fits("leading additions", short_fits, FULL_FITS_OF_SETS, STEPS_IN_A_SET)
 
@@ -381,27 +388,36 @@ class Search:
 
     def replace_in(self, found: Candidate, smaller: Sequence[Candidate]) -> tuple[Candidate, ...]:
         """Fit rivals in the place of the member that each of the ``smaller`` sets lacks, best first."""
-        short_fits = []
-        for without in smaller:
-            fresh = [item for item in self._likely_partners(without) if item.effect not in found.effects]
-            short_fits += self._short_fits("replacements", without, fresh[:PARTNERS])
+        short_fits = [
+            item for without in smaller for item in self._with_partner("replacements", without, found.effects)
+        ]
         return self._full_fits("leading replacements", short_fits, FULL_FITS_OF_SETS, STEPS_IN_A_SET)
 
     def nested_with(self, baseline: Candidate, found: Candidate) -> Candidate:
         """Return the set, or a better one with a special case or the general form of a member in its place."""
         return min(self._with_nested(baseline, [found]), key=misfit)
 
-    def _likely_partners(self, leader: Candidate) -> list[Signature]:
-        # Screen all starting points: alignment changes when another effect is in the model.
-        return best_aligned(self._screened(leader.fit))
+    def _with_partner(self, what: Work, near: Candidate, without: Sequence[str]) -> list[Candidate]:
+        # Short fits of a set with another effect. Its alignment changes when another effect is in the model.
+        best: dict[str, Signature] = {}
+        for item in _by_alignment(self._screened(near.fit)):
+            if item.effect not in without:
+                best.setdefault(item.effect, item)
+        trials = self._short_fits(what, near, list(best.values())[:TRIED_PARTNERS], TRIAL_STEPS)
+        chosen = trials[:BEST_ALIGNED]
+        chosen += sorted(trials[BEST_ALIGNED:], key=_fitted_cost)[: PARTNERS - len(chosen)]
+        tasks = [Task(self._dataset, item.effects, (), item.fit, self._short_steps) for item in chosen]
+        return self._run_tasks(what, refit, tasks)
 
-    def _short_fits(self, what: Work, near: Candidate, signatures: Sequence[Signature]) -> list[Candidate]:
+    def _short_fits(
+        self, what: Work, near: Candidate, signatures: Sequence[Signature], most_steps: int | None = None
+    ) -> list[Candidate]:
         worth = [item for item in signatures if item.alignment >= LEAST_ALIGNMENT]
         before = [held.starts[0] for held in near.fit.parameters.effects]
         begin = from_twin(near.fit) if near.effects == self._known else near.fit
+        steps = most_steps or self._short_steps
         tasks = [
-            Task(self._dataset, (*near.effects, item.effect), (*before, item.start), begin, self._short_steps)
-            for item in worth
+            Task(self._dataset, (*near.effects, item.effect), (*before, item.start), begin, steps) for item in worth
         ]
         return self._run_tasks(what, refit, tasks)
 
