@@ -58,6 +58,8 @@ leads to the least one differs from session to session.
 FIRST_WEAK_STARTS = 2
 """Weak starts that are fitted first; the others follow where these fits lower the misfit."""
 ROUNDS_OF_RESTARTS = 3
+KEPT_REMOVALS = 2
+"""Sets of which the fits without each member are kept, those of the latest."""
 CLEARLY_NEEDED = 1.5
 """Rise of the score on the fitted samples by the removal of a member, with the others refitted to first order, above
 which the search does not fit the set without it, nats: such fits raised the score by at least 0.48."""
@@ -182,7 +184,7 @@ class Search:
         self._baseline: Fit | None = None
         self._with_tissue: set[frozenset[str]] = set()
         self._from_baseline: set[frozenset[str]] = set()
-        self._removed: dict[int, _Removals] = {}
+        self._removed: list[_Removals] = []
         self._starts: dict[str, tuple[tuple[float, ...], ...]] = {}
 
     @property
@@ -327,7 +329,8 @@ class Search:
 
     def remove_from(self, found: Candidate, names: Sequence[str]) -> list[Candidate]:
         """Refit a set without each of ``names``, in their order; those that cost least are fitted further."""
-        done = self._removed.setdefault(id(found), _Removals(found, {}, set()))
+        done = next((item for item in self._removed if item.found is found), None) or _Removals(found, {}, set())
+        self._removed = [*(item for item in self._removed if item is not done), done][-KEPT_REMOVALS:]
         new = [name for name in names if name not in done.smaller]
         short_fits = self._run_tasks("removals", refit, [self._smaller(found, (name,)) for name in new])
         done.smaller.update(zip(new, short_fits, strict=True))
