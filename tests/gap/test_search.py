@@ -14,7 +14,16 @@ from tissueid.gap.diagnosis import diagnose
 from tissueid.gap.fit_tasks import Task, refit
 from tissueid.gap.preparation import prepare
 from tissueid.gap.scoring import Candidate
-from tissueid.gap.search import Search, SearchProgress, SearchResult, applicable
+from tissueid.gap.search import (
+    BEST_ALIGNED,
+    PARTNERS,
+    SHORT_STEPS,
+    TRIAL_STEPS,
+    Search,
+    SearchProgress,
+    SearchResult,
+    applicable,
+)
 from tissueid.gap.workers import SerialExecutor
 from tissueid.twin.bus import MOST_EFFECTS
 from tissueid.twin.catalogue import all_effects, effect
@@ -200,6 +209,19 @@ def test_one_weak_start_is_on_the_surface_that_was_found():
     search.tissue_set(baseline)
     shifts = [task.near.value("surface_shift_m") for task in recorder.tasks]
     assert shifts == [*[baseline.fit.value("surface_shift_m")] * 2, 0.0]
+
+
+def test_further_effects_are_tried_before_they_are_fitted():
+    recorder = Recorder()
+    more = (*CANDIDATES, "tissue_stiffening", "viscoelasticity", "tissue_hysteresis", "directional_friction")
+    search = Search(observed("dry_friction", samples=SAMPLES), recorder, more)
+    added = search.add_to([search.baseline()])
+    trials = [task.names for task in recorder.tasks if task.most_steps == TRIAL_STEPS]
+    fitted = [task.names for task in recorder.tasks if task.most_steps == SHORT_STEPS]
+    assert len(set(trials)) == len(trials) > len(fitted) == PARTNERS
+    assert fitted[:BEST_ALIGNED] == trials[:BEST_ALIGNED]
+    assert set(fitted) <= set(trials)
+    assert ("dry_friction",) in {item.effects for item in added}
 
 
 def test_a_second_round_keeps_the_results_of_the_first():
