@@ -353,11 +353,11 @@ class Search:
     def polish(self, baseline: Candidate, found: Candidate) -> Candidate:
         """Fit a set from weak starts and from other starts of each member, and the best of these fits to the end.
 
-        A set has many minima: where one member is at a wrong one, the others compensate for it. At the noise floor
-        there is nothing to gain from another start.
+        A set has many minima: where one member is at a wrong one, the others compensate for it. Where less is left than
+        the least gain of a needed member, no other start can change what is named.
         """
         best = found
-        if found.score > THRESHOLDS.at_the_floor:
+        if found.score > THRESHOLDS.set_gain:
             done = frozenset(found.effects) in self._from_baseline
             tasks = [] if done else self._from_weak_starts(baseline, found.effects)
             best = self._restarted(

@@ -109,9 +109,10 @@ def _with_sets(
 
 
 def _grown(search: Search, baseline: Candidate, leaders: Sequence[Candidate], keep: Keep) -> Candidate:
-    # Add to the leaders while the misfit falls, then remove what is not needed.
+    # Add to the leaders while the misfit falls and more is left than a needed member must gain, then remove what is not
+    # needed.
     top = leaders[0]
-    while len(added(top, baseline)) < MOST_MEMBERS and cost(top) > THRESHOLDS.at_the_floor:
+    while len(added(top, baseline)) < MOST_MEMBERS and top.score > THRESHOLDS.set_gain:
         grown = min(keep(search.add_to(leaders)), key=misfit, default=None)
         if grown is None or not grows(top, grown):
             break
