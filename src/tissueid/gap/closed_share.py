@@ -33,7 +33,8 @@ def figures_of(dataset: Dataset, baseline: Candidate, best: Candidate | None) ->
     """Return the gap before and after, with a bootstrap interval of the closed share over stretches of the check."""
     quiet = quiet_tests(dataset.tests)
     before, least = gap(baseline.checked_by, quiet), floor(baseline.checked_by, quiet)
-    after = before if best is None else gap(best.checked_by, quiet)
+    # By chance a fit can leave less than the floor, which counts as the floor.
+    after = before if best is None else max(gap(best.checked_by, quiet), min(least, before))
     shut = closed(before, after, least)
     promised, interval = float("nan"), (float("nan"), float("nan"))
     if best is not None:
