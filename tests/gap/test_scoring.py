@@ -14,6 +14,7 @@ from tissueid.gap.scoring import (
     closed,
     floor,
     gap,
+    gap_left,
     quiet_tests,
     score,
     without_rare_events,
@@ -85,6 +86,15 @@ def test_rare_events_do_not_count_in_the_score_but_in_the_gap():
 def test_the_gap_is_relative_to_the_recorded_deviation():
     assert gap([error(square=4.0, spread=10.0)]) == pytest.approx(0.2)
     assert floor([error(noise=1.0, spread=10.0)]) == pytest.approx(0.1)
+
+
+def test_what_is_left_below_the_floor_is_the_floor():
+    before = [error(square=9.0, noise=2.0, spread=10.0)]
+    assert gap_left(before, [error(square=5.0, noise=2.0, spread=10.0)]) == pytest.approx(np.sqrt(5.0) / 10.0)
+    assert gap_left(before, [error(square=3.9, noise=2.0, spread=10.0)]) == pytest.approx(0.2)
+    # Without a gap above the floor it is no more than before.
+    low = [error(square=3.0, noise=2.0, spread=10.0)]
+    assert gap_left(low, low) == pytest.approx(np.sqrt(3.0) / 10.0)
 
 
 def test_channels_count_alike_and_samples_by_their_number():

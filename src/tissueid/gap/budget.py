@@ -11,7 +11,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from tissueid.gap.scoring import Candidate, ChannelError, closed, floor, gap, quiet_tests
+from tissueid.gap.scoring import Candidate, ChannelError, closed, floor, gap, gap_left, quiet_tests
 from tissueid.twin.catalogue import effect
 from tissueid.twin.effect import Stage
 
@@ -118,13 +118,12 @@ def budget(
         name = next(name for name in item.effects if name not in before.effects)
         added, added_ci = difference(item, None if before is baseline else before)
         removed, removed_ci = difference(complete, without[name]) if name in without else (added, added_ci)
-        steps.append(
-            BudgetStep(name, effect(name).stage, gap(item.checked_by, quiet), added, added_ci, removed, removed_ci)
-        )
+        left = gap_left(baseline.checked_by, item.checked_by, quiet)
+        steps.append(BudgetStep(name, effect(name).stage, left, added, added_ci, removed, removed_ci))
         before = item
     return Budget(
         gap(baseline.checked_by, quiet),
-        gap(complete.checked_by, quiet),
+        gap_left(baseline.checked_by, complete.checked_by, quiet),
         floor(baseline.checked_by, quiet),
         tuple(steps),
         1.0 - share(complete),

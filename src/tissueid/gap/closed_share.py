@@ -8,7 +8,7 @@ import numpy as np
 from scipy import stats
 
 from tissueid.gap.dataset import Dataset, Purpose
-from tissueid.gap.scoring import Candidate, ChannelError, closed, errors, floor, gap, quiet_tests
+from tissueid.gap.scoring import Candidate, ChannelError, closed, errors, floor, gap, gap_left, quiet_tests
 
 RESAMPLES = 400
 STRETCH_S = 0.25
@@ -33,8 +33,7 @@ def figures_of(dataset: Dataset, baseline: Candidate, best: Candidate | None) ->
     """Return the gap before and after, with a bootstrap interval of the closed share over stretches of the check."""
     quiet = quiet_tests(dataset.tests)
     before, least = gap(baseline.checked_by, quiet), floor(baseline.checked_by, quiet)
-    # By chance a fit can leave less than the floor, which counts as the floor.
-    after = before if best is None else max(gap(best.checked_by, quiet), min(least, before))
+    after = before if best is None else gap_left(baseline.checked_by, best.checked_by, quiet)
     shut = closed(before, after, least)
     promised, interval = float("nan"), (float("nan"), float("nan"))
     if best is not None:

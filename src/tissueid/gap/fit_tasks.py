@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -61,7 +61,8 @@ def _tracked(task: Task, effects: Sequence[Effect]) -> tuple[Fit, tuple[tuple[fl
         return near, starts
     found = fit(part, effects, starts, near=near, most_steps=task.most_steps)
     values = [found.parameters.effect_values(found.theta, held, part.tests[0].number) for held in effects]
-    return _moved(task.near, found), tuple(tuple(map(float, of_effect)) for of_effect in values)
+    near = _with_values(task.near, {name: found.value(name) for name in found.parameters.index})
+    return near, tuple(tuple(map(float, of_effect)) for of_effect in values)
 
 
 def _liveliest(dataset: Dataset) -> Dataset:
@@ -77,12 +78,12 @@ def _liveliest(dataset: Dataset) -> Dataset:
     return replace(dataset, tests=(fitted[max(on_tissue, key=speeds.__getitem__)],))
 
 
-def _moved(found: Fit, to: Fit) -> Fit:
-    # A fit with the values that another one has for the same coordinates.
+def _with_values(found: Fit, values: Mapping[str, float]) -> Fit:
+    # A fit with other values of some coordinates, from which another fit can start.
     theta = found.theta.copy()
-    for name, k in found.parameters.index.items():
-        if name in to.parameters.index:
-            theta[k] = to.value(name)
+    for name, value in values.items():
+        if name in found.parameters.index:
+            theta[found.parameters.index[name]] = value
     return replace(found, theta=theta)
 
 
@@ -101,16 +102,18 @@ def best_starts(near: Fit, name: str) -> list[tuple[float, ...]]:
 
 def other_minima(found: Fit) -> list[Fit]:
     """Return the fit with some values of one of its effects replaced by those of another minimum, for each of them."""
-    parameters, others = found.parameters, []
-    for held in parameters.effects:
-        for values in held.other_minima:
-            theta = found.theta.copy()
-            for item in held.parameters:
-                if item.name in values:
-                    value = values[item.name]
-                    theta[parameters.index[f"{held.name}.{item.name}"]] = np.log(value) if item.logarithmic else value
-            others.append(replace(found, theta=theta))
-    return others
+    return [
+        _with_values(
+            found,
+            {
+                f"{held.name}.{item.name}": float(np.log(values[item.name])) if item.logarithmic else values[item.name]
+                for item in held.parameters
+                if item.name in values
+            },
+        )
+        for held in found.parameters.effects
+        for values in held.other_minima
+    ]
 
 
 def from_twin(baseline: Fit) -> Fit:
@@ -120,11 +123,9 @@ def from_twin(baseline: Fit) -> Fit:
     fit with the new effect ends in another minimum. The weight is that of the new session.
     """
     parameters = baseline.parameters
-    theta = baseline.theta.copy()
-    for k, item in enumerate(parameters.coordinates):
-        if item.name in parameters.dataset.priors and item.name != "weight_n":
-            theta[k] = item.start
-    return replace(baseline, theta=theta)
+    priors = parameters.dataset.priors
+    values = {item.name: item.start for item in parameters.coordinates if item.name in priors}
+    return _with_values(baseline, {name: value for name, value in values.items() if name != "weight_n"})
 
 
 def on_found_surface(baseline: Fit) -> Fit:
@@ -132,8 +133,5 @@ def on_found_surface(baseline: Fit) -> Fit:
 
     The shift of its fit stands for missing effects. It moves little in further fits, and contact ends at a wrong place.
     """
-    theta = baseline.theta.copy()
-    for k, item in enumerate(baseline.parameters.coordinates):
-        if item.name == SURFACE_SHIFT:
-            theta[k] = item.prior
-    return replace(baseline, theta=theta)
+    priors = {item.name: item.prior for item in baseline.parameters.coordinates if item.name == SURFACE_SHIFT}
+    return _with_values(baseline, priors)

@@ -246,8 +246,8 @@ class _Search:
         prior = self._parameters.array("prior"), self._parameters.array("prior_std")
         bounds = Bounds(self._low, self._high, self._parameters.array("reach"))
         problem = SecantProblem(self.residuals, self._jacobian, self._steps, bounds, prior)
-        same = near is not None and near.prediction_of_test.keys() == {test.number for test in self._tests}
-        known = partial(self._jacobian, near=near) if same else None
+        of_same_tests = near is not None and near.prediction_of_test.keys() == {test.number for test in self._tests}
+        known = partial(self._jacobian, near=near) if of_same_tests else None
         search = partial(minimise, problem, tolerance=TOLERANCE, bounds=bounds)
         found = search(problem.start(theta, known), most_steps=most_steps)
         if found.converged and self._coarser and (most_steps == MOST_STEPS or found.steps == 0):

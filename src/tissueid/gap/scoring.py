@@ -126,6 +126,11 @@ def floor(found: Sequence[ChannelError], quiet: Sequence[int] = ()) -> float:
     return _pooled(found, quiet, lambda item: item.noise**2 + item.irreducible**2)
 
 
+def gap_left(before: Sequence[ChannelError], after: Sequence[ChannelError], quiet: Sequence[int] = ()) -> float:
+    """Return the gap that an explanation leaves: at least the floor, as smaller errors count as noise."""
+    return max(gap(after, quiet), min(floor(before, quiet), gap(before, quiet)))
+
+
 def _pooled(found: Sequence[ChannelError], quiet: Sequence[int], square) -> float:  # type: ignore[no-untyped-def]
     shares = []
     for name in GAP_CHANNELS:

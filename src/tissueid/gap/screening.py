@@ -93,11 +93,13 @@ def cosine(one: FloatArray, other: FloatArray) -> float:
     return abs(float(one @ other)) / size if size > 0.0 else 0.0
 
 
-def best_aligned(signatures: Sequence[Signature]) -> list[Signature]:
-    """Return the best aligned start of every effect and, where nearly as well aligned, the second; best first."""
+def best_aligned(signatures: Sequence[Signature], most_starts: int = 2) -> list[Signature]:
+    """Return the best aligned start of every effect and, up to ``most_starts``, those nearly as well aligned; best
+    first."""
     found: dict[str, list[Signature]] = {}
     for item in sorted(signatures, key=lambda item: -item.alignment):
         of_effect = found.setdefault(item.effect, [])
-        if not of_effect or (len(of_effect) == 1 and item.alignment >= SECOND_START * of_effect[0].alignment):
+        near_best = not of_effect or item.alignment >= SECOND_START * of_effect[0].alignment
+        if near_best and len(of_effect) < most_starts:
             of_effect.append(item)
     return sorted((item for items in found.values() for item in items), key=lambda item: -item.alignment)

@@ -314,7 +314,7 @@ class Search:
             larger
             for leader in leaders
             if len(leader.effects) < MOST_EFFECTS
-            for larger in self._with_partner("additions", leader, ())
+            for larger in self._with_partner("additions", leader)
         ]
         return self._full_fits("leading additions", short_fits, FULL_FITS_OF_SETS, STEPS_IN_A_SET)
 
@@ -400,13 +400,11 @@ class Search:
         """Return the set, or a better one with a special case or the general form of a member in its place."""
         return min(self._with_nested(baseline, [found]), key=misfit)
 
-    def _with_partner(self, what: Work, near: Candidate, without: Sequence[str]) -> list[Candidate]:
+    def _with_partner(self, what: Work, near: Candidate, excluded: Sequence[str] = ()) -> list[Candidate]:
         # Short fits of a set with another effect. Its alignment changes when another effect is in the model.
-        best: dict[str, Signature] = {}
-        for item in _by_alignment(self._screened(near.fit)):
-            if item.effect not in without:
-                best.setdefault(item.effect, item)
-        trials = self._short_fits(what, near, list(best.values())[:TRIED_PARTNERS], TRIAL_STEPS)
+        likely = best_aligned(self._screened(near.fit), most_starts=1)
+        tried = [item for item in likely if item.effect not in excluded][:TRIED_PARTNERS]
+        trials = self._short_fits(what, near, tried, TRIAL_STEPS)
         chosen = trials[:BEST_ALIGNED]
         chosen += sorted(trials[BEST_ALIGNED:], key=_fitted_cost)[: PARTNERS - len(chosen)]
         tasks = [Task(self._dataset, item.effects, (), item.fit, self._short_steps) for item in chosen]
