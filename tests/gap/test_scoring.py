@@ -7,7 +7,7 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
-from tissueid.gap.closed_share import widened
+from tissueid.gap.closed_share import closed_in_draws, draws_of, widened
 from tissueid.gap.scoring import (
     Candidate,
     ChannelError,
@@ -139,3 +139,24 @@ def test_intervals_from_four_blocks_cover_the_truth():
         plain += np.quantile(drawn, 0.025) <= truth <= np.quantile(drawn, 0.975)
     assert plain < 0.82 * trials
     assert held > 0.92 * trials
+
+
+def test_the_closed_share_of_draws_is_that_of_the_drawn_stretches():
+    random = np.random.default_rng(2)
+
+    def stretches(size: float) -> list[list[ChannelError]]:
+        return [
+            [error(test, name, size * random.uniform(0.5, 2.0)) for test in (1, 2, 3) for name in channels]
+            for channels in [("current", "position", "velocity")] * 3 + [("position",)]
+        ]
+
+    before, after = stretches(60.0), stretches(7.0)
+    draws = draws_of(len(before))
+    found = closed_in_draws(before, after, draws, quiet=(3,))
+    for chosen, share in zip(draws[:40], found, strict=False):
+        one, other = ([item for k in chosen for item in of[k]] for of in (before, after))
+        assert share == pytest.approx(closed(gap(one, (3,)), gap(other, (3,)), floor(one, (3,))))
+    assert found.shape == (400,)
+    assert np.isnan(closed_in_draws(after, after, draws, quiet=(1, 2, 3))).all()
+    assert draws_of(1).shape == (0, 1)
+    assert np.isnan(widened(0.5, closed_in_draws(before[:1], after[:1], draws_of(1), ()), 1)).all()

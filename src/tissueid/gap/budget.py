@@ -11,11 +11,11 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from tissueid.gap.scoring import Candidate, ChannelError, closed, floor, gap, gap_left, quiet_tests
+from tissueid.gap.closed_share import FloatArray, closed_in_draws, draws_of, stretches, widened
+from tissueid.gap.scoring import Candidate, closed, floor, gap, gap_left, quiet_tests
 from tissueid.twin.catalogue import effect
 from tissueid.twin.effect import Stage
 
-RESAMPLES = 400
 Interval = tuple[float, float]
 
 
@@ -72,12 +72,7 @@ def removal_path(
 
 
 def budget(
-    baseline: Candidate,
-    path: Sequence[Candidate],
-    without: dict[str, Candidate],
-    remains_in: Stage | None,
-    stretches_of: Callable[[Candidate], list[list[ChannelError]]],
-    interval: Callable[[float, np.ndarray, int], Interval],
+    baseline: Candidate, path: Sequence[Candidate], without: dict[str, Candidate], remains_in: Stage | None
 ) -> Budget:
     """Return the budget of nested sets, from the smallest to the complete one.
 
@@ -86,37 +81,29 @@ def budget(
         path: nested sets, each with one effect more.
         without: the complete set without each effect.
         remains_in: stage that shows what the complete set leaves.
-        stretches_of: returns the errors of every block of the check.
-        interval: returns the 95 % interval from a share, its bootstrap draws, shape (draws,), and the number of blocks.
     """
     complete = path[-1]
     quiet = quiet_tests(baseline.fit.parameters.dataset.tests)
-    blocks = {id(item): stretches_of(item) for item in (baseline, *path, *without.values())}
-    count = len(blocks[id(baseline)])
-    random = np.random.default_rng(0)
-    draws = random.integers(count, size=(RESAMPLES, count)) if count > 1 else np.zeros((0, 0), np.int64)
+    in_stretches = stretches(baseline)
+    draws = draws_of(len(in_stretches))
 
-    def share(item: Candidate, chosen: np.ndarray | None = None) -> float:
-        def read(of: Candidate) -> Sequence[ChannelError]:
-            if chosen is None:
-                return of.checked_by
-            return [error for k in chosen for error in blocks[id(of)][k]]
+    def share(item: Candidate) -> tuple[float, FloatArray]:
+        if item is baseline:
+            return 0.0, np.zeros(len(draws))
+        before, after = gap(baseline.checked_by, quiet), gap(item.checked_by, quiet)
+        drawn = closed_in_draws(in_stretches, stretches(item), draws, quiet)
+        return closed(before, after, floor(baseline.checked_by, quiet)), drawn
 
-        before = read(baseline)
-        return closed(gap(before, quiet), gap(read(item), quiet), floor(before, quiet))
+    shares = {id(item): share(item) for item in (baseline, *path, *without.values())}
 
-    def difference(more: Candidate, less: Candidate | None) -> tuple[float, Interval]:
-        middle = share(more) - (0.0 if less is None else share(less))
-        drawn = np.array([share(more, chosen) - (0.0 if less is None else share(less, chosen)) for chosen in draws])
-        drawn = drawn[np.isfinite(drawn)]
-        if drawn.size < RESAMPLES // 2:
-            return middle, (float("nan"), float("nan"))
-        return middle, interval(middle, drawn, count)
+    def difference(more: Candidate, less: Candidate) -> tuple[float, Interval]:
+        (middle, drawn), (from_there, drawn_there) = shares[id(more)], shares[id(less)]
+        return middle - from_there, widened(middle - from_there, drawn - drawn_there, len(in_stretches))
 
     steps, before = [], baseline
     for item in path:
         name = next(name for name in item.effects if name not in before.effects)
-        added, added_ci = difference(item, None if before is baseline else before)
+        added, added_ci = difference(item, before)
         removed, removed_ci = difference(complete, without[name]) if name in without else (added, added_ci)
         left = gap_left(baseline.checked_by, item.checked_by, quiet)
         steps.append(BudgetStep(name, effect(name).stage, left, added, added_ci, removed, removed_ci))
@@ -126,6 +113,6 @@ def budget(
         gap_left(baseline.checked_by, complete.checked_by, quiet),
         floor(baseline.checked_by, quiet),
         tuple(steps),
-        1.0 - share(complete),
+        1.0 - shares[id(complete)][0],
         remains_in,
     )

@@ -2,13 +2,29 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
+from numpy.typing import NDArray
 from scipy import stats
 
 from tissueid.gap.dataset import Dataset, Purpose
-from tissueid.gap.scoring import Candidate, ChannelError, closed, errors, floor, gap, gap_left, quiet_tests
+from tissueid.gap.scoring import (
+    GAP_CHANNELS,
+    Candidate,
+    ChannelError,
+    closed,
+    errors,
+    floor,
+    gap,
+    gap_left,
+    quiet_tests,
+)
+
+FloatArray = NDArray[np.float64]
+IntArray = NDArray[np.int64]
+Stretch = Sequence[ChannelError]
 
 RESAMPLES = 400
 STRETCH_S = 0.25
@@ -50,30 +66,65 @@ def predicted_closed(baseline: Candidate, best: Candidate) -> float:
 
 def closed_interval(dataset: Dataset, baseline: Candidate, best: Candidate) -> tuple[float, float]:
     """Return the 95 % interval of the closed share by a widened bootstrap over the stretches of the check."""
-    blocks = list(zip(stretches(baseline), stretches(best), strict=True))
-    if len(blocks) < 2:
-        return float("nan"), float("nan")
     quiet = quiet_tests(dataset.tests)
-    random = np.random.default_rng(0)
-    drawn = []
-    for _ in range(RESAMPLES):
-        chosen = random.integers(len(blocks), size=len(blocks))
-        before = [item for k in chosen for item in blocks[k][0]]
-        after = [item for k in chosen for item in blocks[k][1]]
-        drawn.append(closed(gap(before, quiet), gap(after, quiet), floor(before, quiet)))
-    known = np.array(drawn)[np.isfinite(drawn)]
-    if known.size < RESAMPLES // 2:
-        return float("nan"), float("nan")
+    before = stretches(baseline)
+    drawn = closed_in_draws(before, stretches(best), draws_of(len(before)), quiet)
     middle = closed(gap(baseline.checked_by, quiet), gap(best.checked_by, quiet), floor(baseline.checked_by, quiet))
-    return widened(middle, known, len(blocks))
+    return widened(middle, drawn, len(before))
+
+
+def draws_of(count: int) -> IntArray:
+    """Return bootstrap draws of ``count`` stretches, the same each time, shape (RESAMPLES, count); none of one."""
+    random = np.random.default_rng(0)
+    return random.integers(count, size=(RESAMPLES if count > 1 else 0, count))
+
+
+def closed_in_draws(
+    before: Sequence[Stretch], after: Sequence[Stretch], draws: IntArray, quiet: Sequence[int]
+) -> FloatArray:
+    """Return the closed share in each draw of stretches, shape (draws,); NaN where there was no gap.
+
+    Args:
+        before: errors of the baseline in every stretch.
+        after: those of a candidate.
+        draws: numbers of the drawn stretches, shape (draws, stretches).
+        quiet: tests that are left out, as in ``scoring.gap``.
+    """
+    wide, left = _gaps(before, draws, quiet), _gaps(after, draws, quiet)
+    least = _gaps(before, draws, quiet, lambda item: item.noise**2 + item.irreducible**2)
+    room = np.where(wide > least, wide - least, np.nan)
+    return 1.0 - np.sqrt(np.maximum(left - least, 0.0) / room)
+
+
+def _gaps(
+    found: Sequence[Stretch],
+    draws: IntArray,
+    quiet: Sequence[int],
+    square: Callable[[ChannelError], float] = lambda item: item.square,
+) -> FloatArray:
+    # The squared gap in each draw, as ``scoring.gap`` pools it, shape (draws,).
+    sums = np.zeros((2, len(found), len(GAP_CHANNELS)))
+    for k, stretch in enumerate(found):
+        for item in stretch:
+            if item.channel in GAP_CHANNELS and item.test not in quiet and item.spread > 0.0:
+                of_channel = sums[:, k, GAP_CHANNELS.index(item.channel)]
+                of_channel += item.samples * np.array([square(item), item.spread**2])
+    errors_drawn, spreads_drawn = sums[:, draws].sum(axis=2)
+    known = spreads_drawn > 0.0
+    shares = np.where(known, errors_drawn / np.where(known, spreads_drawn, 1.0), 0.0)
+    channels = known.sum(axis=1)
+    return np.where(channels > 0, shares.sum(axis=1) / np.maximum(channels, 1), np.nan)
 
 
 def widened(middle: float, drawn: np.ndarray, count: int) -> tuple[float, float]:
     """Return the 95 % interval around a closed share from bootstrap draws over ``count`` stretches, shape (draws,).
 
     A test has four or five stretches. A bootstrap of so few has too small a spread; it is widened by the factor between
-    the normal distribution and Student's t.
+    the normal distribution and Student's t. Draws without a share are left out; NaN where these are most.
     """
+    drawn = drawn[np.isfinite(drawn)]
+    if drawn.size < RESAMPLES // 2:
+        return float("nan"), float("nan")
     low, high = np.quantile(drawn, [0.025, 0.975])
     wider = float(stats.t.ppf(0.975, count - 1) / stats.norm.ppf(0.975) * np.sqrt(count / (count - 1)))
     return middle - wider * max(middle - float(low), 0.0), min(middle + wider * max(float(high) - middle, 0.0), 1.0)

@@ -5,12 +5,14 @@ from __future__ import annotations
 import time
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
+from functools import partial
+from typing import Any
 
 import numpy as np
 
 from tissueid.gap.budget import Budget, budget, removal_path
 from tissueid.gap.ceiling import ceiling
-from tissueid.gap.closed_share import GapFigures, figures_of, stretches, widened
+from tissueid.gap.closed_share import GapFigures, figures_of
 from tissueid.gap.dataset import Dataset
 from tissueid.gap.decision import (
     THRESHOLDS,
@@ -35,6 +37,7 @@ from tissueid.messages import Message
 from tissueid.twin.catalogue import all_effects, effect
 from tissueid.twin.effect import Effect, Stage
 
+Job = Callable[[], Any]
 RANKED = 10
 """Most candidates in the ranking."""
 ALIKE = 0.97
@@ -137,7 +140,8 @@ def diagnose(
     there_is = is_gap(baseline.score)
     found, best = search_sets(search, baseline) if there_is else (SearchResult(baseline, (), ()), None)
     verdict: Verdict = "no_gap"
-    places = localise(dataset, baseline)
+    jobs: list[Job] = [partial(localise, dataset, baseline), *([partial(ceiling, baseline)] if there_is else [])]
+    places, *most = _together(pool, jobs, cancelled)
     ranking = _ranking(dataset, found, places)
     grounds = _grounds(found, places)
     remarks = dataset.remarks
@@ -151,7 +155,12 @@ def diagnose(
         remarks = (*remarks, RARE)
     figures = figures_of(dataset, baseline, best)
     named = best if verdict == "effect" else None
-    shares = None if named is None else _budget(search, baseline, named)
+    path, without = ((), {}) if named is None else removal_path(named, baseline.effects, search.remove_from)
+    jobs = [partial(_limits, search.names, baseline, best or baseline)]
+    if named is not None and score(named.checked_by) > THRESHOLDS.at_the_floor:
+        jobs.append(partial(localise, dataset, named))
+    limits, *remainder = _together(pool, jobs, cancelled)
+    remains_in = next((item.stage for item in remainder if item.above_floor), None)
     odds = {} if named is None else _conditional_odds(found, named, ranking, places)
     return Diagnosis(
         verdict,
@@ -165,26 +174,27 @@ def diagnose(
         dataset,
         found,
         best,
-        _ceiling(baseline, figures) if there_is else float("nan"),
+        _ceiling(most[0], figures) if there_is else float("nan"),
         odds,
-        shares,
-        _limits(search, baseline, best or baseline),
+        None if named is None else budget(baseline, path, without, remains_in),
+        limits,
         grounds,
     )
 
 
-def _limits(search: Search, baseline: Candidate, found: Candidate) -> dict[str, DetectionLimit | None]:
-    named = added(found, baseline)
-    limits = DetectionLimits(found, named)
-    library = effects_of(search.dataset)
-    return {name: limits.of(library[name]) for name in search.names if name not in found.effects}
+def _together(pool: Executor, jobs: Sequence[Job], cancelled: Callable[[], bool]) -> list[Any]:
+    return pool.do(_done, jobs, cancelled, lambda _: None)
 
 
-def _budget(search: Search, baseline: Candidate, named: Candidate) -> Budget:
-    path, without = removal_path(named, baseline.effects, search.remove_from)
-    left = None if score(named.checked_by) <= THRESHOLDS.at_the_floor else localise(search.dataset, named)
-    remains_in = left.stage if left is not None and left.above_floor else None
-    return budget(baseline, path, without, remains_in, stretches, widened)
+def _done(job: Job) -> Any:
+    # Called in a worker process.
+    return job()
+
+
+def _limits(names: Sequence[str], baseline: Candidate, found: Candidate) -> dict[str, DetectionLimit | None]:
+    limits = DetectionLimits(found, added(found, baseline))
+    library = effects_of(found.fit.parameters.dataset)
+    return {name: limits.of(library[name]) for name in names if name not in found.effects}
 
 
 def _conditional_odds(
@@ -209,8 +219,7 @@ def _conditional_odds(
     return odds
 
 
-def _ceiling(baseline: Candidate, figures: GapFigures) -> float:
-    flexible = ceiling(baseline)
+def _ceiling(flexible: float, figures: GapFigures) -> float:
     return float(np.nanmax([flexible, figures.closed])) if np.isfinite([flexible, figures.closed]).any() else flexible
 
 
