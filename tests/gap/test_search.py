@@ -10,12 +10,14 @@ from gap_records import changed, observed, recorded
 
 from tissueid.errors import CancelledError
 from tissueid.gap.answer import as_answer
+from tissueid.gap.decision import THRESHOLDS
 from tissueid.gap.diagnosis import diagnose
 from tissueid.gap.fit_tasks import Task, refit
 from tissueid.gap.preparation import prepare
 from tissueid.gap.scoring import Candidate
 from tissueid.gap.search import (
     BEST_ALIGNED,
+    CLEARLY_NEEDED,
     PARTNERS,
     SHORT_STEPS,
     TRIAL_STEPS,
@@ -198,17 +200,33 @@ class Recorder(SerialExecutor):
         return super().do(work, things, cancelled, done)
 
 
-def test_one_weak_start_is_on_the_surface_that_was_found():
-    session = recorded("directional_damping", samples=SAMPLES)
+@pytest.mark.parametrize("hidden", ["directional_damping", "directional_damping+sensor_lag"])
+def test_the_last_weak_start_is_on_the_surface_that_was_found_and_follows_where_much_is_left(hidden):
+    session = recorded(hidden, samples=SAMPLES)
     first = session.tests[0]
     deeper = replace(first, surface_position_m=first.surface_position_m - 2e-4)
     recorder = Recorder()
     search = Search(prepare(replace(session, tests=(deeper,))), recorder, ("directional_damping", "added_mass"))
     baseline = search.baseline()
     assert abs(baseline.fit.value("surface_shift_m")) > 1e-5
-    search.tissue_set(baseline)
+    (found,) = search.tissue_set(baseline)
+    then = search.tissue_set_again(baseline, found)
     shifts = [task.near.value("surface_shift_m") for task in recorder.tasks]
-    assert shifts == [*[baseline.fit.value("surface_shift_m")] * 2, 0.0]
+    assert shifts == [*[baseline.fit.value("surface_shift_m")] * 2, *([0.0] if "+" in hidden else [])]
+    assert (found.score > THRESHOLDS.set_gain) == ("+" in hidden)
+    assert then.fit.cost <= found.fit.cost
+
+
+def test_a_set_without_a_clearly_needed_member_is_fitted_further_only_where_it_matters():
+    search = Search(observed("dry_friction", samples=SAMPLES), SerialExecutor(), CANDIDATES)
+    near, names = search.baseline().fit, ("dry_friction", "sensor_lag")
+    pair = refit(Task(search.dataset, names, tuple(effect(name).starts[0] for name in names), near, 6))
+    needed, needless = search.remove_from(pair, names, briefly=True)
+    assert needed.score - pair.score > CLEARLY_NEEDED > needless.score - pair.score
+    thorough = search.remove_from(pair, names)
+    assert thorough[1] is needless
+    assert thorough[0] is not needed
+    assert thorough[0].fit.cost <= needed.fit.cost
 
 
 def test_further_effects_are_tried_before_they_are_fitted():

@@ -56,13 +56,14 @@ The error of a free run has many minima where several effects are far from their
 leads to the least one differs from session to session.
 """
 FIRST_WEAK_STARTS = 2
-"""Weak starts that are fitted first; the others follow where these fits lower the misfit."""
+"""Weak starts from which tissue is fitted first."""
 ROUNDS_OF_RESTARTS = 3
 KEPT_REMOVALS = 2
 """Sets of which the fits without each member are kept, those of the latest."""
 CLEARLY_NEEDED = 1.5
-"""Rise of the score on the fitted samples by the removal of a member, with the others refitted to first order, above
-which the search does not fit the set without it, nats: such fits raised the score by at least 0.48."""
+"""Rise of the score by the removal of a member above which the search does not ask further whether it is needed, nats:
+with the others refitted to first order, on the fitted samples (fits raised the score then by at least 0.48), and after
+a short fit."""
 WORTH_A_ROUND = 0.9
 """Cost relative to the last round below which another round of restarts follows."""
 FULL_FITS = 4
@@ -272,8 +273,9 @@ class Search:
         return Task(self._dataset, tuple(item.name for item in effects), starts, near, MOST_STEPS)
 
     def tissue_set(self, near: Candidate) -> tuple[Candidate, ...]:
-        """Fit a set together with all effects of living tissue that it lacks, from weak starts; none where there is
-        nothing to fit.
+        """Fit a set together with all effects of living tissue that it lacks, from the first weak starts.
+
+        None where there is nothing to fit.
 
         There is nothing to fit where that fit has all of them, where an accepted twin has some, or where this was done
         before.
@@ -293,11 +295,16 @@ class Search:
         self._with_tissue.add(frozenset(names))
         if near.effects == self._known:
             self._from_baseline.add(frozenset(names))
-        tasks = self._from_weak_starts(near, names)
-        found_sets = self._run_tasks("tissue", refit, tasks[:FIRST_WEAK_STARTS])
-        if grows(near, min(found_sets, key=misfit)):
-            found_sets += self._run_tasks("tissue", refit, tasks[FIRST_WEAK_STARTS:])
-        return (min(found_sets, key=_fitted_cost),)
+        tasks = self._from_weak_starts(near, names)[:FIRST_WEAK_STARTS]
+        return (min(self._run_tasks("tissue", refit, tasks), key=_fitted_cost),)
+
+    def tissue_set_again(self, near: Candidate, found: Candidate) -> Candidate:
+        """Fit a set that ``tissue_set`` found near a candidate from the other weak starts too, where its fits lowered
+        the misfit and leave enough for another member. Return the better fit."""
+        if not grows(near, found) or found.score <= THRESHOLDS.set_gain:
+            return found
+        tasks = self._from_weak_starts(near, found.effects)[FIRST_WEAK_STARTS:]
+        return min((found, *self._run_tasks("tissue", refit, tasks)), key=_fitted_cost)
 
     def _from_weak_starts(self, near: Candidate, names: Sequence[str]) -> list[Task]:
         library, tasks = effects_of(self._dataset), []
@@ -327,15 +334,17 @@ class Search:
             if fitted_score(found.fit, residuals_without(found.fit, name)) - before < CLEARLY_NEEDED
         ]
 
-    def remove_from(self, found: Candidate, names: Sequence[str]) -> list[Candidate]:
-        """Refit a set without each of ``names``, in their order; those that cost least are fitted further."""
+    def remove_from(self, found: Candidate, names: Sequence[str], *, briefly: bool = False) -> list[Candidate]:
+        """Refit a set without each of ``names``, in their order; those that cost least are fitted further, unless
+        ``briefly`` and their short fit shows that the member is clearly needed."""
         done = next((item for item in self._removed if item.found is found), None) or _Removals(found, {}, set())
         self._removed = [*(item for item in self._removed if item is not done), done][-KEPT_REMOVALS:]
         new = [name for name in names if name not in done.smaller]
         short_fits = self._run_tasks("removals", refit, [self._smaller(found, (name,)) for name in new])
         done.smaller.update(zip(new, short_fits, strict=True))
         least = sorted(names, key=lambda name: done.smaller[name].fit.cost)[:FULL_FITS_OF_SETS]
-        further = [name for name in least if name not in done.fitted_further]
+        worth = [name for name in least if not briefly or done.smaller[name].score - found.score < CLEARLY_NEEDED]
+        further = [name for name in worth if name not in done.fitted_further]
         near = [done.smaller[name] for name in further]
         tasks = [Task(self._dataset, item.effects, (), item.fit, STEPS_IN_A_SET) for item in near]
         done.smaller.update(zip(further, self._run_tasks("removals", refit, tasks), strict=True))

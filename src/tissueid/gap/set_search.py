@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 
-from tissueid.gap.closed_share import predicted_closed
 from tissueid.gap.decision import THRESHOLDS, Tried, contributes, cost, grows
 from tissueid.gap.scoring import Candidate, closed, floor, gap, misfit, quiet_tests
 from tissueid.gap.search import Search, SearchResult
@@ -16,6 +15,8 @@ TOP_CANDIDATES = 2
 """Number of top single effects that are tried with a second effect."""
 MOST_MEMBERS = 6
 """Most effects of a set, in addition to those of the baseline."""
+REPLACED = 2
+"""Members of a set that are replaced by others, those whose removal costs least."""
 LARGE_REMAINDER = 1.0
 """Score from which a set is completed with the effects of tissue that it lacks, nats."""
 
@@ -29,9 +30,10 @@ def search_sets(search: Search, baseline: Candidate) -> tuple[SearchResult, Cand
     together: tuple[Candidate, ...] = ()
     if not _settled(baseline, best):
         together = search.tissue_set(baseline)
-        if together and predicted_closed(baseline, together[0]) < THRESHOLDS.structural:
+        if together and _closed(baseline, together[0]) < THRESHOLDS.structural:
             # An effect of the instrument can conceal those of the tissue.
             together = (min((*together, *search.tissue_set(_leaders(found)[0])), key=misfit),)
+        together = tuple(search.tissue_set_again(baseline, item) for item in together)
         if not together or not grows(_leaders(found)[0], together[0]):
             found = search.further(found)
             best = min(found.candidates, key=cost)
@@ -45,17 +47,21 @@ def added(found: Candidate, baseline: Candidate) -> list[str]:
 
 def tried(baseline: Candidate, item: Candidate, strict: bool = False) -> Tried:
     """Return a fitted set as the decision needs it."""
+    return Tried(tuple(added(item, baseline)), item.score, cost(item), _closed(baseline, item), strict)
+
+
+def _closed(baseline: Candidate, item: Candidate) -> float:
     # What an effect leaves however well it is known, such as rounding, is not held against it.
     quiet = quiet_tests(baseline.fit.parameters.dataset.tests)
     before, after, least = gap(baseline.chosen_by, quiet), gap(item.chosen_by, quiet), floor(item.chosen_by, quiet)
-    return Tried(tuple(added(item, baseline)), item.score, cost(item), closed(before, after, least), strict)
+    return closed(before, after, least)
 
 
 def _settled(baseline: Candidate, best: Candidate) -> bool:
     # The residual does not justify a longer search. Against a twin, whose effects are accepted, one new effect is
     # expected, and what it leaves is its structural error.
     enough = THRESHOLDS.structural if baseline.effects else THRESHOLDS.nearly_all
-    return best.score <= THRESHOLDS.at_the_floor or predicted_closed(baseline, best) >= enough
+    return best.score <= THRESHOLDS.at_the_floor or _closed(baseline, best) >= enough
 
 
 def _with_sets(
@@ -83,10 +89,10 @@ def _with_sets(
             leaders = [_without_needless(search, baseline, item, keep)]
     for again in (False, True):
         top = _grown(search, baseline, leaders, keep)
-        if again or len(added(top, baseline)) < 2 or predicted_closed(baseline, top) >= THRESHOLDS.structural:
+        if again or len(added(top, baseline)) < 2 or _closed(baseline, top) >= THRESHOLDS.structural:
             break
-        # A member can be wrong: try others in its place.
-        smaller = keep(search.remove_from(top, added(top, baseline)))
+        # A member can be wrong, rather one that costs little to remove: try others in its place.
+        smaller = sorted(keep(search.remove_from(top, added(top, baseline))), key=cost)[:REPLACED]
         other = min(keep(search.replace_in(top, smaller)), key=misfit, default=None)
         if other is None or not grows(top, other):
             break
@@ -103,7 +109,7 @@ def _with_sets(
         top = larger
     if len(names := added(top, baseline)) > 1:
         # The decision compares the set with those without each member.
-        keep(search.remove_from(top, [name for name in names if frozenset(top.effects) - {name} not in fitted]))
+        keep(search.remove_from(top, names))
         best = top
     return SearchResult(baseline, found.signatures, tuple(sorted(fitted.values(), key=cost))), best
 
@@ -127,7 +133,7 @@ def _with_all_of_tissue(search: Search, baseline: Candidate, top: Candidate, kee
     in_tissue = [name for name in added(top, baseline) if effect(name).in_living_tissue]
     if not in_tissue or len(in_tissue) == len(added(top, baseline)) or top.score <= LARGE_REMAINDER:
         return top
-    whole = min(keep(search.tissue_set(top)), key=misfit, default=top)
+    whole = min(keep([search.tissue_set_again(top, item) for item in search.tissue_set(top)]), key=misfit, default=top)
     return _without_needless(search, baseline, whole, keep) if grows(top, whole) else top
 
 
@@ -135,7 +141,7 @@ def _without_needless(search: Search, baseline: Candidate, top: Candidate, keep:
     # Remove all members that contribute nothing, then one at a time the least needed.
     while len(added(top, baseline)) > 1:
         names = search.perhaps_needless(top, added(top, baseline))
-        smaller = keep(search.remove_from(top, names))
+        smaller = keep(search.remove_from(top, names, briefly=True))
         idle = [name for name, without in zip(names, smaller, strict=True) if not grows(without, top)]
         if len(idle) > 1:
             without = keep(search.remove_all_from(top, idle))[0]
