@@ -19,6 +19,7 @@ from tissueid.gap.scoring import (
     score,
     without_rare_events,
 )
+from tissueid.gap.set_search import tried
 
 
 def error(test: int = 1, channel: str = "position", square: float = 4.0, **others: float) -> ChannelError:
@@ -102,6 +103,19 @@ def test_channels_count_alike_and_samples_by_their_number():
     assert gap(found) == pytest.approx(np.sqrt((0.04 + 0.01) / 2))
     pooled = [error(1, square=4.0, samples=300), error(2, square=8.0, samples=100)]
     assert gap(pooled) == pytest.approx(np.sqrt((300 * 4.0 + 100 * 8.0) / (400 * 100.0)))
+
+
+def test_what_an_effect_leaves_however_well_it_is_known_counts_as_closed():
+    parameters = SimpleNamespace(dataset=SimpleNamespace(tests=()), effects=())
+
+    def candidate(names: tuple[str, ...], square: float, irreducible: float = 0.0) -> Candidate:
+        found = ChannelError(1, "position", square, 1.0, 10.0, 100, irreducible)
+        return Candidate(names, SimpleNamespace(parameters=parameters), (found,), ())  # type: ignore[arg-type]
+
+    baseline = candidate((), 101.0)
+    assert tried(baseline, candidate(("quantization",), 85.0, 8.0)).closed == pytest.approx(1.0 - np.sqrt(20.0 / 100.0))
+    assert tried(baseline, candidate(("quantization",), 64.0, 8.0)).closed == pytest.approx(1.0)
+    assert tried(baseline, candidate(("latency",), 85.0)).closed == pytest.approx(1.0 - np.sqrt(84.0 / 100.0))
 
 
 def test_quiet_tests_are_left_out_of_the_gap():

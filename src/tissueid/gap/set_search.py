@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable, Sequence
 
 from tissueid.gap.decision import THRESHOLDS, Tried, contributes, cost, grows
@@ -51,10 +52,12 @@ def tried(baseline: Candidate, item: Candidate, strict: bool = False) -> Tried:
 
 
 def _closed(baseline: Candidate, item: Candidate) -> float:
-    # What an effect leaves however well it is known, such as rounding, is not held against it.
+    # What an effect leaves however well it is known, such as rounding, counts as closed.
     quiet = quiet_tests(baseline.fit.parameters.dataset.tests)
-    before, after, least = gap(baseline.chosen_by, quiet), gap(item.chosen_by, quiet), floor(item.chosen_by, quiet)
-    return closed(before, after, least)
+    least = floor(baseline.chosen_by, quiet)
+    own = floor(item.chosen_by, quiet) ** 2 - least**2
+    after = math.sqrt(max(gap(item.chosen_by, quiet) ** 2 - own, 0.0))
+    return closed(gap(baseline.chosen_by, quiet), after, least)
 
 
 def _settled(baseline: Candidate, best: Candidate) -> bool:
