@@ -113,6 +113,17 @@ def test_it_stays_finite_to_the_ends_of_its_ranges(one):
 
 
 @EVERY
+def test_a_motion_that_diverges_ends_without_a_message(one, capfd):
+    command = np.ones(50)
+    for values in one.starts[:2]:
+        for position, velocity in ((np.nan, 0.0), (np.inf, 0.0), (SURFACE, np.nan), (-1e300, 1e300)):
+            start = simulation.Start(0.0, position, velocity)
+            found = simulation.simulate(command, RATE, INSTRUMENT, TISSUE, start, at(one, values))
+            assert found.readings.position.shape == command.shape
+    assert capfd.readouterr() == ("", "")
+
+
+@EVERY
 def test_it_vanishes_at_its_neutral_value(one):
     # A logarithmic parameter is tested at the end of its range, where the effect is negligible.
     ends = {}

@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 FloatArray = NDArray[np.float64]
 
 
-@njit(cache=True)  # type: ignore[untyped-decorator]
+@njit(cache=True, error_model="numpy")  # type: ignore[untyped-decorator]
 def interpolate(values: FloatArray, at: FloatArray) -> FloatArray:
     """Interpolate at fractional sample numbers by a cubic Lagrange polynomial; hold the ends.
 
@@ -41,7 +41,7 @@ _OUTSIDE = 0.002
 """Share of the readings at either end that is excluded from the range."""
 
 
-@njit(cache=True)  # type: ignore[untyped-decorator]
+@njit(cache=True, error_model="numpy")  # type: ignore[untyped-decorator]
 def along(p, first, size, share):  # type: ignore[no-untyped-def]
     """Return the curve through ``p[first]`` to ``p[first + size - 1]`` at a share of the range; hold it beyond the
     ends."""
@@ -55,7 +55,7 @@ def along(p, first, size, share):  # type: ignore[no-untyped-def]
     return low + t * (into + t * (3.0 * rise - 2.0 * into - out_of + t * (into + out_of - 2.0 * rise)))
 
 
-@njit(cache=True)  # type: ignore[untyped-decorator]
+@njit(cache=True, error_model="numpy")  # type: ignore[untyped-decorator]
 def curve(values, shares):  # type: ignore[no-untyped-def]
     """Return the curve through all ``values`` at each share of the range, shape (n,)."""
     found = np.empty(shares.size)

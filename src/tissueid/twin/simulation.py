@@ -230,9 +230,10 @@ def _is_active(item: ActiveEffect, on_tissue: bool) -> bool:
 def compiled(hook: Hook) -> Any:
     """Return the hook compiled to a C function, so that one compiled loop serves every effect.
 
-    It is kept: the loop calls it by its address.
+    It is kept: the loop calls it by its address. A division by zero gives an infinite value or NaN, as everywhere in
+    the loop: an exception could not leave it, and Python would print each.
     """
-    return numba.cfunc(_HOOK, cache=True)(hook)
+    return numba.cfunc(_HOOK, cache=True, error_model="numpy")(hook)
 
 
 def values_by_name(effect: Effect, values: Mapping[str, float]) -> NDArray[np.float64]:

@@ -20,7 +20,7 @@ OFF, SURFACE, SURFACE_VELOCITY, SURFACE_ACCELERATION, TIME_OFF, GAP, PULLED = ra
 PROBE_DEPTH, PROBE_VELOCITY, PROBE_ACCELERATION = range(7, 10)
 
 
-@njit(cache=True)  # type: ignore[untyped-decorator]
+@njit(cache=True, error_model="numpy")  # type: ignore[untyped-decorator]
 def pull(one: float, other: float) -> float:
     """Return the mean share of the adhesion while the gap changes from one width to the other, m.
 

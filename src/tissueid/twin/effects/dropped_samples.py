@@ -36,7 +36,7 @@ MAX_COST = 8.0
 """Bound of a squared error in units of twice the variance: four standard deviations."""
 
 
-@njit(cache=True)  # type: ignore[untyped-decorator]
+@njit(cache=True, error_model="numpy")  # type: ignore[untyped-decorator]
 def _path(errors, jump_cost):  # type: ignore[no-untyped-def]
     """Return the lag at each sample with the least total cost, shape (n,), from costs of shape (n, lags) (Viterbi
     1967).

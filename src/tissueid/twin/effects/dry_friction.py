@@ -14,7 +14,7 @@ STOPS = 6
 _LIMITS = STOPS + 1
 
 
-@njit(cache=True)  # type: ignore[untyped-decorator]
+@njit(cache=True, error_model="numpy")  # type: ignore[untyped-decorator]
 def friction_share(s, velocity, give, spread, bristle_share, dt):  # type: ignore[no-untyped-def]
     """Return the mean friction over a step relative to sliding friction, from -1 to 1, and update the state ``s``."""
     if s[_LIMITS] == 0.0:

@@ -13,7 +13,7 @@ SHARES = (-0.8, -0.4, 0.0, 0.4, 0.8)
 """Relative widths of the plays whose mean has rounded corners, in units of ``rounding``."""
 
 
-@njit(cache=True)  # type: ignore[untyped-decorator]
+@njit(cache=True, error_model="numpy")  # type: ignore[untyped-decorator]
 def _follow(position, play, engaged, out):  # type: ignore[no-untyped-def]
     """Add the output of a play of half width ``play`` to ``out``."""
     follower = position[0] - engaged * play
