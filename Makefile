@@ -73,3 +73,4 @@ run: env ## open the application
 
 clean: ## remove the environment and caches
 	rm -rf $(VENV) .mypy_cache .ruff_cache .import_linter_cache .hypothesis build demo dist docs/_build
+	find src firmware_sim tests -name __pycache__ -exec rm -rf {} +

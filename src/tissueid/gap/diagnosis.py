@@ -161,6 +161,7 @@ def diagnose(
         jobs.append(partial(localise, dataset, named))
     limits, *remainder = _together(pool, jobs, cancelled)
     remains_in = next((item.stage for item in remainder if item.above_floor), None)
+    shares = None if named is None else budget(baseline, path, without, remains_in)
     odds = {} if named is None else _conditional_odds(found, named, ranking, places)
     return Diagnosis(
         verdict,
@@ -176,17 +177,17 @@ def diagnose(
         best,
         _ceiling(most[0], figures) if there_is else float("nan"),
         odds,
-        None if named is None else budget(baseline, path, without, remains_in),
+        shares,
         limits,
         grounds,
     )
 
 
 def _together(pool: Executor, jobs: Sequence[Job], cancelled: Callable[[], bool]) -> list[Any]:
-    return pool.do(_done, jobs, cancelled, lambda _: None)
+    return pool.do(_call, jobs, cancelled, lambda _: None)
 
 
-def _done(job: Job) -> Any:
+def _call(job: Job) -> Any:
     # Called in a worker process.
     return job()
 

@@ -94,7 +94,7 @@ def _with_sets(
         top = _grown(search, baseline, leaders, keep)
         if again or len(added(top, baseline)) < 2 or _closed(baseline, top) >= THRESHOLDS.structural:
             break
-        # A member can be wrong, rather one that costs little to remove: try others in its place.
+        # A member can be wrong, most likely one whose removal costs little: try others in its place.
         smaller = sorted(keep(search.remove_from(top, added(top, baseline))), key=cost)[:REPLACED]
         other = min(keep(search.replace_in(top, smaller)), key=misfit, default=None)
         if other is None or not grows(top, other):

@@ -11,9 +11,9 @@ from tissueid.twin.effect import Effect, FloatArray, Parameter
 def hook(where: int, b: FloatArray, p: FloatArray, s: FloatArray, dt: float) -> None:
     """Increase the tissue's damping in one direction and reduce it in the other."""
     velocity = b[bus.VELOCITY] + 0.5 * dt * b[bus.ACCELERATION]
-    # The hyperbolic tangent, by the exponential function, which takes half the time.
-    turned = 1.0 - 2.0 / (math.exp(2.0 * velocity / p[1]) + 1.0)
-    b[bus.TISSUE_DAMPING] *= 1.0 + p[0] * turned
+    # The hyperbolic tangent, by the exponential function, which takes two thirds of the time.
+    direction = 1.0 - 2.0 / (math.exp(2.0 * velocity / p[1]) + 1.0)
+    b[bus.TISSUE_DAMPING] *= 1.0 + p[0] * direction
 
 
 EFFECT = Effect(
