@@ -27,6 +27,8 @@ def main() -> None:
     for effect in all_effects().values():
         if effect.hook is not None:
             compiled(effect.hook)
+    noise = np.random.default_rng(0).normal(size=1000)
+    all_effects()["physiological_motion"].estimate_from_records([{"position": noise, "voltage": noise}], 1000.0)
     record = simulated.wiener_record(1)
     for name in set(engine_names()) - {"cascade", "depth", "localized"}:
         get_engine(name).from_options({}).fit(record)

@@ -11,7 +11,8 @@ from gap_records import changed, observed, recorded, scenario
 
 from tissueid.errors import CancelledError
 from tissueid.gap.dataset import Purpose
-from tissueid.gap.fitting import SLOPE_STEP_S, Differences, Fit, fit, predict, re_estimate
+from tissueid.gap.fit_tasks import STEPS_TO_RE_ESTIMATE, Task, refit
+from tissueid.gap.fitting import SLOPE_STEP_S, Differences, Fit, LinearRefit, fit, predict, re_estimate
 from tissueid.gap.parameters import WITHIN_STDS, parametrise
 from tissueid.gap.preparation import prepare
 from tissueid.gap.scoring import errors
@@ -224,6 +225,46 @@ def test_lost_samples_are_re_estimated_with_the_fitted_rest():
     assert again.cost <= first.cost
     for item in errors(again, Purpose.CHECK):
         assert item.ratio < 1.3
+
+
+def two_tests() -> Fit:
+    session = recorded(samples=3000, full=True)
+    numbers = [test.number for test in session.tests if test.kind == "stochastic"]
+    seen = prepare(session, fit=numbers[:2])
+    return fit(seen, [effect("physiological_motion")], near=fit(seen), most_steps=2)
+
+
+def test_a_linear_refit_test_by_test_is_that_of_all_columns():
+    found = two_tests()
+    coordinates, size = found.parameters.coordinates, found.residuals.size
+    one, other = (test for test in found.parameters.dataset.tests if test.serving(Purpose.FIT).any())
+    first = 3 * int(one.serving(Purpose.FIT).sum())
+    places = {one.number: slice(first), other.number: slice(first, size)}
+    columns = np.zeros((size, len(coordinates)))
+    for k, item in enumerate(coordinates):
+        rows = places.get(item.test, slice(size))
+        columns[rows, k] = found.jacobian[rows, k]
+    columns /= np.linalg.norm(columns, axis=0)
+    changes = np.random.default_rng(2).normal(size=(size, 3))
+    expected = changes - columns @ np.linalg.lstsq(columns, changes, rcond=1e-7)[0]
+    np.testing.assert_allclose(LinearRefit(found).surviving(changes), expected, atol=2e-3)
+    without = np.linalg.norm(LinearRefit(found, "physiological_motion").surviving(columns), axis=0)
+    own = np.array([name.startswith("physiological_motion.") for name in found.parameters.index])
+    assert without[~own].max() < 1e-5
+    assert without[own].max() > 0.1
+
+
+def test_a_short_fit_keeps_the_estimates_of_the_fit_near_it():
+    found = two_tests()
+    name, start = "physiological_motion", effect("physiological_motion").starts[0]
+    drag = effect("quadratic_drag")
+    task = Task(found.parameters.dataset, (name, drag.name), (start, drag.starts[0]), found, 2)
+    kept = refit(task).fit.parameters.constants
+    rates = [item for item in found.parameters.constants if "_hz@" in item]
+    assert rates
+    assert {item: kept[item] for item in rates} == {item: found.parameters.constants[item] for item in rates}
+    longer = refit(replace(task, most_steps=STEPS_TO_RE_ESTIMATE)).fit.parameters.constants
+    assert {item: longer[item] for item in rates} != {item: kept[item] for item in rates}
 
 
 def test_effects_without_re_estimates_are_unchanged():

@@ -17,6 +17,8 @@ from tissueid.twin.effect import Effect
 
 ESTIMATES_IN_A_SHORT_FIT = 1
 """Re-estimates of an effect from the record in a short fit; a full fit repeats them."""
+STEPS_TO_RE_ESTIMATE = 20
+"""Steps of a fit from which effects are re-estimated that the fit near it has as well."""
 STEPS_OF_TRACKING = 40
 STARTS_OF_A_MEMBER = 2
 """Starting points of each member from which the final set is fitted again."""
@@ -46,8 +48,15 @@ def refit(task: Task) -> Candidate:
     if task.tracking_rad_s and task.dataset.equivalent is None:
         near, starts = _tracked(task, effects)
     found = fit(task.dataset, effects, starts, near=near, most_steps=task.most_steps)
-    readings = ESTIMATES if task.most_steps == MOST_STEPS else ESTIMATES_IN_A_SHORT_FIT
-    return score_candidate(re_estimate(found, task.most_steps, readings))
+    return score_candidate(re_estimate(found, task.most_steps, _readings(task, effects)))
+
+
+def _readings(task: Task, effects: Sequence[Effect]) -> int:
+    # A short fit keeps the estimates of the fit from which it starts.
+    if task.most_steps == MOST_STEPS:
+        return ESTIMATES
+    known = all(item in task.near.parameters.effects for item in effects if item.re_estimate)
+    return 0 if known and task.most_steps < STEPS_TO_RE_ESTIMATE else ESTIMATES_IN_A_SHORT_FIT
 
 
 def _tracked(task: Task, effects: Sequence[Effect]) -> tuple[Fit, tuple[tuple[float, ...], ...]]:

@@ -26,6 +26,8 @@ ESTIMATES = 4
 """Most re-estimates of an effect from the record."""
 SLOPE_STEP_S = 2.5e-4
 """Longest integration step for derivatives until a fit has converged, s: twice that of the residuals."""
+ABSORBED = 1e-6
+"""Share of a column that is left by others below which it is a combination of them: Jacobians have single precision."""
 WORST = 1e6
 """Bound of a residual in noise deviations, so that a diverging simulation still has a cost."""
 
@@ -113,11 +115,13 @@ def re_estimate(found: Fit, most_steps: int = MOST_STEPS, readings: int = ESTIMA
     Args:
         found: the fit; returned unchanged where none of its effects is re-estimated.
         most_steps: most accepted steps of each refit.
-        readings: most re-estimates.
+        readings: most re-estimates; the fit is returned unchanged with 0.
     """
     parameters = found.parameters
     again = [effect for effect in parameters.effects if effect.re_estimate]
-    for _ in range(readings if again else 0):
+    if not again or not readings:
+        return found
+    for _ in range(readings):
         for effect in again:
             without = predict(found.parameters.without(effect.name), found.theta)
             parameters = parameters.re_estimate(effect, without)
@@ -128,7 +132,7 @@ def re_estimate(found: Fit, most_steps: int = MOST_STEPS, readings: int = ESTIMA
         if better.cost >= found.cost:
             break
         found, parameters = better, better.parameters
-    return _with_held_out_estimates(found) if again else found
+    return _with_held_out_estimates(found)
 
 
 def _with_held_out_estimates(found: Fit) -> Fit:
@@ -153,13 +157,67 @@ def _with_held_out_estimates(found: Fit) -> Fit:
 
 def residual_blocks(found: Fit) -> list[slice]:
     """Return the places of each channel of each fitted test in ``Fit.residuals``."""
+    return [block for _, block in _blocks(found)]
+
+
+def _blocks(found: Fit) -> list[tuple[int, slice]]:
+    # Number of the test and places of each channel of each fitted test.
     blocks, end = [], 0
     for test in found.parameters.dataset.tests:
         for name in found.parameters.dataset.channels:
             size = int((test.serving(Purpose.FIT) & np.isfinite(test.signals[name])).sum())
-            blocks += [slice(end, end + size)] if size else []
+            blocks += [(test.number, slice(end, end + size))] if size else []
             end += size
     return blocks
+
+
+class LinearRefit:
+    """A refit of the coordinates of a fit to first order, which absorbs part of a change of the residuals.
+
+    Coordinates of one test act on its residuals only. Their part is removed test by test, which takes a fraction of the
+    time of all columns together. What updates by secants add to these columns elsewhere is left out.
+
+    Args:
+        found: the fit.
+        without: an effect whose coordinates are not refitted.
+    """
+
+    def __init__(self, found: Fit, without: str = "") -> None:
+        slopes = found.jacobian.astype(np.float64)
+        coordinates = found.parameters.coordinates
+        refitted = [k for k, item in enumerate(coordinates) if not (without and item.name.startswith(f"{without}."))]
+        self._own: list[tuple[slice, FloatArray]] = []
+        for number, rows in _places(found).items():
+            places = [k for k in refitted if coordinates[k].test == number]
+            self._own += [(rows, _basis(slopes[rows, places]))] if places else []
+        self._shared: FloatArray | None = None
+        shared = slopes[:, [k for k in refitted if coordinates[k].test is None]]
+        self._shared = _basis(self.surviving(shared), np.linalg.norm(shared, axis=0))
+
+    def surviving(self, values: FloatArray) -> FloatArray:
+        """Return what is left of changes of the residuals, shape (residuals,) or (residuals, changes)."""
+        left = values.copy()
+        for rows, basis in self._own:
+            left[rows] -= basis @ (basis.T @ left[rows])
+        if self._shared is not None:
+            left -= self._shared @ (self._shared.T @ left)
+        return left
+
+
+def _basis(columns: FloatArray, sizes: FloatArray | None = None) -> FloatArray:
+    # Orthonormal columns that span the given ones, without those far below their ``sizes``.
+    norms = np.linalg.norm(columns, axis=0)
+    kept = norms > (0.0 if sizes is None else ABSORBED * sizes)
+    found: FloatArray = np.linalg.qr(columns[:, kept] / norms[kept])[0]
+    return found
+
+
+def _places(found: Fit) -> dict[int, slice]:
+    # Places of each fitted test in ``Fit.residuals``.
+    places: dict[int, slice] = {}
+    for test, block in _blocks(found):
+        places[test] = slice(places.get(test, block).start, block.stop)
+    return places
 
 
 def residuals_without(found: Fit, name: str) -> FloatArray:
@@ -167,11 +225,7 @@ def residuals_without(found: Fit, name: str) -> FloatArray:
     coordinates to first order."""
     parameters = found.parameters
     left, _ = _Search(parameters.without(name), weighed_as=parameters).residuals(found.theta)
-    own = {k for k, item in enumerate(parameters.coordinates) if item.name.startswith(f"{name}.")}
-    others = [k for k in range(found.theta.size) if k not in own and found.jacobian[:, k].any()]
-    slopes = found.jacobian[:, others].astype(np.float64)
-    basis, _ = np.linalg.qr(slopes / np.linalg.norm(slopes, axis=0))
-    return left - basis @ (basis.T @ left)
+    return LinearRefit(found, without=name).surviving(left)
 
 
 class Differences:

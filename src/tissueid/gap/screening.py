@@ -8,7 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from tissueid.gap.fitting import Differences, Fit
+from tissueid.gap.fitting import Differences, Fit, LinearRefit
 from tissueid.gap.parameters import starts_of
 from tissueid.twin.effect import Effect
 
@@ -39,9 +39,7 @@ class Screen:
     def __init__(self, baseline: Fit) -> None:
         self._baseline = baseline
         self._differences = Differences(baseline)
-        jacobian = baseline.jacobian.astype(np.float64)
-        norms = np.linalg.norm(jacobian, axis=0)
-        self._basis, _ = np.linalg.qr(jacobian[:, norms > 0.0] / norms[norms > 0.0])
+        self._refit = LinearRefit(baseline)
         self._left = self.surviving(baseline.residuals)
         self._size = float(self._left @ self._left)
 
@@ -84,7 +82,7 @@ class Screen:
     def surviving(self, values: FloatArray) -> FloatArray:
         """Return the part of a change of the residuals that a refit of everything else cannot absorb, shape
         (residuals,)."""
-        return values - self._basis @ (self._basis.T @ values)
+        return self._refit.surviving(values)
 
 
 def cosine(one: FloatArray, other: FloatArray) -> float:

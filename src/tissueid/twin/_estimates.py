@@ -6,6 +6,7 @@ from collections.abc import Iterable, Mapping, Sequence
 from itertools import pairwise
 
 import numpy as np
+from numba import njit
 from numpy.typing import NDArray
 from scipy import optimize
 
@@ -64,11 +65,24 @@ def fitted(left: FloatArray, columns: FloatArray, orders: FloatArray) -> tuple[f
     A small ridge bounds the amplitudes of slow waves that the record is too short to separate. It grows with the
     harmonic (``orders``), so that a wave without harmonics is not fitted at a fraction of its frequency.
     """
-    columns = np.concatenate((columns, np.ones((left.size, 1))), axis=1)
-    product = columns.T @ left
-    squares = columns.T @ columns + left.size * np.diag(np.r_[1e-3 * orders**2, 0.0])
-    weights: FloatArray = np.linalg.solve(squares, product).astype(np.float64)
+    product, weights = _solved(left, columns, orders)
     return float(product @ weights), weights[:-1]
+
+
+@njit(cache=True, error_model="numpy")  # type: ignore[untyped-decorator]
+def _solved(left: FloatArray, columns: FloatArray, orders: FloatArray) -> tuple[FloatArray, FloatArray]:
+    # Products of waves and constant with the signal, and their amplitudes.
+    waves = orders.size
+    product = np.empty(waves + 1)
+    squares = np.empty((waves + 1, waves + 1))
+    product[:waves] = columns.T @ left
+    product[waves] = left.sum()
+    squares[:waves, :waves] = columns.T @ columns
+    for k in range(waves):
+        squares[k, waves] = squares[waves, k] = columns[:, k].sum()
+        squares[k, k] += 1e-3 * left.size * orders[k] ** 2
+    squares[waves, waves] = left.size
+    return product, np.linalg.solve(squares, product).astype(np.float64)
 
 
 def line(

@@ -7,6 +7,7 @@ from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
+from numba import njit
 from scipy import optimize
 
 from tissueid.twin import _estimates, bus
@@ -187,19 +188,39 @@ class _Sway:
         return _Sway(self.left - self._columns(rates, kinds) @ self.fitted(rates, kinds)[1], self.time)
 
     def _columns(self, rates: FloatArray, kinds: Sequence[int]) -> FloatArray:
-        breathing, pulse, tremor, cosine, sine, spacing = rates
-        breath = 2.0 * np.pi * breathing * self.time
-        columns = []
-        for kind in kinds:
-            if kind == BREATHING:
-                columns.append(_estimates.waves(breath, WAVES[BREATHING]))
-            elif kind == PULSE:
-                beat = 2.0 * np.pi * pulse * self.time + cosine * np.cos(breath) + sine * np.sin(breath)
-                columns.append(_estimates.waves(beat, WAVES[PULSE]))
-            else:
-                lines = (tremor + spacing * (line - MIDDLE_LINE) for line in WAVES[TREMOR])
-                columns += [_estimates.waves(2.0 * np.pi * hertz * self.time, (1,)) for hertz in lines]
-        return np.concatenate(columns, axis=1)
+        found: FloatArray = _columns(self.time, rates, BREATHING in kinds, PULSE in kinds, TREMOR in kinds)
+        return found
+
+
+@njit(cache=True, error_model="numpy")  # type: ignore[untyped-decorator]
+def _columns(time: FloatArray, rates: FloatArray, breathing: bool, pulse: bool, tremor: bool) -> FloatArray:
+    # Cosine and sine of each wave of the chosen kinds, shape (n, 2 waves), in the order of the heights.
+    slow, fast, lines = len(WAVES[0]), len(WAVES[1]), len(WAVES[2])
+    found = np.empty((time.size, 2 * (breathing * slow + pulse * fast + tremor * lines)))
+    for k in range(time.size):
+        breath = 2.0 * math.pi * rates[0] * time[k]
+        column = 0
+        if breathing:
+            column = _harmonics(found[k], column, breath, slow)
+        if pulse:
+            beat = 2.0 * math.pi * rates[1] * time[k] + rates[3] * math.cos(breath) + rates[4] * math.sin(breath)
+            column = _harmonics(found[k], column, beat, fast)
+        if tremor:
+            for line in range(1, lines + 1):
+                hertz = rates[2] + rates[5] * (line - MIDDLE_LINE)
+                column = _harmonics(found[k], column, 2.0 * math.pi * hertz * time[k], 1)
+    return found
+
+
+@njit(cache=True, error_model="numpy")  # type: ignore[untyped-decorator]
+def _harmonics(row: FloatArray, column: int, angle: float, count: int) -> int:
+    cosine, sine = math.cos(angle), math.sin(angle)
+    real, imaginary = cosine, sine
+    for _ in range(count):
+        row[column], row[column + 1] = real, imaginary
+        column += 2
+        real, imaginary = real * cosine - imaginary * sine, imaginary * cosine + real * sine
+    return column
 
 
 _BREATHING = len(RATES)
