@@ -119,6 +119,16 @@ def test_missing_signals_exclude_effects():
     assert applicable(position_alone, effect("dry_friction"))
 
 
+@pytest.mark.parametrize(
+    ("name", "full", "tried"),
+    [("dry_friction", True, False), ("physiological_motion", True, True), ("dry_friction", False, True)],
+)
+def test_motion_of_the_body_is_a_candidate_unless_the_probe_rests_in_quiet_tests(name, full, tried):
+    search = Search(observed(name, samples=9000, full=full), SerialExecutor())
+    assert ("physiological_motion" in search.names) is tried
+    assert "dry_friction" in search.names
+
+
 def test_the_same_twice():
     search = Search(observed("dry_friction"), SerialExecutor(), CANDIDATES)
     again = search.singles(search.baseline())

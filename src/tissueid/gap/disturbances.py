@@ -7,7 +7,9 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from tissueid.gap.dataset import Dataset, DatasetTest
 from tissueid.gap.excitation import interpolated
+from tissueid.gap.noise import coarse_step
 
 FloatArray = NDArray[np.float64]
 
@@ -21,6 +23,8 @@ _BLOCK_S = 0.25
 _MOST_LAG = 60
 _MOST_REMAINING = 0.3
 """Largest remaining share of the squared difference once each block is shifted: lost samples only shift a record."""
+MARGIN = 1.2
+"""Largest error in floors that counts as noise: the noise is known to about 5 %."""
 SETTLING_S = 0.5
 """Time at the start of a quiet record in which the probe comes to rest, s."""
 
@@ -95,6 +99,23 @@ def quiet_motion(residual: FloatArray, rate_hz: float) -> float:
     design = np.stack([np.ones_like(time), time, np.exp(-time / 0.3), np.exp(-time / 0.08)], axis=1)
     weights, *_ = np.linalg.lstsq(design, residual[known], rcond=1e-10)
     return float(np.std(residual[known] - design @ weights))
+
+
+def rests(dataset: Dataset) -> bool:
+    """Return whether there are quiet tests on tissue and the position shows only noise in each of them.
+
+    A position in steps can conceal a motion. Nothing is subtracted: a slow wave looks like a trend.
+    """
+    quiet = [test for test in dataset.tests if test.quiet and test.fixture == "tissue"]
+    return bool(quiet) and all(_is_noise(test, dataset.noise.get("position", 0.0)) for test in quiet)
+
+
+def _is_noise(test: DatasetTest, noise: float) -> bool:
+    position = test.signals["position"]
+    settled = position[min(round(SETTLING_S * test.sample_rate_hz), position.size // 2) :]
+    if coarse_step(position) or not np.isfinite(settled).any():
+        return False
+    return float(np.nanstd(settled)) <= MARGIN * noise
 
 
 def lags(reference: FloatArray, signal: FloatArray, rate_hz: float) -> tuple[NDArray[np.int64], float]:

@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from tissueid.gap.backemf import BackEmfShare, back_emf_share
 from tissueid.gap.dataset import Dataset, DatasetTest
-from tissueid.gap.disturbances import SETTLING_S, lost_samples, mains_lines, quiet_motion
+from tissueid.gap.disturbances import MARGIN, SETTLING_S, lost_samples, mains_lines, quiet_motion
 from tissueid.gap.fitting import Fit
 from tissueid.gap.forces import DEPTH, OF_TIME_AND_PAST, PERIODIC, ForceFamily, force_families
 from tissueid.gap.noise import coarse_step
@@ -32,8 +32,6 @@ from tissueid.twin.effect import Stage
 
 FloatArray = NDArray[np.float64]
 
-MARGIN = 1.2
-"""Largest error in floors that counts as noise: the noise is known to about 5 %."""
 _QUANTISATION_RATIO = 3.0
 """Least quantization step of the position that is a finding, in deviations of the noise."""
 _SETTLED = 40

@@ -9,6 +9,7 @@ from typing import Literal, TypeVar
 
 from tissueid.gap.dataset import Dataset, Purpose
 from tissueid.gap.decision import THRESHOLDS, grows
+from tissueid.gap.disturbances import rests
 from tissueid.gap.fit_tasks import Task, best_starts, from_twin, on_found_surface, other_minima, refit, screen
 from tissueid.gap.fitting import MOST_STEPS, Fit, fit, residuals_without
 from tissueid.gap.machine_family import with_best_family
@@ -215,10 +216,13 @@ class Search:
     @property
     def names(self) -> list[str]:
         """Effects to try, in the order of the library."""
+        still = rests(self._dataset)
         return [
             name
             for name, item in effects_of(self._dataset).items()
-            if (self._wanted is None or name in self._wanted) and applicable(self._dataset, item)
+            if (self._wanted is None or name in self._wanted)
+            and applicable(self._dataset, item)
+            and not (still and item.at_rest)
         ]
 
     def singles(self, baseline: Candidate) -> SearchResult:

@@ -151,6 +151,8 @@ class Effect:
     """Advice to the technician, in one sentence."""
     on_spring: bool = True
     """Whether it acts in tests on the calibration spring and in free air as well."""
+    at_rest: bool = False
+    """Whether it moves the probe without a command as well: it is no cause where quiet tests show only noise."""
     in_living_tissue: bool = False
     """Whether living tissue in general shows it: a search fits all such effects together."""
     models_lift_off: bool = False

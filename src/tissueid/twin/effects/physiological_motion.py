@@ -319,6 +319,7 @@ EFFECT = Effect(
     estimate_from_records=read,
     re_estimate=True,
     on_spring=False,
+    at_rest=True,
     jointly=True,
     remedy="Ask the subject to hold the breath; support the limb; test longer or average over pulses.",
 )
