@@ -194,7 +194,8 @@ class _Sway:
 
 @njit(cache=True, error_model="numpy")  # type: ignore[untyped-decorator]
 def _columns(time: FloatArray, rates: FloatArray, breathing: bool, pulse: bool, tremor: bool) -> FloatArray:
-    # Cosine and sine of each wave of the chosen kinds, shape (n, 2 waves), in the order of the heights.
+    # Cosine and sine of each wave of the chosen kinds, shape (n, 2 waves), in the order of the heights. Harmonics count
+    # from 1.
     slow, fast, lines = len(WAVES[0]), len(WAVES[1]), len(WAVES[2])
     found = np.empty((time.size, 2 * (breathing * slow + pulse * fast + tremor * lines)))
     for k in range(time.size):
