@@ -5,6 +5,7 @@ from __future__ import annotations
 from dataclasses import replace
 from functools import cache
 
+import numpy as np
 import pytest
 from gap_records import changed, observed, recorded
 
@@ -12,6 +13,7 @@ from tissueid.errors import CancelledError
 from tissueid.gap.answer import as_answer
 from tissueid.gap.decision import THRESHOLDS
 from tissueid.gap.diagnosis import diagnose
+from tissueid.gap.disturbances import rests
 from tissueid.gap.fit_tasks import Task, refit
 from tissueid.gap.preparation import prepare
 from tissueid.gap.scoring import Candidate
@@ -127,6 +129,36 @@ def test_motion_of_the_body_is_a_candidate_unless_the_probe_rests_in_quiet_tests
     search = Search(observed(name, samples=9000, full=full), SerialExecutor())
     assert ("physiological_motion" in search.names) is tried
     assert "dry_friction" in search.names
+
+
+@pytest.mark.parametrize(
+    ("moved", "resting"),
+    [
+        (lambda time: 0.0 * time, True),
+        (lambda time: 2e-5 * np.sin(2.0 * np.pi * 0.15 * time), False),
+        (lambda time: 1e-3 * np.exp(-time), False),
+        (lambda time: np.where(time > 1e9, 0.0, np.nan), False),
+    ],
+)
+def test_a_probe_rests_where_its_position_in_the_quiet_test_is_noise(moved, resting):
+    still = observed("dry_friction", samples=9000, full=True)
+
+    def with_motion(test):
+        time = np.arange(test.command.size) / test.sample_rate_hz
+        position = test.signals["position"] + (moved(time) if test.quiet else 0.0)
+        return replace(test, signals={**test.signals, "position": position})
+
+    assert rests(replace(still, tests=tuple(map(with_motion, still.tests)))) is resting
+
+
+def test_a_position_in_steps_does_not_show_that_a_probe_rests():
+    still = observed("dry_friction", samples=9000, full=True)
+    step = 2e-5
+    tests = [
+        replace(test, signals={**test.signals, "position": step * np.round(test.signals["position"] / step)})
+        for test in still.tests
+    ]
+    assert not rests(replace(still, tests=tuple(tests), noise={**still.noise, "position": step}))
 
 
 def test_the_same_twice():

@@ -91,10 +91,15 @@ def _standing(values: FloatArray, hz: float, rate_hz: float) -> list[tuple[float
     return found
 
 
+def settling_samples(size: int, rate_hz: float) -> int:
+    """Return how many of the first samples of a quiet record are left out: at most half of them."""
+    return min(round(SETTLING_S * rate_hz), size // 2)
+
+
 def quiet_motion(residual: FloatArray, rate_hz: float) -> float:
     """Return the standard deviation of a quiet record without a linear trend and slow relaxations, SI."""
     known = np.isfinite(residual)
-    known[: min(round(SETTLING_S * rate_hz), residual.size // 2)] = False
+    known[: settling_samples(residual.size, rate_hz)] = False
     time = np.arange(residual.size)[known] / rate_hz
     design = np.stack([np.ones_like(time), time, np.exp(-time / 0.3), np.exp(-time / 0.08)], axis=1)
     weights, *_ = np.linalg.lstsq(design, residual[known], rcond=1e-10)
@@ -112,7 +117,7 @@ def rests(dataset: Dataset) -> bool:
 
 def _is_noise(test: DatasetTest, noise: float) -> bool:
     position = test.signals["position"]
-    settled = position[min(round(SETTLING_S * test.sample_rate_hz), position.size // 2) :]
+    settled = position[settling_samples(position.size, test.sample_rate_hz) :]
     if coarse_step(position) or not np.isfinite(settled).any():
         return False
     return float(np.nanstd(settled)) <= MARGIN * noise

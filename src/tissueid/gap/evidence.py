@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from tissueid.gap.backemf import BackEmfShare, back_emf_share
 from tissueid.gap.dataset import Dataset, DatasetTest
-from tissueid.gap.disturbances import MARGIN, SETTLING_S, lost_samples, mains_lines, quiet_motion
+from tissueid.gap.disturbances import MARGIN, lost_samples, mains_lines, quiet_motion, settling_samples
 from tissueid.gap.fitting import Fit
 from tissueid.gap.forces import DEPTH, OF_TIME_AND_PAST, PERIODIC, ForceFamily, force_families
 from tissueid.gap.noise import coarse_step
@@ -168,9 +168,7 @@ class _StageAnalysis:
     def _quiet(self) -> None:
         quiet = [test for test in self._dataset.tests if test.quiet]
         # A probe off the skin does not measure the motion of the skin.
-        resting = [
-            test for test in quiet if float(np.nanstd(test.signals["position"][_settling_samples(test) :])) < _RESTING_M
-        ]
+        resting = [test for test in quiet if float(np.nanstd(_settled(test))) < _RESTING_M]
         restless = [quiet_motion(test.signals["position"], test.sample_rate_hz) for test in resting]
         floor = self._position_noise
         self._errors["quiet"] = max(restless, default=floor) / floor
@@ -396,5 +394,5 @@ def _worst(answer: StageSimulation) -> float:
     return max(float(np.nanstd(answer.residual(test)[_SETTLED:])) for test in answer.tests)
 
 
-def _settling_samples(test: DatasetTest) -> int:
-    return min(round(SETTLING_S * test.sample_rate_hz), test.command.size // 2)
+def _settled(test: DatasetTest) -> FloatArray:
+    return test.signals["position"][settling_samples(test.command.size, test.sample_rate_hz) :]

@@ -186,29 +186,27 @@ class LinearRefit:
         slopes = found.jacobian.astype(np.float64)
         coordinates = found.parameters.coordinates
         refitted = [k for k, item in enumerate(coordinates) if not (without and item.name.startswith(f"{without}."))]
-        self._own: list[tuple[slice, FloatArray]] = []
+        # Places of the residuals with orthonormal columns that span the derivatives there.
+        self._bases: list[tuple[slice, FloatArray]] = []
         for number, rows in _places(found).items():
-            places = [k for k in refitted if coordinates[k].test == number]
-            self._own += [(rows, _basis(slopes[rows, places]))] if places else []
-        self._shared: FloatArray | None = None
+            own = slopes[rows, [k for k in refitted if coordinates[k].test == number]]
+            self._bases.append((rows, _basis(own, own)))
         shared = slopes[:, [k for k in refitted if coordinates[k].test is None]]
-        self._shared = _basis(self.surviving(shared), np.linalg.norm(shared, axis=0))
+        self._bases.append((slice(None), _basis(self.surviving(shared), shared)))
 
     def surviving(self, values: FloatArray) -> FloatArray:
         """Return what is left of changes of the residuals, shape (residuals,) or (residuals, changes)."""
         left = values.copy()
-        for rows, basis in self._own:
+        for rows, basis in self._bases:
             left[rows] -= basis @ (basis.T @ left[rows])
-        if self._shared is not None:
-            left -= self._shared @ (self._shared.T @ left)
         return left
 
 
-def _basis(columns: FloatArray, sizes: FloatArray | None = None) -> FloatArray:
-    # Orthonormal columns that span the given ones, without those far below their ``sizes``.
-    norms = np.linalg.norm(columns, axis=0)
-    kept = norms > (0.0 if sizes is None else ABSORBED * sizes)
-    found: FloatArray = np.linalg.qr(columns[:, kept] / norms[kept])[0]
+def _basis(left: FloatArray, columns: FloatArray) -> FloatArray:
+    # Orthonormal columns that span what is left of some columns, without those of which hardly anything is left.
+    norms = np.linalg.norm(left, axis=0)
+    kept = norms > ABSORBED * np.linalg.norm(columns, axis=0)
+    found: FloatArray = np.linalg.qr(left[:, kept] / norms[kept])[0]
     return found
 
 

@@ -188,12 +188,12 @@ class _Sway:
         return _Sway(self.left - self._columns(rates, kinds) @ self.fitted(rates, kinds)[1], self.time)
 
     def _columns(self, rates: FloatArray, kinds: Sequence[int]) -> FloatArray:
-        found: FloatArray = _columns(self.time, rates, BREATHING in kinds, PULSE in kinds, TREMOR in kinds)
+        found: FloatArray = _waves(self.time, rates, BREATHING in kinds, PULSE in kinds, TREMOR in kinds)
         return found
 
 
 @njit(cache=True, error_model="numpy")  # type: ignore[untyped-decorator]
-def _columns(time: FloatArray, rates: FloatArray, breathing: bool, pulse: bool, tremor: bool) -> FloatArray:
+def _waves(time: FloatArray, rates: FloatArray, breathing: bool, pulse: bool, tremor: bool) -> FloatArray:
     # Cosine and sine of each wave of the chosen kinds, shape (n, 2 waves), in the order of the heights. Harmonics count
     # from 1.
     slow, fast, lines = len(WAVES[0]), len(WAVES[1]), len(WAVES[2])
