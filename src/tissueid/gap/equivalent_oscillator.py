@@ -143,7 +143,7 @@ class Equivalent:
         return Message(
             "gap.equivalent_oscillator",
             "{input} is treated as a force on a mass and {output} as its motion: 1 {input_unit} is "
-            "{newtons:.3g} N and 1 {output_unit} is {millimetres:.3g} mm. Parameters of effects are in these units; "
+            "{newtons:.3g} N and 1 {output_unit} is {millimetres:.4g} mm. Parameters of effects are in these units; "
             "effects that need voltage and current cannot be identified",
             input=_with_unit(self.input_name, self.input_unit),
             output=_with_unit(self.output_name, self.output_unit),
