@@ -223,3 +223,18 @@ def test_a_special_case_and_its_general_form_are_nested():
     assert nested(directional, dry)
     assert not nested(dry, drag)
     assert not nested(drag, drag)
+
+
+def test_bounds_priors_and_starts_scale_with_the_instrument():
+    for one in all_effects().values():
+        assert one.scaled({"force_constant_n_per_a": 1.0, "stroke_m": 1.0}) == one
+    other = {"force_constant_n_per_a": 4.0, "stroke_m": 1.5}
+    plain_one, scaled = effect("reluctance_force"), effect("reluctance_force").scaled(other)
+    strength, growth = scaled.parameters
+    assert (strength.low, strength.high) == (16.0 * plain_one.parameters[0].low, 16.0 * plain_one.parameters[0].high)
+    assert growth == plain_one.parameters[1]
+    assert scaled.starts == tuple((16.0 * force, growth) for force, growth in plain_one.starts)
+    bias = effect("flux_saturation").scaled(other).parameters[-1]
+    assert (bias.high, bias.prior, bias.prior_std) == (0.75, 0.0, 0.175)
+    assert effect("end_stop").scaled(other).parameters[0].high == pytest.approx(0.051)
+    assert effect("latency").scaled(other) is effect("latency")

@@ -5,7 +5,7 @@ import tracemalloc
 
 import numpy as np
 import pytest
-from scipy import integrate
+from scipy import integrate, signal
 from scipy.interpolate import CubicHermiteSpline
 
 from tissueid.twin import bus, chain_parameters, simulation
@@ -197,6 +197,16 @@ def test_losses_during_a_constant_command_are_placed_in_its_middle():
     assert 300 < still < 700
     assert lost == 2
     assert later == (5000, 1)
+
+
+@pytest.mark.parametrize("slips", [[(7500, 1)], [(9000, 0)], [(8998, 2)]], ids=["lost", "complete", "ends early"])
+def test_a_late_loss_behind_a_slow_amplifier_shows_by_what_is_missing_at_the_end(slips):
+    command = stochastic()
+    late = signal.lfilter([0.55], [1.0, -0.45], command, zi=[0.45 * command[0]])[0]
+    signals, _ = played(late)
+    signals = {name: slipped(values, slips) for name, values in signals.items()} | {"command": command}
+    found = slips_in(effect("dropped_samples").estimate_from_record(signals, RATE))
+    assert found == (slips if slips[0][0] < 8000 else [])
 
 
 def test_losses_of_the_position_are_found_by_the_back_emf():

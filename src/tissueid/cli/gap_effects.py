@@ -26,7 +26,10 @@ def list_effects(json_file: Path | None) -> None:
 
 
 def declared(one: Effect) -> dict[str, Any]:
-    """Return the declaration of an effect as plain values, SI."""
+    """Return the declaration of an effect as plain values, SI.
+
+    ``scales_with`` is the property of the instrument with which a parameter's bounds scale, and its exponent.
+    """
     return {
         "effect": one.name,
         "stage": one.stage,
@@ -38,7 +41,14 @@ def declared(one: Effect) -> dict[str, Any]:
         "mistaken_for": list(one.mistaken_for),
         "needs": sorted(one.needs),
         "parameters": [
-            {"name": item.name, "unit": item.unit, "meaning": str(item.meaning), "low": item.low, "high": item.high}
+            {
+                "name": item.name,
+                "unit": item.unit,
+                "meaning": str(item.meaning),
+                "low": item.low,
+                "high": item.high,
+                "scales_with": item.scales_with and dict([item.scales_with]),
+            }
             for item in one.parameters
         ],
     }

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 
+from tissueid.device import DeviceDescription
 from tissueid.gap.dataset import Dataset
 from tissueid.twin.catalogue import all_effects
 from tissueid.twin.effect import Effect
@@ -14,11 +15,17 @@ _OF_POSITION = frozenset({"end_stop", "mount_resonance", "cogging", "sensor_back
 """Effects outside the tissue that depend on the position, or on a record of it."""
 _OF_VELOCITY = frozenset({"directional_damping"})
 """Effects on the tissue that do not depend on the position."""
+_DEFAULTS = {name: getattr(DeviceDescription(), name) for name in ("force_constant_n_per_a", "stroke_m")}
+"""Properties of the default instrument with which parameters of effects scale."""
 
 
 def effects_of(dataset: Dataset) -> Mapping[str, Effect]:
-    """Return the effects of the library by name, with those for an equivalent machine in an input-output record."""
-    return all_effects() if dataset.equivalent is None else all_effects() | machine_effects()
+    """Return the effects of the library by name, with bounds and starts for the instrument, or with those for an
+    equivalent machine in an input-output record."""
+    if dataset.equivalent is not None:
+        return all_effects() | machine_effects()
+    ratios = {name: getattr(dataset.instrument, name) / default for name, default in _DEFAULTS.items()}
+    return {name: item.scaled(ratios) for name, item in all_effects().items()}
 
 
 def acts_on_machine(dataset: Dataset, item: Effect) -> bool:

@@ -202,7 +202,7 @@ class Search:
         self._progress(SearchProgress("baseline", 0, 1))
         self._dataset = with_best_family(self._dataset)
         self._known = tuple(known)
-        effects = [effect(name) for name in known]
+        effects = [effects_of(self._dataset)[name] for name in known]
         first = fit(self._dataset, effects, cancelled=self._cancelled)
         dataset = with_robust_noise(first)
         if dataset is not self._dataset:

@@ -7,7 +7,7 @@ the group ``tissueid.effects`` to another package.
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Literal
 
 import numpy as np
@@ -55,7 +55,9 @@ class Parameter:
     has its own value in every test (for instance a phase). A ``fixed`` parameter is not fitted: it keeps the value of
     ``estimate_from_record`` or of the start. ``prior`` is its most probable value before the data and ``prior_std`` the
     standard deviation, in units of the fitted quantity (of its natural logarithm where ``logarithmic``); None: no
-    prior. ``default`` is its value where the file of a twin was written before the effect had it.
+    prior. ``default`` is its value where the file of a twin was written before the effect had it. With ``scales_with``,
+    a property of the instrument and an exponent, bounds, prior and starts hold for the default instrument; for another
+    one they are multiplied by the ratio of its property to the default, to that power.
     """
 
     name: str
@@ -70,10 +72,18 @@ class Parameter:
     prior_std: float | None = None
     meaning: str = ""
     default: float | None = None
+    scales_with: tuple[str, int] | None = None
 
     def __post_init__(self) -> None:
         if not self.low < self.high or (self.logarithmic and self.low <= 0.0):
             raise ValueError(f"parameter {self.name}: {self.low} to {self.high} is no range to fit in")
+
+    def scaled(self, factor: float) -> Parameter:
+        """Return the parameter with its neutral value, bounds and prior multiplied by a factor."""
+        neutral, prior = (None if value is None else factor * value for value in (self.neutral, self.prior))
+        spread = self.prior_std if self.prior_std is None or self.logarithmic else factor * self.prior_std
+        low, high = factor * self.low, factor * self.high
+        return replace(self, neutral=neutral, low=low, high=high, prior=prior, prior_std=spread)
 
 
 @dataclass(frozen=True)
@@ -191,6 +201,20 @@ class Effect:
 
     def _weakened(self, start: tuple[float, ...]) -> tuple[float, ...]:
         return tuple(_weakened(item, value) for item, value in zip(self.parameters, start, strict=True))
+
+    def scaled(self, ratios: Mapping[str, float]) -> Effect:
+        """Return the effect with bounds, priors and starts for an instrument.
+
+        Args:
+            ratios: properties of the instrument over those of the default one, by name.
+        """
+        scales = [item.scales_with for item in self.parameters]
+        if not any(scales):
+            return self
+        factors = [1.0 if scale is None else ratios[scale[0]] ** scale[1] for scale in scales]
+        parameters = tuple(item.scaled(factor) for item, factor in zip(self.parameters, factors, strict=True))
+        starts = tuple(tuple(np.multiply(start, factors).tolist()) for start in self.starts)
+        return replace(self, parameters=parameters, starts=starts)
 
     @property
     def order(self) -> int:

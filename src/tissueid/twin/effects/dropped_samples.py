@@ -91,7 +91,10 @@ def losses_in_record(command: FloatArray, voltage: FloatArray) -> list[tuple[int
             path = _lag_path(left, lags, JUMP_COST)
         found.append((float(np.nanmean(left[rows, path - lags[0]] ** 2)), path))
     after, path = min(found, key=lambda one: one[0])
-    return [*_loss_before_motion(path, command), *_lag_changes(path)] if after < MAX_RESIDUAL_SHARE * before else []
+    losses = [*_loss_before_motion(path, command), *_lag_changes(path)]
+    # Late losses concern few samples; what is missing at the end shows them as well.
+    as_missing = sum(lost for _, lost in losses) == _missing(voltage) > 0
+    return losses if as_missing or after < MAX_RESIDUAL_SHARE * before else []
 
 
 def losses_in_position(

@@ -47,8 +47,7 @@ def starts_at_travel_ends(
     least = float(np.min(everything))
     if least < begun:
         found.append((least + 5e-5, 5.0, 1.25, 10.0, OUTER))
-    low, high = EFFECT.parameters[0].low, EFFECT.parameters[0].high
-    return tuple(start for start in found if low < start[0] < high)
+    return tuple(found)
 
 
 EFFECT = Effect(
@@ -61,7 +60,7 @@ EFFECT = Effect(
     "current shows the impacts by back-EMF",
     source="Hunt & Crossley, J. Applied Mechanics 42 (1975) 440-445",
     parameters=(
-        Parameter("stop_m", "m", None, -0.004, 0.034, meaning="position of the stop"),
+        Parameter("stop_m", "m", None, -0.004, 0.034, meaning="position of the stop", scales_with=("stroke_m", 1)),
         Parameter("force_n", "N", 0.0, 1e-4, 100.0, True, meaning="static force 0.1 mm past the stop"),
         Parameter(
             "exponent",

@@ -42,14 +42,32 @@ EFFECT = Effect(
     "position under a mean current, odd without one; little change in the current itself",
     source="Klippel, J. Audio Eng. Soc. 54 (2006) 907-939 (flux modulation)",
     parameters=(
-        Parameter("fall", "1/A^n", 0.0, -0.3, 1.0, meaning="relative fall of the force constant at one ampere"),
+        Parameter(
+            "fall",
+            "1/A^n",
+            0.0,
+            -0.3,
+            1.0,
+            meaning="relative fall of the force constant at one ampere",
+            scales_with=("force_constant_n_per_a", 2),
+        ),
         Parameter(
             "power", "1", None, 1.0, 5.0, prior=2.0, prior_std=1.0, meaning="power with which it grows with current"
         ),
         Parameter(
             "other_sign", "1", None, -2.0, 2.0, prior=0.5, prior_std=0.8, meaning="share of the fall for negative flux"
         ),
-        Parameter("bias_a", "A", None, -3.0, 3.0, prior=0.0, prior_std=0.7, meaning="flux of the magnet, as a current"),
+        Parameter(
+            "bias_a",
+            "A",
+            None,
+            -3.0,
+            3.0,
+            prior=0.0,
+            prior_std=0.7,
+            meaning="flux of the magnet, as a current",
+            scales_with=("force_constant_n_per_a", -1),
+        ),
     ),
     starts=((0.04, 2.0, 1.0, 0.0), (0.04, 1.2, -1.0, 0.0), (0.1, 1.2, 1.0, 0.6), (0.1, 1.2, 1.0, -0.6)),
     mistaken_for=("reluctance_force", "force_constant_position", "amplifier_clipping"),

@@ -25,7 +25,13 @@ EFFECT = Effect(
     source="Woodson and Melcher, Electromechanical Dynamics I (1968) ch. 3; Klippel, J. Audio Eng. Soc. 54 (2006) 907",
     parameters=(
         Parameter(
-            "strength_n_per_a2", "N/A^2", 0.0, -2.0, 2.0, meaning="force at one ampere in the middle of the stroke"
+            "strength_n_per_a2",
+            "N/A^2",
+            0.0,
+            -2.0,
+            2.0,
+            meaning="force at one ampere in the middle of the stroke",
+            scales_with=("force_constant_n_per_a", 2),
         ),
         Parameter(
             "growth_per_m", "1/m", None, -250.0, 250.0, prior=0.0, prior_std=80.0, meaning="growth along the stroke"
