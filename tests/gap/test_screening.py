@@ -10,8 +10,10 @@ import pytest
 from gap_records import observed
 
 from tissueid.gap.fitting import fit
+from tissueid.gap.machine_library import effects_of
+from tissueid.gap.parameters import starts_of
 from tissueid.gap.screening import Screen, Signature, best_aligned, cosine
-from tissueid.twin.catalogue import effect
+from tissueid.twin.catalogue import all_effects, effect
 
 CANDIDATES = ("dry_friction", "directional_damping", "sensor_lag", "eddy_currents", "quadratic_drag")
 
@@ -67,3 +69,20 @@ def test_a_resonance_between_the_declared_starts_is_found_on_the_grid():
     assert {near.start, on_frame.start} < set(hidden.scan)
     assert (near.start[5], on_frame.start[5]) == (0.0, 1.0)
     assert near.alignment > 3.0 * away.alignment
+
+
+def test_starts_from_the_record_beyond_the_bounds_are_left_out():
+    fitted = fit(observed("dry_friction"))
+    inside, beyond = (0.014, 5.0, 1.25, 10.0, 1.0), (-0.03, 5.0, 1.25, 10.0, -1.0)
+    one = replace(effect("end_stop"), starts_from=lambda signals, rate: (inside, beyond))
+    assert starts_of(fitted.parameters.dataset, one, fitted.predictions) == (*one.starts, inside)
+
+
+def test_effects_have_the_bounds_of_the_instrument():
+    dataset = observed("dry_friction")
+    assert effects_of(dataset) == all_effects()
+    device = replace(dataset.instrument, force_constant_n_per_a=12.0, stroke_m=0.048)
+    found = effects_of(replace(dataset, instrument=device))
+    assert found["reluctance_force"].parameters[0].high == 16.0 * effect("reluctance_force").parameters[0].high
+    assert found["end_stop"].parameters[0].high == 1.5 * effect("end_stop").parameters[0].high
+    assert found["latency"] is effect("latency")

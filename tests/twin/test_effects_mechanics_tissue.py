@@ -201,8 +201,6 @@ def test_starts_for_the_stop_are_read_from_the_record():
     assert starts[0][0] == pytest.approx(0.01405)
     assert 0.0137 < starts[1][0] < 0.0141
     assert effect("end_stop").starts_from([{"position": np.full(5, np.nan)}, {}], RATE) == ()
-    fallen = effect("end_stop").starts_from([{"position": np.linspace(0.009, -0.03, 50)}], RATE)
-    assert fallen == ()
 
 
 @pytest.mark.parametrize(

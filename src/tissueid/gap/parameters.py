@@ -217,11 +217,16 @@ class Parametrisation:
 
 
 def starts_of(dataset: Dataset, effect: Effect, predictions: Sequence[Mapping[str, FloatArray]]) -> Starts:
-    """Return all starting points of an effect: declared ones and those estimated from the signals."""
+    """Return all starting points of an effect: declared ones, and those from the signals that lie within its bounds."""
     if effect.starts_from is None:
         return effect.starts
     signals = [_signals(test, predicted) for test, predicted in zip(dataset.tests, predictions, strict=True)]
-    return (*effect.starts, *effect.starts_from(signals, dataset.tests[0].sample_rate_hz))
+    found = effect.starts_from(signals, dataset.tests[0].sample_rate_hz)
+    return (*effect.starts, *(start for start in found if _within(effect, start)))
+
+
+def _within(effect: Effect, start: Sequence[float]) -> bool:
+    return all(item.low <= value <= item.high for item, value in zip(effect.parameters, start, strict=True))
 
 
 def parametrise(
