@@ -14,6 +14,7 @@ from tissueid.gap.decision import (
     Grounds,
     Tried,
     can_stand_for,
+    confirmed,
     cost,
     decide,
     explains,
@@ -71,6 +72,14 @@ def test_a_candidate_at_the_floor_explains_the_gap():
 @pytest.mark.parametrize(("left", "closed"), [(2.5, 0.9), (1.0, 0.3), (2.9, 0.1), (1.0, float("nan"))])
 def test_a_candidate_that_leaves_much_explains_nothing(left, closed):
     assert not explains(3.0, tried(left, closed))
+
+
+@pytest.mark.parametrize(
+    ("left", "closed", "holds"),
+    [(0.2, 0.9, True), (1.5, 0.6, True), (0.9, 0.1, True), (1.5, 0.1, False), (1.5, -2.0, False), (1.5, np.nan, True)],
+)
+def test_the_check_confirms_an_explanation_by_score_or_closed_share(left, closed, holds):
+    assert confirmed(2.0, left, closed) is holds
 
 
 def test_a_strict_fit_leaves_less():

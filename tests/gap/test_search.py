@@ -62,6 +62,14 @@ def test_without_the_right_one_nothing_explains():
     assert result.combination == ()
 
 
+def test_an_explanation_that_the_check_contradicts_is_not_named(monkeypatch):
+    monkeypatch.setattr("tissueid.gap.diagnosis.confirmed", lambda *figures: False)
+    result = diagnose(observed("dry_friction", samples=SAMPLES), SerialExecutor(), candidates=("dry_friction",))
+    assert (result.verdict, result.combination, result.budget) == ("unexplained", (), None)
+    assert "gap.not_confirmed" in {item.code for item in result.remarks}
+    assert result.ranking[0].effect == "dry_friction"
+
+
 def test_a_diagnosis_names_the_effect():
     result = diagnose(observed("dry_friction"), SerialExecutor(), candidates=CANDIDATES)
     assert (result.verdict, result.combination, result.where.stage) == ("effect", ("dry_friction",), "mechanics")

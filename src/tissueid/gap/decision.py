@@ -179,6 +179,20 @@ def explains(baseline: float, best: Tried, thresholds: Thresholds = THRESHOLDS) 
     return best.closed >= thresholds.explained_closed
 
 
+def confirmed(baseline: float, left: float, closed: float, thresholds: Thresholds = THRESHOLDS) -> bool:
+    """Return whether the samples for the check, which no fit and no choice has used, confirm an explanation.
+
+    They do not where it leaves more of the score and closes less of the gap than an explanation may.
+
+    Args:
+        baseline: score of the baseline on the check.
+        left: score of the explanation on the check.
+        closed: share of the gap that it closes on the check; NaN where there is none.
+        thresholds: thresholds of the decision.
+    """
+    return left <= thresholds.explained_share * baseline or not closed < thresholds.explained_closed
+
+
 def grows(smaller: Candidate, larger: Candidate, thresholds: Thresholds = THRESHOLDS) -> bool:
     """Return whether a larger or other set is followed further in the search: more lenient than ``is_needed``."""
     return misfit(smaller) - misfit(larger) >= thresholds.growth or cost(smaller) - cost(larger) >= thresholds.set_gain

@@ -18,6 +18,7 @@ from tissueid.gap.decision import (
     THRESHOLDS,
     Grounds,
     Verdict,
+    confirmed,
     cost,
     decide,
     is_gap,
@@ -50,6 +51,11 @@ _MOVING: frozenset[Stage] = frozenset({"mechanics", "tissue", "environment"})
 RARE = Message(
     "gap.only_in_check",
     "the gap shows only in the part of the data that is held out for the check: record a longer test, or repeat it",
+)
+NOT_CONFIRMED = Message(
+    "gap.not_confirmed",
+    "an explanation was found, but on the part of the data that is held out for the check it closes less than half of "
+    "the gap: record a longer test, or repeat it",
 )
 
 
@@ -154,6 +160,12 @@ def diagnose(
         verdict = "no_gap" if dataset.unmodelled else "unexplained"
         remarks = (*remarks, RARE)
     figures = figures_of(dataset, baseline, best)
+    if (
+        verdict == "effect"
+        and best is not None
+        and not confirmed(score(baseline.checked_by), score(best.checked_by), figures.closed)
+    ):
+        verdict, remarks = "unexplained", (*remarks, NOT_CONFIRMED)
     named = best if verdict == "effect" else None
     path, without = ((), {}) if named is None else removal_path(named, baseline.effects, search.remove_from)
     jobs = [partial(_limits, search.names, baseline, best or baseline)]
