@@ -76,7 +76,7 @@ def test_a_candidate_that_leaves_much_explains_nothing(left, closed):
 
 @pytest.mark.parametrize(
     ("left", "closed", "holds"),
-    [(0.2, 0.9, True), (1.5, 0.6, True), (0.9, 0.1, True), (1.5, 0.1, False), (1.5, -2.0, False), (1.5, np.nan, True)],
+    [(0.2, 0.9, True), (1.5, 0.6, True), (0.2, 0.1, True), (0.9, 0.1, False), (1.5, -2.0, False), (1.5, np.nan, True)],
 )
 def test_the_check_confirms_an_explanation_by_score_or_closed_share(left, closed, holds):
     assert confirmed(2.0, left, closed) is holds

@@ -189,6 +189,17 @@ def test_losses_of_the_record_are_exact(command):
     assert all(abs(ours - at) < near for (ours, _), (at, _) in zip(slips_in(found), true, strict=True))
 
 
+def test_a_rise_at_the_start_with_another_gain_is_no_loss():
+    command = stochastic()
+    command[:50] = command[500] * np.sin(np.linspace(0.0, 0.5 * np.pi, 50)) ** 2
+    signals, _ = played(command - 0.004 * command**2)
+    true = [(2300, 1), (5000, 3), (8100, 5)]
+    signals = {name: slipped(values, true) for name, values in signals.items()} | {"command": command}
+    found = slips_in(effect("dropped_samples").estimate_from_record(signals, RATE))
+    assert [lost for _, lost in found] == [1, 3, 5]
+    assert all(abs(ours - at) < 3 for (ours, _), (at, _) in zip(found, true, strict=True))
+
+
 def test_losses_during_a_constant_command_are_placed_in_its_middle():
     command = np.r_[np.full(1000, 14.0), stochastic()[1000:]]
     signals, _ = played(command)

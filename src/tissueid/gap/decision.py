@@ -182,7 +182,8 @@ def explains(baseline: float, best: Tried, thresholds: Thresholds = THRESHOLDS) 
 def confirmed(baseline: float, left: float, closed: float, thresholds: Thresholds = THRESHOLDS) -> bool:
     """Return whether the samples for the check, which no fit and no choice has used, confirm an explanation.
 
-    They do not where it leaves more of the score and closes less of the gap than an explanation may.
+    They do not where it closes less of the gap than an explanation must, and leaves too much of the score for one that
+    explains the gap whatever share of it is closed.
 
     Args:
         baseline: score of the baseline on the check.
@@ -190,7 +191,8 @@ def confirmed(baseline: float, left: float, closed: float, thresholds: Threshold
         closed: share of the gap that it closes on the check; NaN where there is none.
         thresholds: thresholds of the decision.
     """
-    return left <= thresholds.explained_share * baseline or not closed < thresholds.explained_closed
+    clear = max(thresholds.at_the_floor, thresholds.clear_share * baseline)
+    return left <= clear or not closed < thresholds.explained_closed
 
 
 def grows(smaller: Candidate, larger: Candidate, thresholds: Thresholds = THRESHOLDS) -> bool:

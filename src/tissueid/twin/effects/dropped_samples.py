@@ -91,9 +91,13 @@ def losses_in_record(command: FloatArray, voltage: FloatArray) -> list[tuple[int
             path = _lag_path(left, lags, JUMP_COST)
         found.append((float(np.nanmean(left[rows, path - lags[0]] ** 2)), path))
     after, path = min(found, key=lambda one: one[0])
+    missing = _missing(voltage)
+    if missing:
+        # What is missing at the end was lost, so that no lag is smaller by more: a slow rise at the start looks early.
+        path = np.maximum(path, path[-1] - missing)
     losses = [*_loss_before_motion(path, command), *_lag_changes(path)]
     # Late losses concern few samples; what is missing at the end shows them as well.
-    as_missing = sum(lost for _, lost in losses) == _missing(voltage) > 0
+    as_missing = sum(lost for _, lost in losses) == missing > 0
     return losses if as_missing or after < MAX_RESIDUAL_SHARE * before else []
 
 
