@@ -74,6 +74,15 @@ def test_a_candidate_that_leaves_much_explains_nothing(left, closed):
     assert not explains(3.0, tried(left, closed))
 
 
+def test_a_large_gain_explains_whatever_share_of_the_score_is_left():
+    gain = THRESHOLDS.explained_gain
+    assert explains(15.0, tried(15.0 - 1.01 * gain, 0.6))
+    assert not explains(15.0, tried(15.0 - 0.99 * gain, 0.6))
+    assert not explains(15.0, tried(15.0 - 2.0 * gain, 0.4))
+    assert not explains(15.0, tried(15.0 - 2.0 * gain, 0.9, strict=True))
+    assert probabilities(15.0, [15.0 - 2.0 * gain])[0] > 0.9 > 0.5 > probabilities(15.0, [15.0 - 0.5 * gain])[0]
+
+
 @pytest.mark.parametrize(
     ("left", "closed", "holds"),
     [(0.2, 0.9, True), (1.5, 0.6, True), (0.2, 0.1, True), (0.9, 0.1, False), (1.5, -2.0, False), (1.5, np.nan, True)],

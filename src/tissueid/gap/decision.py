@@ -2,8 +2,8 @@
 
 The thresholds were set on eighty scenarios of the first simulated laboratory, those of pairs on 249 and some more
 (decisions 0025 and 0028), stricter ones also on parts of another draw (decision 0026), the conditions on further
-members on sixty of each laboratory (decision 0040) and on thirty on skin (decision 0046). None of these is a draw that
-docs/gap.md reports for these thresholds.
+members on sixty of each laboratory (decision 0040) and on thirty on skin (decision 0046), the gain on forty of the
+second laboratory (decision 0061). None of these is a draw that docs/gap.md reports for these thresholds.
 """
 
 from __future__ import annotations
@@ -35,7 +35,10 @@ class Thresholds:
     explained_closed: float = 0.5
     """Least closed share of the gap on held-out data of an explanation."""
     explained_share: float = 0.55
-    """Largest share of the baseline's score that an explanation leaves."""
+    """Largest share of the baseline's score that an explanation leaves, unless it lowers it by ``explained_gain``."""
+    explained_gain: float = 3.0
+    """Decrease of the score, nats, that is enough however large a share is left: where the noise is small, the
+    structural error of the right effect is many times the noise."""
     clear_share: float = 0.12
     """Largest share of the score that is left by a candidate that explains the gap whatever share of it is closed:
     rounding can leave most of it. More is not enough for an effect with an exact law, and where the evidence by stages
@@ -94,8 +97,8 @@ def probabilities(
     """
     if not costs:
         return []
-    share = thresholds.clear_share if clearly else thresholds.explained_share
-    unlisted = max(share * baseline, thresholds.at_the_floor)
+    most = thresholds.clear_share * baseline if clearly else _most_left(baseline, thresholds)
+    unlisted = max(most, thresholds.at_the_floor)
     least = min(*costs, unlisted)
     temperature = thresholds.temperature + thresholds.temperature_share * least
     weights = np.exp(-(np.array([*costs, unlisted]) - least) / temperature)
@@ -174,9 +177,13 @@ def explains(baseline: float, best: Tried, thresholds: Thresholds = THRESHOLDS) 
     """Return whether a candidate explains the gap on held-out data; ``baseline`` is the score of the baseline."""
     if best.score <= max(thresholds.at_the_floor, thresholds.clear_share * baseline):
         return True
-    if best.strict or best.score > thresholds.explained_share * baseline:
+    if best.strict or best.score > _most_left(baseline, thresholds):
         return False
     return best.closed >= thresholds.explained_closed
+
+
+def _most_left(baseline: float, thresholds: Thresholds) -> float:
+    return max(thresholds.explained_share * baseline, baseline - thresholds.explained_gain)
 
 
 def confirmed(baseline: float, left: float, closed: float, thresholds: Thresholds = THRESHOLDS) -> bool:
