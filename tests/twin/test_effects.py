@@ -10,7 +10,7 @@ from coded import coded
 from tissueid.errors import UnusableInputError
 from tissueid.twin import bus, chain_parameters, simulation
 from tissueid.twin.catalogue import all_effects, effect
-from tissueid.twin.effect import STAGES, Effect, nested
+from tissueid.twin.effect import STAGES, Effect, Readings, nested
 
 RATE = 2000.0
 SURFACE = 0.009
@@ -238,3 +238,13 @@ def test_bounds_priors_and_starts_scale_with_the_instrument():
     assert (bias.high, bias.prior, bias.prior_std) == (0.75, 0.0, 0.175)
     assert effect("end_stop").scaled(other).parameters[0].high == pytest.approx(0.051)
     assert effect("latency").scaled(other) is effect("latency")
+
+
+@EVERY
+def test_records_of_a_motion_that_diverges_give_no_warning(one):
+    time = np.arange(1, 801) / RATE
+    for end in (np.inf, -np.inf, np.nan, 1e300):
+        signal = np.where(time < 0.2, 0.01, end)
+        for start in one.starts[:2]:
+            found = simulation.recorded(Readings(time, signal, signal, signal, RATE), at(one, start))
+            assert found.position.shape == time.shape

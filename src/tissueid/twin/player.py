@@ -10,7 +10,7 @@ import numpy as np
 from tissueid.twin import bus
 from tissueid.twin.chain_parameters import Instrument, Tissue
 from tissueid.twin.effect import Effect, FloatArray, Parameter, Readings
-from tissueid.twin.simulation import ActiveEffect, Prepared, Start, prepared, run
+from tissueid.twin.simulation import ActiveEffect, Prepared, Start, prepared, recorded, run
 
 RUBBER_N_PER_M = 1.0e5
 RUBBER_N_S_PER_M = 50.0
@@ -138,8 +138,5 @@ class Player:
         if not any(item.effect.recording for item in self._acting):
             return raw[:, -command.size :]
         time = np.arange(self._samples - raw.shape[1] + 1, self._samples + 1) / self._rate
-        readings = Readings(time, raw[0], raw[1], raw[2], self._rate)
-        for item in self._acting:
-            if item.effect.recording is not None and (self._on_tissue or item.effect.on_spring):
-                readings = item.effect.recording(readings, item.values)
+        readings = recorded(Readings(time, raw[0], raw[1], raw[2], self._rate), self._acting, self._on_tissue)
         return np.stack([readings.voltage, readings.current, readings.position])[:, -command.size :]

@@ -135,11 +135,12 @@ def simulated_motion(
 
 
 def recorded(met: Readings, acting: Sequence[ActiveEffect], on_tissue: bool = True) -> Readings:
-    """Apply effects on the recorded numbers."""
+    """Apply effects on the recorded numbers. A motion that diverges, which a fit can try, gives no warning."""
     readings = met
-    for item in acting:
-        if item.effect.recording is not None and (on_tissue or item.effect.on_spring):
-            readings = item.effect.recording(readings, item.values)
+    with np.errstate(invalid="ignore", over="ignore"):
+        for item in acting:
+            if item.effect.recording is not None and (on_tissue or item.effect.on_spring):
+                readings = item.effect.recording(readings, item.values)
     return readings
 
 
