@@ -2,6 +2,7 @@
 
 import ctypes
 import functools
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -238,6 +239,8 @@ def test_bounds_priors_and_starts_scale_with_the_instrument():
     assert (bias.high, bias.prior, bias.prior_std) == (0.75, 0.0, 0.175)
     assert effect("end_stop").scaled(other).parameters[0].high == pytest.approx(0.051)
     assert effect("latency").scaled(other) is effect("latency")
+    with pytest.raises(ValueError, match="scales with one of"):
+        replace(plain_one.parameters[0], scales_with=("stroke", 1))
 
 
 @EVERY

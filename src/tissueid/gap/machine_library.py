@@ -7,7 +7,7 @@ from collections.abc import Mapping
 from tissueid.device import DeviceDescription
 from tissueid.gap.dataset import Dataset
 from tissueid.twin.catalogue import all_effects
-from tissueid.twin.effect import Effect
+from tissueid.twin.effect import SCALES, Effect
 from tissueid.twin.machine_effects import machine_effects
 
 _DRIVE = frozenset({"amplifier_clipping", "amplifier_deadband"})
@@ -15,8 +15,6 @@ _OF_POSITION = frozenset({"end_stop", "mount_resonance", "cogging", "sensor_back
 """Effects outside the tissue that depend on the position, or on a record of it."""
 _OF_VELOCITY = frozenset({"directional_damping"})
 """Effects on the tissue that do not depend on the position."""
-_DEFAULTS = {name: getattr(DeviceDescription(), name) for name in ("force_constant_n_per_a", "stroke_m")}
-"""Properties of the default instrument with which parameters of effects scale."""
 
 
 def effects_of(dataset: Dataset) -> Mapping[str, Effect]:
@@ -24,7 +22,7 @@ def effects_of(dataset: Dataset) -> Mapping[str, Effect]:
     equivalent machine in an input-output record."""
     if dataset.equivalent is not None:
         return all_effects() | machine_effects()
-    ratios = {name: getattr(dataset.instrument, name) / default for name, default in _DEFAULTS.items()}
+    ratios = {name: getattr(dataset.instrument, name) / getattr(DeviceDescription, name) for name in SCALES}
     return {name: item.scaled(ratios) for name, item in all_effects().items()}
 
 

@@ -29,6 +29,9 @@ STAGE_NAMES: Mapping[Stage, str] = {
 }
 """Displayed names of the stages."""
 
+SCALES = ("force_constant_n_per_a", "stroke_m")
+"""Properties of the instrument with which parameters can scale."""
+
 FloatArray = NDArray[np.float64]
 Hook = Callable[[int, FloatArray, FloatArray, FloatArray, float], None]
 Recording = Callable[["Readings", FloatArray], "Readings"]
@@ -77,6 +80,10 @@ class Parameter:
     def __post_init__(self) -> None:
         if not self.low < self.high or (self.logarithmic and self.low <= 0.0):
             raise ValueError(f"parameter {self.name}: {self.low} to {self.high} is no range to fit in")
+        if self.scales_with is not None and self.scales_with[0] not in SCALES:
+            raise ValueError(
+                f"parameter {self.name}: scales with one of {', '.join(SCALES)}, not {self.scales_with[0]}"
+            )
 
     def scaled(self, factor: float) -> Parameter:
         """Return the parameter with its neutral value, bounds and prior multiplied by a factor."""

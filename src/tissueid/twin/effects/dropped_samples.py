@@ -93,7 +93,7 @@ def losses_in_record(command: FloatArray, voltage: FloatArray) -> list[tuple[int
     after, path = min(found, key=lambda one: one[0])
     missing = _missing(voltage)
     if missing:
-        # What is missing at the end was lost, so that no lag is smaller by more: a slow rise at the start looks early.
+        # No more was lost than is missing at the end. Without this bound a slow rise at the start can look early.
         path = np.maximum(path, path[-1] - missing)
     losses = [*_loss_before_motion(path, command), *_lag_changes(path)]
     # Late losses concern few samples; what is missing at the end shows them as well.
