@@ -97,8 +97,7 @@ def probabilities(
     """
     if not costs:
         return []
-    most = thresholds.clear_share * baseline if clearly else _most_left(baseline, thresholds)
-    unlisted = max(most, thresholds.at_the_floor)
+    unlisted = _most_left(baseline, thresholds, clearly=clearly)
     least = min(*costs, unlisted)
     temperature = thresholds.temperature + thresholds.temperature_share * least
     weights = np.exp(-(np.array([*costs, unlisted]) - least) / temperature)
@@ -175,15 +174,18 @@ def decide(grounds: Grounds, thresholds: Thresholds = THRESHOLDS) -> frozenset[s
 
 def explains(baseline: float, best: Tried, thresholds: Thresholds = THRESHOLDS) -> bool:
     """Return whether a candidate explains the gap on held-out data; ``baseline`` is the score of the baseline."""
-    if best.score <= max(thresholds.at_the_floor, thresholds.clear_share * baseline):
+    if best.score <= _most_left(baseline, thresholds, clearly=True):
         return True
     if best.strict or best.score > _most_left(baseline, thresholds):
         return False
     return best.closed >= thresholds.explained_closed
 
 
-def _most_left(baseline: float, thresholds: Thresholds) -> float:
-    return max(thresholds.explained_share * baseline, baseline - thresholds.explained_gain)
+def _most_left(baseline: float, thresholds: Thresholds, *, clearly: bool = False) -> float:
+    # Largest score that an explanation leaves, with ``clearly`` one that needs no closed share.
+    if clearly:
+        return max(thresholds.at_the_floor, thresholds.clear_share * baseline)
+    return max(thresholds.at_the_floor, thresholds.explained_share * baseline, baseline - thresholds.explained_gain)
 
 
 def confirmed(baseline: float, left: float, closed: float, thresholds: Thresholds = THRESHOLDS) -> bool:
@@ -198,8 +200,7 @@ def confirmed(baseline: float, left: float, closed: float, thresholds: Threshold
         closed: share of the gap that it closes on the check; NaN where there is none.
         thresholds: thresholds of the decision.
     """
-    clear = max(thresholds.at_the_floor, thresholds.clear_share * baseline)
-    return left <= clear or not closed < thresholds.explained_closed
+    return left <= _most_left(baseline, thresholds, clearly=True) or not closed < thresholds.explained_closed
 
 
 def grows(smaller: Candidate, larger: Candidate, thresholds: Thresholds = THRESHOLDS) -> bool:

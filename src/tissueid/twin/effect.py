@@ -220,8 +220,11 @@ class Effect:
             return self
         factors = [1.0 if scale is None else ratios[scale[0]] ** scale[1] for scale in scales]
         parameters = tuple(item.scaled(factor) for item, factor in zip(self.parameters, factors, strict=True))
-        starts = tuple(tuple(np.multiply(start, factors).tolist()) for start in self.starts)
-        return replace(self, parameters=parameters, starts=starts)
+        starts, scan = (
+            tuple(tuple(np.multiply(start, factors).tolist()) for start in points)
+            for points in (self.starts, self.scan)
+        )
+        return replace(self, parameters=parameters, starts=starts, scan=scan)
 
     @property
     def order(self) -> int:
