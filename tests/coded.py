@@ -110,10 +110,10 @@ def templates() -> dict[str, dict[str, set[str]]]:
     found: dict[str, dict[str, set[str]]] = {}
     for path in sorted(Path(messages.__file__).parent.rglob("*.py")):
         source = path.read_text(encoding="utf-8")
-        for node in ast.walk(ast.parse(source)) if "Message(" in source else ():
-            if isinstance(node, ast.Call) and isinstance(node.func, ast.Name) and node.func.id == "Message":
+        for node in ast.walk(ast.parse(source)):
+            if isinstance(node, ast.Call) and isinstance(node.func, ast.Name) and len(node.args) > 1:
                 code, template = (part.value if isinstance(part, ast.Constant) else None for part in node.args[:2])
-                if isinstance(code, str) and isinstance(template, str):
+                if node.func.id.endswith(("Message", "Error")) and isinstance(code, str) and isinstance(template, str):
                     found.setdefault(code, {}).setdefault(path.name, set()).add(template)
     return found
 

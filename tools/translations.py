@@ -5,8 +5,9 @@
     .venv/bin/python tools/translations.py --check    # status 1: a text is not translated, or an entry is not used
     .venv/bin/python tools/translations.py --add fr "Français"   # begin another language
 
-A text is extracted from ``_("...")``, ``marked("...")``, ``plural("...", "...", n)`` and ``Message(code, "...")`` in
-Python, from the declarations of effects (``DECLARED``), and from ``_("...")`` in templates. An entry that the program
+A text is extracted from ``_("...")``, ``marked("...")``, ``plural("...", "...", n)``, ``Message(code, "...")`` and
+``SomeError(code, "...")`` in Python, from the declarations of effects (``DECLARED``), and from ``_("...")`` in
+templates. An entry that the program
 no longer uses is removed.
 """
 
@@ -42,15 +43,18 @@ def from_python(
     """Yield the calls that mark a text, from the syntax tree: Babel's own extractor misses those inside f-strings."""
     del comment_tags, options  # part of the interface
     for node in ast.walk(ast.parse(file.read())):
-        if isinstance(node, ast.Call) and isinstance(node.func, ast.Name) and node.func.id in keywords:
-            if node.func.id in DECLARED:
-                named = [part.value for part in node.keywords if part.arg in DECLARED[node.func.id]]
-                for part in named:
-                    if isinstance(part, ast.Constant):
-                        yield node.lineno, "_", part.value, []
-                continue
-            texts = [part.value if isinstance(part, ast.Constant) else None for part in node.args]
+        if not (isinstance(node, ast.Call) and isinstance(node.func, ast.Name)):
+            continue
+        texts = [part.value if isinstance(part, ast.Constant) else None for part in node.args]
+        if node.func.id in DECLARED:
+            named = [part.value for part in node.keywords if part.arg in DECLARED[node.func.id]]
+            for part in named:
+                if isinstance(part, ast.Constant):
+                    yield node.lineno, "_", part.value, []
+        elif node.func.id in keywords:
             yield node.lineno, node.func.id, tuple(texts) if len(texts) != 1 else texts[0], []
+        elif node.func.id.endswith("Error") and len(texts) > 1 and "." in str(texts[0]):
+            yield node.lineno, "Message", tuple(texts), []
 
 
 METHODS = [("**.py", from_python), ("**.j2", "jinja2")]

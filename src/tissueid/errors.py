@@ -6,12 +6,16 @@ Anything that is not one of these and reaches the top of a command is a defect.
 from __future__ import annotations
 
 from pathlib import Path
+from typing import Any
 
 from tissueid.messages import Message, code_of
 
 
 class TissueIDError(Exception):
-    """Base of every error whose message is meant for the user."""
+    """Base of every error with a message for the user: a text, or code, template and values of a ``Message``."""
+
+    def __init__(self, *message: str, **values: Any) -> None:
+        super().__init__(Message(*message, **values) if len(message) == 2 else message[0] if message else "")
 
     @property
     def message(self) -> str:

@@ -15,7 +15,7 @@ from scipy import linalg
 
 from tissueid.errors import UnusableInputError
 from tissueid.identification import vaf_percent, validated
-from tissueid.identification.engines.depth import Depth
+from tissueid.identification.engines.partitions import Depth
 from tissueid.identification.partitions.model import PartitionedModel
 from tissueid.records import Record, joined
 

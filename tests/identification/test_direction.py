@@ -12,7 +12,7 @@ from identification import simulated_dpn, simulated_stepped
 from scipy import linalg
 
 from tissueid.errors import UnusableInputError
-from tissueid.identification.engines.direction import Direction
+from tissueid.identification.engines.partitions import Direction
 from tissueid.identification.partitions.model import PartitionedModel
 from tissueid.messages import code_of
 from tissueid.records import Record

@@ -9,7 +9,7 @@ import numpy as np
 
 from tissueid.analysis.simulated_systems import WienerSystem
 from tissueid.errors import UnusableInputError
-from tissueid.identification.engines.depth import Depth
+from tissueid.identification.engines.partitions import Depth
 from tissueid.records import Record
 
 SAMPLE_RATE_HZ = 500.0

@@ -11,10 +11,11 @@ from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Any
 
+from pydantic import TypeAdapter, ValidationError
+
 from tissueid import __version__
 from tissueid.atomic_write import atomic_file, private_folder
 from tissueid.errors import UnusableInputError
-from tissueid.messages import Message
 
 FOLDER = "answers"
 _CHECK = "check"
@@ -38,12 +39,8 @@ class CheckInProgress:
 
 
 def begin_check(folder: Path, begun: CheckInProgress) -> None:
-    """Store the description of a check before its first answer.
-
-    Raises:
-        UnusableInputError: it cannot be written.
-    """
-    _write(folder, _CHECK, asdict(begun))
+    """Store the description of a check before its first answer; raise UnusableInputError where that fails."""
+    store_answer(folder, _CHECK, asdict(begun))
 
 
 def check_in_progress(folder: Path) -> CheckInProgress:
@@ -55,60 +52,43 @@ def check_in_progress(folder: Path) -> CheckInProgress:
     found = _read(folder, _CHECK)
     if found is None:
         raise UnusableInputError(
-            Message(
-                "blind.no_check",
-                "there is no check to resume in {folder}: omit --resume to begin one",
-                folder=str(folder),
-            )
+            "blind.no_check", "there is no check to resume in {folder}: omit --resume to begin one", folder=str(folder)
         )
     try:
-        begun = CheckInProgress(
-            int(found["n"]),
-            int(found["seed"]),
-            float(found["full_share"]),
-            str(found["seal"]),
-            str(found["laboratory"]),
-            bool(found["skin"]),
-            bool(found["against_twin"]),
-            str(found["software"]),
-        )
-    except (KeyError, TypeError, ValueError) as error:
+        begun = TypeAdapter(CheckInProgress).validate_python(found)
+    except ValidationError as error:
         raise UnusableInputError(
-            Message(
-                "blind.damaged_check",
-                "{path} does not describe a check: begin a new one",
-                path=str(_path(folder, _CHECK)),
-            )
+            "blind.damaged_check", "{path} does not describe a check: begin a new one", path=str(_path(folder, _CHECK))
         ) from error
     if begun.software != __version__:
         raise UnusableInputError(
-            Message(
-                "blind.other_version",
-                "the check in {folder} was begun by version {begun}, this is {current}: answers of two versions cannot "
-                "be scored together; begin a new one",
-                folder=str(folder),
-                begun=begun.software,
-                current=__version__,
-            )
+            "blind.other_version",
+            "the check in {folder} was begun by version {begun}, this is {current}: answers of two versions cannot be "
+            "scored together; begin a new one",
+            folder=str(folder),
+            begun=begun.software,
+            current=__version__,
         )
     return begun
 
 
 def store_answer(folder: Path, key: str, answer: dict[str, Any]) -> None:
-    """Store an answer.
-
-    Raises:
-        UnusableInputError: it cannot be written.
-    """
-    _write(folder, key, answer)
+    """Store an answer; raise UnusableInputError where it cannot be written."""
+    path = _path(folder, key)
+    try:
+        private_folder(path.parent)
+        with atomic_file(path) as partial:
+            # NaN is kept, so that stored answers score exactly as fresh ones.
+            partial.write_text(json.dumps(answer, default=lambda item: item.item()), encoding="utf-8")
+    except OSError as error:
+        reason = error.strerror or ""
+        raise UnusableInputError(
+            "blind.unwritable", "cannot write {path}: {reason}", path=str(path), reason=reason
+        ) from error
 
 
 def stored_answer(folder: Path, key: str) -> dict[str, Any] | None:
-    """Return a stored answer; None where there is none.
-
-    Raises:
-        UnusableInputError: the file holds no answer.
-    """
+    """Return a stored answer or None; raise UnusableInputError where the file holds something else."""
     found = _read(folder, key)
     if found is not None and not found.keys() >= _KEYS:
         raise _unreadable(_path(folder, key))
@@ -119,32 +99,12 @@ def _path(folder: Path, key: str) -> Path:
     return folder / FOLDER / f"{key}.json"
 
 
-def _write(folder: Path, key: str, value: dict[str, Any]) -> None:
-    path = _path(folder, key)
-    try:
-        private_folder(path.parent)
-        with atomic_file(path) as partial:
-            # NaN is kept, so that stored answers score exactly as fresh ones.
-            partial.write_text(json.dumps(value, default=lambda item: item.item()), encoding="utf-8")
-    except OSError as error:
-        raise UnusableInputError(
-            Message(
-                "blind.unwritable",
-                "cannot write {path}: {reason}",
-                path=str(path),
-                reason=error.strerror or "",
-            )
-        ) from error
-
-
 def _read(folder: Path, key: str) -> dict[str, Any] | None:
     path = _path(folder, key)
     if not path.exists():
         return None
     try:
-        if path.stat().st_size > _MOST_BYTES:
-            raise _unreadable(path)
-        found = json.loads(path.read_text(encoding="utf-8"))
+        found = json.loads(path.read_text(encoding="utf-8")) if path.stat().st_size <= _MOST_BYTES else None
     except (OSError, ValueError, RecursionError) as error:
         raise _unreadable(path) from error
     if not isinstance(found, dict):
@@ -154,9 +114,5 @@ def _read(folder: Path, key: str) -> dict[str, Any] | None:
 
 def _unreadable(path: Path) -> UnusableInputError:
     return UnusableInputError(
-        Message(
-            "blind.unreadable_answer",
-            "{path} holds no answer: delete it to diagnose again",
-            path=str(path),
-        )
+        "blind.unreadable_answer", "{path} holds no answer: delete it to diagnose again", path=str(path)
     )

@@ -15,7 +15,7 @@ from typing import Any, ClassVar, Literal, Self
 
 import numpy as np
 from numpy.typing import NDArray
-from pydantic import BaseModel, ConfigDict, ValidationError
+from pydantic import BaseModel, ConfigDict, Field, ValidationError
 
 from tissueid.errors import UnusableInputError
 from tissueid.identification.blas_threads import one_blas_thread
@@ -220,6 +220,11 @@ class LineFigure:
     y_label: str
     curves: Callable[[Any], Sequence[Curve]]
     group: Literal["record", "linear", "nonlinear", "validation"] = "linear"
+
+
+def option(default: Any, title: str, description: str, **bounds: Any) -> Any:
+    """Return an option of an engine: default, label and help in a form, and bounds (``gt``, ``le``, ...)."""
+    return Field(default, title=title, description=description, **bounds)
 
 
 class Engine(BaseModel, ABC):

@@ -8,10 +8,11 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
-from typing import Literal, TypeVar
+from typing import Any, Literal, TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
+from pydantic import Field
 from scipy import fft, optimize
 
 from tissueid.identification.base import Array
@@ -57,6 +58,8 @@ _HOLDS = (marked("band-limited"), marked("zero-order"))
 HOLD_TITLE = marked("Hold")
 HOLD_DESCRIPTION = marked("Course of the input between samples: a measured force is band-limited, a command is held")
 """Title and description of the option ``hold`` of engines."""
+HOLD: Any = Field("band-limited", title=HOLD_TITLE, description=HOLD_DESCRIPTION)
+"""The option itself."""
 
 _ALIASES = 6
 """Images of the base band on each side that are summed for a held input; the rest is below one part in 1e5."""

@@ -19,7 +19,7 @@ from tissueid.analysis.simulated_systems import LAGS, RATE_HZ, DpnSystem, Wiener
 from tissueid.formatting import fixed, grouped
 from tissueid.identification.base import Array
 from tissueid.identification.depth_profile import DepthProfile
-from tissueid.identification.engines.depth import Depth
+from tissueid.identification.engines.partitions import Depth
 from tissueid.identification.engines.volterra import Volterra
 from tissueid.identification.partitions.model import PartitionedModel
 from tissueid.identification.volterra.model import VolterraModel

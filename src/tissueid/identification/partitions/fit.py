@@ -2,9 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from dataclasses import dataclass, replace
-from typing import Literal
+from dataclasses import replace
+from typing import TYPE_CHECKING, Literal
 
 import numpy as np
 
@@ -14,7 +13,6 @@ from tissueid.identification.depth_levels import is_stepped
 from tissueid.identification.depth_profile import DepthProfile
 from tissueid.identification.partitions.cells import (
     UNKNOWN,
-    Breakpoints,
     Cells,
     Partitions,
     low_pass_pole,
@@ -26,13 +24,15 @@ from tissueid.identification.partitions.parameters import local_parameters
 from tissueid.identification.partitions.regression import PartitionedKernels, solve_along_lags, solve_at_output
 from tissueid.identification.partitions.report import details_of, findings, fit_warnings, named_parameters, profile_of
 from tissueid.identification.preparation import SAMPLES_PER_PARAMETER, Prepared, complete_windows, prepare
-from tissueid.identification.second_order import Hold
 from tissueid.identification.second_order_fit import SecondOrderFit, fit_second_order
 from tissueid.identification.validation import aic, aicc, vaf_percent
 from tissueid.identification.volterra.lag_grid import LagGrid, automatic_grid, lag_grid
 from tissueid.language import marked
 from tissueid.messages import Message
 from tissueid.records import Record
+
+if TYPE_CHECKING:
+    from tissueid.identification.engines.partitions import PartitionEngine
 
 Offset = Literal["auto", "common", "mean", "partition"]
 _OFFSETS = (marked("auto"), marked("common"), marked("mean"), marked("partition"))
@@ -53,38 +53,16 @@ _STEPPED = Message(
 _OWN_OFFSETS = Message("partitions.own_offsets", "the input is stepped: every partition has its own offset")
 
 
-@dataclass(frozen=True)
-class PartitionChoice:
-    """Options of the two engines; see there."""
-
-    memory: float
-    partitions: int
-    breakpoints: Breakpoints
-    breakpoints_m: Sequence[float] | None
-    filter_hz: float | None
-    downsample: int | None
-    offset: Offset
-    correct: bool
-    hold: Hold
-    directional: bool
-
-    def cut(self, output: Array, rows: Mask, sample_rate_hz: float) -> Partitions:
-        """Return the partitions of the output (n,) at the rows of a mask (n,)."""
-        pole = low_pass_pole(self.filter_hz, sample_rate_hz)
-        whole = Partitions(np.array([-np.inf, np.inf]), self.directional, pole)
-        seen = np.where(rows, whole.filtered(output), np.nan)
-        return replace(
-            whole, breakpoints=place_breakpoints(seen, self.partitions, self.breakpoints, self.breakpoints_m)
-        )
+def _cut(engine: PartitionEngine, output: Array, rows: Mask, sample_rate_hz: float) -> Partitions:
+    """Return the partitions of the output (n,) at the rows of a mask (n,)."""
+    pole = low_pass_pole(engine.filter_hz, sample_rate_hz)
+    whole = Partitions(np.array([-np.inf, np.inf]), engine.directional, pole)
+    seen = np.where(rows, whole.filtered(output), np.nan)
+    places = place_breakpoints(seen, engine.partitions, engine.breakpoints, engine.breakpoints_m)
+    return replace(whole, breakpoints=places)
 
 
-def fit_partitions(
-    engine: str,
-    options: dict[str, object],
-    choice: PartitionChoice,
-    record: Record,
-    fit_part: slice | None,
-) -> PartitionedModel:
+def fit_partitions(engine: PartitionEngine, record: Record, fit_part: slice | None) -> PartitionedModel:
     """Fit a partitioned model to a record, or to a contiguous part of it.
 
     Raises:
@@ -93,32 +71,31 @@ def fit_partitions(
     """
     rate = record.sample_rate_hz
     first = prepare(record, fit_part, 1.0 / rate, 1)
-    grid = _grid(choice, first)
+    grid = _grid(engine, first)
     rows = prepare(record, fit_part, grid.memory_samples / rate, 1).used
     if not rows.any():
         raise UnusableInputError(
             Message("partitions.no_sample", "no usable sample: the record is full of gaps, or the memory is too long")
         )
-    partitions = choice.cut(record.output, rows, rate)
+    partitions = _cut(engine, record.output, rows, rate)
     stepped = is_stepped(record.input, rows, grid.memory_samples)
-    if choice.offset == "auto":
-        choice = replace(choice, offset="partition" if stepped else "common")
-    at_output = choice.offset == "partition"
+    offset = engine.offset if engine.offset != "auto" else "partition" if stepped else "common"
+    at_output = offset == "partition"
     n_parameters = partitions.count * (grid.lags + int(at_output)) + int(not at_output)
     prepared = prepare(record, fit_part, grid.memory_samples / rate, n_parameters)
     cells = partitions.cells(record.output)
     used = _usable(prepared, cells, grid, n_parameters, at_output)
     _check_support(partitions, cells, used, grid)
-    linear = fit_second_order(record, prepared.used, choice.hold)
-    reference = 0.0 if choice.offset == "common" else prepared.input_mean
+    linear = fit_second_order(record, prepared.used, engine.hold)
+    reference = 0.0 if offset == "common" else prepared.input_mean
     if at_output:
         solved, assigned = _assigned_by_model(record, prepared, partitions, cells, used, grid)
     else:
         solved = solve_along_lags(record.input, record.output, reference, cells, partitions.count, used, grid, rate)
         assigned = cells
-    local = _local(choice, prepared, partitions, solved, assigned, used, grid, linear)
+    local = _local(engine, prepared, partitions, solved, assigned, used, grid, linear)
     profile = profile_of(local, partitions, cells, used) if linear.mechanical else None
-    model = _model(solved, prepared, partitions, grid, local, profile, engine, options)
+    model = _model(solved, prepared, partitions, grid, local, profile, engine)
     fitted = _reported(model, record, prepared, used, solved, local, linear)
     if not stepped:
         return fitted
@@ -128,11 +105,11 @@ def fit_partitions(
     return fitted.with_report(warnings=(*report.warnings, _STEPPED))
 
 
-def _grid(choice: PartitionChoice, first: Prepared) -> LagGrid:
+def _grid(engine: PartitionEngine, first: Prepared) -> LagGrid:
     rate = first.record.sample_rate_hz
-    if choice.downsample is not None:
-        return lag_grid(choice.memory, rate, choice.downsample)
-    return automatic_grid(choice.memory, first.record.input[first.part] - first.input_mean, rate)
+    if engine.downsample is not None:
+        return lag_grid(engine.memory, rate, engine.downsample)
+    return automatic_grid(engine.memory, first.record.input[first.part] - first.input_mean, rate)
 
 
 def _part_mask(prepared: Prepared) -> Mask:
@@ -239,7 +216,7 @@ def _free_run_cells(
 
 
 def _local(
-    choice: PartitionChoice,
+    engine: PartitionEngine,
     prepared: Prepared,
     partitions: Partitions,
     solved: PartitionedKernels,
@@ -262,8 +239,8 @@ def _local(
         grid=grid,
         linear=linear,
     )
-    if choice.correct:
-        return estimator.corrected(contrast=choice.directional)
+    if engine.correct:
+        return estimator.corrected(contrast=engine.directional)
     return estimator.estimate(record.output)
 
 
@@ -274,8 +251,7 @@ def _model(
     grid: LagGrid,
     local: LocalEstimates,
     profile: DepthProfile | None,
-    engine: str,
-    options: dict[str, object],
+    engine: PartitionEngine,
 ) -> PartitionedModel:
     rate = prepared.record.sample_rate_hz
     per_second = rate / grid.spacing
@@ -283,7 +259,9 @@ def _model(
     rest_cell, rest = equilibrium(solved.kernels, solved.offsets, steady, partitions, prepared.output_mean)
     own_past = not solved.at_output or partitions.directional or partitions.pole > 0.0
     return PartitionedModel(
-        report=FitReport(engine=engine, options=options, n_samples=0, n_parameters=0, vaf_percent=float("nan")),
+        report=FitReport(
+            engine=engine.name, options=engine.options(), n_samples=0, n_parameters=0, vaf_percent=float("nan")
+        ),
         sample_rate_hz=rate,
         memory_samples=grid.memory_samples * (_SETTLING_MEMORIES if own_past else 1),
         partitions=partitions,

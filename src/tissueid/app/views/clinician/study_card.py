@@ -2,12 +2,13 @@
 
 from __future__ import annotations
 
-from PySide6.QtWidgets import QFrame, QHBoxLayout, QLabel, QProgressBar, QPushButton, QVBoxLayout, QWidget
+from PySide6.QtWidgets import QFrame, QProgressBar, QVBoxLayout, QWidget
 
+from tissueid.app.build import button, column, fill, label, row, styled
 from tissueid.app.small_window import FoldingBox
 from tissueid.app.theme import Theme
 from tissueid.app.views.clinician.sitting_map import SittingMap
-from tissueid.app.widgets import ElidedLabel, plain_label
+from tissueid.app.widgets import ElidedLabel
 from tissueid.formatting import clean
 from tissueid.language import _
 from tissueid.messages import Message, Verbatim, joined, translated
@@ -33,94 +34,56 @@ class StudyCard(QFrame):
 
     def __init__(self, parent: QWidget | None = None) -> None:
         super().__init__(parent)
-        self.setProperty("role", "card")
-        self.heading = ElidedLabel()
-        self.heading.setProperty("role", "heading")
-        self.progress_text = QLabel()
-        self.progress_text.setProperty("role", "headline")
-        self.site = plain_label("heading")
-        self.test = plain_label()
-        self.condition = plain_label()
-        self.remark = plain_label("readout")
-        self.remark.setProperty("level", "check")
+        styled(self, role="card")
+        self.heading = styled(ElidedLabel(), role="heading")
+        self.progress_text = label("headline")
+        self.site, self.test, self.condition = label("heading"), label(), label()
+        self.remark = label("readout", level="check")
         self.map = SittingMap()
-        self.bar = QProgressBar()
+        self.bar = styled(QProgressBar(), name=_("Progress of the sitting"))
         self.bar.setTextVisible(False)
-        self.bar.setAccessibleName(_("Progress of the sitting"))
-        self.data = QPushButton(_("Subject…"))
-        self.data.setAccessibleName(_("Demographic values of the subject"))
-        self.photograph = QPushButton(_("Photograph…"))
-        self.photograph.setAccessibleName(_("Add a photograph of the site"))
-        self.leave = QPushButton(_("Leave"))
-        self.leave.setAccessibleName(_("Leave the sitting of the study"))
-        self.leave.setToolTip(_("What is recorded is kept; the sitting continues when it is opened again"))
-        for button in self.buttons:
-            button.setProperty("role", "small")
-        words = QVBoxLayout()
-        words.setSpacing(2)
-        for part in (self.progress_text, self.site, self.test, self.condition, self.remark):
-            words.addWidget(part)
-        words.addStretch(1)
-        row = QHBoxLayout()
-        row.setSpacing(8)
-        row.addWidget(self.map)
-        row.addLayout(words, 1)
+        self.data = button(_("Subject…"), role="small", name=_("Demographic values of the subject"))
+        self.photograph = button(_("Photograph…"), role="small", name=_("Add a photograph of the site"))
+        leaving = _("What is recorded is kept; the sitting continues when it is opened again")
+        self.leave = button(_("Leave"), role="small", name=_("Leave the sitting of the study"), tip=leaving)
+        self.buttons = self.data, self.photograph, self.leave
+        words = column(self.progress_text, self.site, self.test, self.condition, self.remark, None, spacing=2)
         holder = QWidget()
-        buttons = FoldingBox(_BUTTONS_IN_A_ROW, holder)
-        buttons.setContentsMargins(0, 0, 0, 0)
-        buttons.setSpacing(6)
-        for button in self.buttons:
-            buttons.addWidget(button)
-        layout = QVBoxLayout(self)
-        layout.setContentsMargins(8, 8, 8, 8)
-        layout.setSpacing(6)
-        layout.addWidget(self.heading)
-        layout.addLayout(row)
-        layout.addWidget(self.bar)
-        layout.addWidget(holder)
+        fill(FoldingBox(_BUTTONS_IN_A_ROW, holder), *self.buttons)
+        body = row(self.map, (words, 1), spacing=8)
+        fill(QVBoxLayout(self), self.heading, body, self.bar, holder, margins=(8,))
         self.hide()
-
-    @property
-    def buttons(self) -> tuple[QPushButton, ...]:
-        """The buttons in their order."""
-        return self.data, self.photograph, self.leave
 
     def show_state(self, state: SittingState) -> None:
         """Show where a sitting is and what comes next."""
-        step, protocol = state.step, state.protocol
-        subject = Verbatim(state.subject)
-        heading = Message("study.heading", "{study}: {subject}", study=Verbatim(clean(protocol.name)), subject=subject)
-        self.heading.setText(translated(heading))
-        self.map.show_sites(
-            [site.site for site in protocol.sites],
-            "" if step is None else step.site,
-            finished_sites(protocol, state.subject, step),
-        )
-        self.bar.setRange(0, state.total)
-        self.bar.setValue(state.total if step is None else step.place - 1)
+        step, protocol, total = state.step, state.protocol, state.total
+        names = {"study": Verbatim(clean(protocol.name)), "subject": Verbatim(state.subject)}
+        self.heading.setText(translated(Message("study.heading", "{study}: {subject}", **names)))
+        finished = finished_sites(protocol, state.subject, step)
+        self.map.show_sites([site.site for site in protocol.sites], step.site if step else "", finished)
+        self.bar.setRange(0, total)
+        self.bar.setValue(step.place - 1 if step else total)
         self.photograph.setVisible(protocol.photograph)
         if step is None:
-            self.progress_text.setText(_("Complete"))
-            self.site.setText(translated(Message("study.all", "All {total} tests are done.", total=state.total)))
+            texts = [_("Complete"), Message("study.all", "All {total} tests are done.", total=total), "", "", ""]
         else:
-            place = Message("study.place", "{place} of {total}", place=step.place, total=step.total)
-            self.progress_text.setText(translated(place))
-            self.site.setText(clean(step.site))
-            here = {"repeat": step.repeat, "count": step.repeats}
-            repeat = Message("study.repeat", "Test {repeat} of {count} here", **here)
-            self.test.setText(translated(repeat))
-            self.condition.setText(condition_words(step.condition))
-        again = step is not None and step.attempt > 1
-        self.remark.setText(_("Again: the last test does not count.") if again else "")
-        self.test.setVisible(step is not None)
-        for label in (self.condition, self.remark):
-            label.setVisible(step is not None and bool(label.text()))
+            texts = [
+                Message("study.place", "{place} of {total}", place=step.place, total=step.total),
+                Verbatim(clean(step.site)),
+                Message("study.repeat", "Test {repeat} of {count} here", repeat=step.repeat, count=step.repeats),
+                Verbatim(condition_words(step.condition)),
+                _("Again: the last test does not count.") if step.attempt > 1 else "",
+            ]
+        shown = self.progress_text, self.site, self.test, self.condition, self.remark
+        for part, text in zip(shown, texts, strict=True):
+            part.setText(translated(text))
+            part.setVisible(bool(text))
         self.show()
 
     def update_enabled(self, *, busy: bool) -> None:
         """Disable the buttons while a job runs."""
-        for button in self.buttons:
-            button.setEnabled(not busy)
+        for one in self.buttons:
+            one.setEnabled(not busy)
 
     def apply_theme(self, theme: Theme) -> None:
         """Apply the colours of a theme."""
