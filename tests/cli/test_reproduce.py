@@ -44,7 +44,7 @@ def reproduced(out: Path, *numbers: str) -> list[dict[str, Any]]:
     assert main(["reproduce", *numbers, "--quick", "--out", str(out), "--json", str(out.with_suffix(".json"))]) == 0
     figures = json.loads((out / "results.json").read_text())["figures"]
     assert {one["number"]: one["why_missing"] for one in figures if one["why_missing"]} == {}
-    assert all(one["rows"] and one["remark"] for one in figures)
+    assert all(one["rows"] for one in figures)
     assert all("nan" not in row["here"] for one in figures for row in one["rows"])
     return figures
 
@@ -93,8 +93,8 @@ def test_without_numbers_a_quick_run_makes_the_figures_of_a_few_tests(
     assert set(played) == QUICK_TESTS
 
 
-def test_every_figure_has_a_remark_and_a_remark_no_other_figure() -> None:
-    assert set(REMARKS) == {one.number for one in FIGURES}
+def test_remarks_are_of_figures() -> None:
+    assert set(REMARKS) <= {one.number for one in FIGURES}
     assert all(str(text).endswith(".") for text in REMARKS.values())
 
 

@@ -300,7 +300,12 @@ def _reproduced(
             report = replace(report, pictures=report.pictures + more.pictures, plots=report.plots + more.plots)
     except UnusableInputError as error:
         return ReproducedFigure(figure.number, figure.title, why=error.message)
-    return ReproducedFigure(figure.number, figure.title, rows, report=report)
+    warnings = {  # one that several fits share, once
+        warning: Message("reproduce.warning", "{fit}: {warning}", fit=Verbatim(entry.fit.label), warning=warning)
+        for entry in found.entries
+        for warning in entry.analysis.model.report.warnings
+    }
+    return ReproducedFigure(figure.number, figure.title, rows, report=report, warnings=tuple(warnings.values()))
 
 
 def _write(plan: ReproductionPlan, out: Path, made: Sequence[ReproducedFigure], began: float) -> None:
@@ -331,7 +336,7 @@ def _write(plan: ReproductionPlan, out: Path, made: Sequence[ReproducedFigure], 
 
 
 def answer_of(figure: ReproducedFigure) -> dict[str, Any]:
-    """Return a figure for JSON: number, title, thesis and present value of each quantity, and the remark."""
+    """Return a figure for JSON: number, title, thesis and present value of each quantity, remark and warnings."""
     rows = [{name: str(value) for name, value in asdict(row).items()} for row in figure.rows]
     return {
         "number": figure.number,
@@ -339,6 +344,7 @@ def answer_of(figure: ReproducedFigure) -> dict[str, Any]:
         "rows": rows,
         "why_missing": str(figure.why) or None,
         "remark": str(figure.remark),
+        "warnings": [str(text) for text in figure.warnings],
         "seconds": figure.seconds,
         "against": str(figure.against),
     }
