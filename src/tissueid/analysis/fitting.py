@@ -271,12 +271,13 @@ def _without_spring(model: Model, spring_n_per_m: float) -> Model:
         return model
     line = Message(
         "analysis.spring_subtracted",
-        "The external spring of {spring:g} N/m is subtracted from the stiffness; natural frequency, damping ratio, "
-        "curves and figures of the response are those of tissue and spring together.",
+        "The external spring of {spring:g} N/m is subtracted from the stiffness of tables and profiles; natural "
+        "frequency, damping ratio, curves, figures of the response and the findings below are those of tissue and "
+        "spring together.",
         spring=spring_n_per_m,
     )
     parameters = without_spring(report.parameters, spring_n_per_m)
-    return replace(model, report=replace(report, parameters=parameters, findings=(*report.findings, line)))
+    return replace(model, report=replace(report, parameters=parameters, findings=(line, *report.findings)))
 
 
 def timed_fit(specification: Engine, record: Record, fit_part: slice | None) -> tuple[Model, float]:
