@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from dataclasses import replace
 
+import numpy as np
 import pytest
 
 from firmware_sim.bench import Bench
@@ -14,9 +15,17 @@ from tissueid.identification import get_engine
 from tissueid.instrument import CLINICAL, SimulatedInstrument, join_blocks, open_instrument
 from tissueid.instrument.tissues import TISSUES
 from tissueid.records import Record
+from tissueid.twin.catalogue import effect
+from tissueid.twin.chain_parameters import Instrument
+from tissueid.twin.player import Player
+from tissueid.twin.simulation import ActiveEffect, Start, values_by_name
 
 VOLTS = 4.0 * NoiseChoice().stimulus(2000.0).values
 PRELOAD = 1000
+
+
+def acting_of(effects):
+    return [ActiveEffect(effect(name), values_by_name(effect(name), values)) for name, values in effects.items()]
 
 
 def of_process(variation):
@@ -71,3 +80,19 @@ def test_a_little_breathing_changes_the_mass_a_little(amplitude):
         report = get_engine("lms")().fit(Record(3.0 * samples["current"], samples["position"], 2000.0)).report
         masses.append(report.parameters["mass_kg"].value)
     assert abs(masses[1] / masses[0] - 1.0) < 3e-3 + 200.0 * amplitude
+
+
+def test_the_motion_of_the_next_test_does_not_hit_the_probe():
+    """Check that the probe stays on the skin where a simulated instrument draws another breath."""
+    simulated = TISSUES["anterior-forearm"].varied(1.0)
+    random = np.random.default_rng(1)
+    _, effects = simulated.drawn(random)
+    surface_m = simulated.tissue.surface_m
+    under_way = Player(Instrument(), simulated.tissue, Start(0.0, surface_m), acting_of(effects), sample_rate_hz=2000.0)
+    under_way.play(np.zeros(4000))
+    for _ in range(10):
+        _, effects = simulated.drawn(random)
+        before = under_way.state.position_m
+        under_way.set_parameters(simulated.tissue, acting_of(effects))
+        _, _, position = under_way.play(np.zeros(2000))
+        assert np.abs(position - before).max() < 4.0 * simulated.breath_m
