@@ -158,6 +158,37 @@ def test_the_report_has_the_statistics(run, folder):
     assert answer["statistics"]["variation"][0]["site"] == "arm"
 
 
+PARAMETER_KEYS = {"cv_individual", "cv_population", "icc", "minimal_detectable_change"}
+COMPARISON_KEYS = {"kind", "parameter", "groups", "estimate", "ci", "effect_size", "p", "p_corrected", "test", "n"}
+
+
+@pytest.mark.parametrize("command", ["run", "table", "report"])
+def test_the_json_of_a_study_has_the_keys_that_scripts_rely_on(folder, run, capsys, command):
+    assert main(["study", command, str(folder), "--engine", "lms", "--workers", "1", "--json", "-"]) == 0
+    answer = json.loads(capsys.readouterr().out)
+    assert (answer["tests"], answer["subjects"]) == (len(run.table), SUBJECTS)
+    found = study_statistics(run.table).tables
+    assert len(answer["parameters"]) > 3
+    for name, values in answer["parameters"].items():
+        assert set(values) == PARAMETER_KEYS
+        expected = found["variation"].set_index("parameter").loc[name, "individual_cv"].mean()
+        assert values["cv_individual"] == pytest.approx(expected)
+    assert 0.0 < answer["parameters"]["stiffness_n_per_m"]["icc"] <= 1.0
+    assert all(set(one) >= COMPARISON_KEYS for one in answer["comparisons"])
+    assert {one["kind"] for one in answer["comparisons"]} == {"first_test", "site", "group", "regression"}
+    (sites,) = (
+        one for one in answer["comparisons"] if (one["kind"], one["parameter"]) == ("site", "stiffness_n_per_m")
+    )
+    row = found["sites"].set_index("parameter").loc["stiffness_n_per_m"]
+    assert (sites["groups"], sites["test"], sites["n"]) == (["arm", "leg"], "mixed_model", SUBJECTS)
+    assert sites["ci"] == pytest.approx([row["low"], row["high"]])
+    assert sites["ci"][0] < sites["estimate"] < sites["ci"][1]
+    gender = [one for one in answer["comparisons"] if (one["kind"], one["factor"]) == ("group", "gender")]
+    assert all(one["groups"] == ["female", "male"] and 0.0 <= one["p"] <= one["p_corrected"] for one in gender)
+    assert len(answer["warnings"]) == len(answer["warning_messages"])
+    assert all(set(message) >= {"code", "values"} for message in answer["warning_messages"])
+
+
 def test_a_condition_is_compared_within_subjects(tmp_path):
     fill(tmp_path / "s")
     apply_lotion(tmp_path / "s", SUBJECTS)

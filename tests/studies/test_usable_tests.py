@@ -166,8 +166,8 @@ def test_remarks_show_labels_and_keep_the_columns():
     assert "no value of 'Stiffness'" in by_code["study.no_value"]
     assert by_code["study.no_value"].values["name"] == "stiffness_n_per_m"
     answer = found.as_answer()
-    assert answer["remark_messages"][0]["code"] in by_code
-    assert len(answer["remark_messages"]) == len(answer["remarks"])
+    assert answer["warning_messages"][0]["code"] in by_code
+    assert len(answer["warning_messages"]) == len(answer["warnings"])
 
 
 def test_only_tests_that_count_are_numbered():

@@ -78,13 +78,25 @@ class Series:
 def run_population(plan: PopulationPlan, control: Control) -> StudyReport:
     """Measure a simulated population by guided tests, analyse the sessions and write the report.
 
-    In the folder of an interrupted population with the same options, only the missing sessions are measured.
-
     Raises:
         UnusableInputError: the folder holds anything else or cannot be made, or a package is missing.
         CancelledError: it was cancelled; the finished sessions are kept.
     """
     check_packages("pandas", "pyarrow", "statsmodels", "sklearn")
+    measure_population(plan, control)
+    report = StudyReportPlan(folder=plan.out, workers=plan.workers, margin=MARGIN, pdf=plan.out / "report.pdf")
+    return report_study(report, control)
+
+
+def measure_population(plan: PopulationPlan, control: Control) -> None:
+    """Measure a simulated population by guided tests.
+
+    In the folder of an interrupted population with the same options, only the missing sessions are measured.
+
+    Raises:
+        UnusableInputError: the folder holds anything else or cannot be made.
+        CancelledError: it was cancelled; the finished sessions are kept.
+    """
     _take_folder(plan)
     people = population(plan.subjects, plan.seed)
     write_text(plan.out / SUBJECTS_FILE, subjects_file(people, MATERIALS if plan.products else ()))
@@ -101,8 +113,6 @@ def run_population(plan: PopulationPlan, control: Control) -> StudyReport:
         done = CountedProgress(control, _MEASURING, len(series))
         with executor(plan.workers) as pool:
             pool.do(functools.partial(measure_series, plan), series, control.check, done)
-    report = StudyReportPlan(folder=plan.out, workers=plan.workers, margin=MARGIN, pdf=plan.out / "report.pdf")
-    return report_study(report, control)
 
 
 def measure_series(plan: PopulationPlan, series: Series) -> Path:
@@ -130,6 +140,7 @@ def measure_series(plan: PopulationPlan, series: Series) -> Path:
         out=session_path(plan, series),
         subject=series.subject,
         repeats=repeats,
+        place_again=True,  # the compression of the skin by the first test shows only against its present surface
         seconds=plan.seconds,  # and the stimulus of the guided test, which is one for all subjects (thesis 7.1.1)
         calibration=False,
         condition=series.condition,

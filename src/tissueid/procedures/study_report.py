@@ -37,7 +37,7 @@ class StudyReport:
 
     def as_answer(self) -> dict[str, Any]:
         """Return the statistics for JSON."""
-        return {"failures": dict(self.run.failures), "sessions": self.run.sessions} | self.statistics.as_answer()
+        return self.run.as_answer() | self.statistics.as_answer()
 
 
 def _name(folder: Path) -> str:

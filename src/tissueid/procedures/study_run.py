@@ -68,6 +68,10 @@ class StudyRun:
     analysed: int
     """Sessions analysed in this run; the others were unchanged."""
 
+    def as_answer(self) -> dict[str, Any]:
+        """Return the sessions and those that could not be analysed for JSON."""
+        return {"failures": dict(self.failures), "sessions": self.sessions}
+
 
 def run_study(plan: StudyPlan, control: Control) -> StudyRun:
     """Analyse every session of a study that has changed, and write the table and the sampled curves.

@@ -170,6 +170,9 @@ class TestPlan(Plan):
         ),
     ] = None
     repeats: Annotated[int, Option("--repeats", help="number of runs of the test"), Field(ge=1, le=100)] = 1
+    place_again: Annotated[
+        bool, Option("--place-again", help="find the surface before each repeat, not only before the first")
+    ] = False
     rest_s: Annotated[
         float,
         Option("--rest", metavar="SECONDS", help="pause between repeats, to cool the coil"),

@@ -324,7 +324,7 @@ class _Run:
                     external_spring_n_per_m=plan.external_spring_n_per_m,
                 )
                 control.identifying(self._identification)
-            if placement is None:
+            if placement is None or plan.place_again:
                 placement = self._placed()
             self._step = Message("test.step", "test {number} of {count}", **values)
             # A feedback stimulus depends on the measured depth: a second run is not a repeat.
