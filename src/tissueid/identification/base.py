@@ -8,7 +8,8 @@ from __future__ import annotations
 
 import math
 from abc import ABC, abstractmethod
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from contextlib import contextmanager
 from dataclasses import dataclass, field, replace
 from functools import wraps
 from typing import Any, ClassVar, Literal, Self
@@ -301,11 +302,32 @@ class Engine(BaseModel, ABC):
 
 def _with_one_thread(fit: Callable[..., Model]) -> Callable[..., Model]:
     @wraps(fit)
-    def fitted(*args: Any, **options: Any) -> Model:
-        with one_blas_thread():
-            return fit(*args, **options)
+    def fitted(self: Engine, *args: Any, **options: Any) -> Model:
+        with one_blas_thread(), refused_if_not_computed(self.name):
+            return fit(self, *args, **options)
 
     return fitted
+
+
+_NUMERICAL = (ArithmeticError, ValueError, MemoryError)
+"""Exceptions of numpy and scipy for numbers with which they cannot compute; ``LinAlgError`` is a ``ValueError``."""
+
+
+@contextmanager
+def refused_if_not_computed(name: str) -> Iterator[None]:
+    """Turn a numerical failure of the engine ``name`` into a refusal of the record; other errors are raised as they are.
+
+    Raises:
+        UnusableInputError: numpy or scipy cannot compute with the numbers of this record.
+    """
+    try:
+        yield
+    except _NUMERICAL as error:
+        if isinstance(error, ValidationError):  # a specification with wrong options is a programming error
+            raise
+        said = f"{type(error).__name__}: {error}".splitlines()[0]
+        template = "the engine {name} cannot be computed for this record: {problem}"
+        raise UnusableInputError("engine.not_computed", template, name=name, problem=said) from error
 
 
 def check_horizon(horizon: int) -> None:
