@@ -11,6 +11,7 @@ from tissueid.analysis.scoring import effective_parameters, held_out_error, scor
 from tissueid.analysis.split import Split
 from tissueid.errors import UnusableInputError
 from tissueid.identification.base import Array, Engine
+from tissueid.identification.memory import MemoryEngine
 from tissueid.identification.recommendation import Recommendation
 from tissueid.language import marked
 from tissueid.messages import Message
@@ -51,7 +52,7 @@ def memory_sweep(
     rows: list[SweepRow] = []
     done: list[Analysis] = []
     for specification in specifications:
-        if specification.options().get("memory") is None:
+        if not isinstance(specification, MemoryEngine):
             continue
         label = Message("trials.memory", "memory of {engine}", engine=specification.label)
         for number, memory in enumerate(memories):
@@ -84,7 +85,7 @@ def sized(found: Recommendation, specification: Engine, parts: Split, progress: 
     Each option that the engine has is varied alone, and scored on held-out samples.
     """
     fields = type(specification).model_fields
-    options = specification.options()
+    options = specification.for_record(parts.record, parts.fit_part).options()
     for option in ("memory", *_TRIED):
         present = options.get(option)
         if option not in fields or isinstance(present, bool) or not isinstance(present, int | float):

@@ -272,6 +272,10 @@ class Engine(BaseModel, ABC):
             UnusableInputError: the record is not sufficient for this fit; the message gives the reason.
         """
 
+    def for_record(self, record: Record, fit_part: slice | None) -> Self:
+        """Return the specification with values from the record for options that are not given; every fit begins so."""
+        return self
+
     def with_test_values(self, surface_position_m: float | None, weight_n: float | None) -> Self:
         """Return the specification with what the test knows about its placement, for options that are not given.
 
@@ -302,9 +306,9 @@ class Engine(BaseModel, ABC):
 
 def _with_one_thread(fit: Callable[..., Model]) -> Callable[..., Model]:
     @wraps(fit)
-    def fitted(self: Engine, *args: Any, **options: Any) -> Model:
+    def fitted(self: Engine, record: Record, fit_part: slice | None = None, **options: Any) -> Model:
         with one_blas_thread(), refused_if_not_computed(self.name):
-            return fit(self, *args, **options)
+            return fit(self.for_record(record, fit_part), record, fit_part, **options)
 
     return fitted
 
@@ -315,7 +319,7 @@ _NUMERICAL = (ArithmeticError, ValueError, MemoryError)
 
 @contextmanager
 def refused_if_not_computed(name: str) -> Iterator[None]:
-    """Turn a numerical failure of the engine ``name`` into a refusal of the record; other errors are raised as they are.
+    """Turn a numerical failure of the engine ``name`` into a refusal of the record. Other errors pass.
 
     Raises:
         UnusableInputError: numpy or scipy cannot compute with the numbers of this record.

@@ -22,7 +22,7 @@ from tissueid.errors import UnusableInputError
 from tissueid.identification.base import Array, Mask
 from tissueid.identification.correlation import Correlator, dependence_samples, long_run_covariance
 from tissueid.identification.levenberg_marquardt import Bounds, ErrorPoint, minimise
-from tissueid.identification.preparation import finite_runs
+from tissueid.identification.preparation import finite_runs, typical_samples
 from tissueid.identification.second_order import (
     Complex,
     Hold,
@@ -49,6 +49,8 @@ _DAMPING = 1e-9
 _STEPS = Bounds.of_steps(np.ones(3))
 """A step changes mass, damping and stiffness by at most a factor e."""
 _EXTENSION = 64
+_CORRELATED_S = 0.25
+"""Length of the correlations against which starting points are compared, s (``typical_samples``)."""
 
 _FREE_RESPONSE_DECAY = 50.0
 """Time constants after which a free response is not evaluated any more: exp(-50) is 2e-22."""
@@ -338,7 +340,7 @@ def _start(record: Record, used: Mask, mean_u: float, mean_y: float) -> tuple[Se
     """
     edges = finite_runs(np.isfinite(record.input))
     first, end = max(edges, key=lambda run: int(np.count_nonzero(used[run[0] : run[1]])))
-    lags = int(min(end - first, max(8, round(0.25 * record.sample_rate_hz))))
+    lags = int(min(end - first, typical_samples(_CORRELATED_S, record.sample_rate_hz)))
     correlator = Correlator(record.input[first:end] - mean_u, lags)
     answer = np.where(used, record.output - mean_y, 0.0)[first:end]
     auto, cross = correlator.auto(), correlator.cross(answer)

@@ -9,7 +9,7 @@ import numpy as np
 from pydantic import Field
 
 from tissueid.errors import UnusableInputError
-from tissueid.identification.base import Array, Engine, FitReport, Model
+from tissueid.identification.base import Array, FitReport, Model
 from tissueid.identification.cascades.blocks import (
     STRUCTURES,
     Blocks,
@@ -36,6 +36,7 @@ from tissueid.identification.cascades.structure_selection import (
     structure_warnings,
 )
 from tissueid.identification.impulse_response import memory_warnings
+from tissueid.identification.memory import MemoryEngine
 from tissueid.identification.model_family import Family
 from tissueid.identification.preparation import memory_in_samples
 from tissueid.identification.registry import engine
@@ -79,7 +80,7 @@ class CascadeModel(Model):
 
 
 @engine
-class Cascade(Engine):
+class Cascade(MemoryEngine):
     """Cascade engine.
 
     All blocks are fitted together by the error of the free run, from several starting points. ``auto`` selects the
@@ -94,13 +95,6 @@ class Cascade(Engine):
     )
     family: ClassVar[Family] = Family.STATIC
 
-    memory: float = Field(
-        0.125,
-        gt=0.0,
-        le=10.0,
-        title=marked("Memory"),
-        description=marked("Length of the impulse response of each linear block, s"),
-    )
     structure: Literal["auto", "linear", "wiener", "hammerstein", "lnl", "nln"] = Field(
         "auto",
         title=marked("Structure"),
@@ -129,7 +123,7 @@ class Cascade(Engine):
                 input has fewer distinct values than the curve has coefficients.
         """
         wanted: tuple[Structure, ...] = STRUCTURES if self.structure == "auto" else (self.structure,)
-        lags = memory_in_samples(self.memory, record.sample_rate_hz)
+        lags = memory_in_samples(self.memory_s, record.sample_rate_hz)
         whole = 2 * lags - 1 if "lnl" in wanted else lags
         curve = coefficient_count(self.nonlinearity, self.degree) - 2
         prepared, spacing = prepare_cascade(record, fit_part, lags, whole, lambda q: _largest(wanted, q, curve))

@@ -24,6 +24,7 @@ from tissueid.identification.preparation import (
     complete_windows,
     prepare,
     scored_samples,
+    typical_samples,
 )
 from tissueid.identification.registry import engine
 from tissueid.identification.second_order import HOLD_DESCRIPTION, HOLD_TITLE, Hold
@@ -115,7 +116,7 @@ class Dpn(Engine):
     memory: float | None = Field(
         None,
         gt=0.0,
-        le=10.0,
+        le=1e7,
         title=marked("Memory"),
         description=marked("Duration of initial conditions, s; from the slower time constant if not given"),
     )
@@ -180,7 +181,8 @@ class Dpn(Engine):
             UnusableInputError: nothing varies, too few samples, a memory longer than the part, or an output that
                 decreases with increasing input.
         """
-        prepared = prepare(record, fit_part, self.memory or _MEMORY_S, _LEAST_PARAMETERS)
+        rate = record.sample_rate_hz
+        prepared = prepare(record, fit_part, self.memory or typical_samples(_MEMORY_S, rate) / rate, _LEAST_PARAMETERS)
         data = DpnData(record, prepared.part, self.hold)
         if data.samples.size < _LEAST_PARAMETERS:
             raise UnusableInputError(

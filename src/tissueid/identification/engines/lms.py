@@ -8,7 +8,7 @@ from typing import ClassVar, Literal
 import numpy as np
 from pydantic import Field
 
-from tissueid.identification.base import Array, Engine, FitReport, Model
+from tissueid.identification.base import Array, FitReport, Model
 from tissueid.identification.correlation import convolve_at_rest
 from tissueid.identification.impulse_response import (
     factor_input,
@@ -17,6 +17,7 @@ from tissueid.identification.impulse_response import (
     segment_average,
     with_extra_memory,
 )
+from tissueid.identification.memory import MemoryEngine
 from tissueid.identification.model_family import Family
 from tissueid.identification.preparation import prepare
 from tissueid.identification.registry import engine
@@ -49,7 +50,7 @@ class LmsModel(Model):
 
 
 @engine
-class Lms(Engine):
+class Lms(MemoryEngine):
     """LMS engine.
 
     Assumes a linear system whose response decays within ``memory``, and output noise that is independent of the input.
@@ -63,9 +64,6 @@ class Lms(Engine):
     family: ClassVar[Family] = Family.LINEAR
     in_report: ClassVar[bool] = True
 
-    memory: float = Field(
-        0.125, gt=0.0, le=10.0, title=marked("Memory"), description=marked("Length of the impulse response, s")
-    )
     method: Literal["toeplitz", "svd"] = Field(
         "toeplitz",
         title=marked("Method"),
@@ -113,7 +111,7 @@ class Lms(Engine):
         Raises:
             UnusableInputError: nothing varies, too few samples, or a memory longer than the part.
         """
-        prepared = prepare(record, fit_part, self.memory)
+        prepared = prepare(record, fit_part, self.memory_s)
         lags = prepared.memory_samples
         solved = factor_input(
             prepared if self.taper == 0.0 else with_extra_memory(prepared),

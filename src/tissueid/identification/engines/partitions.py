@@ -4,7 +4,8 @@ from __future__ import annotations
 
 from typing import ClassVar, Literal
 
-from tissueid.identification.base import Engine, option
+from tissueid.identification.base import option
+from tissueid.identification.memory import MemoryEngine
 from tissueid.identification.model_family import Family
 from tissueid.identification.partitions.cells import Breakpoints
 from tissueid.identification.partitions.fit import Offset, fit_partitions
@@ -15,12 +16,12 @@ from tissueid.language import marked
 from tissueid.records import Record
 
 
-class PartitionEngine(Engine):
+class PartitionEngine(MemoryEngine):
     """Options and fit that both engines share."""
 
     directional: ClassVar[bool]
+    usual_memory_s: ClassVar[float] = 0.06
 
-    memory: float = option(0.06, marked("Memory"), marked("Length of the kernels, s"), gt=0.0, le=10.0)
     partitions: int = option(7, marked("Partitions"), marked("Number of depth partitions"), ge=1, le=100)
     breakpoints: Breakpoints = option(
         "count", marked("Breakpoints"), marked("Partitions with equal counts of samples, or of equal width")
