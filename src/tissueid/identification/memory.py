@@ -19,7 +19,7 @@ LONGEST_SAMPLES = 20_000
 _RUNGS = (8, 12, 16, 24, 32, 48, 64, 96, 128, 192, 256, 384, 512, 768, 1024)
 """Numbers of lags that are tried, at the sample rate and then at an eighth of it, and so on."""
 _SLOWER = 8
-_LEAST_SAMPLES_PER_LAG = 6
+_LEAST_SAMPLES_PER_LAG = 8
 _NEGLIGIBLE = 1e-4
 """Share of the explained output power that lags may add without being needed."""
 _RIDGE = 1e-3
@@ -33,6 +33,8 @@ class MemoryEngine(Engine):
 
     usual_memory_s: ClassVar[float] = 0.125
     """Memory for tissue, s: force to position at the sample rate of an indenter."""
+    memory_margin: ClassVar[float] = 2.0
+    """Ratio of the memory for other records to the least one that explains a linear response."""
 
     memory: float | None = option(
         None,
@@ -53,7 +55,7 @@ class MemoryEngine(Engine):
         Raises:
             UnusableInputError: the memory has more than ``LONGEST_SAMPLES`` samples.
         """
-        memory = automatic_memory(record, fit_part, self.usual_memory_s) if self.memory is None else self.memory
+        memory = self.memory or automatic_memory(record, fit_part, self.usual_memory_s, self.memory_margin)
         samples = memory_in_samples(memory, record.sample_rate_hz)
         if samples > LONGEST_SAMPLES:
             raise UnusableInputError(
@@ -67,7 +69,7 @@ class MemoryEngine(Engine):
         return self if self.memory is not None else self.model_copy(update={"memory": memory})
 
 
-def automatic_memory(record: Record, fit_part: slice | None, usual_s: float) -> float:
+def automatic_memory(record: Record, fit_part: slice | None, usual_s: float, margin: float) -> float:
     """Return the length of the impulse response of a record, s.
 
     It is ``usual_s`` for force to position at the sample rate of an indenter, and for another record at such a rate
@@ -77,6 +79,7 @@ def automatic_memory(record: Record, fit_part: slice | None, usual_s: float) -> 
         record: the data.
         fit_part: contiguous part of it; None for all.
         usual_s: length for tissue, s.
+        margin: ratio of the length to that number of lags.
     """
     rate = record.sample_rate_hz
     usual = typical_samples(usual_s, rate)
@@ -91,7 +94,7 @@ def automatic_memory(record: Record, fit_part: slice | None, usual_s: float) -> 
     signals = [
         np.where(known[inside], values[inside] - values[known].mean(), 0.0) for values in (record.input, record.output)
     ]
-    needed = _needed_lags(signals[0], signals[1])
+    needed = margin * _needed_lags(signals[0], signals[1])
     if of_tissue and needed <= _TOO_SHORT * usual:
         return usual_s
     return needed / rate

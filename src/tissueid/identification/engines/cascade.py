@@ -19,7 +19,7 @@ from tissueid.identification.cascades.blocks import (
     input_levels,
     prepare_cascade,
 )
-from tissueid.identification.cascades.fit import fit_structures, refine_until_converged
+from tissueid.identification.cascades.fit import fit_structures, over_whole_range, refine_until_converged
 from tissueid.identification.cascades.normalisation import (
     Normalised,
     Uncertainty,
@@ -47,6 +47,16 @@ from tissueid.identification.validation import aic, aicc, vaf_percent
 from tissueid.language import marked
 from tissueid.messages import Message
 from tissueid.records import Record
+
+_MOST_ROWS = 200_000
+"""Largest number of samples that are fitted, for about 1 GB and a few minutes."""
+_MOST_ROWS_COMPARED = 40_000
+"""Largest number of samples by which structures are compared, for about a minute."""
+_FITTED = ("cascade.part_fitted", "only the first {seconds:.3g} s of the record were fitted, to limit memory and time")
+_COMPARED = (
+    "cascade.part_compared",
+    "the structures were compared on the first {seconds:.3g} s of the record, to limit time",
+)
 
 
 @dataclass(frozen=True, eq=False)
@@ -152,11 +162,15 @@ class Cascade(MemoryEngine):
                         coefficients=curve + 2,
                     )
                 )
-        data = cascade_data(prepared, lags, spacing)
-        found = fit_structures(data, self.nonlinearity, self.degree, wanted)
-        choice = choose(found, data) if self.structure == "auto" else None
+        data = cascade_data(prepared, lags, spacing).first(_MOST_ROWS)
+        compared = data.first(_MOST_ROWS_COMPARED)
+        found = fit_structures(compared, self.nonlinearity, self.degree, wanted)
+        choice = choose(found, compared) if self.structure == "auto" else None
+        for least, what in ((data, _FITTED), (compared, _COMPARED)):
+            if least.rows.size < int(used.sum()) and (least is data or choice is not None):
+                warnings.append(Message(*what, seconds=least.input.size / record.sample_rate_hz))
         structure = wanted[0] if choice is None else choice.structure
-        blocks, data = refine_until_converged(found[structure], data)
+        blocks, data = refine_until_converged(over_whole_range(found[structure], data), data)
         known = uncertainty(blocks, data)
         gains = has_steady_gains(blocks, data, known)
         normal = normalise_gains(blocks, data, gains)

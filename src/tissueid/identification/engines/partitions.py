@@ -21,6 +21,7 @@ class PartitionEngine(MemoryEngine):
 
     directional: ClassVar[bool]
     usual_memory_s: ClassVar[float] = 0.06
+    memory_margin: ClassVar[float] = 1.0
 
     partitions: int = option(7, marked("Partitions"), marked("Number of depth partitions"), ge=1, le=100)
     breakpoints: Breakpoints = option(

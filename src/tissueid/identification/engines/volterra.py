@@ -73,6 +73,7 @@ class Volterra(MemoryEngine):
     )
     family: ClassVar[Family] = Family.KERNELS
     usual_memory_s: ClassVar[float] = 0.06
+    memory_margin: ClassVar[float] = 1.0
 
     order: int = Field(2, ge=0, le=3, title=marked("Order"), description=marked("Highest order of the kernels"))
     method: Literal["regularised", "exact", "laguerre"] = Field(
