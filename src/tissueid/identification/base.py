@@ -308,9 +308,34 @@ def _with_one_thread(fit: Callable[..., Model]) -> Callable[..., Model]:
     @wraps(fit)
     def fitted(self: Engine, record: Record, fit_part: slice | None = None, **options: Any) -> Model:
         with one_blas_thread(), refused_if_not_computed(self.name):
-            return fit(self.for_record(record, fit_part), record, fit_part, **options)
+            model = fit(self.for_record(record, fit_part), record, fit_part, **options)
+        return _with_parametric_warning(model) if isinstance(model, Model) else model
 
     return fitted
+
+
+PARAMETRIC = "vaf_parametric_percent"
+"""Name of the detail of a report with the score of mass, damping and stiffness alone."""
+_SHORTFALL_PERCENT, _SHORTFALL_RATIO = 0.1, 1.5
+"""Difference, in %, and ratio of what they and the response leave of the output, above which they get a warning."""
+
+
+def _with_parametric_warning(model: Model) -> Model:
+    """Return the model with a warning if mass, damping and stiffness explain much less than the response shown."""
+    report = model.report
+    spare = max(report.n_samples - report.n_parameters, 1)
+    left = 100.0 - report.details.get(PARAMETRIC, 100.0)
+    least = (100.0 - report.vaf_percent) * max(report.n_samples, 1) / spare
+    if not (left - least > _SHORTFALL_PERCENT and left > _SHORTFALL_RATIO * least):
+        return model
+    warning = Message(
+        "second_order.explains_less",
+        "mass, damping and stiffness belong to a second-order system that explains {parametric:.2f} % of the fitted "
+        "output, and the response explains {response:.2f} %: they can be biased by more than their standard deviations",
+        parametric=100.0 - left,
+        response=report.vaf_percent,
+    )
+    return model.with_report(warnings=(*report.warnings, warning))
 
 
 _NUMERICAL = (ArithmeticError, ValueError, MemoryError)

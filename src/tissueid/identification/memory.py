@@ -10,6 +10,8 @@ from tissueid.errors import UnusableInputError
 from tissueid.identification.base import Array, Engine, option
 from tissueid.identification.correlation import Correlator, toeplitz_solve
 from tissueid.identification.preparation import memory_in_samples, part_mask, typical_samples
+from tissueid.identification.second_order import HOLD, Hold
+from tissueid.identification.second_order_fit import hold_of
 from tissueid.language import marked
 from tissueid.records import Record
 
@@ -44,13 +46,15 @@ class MemoryEngine(Engine):
         le=1e7,
     )
 
+    hold: Hold = HOLD
+
     @property
     def memory_s(self) -> float:
         """The memory, s; the usual one if it is not given."""
         return self.usual_memory_s if self.memory is None else self.memory
 
     def for_record(self, record: Record, fit_part: slice | None) -> Self:
-        """Return the specification with the memory for this record.
+        """Return the specification with the memory and the hold of this record.
 
         Raises:
             UnusableInputError: the memory has more than ``LONGEST_SAMPLES`` samples.
@@ -66,7 +70,8 @@ class MemoryEngine(Engine):
                 samples=samples,
                 limit=LONGEST_SAMPLES,
             )
-        return self if self.memory is not None else self.model_copy(update={"memory": memory})
+        hold = hold_of(record, fit_part) if self.hold == "auto" else self.hold
+        return self.model_copy(update={"memory": memory, "hold": hold})
 
 
 def automatic_memory(record: Record, fit_part: slice | None, usual_s: float, margin: float) -> float:

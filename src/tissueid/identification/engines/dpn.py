@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import ClassVar, Literal
+from typing import ClassVar, Literal, Self
 
 import numpy as np
 from pydantic import Field
@@ -27,8 +27,8 @@ from tissueid.identification.preparation import (
     typical_samples,
 )
 from tissueid.identification.registry import engine
-from tissueid.identification.second_order import HOLD_DESCRIPTION, HOLD_TITLE, Hold
-from tissueid.identification.second_order_fit import fit_second_order
+from tissueid.identification.second_order import HOLD, Hold
+from tissueid.identification.second_order_fit import fit_second_order, hold_of
 from tissueid.identification.validation import aic, aicc, vaf_percent
 from tissueid.language import marked
 from tissueid.messages import Message, code_of
@@ -168,11 +168,11 @@ class Dpn(Engine):
         title=marked("Surface"),
         description=marked("Position of the tissue surface, m; if given, the stiffness of Eq. 3.33 is also reported"),
     )
-    hold: Hold = Field(
-        "band-limited",
-        title=HOLD_TITLE,
-        description=HOLD_DESCRIPTION,
-    )
+    hold: Hold = HOLD
+
+    def for_record(self, record: Record, fit_part: slice | None) -> Self:
+        """Return the specification with the hold that the record shows."""
+        return self if self.hold != "auto" else self.model_copy(update={"hold": hold_of(record, fit_part)})
 
     def fit(self, record: Record, fit_part: slice | None = None) -> DpnModel:
         """Fit the curves to a record, or to a contiguous part of it.

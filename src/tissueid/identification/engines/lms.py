@@ -21,7 +21,6 @@ from tissueid.identification.memory import MemoryEngine
 from tissueid.identification.model_family import Family
 from tissueid.identification.preparation import prepare
 from tissueid.identification.registry import engine
-from tissueid.identification.second_order import HOLD_DESCRIPTION, HOLD_TITLE, Hold
 from tissueid.identification.second_order_fit import SecondOrderFit, fit_second_order
 from tissueid.identification.validation import aic, aicc, vaf_percent
 from tissueid.language import marked
@@ -98,11 +97,6 @@ class Lms(MemoryEngine):
         le=1e18,
         title=marked("Largest condition number"),
         description=marked("With segments: those with a larger condition number are rejected"),
-    )
-    hold: Hold = Field(
-        "band-limited",
-        title=HOLD_TITLE,
-        description=HOLD_DESCRIPTION,
     )
 
     def fit(self, record: Record, fit_part: slice | None = None) -> LmsModel:

@@ -22,7 +22,6 @@ from tissueid.identification.model_family import Family
 from tissueid.identification.partitions.parameters import means_and_slopes
 from tissueid.identification.preparation import prepare
 from tissueid.identification.registry import engine
-from tissueid.identification.second_order import HOLD_DESCRIPTION, HOLD_TITLE, Hold
 from tissueid.identification.second_order_fit import fit_second_order
 from tissueid.identification.validation import aic, aicc, vaf_percent
 from tissueid.language import marked
@@ -59,11 +58,6 @@ class Localized(MemoryEngine):
         None,
         title=marked("Levels"),
         description=marked("Levels of the input, in its unit; from its steps if not given"),
-    )
-    hold: Hold = Field(
-        "band-limited",
-        title=HOLD_TITLE,
-        description=HOLD_DESCRIPTION,
     )
 
     @classmethod

@@ -11,7 +11,6 @@ from tissueid.identification.partitions.cells import Breakpoints
 from tissueid.identification.partitions.fit import Offset, fit_partitions
 from tissueid.identification.partitions.model import PartitionedModel
 from tissueid.identification.registry import engine
-from tissueid.identification.second_order import HOLD, Hold
 from tissueid.language import marked
 from tissueid.records import Record
 
@@ -59,7 +58,6 @@ class PartitionEngine(MemoryEngine):
         marked("Bias correction"),
         marked("Subtract the bias of the estimator, found on a simulated tissue with the estimated parameters"),
     )
-    hold: Hold = HOLD
 
     def fit(self, record: Record, fit_part: slice | None = None) -> PartitionedModel:
         """Fit the kernels to a record, or to a contiguous part of it.

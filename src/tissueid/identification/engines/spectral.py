@@ -18,7 +18,7 @@ from tissueid.identification.memory import MemoryEngine
 from tissueid.identification.model_family import Family
 from tissueid.identification.preparation import Prepared, finite_runs, memory_in_samples, prepare, typical_samples
 from tissueid.identification.registry import engine
-from tissueid.identification.second_order import HOLD_DESCRIPTION, HOLD_TITLE, Complex, Hold
+from tissueid.identification.second_order import Complex
 from tissueid.identification.second_order_fit import SecondOrderFit, fit_second_order
 from tissueid.identification.validation import aic, aicc, vaf_percent
 from tissueid.language import marked
@@ -128,7 +128,6 @@ class Spectral(MemoryEngine):
         title=marked("Range"),
         description=marked("Simulation uses frequencies whose input power is within this range below its peak, dB"),
     )
-    hold: Hold = Field("band-limited", title=HOLD_TITLE, description=HOLD_DESCRIPTION)
 
     def for_record(self, record: Record, fit_part: slice | None) -> Self:
         """Return the specification with memory and window for this record.

@@ -10,13 +10,12 @@ import numpy as np
 from pydantic import Field
 
 from tissueid.errors import UnusableInputError
-from tissueid.identification.base import Array, FitReport
+from tissueid.identification.base import PARAMETRIC, Array, FitReport
 from tissueid.identification.impulse_response import memory_warnings
 from tissueid.identification.memory import MemoryEngine
 from tissueid.identification.model_family import Family
 from tissueid.identification.preparation import SAMPLES_PER_PARAMETER, Prepared, memory_in_samples, prepare
 from tissueid.identification.registry import engine
-from tissueid.identification.second_order import HOLD_DESCRIPTION, HOLD_TITLE, Hold
 from tissueid.identification.second_order_fit import fit_second_order
 from tissueid.identification.validation import aic, aicc, vaf_percent
 from tissueid.identification.volterra.lag_grid import LagGrid, automatic_grid, lag_grid, shortened, smoothed, whiteness
@@ -103,11 +102,6 @@ class Volterra(MemoryEngine):
         title=marked("Smoothing"),
         description=marked("Standard deviation of the Gaussian filter of the second-order kernel, lags; thesis: 1"),
     )
-    hold: Hold = Field(
-        "band-limited",
-        title=HOLD_TITLE,
-        description=HOLD_DESCRIPTION,
-    )
 
     def fit(
         self, record: Record, fit_part: slice | None = None, *, stimulus: VolterraStimulus | None = None
@@ -142,7 +136,8 @@ class Volterra(MemoryEngine):
                 parameters={} if second_order is None else second_order.parameters,
                 warnings=tuple(warnings),
                 findings=self._signature(solved),
-                details=solved.details
+                details=({} if second_order is None else {PARAMETRIC: second_order.vaf_percent})
+                | solved.details
                 | {"lags": float(grid.lags), "lag_spacing": float(grid.spacing)}
                 | ({} if white is None else {"input_whiteness": white}),
             ),

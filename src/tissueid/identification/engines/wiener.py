@@ -15,7 +15,7 @@ from tissueid.identification.memory import MemoryEngine
 from tissueid.identification.model_family import Family
 from tissueid.identification.preparation import memory_in_samples, prepare
 from tissueid.identification.registry import engine
-from tissueid.identification.second_order import HOLD_DESCRIPTION, HOLD_TITLE, Hold, SecondOrder, sampled_response_at
+from tissueid.identification.second_order import Hold, SecondOrder, sampled_response_at
 from tissueid.identification.second_order_fit import SecondOrderFit
 from tissueid.identification.static_nonlinearity import Exponential, Form, StaticNonlinearity, coefficient_count
 from tissueid.identification.validation import aic, aicc, vaf_percent
@@ -208,11 +208,6 @@ class Wiener(MemoryEngine):
             "Position of the tissue surface, m, which fixes the offset, so that C3 is estimated; if neither it nor C3 "
             "is given, that of the test"
         ),
-    )
-    hold: Hold = Field(
-        "band-limited",
-        title=HOLD_TITLE,
-        description=HOLD_DESCRIPTION,
     )
 
     def with_test_values(self, surface_position_m: float | None, weight_n: float | None) -> Self:

@@ -11,14 +11,12 @@ from abc import ABC, abstractmethod
 from dataclasses import dataclass
 
 import numpy as np
-from pydantic import Field
 
 from tissueid.errors import UnusableInputError
 from tissueid.identification.base import Array, Model
 from tissueid.identification.correlation import convolve_at_rest
 from tissueid.identification.memory import MemoryEngine
 from tissueid.identification.preparation import Prepared, checked_samples, memory_in_samples, prepare, typical_samples
-from tissueid.identification.second_order import HOLD_DESCRIPTION, HOLD_TITLE, Hold
 from tissueid.identification.second_order_fit import SecondOrderFit
 from tissueid.messages import Message
 from tissueid.records import Record
@@ -240,8 +238,6 @@ class Identifier(ABC):
 
 class OnlineEngine(MemoryEngine):
     """An engine that also runs sample by sample: ``start`` returns the identifier, ``fit`` runs it over a record."""
-
-    hold: Hold = Field("band-limited", title=HOLD_TITLE, description=HOLD_DESCRIPTION)
 
     @abstractmethod
     def start(
