@@ -79,6 +79,13 @@ _DEAD_TIME = (
 )
 
 
+_DEAD_TIME_LEFT_OUT = (
+    "second_order.dead_time_left_out",
+    "the output is {milliseconds:.3g} ms late against the input, and this engine has no dead time: it appears as mass "
+    "and damping; shift one channel, or use lms",
+)
+
+
 @dataclass(frozen=True)
 class SecondOrderFit:
     """A fitted second-order system.
@@ -99,6 +106,13 @@ class SecondOrderFit:
     hold: Hold
     warnings: tuple[str, ...]
     dead_time: Estimate | None = None
+
+    @property
+    def left_out(self) -> tuple[str, ...]:
+        """A warning for engines without a dead time, where the record shows one."""
+        if self.dead_time is None:
+            return ()
+        return (Message(*_DEAD_TIME_LEFT_OUT, milliseconds=1e3 * self.dead_time.value),)
 
     @property
     def parameters(self) -> dict[str, Estimate]:

@@ -188,7 +188,7 @@ class Dpn(Engine):
             raise UnusableInputError(
                 Message("dpn.no_stretch", "the record has no stretch without gaps that is long enough to simulate")
             )
-        start = _constant_curves(prepared, self.hold)
+        start, late = _constant_curves(prepared, self.hold)
         degrees, free, off = self._series()
         most = min(self.max_degree, int(data.samples.size) // (4 * SAMPLES_PER_PARAMETER))
         selected = select_degrees(data, start, degrees, free, most, self.spare_degree)
@@ -206,7 +206,8 @@ class Dpn(Engine):
             data.speeds(fitted),
         )
         gains = score_gains(data, fitted, {name: 1 for name in off if name != "inertia" or fitted.curves.mass.size > 1})
-        return self._model(prepared, fitted, found, known, {name: gain for (name, _), gain in gains.items()})
+        model = self._model(prepared, fitted, found, known, {name: gain for (name, _), gain in gains.items()})
+        return model.with_report(warnings=(*model.report.warnings, *late))
 
     def _series(self) -> tuple[dict[str, int], list[str], list[str]]:
         """Return the given degrees, the free series, and the terms that are switched off."""
@@ -300,8 +301,8 @@ class Dpn(Engine):
         )
 
 
-def _constant_curves(prepared: Prepared, hold: Hold) -> LogCurves:
-    """Return the linear second-order system of the record as curves that do not depend on depth.
+def _constant_curves(prepared: Prepared, hold: Hold) -> tuple[LogCurves, tuple[str, ...]]:
+    """Return the linear second-order system of the record as curves that do not depend on depth, and warnings.
 
     Raises:
         UnusableInputError: the output decreases with increasing input.
@@ -325,7 +326,7 @@ def _constant_curves(prepared: Prepared, hold: Hold) -> LogCurves:
     mass = max(system.mass, damping / (_LARGEST_DAMPING * record.sample_rate_hz))
     speed = float(np.nanstd(np.diff(output))) * record.sample_rate_hz
     middle = 0.5 * (low + high)
-    return LogCurves(
+    curves = LogCurves(
         low=low,
         high=high,
         mass=np.log([mass]),
@@ -336,3 +337,4 @@ def _constant_curves(prepared: Prepared, hold: Hold) -> LogCurves:
         speed_scale=_DIRECTION_SPEED_SHARE * speed,
         inertia=np.zeros(0),
     )
+    return curves, linear.left_out

@@ -249,7 +249,8 @@ def _local(
         linear=linear,
     )
     if engine.correct:
-        return estimator.corrected(contrast=engine.directional)
+        found = estimator.corrected()
+        return found if engine.directional else replace(found, contrast=None)
     return estimator.estimate(record.output)
 
 
@@ -321,6 +322,7 @@ def _reported(
         warnings=(
             *prepared.warnings,
             *solved.warnings,
+            *linear.left_out,
             *fit_warnings(vaf, details, local, few and not prepared.warnings),
         ),
         findings=findings(local, model.partitions, linear),
