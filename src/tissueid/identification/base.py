@@ -355,8 +355,12 @@ def refused_if_not_computed(name: str) -> Iterator[None]:
         if isinstance(error, ValidationError):  # a specification with wrong options is a programming error
             raise
         said = f"{type(error).__name__}: {error}".splitlines()[0]
-        template = "the engine {name} cannot be computed for this record: {problem}"
-        raise UnusableInputError("engine.not_computed", template, name=name, problem=said) from error
+        raise UnusableInputError(
+            "engine.not_computed",
+            "the engine {name} cannot be computed for this record: {problem}",
+            name=name,
+            problem=said,
+        ) from error
 
 
 def check_horizon(horizon: int) -> None:

@@ -72,20 +72,6 @@ _FREE_RESPONSE_DECAY = 50.0
 """Time constants after which a free response is not evaluated any more: exp(-50) is 2e-22."""
 
 
-_DEAD_TIME = (
-    "second_order.dead_time",
-    "the output is {milliseconds:.3g} ms ({samples:.2g} samples) late against the input, as by a filter or a "
-    "multiplexer in one channel: a dead time was fitted together with mass, damping and stiffness",
-)
-
-
-_DEAD_TIME_LEFT_OUT = (
-    "second_order.dead_time_left_out",
-    "the output is {milliseconds:.3g} ms late against the input, and this engine has no dead time: it appears as mass "
-    "and damping; shift one channel, or use lms",
-)
-
-
 @dataclass(frozen=True)
 class SecondOrderFit:
     """A fitted second-order system.
@@ -112,7 +98,14 @@ class SecondOrderFit:
         """A warning for engines without a dead time, where the record shows one."""
         if self.dead_time is None:
             return ()
-        return (Message(*_DEAD_TIME_LEFT_OUT, milliseconds=1e3 * self.dead_time.value),)
+        return (
+            Message(
+                "second_order.dead_time_left_out",
+                "the output is {milliseconds:.3g} ms late against the input, and this engine has no dead time: it "
+                "appears as mass and damping; shift one channel, or use lms",
+                milliseconds=1e3 * self.dead_time.value,
+            ),
+        )
 
     @property
     def parameters(self) -> dict[str, Estimate]:
@@ -288,8 +281,15 @@ def fit_second_order(
                 )
             )
     if dead_time is not None:
-        late_ms, late_samples = 1e3 * dead_time.value, dead_time.value * rate
-        warnings.append(Message(*_DEAD_TIME, milliseconds=late_ms, samples=late_samples))
+        warnings.append(
+            Message(
+                "second_order.dead_time",
+                "the output is {milliseconds:.3g} ms ({samples:.2g} samples) late against the input, as by a filter or a "
+                "multiplexer in one channel: a dead time was fitted together with mass, damping and stiffness",
+                milliseconds=1e3 * dead_time.value,
+                samples=dead_time.value * rate,
+            )
+        )
     if sign < 0.0:
         warnings.append(
             Message("second_order.reversed", "the output falls as the input rises: check the signs of the two signals")

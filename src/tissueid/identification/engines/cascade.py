@@ -51,11 +51,6 @@ _MOST_ROWS = 200_000
 """Largest number of samples that are fitted, for about 1 GB and a few minutes."""
 _MOST_ROWS_COMPARED = 40_000
 """Largest number of samples by which structures are compared, for about a minute."""
-_FITTED = ("cascade.part_fitted", "only the first {seconds:.3g} s of the record were fitted, to limit memory and time")
-_COMPARED = (
-    "cascade.part_compared",
-    "the structures were compared on the first {seconds:.3g} s of the record, to limit time",
-)
 
 
 @dataclass(frozen=True, eq=False)
@@ -160,9 +155,22 @@ class Cascade(MemoryEngine):
         compared = data.first(_MOST_ROWS_COMPARED)
         found = fit_structures(compared, self.nonlinearity, self.degree, wanted)
         choice = choose(found, compared) if self.structure == "auto" else None
-        for least, what in ((data, _FITTED), (compared, _COMPARED)):
-            if least.rows.size < int(used.sum()) and (least is data or choice is not None):
-                warnings.append(Message(*what, seconds=least.input.size / record.sample_rate_hz))
+        if data.rows.size < int(used.sum()):
+            warnings.append(
+                Message(
+                    "cascade.part_fitted",
+                    "only the first {seconds:.3g} s of the record were fitted, to limit memory and time",
+                    seconds=data.input.size / record.sample_rate_hz,
+                )
+            )
+        if compared.rows.size < data.rows.size and choice is not None:
+            warnings.append(
+                Message(
+                    "cascade.part_compared",
+                    "the structures were compared on the first {seconds:.3g} s of the record, to limit time",
+                    seconds=compared.input.size / record.sample_rate_hz,
+                )
+            )
         structure = wanted[0] if choice is None else choice.structure
         blocks, data = refine_until_converged(over_whole_range(found[structure], data), data)
         known = uncertainty(blocks, data)
