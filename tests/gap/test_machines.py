@@ -157,6 +157,30 @@ def test_windows_start_from_the_recorded_motion():
     assert {Purpose.FIT, Purpose.CHOICE, Purpose.CHECK} <= set(test.purpose.tolist())
 
 
+def test_the_start_of_a_whole_test_is_no_evidence():
+    axis = ServoAxis(sample_rate_hz=250.0)
+    records = [servo_axis(seed, 8.0, axis) for seed in (1, 2)]
+    session = Session(
+        UNKNOWN,
+        tests=tuple(
+            Test(
+                number,
+                "stochastic",
+                dict(zip(record.names, (record.input, record.output), strict=True)),
+                record.sample_rate_hz,
+                units=dict(zip(record.names, record.units, strict=True)),
+            )
+            for number, record in enumerate(records, start=1)
+        ),
+    )
+    chosen = with_best_family(prepare(session, (1,), (2,)))
+    for test, purposes in zip(chosen.tests, ({Purpose.FIT}, {Purpose.CHOICE, Purpose.CHECK}), strict=True):
+        begin = restarts(test, chosen.equivalent)[1]
+        assert begin > 10
+        assert not test.purpose[:begin].any()
+        assert set(test.purpose[begin:].tolist()) == purposes
+
+
 @pytest.mark.parametrize("one", machine_effects().values(), ids=machine_effects())
 def test_effects_of_a_machine_start_within_their_bounds(one):
     position = 1e-3 * np.random.default_rng(0).standard_normal(500)

@@ -154,7 +154,7 @@ def test_the_report_can_be_written_and_options_come_back(model: HammersteinModel
     assert json.loads(json.dumps(report, allow_nan=False)) == report
     assert {"mass_kg", "damping_n_s_per_m", "stiffness_n_per_m"} <= set(report["parameters"])
     assert report["n_parameters"] == int(model.report.details["kernel_functions"]) + 5
-    assert get_engine("hammerstein").from_options(report["options"]) == Hammerstein()
+    assert get_engine("hammerstein").from_options(report["options"]) == Hammerstein(memory=0.125, hold="band-limited")
 
 
 def test_other_units_get_plain_names(bent: simulated_blocks.Simulated):

@@ -260,7 +260,8 @@ def test_lags_are_spaced_by_what_the_input_can_tell():
     slow = signal.sosfilt(signal.butter(8, 150.0, fs=2000.0, output="sos"), rng.standard_normal(8000))
     assert automatic_grid(0.02, white, 2000.0).spacing == 1
     assert automatic_grid(0.02, white, 2000.0).lags == 40
-    assert automatic_grid(0.06, white, 2000.0).spacing == 3
+    assert automatic_grid(0.06, white, 2000.0).spacing == 1
+    assert automatic_grid(0.06, white, 2000.0).lags == 120
     assert automatic_grid(0.06, slow, 2000.0).spacing == 5  # 1000 Hz over a little more than 150
     assert automatic_grid(0.06, slow, 2000.0).memory_samples == 23 * 5 + 1
     slow[4000] = np.nan

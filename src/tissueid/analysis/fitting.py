@@ -13,7 +13,7 @@ from numba.core.event import install_timer
 from tissueid.analysis.actuator import NOMINAL_RELATIVE_STD, Actuator
 from tissueid.analysis.split import Split, split
 from tissueid.errors import UnusableInputError
-from tissueid.identification.base import Engine, Model
+from tissueid.identification.base import Engine, Model, refused_if_not_computed
 from tissueid.identification.depth_profile import DepthProfile
 from tissueid.identification.registry import get_engine, report_engines
 from tissueid.identification.second_order import has_stiffness, profile_without_spring, without_spring
@@ -175,7 +175,7 @@ def fit_split(specification: Engine, parts: Split) -> Analysis:
     known = specification.with_test_values(parts.surface_position_m, parts.weight_n)
     model, seconds = timed_fit(known, parts.record, parts.fit_part)
     model = _with_test_values(model, specification, known, parts.weight_n)
-    with _plugin_errors(specification):
+    with _engine_errors(specification):
         model = validated(model, parts.held_out_record, parts.held_out).with_report(seconds=seconds)
     model = _without_spring(model, parts.external_spring_n_per_m)
     return Analysis(
@@ -291,7 +291,7 @@ def timed_fit(specification: Engine, record: Record, fit_part: slice | None) -> 
     """
     compiling: list[float] = []
     begin = time.perf_counter()
-    with _plugin_errors(specification), install_timer("numba:compiler_lock", compiling.append):
+    with _engine_errors(specification), install_timer("numba:compiler_lock", compiling.append):
         model = specification.fit(record, fit_part)
         if not isinstance(model, Model):
             raise TypeError(f"fit returned {type(model).__name__}, not a model")
@@ -299,14 +299,15 @@ def timed_fit(specification: Engine, record: Record, fit_part: slice | None) -> 
 
 
 @contextmanager
-def _plugin_errors(engine: Engine) -> Iterator[None]:
-    """Turn any exception of another package's engine into an error of that engine; built-in engines raise as they do.
+def _engine_errors(engine: Engine) -> Iterator[None]:
+    """Turn a numerical failure of an engine, and any exception of one of another package, into a refusal of the record.
 
     Raises:
-        UnusableInputError: the engine of another package failed.
+        UnusableInputError: the engine failed on this record.
     """
     try:
-        yield
+        with refused_if_not_computed(engine.name):
+            yield
     except UnusableInputError:
         raise
     except Exception as error:

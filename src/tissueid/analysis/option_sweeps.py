@@ -11,6 +11,7 @@ from tissueid.analysis.scoring import effective_parameters, held_out_error, scor
 from tissueid.analysis.split import Split
 from tissueid.errors import UnusableInputError
 from tissueid.identification.base import Array, Engine
+from tissueid.identification.memory import MemoryEngine
 from tissueid.identification.recommendation import Recommendation
 from tissueid.language import marked
 from tissueid.messages import Message
@@ -47,14 +48,21 @@ class SweepRow:
 def memory_sweep(
     specifications: Sequence[Engine], parts: Split, progress: Progress, memories: Sequence[float] = SWEPT_MEMORY_S
 ) -> tuple[SweepRow, ...]:
-    """Fit every engine that has an option ``memory`` at several values. Score all on the samples of the longest."""
+    """Fit every engine that has an option ``memory`` at several values. Score all on the samples of the longest.
+
+    ``memories`` are for tissue, s; those of another system are in proportion to the memory of its record.
+    """
     rows: list[SweepRow] = []
     done: list[Analysis] = []
     for specification in specifications:
-        if specification.options().get("memory") is None:
+        if not isinstance(specification, MemoryEngine):
             continue
         label = Message("trials.memory", "memory of {engine}", engine=specification.label)
-        for number, memory in enumerate(memories):
+        scale = 1.0
+        if specification.memory is None:  # of another system than tissue
+            automatic = specification.for_record(parts.record, parts.fit_part).memory_s
+            scale = automatic / specification.usual_memory_s
+        for number, memory in enumerate(scale * share for share in memories):
             progress(label, number / len(memories))
             try:
                 analysis = fit_split(_with(specification, memory=memory), parts)
@@ -84,7 +92,7 @@ def sized(found: Recommendation, specification: Engine, parts: Split, progress: 
     Each option that the engine has is varied alone, and scored on held-out samples.
     """
     fields = type(specification).model_fields
-    options = specification.options()
+    options = specification.for_record(parts.record, parts.fit_part).options()
     for option in ("memory", *_TRIED):
         present = options.get(option)
         if option not in fields or isinstance(present, bool) or not isinstance(present, int | float):

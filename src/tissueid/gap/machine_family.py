@@ -202,7 +202,9 @@ def _purposes(test: DatasetTest, starts: Sequence[int]) -> NDArray[np.int8]:
     # The same pattern of purposes, by windows. States that are not recorded are unknown in the first window.
     used = {int(item) for item in np.unique(test.purpose)} - {int(Purpose.NOTHING)}
     if len(used) < 2:
-        return np.where(test.purpose == Purpose.NOTHING, min(used, default=0), test.purpose).astype(np.int8)
+        found = np.where(test.purpose == Purpose.NOTHING, min(used, default=0), test.purpose).astype(np.int8)
+        found[: starts[1] if len(starts) > 1 else 0] = Purpose.NOTHING
+        return found
     turns = [Purpose.FIT, Purpose.CHOICE, Purpose.FIT, Purpose.CHECK]
     if int(Purpose.FIT) not in used:
         turns = [Purpose.CHOICE, Purpose.CHECK]

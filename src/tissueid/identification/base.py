@@ -8,7 +8,8 @@ from __future__ import annotations
 
 import math
 from abc import ABC, abstractmethod
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from contextlib import contextmanager
 from dataclasses import dataclass, field, replace
 from functools import wraps
 from typing import Any, ClassVar, Literal, Self
@@ -271,6 +272,10 @@ class Engine(BaseModel, ABC):
             UnusableInputError: the record is not sufficient for this fit; the message gives the reason.
         """
 
+    def for_record(self, record: Record, fit_part: slice | None) -> Self:
+        """Return the specification with values from the record for options that are not given; every fit begins so."""
+        return self
+
     def with_test_values(self, surface_position_m: float | None, weight_n: float | None) -> Self:
         """Return the specification with what the test knows about its placement, for options that are not given.
 
@@ -301,11 +306,61 @@ class Engine(BaseModel, ABC):
 
 def _with_one_thread(fit: Callable[..., Model]) -> Callable[..., Model]:
     @wraps(fit)
-    def fitted(*args: Any, **options: Any) -> Model:
-        with one_blas_thread():
-            return fit(*args, **options)
+    def fitted(self: Engine, record: Record, fit_part: slice | None = None, **options: Any) -> Model:
+        with one_blas_thread(), refused_if_not_computed(self.name):
+            model = fit(self.for_record(record, fit_part), record, fit_part, **options)
+        return _with_parametric_warning(model) if isinstance(model, Model) else model
 
     return fitted
+
+
+PARAMETRIC = "vaf_parametric_percent"
+"""Name of the detail of a report with the score of mass, damping and stiffness alone."""
+_SHORTFALL_PERCENT, _SHORTFALL_RATIO = 0.1, 1.5
+"""Difference, in %, and ratio of what they and the response leave of the output, above which they get a warning."""
+
+
+def _with_parametric_warning(model: Model) -> Model:
+    """Return the model with a warning if mass, damping and stiffness explain much less than the response shown."""
+    report = model.report
+    spare = max(report.n_samples - report.n_parameters, 1)
+    left = 100.0 - report.details.get(PARAMETRIC, 100.0)
+    least = (100.0 - report.vaf_percent) * max(report.n_samples, 1) / spare
+    if not (left - least > _SHORTFALL_PERCENT and left > _SHORTFALL_RATIO * least):
+        return model
+    warning = Message(
+        "second_order.explains_less",
+        "mass, damping and stiffness belong to a second-order system that explains {parametric:.2f} % of the fitted "
+        "output, and the response explains {response:.2f} %: they can be biased by more than their standard deviations",
+        parametric=100.0 - left,
+        response=report.vaf_percent,
+    )
+    return model.with_report(warnings=(*report.warnings, warning))
+
+
+_NUMERICAL = (ArithmeticError, ValueError, MemoryError)
+"""Exceptions of numpy and scipy for numbers with which they cannot compute; ``LinAlgError`` is a ``ValueError``."""
+
+
+@contextmanager
+def refused_if_not_computed(name: str) -> Iterator[None]:
+    """Turn a numerical failure of the engine ``name`` into a refusal of the record. Other errors pass.
+
+    Raises:
+        UnusableInputError: numpy or scipy cannot compute with the numbers of this record.
+    """
+    try:
+        yield
+    except _NUMERICAL as error:
+        if isinstance(error, ValidationError):  # a specification with wrong options is a programming error
+            raise
+        said = f"{type(error).__name__}: {error}".splitlines()[0]
+        raise UnusableInputError(
+            "engine.not_computed",
+            "the engine {name} cannot be computed for this record: {problem}",
+            name=name,
+            problem=said,
+        ) from error
 
 
 def check_horizon(horizon: int) -> None:

@@ -15,6 +15,7 @@ from numpy.typing import NDArray
 from scipy import fft
 
 from tissueid.identification.base import Array, Mask
+from tissueid.identification.preparation import typical_samples
 
 ROWS_AT_ONCE = 8192
 
@@ -168,7 +169,7 @@ def convolve_at_rest(kernel: Array, x: Array) -> Array:
 
 
 DEPENDENCE_TIME_S = 0.05
-"""Lag, s, up to which a prewhitened coloured residual is treated as autocorrelated."""
+"""Lag, s, up to which a prewhitened coloured residual is treated as autocorrelated (``typical_samples``)."""
 
 _SIGNIFICANT = 4.0
 """Threshold of the autocorrelation, in standard deviations of white noise, above which a signal is coloured."""
@@ -179,7 +180,7 @@ _LARGEST_GAIN = 0.97
 
 def dependence_samples(residual: Array, sample_rate_hz: float) -> int:
     """Return the number of samples over which a residual (n,) is autocorrelated: 1 for a white residual."""
-    longest = max(1, min(round(DEPENDENCE_TIME_S * sample_rate_hz), residual.size // 8))
+    longest = max(1, min(typical_samples(DEPENDENCE_TIME_S, sample_rate_hz), residual.size // 8))
     correlation = Correlator(residual - residual.mean(), longest).auto()
     white = np.all(np.abs(correlation[1:]) <= _SIGNIFICANT / np.sqrt(residual.size) * correlation[0])
     return 1 if white else longest

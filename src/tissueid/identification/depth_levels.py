@@ -11,7 +11,7 @@ from scipy import ndimage, signal
 
 from tissueid.errors import UnusableInputError
 from tissueid.identification.base import Array, Mask
-from tissueid.identification.preparation import finite_runs, memory_in_samples
+from tissueid.identification.preparation import finite_runs, typical_samples
 from tissueid.messages import Message
 from tissueid.records import Record
 
@@ -105,7 +105,7 @@ def localized_levels(record: Record) -> tuple[Level, ...]:
 
     Bare steps, noise over the whole range and records of one level are no localized tests.
     """
-    memory = memory_in_samples(_MEMORY_S, record.sample_rate_hz)
+    memory = typical_samples(_MEMORY_S, record.sample_rate_hz)
     used = record.valid
     if not used.any() or not is_stepped(record.input, used, memory):
         return ()

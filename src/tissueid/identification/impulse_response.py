@@ -21,7 +21,7 @@ from tissueid.identification.correlation import (
     toeplitz_inverse,
     toeplitz_solve,
 )
-from tissueid.identification.preparation import Prepared, scored_samples
+from tissueid.identification.preparation import Prepared, scored_samples, typical_samples
 from tissueid.messages import Message
 
 RIDGE = 1e-3
@@ -33,7 +33,7 @@ the band is five times the mean, so that the ridge reduces the response there by
 """
 
 EXTRA_MEMORY_S = 0.005
-"""Additional memory, s, for which a response is estimated and then cut off.
+"""Additional memory, s (``typical_samples``), for which a response is estimated and then cut off.
 
 Effects beyond the last lag (a longer response, nonlinearity, noise) are attributed to the last lags, over the
 correlation time of the input: 5 ms for a force without power above 200 Hz.
@@ -105,7 +105,7 @@ def with_extra_memory(prepared: Prepared) -> Prepared:
     """Return the record prepared for a response longer by ``EXTRA_MEMORY_S``, or less if there are too few samples."""
     record, part = prepared.record, prepared.part
     spare = part.stop - part.start - prepared.memory_samples
-    lags = prepared.memory_samples + min(round(EXTRA_MEMORY_S * record.sample_rate_hz), spare)
+    lags = prepared.memory_samples + min(typical_samples(EXTRA_MEMORY_S, record.sample_rate_hz), spare)
     used = scored_samples(record, lags, part)
     if int(used.sum()) < lags:
         return prepared

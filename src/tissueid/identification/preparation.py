@@ -160,6 +160,19 @@ def memory_in_samples(memory: float, sample_rate_hz: float) -> int:
     return max(1, round(memory * sample_rate_hz))
 
 
+_SLOWEST_HZ, _FASTEST_HZ = 500.0, 10_000.0
+"""Sample rates of an indenter; at others a time that is typical of tissue means nothing."""
+
+
+def typical_samples(seconds: float, sample_rate_hz: float) -> int:
+    """Return a time that is typical of tissue as a number of samples, at least one.
+
+    At sample rates that no indenter has, it is the number of samples at the nearest rate that one has: the dynamics of
+    another system are not those of tissue, but a record is sampled in proportion to them.
+    """
+    return memory_in_samples(seconds, min(max(sample_rate_hz, _SLOWEST_HZ), _FASTEST_HZ))
+
+
 def checked_samples(u: Array, y: Array) -> tuple[Array, Array]:
     """Return inputs (n,) and outputs (n,) as numbers.
 

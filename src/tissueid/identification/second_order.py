@@ -52,13 +52,18 @@ def _is_stiffness(name: str) -> bool:
 
 
 Complex = NDArray[np.complex128]
-Hold = Literal["band-limited", "zero-order"]
-_HOLDS = (marked("band-limited"), marked("zero-order"))
+Hold = Literal["auto", "band-limited", "zero-order"]
+_HOLDS = (marked("auto"), marked("band-limited"), marked("zero-order"))
 """Choices of the option as a form shows them, for translation."""
+HOLDS: tuple[Hold, Hold] = ("band-limited", "zero-order")
+"""Courses between which ``auto`` chooses."""
 HOLD_TITLE = marked("Hold")
-HOLD_DESCRIPTION = marked("Course of the input between samples: a measured force is band-limited, a command is held")
+HOLD_DESCRIPTION = marked(
+    "Course of the input between samples: a measured force is band-limited, a command is held; auto takes the one that "
+    "the record shows"
+)
 """Title and description of the option ``hold`` of engines."""
-HOLD: Any = Field("band-limited", title=HOLD_TITLE, description=HOLD_DESCRIPTION)
+HOLD: Any = Field("auto", title=HOLD_TITLE, description=HOLD_DESCRIPTION)
 """The option itself."""
 
 _ALIASES = 6
@@ -132,13 +137,15 @@ class SecondOrder:
         s = 2j * np.pi * np.asarray(frequency_hz, dtype=np.complex128)
         return np.asarray(1.0 / (self.mass * s**2 + self.damping * s + self.stiffness))
 
-    def simulate(self, u: Array, sample_rate_hz: float, hold: Hold = "band-limited") -> Array:
+    def simulate(self, u: Array, sample_rate_hz: float, hold: Hold = "band-limited", dead_time_s: float = 0.0) -> Array:
         """Return the response (n,) to an input (n,) without NaN, at rest before the first sample."""
         decay, squared = self.decay_and_frequency
         slowest = decay - float(np.sqrt(max(0.0, -squared)))
         settle = min(u.size, round(12.0 * sample_rate_hz / slowest)) if slowest > 0.0 else u.size
         length = fft.next_fast_len(u.size + max(settle, 64), real=True)
         response, _ = sampled_response(self, length, sample_rate_hz, hold)
+        if dead_time_s:
+            response *= np.exp(-2j * np.pi * dead_time_s * fft.rfftfreq(length, 1.0 / sample_rate_hz))
         return np.asarray(fft.irfft(fft.rfft(u, length) * response, length)[: u.size], dtype=np.float64)
 
 
@@ -156,7 +163,8 @@ def sampled_response_at(
     """Return the sampled frequency response (n,) and its derivatives (3, n) at frequencies (n,) up to half the rate.
 
     A band-limited input is filtered by H(j w) itself, without discretisation error; an input that is held between
-    samples also contributes through the images of the base band, weighted by the hold.
+    samples also contributes through the images of the base band, weighted by the hold. The hold ``auto`` of an engine
+    that has not seen a record counts as band-limited.
     """
     both = np.zeros((4, frequency_hz.size), dtype=np.complex128)
     if hold == "zero-order":

@@ -21,9 +21,10 @@ from scipy import fft
 from tissueid.errors import UnusableInputError
 from tissueid.identification.base import Array, Mask
 from tissueid.identification.correlation import Correlator, dependence_samples, long_run_covariance
-from tissueid.identification.levenberg_marquardt import Bounds, ErrorPoint, minimise
-from tissueid.identification.preparation import finite_runs
+from tissueid.identification.levenberg_marquardt import Bounds, ErrorPoint, Minimum, minimise
+from tissueid.identification.preparation import finite_runs, scored_samples, typical_samples
 from tissueid.identification.second_order import (
+    HOLDS,
     Complex,
     Hold,
     SecondOrder,
@@ -46,9 +47,26 @@ _ITERATIONS = 40
 _GAIN_TOLERANCE = 1e-9
 """Relative decrease of the squared error below which the fit has converged: less than 0.01 standard deviations."""
 _DAMPING = 1e-9
-_STEPS = Bounds.of_steps(np.ones(3))
-"""A step changes mass, damping and stiffness by at most a factor e."""
+_STEPS, _STEPS_LATE = Bounds.of_steps(np.ones(3)), Bounds.of_steps(np.ones(4))
+"""A step changes mass, damping and stiffness by at most a factor e, and a dead time by a sample."""
+_WORTH_DEAD_TIME = 0.1
+"""Share of the squared error that a dead time must be able to remove, to first order, to be fitted."""
+_LEFT_BY_DEAD_TIME = 0.7
+"""Largest share of the squared error that a dead time may leave: less can be the nonlinearity of tissue."""
+_DEAD_TIMES = (0, 1, 2, 3, 4, 6, 8, 12, 16, 24, 32, 48, 64)
+"""Dead times, samples, of the starting points."""
 _EXTENSION = 64
+_CORRELATED_S = 0.25
+"""Length of the correlations against which starting points are compared, s (``typical_samples``)."""
+
+_HOLD_SAMPLES, _HOLD_LEAST_SAMPLES = 50_000, 500
+"""Largest and smallest number of samples by which the hold is chosen."""
+_ROUGH = 1.0
+"""Mean squared change from sample to sample of an input, relative to its variance (white: 2), above which the hold
+matters.
+"""
+_HOLD_GAIN = 50.0
+"""Least gain in log likelihood by which an input counts as held."""
 
 _FREE_RESPONSE_DECAY = 50.0
 """Time constants after which a free response is not evaluated any more: exp(-50) is 2e-22."""
@@ -59,7 +77,8 @@ class SecondOrderFit:
     """A fitted second-order system.
 
     ``log_covariance`` (3, 3) is the covariance of log M, log B, log K; NaN for a parameter that the record does not
-    determine, None if the fit did not converge. ``sign`` is -1 if the output decreases with increasing input; the
+    determine, None if the fit did not converge. ``dead_time`` is that of the output (s), None unless the record shows
+    one; the covariance then includes its uncertainty. ``sign`` is -1 if the output decreases with increasing input; the
     system then describes the negated output. ``vaf_percent`` is that of the free-run simulation on the fitted samples
     (the parametric VAF of the thesis).
     """
@@ -72,6 +91,21 @@ class SecondOrderFit:
     sample_rate_hz: float
     hold: Hold
     warnings: tuple[str, ...]
+    dead_time: Estimate | None = None
+
+    @property
+    def left_out(self) -> tuple[str, ...]:
+        """A warning for engines without a dead time, where the record shows one."""
+        if self.dead_time is None:
+            return ()
+        return (
+            Message(
+                "second_order.dead_time_left_out",
+                "the output is {milliseconds:.3g} ms late against the input, and this engine has no dead time: it "
+                "appears as mass and damping; shift one channel, or use lms",
+                milliseconds=1e3 * self.dead_time.value,
+            ),
+        )
 
     @property
     def parameters(self) -> dict[str, Estimate]:
@@ -81,6 +115,8 @@ class SecondOrderFit:
             "natural_frequency_rad_per_s": self.estimate(system.natural_frequency_rad_per_s, (-0.5, 0.0, 0.5)),
             "damping_ratio": self.estimate(system.damping_ratio, (-0.5, 1.0, -0.5)),
         }
+        if self.dead_time is not None:
+            named["dead_time_s"] = self.dead_time
         if not self.mechanical:
             return {"gain": self.estimate(self.sign / system.stiffness, (0.0, 0.0, -1.0))} | named
         return {
@@ -121,7 +157,29 @@ class SecondOrderFit:
 
     def simulate(self, u: Array) -> Array:
         """Return the response (n,) to a zero-mean input (n,) without NaN, at rest before the first sample."""
-        return self.sign * self.system.simulate(u, self.sample_rate_hz, self.hold)
+        late = 0.0 if self.dead_time is None else self.dead_time.value
+        return self.sign * self.system.simulate(u, self.sample_rate_hz, self.hold, late)
+
+
+def hold_of(record: Record, fit_part: slice | None) -> Hold:
+    """Return the course of the input between samples that the record shows: band-limited unless a hold fits better.
+
+    The two differ only for an input with power near the Nyquist frequency.
+
+    Args:
+        record: the data.
+        fit_part: contiguous part of it; None for all.
+    """
+    used = scored_samples(record, typical_samples(_CORRELATED_S, record.sample_rate_hz), fit_part)
+    used[np.flatnonzero(used)[_HOLD_SAMPLES:]] = False
+    x = record.input[used]
+    if x.size < _HOLD_LEAST_SAMPLES or float(np.mean(np.diff(x) ** 2)) < _ROUGH * float(np.var(x)):
+        return "band-limited"
+    try:
+        limited, held = (100.0 - fit_second_order(record, used, hold).vaf_percent for hold in HOLDS)
+    except UnusableInputError:  # no second-order system responds to this input
+        return "band-limited"
+    return "zero-order" if x.size * math.log(max(limited, 1e-12) / max(held, 1e-12)) > _HOLD_GAIN else "band-limited"
 
 
 @dataclass(frozen=True)
@@ -144,6 +202,9 @@ def fit_second_order(
 ) -> SecondOrderFit:
     """Fit M, B, K to the samples of a mask by the output-error method, with their covariance.
 
+    A dead time of the output, or of the input if negative, is fitted with them where it removes a good part of the
+    error: a filter or a multiplexer in one channel, which would otherwise appear as mass.
+
     The covariance is the sandwich for a system that need not be of second order (White 1982), with autocorrelated
     residuals. It is therefore also valid if the residual is due to the nonlinearity of the tissue.
 
@@ -161,26 +222,44 @@ def fit_second_order(
     mean_u = float(np.mean(record.input[used]))
     mean_y = float(np.mean(record.output[used]))
     runs, y = input_runs(record, used, mean_u, mean_y)
-    system, sign = _start(record, used, mean_u, mean_y) if start is None else (start.system, start.sign)
-    y = sign * y
+    correlations = _Correlations.of(record, used, mean_u, mean_y)
+    system, sign = correlations.start()[:2] if start is None else (start.system, start.sign)
     w = None if weights is None else weights[used]
 
-    theta = np.log([system.mass, system.damping, system.stiffness])
-    problem = _SimulationError(lambda trial: _evaluate(runs, y, w, trial, rate, hold))
-    found = minimise(
-        problem,
-        problem.point(theta),
-        most_steps=_ITERATIONS,
-        tolerance=_GAIN_TOLERANCE,
-        damping=_DAMPING,
-        bounds=_STEPS,
-    )
-    mass, damping, stiffness = np.exp(found.point.theta)
+    problem = _SimulationError(lambda trial: _evaluate(runs, sign * y, w, trial, rate, hold))
+
+    def search(theta: list[float]) -> Minimum[ErrorPoint]:
+        return minimise(
+            problem,
+            problem.point(np.array(theta)),
+            most_steps=_ITERATIONS,
+            tolerance=_GAIN_TOLERANCE,
+            damping=_DAMPING,
+            bounds=_STEPS if len(theta) == 3 else _STEPS_LATE,
+        )
+
+    found = search([math.log(system.mass), math.log(system.damping), math.log(system.stiffness)])
+    late = problem.point(np.append(found.point.theta, 0.0))
+    if _possible_gain(late) > _WORTH_DEAD_TIME:
+        other, other_sign, shift = correlations.start(_DEAD_TIMES)
+        starts = [list(late.theta)]
+        if other_sign == sign:
+            starts.append([math.log(other.mass), math.log(other.damping), math.log(other.stiffness), float(shift)])
+        with_dead_time = min((search(theta) for theta in starts), key=lambda one: one.point.cost)
+        if with_dead_time.point.cost < _LEFT_BY_DEAD_TIME * found.point.cost:
+            found = with_dead_time
+    mass, damping, stiffness = np.exp(found.point.theta[:3])
     fitted = SecondOrder(mass=float(mass), damping=float(damping), stiffness=float(stiffness))
     covariance = None
     if found.converged:
         error = found.point.error
         covariance = sandwich(found.point.slopes, error, dependence_samples(error, rate))
+    dead_time = None
+    if found.point.theta.size > 3:
+        variance = math.nan if covariance is None else float(covariance[3, 3])
+        std = math.sqrt(variance) / rate if math.isfinite(variance) else None
+        dead_time = Estimate(float(found.point.theta[3]) / rate, std)
+        covariance = None if covariance is None else covariance[:3, :3]
     warnings: list[str] = []
     if covariance is None:
         warnings.append(
@@ -201,6 +280,16 @@ def fit_second_order(
                     names=Listing(unknown, marked(" and ")),
                 )
             )
+    if dead_time is not None:
+        warnings.append(
+            Message(
+                "second_order.dead_time",
+                "the output is {milliseconds:.3g} ms ({samples:.2g} samples) late against the input, as by a filter or a "
+                "multiplexer in one channel: a dead time was fitted together with mass, damping and stiffness",
+                milliseconds=1e3 * dead_time.value,
+                samples=dead_time.value * rate,
+            )
+        )
     if sign < 0.0:
         warnings.append(
             Message("second_order.reversed", "the output falls as the input rises: check the signs of the two signals")
@@ -209,22 +298,29 @@ def fit_second_order(
         system=fitted,
         sign=sign,
         log_covariance=covariance,
-        vaf_percent=_free_run_vaf(record, used, fitted, sign, mean_u, hold),
+        vaf_percent=_free_run_vaf(record, used, fitted, sign, mean_u, hold, dead_time),
         mechanical=(record.input_unit, record.output_unit) == ("N", "m"),
         sample_rate_hz=rate,
         hold=hold,
         warnings=tuple(warnings),
+        dead_time=dead_time,
     )
 
 
+def _possible_gain(at: ErrorPoint) -> float:
+    """Return the share of the squared error that a step of all parameters removes to first order."""
+    step = np.linalg.lstsq(at.slopes, at.error, rcond=1e-10)[0]
+    return float(at.error @ at.slopes @ step) / max(at.cost, 1e-300)
+
+
 class _SimulationError:
-    """The squared error of the free run by log M, log B and log K."""
+    """The squared error of the free run by log M, log B and log K, and by a dead time in samples if there is one."""
 
     def __init__(self, evaluate: Callable[[Array], tuple[Array, Array]]) -> None:
         self._evaluate = evaluate
 
     def point(self, theta: Array) -> ErrorPoint:
-        """Evaluate logarithms of mass, damping and stiffness."""
+        """Evaluate logarithms of mass, damping and stiffness, and the dead time."""
         error, slopes = self._evaluate(theta)
         return ErrorPoint(theta, error, slopes, float(error @ error))
 
@@ -291,18 +387,25 @@ def input_runs(record: Record, used: Mask, mean_u: float, mean_y: float) -> tupl
 def _evaluate(
     runs: list[InputRun], y: Array, weights: Array | None, theta: Array, rate: float, hold: Hold
 ) -> tuple[Array, Array]:
-    """Return the weighted error (m,) and its derivatives (m, 3), with offset and free responses projected out."""
-    mass, damping, stiffness = np.exp(theta)
+    """Return the weighted error (m,) and its derivatives (m, p), with offset and free responses projected out."""
+    mass, damping, stiffness = np.exp(theta[:3])
     system = SecondOrder(mass=float(mass), damping=float(damping), stiffness=float(stiffness))
     decay, squared = system.decay_and_frequency
     lasting_s = _free_response_s(system) if weights is None else math.inf
-    rows = np.empty((5, y.size))  # the error, its three derivatives, and the offset
-    rows[4] = 1.0 if weights is None else weights
+    count = 1 + theta.size
+    rows = np.empty((count + 1, y.size))  # the error, its derivatives, and the offset
+    rows[-1] = 1.0 if weights is None else weights
     for run in runs:
         response, slopes = sampled_response(system, run.length, rate, hold)
         here = rows[:, run.place]
-        for row, one in enumerate((response, *slopes)):
-            one *= run.spectrum
+        driven = run.spectrum
+        answers = [response, *slopes]
+        if theta.size > 3:
+            turn = -2j * np.pi * np.arange(response.size) / run.length  # of the phase for each sample of dead time
+            driven = driven * np.exp(theta[3] * turn)
+            answers.append(response * turn)
+        for row, one in enumerate(answers):
+            one *= driven
             here[row] = fft.irfft(one, run.length, overwrite_x=True)[run.local]
         np.subtract(y[run.place], here[0], out=here[0])
         t = run.time_s[: int(np.searchsorted(run.time_s, lasting_s))]
@@ -310,17 +413,17 @@ def _evaluate(
             [free_position(t, decay, squared), free_velocity(t, decay, squared) * system.natural_frequency_rad_per_s]
         )
         if weights is not None:
-            here[:4] *= weights[run.place]
+            here[:-1] *= weights[run.place]
             free *= weights[run.place, None]
         q, _ = np.linalg.qr(free)  # a free response affects its own run only
         start = here[:, : t.size]
         start -= (start @ q) @ q.T
-    offset = rows[4]
+    offset = rows[-1]
     energy = float(offset @ offset)
     if energy > _NEGLIGIBLE_SENSITIVITY**2 * (y.size if weights is None else float(weights @ weights)):
-        for row in rows[:4]:
+        for row in rows[:-1]:
             row -= float(offset @ row) / energy * offset
-    return rows[0], rows[1:4].T
+    return rows[0], rows[1:count].T
 
 
 def _free_response_s(system: SecondOrder) -> float:
@@ -330,34 +433,50 @@ def _free_response_s(system: SecondOrder) -> float:
     return _FREE_RESPONSE_DECAY / slowest if slowest > 0.0 else math.inf
 
 
-def _start(record: Record, used: Mask, mean_u: float, mean_y: float) -> tuple[SecondOrder, float]:
-    """Return the best of a grid of systems against the correlations of the longest run of input.
+@dataclass(frozen=True, eq=False)
+class _Correlations:
+    """Correlations (lags,) of the longest run of input with itself and with the output."""
 
-    The criterion is the output that a system explains at its best gain: the fit of Eq. 3.6 to the impulse response in
-    the metric of that response's covariance. The grid avoids local minima.
-    """
-    edges = finite_runs(np.isfinite(record.input))
-    first, end = max(edges, key=lambda run: int(np.count_nonzero(used[run[0] : run[1]])))
-    lags = int(min(end - first, max(8, round(0.25 * record.sample_rate_hz))))
-    correlator = Correlator(record.input[first:end] - mean_u, lags)
-    answer = np.where(used, record.output - mean_y, 0.0)[first:end]
-    auto, cross = correlator.auto(), correlator.cross(answer)
-    systems, kernels, products = _grid(lags, record.sample_rate_hz)
-    explained = np.einsum("ij,j->i", kernels, cross)  # (systems,)
-    energy = np.einsum("ij,j->i", products, auto)
-    merit = np.where(energy > 0.0, explained**2 / np.maximum(energy, 1e-300), -1.0)
-    best = int(np.argmax(merit))
-    gain = explained[best] / energy[best] if energy[best] > 0.0 else 0.0
-    if gain == 0.0 or not np.isfinite(gain):
-        raise UnusableInputError(
-            Message(
-                "second_order.no_response",
-                "the output does not respond to the input: no second-order system can be fitted",
+    auto: Array
+    cross: Array
+    sample_rate_hz: float
+
+    @classmethod
+    def of(cls, record: Record, used: Mask, mean_u: float, mean_y: float) -> _Correlations:
+        edges = finite_runs(np.isfinite(record.input))
+        first, end = max(edges, key=lambda run: int(np.count_nonzero(used[run[0] : run[1]])))
+        lags = int(min(end - first, typical_samples(_CORRELATED_S, record.sample_rate_hz)))
+        correlator = Correlator(record.input[first:end] - mean_u, lags)
+        answer = np.where(used, record.output - mean_y, 0.0)[first:end]
+        return cls(correlator.auto(), correlator.cross(answer), record.sample_rate_hz)
+
+    def start(self, dead_times: tuple[int, ...] = (0,)) -> tuple[SecondOrder, float, int]:
+        """Return the best of a grid of systems and dead times (samples), its sign, and its dead time.
+
+        The criterion is the output that a system explains at its best gain: the fit of Eq. 3.6 to the impulse response
+        in the metric of that response's covariance. The grid avoids local minima.
+
+        Raises:
+            UnusableInputError: the output does not respond to the input.
+        """
+        lags = self.auto.size
+        systems, kernels, products = _grid(lags, self.sample_rate_hz)
+        energy = np.einsum("ij,j->i", products, self.auto)  # (systems,)
+        shifts = [late for late in dead_times if late < lags]
+        explained = np.array([kernels[:, : lags - late] @ self.cross[late:] for late in shifts])  # (shifts, systems)
+        merit = np.where(energy > 0.0, explained**2 / np.maximum(energy, 1e-300), -1.0)
+        place, best = np.unravel_index(int(np.argmax(merit)), merit.shape)
+        gain = explained[place, best] / energy[best] if energy[best] > 0.0 else 0.0
+        if gain == 0.0 or not np.isfinite(gain):
+            raise UnusableInputError(
+                Message(
+                    "second_order.no_response",
+                    "the output does not respond to the input: no second-order system can be fitted",
+                )
             )
-        )
-    unit = systems[best]
-    scale = 1.0 / abs(gain)
-    return SecondOrder(unit.mass * scale, unit.damping * scale, unit.stiffness * scale), float(np.sign(gain))
+        unit, scale = systems[int(best)], 1.0 / abs(float(gain))
+        system = SecondOrder(unit.mass * scale, unit.damping * scale, unit.stiffness * scale)
+        return system, float(np.sign(gain)), shifts[int(place)]
 
 
 @lru_cache(maxsize=8)
@@ -380,8 +499,11 @@ def _grid(lags: int, rate: float) -> tuple[list[SecondOrder], Array, Array]:
     return systems, kernels, products
 
 
-def _free_run_vaf(record: Record, used: Mask, system: SecondOrder, sign: float, mean_u: float, hold: Hold) -> float:
+def _free_run_vaf(
+    record: Record, used: Mask, system: SecondOrder, sign: float, mean_u: float, hold: Hold, dead_time: Estimate | None
+) -> float:
     """Return the VAF of the system simulated from rest at the mean input; gaps contain no fitted samples."""
     u = np.where(np.isfinite(record.input), record.input - mean_u, 0.0)
-    simulated = sign * system.simulate(u, record.sample_rate_hz, hold)
+    late = 0.0 if dead_time is None else dead_time.value
+    simulated = sign * system.simulate(u, record.sample_rate_hz, hold, late)
     return vaf_percent(record.output[used], simulated[used])

@@ -34,7 +34,12 @@ class ComparePlan(FitPlan):
         Option("--engines", metavar="A,B,...", separator=",", help="engines to compare; default: all"),
     ] = None
     memory_s: Annotated[
-        float | None, Option("--memory", metavar="SECONDS", help="memory length of all engines that have one")
+        float | None,
+        Option(
+            "--memory",
+            metavar="SECONDS",
+            help="memory length of all engines that have one; from the record if not given",
+        ),
     ] = None
     options: Annotated[
         tuple[str, ...],

@@ -54,7 +54,9 @@ class IdentificationPlan(FitPlan):
         str | None,
         Option("--engine", metavar="NAME", help="required, such as lms or wiener; without it, lists all engines"),
     ] = None
-    memory_s: Annotated[float | None, Option("--memory", metavar="SECONDS", help="memory length")] = None
+    memory_s: Annotated[
+        float | None, Option("--memory", metavar="SECONDS", help="memory length; from the record if not given")
+    ] = None
     options: Annotated[
         tuple[str, ...],
         Option("--option", metavar="NAME=VALUE", help="another option of the engine; may be repeated"),

@@ -39,7 +39,9 @@ class ReadingsPlan(Plan):
         Option("--model-session", metavar="SESSION", help="session with the stochastic test; default: SESSION"),
     ] = None
     engine: Annotated[str, Option("--engine", metavar="NAME", help="engine of the model")] = "wiener"
-    memory_s: Annotated[float | None, Option("--memory", metavar="SECONDS", help="memory length of the engine")] = None
+    memory_s: Annotated[
+        float | None, Option("--memory", metavar="SECONDS", help="memory length; from the record if not given")
+    ] = None
     options: Annotated[
         tuple[str, ...],
         Option("--option", metavar="NAME=VALUE", help="another option of the engine; may be repeated"),

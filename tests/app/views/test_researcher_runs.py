@@ -28,6 +28,7 @@ pytestmark = [pytest.mark.qt_log_level_fail("WARNING"), pytest.mark.qt_log_ignor
 
 def test_engine_and_run_give_table_plots_and_a_line_of_history(qtbot, panel, strip, history, two):
     choose(panel, "lms")
+    panel.form.field("memory").controls[1].setChecked(False)
     panel.form.field("memory").controls[0].setValue(0.06)
     run(qtbot, panel, two)
     run(qtbot, panel, two[:1], "wiener")
@@ -96,6 +97,7 @@ def test_selected_rows_alone_are_drawn_and_delete_takes_them_out(qtbot, panel, t
 
 def test_kernels_and_depth_can_be_seen(qtbot, panel, two):
     choose(panel, "volterra")
+    panel.form.field("memory").controls[1].setChecked(False)
     panel.form.field("memory").controls[0].setValue(0.03)
     run(qtbot, panel, two[:1], "volterra")
     run(qtbot, panel, two[:1], "direction")

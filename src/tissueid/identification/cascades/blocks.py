@@ -208,6 +208,14 @@ class CascadeData:
         """Return the data without the samples of a mask (n,) in the fit."""
         return replace(self, rows=self.rows[~held_out[self.rows]])
 
+    def first(self, rows: int) -> CascadeData:
+        """Return the data up to the given number of rows, without later samples."""
+        if self.rows.size <= rows:
+            return self
+        end = int(self.rows[rows - 1]) + 1
+        bank = LagBank(self.bank.basis, end)
+        return replace(self, input=self.input[:end], output=self.output[:end], rows=self.rows[:rows], bank=bank)
+
     def thinned(self, rows: int) -> CascadeData:
         """Return the data with about ``rows`` evenly spaced rows."""
         return replace(self, rows=self.rows[:: max(1, self.rows.size // rows)])

@@ -234,6 +234,15 @@ def fit_structures(data: CascadeData, form: Form, degree: int, wanted: Iterable[
     return found
 
 
+def over_whole_range(fitted: Fitted, data: CascadeData) -> Fitted:
+    """Return a fit to a part of the data with its inner curve over the range of all inputs."""
+    inner = fitted.blocks.inner
+    if inner is None or (inner.low <= data.input.min() and data.input.max() <= inner.high):
+        return fitted
+    blocks = replace(fitted.blocks, inner=inner.refit(data.input, inner(data.input)))
+    return Fitted(blocks, squared_error(blocks, data))
+
+
 def refine_until_converged(fitted: Fitted, data: CascadeData) -> tuple[Blocks, CascadeData]:
     """Return the converged blocks, with the data in whose basis their weights are given.
 

@@ -216,7 +216,7 @@ class Als(OnlineEngine):
         Raises:
             UnusableInputError: nothing varies, too few samples, a memory longer than the part, or an unstable step.
         """
-        prepared = prepare(record, fit_part, self.memory)
+        prepared = prepare(record, fit_part, self.memory_s)
         self._check_step(prepared)
         outputs = record.output[prepared.used]
         identifier = AlsIdentifier(

@@ -9,7 +9,7 @@ import numpy as np
 from pydantic import Field
 
 from tissueid.errors import UnusableInputError
-from tissueid.identification.base import Array, Engine, FitReport, Model
+from tissueid.identification.base import Array, FitReport, Model
 from tissueid.identification.cascades.blocks import (
     STRUCTURES,
     Blocks,
@@ -19,7 +19,7 @@ from tissueid.identification.cascades.blocks import (
     input_levels,
     prepare_cascade,
 )
-from tissueid.identification.cascades.fit import fit_structures, refine_until_converged
+from tissueid.identification.cascades.fit import fit_structures, over_whole_range, refine_until_converged
 from tissueid.identification.cascades.normalisation import (
     Normalised,
     Uncertainty,
@@ -36,16 +36,21 @@ from tissueid.identification.cascades.structure_selection import (
     structure_warnings,
 )
 from tissueid.identification.impulse_response import memory_warnings
+from tissueid.identification.memory import MemoryEngine
 from tissueid.identification.model_family import Family
 from tissueid.identification.preparation import memory_in_samples
 from tissueid.identification.registry import engine
-from tissueid.identification.second_order import HOLD_DESCRIPTION, HOLD_TITLE, Hold
 from tissueid.identification.second_order_fit import SecondOrderFit
 from tissueid.identification.static_nonlinearity import Form, StaticNonlinearity, coefficient_count
 from tissueid.identification.validation import aic, aicc, vaf_percent
 from tissueid.language import marked
 from tissueid.messages import Message
 from tissueid.records import Record
+
+_MOST_ROWS = 200_000
+"""Largest number of samples that are fitted, for about 1 GB and a few minutes."""
+_MOST_ROWS_COMPARED = 40_000
+"""Largest number of samples by which structures are compared, for about a minute."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -79,7 +84,7 @@ class CascadeModel(Model):
 
 
 @engine
-class Cascade(Engine):
+class Cascade(MemoryEngine):
     """Cascade engine.
 
     All blocks are fitted together by the error of the free run, from several starting points. ``auto`` selects the
@@ -94,13 +99,6 @@ class Cascade(Engine):
     )
     family: ClassVar[Family] = Family.STATIC
 
-    memory: float = Field(
-        0.125,
-        gt=0.0,
-        le=10.0,
-        title=marked("Memory"),
-        description=marked("Length of the impulse response of each linear block, s"),
-    )
     structure: Literal["auto", "linear", "wiener", "hammerstein", "lnl", "nln"] = Field(
         "auto",
         title=marked("Structure"),
@@ -114,11 +112,6 @@ class Cascade(Engine):
     degree: int = Field(
         5, ge=1, le=20, title=marked("Degree"), description=marked("Degree of the polynomial, or pieces of the spline")
     )
-    hold: Hold = Field(
-        "band-limited",
-        title=HOLD_TITLE,
-        description=HOLD_DESCRIPTION,
-    )
 
     def fit(self, record: Record, fit_part: slice | None = None) -> CascadeModel:
         """Fit the structure, or all of them, to a record or to a contiguous part of it.
@@ -129,7 +122,7 @@ class Cascade(Engine):
                 input has fewer distinct values than the curve has coefficients.
         """
         wanted: tuple[Structure, ...] = STRUCTURES if self.structure == "auto" else (self.structure,)
-        lags = memory_in_samples(self.memory, record.sample_rate_hz)
+        lags = memory_in_samples(self.memory_s, record.sample_rate_hz)
         whole = 2 * lags - 1 if "lnl" in wanted else lags
         curve = coefficient_count(self.nonlinearity, self.degree) - 2
         prepared, spacing = prepare_cascade(record, fit_part, lags, whole, lambda q: _largest(wanted, q, curve))
@@ -158,11 +151,28 @@ class Cascade(Engine):
                         coefficients=curve + 2,
                     )
                 )
-        data = cascade_data(prepared, lags, spacing)
-        found = fit_structures(data, self.nonlinearity, self.degree, wanted)
-        choice = choose(found, data) if self.structure == "auto" else None
+        data = cascade_data(prepared, lags, spacing).first(_MOST_ROWS)
+        compared = data.first(_MOST_ROWS_COMPARED)
+        found = fit_structures(compared, self.nonlinearity, self.degree, wanted)
+        choice = choose(found, compared) if self.structure == "auto" else None
+        if data.rows.size < int(used.sum()):
+            warnings.append(
+                Message(
+                    "cascade.part_fitted",
+                    "only the first {seconds:.3g} s of the record were fitted, to limit memory and time",
+                    seconds=data.input.size / record.sample_rate_hz,
+                )
+            )
+        if compared.rows.size < data.rows.size and choice is not None:
+            warnings.append(
+                Message(
+                    "cascade.part_compared",
+                    "the structures were compared on the first {seconds:.3g} s of the record, to limit time",
+                    seconds=compared.input.size / record.sample_rate_hz,
+                )
+            )
         structure = wanted[0] if choice is None else choice.structure
-        blocks, data = refine_until_converged(found[structure], data)
+        blocks, data = refine_until_converged(over_whole_range(found[structure], data), data)
         known = uncertainty(blocks, data)
         gains = has_steady_gains(blocks, data, known)
         normal = normalise_gains(blocks, data, gains)

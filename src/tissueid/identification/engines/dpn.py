@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import ClassVar, Literal
+from typing import ClassVar, Literal, Self
 
 import numpy as np
 from pydantic import Field
@@ -24,10 +24,11 @@ from tissueid.identification.preparation import (
     complete_windows,
     prepare,
     scored_samples,
+    typical_samples,
 )
 from tissueid.identification.registry import engine
-from tissueid.identification.second_order import HOLD_DESCRIPTION, HOLD_TITLE, Hold
-from tissueid.identification.second_order_fit import fit_second_order
+from tissueid.identification.second_order import HOLD, Hold
+from tissueid.identification.second_order_fit import fit_second_order, hold_of
 from tissueid.identification.validation import aic, aicc, vaf_percent
 from tissueid.language import marked
 from tissueid.messages import Message, code_of
@@ -115,7 +116,7 @@ class Dpn(Engine):
     memory: float | None = Field(
         None,
         gt=0.0,
-        le=10.0,
+        le=1e7,
         title=marked("Memory"),
         description=marked("Duration of initial conditions, s; from the slower time constant if not given"),
     )
@@ -167,11 +168,11 @@ class Dpn(Engine):
         title=marked("Surface"),
         description=marked("Position of the tissue surface, m; if given, the stiffness of Eq. 3.33 is also reported"),
     )
-    hold: Hold = Field(
-        "band-limited",
-        title=HOLD_TITLE,
-        description=HOLD_DESCRIPTION,
-    )
+    hold: Hold = HOLD
+
+    def for_record(self, record: Record, fit_part: slice | None) -> Self:
+        """Return the specification with the hold that the record shows."""
+        return self if self.hold != "auto" else self.model_copy(update={"hold": hold_of(record, fit_part)})
 
     def fit(self, record: Record, fit_part: slice | None = None) -> DpnModel:
         """Fit the curves to a record, or to a contiguous part of it.
@@ -180,13 +181,14 @@ class Dpn(Engine):
             UnusableInputError: nothing varies, too few samples, a memory longer than the part, or an output that
                 decreases with increasing input.
         """
-        prepared = prepare(record, fit_part, self.memory or _MEMORY_S, _LEAST_PARAMETERS)
+        rate = record.sample_rate_hz
+        prepared = prepare(record, fit_part, self.memory or typical_samples(_MEMORY_S, rate) / rate, _LEAST_PARAMETERS)
         data = DpnData(record, prepared.part, self.hold)
         if data.samples.size < _LEAST_PARAMETERS:
             raise UnusableInputError(
                 Message("dpn.no_stretch", "the record has no stretch without gaps that is long enough to simulate")
             )
-        start = _constant_curves(prepared, self.hold)
+        start, late = _constant_curves(prepared, self.hold)
         degrees, free, off = self._series()
         most = min(self.max_degree, int(data.samples.size) // (4 * SAMPLES_PER_PARAMETER))
         selected = select_degrees(data, start, degrees, free, most, self.spare_degree)
@@ -204,7 +206,8 @@ class Dpn(Engine):
             data.speeds(fitted),
         )
         gains = score_gains(data, fitted, {name: 1 for name in off if name != "inertia" or fitted.curves.mass.size > 1})
-        return self._model(prepared, fitted, found, known, {name: gain for (name, _), gain in gains.items()})
+        model = self._model(prepared, fitted, found, known, {name: gain for (name, _), gain in gains.items()})
+        return model.with_report(warnings=(*model.report.warnings, *late))
 
     def _series(self) -> tuple[dict[str, int], list[str], list[str]]:
         """Return the given degrees, the free series, and the terms that are switched off."""
@@ -298,8 +301,8 @@ class Dpn(Engine):
         )
 
 
-def _constant_curves(prepared: Prepared, hold: Hold) -> LogCurves:
-    """Return the linear second-order system of the record as curves that do not depend on depth.
+def _constant_curves(prepared: Prepared, hold: Hold) -> tuple[LogCurves, tuple[str, ...]]:
+    """Return the linear second-order system of the record as curves that do not depend on depth, and warnings.
 
     Raises:
         UnusableInputError: the output decreases with increasing input.
@@ -323,7 +326,7 @@ def _constant_curves(prepared: Prepared, hold: Hold) -> LogCurves:
     mass = max(system.mass, damping / (_LARGEST_DAMPING * record.sample_rate_hz))
     speed = float(np.nanstd(np.diff(output))) * record.sample_rate_hz
     middle = 0.5 * (low + high)
-    return LogCurves(
+    curves = LogCurves(
         low=low,
         high=high,
         mass=np.log([mass]),
@@ -334,3 +337,4 @@ def _constant_curves(prepared: Prepared, hold: Hold) -> LogCurves:
         speed_scale=_DIRECTION_SPEED_SHARE * speed,
         inertia=np.zeros(0),
     )
+    return curves, linear.left_out

@@ -9,17 +9,18 @@ import numpy as np
 from pydantic import Field
 
 from tissueid.errors import UnusableInputError
-from tissueid.identification.base import Array, Engine, FitReport, Mask, Model
+from tissueid.identification.base import Array, FitReport, Mask, Model
 from tissueid.identification.cascades.blocks import Blocks, CascadeData, cascade_data, input_levels, prepare_cascade
 from tissueid.identification.cascades.curves import with_offset
 from tissueid.identification.cascades.fit import Fitted, fit_linear, hammerstein_passes, refine
 from tissueid.identification.cascades.normalisation import FLAT, has_steady_gains, normalise_gains, uncertainty
 from tissueid.identification.correlation import convolve_at_rest
 from tissueid.identification.impulse_response import memory_warnings
+from tissueid.identification.memory import MemoryEngine
 from tissueid.identification.model_family import Family
 from tissueid.identification.preparation import memory_in_samples
 from tissueid.identification.registry import engine
-from tissueid.identification.second_order import HOLD_DESCRIPTION, HOLD_TITLE, Hold
+from tissueid.identification.second_order import Hold
 from tissueid.identification.second_order_fit import SecondOrderFit, fit_second_order
 from tissueid.identification.static_nonlinearity import Form, StaticNonlinearity, coefficient_count
 from tissueid.identification.validation import aic, aicc, vaf_percent
@@ -150,7 +151,7 @@ class HammersteinModel(Model):
 
 
 @engine
-class Hammerstein(Engine):
+class Hammerstein(MemoryEngine):
     """Hammerstein engine.
 
     Assumes a static nonlinearity of the input, followed by linear dynamics, with output noise. The nonlinearity need
@@ -165,9 +166,6 @@ class Hammerstein(Engine):
     )
     family: ClassVar[Family] = Family.STATIC
 
-    memory: float = Field(
-        0.125, gt=0.0, le=10.0, title=marked("Memory"), description=marked("Length of the impulse response, s")
-    )
     nonlinearity: Form = Field(
         "polynomial",
         title=marked("Nonlinearity"),
@@ -184,11 +182,6 @@ class Hammerstein(Engine):
         title=marked("Refinement"),
         description=marked("Refine the best pass by minimising the simulation error over both stages"),
     )
-    hold: Hold = Field(
-        "band-limited",
-        title=HOLD_TITLE,
-        description=HOLD_DESCRIPTION,
-    )
 
     def fit(self, record: Record, fit_part: slice | None = None) -> HammersteinModel:
         """Fit the cascade to a record, or to a contiguous part of it.
@@ -197,7 +190,7 @@ class Hammerstein(Engine):
             UnusableInputError: nothing varies, too few samples, a memory longer than the part, or an input with fewer
                 distinct values than the curve has coefficients.
         """
-        lags = memory_in_samples(self.memory, record.sample_rate_hz)
+        lags = memory_in_samples(self.memory_s, record.sample_rate_hz)
         curve = coefficient_count(self.nonlinearity, self.degree)
         prepared, spacing = prepare_cascade(record, fit_part, lags, lags, lambda q: q + curve - 1)
         used = prepared.used

@@ -8,7 +8,7 @@ from typing import ClassVar, Literal
 import numpy as np
 from pydantic import Field
 
-from tissueid.identification.base import Array, Engine, FitReport, Model
+from tissueid.identification.base import Array, FitReport, Model
 from tissueid.identification.correlation import convolve_at_rest
 from tissueid.identification.impulse_response import (
     factor_input,
@@ -17,10 +17,10 @@ from tissueid.identification.impulse_response import (
     segment_average,
     with_extra_memory,
 )
+from tissueid.identification.memory import MemoryEngine
 from tissueid.identification.model_family import Family
 from tissueid.identification.preparation import prepare
 from tissueid.identification.registry import engine
-from tissueid.identification.second_order import HOLD_DESCRIPTION, HOLD_TITLE, Hold
 from tissueid.identification.second_order_fit import SecondOrderFit, fit_second_order
 from tissueid.identification.validation import aic, aicc, vaf_percent
 from tissueid.language import marked
@@ -49,7 +49,7 @@ class LmsModel(Model):
 
 
 @engine
-class Lms(Engine):
+class Lms(MemoryEngine):
     """LMS engine.
 
     Assumes a linear system whose response decays within ``memory``, and output noise that is independent of the input.
@@ -63,9 +63,6 @@ class Lms(Engine):
     family: ClassVar[Family] = Family.LINEAR
     in_report: ClassVar[bool] = True
 
-    memory: float = Field(
-        0.125, gt=0.0, le=10.0, title=marked("Memory"), description=marked("Length of the impulse response, s")
-    )
     method: Literal["toeplitz", "svd"] = Field(
         "toeplitz",
         title=marked("Method"),
@@ -101,11 +98,6 @@ class Lms(Engine):
         title=marked("Largest condition number"),
         description=marked("With segments: those with a larger condition number are rejected"),
     )
-    hold: Hold = Field(
-        "band-limited",
-        title=HOLD_TITLE,
-        description=HOLD_DESCRIPTION,
-    )
 
     def fit(self, record: Record, fit_part: slice | None = None) -> LmsModel:
         """Fit the impulse response and the second-order system to a record, or to a contiguous part of it.
@@ -113,7 +105,7 @@ class Lms(Engine):
         Raises:
             UnusableInputError: nothing varies, too few samples, or a memory longer than the part.
         """
-        prepared = prepare(record, fit_part, self.memory)
+        prepared = prepare(record, fit_part, self.memory_s)
         lags = prepared.memory_samples
         solved = factor_input(
             prepared if self.taper == 0.0 else with_extra_memory(prepared),

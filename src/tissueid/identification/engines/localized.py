@@ -8,7 +8,7 @@ import numpy as np
 from pydantic import Field
 
 from tissueid.formatting import number
-from tissueid.identification.base import Engine, FitReport
+from tissueid.identification.base import FitReport
 from tissueid.identification.depth_levels import find_levels, localized_levels
 from tissueid.identification.localized import (
     LevelFit,
@@ -17,11 +17,11 @@ from tissueid.identification.localized import (
     fit_levels,
     level_parameters,
 )
+from tissueid.identification.memory import MemoryEngine
 from tissueid.identification.model_family import Family
 from tissueid.identification.partitions.parameters import means_and_slopes
 from tissueid.identification.preparation import prepare
 from tissueid.identification.registry import engine
-from tissueid.identification.second_order import HOLD_DESCRIPTION, HOLD_TITLE, Hold
 from tissueid.identification.second_order_fit import fit_second_order
 from tissueid.identification.validation import aic, aicc, vaf_percent
 from tissueid.language import marked
@@ -33,7 +33,7 @@ _EACH = 4
 
 
 @engine
-class Localized(Engine):
+class Localized(MemoryEngine):
     """Localized engine.
 
     Assumes noise so small that the tissue is linear about each level, and levels held for several memories. The
@@ -47,13 +47,6 @@ class Localized(Engine):
     )
     family: ClassVar[Family] = Family.PARAMETRIC
 
-    memory: float = Field(
-        0.125,
-        gt=0.0,
-        le=10.0,
-        title=marked("Memory"),
-        description=marked("Duration of the response to a step, s; excluded at the start of each level"),
-    )
     settle: float = Field(
         0.25,
         ge=0.0,
@@ -65,11 +58,6 @@ class Localized(Engine):
         None,
         title=marked("Levels"),
         description=marked("Levels of the input, in its unit; from its steps if not given"),
-    )
-    hold: Hold = Field(
-        "band-limited",
-        title=HOLD_TITLE,
-        description=HOLD_DESCRIPTION,
     )
 
     @classmethod
@@ -84,7 +72,7 @@ class Localized(Engine):
             UnusableInputError: the input has no steps, the levels are too short or all at one depth, nothing varies, or
                 the memory is longer than the part.
         """
-        prepared = prepare(record, fit_part, self.memory, 2 * _EACH)
+        prepared = prepare(record, fit_part, self.memory_s, 2 * _EACH)
         memory_samples = prepared.memory_samples
         levels = find_levels(record.input, prepared.used, memory_samples, self.levels, record.joints)
         settle_samples = round(self.settle * record.sample_rate_hz)

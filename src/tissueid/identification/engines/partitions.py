@@ -4,23 +4,24 @@ from __future__ import annotations
 
 from typing import ClassVar, Literal
 
-from tissueid.identification.base import Engine, option
+from tissueid.identification.base import option
+from tissueid.identification.memory import MemoryEngine
 from tissueid.identification.model_family import Family
 from tissueid.identification.partitions.cells import Breakpoints
 from tissueid.identification.partitions.fit import Offset, fit_partitions
 from tissueid.identification.partitions.model import PartitionedModel
 from tissueid.identification.registry import engine
-from tissueid.identification.second_order import HOLD, Hold
 from tissueid.language import marked
 from tissueid.records import Record
 
 
-class PartitionEngine(Engine):
+class PartitionEngine(MemoryEngine):
     """Options and fit that both engines share."""
 
     directional: ClassVar[bool]
+    usual_memory_s: ClassVar[float] = 0.06
+    memory_margin: ClassVar[float] = 1.0
 
-    memory: float = option(0.06, marked("Memory"), marked("Length of the kernels, s"), gt=0.0, le=10.0)
     partitions: int = option(7, marked("Partitions"), marked("Number of depth partitions"), ge=1, le=100)
     breakpoints: Breakpoints = option(
         "count", marked("Breakpoints"), marked("Partitions with equal counts of samples, or of equal width")
@@ -57,7 +58,6 @@ class PartitionEngine(Engine):
         marked("Bias correction"),
         marked("Subtract the bias of the estimator, found on a simulated tissue with the estimated parameters"),
     )
-    hold: Hold = HOLD
 
     def fit(self, record: Record, fit_part: slice | None = None) -> PartitionedModel:
         """Fit the kernels to a record, or to a contiguous part of it.

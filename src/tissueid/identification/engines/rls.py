@@ -150,7 +150,7 @@ class Rls(OnlineEngine):
         Raises:
             UnusableInputError: nothing varies, too few samples, or a memory longer than the part.
         """
-        prepared = prepare(record, fit_part, self.memory)
+        prepared = prepare(record, fit_part, self.memory_s)
         identifier = RlsIdentifier(
             self,
             record.sample_rate_hz,

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
-from typing import ClassVar, Literal
+from typing import ClassVar, Literal, Self
 
 import numpy as np
 from numpy.typing import NDArray
@@ -12,17 +12,23 @@ from pydantic import Field
 from scipy import fft, signal
 
 from tissueid.errors import UnusableInputError
-from tissueid.identification.base import Array, Engine, FitReport, Model
+from tissueid.identification.base import Array, FitReport, Model
 from tissueid.identification.correlation import convolve_at_rest
+from tissueid.identification.memory import MemoryEngine
 from tissueid.identification.model_family import Family
-from tissueid.identification.preparation import Prepared, finite_runs, prepare
+from tissueid.identification.preparation import Prepared, finite_runs, memory_in_samples, prepare, typical_samples
 from tissueid.identification.registry import engine
-from tissueid.identification.second_order import HOLD_DESCRIPTION, HOLD_TITLE, Complex, Hold
+from tissueid.identification.second_order import Complex
 from tissueid.identification.second_order_fit import SecondOrderFit, fit_second_order
 from tissueid.identification.validation import aic, aicc, vaf_percent
 from tissueid.language import marked
 from tissueid.messages import Message
 from tissueid.records import Record
+
+_WINDOW_S = 0.5
+"""Length of a segment of a record of tissue, s (``typical_samples``)."""
+_SEGMENTS = 4
+"""Least number of segments, without overlap, of another record."""
 
 _NO_COHERENCE = Message("spectral.no_coherence", "input and output have no significant coherence at any frequency")
 
@@ -83,7 +89,7 @@ class SpectralModel(Model):
 
 
 @engine
-class Spectral(Engine):
+class Spectral(MemoryEngine):
     """Spectral engine.
 
     Assumes a linear system and a window several times longer than its memory. A coherence below 1 is caused by output
@@ -98,7 +104,13 @@ class Spectral(Engine):
     family: ClassVar[Family] = Family.LINEAR
     in_report: ClassVar[bool] = True
 
-    window: float = Field(0.5, gt=0.0, le=60.0, title=marked("Window"), description=marked("Length of a segment, s"))
+    window: float | None = Field(
+        None,
+        gt=0.0,
+        le=1e7,
+        title=marked("Window"),
+        description=marked("Length of a segment, s; from the record if not given"),
+    )
     overlap: float = Field(
         0.5,
         ge=0.0,
@@ -109,13 +121,6 @@ class Spectral(Engine):
     taper: Literal["hann", "hamming", "blackman", "boxcar"] = Field(
         "hann", title=marked("Taper"), description=marked("Window function")
     )
-    memory: float = Field(
-        0.125,
-        gt=0.0,
-        le=10.0,
-        title=marked("Memory"),
-        description=marked("Length of the simulated impulse response, s"),
-    )
     range_db: float = Field(
         30.0,
         gt=0.0,
@@ -123,7 +128,23 @@ class Spectral(Engine):
         title=marked("Range"),
         description=marked("Simulation uses frequencies whose input power is within this range below its peak, dB"),
     )
-    hold: Hold = Field("band-limited", title=HOLD_TITLE, description=HOLD_DESCRIPTION)
+
+    def for_record(self, record: Record, fit_part: slice | None) -> Self:
+        """Return the specification with memory and window for this record.
+
+        Raises:
+            UnusableInputError: the memory has too many samples.
+        """
+        known = super().for_record(record, fit_part)
+        if known.window is not None:
+            return known
+        rate = record.sample_rate_hz
+        typical = typical_samples(_WINDOW_S, rate)
+        if typical == round(_WINDOW_S * rate):
+            return known.model_copy(update={"window": max(_WINDOW_S, known.memory_s)})
+        part = len(record[fit_part or slice(None)])
+        samples = max(memory_in_samples(known.memory_s, rate), min(typical, part // _SEGMENTS))
+        return known.model_copy(update={"window": samples / rate})
 
     def fit(self, record: Record, fit_part: slice | None = None) -> SpectralModel:
         """Estimate the spectra of a record, or of a contiguous part of it.
@@ -132,16 +153,16 @@ class Spectral(Engine):
             UnusableInputError: nothing varies, too few samples, the window shorter than the memory, or fewer than
                 two segments without a gap.
         """
-        prepared = prepare(record, fit_part, self.memory)
+        prepared = prepare(record, fit_part, self.memory_s)
         lags = prepared.memory_samples
-        length = round(self.window * record.sample_rate_hz)
+        length = memory_in_samples(self.window or _WINDOW_S, record.sample_rate_hz)
         if length < lags:
             raise UnusableInputError(
                 Message(
                     "spectral.window_shorter_than_memory",
                     "the window, {window:g} s, is shorter than the memory, {memory:g} s",
                     window=self.window,
-                    memory=self.memory,
+                    memory=self.memory_s,
                 )
             )
         spectra = self.spectra(prepared)
@@ -186,7 +207,7 @@ class Spectral(Engine):
             UnusableInputError: there are fewer than two segments without a gap.
         """
         record = prepared.record
-        length = round(self.window * record.sample_rate_hz)
+        length = memory_in_samples(self.window or _WINDOW_S, record.sample_rate_hz)
         stride = max(1, round(length * (1.0 - self.overlap)))
         starts = prepared.part.start + segment_starts(record.valid[prepared.part], length, stride)
         if starts.size < 2:

@@ -10,15 +10,15 @@ import numpy as np
 from pydantic import Field
 
 from tissueid.errors import UnusableInputError
-from tissueid.identification.base import Array, Engine, FitReport
+from tissueid.identification.base import PARAMETRIC, Array, FitReport
 from tissueid.identification.impulse_response import memory_warnings
+from tissueid.identification.memory import MemoryEngine
 from tissueid.identification.model_family import Family
 from tissueid.identification.preparation import SAMPLES_PER_PARAMETER, Prepared, memory_in_samples, prepare
 from tissueid.identification.registry import engine
-from tissueid.identification.second_order import HOLD_DESCRIPTION, HOLD_TITLE, Hold
 from tissueid.identification.second_order_fit import fit_second_order
 from tissueid.identification.validation import aic, aicc, vaf_percent
-from tissueid.identification.volterra.lag_grid import LagGrid, automatic_grid, lag_grid, smoothed, whiteness
+from tissueid.identification.volterra.lag_grid import LagGrid, automatic_grid, lag_grid, shortened, smoothed, whiteness
 from tissueid.identification.volterra.methods import (
     Solved,
     VolterraStimulus,
@@ -37,6 +37,12 @@ from tissueid.records import Record
 _MOST_COEFFICIENTS = 6000
 """Largest number of coefficients of the method exact, which needs a square matrix of this size."""
 
+_SAMPLES_PER_COEFFICIENT = 2
+"""Fewest samples per coefficient of the method exact on an automatic grid."""
+
+_MOST_LAGS = {1: 2048, 2: 384, 3: 64}
+"""Largest number of lags of an automatic grid by the order of the kernels: about a minute, or 1 GB."""
+
 _MOST_LAGS_DRAWN = 64
 """Number of lags above which the bands of the structure signature are not computed, because they take longer than the
 fit.
@@ -53,7 +59,7 @@ _CHOICES = (marked("regularised"), marked("exact"), marked("every"), marked("dow
 
 
 @engine
-class Volterra(Engine):
+class Volterra(MemoryEngine):
     """Volterra engine.
 
     Assumes a response that decays within ``memory`` and output noise independent of the input; no block structure.
@@ -65,8 +71,9 @@ class Volterra(Engine):
         "Kernels of order 0 to 3 (Chen 2010, chapter 4): any nonlinearity with fading memory, for small enough inputs."
     )
     family: ClassVar[Family] = Family.KERNELS
+    usual_memory_s: ClassVar[float] = 0.06
+    memory_margin: ClassVar[float] = 1.0
 
-    memory: float = Field(0.06, gt=0.0, le=10.0, title=marked("Memory"), description=marked("Length of the kernels, s"))
     order: int = Field(2, ge=0, le=3, title=marked("Order"), description=marked("Highest order of the kernels"))
     method: Literal["regularised", "exact", "laguerre"] = Field(
         "regularised",
@@ -95,11 +102,6 @@ class Volterra(Engine):
         title=marked("Smoothing"),
         description=marked("Standard deviation of the Gaussian filter of the second-order kernel, lags; thesis: 1"),
     )
-    hold: Hold = Field(
-        "band-limited",
-        title=HOLD_TITLE,
-        description=HOLD_DESCRIPTION,
-    )
 
     def fit(
         self, record: Record, fit_part: slice | None = None, *, stimulus: VolterraStimulus | None = None
@@ -115,11 +117,11 @@ class Volterra(Engine):
             UnusableInputError: nothing varies, too few samples, a memory longer than the part, more coefficients than
                 the method exact supports, or the stimulus of another input.
         """
-        grid, prepared = self._prepared(record, fit_part)
+        grid, prepared, cut = self._prepared(record, fit_part)
         x = record.input - prepared.input_mean
         solved = self._solved(x, record.output, record.sample_rate_hz, prepared, grid, stimulus)
         white = self._whiteness(x, prepared, grid)
-        warnings = [*prepared.warnings, *solved.warnings, *self._warnings(solved, white, prepared, grid)]
+        warnings = [*prepared.warnings, *cut, *solved.warnings, *self._warnings(solved, white, prepared, grid)]
         second_order = fit_second_order(record, prepared.used, self.hold) if self.order else None
         if second_order is not None:
             warnings += second_order.warnings
@@ -134,7 +136,8 @@ class Volterra(Engine):
                 parameters={} if second_order is None else second_order.parameters,
                 warnings=tuple(warnings),
                 findings=self._signature(solved),
-                details=solved.details
+                details=({} if second_order is None else {PARAMETRIC: second_order.vaf_percent})
+                | solved.details
                 | {"lags": float(grid.lags), "lag_spacing": float(grid.spacing)}
                 | ({} if white is None else {"input_whiteness": white}),
             ),
@@ -166,28 +169,29 @@ class Volterra(Engine):
         Raises:
             UnusableInputError: as :meth:`fit`.
         """
-        grid, prepared = self._prepared(record, fit_part)
-        return self._factored(record.input - prepared.input_mean, prepared, grid)
+        known = self.for_record(record, fit_part)
+        grid, prepared, _ = known._prepared(record, fit_part)
+        return known._factored(record.input - prepared.input_mean, prepared, grid)
 
-    def _prepared(self, record: Record, fit_part: slice | None) -> tuple[LagGrid, Prepared]:
-        """Return the lags, and the record prepared for the number of samples that they need."""
+    def _prepared(self, record: Record, fit_part: slice | None) -> tuple[LagGrid, Prepared, tuple[str, ...]]:
+        """Return the lags, the record prepared for the number of samples that they need, and warnings."""
         rate = record.sample_rate_hz
         first = prepare(record, fit_part, 1.0 / rate, 1)  # checks that the input varies
         inside = record.input[first.part] - first.input_mean
-        if memory_in_samples(self.memory, rate) > inside.size:
+        if memory_in_samples(self.memory_s, rate) > inside.size:
             raise UnusableInputError(
                 Message(
                     "record.shorter_than_memory",
                     "the memory of {memory:g} s is longer than the {seconds:g} s of record to fit",
-                    memory=self.memory,
+                    memory=self.memory_s,
                     seconds=inside.size / rate,
                 )
             )
-        grid = (
-            automatic_grid(self.memory, inside, rate)
-            if self.downsample is None
-            else lag_grid(self.memory, rate, self.downsample)
-        )
+        cut: tuple[str, ...] = ()
+        if self.downsample is None:
+            grid, cut = shortened(automatic_grid(self.memory_s, inside, rate), self._most_lags(inside.size), rate)
+        else:
+            grid = lag_grid(self.memory_s, rate, self.downsample)
         least = coefficient_count(grid.lags, self.order if self._exact else min(self.order, 1))
         prepared = prepare(record, fit_part, grid.memory_samples / rate, least)
         rows = self._rows(prepared, grid)
@@ -201,7 +205,16 @@ class Volterra(Engine):
                     parameters=least,
                 )
             )
-        return grid, prepared
+        return grid, prepared, cut
+
+    def _most_lags(self, samples: int) -> int:
+        """Return the number of lags of an automatic grid above which the kernels cannot be estimated."""
+        if not self._exact:
+            return _MOST_LAGS[self.order]
+        lags, most = 1, min(_MOST_COEFFICIENTS, samples // _SAMPLES_PER_COEFFICIENT)
+        while coefficient_count(lags + 1, self.order) <= most and lags < _MOST_LAGS[1]:
+            lags += 1
+        return lags
 
     def _step(self, grid: LagGrid) -> int:
         """Return the distance of the rows in samples."""

@@ -9,12 +9,13 @@ import numpy as np
 from pydantic import Field
 from scipy import fft
 
-from tissueid.identification.base import Array, Engine, FitReport, Model
+from tissueid.identification.base import Array, FitReport, Model
 from tissueid.identification.impulse_response import factor_input, memory_warnings, with_extra_memory
+from tissueid.identification.memory import MemoryEngine
 from tissueid.identification.model_family import Family
 from tissueid.identification.preparation import memory_in_samples, prepare
 from tissueid.identification.registry import engine
-from tissueid.identification.second_order import HOLD_DESCRIPTION, HOLD_TITLE, Hold, SecondOrder, sampled_response_at
+from tissueid.identification.second_order import Hold, SecondOrder, sampled_response_at
 from tissueid.identification.second_order_fit import SecondOrderFit
 from tissueid.identification.static_nonlinearity import Exponential, Form, StaticNonlinearity, coefficient_count
 from tissueid.identification.validation import aic, aicc, vaf_percent
@@ -144,7 +145,7 @@ class WienerModel(Model):
 
 
 @engine
-class Wiener(Engine):
+class Wiener(MemoryEngine):
     """Wiener engine.
 
     Assumes that stiffness, damping and mass change with depth by one common factor, with output noise. If a polynomial
@@ -161,9 +162,6 @@ class Wiener(Engine):
     family: ClassVar[Family] = Family.STATIC
     in_report: ClassVar[bool] = True
 
-    memory: float = Field(
-        0.125, gt=0.0, le=10.0, title=marked("Memory"), description=marked("Length of the impulse response, s")
-    )
     nonlinearity: Form = Field(
         "exponential",
         title=marked("Nonlinearity"),
@@ -211,11 +209,6 @@ class Wiener(Engine):
             "is given, that of the test"
         ),
     )
-    hold: Hold = Field(
-        "band-limited",
-        title=HOLD_TITLE,
-        description=HOLD_DESCRIPTION,
-    )
 
     def with_test_values(self, surface_position_m: float | None, weight_n: float | None) -> Self:
         """Return the specification with surface or weight of the test, unless one of the two options is given."""
@@ -231,9 +224,9 @@ class Wiener(Engine):
             UnusableInputError: nothing varies, too few samples, a memory longer than the part, or a linear stage
                 without a steady-state gain, which is needed for normalisation.
         """
-        lags = memory_in_samples(self.memory, record.sample_rate_hz)
+        lags = memory_in_samples(self.memory_s, record.sample_rate_hz)
         n_parameters = lags - 1 + coefficient_count(self.nonlinearity, self.degree)  # the sum of the kernel is fixed
-        prepared = prepare(record, fit_part, self.memory, n_parameters)
+        prepared = prepare(record, fit_part, self.memory_s, n_parameters)
         longer = LinearStage(factor_input(with_extra_memory(prepared), taper=_TAPER))
         solved = factor_input(prepared, taper=_TAPER)
         stage = LinearStage(solved)

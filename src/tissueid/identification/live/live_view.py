@@ -257,7 +257,7 @@ def _present_response(identifier: LiveIdentifier) -> _Response:
         x, modelled, residuals = _run(solved.kernel, prepared, prepared.input_mean, prepared.output_mean)
         std = kernel_std(solved.inverse, x, residuals)[: solved.kernel.size]
         return _Response(solved.kernel, std, modelled, prepared)
-    prepared = prepare(identifier.recent(), None, identifier.options.memory)
+    prepared = prepare(identifier.recent(), None, identifier.options.memory_s)
     if isinstance(identifier, AlsIdentifier):
         kernel = identifier.average_response / identifier.sample_rate_hz
         _, modelled, residuals = _run(kernel, prepared, identifier.centre, 0.0)

@@ -16,7 +16,7 @@ from tissueid.identification.correlation import condition_number, toeplitz_inver
 from tissueid.identification.engines.lms import Lms, LmsModel
 from tissueid.identification.impulse_response import EXTRA_MEMORY_S, RIDGE, factor_input, with_extra_memory
 from tissueid.identification.lagged_gram import LaggedRegressors
-from tissueid.identification.preparation import Prepared, checked_samples, memory_in_samples, prepare
+from tissueid.identification.preparation import Prepared, checked_samples, memory_in_samples, prepare, typical_samples
 from tissueid.messages import Message
 from tissueid.records import Record
 
@@ -144,21 +144,21 @@ class SlidingLms:
             raise UnusableInputError(
                 Message("record.sample_rate", "the sample rate must be positive, got {rate:g} Hz", rate=sample_rate_hz)
             )
-        if window_s is not None and not window_s >= 2.0 * options.memory:
+        if window_s is not None and not window_s >= 2.0 * options.memory_s:
             raise UnusableInputError(
                 Message(
                     "online.short_window",
                     "a window of {window:g} s is shorter than two memories of {memory:g} s: lengthen it",
                     window=window_s,
-                    memory=options.memory,
+                    memory=options.memory_s,
                 )
             )
         self.options = options
         self.sample_rate_hz = sample_rate_hz
-        self.lags = memory_in_samples(options.memory, sample_rate_hz)
+        self.lags = memory_in_samples(options.memory_s, sample_rate_hz)
         self._units = (input_unit, output_unit)
         self._window = None if window_s is None else round(window_s * sample_rate_hz)
-        summed = self.lags + round(EXTRA_MEMORY_S * sample_rate_hz)
+        summed = self.lags + typical_samples(EXTRA_MEMORY_S, sample_rate_hz)
         room = 2 * self._window if self._window else round(_INITIAL_CAPACITY_S * sample_rate_hz) + summed
         self._received = np.zeros((2, room))  # input and output as received
         self._counted = np.zeros((2, room))  # minus the first received value of each, 0 for missing samples
@@ -229,7 +229,7 @@ class SlidingLms:
             UnusableInputError: there are too few samples, or nothing varies.
         """
         if self._solution is None:
-            prepared = prepare(self.recent(), None, self.options.memory)
+            prepared = prepare(self.recent(), None, self.options.memory_s)
             wide = prepared if self.options.taper == 0.0 else with_extra_memory(prepared)
             try:
                 if self.options.method == "svd":

@@ -11,15 +11,13 @@ from abc import ABC, abstractmethod
 from dataclasses import dataclass
 
 import numpy as np
-from pydantic import Field
 
 from tissueid.errors import UnusableInputError
-from tissueid.identification.base import Array, Engine, Model
+from tissueid.identification.base import Array, Model
 from tissueid.identification.correlation import convolve_at_rest
-from tissueid.identification.preparation import Prepared, checked_samples, memory_in_samples, prepare
-from tissueid.identification.second_order import HOLD_DESCRIPTION, HOLD_TITLE, Hold
+from tissueid.identification.memory import MemoryEngine
+from tissueid.identification.preparation import Prepared, checked_samples, memory_in_samples, prepare, typical_samples
 from tissueid.identification.second_order_fit import SecondOrderFit
-from tissueid.language import marked
 from tissueid.messages import Message
 from tissueid.records import Record
 
@@ -238,13 +236,8 @@ class Identifier(ABC):
         self._snapshots += 1
 
 
-class OnlineEngine(Engine):
+class OnlineEngine(MemoryEngine):
     """An engine that also runs sample by sample: ``start`` returns the identifier, ``fit`` runs it over a record."""
-
-    memory: float = Field(
-        0.125, gt=0.0, le=10.0, title=marked("Memory"), description=marked("Length of the impulse response, s")
-    )
-    hold: Hold = Field("band-limited", title=HOLD_TITLE, description=HOLD_DESCRIPTION)
 
     @abstractmethod
     def start(
@@ -305,4 +298,6 @@ def lags_of(engine: OnlineEngine, sample_rate_hz: float) -> int:
         raise UnusableInputError(
             Message("record.sample_rate", "the sample rate must be positive, got {rate:g} Hz", rate=sample_rate_hz)
         )
+    if engine.memory is None:
+        return typical_samples(engine.usual_memory_s, sample_rate_hz)
     return memory_in_samples(engine.memory, sample_rate_hz)

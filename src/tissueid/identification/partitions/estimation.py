@@ -26,7 +26,7 @@ from tissueid.identification.second_order_fit import SecondOrderFit
 from tissueid.identification.volterra.lag_grid import LagGrid
 from tissueid.messages import Message
 
-_ITERATIONS = 15
+_ITERATIONS = 40
 _TOLERANCE = 1e-3
 _GAIN_TOLERANCE = 1e-5
 """Share of the loss below which a step has gained nothing: 0.3 standard deviations for 8,000 independent samples."""
@@ -130,13 +130,18 @@ _PROBE = 0.05
 _LEAST_GAIN = 0.15
 """Lower bound on the sensitivity of an estimate to the parameter, for the correction."""
 
+_CORRECTION_STD = 0.5
+"""Standard deviation of a correction, relative to it: the simulated tissue does not relax, lift off or recruit mass."""
+_MISFIT_STD = 0.3
+"""Relative standard deviation of the level of a parameter for the same reason, relative to the error of the kernels."""
+
 _LARGEST_CORRECTION = np.log(2.0)
 """Largest plausible correction of a logarithm; beyond it the simulated tissue does not resemble the record."""
 
 _UNCORRECTED = Message(
     "partitions.uncorrected",
-    "mass, damping and stiffness are those of the kernels, without bias correction: a tissue with these parameters "
-    "could not be simulated with this record's input",
+    "mass, damping and stiffness are those of the kernels, without bias correction and without uncertainty: a tissue "
+    "with these parameters could not be simulated with this record's input",
 )
 
 
@@ -152,6 +157,11 @@ class LocalEstimates:
     solved: PartitionedKernels
     contrast: Contrast | None = None
     warnings: tuple[str, ...] = ()
+
+    @property
+    def certain(self) -> bool:
+        """Whether the standard deviations hold: not where the bias of the estimator is known to remain."""
+        return _UNCORRECTED not in self.warnings
 
     @property
     def rest(self) -> float:
@@ -190,13 +200,14 @@ class DepthEstimator:
         )
         return LocalEstimates(local, solved)
 
-    def corrected(self, *, contrast: bool) -> LocalEstimates:
+    def corrected(self) -> LocalEstimates:
         """Return the parameters of the record, minus the bias found on a tissue simulated with them.
 
         Level and slope of each parameter against depth are solved by Newton's method, with the sensitivities of the
-        estimator found by simulation. The scatter of the cells about these lines is kept unchanged. With ``contrast``
-        damping and stiffness of that tissue may depend on the direction. If the correction fails, the uncorrected
-        estimates are returned with a warning.
+        estimator found by simulation. The scatter of the cells about these lines is kept unchanged. Damping and
+        stiffness of that tissue may depend on the direction, which the kernels along the lags cannot represent: left
+        out, it would appear as a change with depth. If the correction fails, the uncorrected estimates are returned
+        with a warning.
         """
         seen = self.estimate(self.prepared.record.output)
         if not self.linear.mechanical or not seen.local.known.any():
@@ -204,10 +215,10 @@ class DepthEstimator:
         if not seen.local.known.all():
             return replace(seen, warnings=(_UNCORRECTED,))
         tissue = SimulatedTissue.through(seen.local, self.prepared, self.partitions, self.linear.hold, seen.rest)
-        found = fit_contrast(tissue, seen.local.log_parameters, self.used) if contrast else None
+        found = fit_contrast(tissue, seen.local.log_parameters, self.used)
         seen = replace(seen, contrast=found)
-        search = _Search.with_sensitivities(self, seen, tissue) if found is not None or not contrast else None
-        local = None if search is None else search.solve(found or Contrast.none(seen.local.position.size))
+        search = None if found is None else _Search.with_sensitivities(self, seen, tissue)
+        local = None if search is None or found is None else search.solve(found)
         return replace(seen, warnings=(_UNCORRECTED,)) if local is None else replace(seen, local=local)
 
 
@@ -258,11 +269,19 @@ class _Search:
         root = self.seen.local.root
         across = np.einsum("lk,kim->lim", lines.pick, root)  # (lines, 3, m)
         widened = (self.inverse @ across.reshape(self.inverse.shape[0], -1)).reshape(across.shape)
-        return replace(
-            self.seen.local,
-            log_parameters=lines.smooth(sought) + wanted - back,
-            root=root + np.einsum("kl,lim->kim", lines.basis, widened - across),
-        )
+        found = lines.smooth(sought) + wanted - back
+        root = root + np.einsum("kl,lim->kim", lines.basis, widened - across)
+        level = np.full_like(found, _MISFIT_STD * self._misfit)
+        doubts = [values[:, :, None] * np.eye(3) for values in (_CORRECTION_STD * (found - wanted), level)]
+        return replace(self.seen.local, log_parameters=found, root=np.concatenate([root, *doubts], axis=2))
+
+    @property
+    def _misfit(self) -> float:
+        """Error of the kernels relative to the output, both as standard deviations."""
+        modelled = self.seen.solved.modelled
+        known = np.isfinite(modelled)
+        output = self.estimator.prepared.record.output[known]
+        return float(np.std(output - modelled[known]) / np.std(output))
 
     def _re_estimated(self, values: Array, contrast: Contrast) -> Array | None:
         """Return the estimates for a tissue with these logarithms (K, 3); None if they are not available."""

@@ -26,7 +26,7 @@ from tissueid.identification.partitions.report import details_of, findings, fit_
 from tissueid.identification.preparation import SAMPLES_PER_PARAMETER, Prepared, complete_windows, prepare
 from tissueid.identification.second_order_fit import SecondOrderFit, fit_second_order
 from tissueid.identification.validation import aic, aicc, vaf_percent
-from tissueid.identification.volterra.lag_grid import LagGrid, automatic_grid, lag_grid
+from tissueid.identification.volterra.lag_grid import LagGrid, automatic_grid, lag_grid, shortened
 from tissueid.language import marked
 from tissueid.messages import Message
 from tissueid.records import Record
@@ -37,6 +37,9 @@ if TYPE_CHECKING:
 Offset = Literal["auto", "common", "mean", "partition"]
 _OFFSETS = (marked("auto"), marked("common"), marked("mean"), marked("partition"))
 """Choices of the option as a form shows them, for translation."""
+
+_MOST_COEFFICIENTS = 2000
+"""Largest number of coefficients of all kernels on an automatic grid."""
 
 _ROUNDS = 3
 """Number of times that the fitted samples are assigned to partitions by the model's own output."""
@@ -71,7 +74,7 @@ def fit_partitions(engine: PartitionEngine, record: Record, fit_part: slice | No
     """
     rate = record.sample_rate_hz
     first = prepare(record, fit_part, 1.0 / rate, 1)
-    grid = _grid(engine, first)
+    grid, cut = _grid(engine, first)
     rows = prepare(record, fit_part, grid.memory_samples / rate, 1).used
     if not rows.any():
         raise UnusableInputError(
@@ -97,19 +100,25 @@ def fit_partitions(engine: PartitionEngine, record: Record, fit_part: slice | No
     profile = profile_of(local, partitions, cells, used) if linear.mechanical else None
     model = _model(solved, prepared, partitions, grid, local, profile, engine)
     fitted = _reported(model, record, prepared, used, solved, local, linear)
+    report = fitted.report
+    if cut:
+        fitted = fitted.with_report(warnings=(*cut, *report.warnings))
+        report = fitted.report
     if not stepped:
         return fitted
-    report = fitted.report
     if at_output:
         return fitted.with_report(findings=(*report.findings, _OWN_OFFSETS))
     return fitted.with_report(warnings=(*report.warnings, _STEPPED))
 
 
-def _grid(engine: PartitionEngine, first: Prepared) -> LagGrid:
+def _grid(engine: PartitionEngine, first: Prepared) -> tuple[LagGrid, tuple[str, ...]]:
+    """Return the lags, and a warning if there are fewer than the memory needs."""
     rate = first.record.sample_rate_hz
     if engine.downsample is not None:
-        return lag_grid(engine.memory, rate, engine.downsample)
-    return automatic_grid(engine.memory, first.record.input[first.part] - first.input_mean, rate)
+        return lag_grid(engine.memory_s, rate, engine.downsample), ()
+    kernels = engine.partitions * (2 if engine.directional else 1)
+    grid = automatic_grid(engine.memory_s, first.record.input[first.part] - first.input_mean, rate)
+    return shortened(grid, max(1, _MOST_COEFFICIENTS // kernels), rate)
 
 
 def _part_mask(prepared: Prepared) -> Mask:
@@ -240,7 +249,8 @@ def _local(
         linear=linear,
     )
     if engine.correct:
-        return estimator.corrected(contrast=engine.directional)
+        found = estimator.corrected()
+        return found if engine.directional else replace(found, contrast=None)
     return estimator.estimate(record.output)
 
 
@@ -312,6 +322,7 @@ def _reported(
         warnings=(
             *prepared.warnings,
             *solved.warnings,
+            *linear.left_out,
             *fit_warnings(vaf, details, local, few and not prepared.warnings),
         ),
         findings=findings(local, model.partitions, linear),

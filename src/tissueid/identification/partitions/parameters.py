@@ -83,9 +83,12 @@ class _Band:
         it.
 
         Errors are weighted by the output power that they cause under the input of the record. None if no parameters
-        near the start fit.
+        near the start fit, or for a response that is zero.
         """
-        weight = np.sqrt(self.power) / float(np.sqrt(np.sum(self.power * np.abs(target) ** 2)))
+        size = float(np.sqrt(np.sum(self.power * np.abs(target) ** 2)))
+        if not 0.0 < size < np.inf:
+            return None
+        weight = np.sqrt(self.power) / size
 
         def split(values: Complex) -> Array:
             weighted = values * weight
@@ -215,10 +218,12 @@ def _band(x: Array, grid: LagGrid, linear: SecondOrderFit) -> _Band:
 
 
 def _centre(output: Array, at_output: bool) -> float:
-    """Return the position to which a cell's kernel belongs, from the outputs in it.
+    """Return the position to which a cell's kernel belongs, from the outputs in it; NaN for an empty cell.
 
     A line fitted to a parabola has the slope of the parabola not at the mean, but shifted towards the longer tail.
     """
+    if output.size == 0:
+        return math.nan
     mean = float(np.mean(output))
     if not at_output:
         return mean

@@ -47,6 +47,8 @@ def by_direction(local: LocalEstimates, way: int) -> LocalParameters:
 def profile_of(local: LocalEstimates, partitions: Partitions, cells: Cells, used: Mask) -> DepthProfile:
     """Return one row for each cell; with directions, rows of inward and then of outward motion."""
     support = np.bincount(cells[used], minlength=partitions.count)
+    if not local.certain:
+        local = replace(local, local=replace(local.local, root=np.full_like(local.local.root, np.nan)))
     if not partitions.directional or local.local.position.size == partitions.count:
         return profile(local.local, partitions, support)
     ways = [by_direction(local, way) for way in (1, -1)]
@@ -71,6 +73,8 @@ def named_parameters(
             there = means_and_slopes(by_direction(local, way), position)
             for name, unit in (("damping", "n_s_per_m"), ("stiffness", "n_per_m")):
                 found[f"{name}_{word}_{unit}"] = there.get(f"{name}_{unit}", Estimate(math.nan))
+    if not local.certain:
+        found = {name: Estimate(estimate.value) for name, estimate in found.items()}
     missing = {name: linear.parameters[name] for name in _SHARES if name not in found}
     return found | missing
 
@@ -132,8 +136,11 @@ def fit_warnings(vaf: float, details: dict[str, float], local: LocalEstimates, f
 
 
 def findings(local: LocalEstimates, partitions: Partitions, linear: SecondOrderFit) -> tuple[str, ...]:
-    """Return how stiffness, damping and mass change with depth, and whether damping depends on the direction."""
-    if not linear.mechanical or np.count_nonzero(local.local.known) < 2:
+    """Return how stiffness, damping and mass change with depth, and whether damping depends on the direction.
+
+    Nothing is stated where the standard deviations do not hold.
+    """
+    if not linear.mechanical or np.count_nonzero(local.local.known) < 2 or not local.certain:
         return ()
     known = np.flatnonzero(local.local.known)
     first, last = known[np.argmin(local.local.position[known])], known[np.argmax(local.local.position[known])]

@@ -9,12 +9,10 @@ from scipy import fft, linalg, ndimage, signal
 
 from tissueid.identification.base import Array
 from tissueid.identification.preparation import finite_runs, memory_in_samples
+from tissueid.messages import Message
 
 POWER_EDGE = 0.99
 """Share of the input power that must lie below the Nyquist frequency of an automatic grid."""
-
-MOST_LAGS = 41
-"""Maximum number of lags of an automatic grid: 903 coefficients up to second order."""
 
 _SEGMENT = 1024
 THESIS_SIGMA = 1.0
@@ -44,16 +42,28 @@ def automatic_grid(memory: float, x: Array, sample_rate_hz: float) -> LagGrid:
     """Return the grid with the largest spacing that the bandwidth of the input ``x`` (n,), with zero mean, allows.
 
     The Nyquist frequency of the grid is above ``POWER_EDGE`` of the input power. A finer grid would have coefficients
-    that the input does not excite. The spacing is increased further if the grid would exceed ``MOST_LAGS``.
+    that the input does not excite; a coarser one would leave out input samples that change the output.
     """
     frequency, power = input_spectrum(x, sample_rate_hz)
     share = np.cumsum(power)
     edge = float(frequency[np.searchsorted(share, POWER_EDGE * share[-1])]) if share[-1] > 0.0 else sample_rate_hz / 2
     spacing = max(1, int(0.5 * sample_rate_hz / max(edge, 1e-6 * sample_rate_hz)))
-    spacing = min(spacing, memory_in_samples(memory, sample_rate_hz))
-    while lag_grid(memory, sample_rate_hz, spacing).lags > MOST_LAGS:
-        spacing += 1
-    return lag_grid(memory, sample_rate_hz, spacing)
+    return lag_grid(memory, sample_rate_hz, min(spacing, memory_in_samples(memory, sample_rate_hz)))
+
+
+def shortened(grid: LagGrid, most_lags: int, sample_rate_hz: float) -> tuple[LagGrid, tuple[str, ...]]:
+    """Return a grid of at most ``most_lags`` lags, and a warning if it is shorter than the given one."""
+    if grid.lags <= most_lags:
+        return grid, ()
+    warning = Message(
+        "volterra.memory_shortened",
+        "the memory was shortened from {wanted:.3g} to {used:.3g} s: with an input of this bandwidth, {lags} lags are "
+        "the most that can be estimated; a later response is not part of the kernels",
+        wanted=grid.lags * grid.spacing / sample_rate_hz,
+        used=most_lags * grid.spacing / sample_rate_hz,
+        lags=most_lags,
+    )
+    return LagGrid(most_lags, grid.spacing), (warning,)
 
 
 def input_spectrum(x: Array, sample_rate_hz: float) -> tuple[Array, Array]:
