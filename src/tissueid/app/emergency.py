@@ -7,7 +7,7 @@ import time
 from collections.abc import Callable
 from typing import TypeVar
 
-from tissueid.errors import CancelledError
+from tissueid.errors import CancelledError, UnattendedError
 from tissueid.messages import Message
 
 PATIENCE_S = 1.0
@@ -91,12 +91,13 @@ class EmergencyStop:
         """Return False, or raise if the stop was triggered.
 
         Raises:
-            CancelledError: the stop was triggered; the message says why.
+            CancelledError: the stop was triggered; the message says why. An UnattendedError where it was not a person.
         """
         if self.is_set():
             if self._reason == NO_ANSWER:
-                raise CancelledError(self._reason)
-            raise CancelledError(Message("stop.released", "{cause}; the coil is released", cause=self._reason))
+                raise UnattendedError(self._reason)
+            kind = UnattendedError if self._reason == BY_DEFECT else CancelledError
+            raise kind(Message("stop.released", "{cause}; the coil is released", cause=self._reason))
         return False
 
     def wait(self, seconds: float) -> None:

@@ -43,7 +43,7 @@ from tissueid.app.window_state import restore_window_state, save_role, save_wind
 from tissueid.app.words import in_words, outcome_text, sentence
 from tissueid.atomic_write import private_folder
 from tissueid.audit import Role
-from tissueid.errors import TissueIDError
+from tissueid.errors import CancelledError, LinkLostError, TissueIDError
 from tissueid.language import _, set_language
 from tissueid.messages import code_of, translated
 from tissueid.procedures.audit_notes import NOT_LOGGED, record_role
@@ -96,6 +96,7 @@ class MainWindow(QMainWindow):
         self._frames.timeout.connect(self._frame)
         self._frame_at = 0.0
         self._steady = 0
+        self._abort_shown: BaseException | None = None
         self._said_when_watched = ""
         self.warming: Callable[[], bool] = lambda: False
         """Whether modules are still being imported in the background, which slows the window down."""
@@ -196,6 +197,7 @@ class MainWindow(QMainWindow):
         self.ui.analysis.expect(plan)
         self.ui.show_part(self.ui.running)
         self._running = LiveTest(self._live, stop)
+        self._abort_shown = None
         self._notices_shown = 0
         work = functools.partial(
             run_test,
@@ -281,6 +283,9 @@ class MainWindow(QMainWindow):
         if self._running is not None and (new := self._running.notices[self._notices_shown :]):
             self._notices_shown += len(new)
             self.ui.notice.say(" ".join(sentence(translated(notice)) for notice in new), page=MEASURE)
+        if self._running is not None and self._running.error is not None:
+            self._show_abort(self._running.error)
+            return
         snapshot = self._live.snapshot()
         self.ui.signals.show_live(snapshot)
         self.ui.safety.show_safety(snapshot.safety, free=snapshot.phase is Phase.RELEASE)
@@ -293,6 +298,20 @@ class MainWindow(QMainWindow):
             self.ui.analysis.show_live(self._live.identification)
         if self._plan is not None and not self._stop.is_set():
             self.ui.guidance.follow(snapshot, self._plan)
+
+    def _show_abort(self, error: BaseException) -> None:
+        """Show at once that the test ended early: until its recording is saved, nothing of it is live any more."""
+        if self._abort_shown is error:
+            return
+        self._abort_shown = error
+        self.ui.signals.show_live(self._live.snapshot())
+        self.clinician.freed()
+        self.ui.safety.clear()
+        if isinstance(error, LinkLostError):
+            self.ui.safety.show_link_lost(error.watchdog_s)
+        if not isinstance(error, CancelledError):
+            self.ui.notice.say(in_words(error), problem=True, page=MEASURE)
+        self.ui.guidance.say(_("The test has ended. What was recorded is being saved."))
 
     def _test_ended(self, outcome: TestOutcome) -> None:
         self._end_frames()
