@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import functools
 from collections.abc import Callable
+from dataclasses import replace
 from datetime import UTC, datetime
 from pathlib import Path
 
@@ -39,7 +40,7 @@ class CalibrationController(QObject):
     def __init__(
         self,
         context: AppContext,
-        begin_energised: Callable[[Callable[[], None]], EmergencyStop],
+        begin_energised: Callable[[Callable[[], None], str], EmergencyStop],
         end_energised: Callable[[], None],
         *,
         page: CalibrationPage,
@@ -75,15 +76,16 @@ class CalibrationController(QObject):
             self._notice.say(in_words(error), problem=True, about_form=True)
             return
         self._url = self._instruments.url
-        stop = self._begin_energised(self._show)
+        stop = self._begin_energised(self._show, _("Calibrating. Keep hands and cables clear of the probe."))
         self._safety.expect(calibrating=True)
         self._signals.clear()
         self._analysis.hide()
         self._live = LiveCalibration(sweep=kind == "sweep")
         self._prompts = prompts = OperatorPrompts(stop, self._live)
         self._page.expect(kind)
-        self._guidance.say(_("Calibrating. Keep hands and cables clear of the probe."))
-        work = functools.partial(calibrate, plan, prompts, self._context.trail, self._context.services)
+        services = self._context.services
+        services = replace(services, opener=stop.opening_when_watched(services.opener))
+        work = functools.partial(calibrate, plan, prompts, self._context.trail, services)
         why = _("A calibration is running on Measure: stop it there, or wait.")
         self._context.jobs.do(work, self._ended, self._failed, why=why)
 

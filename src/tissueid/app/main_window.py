@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import functools
+import math
+import time
 from collections.abc import Callable
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -41,7 +43,7 @@ from tissueid.app.window_state import restore_window_state, save_role, save_wind
 from tissueid.app.words import in_words, outcome_text, sentence
 from tissueid.atomic_write import private_folder
 from tissueid.audit import Role
-from tissueid.errors import TissueIDError
+from tissueid.errors import CancelledError, LinkLostError, TissueIDError
 from tissueid.language import _, set_language
 from tissueid.messages import code_of, translated
 from tissueid.procedures.audit_notes import NOT_LOGGED, record_role
@@ -56,6 +58,12 @@ if TYPE_CHECKING:
     from tissueid.reports.verdict import Verdict
 
 FRAME_MS = 33
+_PREPARING_MS = 5
+"""Time between two frames until the watchdog is armed, ms."""
+KEEPS_UP_S = 0.25
+"""Longest time between two frames of a window that keeps up, s: a quarter of what the watchdog permits."""
+_STEADY_FRAMES = 3
+"""Consecutive frames that must keep up before the watchdog is armed and an instrument is opened."""
 
 
 class MainWindow(QMainWindow):
@@ -86,6 +94,12 @@ class MainWindow(QMainWindow):
         self._frames = QTimer(self)
         self._frames.setInterval(FRAME_MS)
         self._frames.timeout.connect(self._frame)
+        self._frame_at = 0.0
+        self._steady = 0
+        self._abort_shown: BaseException | None = None
+        self._said_when_watched = ""
+        self.warming: Callable[[], bool] = lambda: False
+        """Whether modules are still being imported in the background, which slows the window down."""
         ui = self.ui
         self.context = self._make_context()
         self._calibrator = CalibrationController(
@@ -171,13 +185,11 @@ class MainWindow(QMainWindow):
             return
         self._plan, self._live = plan, LiveSignals()
         plan = self.clinician.planned(plan)
-        stop = self.begin_energised(self._show_frame)
+        stop = self.begin_energised(self._show_frame, _("Connecting to the instrument."))
         self.findings = None
         self.reports.show_findings(None)
         self.ui.pages.setTabVisible(1, False)
         self.ui.gate.hide()
-        self.ui.guidance.show_idle()
-        self.ui.guidance.say(_("Connecting to the instrument."))
         self.panels.log.note(
             _("A test begins: {site}, with {url}, to {path}.").format(site=plan.site, url=plan.url, path=plan.out)
         )
@@ -185,13 +197,14 @@ class MainWindow(QMainWindow):
         self.ui.analysis.expect(plan)
         self.ui.show_part(self.ui.running)
         self._running = LiveTest(self._live, stop)
+        self._abort_shown = None
         self._notices_shown = 0
         work = functools.partial(
             run_test,
             plan,
             self._running,
             self.context.trail,
-            opener=self.services.opener,
+            opener=stop.opening_when_watched(self.services.opener),
             calibrate=self.services.calibrate,
             pace=self.services.wait or stop.wait,
             separate_process=self.services.separate_process,
@@ -200,19 +213,23 @@ class MainWindow(QMainWindow):
         why = _("A test is running on Measure: stop it there, or wait.")
         self.jobs.do(work, self._test_ended, self._test_failed, why=why)
 
-    def begin_energised(self, draw: Callable[[], None]) -> EmergencyStop:
-        """Arm the STOP button, the stop keys and the watchdog for an operation that can energise the coil.
+    def begin_energised(self, draw: Callable[[], None], said: str) -> EmergencyStop:
+        """Arm the STOP button and the stop keys for an operation that can energise the coil; return its stop.
 
-        ``draw`` shows its state 30 times a second until :meth:`end_energised`. Return the stop of the operation.
+        ``draw`` shows its state 30 times a second until :meth:`end_energised`. The watchdog is armed, and ``said`` is
+        shown, once the window keeps up: new plots, first drawing and imports of the first test take seconds. Open the
+        instrument by ``opening_when_watched`` of the stop, so that no coil is energised before.
         """
         self._draw, self._stop = draw, self.services.stop()
-        self._stop.beat()
+        self._steady, self._frame_at, self._said_when_watched = 0, math.inf, said
+        self.ui.guidance.show_idle()
+        self.ui.guidance.say(_("Preparing. The coil is off."))
         self._keys.listen(True)
         self.testing = True
         self.ui.make_way()
         self.ui.notice.retract()
         self.ui.safety.expect()
-        self._frames.start()
+        self._frames.start(_PREPARING_MS)
         self.ui.stop.setFocus()
         return self._stop
 
@@ -247,12 +264,28 @@ class MainWindow(QMainWindow):
         """Draw a frame, then record a heartbeat; without heartbeats the running test is stopped."""
         self._draw()
         self.ui.safety.show_key_reach(reach=QApplication.activeWindow() is not None)
-        self._stop.beat()
+        if self._stop.watching or self._is_prepared():
+            self._stop.beat()
+
+    def _is_prepared(self) -> bool:
+        """Return whether the window keeps up, so that the watchdog can be armed."""
+        now = time.monotonic()
+        late = not 0.0 <= now - self._frame_at <= KEEPS_UP_S
+        self._frame_at, self._steady = now, 0 if late or self.warming() else self._steady + 1
+        if self._steady < _STEADY_FRAMES:
+            return False
+        self._frames.setInterval(FRAME_MS)
+        if not self._stop.is_set():
+            self.ui.guidance.say(self._said_when_watched)
+        return True
 
     def _show_frame(self) -> None:
         if self._running is not None and (new := self._running.notices[self._notices_shown :]):
             self._notices_shown += len(new)
             self.ui.notice.say(" ".join(sentence(translated(notice)) for notice in new), page=MEASURE)
+        if self._running is not None and self._running.error is not None:
+            self._show_abort(self._running.error)
+            return
         snapshot = self._live.snapshot()
         self.ui.signals.show_live(snapshot)
         self.ui.safety.show_safety(snapshot.safety, free=snapshot.phase is Phase.RELEASE)
@@ -265,6 +298,20 @@ class MainWindow(QMainWindow):
             self.ui.analysis.show_live(self._live.identification)
         if self._plan is not None and not self._stop.is_set():
             self.ui.guidance.follow(snapshot, self._plan)
+
+    def _show_abort(self, error: BaseException) -> None:
+        """Show at once that the test ended early: until its recording is saved, nothing of it is live any more."""
+        if self._abort_shown is error:
+            return
+        self._abort_shown = error
+        self.ui.signals.show_live(self._live.snapshot())
+        self.clinician.freed()
+        self.ui.safety.clear()
+        if isinstance(error, LinkLostError):
+            self.ui.safety.show_link_lost(error.watchdog_s)
+        if not isinstance(error, CancelledError):
+            self.ui.notice.say(in_words(error), problem=True, page=MEASURE)
+        self.ui.guidance.say(_("The test has ended. What was recorded is being saved."))
 
     def _test_ended(self, outcome: TestOutcome) -> None:
         self._end_frames()

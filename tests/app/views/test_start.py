@@ -14,10 +14,14 @@ from PySide6.QtCore import QSettings, Qt
 from PySide6.QtGui import QGuiApplication
 
 from tissueid.acquisition import journal_path
+from tissueid.acquisition.quality import HEADLINES, judge_session, quality_of
 from tissueid.app.panels import FOLDER, HELP_KEY, MOST_LINES
+from tissueid.app.views.researcher.session_search import entry_of
 from tissueid.app.views.start.recent import MOST_SHOWN, look_into
 from tissueid.app.views.start.rows import brief
+from tissueid.cli.test_summary import answer_of
 from tissueid.instrument import FoundInstrument
+from tissueid.reports.verdict import judge
 from tissueid.sessions import read_session, write_session
 from tissueid.sessions.accepted_result import AcceptedResult, AcceptedTest, AcceptedValue, write_result
 
@@ -46,6 +50,30 @@ def said(table):
     return [
         [table.item(row, column).text() for column in range(table.columnCount())] for row in range(table.rowCount())
     ]
+
+
+@pytest.mark.parametrize("status", ["aborted", "recovered"])
+@pytest.mark.parametrize("stored", ["judged now", "judged by an older version", "not judged"])
+def test_a_test_that_ended_early_has_one_verdict_everywhere(tmp_path, saved, status, stored):
+    session = read_session(saved)
+    test = dataclasses.replace(session.tests[0], status=status, notes=session.tests[0].notes | {"reason": "a cause"})
+    ((_test, quality),) = judge_session(dataclasses.replace(session, tests=(test,)))
+    note = quality.as_notes()["quality"]
+    if stored == "judged by an older version":
+        note = note.replace('"severity": "repeat"', '"severity": "look"')
+    notes = {name: value for name, value in test.notes.items() if name != "quality"}
+    test = dataclasses.replace(test, notes=notes if stored == "not judged" else notes | {"quality": note})
+    path = tmp_path / "stopped.h5"
+    write_session(path, dataclasses.replace(session, tests=(test,)))
+    kept = quality_of(test)
+    verdict = judge(test, {})
+    (line,) = look_into(tmp_path, threading.Event()).sessions
+    assert quality.verdict == "repeat", "tissueid quality"
+    assert kept is None or kept.verdict == "repeat", "the page Measure and the second box of the report"
+    assert (verdict.level, verdict.headline) == ("poor", HEADLINES["repeat"]), "the guide, and the banner of the report"
+    assert (line.level, line.verdict) == ("poor", HEADLINES["repeat"]), "Start"
+    assert entry_of(path, (0, 0)).tests[0].verdict == "repeat", "Research"
+    assert answer_of(test, None, None)["verdict"] == "repeat", "tissueid test"
 
 
 def test_a_first_start_shows_the_first_page_with_the_keyboard_on_a_role(open_window):

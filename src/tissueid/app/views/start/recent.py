@@ -17,7 +17,7 @@ from tissueid.messages import MISSING, Message, translated
 from tissueid.procedures.recovery import unfinished_journals
 from tissueid.sessions import Outline, read_outline, read_session_head
 from tissueid.sessions.accepted_result import AcceptedResult, is_sitting_key, read_result, result_path, sitting_of
-from tissueid.sessions.quality import Quality, quality_of
+from tissueid.sessions.quality import HEADLINES, Verdict, verdict_of
 from tissueid.units import shown_si
 
 MOST_SHOWN = 30
@@ -25,7 +25,7 @@ MOST_READ = 200
 """Files without a date in their name whose heads are read to learn when they were recorded, newest change first."""
 LONGEST_TEXT = 80
 NOT_JUDGED = marked("Not judged")
-_LEVELS = {"good": "good", "look": "check", "repeat": "poor"}
+_LEVELS: dict[Verdict, str] = {"good": "good", "look": "check", "repeat": "poor"}
 _LONGEST_PROBLEM = 200
 _DATED, _DATED_LENGTH = "%Y-%m-%d_%H-%M-%S", 19
 """How the window names a session, by local time, and how long that is."""
@@ -184,17 +184,13 @@ def _line(path: Path, recorded: float) -> tuple[str, Recent]:
 def _verdict(outline: Outline) -> tuple[str, str]:
     """What the quality gate said, the worst of it where there are several tests, and the level of its colour."""
     tests = [item.test for item in outline.tests]
-    judged = [quality for test in tests if (quality := quality_of(test)) is not None]
+    judged = [verdict for test in tests if (verdict := verdict_of(test)) is not None]
     if not tests:
         return _("No tests"), ""
     if not judged:
         return _(NOT_JUDGED), ""
-    worst = max(judged, key=_severity)
-    return _(worst.headline), _LEVELS[worst.verdict]
-
-
-def _severity(quality: Quality) -> int:
-    return list(_LEVELS).index(quality.verdict)
+    worst = max(judged, key=list(_LEVELS).index)
+    return _(HEADLINES[worst]), _LEVELS[worst]
 
 
 def _short(text: str, most: int) -> str:

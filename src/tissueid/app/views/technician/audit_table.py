@@ -3,8 +3,8 @@
 from __future__ import annotations
 
 import functools
-from collections.abc import Callable
-from dataclasses import dataclass
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, field
 from pathlib import Path
 
 from PySide6.QtCore import Qt
@@ -14,7 +14,15 @@ from tissueid.app.context import AppContext
 from tissueid.app.jobs import PageJob
 from tissueid.app.theme import Theme
 from tissueid.app.views.technician.events import moment
-from tissueid.app.views.technician.log_reading import LogPage, haystack, read_log, shown, write_csv
+from tissueid.app.views.technician.log_reading import (
+    LogPage,
+    about,
+    haystack,
+    people_and_sites,
+    read_log,
+    shown,
+    write_csv,
+)
 from tissueid.app.views.technician.tab import PiecesModel, Tab, mark_level, plain_label, table_of
 from tissueid.app.words import sentence
 from tissueid.audit import ROLES, Line, Verification, verify
@@ -34,11 +42,12 @@ _BLIND = marked(
 
 @dataclass(frozen=True)
 class Read:
-    """The log, with what of each line is searched, and the acts that occur."""
+    """The log, with what of each line is searched, the acts that occur, and the names of sessions and tests."""
 
     page: LogPage
     texts: tuple[str, ...]
     acts: tuple[str, ...]
+    names: dict[str, str] = field(default_factory=dict)
 
 
 def read(path: Path, cancelled: Callable[[], object]) -> Read:
@@ -48,9 +57,10 @@ def read(path: Path, cancelled: Callable[[], object]) -> Read:
         UnusableInputError, OSError: it cannot be read.
     """
     page = read_log(path, cancelled)
-    texts = tuple(haystack(line) for line in page.lines)
+    names = people_and_sites(page.lines)
+    texts = tuple(f"{haystack(line)} {about(line, names).casefold()}" for line in page.lines)
     acts = sorted({line.what for line in page.lines if isinstance(line.what, str)})
-    return Read(page, texts, tuple(acts[:_MOST_ACTS]))
+    return Read(page, texts, tuple(acts[:_MOST_ACTS]), names)
 
 
 def check(path: Path, cancelled: Callable[[], object]) -> Verification:
@@ -71,9 +81,11 @@ def check(path: Path, cancelled: Callable[[], object]) -> Verification:
     return verify(path, cancelled=cancelled)
 
 
-def _cell(line: Line, column: int) -> str:
+def _cell(line: Line, column: int, names: Mapping[str, str]) -> str:
     if column == 1:
         return moment(line.time)
+    if column == 5:
+        return about(line, names)
     return shown((line.number, line.time, line.role, line.who, line.what, line.subject, line.old, line.new)[column])
 
 
@@ -118,7 +130,7 @@ class AuditTab(Tab):
         self.count = plain_label(role="muted")
         self.model = PiecesModel(
             (_("Line"), _("Time (UTC)"), _("Role"), _("Who"), _("What"), _("About"), _("Old"), _("New")),
-            _cell,
+            lambda line, column: _cell(line, column, self._read.names),
             right=(0,),
         )
         self.list = table_of(self.model, _("Audit log"), (60, 138, 82, 80, 150, 190, 100))

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import csv
 from collections import deque
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -84,6 +84,29 @@ def read_log(path: Path, cancelled: Callable[[], object], most_bytes: int = MOST
         )
         remarks.append(translated(one if damaged == 1 else several))
     return LogPage(tuple(reversed(kept)), tuple(remarks))
+
+
+def people_and_sites(lines: Sequence[Line]) -> dict[str, str]:
+    """Return pseudonyms by session and sites by test, as ``about`` takes them."""
+    names = {}
+    for line in lines:
+        key = {"session.begun": "pseudonym", "test.begun": "site"}.get(str(line.what))
+        if key is not None and isinstance(line.new, dict) and isinstance(name := line.new.get(key), str):
+            names[str(line.subject)] = name
+    return names
+
+
+def about(line: Line, names: Mapping[str, str]) -> str:
+    """Return what a line is about: test, site and pseudonym where they are known, else its subject."""
+    subject = shown(line.subject)
+    if not subject and isinstance(line.new, dict):  # a test whose recording had not begun
+        known = [line.new.get("site"), line.new.get("pseudonym")]
+    else:
+        session, is_test, number = subject.partition(" test ")
+        known = [names.get(subject) if is_test else None, names.get(session)]
+        if is_test and any(known):
+            known.insert(0, _("Test {number}").format(number=number))
+    return clean(", ".join(str(item) for item in known if item))[:_LONGEST] or subject
 
 
 def shown(value: Any) -> str:
