@@ -108,7 +108,7 @@ def preview_of(paths: Sequence[Path]) -> Preview:
         return _preview_of(paths, None)
     except UnusableInputError as error:
         if error.code != "import.thousands":  # that is asked for
-            raise UnusableInputError(located(clean(paths[0].name), error.message)) from error
+            raise UnusableInputError(located(str(paths[0]), error.message)) from error
     return _preview_of(paths, ".")
 
 
