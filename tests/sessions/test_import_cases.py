@@ -240,6 +240,14 @@ def test_the_answer_can_be_decimals(read):
     np.testing.assert_array_equal(values(found, "force"), expected)
 
 
+def test_thousands_with_decimals_are_read_once_the_sign_is_known(read):
+    text = table("Load (N);Travel (mm)", [f"{load:,.2f}" for load in LOADS], FORCES, delimiter=";")
+    with pytest.raises(UnusableInputError, check=coded("import.thousands")):
+        read(text, "force=Load", "position=Travel", rate_hz=100.0)
+    found = read(text, "force=Load", "position=Travel", rate_hz=100.0, decimal=".")
+    np.testing.assert_array_equal(values(found, "force"), LOADS)
+
+
 @pytest.mark.parametrize("decimal", [",", "."])
 def test_decimals_of_three_digits_are_read_where_other_cells_show_the_sign(read, decimal):
     loads = [f"{load / 1000:.3f}" for load in LOADS]
@@ -380,3 +388,47 @@ def test_the_quantity_tells_what_is_meant(read):
     np.testing.assert_allclose(values(found, "acceleration_x"), POSITIONS * 9.80665, rtol=1e-15)
     warm = read(text.replace("(C)", "(degF)"), "temperature=Temp", "acceleration_x=Acc")
     np.testing.assert_allclose(values(warm, "temperature"), (FORCES - 32) / 1.8, atol=1e-8)
+
+
+# -- exports of programs -----------------------------------------------------------------------------------------------
+
+EXPORTS = {
+    "quoted, units below": ('"Time","Extension","Load"\n"(s)","(mm)","(kN)"', "txf", ",", ".", ("Load", "Extension")),
+    "two brackets": ("Time (s),Force (Load cell) (kN),Disp (Crosshead) (mm)", "tfx", ",", ".", ("2", "3")),
+    "German, units below": ('"Zeit";"Standardkraft";"Standardweg"\n"s";"kN";"mm"', "tfx", ";", ",", ("2", "3")),
+    "title, tabs": ("Time: 60.0 Sec\n\nTime\tCh 1 Disp\tCh 1 Force\nSec\tmm\tkN", "txf", "\t", ".", ("3", "2")),
+    "capitals": ("TIME (SEC),LOAD (KILONEWTON),EXT (MILLIMETER)", "tfx", ",", ".", ("LOAD", "EXT")),
+    "DIN": ("t / s;F / kN;s / mm", "tfx", ";", ",", ("F", "s")),
+    "words": ("Elapsed Time [seconds]\tLoad [kilonewtons]\tStroke [millimetres]", "tfx", "\t", ".", ("Load", "Stroke")),
+    "suffixes": ("time_s|force_kN|pos_mm", "tfx", "|", ".", ("force", "pos")),
+    "other columns": ("Time (s),Load (kN),Pos (mm),Load (V),Status (-)", "tfxfx", ",", ".", ("2", "3")),
+}
+
+
+@pytest.mark.parametrize("export", EXPORTS.values(), ids=EXPORTS)
+def test_exports_of_machines(read, export):
+    head, order, delimiter, decimal, (force, position) = export
+    columns = {"t": [f"{k / 100:.3f}" for k in TIMES], "f": FORCES, "x": POSITIONS}
+    rows = table("", *(columns[name] for name in order), delimiter=delimiter)
+    found = read(head + rows.replace(".", decimal), f"force={force}", f"position={position}")
+    assert found.test.sample_rate_hz == 100.0
+    np.testing.assert_allclose(values(found, "force"), FORCES * 1000, rtol=1e-15)
+    np.testing.assert_array_equal(values(found, "position"), POSITIONS / 1000)
+
+
+@pytest.mark.parametrize(
+    ("head", "code"),
+    [
+        ("Time (s),Load (KN),Pos (mm)", "import.unit_not_known"),
+        ("Time (s),Load (g),Pos (mm)", "import.wrong_unit"),
+        ("Time (s),Load (mV/V),Pos (mm)", "import.wrong_unit"),
+        ("Time (s),Load (x10^3 N),Pos (mm)", "import.unit_not_known"),
+        ("Time (s),Load N,Pos (mm)", "import.no_unit"),
+        ("Time (hh:mm:ss),Load (N),Pos (mm)", "import.unit_not_known"),
+        ("Time (s.ms),Load (N),Pos (mm)", "import.wrong_unit"),
+        ("Sample,Load (N),Pos (mm)", "import.no_time"),
+    ],
+)
+def test_exports_that_are_refused(read, head, code):
+    with pytest.raises(UnusableInputError, check=coded(code)):
+        read(table(head, [f"{k / 100:.3f}" for k in TIMES], FORCES, POSITIONS), "force=2", "position=3")

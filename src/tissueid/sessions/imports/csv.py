@@ -251,16 +251,28 @@ def _numbers(cells: list[str], block: list[tuple[int, str]], layout: _Layout, pl
         return numbers(cells, layout.decimal)
     except ValueError as error:
         bad = int(error.args[0])
+        if not layout.grouping and any(pattern.fullmatch(cells[bad].strip()) for pattern in GROUPED.values()):
+            raise _thousands(block[bad][0], place, cells[bad]) from error
         raise UnusableInputError(
-            Message(
-                "import.not_a_number",
-                "line {line}, column {column}: {found} is not a number; leave rows out ({rows})",
-                line=block[bad][0],
-                column=place + 1,
-                found=shown(cells[bad]),
-                rows=ROWS,
-            )
+            "import.not_a_number",
+            "line {line}, column {column}: {found} is not a number; leave rows out ({rows})",
+            line=block[bad][0],
+            column=place + 1,
+            found=shown(cells[bad]),
+            rows=ROWS,
         ) from error
+
+
+def _thousands(line: int, place: int, cell: str) -> UnusableInputError:
+    return UnusableInputError(
+        "import.thousands",
+        "line {line}, column {column}: {found} can be a number of thousands or one with decimals: choose its decimal "
+        "sign ({action})",
+        line=line,
+        column=place + 1,
+        found=shown(cell),
+        action=DECIMAL,
+    )
 
 
 def _check_grouping(cells: list[str], block: list[tuple[int, str]], layout: _Layout, place: int) -> None:
@@ -277,12 +289,4 @@ def _check_grouping(cells: list[str], block: list[tuple[int, str]], layout: _Lay
     if any(re.match(r"\s*[+-]?\d{4}", cell) for cell in cells):
         return
     if all(GROUPED[sign].fullmatch(cells[each].strip()) for each in having):
-        raise UnusableInputError(
-            "import.thousands",
-            "line {line}, column {column}: {found} can be a number of thousands or one with decimals: choose its "
-            "decimal sign ({action})",
-            line=block[having[0]][0],
-            column=place + 1,
-            found=shown(cells[having[0]]),
-            action=DECIMAL,
-        )
+        raise _thousands(block[having[0]][0], place, cells[having[0]])

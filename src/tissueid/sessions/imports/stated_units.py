@@ -170,7 +170,7 @@ def is_clear_suffix(suffix: str, expected: str = "") -> bool:
 
 def is_a_unit(text: str) -> bool:
     """Return whether a text can be a unit of any quantity."""
-    return any(unit_of(text, expected) is not None for expected in ("", *OFFERED))
+    return _is_ambiguous(text) or unit_of(text) is not None
 
 
 def _is_ambiguous(text: str) -> bool:
@@ -263,8 +263,9 @@ def _si_units() -> dict[frozenset[tuple[str, float]], tuple[str, float]]:
 
 
 def _root(factors: list[tuple[str, int]]) -> tuple[float, frozenset[tuple[str, float]]]:
-    size, unit = _registry().get_root_units(_product(factors))
-    return float(size), frozenset((str(name), float(power)) for name, power in unit._units.items())
+    factor, unit = _registry().get_root_units(_product(factors))
+    size = float(factor)  # type: ignore[arg-type]  # never complex
+    return size, frozenset((str(name), float(power)) for name, power in unit._units.items())
 
 
 def _factors(text: str) -> Iterator[tuple[str, int]]:
