@@ -19,7 +19,6 @@ from PySide6.QtWidgets import (
     QLabel,
     QLineEdit,
     QPushButton,
-    QSpinBox,
     QToolButton,
     QVBoxLayout,
     QWidget,
@@ -35,7 +34,7 @@ from tissueid.app.form_choices import (
     longest_stimulus_s,
     reads_like_name,
 )
-from tissueid.app.number_field import NumberField, OptionalNumberField
+from tissueid.app.number_field import NumberField, OptionalNumberField, WholeNumberField
 from tissueid.app.presets import PresetChooser
 from tissueid.app.stimulus_form import StimulusForm
 from tissueid.app.user_files import dated_path
@@ -315,10 +314,10 @@ class PlanForm(QWidget):
         self.min_force.setToolTip(_("Below zero the coil pulls: tissue that is not attached to the probe is left"))
         self.max_force = _number(" N", 0.5, 15.0, 0.5, 10.5)
         self.seconds = _number(" s", _SHORTEST_S, 29.5, 1.0, 4.0)
-        self.seed = QSpinBox()
+        self.seed = WholeNumberField()
         self.seed.setRange(0, _MOST_SEED)
         self.seed.setValue(1)
-        self.repeats = QSpinBox()
+        self.repeats = WholeNumberField()
         self.repeats.setRange(1, _MOST_REPEATS)
         self.repeats.setToolTip(_("Tests one after another, in one session file"))
         self.rest = _number(" s", 0.0, 600.0, 10.0, 0.0)

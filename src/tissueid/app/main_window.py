@@ -358,21 +358,34 @@ class MainWindow(QMainWindow):
     # -- sessions and results ------------------------------------------------------------------------------
 
     def open_session(self, path: Path) -> None:
-        """Read a saved session and analyse it."""
+        """Read a saved session and analyse it on the page of results; return to this page if it cannot be read."""
+        before = self.ui.page
         self.ui.notice.retract()
         self.ui.analysis.hide()
-        self.identify(path)
+        self.pages.show(MEASURE)
+        self._identify(path, None, None, functools.partial(self._not_opened, before))
+
+    def _not_opened(self, before: str, words: str) -> None:
+        if self.ui.page == MEASURE:
+            self.pages.show(before)
+        self.context.say_failed(words)
 
     def identify(self, path: Path, session: Session | None = None) -> None:
         """Analyse a session and show the page of results."""
         self.pages.show(MEASURE)
         self._identify(path, session, None)
 
-    def _identify(self, path: Path, session: Session | None, number: int | None) -> None:
+    def _identify(
+        self,
+        path: Path,
+        session: Session | None,
+        number: int | None,
+        failed: Callable[[str], None] | None = None,
+    ) -> None:
         self.ui.guidance.say(_("Identifying the tissue."))
         why = _("A test is being analysed on Measure: wait a few seconds.")
         work = functools.partial(find, path, session, number)
-        self.jobs.do(work, self.show_findings, self.context.say_failed, why=why)
+        self.jobs.do(work, self.show_findings, failed or self.context.say_failed, why=why)
 
     def show_findings(self, findings: Findings) -> None:
         """Show the result of the analysis of a test."""

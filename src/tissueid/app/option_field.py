@@ -12,9 +12,10 @@ from typing import Any, Literal, Union, get_args, get_origin
 import annotated_types
 from pydantic.fields import FieldInfo
 from PySide6.QtCore import QEvent, QObject, Signal
-from PySide6.QtGui import QKeyEvent, QKeySequence, QValidator
+from PySide6.QtGui import QKeyEvent, QKeySequence
 from PySide6.QtWidgets import QCheckBox, QComboBox, QDoubleSpinBox, QHBoxLayout, QLineEdit, QSpinBox, QWidget
 
+from tissueid.app.number_field import NumberField, WholeNumberField
 from tissueid.errors import UnusableInputError
 from tissueid.formatting import label_and_unit
 from tissueid.language import _
@@ -158,7 +159,7 @@ class OptionField(QWidget):
     ) -> QSpinBox | QDoubleSpinBox:
         spin: QSpinBox | QDoubleSpinBox
         if kind is int:
-            whole = QSpinBox()
+            whole = WholeNumberField()
             low = math.ceil(max(limits[0], -_LARGEST)) + (opened[0] and float(limits[0]).is_integer())
             high = math.floor(min(limits[1], _LARGEST)) - (opened[1] and float(limits[1]).is_integer())
             whole.setRange(low, high)
@@ -220,8 +221,8 @@ class OptionField(QWidget):
         self.edited.emit()
 
 
-class _GeneralSpin(QDoubleSpinBox):
-    """Spin box with as few digits as the number needs, e.g. 1e-12 or 200."""
+class _GeneralSpin(NumberField):
+    """Number field with as few digits as the number needs, e.g. 1e-12 or 200."""
 
     def __init__(self) -> None:
         super().__init__()
@@ -232,30 +233,11 @@ class _GeneralSpin(QDoubleSpinBox):
         """Return the number with up to ten digits."""
         return f"{value:.{_DIGITS}g}"
 
-    def valueFromText(self, text: str) -> float:  # noqa: N802
-        """Return the typed number, with or without its unit."""
-        try:
-            return float(self._bare(text))
-        except ValueError:
-            return self.value()
-
-    def validate(self, text: str, position: int) -> QValidator.State:
-        """Accept every prefix of a number."""
-        try:
-            inside = self.minimum() <= float(self._bare(text)) <= self.maximum()
-        except ValueError:
-            partial = all(c in "+-.0123456789eE" for c in self._bare(text))
-            return QValidator.State.Intermediate if partial else QValidator.State.Invalid
-        return QValidator.State.Acceptable if inside else QValidator.State.Intermediate
-
     def stepBy(self, steps: int) -> None:  # noqa: N802
         """Step by the second digit: 0.125 s to 0.135 s, 1e-12 to 1.1e-12."""
         value = self.value()
         size = 10.0 ** (math.floor(math.log10(abs(value))) - 1) if value else 0.01
         self.setValue(round(value + steps * size, _DECIMALS))
-
-    def _bare(self, text: str) -> str:
-        return text.removesuffix(self.suffix()).strip().replace(",", ".")
 
 
 def _without_none(annotation: Any) -> tuple[Any, bool]:

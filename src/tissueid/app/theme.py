@@ -120,6 +120,7 @@ QPushButton[role="small"] { padding: 0px 10px; min-height: 16px; }
 QPushButton[role="small"]:focus { padding: 0px 9px; }
 QPushButton[role="toggle"]:checked { border-color: $accent; color: $accent; background: $window; }
 QPushButton:disabled { color: $muted; background: $window; border-color: $line; }
+QComboBox[level="poor"] { color: $poor; font-weight: 600; }
 QComboBox QAbstractItemView { background: $panel; color: $text; selection-background-color: $accent;
     selection-color: $accent_text; }
 QToolButton[role="fold"] { background: transparent; border: 1px solid transparent; padding: 2px 6px 2px 0px; }

@@ -24,6 +24,7 @@ if TYPE_CHECKING:  # each takes long to import
 _T = TypeVar("_T")
 _EACH = "; once for all tests, or once for each in order"
 _RATES_HZ = (1e-6, 1e9)
+_DECIMALS = {"point": ".", "comma": ","}
 
 
 class ImportPlan(Plan):
@@ -54,6 +55,14 @@ class ImportPlan(Plan):
     rate_hz: Annotated[float | None, Option("--rate", metavar="HZ", help="sample rate of a file without times")] = None
     resample_hz: Annotated[
         float | None, Option("--resample", metavar="HZ", help="interpolate irregular times to this rate")
+    ] = None
+    decimal: Annotated[
+        str | None,
+        Option(
+            "--decimal",
+            metavar="SIGN",
+            help="point or comma: the decimal sign of CSV files where it could separate thousands, as in 1,545",
+        ),
     ] = None
     kinds: Annotated[
         tuple[str, ...],
@@ -91,7 +100,11 @@ class ImportPlan(Plan):
         from tissueid.sessions import KINDS
         from tissueid.sessions.imports import Choices
 
-        for words, known in ((self.kinds, KINDS), (self.configurations, tuple(CONFIGURATIONS))):
+        for words, known in (
+            (self.kinds, KINDS),
+            (self.configurations, tuple(CONFIGURATIONS)),
+            ((self.decimal,) if self.decimal is not None else (), tuple(_DECIMALS)),
+        ):
             for word in words:
                 if word not in known:
                     raise UnusableInputError(
@@ -183,6 +196,7 @@ def run_import(plan: ImportPlan, control: Control, trail: AuditTrail) -> Importe
         pseudonym=plan.subject,
         rate_hz=plan.rate_hz,
         resample_hz=plan.resample_hz,
+        decimal=None if plan.decimal is None else _DECIMALS[plan.decimal],
         progress=progress,
     )
     tests = made.session.tests

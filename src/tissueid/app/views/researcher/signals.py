@@ -6,7 +6,6 @@ from collections.abc import Sequence
 
 from PySide6.QtCore import Qt, QTimer, Signal
 from PySide6.QtWidgets import (
-    QDoubleSpinBox,
     QHBoxLayout,
     QLabel,
     QMenu,
@@ -17,6 +16,7 @@ from PySide6.QtWidgets import (
 )
 
 from tissueid.app.context import AppContext
+from tissueid.app.number_field import NumberField
 from tissueid.app.small_window import FoldingBox
 from tissueid.app.theme import Theme
 from tissueid.app.views.researcher.background_work import ProgressStrip
@@ -113,7 +113,7 @@ class SignalsPanel(QWidget):
         self._reading: SignalLoading | None = None
         self.loaded: list[LoadedTest] = []
         self.channels = ChannelButton(load_texts(context.settings, _SIGNALS))
-        self.low, self.high = QDoubleSpinBox(), QDoubleSpinBox()
+        self.low, self.high = NumberField(), NumberField()
         self.whole = QPushButton(_("Whole test"))
         self.whole.setToolTip(_("Show everything again (a double click on a plot does the same)"))
         self.save = QPushButton(_("Save figure…"))
@@ -275,7 +275,6 @@ class SignalsPanel(QWidget):
             field.setSuffix(" s")
             field.setDecimals(3)
             field.setSingleStep(_STEP_S)
-            field.setKeyboardTracking(False)
             field.setToolTip(_("Selected time interval: the plots below show it"))
         for label in (self.about, self.empty):
             label.setProperty("role", "muted")

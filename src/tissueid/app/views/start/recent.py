@@ -166,7 +166,9 @@ def _line(path: Path, recorded: float) -> tuple[str, Recent]:
         return str(path), Recent(path, date, clean(path.name)[:LONGEST_TEXT], MISSING, said)
     tests = [item.test for item in outline.tests]
     sites = list(dict.fromkeys(clean(test.site).strip() for test in tests if test.site.strip()))
-    site = _short(", ".join(sites), LONGEST_TEXT) or _("Site not recorded")
+    site = _short(", ".join(sites), LONGEST_TEXT) or (
+        _("Site not recorded") if _by_name(path.name) is not None else clean(path.name)[:LONGEST_TEXT]
+    )
     if len(tests) != 1:
         site = _("{site} ({count} tests)").format(site=site, count=len(tests))
     verdict, level = _verdict(outline)
