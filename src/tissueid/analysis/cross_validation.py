@@ -33,8 +33,9 @@ def cross_validated(
     """Return candidates with their errors on every quarter of the tests, and the record (n,) of those errors.
 
     ``engines`` holds the specifications by name. Each engine is refitted without each of the other quarters. Engines
-    far behind on the last quarter are not refitted, and none is when another test is held out. The mean error of each
-    quarter is removed, as a constant offset does not count in Eq. 3.13.
+    far behind on the last quarter are not refitted, and none is when another test is held out. A constant offset does
+    not count in Eq. 3.13: the mean of each quarter is removed from the errors, and from the output of the record, so
+    that no model is credited with the difference between quarters.
     """
     others = parts.other_quarters
     if not others:
@@ -46,7 +47,13 @@ def cross_validated(
             progress(_STEP, (done + number / len(others)) / len(names))
             _add(engines[name], quarter, candidates, errors)
     progress(_STEP, 1.0)
-    return [replace(c, error=e) for c, e in zip(candidates, errors, strict=True)], joined(parts.records)
+    record = joined(parts.records)
+    output = record.output - np.nanmean(record.output)
+    for quarter in (*others, parts):
+        held_out = np.isfinite(quarter.unseen.output)
+        output[held_out] -= output[held_out].mean()
+    record = replace(record, output=output + np.nanmean(record.output))
+    return [replace(c, error=e) for c, e in zip(candidates, errors, strict=True)], record
 
 
 def _is_far_behind(candidate: Candidate, candidates: Sequence[Candidate], unseen: Record) -> bool:

@@ -1,7 +1,8 @@
 """Linear models of tissue with relaxation: Kelvin-Voigt, Maxwell, standard linear solid and Burger (Chen 2010, 2.1).
 
-Output-error fit in the frequency domain, as for the second-order system; offset, initial state and creep under the mean
-load are nuisance parameters.
+Output-error fit in the frequency domain, as for the second-order system; offset, initial state and a straight line of
+drift are nuisance parameters. The line may be creep under the mean load or not come from the input at all: it is no
+part of the model's simulation, so that no score credits it to the input.
 """
 
 from __future__ import annotations
@@ -29,6 +30,7 @@ from tissueid.identification.viscoelastic_structures import (
     DECAYED,
     ELEMENTS,
     NAMES,
+    PARALLEL,
     STRUCTURES,
     Structure,
     Viscoelastic,
@@ -47,6 +49,8 @@ _STARTS = 2
 """Number of starting points that are refined."""
 _START_TIMES_S = (0.001, 0.003, 0.01, 0.03, 0.1, 0.3)
 _START_SHARES = (0.2, 1.0, 4.0)
+_START_DAMPING = 0.5
+"""Parallel damping of the starting points, relative to that of the second-order system."""
 _UNDETERMINED = 0.5
 """Relative standard deviation above which a parameter is undetermined."""
 _LONGEST_SHARE = 0.5
@@ -59,7 +63,7 @@ Anderson 2002)."""
 @dataclass(frozen=True, eq=False)
 class ViscoelasticModel(Model):
     """A viscoelastic tissue under a mass, about an operating point. ``sign`` is -1 for an output that falls with a
-    rising input. ``creep_m_per_s`` is the speed under the mean input, 0 for a structure that does not creep.
+    rising input.
     """
 
     system: Viscoelastic
@@ -67,12 +71,11 @@ class ViscoelasticModel(Model):
     input_mean: float
     output_mean: float
     hold: Hold
-    creep_m_per_s: float = 0.0
 
     def simulate(self, u: Array) -> Array:
         """Simulate in free run: input (n,), output (n,), in the steady state of the mean input before the first sample.
 
-        A structure that creeps moves at ``creep_m_per_s`` there.
+        Creep under the mean input is left out.
         """
         u = np.asarray(u, dtype=np.float64)
         known = np.isfinite(u)
@@ -82,8 +85,7 @@ class ViscoelasticModel(Model):
         run = self.system.simulate(bridged - self.input_mean, self.sample_rate_hz, self.hold)
         padded = np.concatenate([np.ones(self.memory_samples - 1, dtype=np.bool_), known])
         complete: Mask = complete_windows(padded, self.memory_samples)[self.memory_samples - 1 :]
-        creep = self.creep_m_per_s * np.arange(u.size) / self.sample_rate_hz
-        return np.where(complete, self.output_mean + creep + self.sign * run, np.nan)
+        return np.where(complete, self.output_mean + self.sign * run, np.nan)
 
 
 @dataclass(frozen=True, eq=False)
@@ -97,7 +99,7 @@ class _Problem:
     hold: Hold
 
     def point(self, theta: Array) -> ErrorPoint:
-        """Evaluate logarithms of the values, with offset, initial states and creep projected out."""
+        """Evaluate logarithms of the values, with offset, initial states and drift projected out."""
         system = Viscoelastic(self.structure, tuple(np.exp(theta)))
         poles = system.poles
         rows = np.empty((theta.size + 1, self.y.size))
@@ -109,9 +111,9 @@ class _Problem:
                 here[row] = fft.irfft(one * run.spectrum, run.length)[run.local]
             here[0] = self.y[run.place] - here[0]
             t = run.time_s
-            free = [np.ones(t.size), t] if system.creeps else []
+            free = [np.ones(t.size), t]
             for pole in poles[poles.imag >= 0.0]:
-                decay = np.exp(np.maximum(-700.0, pole.real * t))
+                decay = np.exp(np.clip(pole.real * t, -700.0, 0.0))
                 free.append(decay * np.cos(pole.imag * t))
                 free.append(decay * np.sin(pole.imag * t) if pole.imag > 0.0 else decay * pole.real * t)
             q, _ = np.linalg.qr(np.column_stack(free))
@@ -156,13 +158,13 @@ def _starts(structure: Structure, linear: SecondOrderFit) -> list[tuple[float, .
     found: list[tuple[float, ...]] = []
     for time in _START_TIMES_S:
         if structure == "maxwell":
-            found.append((m, k, k * time))
+            found.append((m, _START_DAMPING * b, k, k * time))
             continue
         for share in _START_SHARES:
             if structure == "standard-linear-solid":
-                found.append((m, k, share * k, share * k * time))
+                found.append((m, _START_DAMPING * b, k, share * k, share * k * time))
             else:
-                found.append((m, k, 100.0 * k * time, share * k, share * k * time))
+                found.append((m, _START_DAMPING * b, k, 100.0 * k * time, share * k, share * k * time))
     return found
 
 
@@ -282,10 +284,7 @@ class ViscoelasticEngine(Engine):
         scored = np.isfinite(residuals)
         if int(scored.sum()) < 2:
             raise UnusableInputError(NO_SAMPLE)
-        t = np.arange(len(record))[scored] / rate
-        drift = np.polynomial.polynomial.polyfit(t, residuals[scored], int(best.system.creeps))
-        creep = float(drift[1]) if best.system.creeps else 0.0
-        model = replace(model, output_mean=model.output_mean + float(drift[0]), creep_m_per_s=creep)
+        model = replace(model, output_mean=model.output_mean + float(np.mean(residuals[scored])))
         residuals = np.where(used, model.residuals(record), np.nan)
         k = model.report.n_parameters
         parameters = _parameters(best, linear)
@@ -303,7 +302,7 @@ class ViscoelasticEngine(Engine):
 
 def _parameters(best: _Fitted, linear: SecondOrderFit) -> dict[str, Estimate]:
     """Return the mass, the elements and the times, with standard deviations; the times alone without N and m."""
-    names = ("mass_kg", *ELEMENTS[best.system.structure])
+    names = (*PARALLEL, *ELEMENTS[best.system.structure])
     value = dict(zip(names, best.system.values, strict=True))
 
     def estimate(number: float, **powers: float) -> Estimate:
@@ -318,12 +317,14 @@ def _parameters(best: _Fitted, linear: SecondOrderFit) -> dict[str, Estimate]:
     found = {name: estimate(linear.sign * number, **{name: 1.0}) for name, number in value.items()}
     if not linear.mechanical:
         found = {}
-    for label, spring, damper in (
-        ("relaxation_time_s", "spring_1_n_per_m", "damper_1_n_s_per_m"),
-        ("retardation_time_s", "spring_2_n_per_m", "damper_2_n_s_per_m"),
-        ("retardation_time_s", "stiffness_n_per_m", "damping_n_s_per_m"),
-    ):
-        if spring in value and damper in value:
+    times = {
+        "relaxation_time_s": ("spring_1_n_per_m", "damper_1_n_s_per_m"),
+        "retardation_time_s": ("spring_2_n_per_m", "damper_2_n_s_per_m"),
+    }
+    if best.system.structure == "kelvin-voigt":
+        times = {"retardation_time_s": ("stiffness_n_per_m", "damping_n_s_per_m")}
+    for label, (spring, damper) in times.items():
+        if spring in value:
             found[label] = estimate(value[damper] / value[spring], **{damper: 1.0, spring: -1.0})
     return found
 
