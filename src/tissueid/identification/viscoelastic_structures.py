@@ -101,6 +101,11 @@ class Viscoelastic:
         """Speed under a unit of steady load, m/(N s); 0 for a structure that does not creep."""
         return 1.0 / (self.values[1] + self.values[3]) if self.creeps else 0.0
 
+    @property
+    def static_compliance(self) -> float:
+        """Displacement under a unit of steady load, m/N; 0 for a structure that creeps."""
+        return 0.0 if self.creeps else 1.0 / self.values[2]
+
     def response(self, frequency_hz: Array) -> tuple[Complex, Complex]:
         """Return H (n,) and its derivatives (p, n) with respect to the logarithms of the values."""
         s = 2j * np.pi * np.where(frequency_hz == 0.0, 1e-9, frequency_hz)

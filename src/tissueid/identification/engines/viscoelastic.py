@@ -43,6 +43,8 @@ Choice = Literal["auto", "kelvin-voigt", "maxwell", "standard-linear-solid", "bu
 
 _LEAST_S = 0.125
 """Shortest record, s, as the memory of ``lms``; outputs before it are not fitted."""
+_HELD = 0.1
+"""Largest standard deviation of an input that is held at the start, relative to that of the whole input."""
 _ITERATIONS = 60
 _GAIN_TOLERANCE = 1e-7
 _STARTS = 2
@@ -50,7 +52,9 @@ _STARTS = 2
 _START_TIMES_S = (0.001, 0.003, 0.01, 0.03, 0.1, 0.3)
 _START_SHARES = (0.2, 1.0, 4.0)
 _START_DAMPING = 0.5
-"""Parallel damping of the starting points, relative to that of the second-order system."""
+_NO_DAMPING = 1e-6
+"""Parallel damping of the starting points, and where it is not fitted, relative to that of the second-order system."""
+_DAMPING = PARALLEL.index("damping_n_s_per_m")
 _UNDETERMINED = 0.5
 """Relative standard deviation above which a parameter is undetermined."""
 _LONGEST_SHARE = 0.5
@@ -63,7 +67,8 @@ Anderson 2002)."""
 @dataclass(frozen=True, eq=False)
 class ViscoelasticModel(Model):
     """A viscoelastic tissue under a mass, about an operating point. ``sign`` is -1 for an output that falls with a
-    rising input.
+    rising input. ``settling_samples`` is the time after which a free response is forgotten; ``memory_samples`` is
+    shorter where the fitted record starts at rest.
     """
 
     system: Viscoelastic
@@ -71,32 +76,53 @@ class ViscoelasticModel(Model):
     input_mean: float
     output_mean: float
     hold: Hold
+    settling_samples: int
 
     def simulate(self, u: Array) -> Array:
-        """Simulate in free run: input (n,), output (n,), in the steady state of the mean input before the first sample.
+        """Simulate in free run: input (n,), output (n,), from the steady state of the first input if that is held.
 
-        Creep under the mean input is left out.
+        Otherwise the run starts from the steady state of the mean input. Creep in that state is left out.
         """
         u = np.asarray(u, dtype=np.float64)
         known = np.isfinite(u)
         if not known.any():
             return np.full(u.size, np.nan)
         bridged = np.interp(np.arange(u.size), np.flatnonzero(known), u[known])  # a jump would act before the gap
-        run = self.system.simulate(bridged - self.input_mean, self.sample_rate_hz, self.hold)
-        padded = np.concatenate([np.ones(self.memory_samples - 1, dtype=np.bool_), known])
-        complete: Mask = complete_windows(padded, self.memory_samples)[self.memory_samples - 1 :]
+        start = _held_start(bridged, self.sample_rate_hz)
+        start = self.input_mean if start is None else start
+        run = self.system.simulate(bridged - start, self.sample_rate_hz, self.hold)
+        run += self.system.static_compliance * (start - self.input_mean)
+        padded = np.concatenate([np.ones(self.settling_samples - 1, dtype=np.bool_), known])
+        complete: Mask = complete_windows(padded, self.settling_samples)[self.settling_samples - 1 :]
         return np.where(complete, self.output_mean + self.sign * run, np.nan)
+
+
+def _held_start(u: Array, rate: float) -> float | None:
+    """Return the mean of the first samples of an input (n,) if it is held there; None if it varies as later."""
+    first = u[: max(2, math.ceil(_LEAST_S * rate))]
+    return float(first.mean()) if np.std(first) < _HELD * np.std(u) else None
 
 
 @dataclass(frozen=True, eq=False)
 class _Problem:
-    """Squared error of the free run of a structure; ``y`` (m,) is the output about its mean."""
+    """Squared error of the free run of a structure; ``y`` (m,) is the output about its mean.
+
+    ``held_start`` is the input about its mean before a record that starts at rest, such as a ramp and hold: there is no
+    drift then, and no parallel damping, which noise of the input would bias, as a damper smooths it. Otherwise it is
+    None, and a straight line is a nuisance.
+    """
 
     structure: Structure
     runs: list[InputRun]
     y: Array
     rate: float
     hold: Hold
+    held_start: float | None
+
+    @property
+    def damped(self) -> bool:
+        """Whether the parallel damping is fitted."""
+        return self.held_start is None or self.structure == "kelvin-voigt"
 
     def point(self, theta: Array) -> ErrorPoint:
         """Evaluate logarithms of the values, with offset, initial states and drift projected out."""
@@ -111,7 +137,14 @@ class _Problem:
                 here[row] = fft.irfft(one * run.spectrum, run.length)[run.local]
             here[0] = self.y[run.place] - here[0]
             t = run.time_s
-            free = [np.ones(t.size), t]
+            free = [np.ones(t.size)]
+            if self.held_start is None:
+                free.append(t)
+            elif system.creeps:
+                creep = system.creep_rate * (float(run.spectrum[0].real) / run.length - self.held_start)
+                here[0] -= creep * t
+                for k, damper in ((1, system.values[1]), (3, system.values[3])):
+                    here[k + 1] -= creep * system.creep_rate * damper * t
             for pole in poles[poles.imag >= 0.0]:
                 decay = np.exp(np.clip(pole.real * t, -700.0, 0.0))
                 free.append(decay * np.cos(pole.imag * t))
@@ -122,6 +155,8 @@ class _Problem:
         energy = float(offset @ offset)
         if energy > 1e-9 * self.y.size:
             rows -= np.outer(rows @ offset / energy, offset)
+        if not self.damped:
+            rows[1 + _DAMPING] = 0.0
         return ErrorPoint(theta, rows[0], rows[1:].T, float(rows[0] @ rows[0]))
 
     def linearised(self, at: ErrorPoint) -> tuple[Array, Array]:
@@ -142,15 +177,16 @@ class _Fitted:
     system: Viscoelastic
     covariance: Array | None
     error: Array
+    damped: bool
 
     def criterion(self, samples: float) -> float:
         """Return AICc for a number of independent samples (Eq. 3.16)."""
-        k = len(self.system.values) + 1
+        k = len(self.system.values) + int(self.damped)
         loss = float(np.mean(self.error**2))
         return samples * math.log(loss) + 2.0 * k + 2.0 * k * (k + 1) / max(1.0, samples - k - 1)
 
 
-def _starts(structure: Structure, linear: SecondOrderFit) -> list[tuple[float, ...]]:
+def _starts(structure: Structure, linear: SecondOrderFit, damping: float) -> list[tuple[float, ...]]:
     """Return starting values around a second-order system, over a grid of relaxation times and stiffness ratios."""
     m, b, k = linear.system.mass, linear.system.damping, linear.system.stiffness
     if structure == "kelvin-voigt":
@@ -158,19 +194,20 @@ def _starts(structure: Structure, linear: SecondOrderFit) -> list[tuple[float, .
     found: list[tuple[float, ...]] = []
     for time in _START_TIMES_S:
         if structure == "maxwell":
-            found.append((m, _START_DAMPING * b, k, k * time))
+            found.append((m, damping * b, k, k * time))
             continue
         for share in _START_SHARES:
             if structure == "standard-linear-solid":
-                found.append((m, _START_DAMPING * b, k, share * k, share * k * time))
+                found.append((m, damping * b, k, share * k, share * k * time))
             else:
-                found.append((m, _START_DAMPING * b, k, 100.0 * k * time, share * k, share * k * time))
+                found.append((m, damping * b, k, 100.0 * k * time, share * k, share * k * time))
     return found
 
 
 def _fit(problem: _Problem, linear: SecondOrderFit) -> _Fitted:
     """Fit one structure from the best of its starting points."""
-    points = [problem.point(np.log(values)) for values in _starts(problem.structure, linear)]
+    damping = _START_DAMPING if problem.damped else _NO_DAMPING
+    points = [problem.point(np.log(values)) for values in _starts(problem.structure, linear, damping)]
     points = sorted((p for p in points if math.isfinite(p.cost)), key=lambda p: p.cost)[:_STARTS]
     ends = [
         minimise(
@@ -185,7 +222,8 @@ def _fit(problem: _Problem, linear: SecondOrderFit) -> _Fitted:
     ]
     best = min(ends, key=lambda end: end.point.cost).point
     system = Viscoelastic(problem.structure, tuple(float(v) for v in np.exp(best.theta)))
-    return _Fitted(system, sandwich(best.slopes, best.error, dependence_samples(best.error, problem.rate)), best.error)
+    covariance = sandwich(best.slopes, best.error, dependence_samples(best.error, problem.rate))
+    return _Fitted(system, covariance, best.error, problem.damped)
 
 
 def independent_samples(error: Array) -> float:
@@ -260,10 +298,12 @@ class ViscoelasticEngine(Engine):
         rate = record.sample_rate_hz
         prepared = prepare(record, fit_part, _LEAST_S, 8)
         used = prepared.used
+        start = _held_start(record.input[np.isfinite(record.input)], rate)
         linear = fit_second_order(record, used, self.hold)
         runs, y = input_runs(record, used, float(np.mean(record.input[used])), float(np.mean(record.output[used])))
         tried = STRUCTURES if self.structure == "auto" else (self.structure,)
-        fits = [_fit(_Problem(one, runs, linear.sign * y, rate, self.hold), linear) for one in tried]
+        held = start if start is None else start - float(np.mean(record.input[used]))
+        fits = [_fit(_Problem(one, runs, linear.sign * y, rate, self.hold, held), linear) for one in tried]
         samples = independent_samples(min(fits, key=lambda fit: float(fit.error @ fit.error)).error)
         scores = {fit.system.structure: fit.criterion(samples) for fit in fits}
         lowest = min(scores.values())
@@ -271,14 +311,17 @@ class ViscoelasticEngine(Engine):
         best = min(close, key=lambda fit: (len(fit.system.values), scores[fit.system.structure]))
         memory = min(math.ceil(DECAYED * rate * best.system.slowest_s), max(1, round(_LONGEST_SHARE * used.sum())))
         model = ViscoelasticModel(
-            report=FitReport(self.name, self.options(), int(used.sum()), len(best.system.values) + 1, math.nan),
+            report=FitReport(
+                self.name, self.options(), int(used.sum()), len(best.system.values) + int(best.damped), math.nan
+            ),
             sample_rate_hz=rate,
-            memory_samples=max(1, memory),
+            memory_samples=max(1, memory if start is None else min(memory, math.ceil(_LEAST_S * rate))),
             system=best.system,
             sign=linear.sign,
             input_mean=prepared.input_mean,
             output_mean=prepared.output_mean,
             hold=self.hold,
+            settling_samples=max(1, memory),
         )
         residuals = np.where(used, model.residuals(record), np.nan)
         scored = np.isfinite(residuals)
@@ -314,6 +357,8 @@ def _parameters(best: _Fitted, linear: SecondOrderFit) -> dict[str, Estimate]:
         known = math.isfinite(variance) and 0.0 <= variance < _UNDETERMINED**2
         return Estimate(number, abs(number) * math.sqrt(variance) if known else None)
 
+    if not best.damped:
+        del value["damping_n_s_per_m"]
     found = {name: estimate(linear.sign * number, **{name: 1.0}) for name, number in value.items()}
     if not linear.mechanical:
         found = {}
