@@ -177,6 +177,7 @@ def fit_split(specification: Engine, parts: Split) -> Analysis:
     model = _with_test_values(model, specification, known, parts.weight_n)
     with _plugin_errors(specification):
         model = validated(model, parts.held_out_record, parts.held_out).with_report(seconds=seconds)
+    model = model if parts.scorable else model.without_validation()
     model = _without_spring(model, parts.external_spring_n_per_m)
     return Analysis(
         model if parts.actuator is None else _with_tissue_alone(model, parts.actuator),

@@ -14,6 +14,7 @@ from tissueid.device import GRAVITY_M_S2, DeviceDescription
 from tissueid.errors import UnusableInputError
 from tissueid.identification.depth_levels import localized_levels
 from tissueid.identification.preparation import band_filtered, detrended
+from tissueid.identification.validation.scores import above_noise
 from tissueid.language import marked
 from tissueid.messages import Listing, Message
 from tissueid.records import Record, joined
@@ -82,6 +83,11 @@ class Split:
         output = np.full(len(self.held_out_record), np.nan)
         output[self.held_out] = self.held_out_record.output[self.held_out]
         return replace(self.held_out_record, output=output)
+
+    @property
+    def scorable(self) -> bool:
+        """Whether the held-out output varies above its noise: a score relative to noise alone says nothing."""
+        return above_noise(self.unseen.output, self.fitted.output)
 
     @property
     def other_quarters(self) -> tuple[Split, ...]:
@@ -294,13 +300,21 @@ def _quarter_within(stretch: tuple[int, int], quarter: int) -> tuple[int, int]:
 def _quarter_of(tests: Sequence[int], quarter: int = QUARTERS - 1, parts: int = 1) -> str:
     percent = 100.0 / QUARTERS
     which = (marked("first"), marked("second"), marked("third"), marked("last"))[quarter]
-    if parts > 1 and len(tests) == 1:
+    if parts == _STRETCHES and len(tests) == 1:
         return Message(
             "split.part_of_stretches",
             "the {which} {percent:.0f} % of each of {parts} parts of test {number}",
             which=which,
             percent=percent,
             parts=parts,
+            number=tests[0],
+        )
+    if parts > 1 and len(tests) == 1:
+        return Message(
+            "split.part_of_levels",
+            "the {which} {percent:.0f} % at each level of test {number}",
+            which=which,
+            percent=percent,
             number=tests[0],
         )
     if len(tests) == 1:

@@ -37,6 +37,11 @@ PREDICTS_NOTHING = Message(
 )
 """Warning in the report of a fit that ``predicts_nothing``."""
 
+NOTHING_TO_PREDICT = Message(
+    "engine.nothing_to_predict",
+    "the held-out output does not vary above its noise: there is no held-out score",
+)
+
 
 def _finite_or_none(value: float | None) -> float | None:
     return None if value is None or not math.isfinite(value) else float(value)
@@ -161,6 +166,16 @@ class Model(ABC):
     def with_report(self, **changes: Any) -> Self:
         """Return a copy with fields of its report replaced, for example ``seconds``."""
         return replace(self, report=replace(self.report, **changes))
+
+    def without_validation(self) -> Self:
+        """Return a copy without scores on held-out samples, which do not vary above their noise, and a warning."""
+        warnings = tuple(warning for warning in self.report.warnings if warning != PREDICTS_NOTHING)
+        return self.with_report(
+            vaf_validation_percent=None,
+            validation_p_value=None,
+            vaf_scheduled_percent=None,
+            warnings=(NOTHING_TO_PREDICT, *warnings),
+        )
 
     def with_validation(self, vaf_percent: float, p_value: float, scheduled_percent: float | None = None) -> Self:
         """Return a copy with its scores on held-out samples, and a warning where it predicts nothing there."""

@@ -168,7 +168,9 @@ def _poorly_explained(analyses: Mapping[str, Analysis]) -> list[_Doubt]:
     name = max(scores, key=lambda engine: scores[engine])
     unseen, seen = scores[name], analyses[name].model.report.vaf_percent
     found: list[_Doubt] = []
-    if unseen < POOR_VAF_PERCENT:
+    if unseen <= 0.0:
+        found.append(("poor", Message("verdict.predicts_nothing", "No model predicts the held-out motion.")))
+    elif unseen < POOR_VAF_PERCENT:
         message = Message(
             "verdict.vaf_poor",
             "No model accounts for more than {percent:.0f} % of the held-out motion.",
