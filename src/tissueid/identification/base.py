@@ -37,6 +37,13 @@ PREDICTS_NOTHING = Message(
 )
 """Warning in the report of a fit that ``predicts_nothing``."""
 
+NEGATIVE_MASS = Message(
+    "engine.negative_mass",
+    "the mass is negative, which does not exist: the output falls as the input rises; check the signs of the two "
+    "signals",
+)
+"""Warning of every engine with a mass; the parameters of such a fit are not compared in a study."""
+_FALLS = Message("second_order.reversed", "the output falls as the input rises: check the signs of the two signals")
 NOTHING_TO_PREDICT = Message(
     "engine.nothing_to_predict",
     "the held-out output does not vary above its noise: there is no held-out score",
@@ -263,10 +270,10 @@ class Engine(BaseModel, ABC):
 
     @classmethod
     def __pydantic_init_subclass__(cls, **kwargs: Any) -> None:
-        """Fill label and title of an engine that does not declare them, and limit the threads of its fits."""
+        """Fill label and title of an engine that does not declare them; limit the threads of its fits and check them."""
         super().__pydantic_init_subclass__(**kwargs)
         if "fit" in cls.__dict__ and not getattr(cls.fit, "__isabstractmethod__", False):
-            setattr(cls, "fit", _with_one_thread(cls.fit))  # noqa: B010
+            setattr(cls, "fit", _checked(cls.fit))  # noqa: B010
         name = getattr(cls, "name", "")
         if "label" not in cls.__dict__:
             cls.label = name[:1].upper() + name[1:]
@@ -314,11 +321,25 @@ class Engine(BaseModel, ABC):
         return self.model_dump(mode="json")
 
 
-def _with_one_thread(fit: Callable[..., Model]) -> Callable[..., Model]:
+def _checked(fit: Callable[..., Model]) -> Callable[..., Model]:
+    """Return a fit with one thread whose model has a warning where the output falls as the input rises."""
+
     @wraps(fit)
     def fitted(*args: Any, **options: Any) -> Model:
         with one_blas_thread():
-            return fit(*args, **options)
+            model = fit(*args, **options)
+        if not isinstance(model, Model):
+            return model
+        parameters = model.report.parameters
+        profile = model.depth_profile() if "mass_kg" not in parameters else None
+        mass = parameters["mass_kg"].value if "mass_kg" in parameters else math.nan
+        if profile is not None and np.isfinite(profile.mass).any():
+            mass = float(np.nanmedian(profile.mass))
+        if mass < 0.0:
+            return model.with_report(warnings=(NEGATIVE_MASS, *model.report.warnings))
+        if "gain" in parameters and parameters["gain"].value < 0.0:
+            return model.with_report(warnings=(*model.report.warnings, _FALLS))
+        return model
 
     return fitted
 
