@@ -63,7 +63,8 @@ class FitReport:
     measured output as the schedule, for engines that have one. ``validation_p_value`` is the probability that a
     simulation unrelated to the measurement scores as well on held-out samples. ``findings`` are results in words,
     ``warnings`` limits of their validity. ``details`` holds further figures of one engine, such as the condition
-    number. Unknown figures are None.
+    number. ``model`` names what the engine chose among models whose parameters have other meanings: values of different
+    ones are not comparable; "" where there is no such choice. Unknown figures are None.
     """
 
     engine: str
@@ -81,6 +82,7 @@ class FitReport:
     warnings: tuple[str, ...] = ()
     findings: tuple[str, ...] = ()
     details: dict[str, float] = field(default_factory=dict)
+    model: str = ""
 
     @property
     def predicts_nothing(self) -> bool:
@@ -100,6 +102,7 @@ class FitReport:
         return {
             "engine": self.engine,
             "options": dict(self.options),
+            "model": self.model,
             "n_samples": self.n_samples,
             "n_parameters": self.n_parameters,
             "vaf_percent": _finite_or_none(self.vaf_percent),
@@ -270,7 +273,7 @@ class Engine(BaseModel, ABC):
 
     @classmethod
     def __pydantic_init_subclass__(cls, **kwargs: Any) -> None:
-        """Fill label and title of an engine that does not declare them; limit the threads of its fits and check them."""
+        """Fill label and title of an engine that does not declare them; let its fits use one thread and be checked."""
         super().__pydantic_init_subclass__(**kwargs)
         if "fit" in cls.__dict__ and not getattr(cls.fit, "__isabstractmethod__", False):
             setattr(cls, "fit", _checked(cls.fit))  # noqa: B010
@@ -300,6 +303,14 @@ class Engine(BaseModel, ABC):
             surface_position_m: position of the tissue surface, m; None if unknown.
             weight_n: weight of the moving part along the stroke, N into the tissue; None if unknown. The signal force
                 does not include it.
+        """
+        return self
+
+    def common(self, details: Sequence[Mapping[str, float]]) -> Self:
+        """Return the specification with one model for many tests; itself if it leaves no choice.
+
+        Args:
+            details: those of the report of each test, fitted as specified.
         """
         return self
 

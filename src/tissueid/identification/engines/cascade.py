@@ -194,6 +194,7 @@ class Cascade(Engine):
                 aicc=aicc(residuals, blocks.n_parameters),
                 parameters=parameters,
                 findings=() if choice is None else structure_findings(choice),
+                model=structure,
                 warnings=tuple(dict.fromkeys(warnings)),
                 details=details,
             ),

@@ -8,8 +8,9 @@ part of the model's simulation, so that no score credits it to the input.
 from __future__ import annotations
 
 import math
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
-from typing import ClassVar, Literal
+from typing import ClassVar, Literal, Self
 
 import numpy as np
 from pydantic import Field
@@ -226,6 +227,16 @@ def _fit(problem: _Problem, linear: SecondOrderFit) -> _Fitted:
     return _Fitted(system, covariance, best.error, problem.damped)
 
 
+def _smallest(scores: Mapping[Structure, float]) -> Structure:
+    """Return the structure with the fewest elements whose AICc is within 4 of the lowest."""
+    close = [name for name in scores if scores[name] <= min(scores.values()) + _CLEAR]
+    return min(close, key=lambda name: (len(ELEMENTS[name]), scores[name]))
+
+
+def _criterion_name(structure: Structure) -> str:
+    return f"aicc_{structure.replace('-', '_')}"
+
+
 def independent_samples(error: Array) -> float:
     """Return the effective number of independent squared errors (m,) by their autocorrelation (Bartlett 1935).
 
@@ -286,6 +297,14 @@ class ViscoelasticEngine(Engine):
     )
     hold: Hold = Field("band-limited", title=HOLD_TITLE, description=HOLD_DESCRIPTION)
 
+    def common(self, details: Sequence[Mapping[str, float]]) -> Self:
+        """Return the specification with the structure whose mean AICc over tests is lowest, chosen as for one test."""
+        known = [one for one in details if all(_criterion_name(name) in one for name in STRUCTURES)]
+        if self.structure != "auto" or not known:
+            return self
+        scores = {name: float(np.mean([one[_criterion_name(name)] for one in known])) for name in STRUCTURES}
+        return self.model_copy(update={"structure": _smallest(scores)})
+
     def fit(self, record: Record, fit_part: slice | None = None) -> ViscoelasticModel:
         """Fit one structure, or all and take the smallest one whose AICc is within 4 of the lowest.
 
@@ -306,9 +325,8 @@ class ViscoelasticEngine(Engine):
         fits = [_fit(_Problem(one, runs, linear.sign * y, rate, self.hold, held), linear) for one in tried]
         samples = independent_samples(min(fits, key=lambda fit: float(fit.error @ fit.error)).error)
         scores = {fit.system.structure: fit.criterion(samples) for fit in fits}
-        lowest = min(scores.values())
-        close = [fit for fit in fits if scores[fit.system.structure] <= lowest + _CLEAR]
-        best = min(close, key=lambda fit: (len(fit.system.values), scores[fit.system.structure]))
+        chosen = _smallest(scores)
+        best = next(fit for fit in fits if fit.system.structure == chosen)
         memory = min(math.ceil(DECAYED * rate * best.system.slowest_s), max(1, round(_LONGEST_SHARE * used.sum())))
         model = ViscoelasticModel(
             report=FitReport(
@@ -338,8 +356,8 @@ class ViscoelasticEngine(Engine):
             parameters=parameters,
             warnings=(*prepared.warnings, *_warnings(parameters)),
             findings=_findings(best.system.structure, scores),
-            details={f"aicc_{name.replace('-', '_')}": score for name, score in scores.items()}
-            | {"independent_samples": samples},
+            details={_criterion_name(name): score for name, score in scores.items()} | {"independent_samples": samples},
+            model=best.system.structure,
         )
 
 
