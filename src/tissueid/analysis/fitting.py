@@ -157,8 +157,10 @@ def engines_of(test: Test) -> tuple[str, ...]:
     """Return the names of the engines of the standard report of a test.
 
     They are the usual ones for a test without a record, such as one that was stopped in its preload: each of them then
-    gives the reason.
+    gives the reason. Of a ramp or a hold, the report has stiffness and relaxation.
     """
+    if test.kind in ("slow_ramp", "step_hold"):
+        return ("viscoelastic",)
     try:
         record = test.record()
     except UnusableInputError:

@@ -39,7 +39,7 @@ PREDICTS_NOTHING = Message(
 
 NEGATIVE_MASS = Message(
     "engine.negative_mass",
-    "the mass is negative, which does not exist: the output falls as the input rises; check the signs of the two "
+    "a negative mass or stiffness does not exist: the output falls as the input rises; check the signs of the two "
     "signals",
 )
 """Warning of every engine with a mass; the parameters of such a fit are not compared in a study."""
@@ -343,10 +343,10 @@ def _checked(fit: Callable[..., Model]) -> Callable[..., Model]:
             return model
         parameters = model.report.parameters
         profile = model.depth_profile() if "mass_kg" not in parameters else None
-        mass = parameters["mass_kg"].value if "mass_kg" in parameters else math.nan
+        signed = parameters.get("mass_kg", parameters.get("stiffness_n_per_m", Estimate(math.nan))).value
         if profile is not None and np.isfinite(profile.mass).any():
-            mass = float(np.nanmedian(profile.mass))
-        if mass < 0.0:
+            signed = float(np.nanmedian(profile.mass))
+        if signed < 0.0:
             return model.with_report(warnings=(NEGATIVE_MASS, *model.report.warnings))
         if "gain" in parameters and parameters["gain"].value < 0.0:
             return model.with_report(warnings=(*model.report.warnings, _FALLS))

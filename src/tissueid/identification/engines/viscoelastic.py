@@ -22,6 +22,7 @@ from tissueid.identification.correlation import Correlator, dependence_samples
 from tissueid.identification.levenberg_marquardt import Bounds, ErrorPoint, minimise
 from tissueid.identification.model_family import Family
 from tissueid.identification.preparation import complete_windows, prepare
+from tissueid.identification.ramp_stiffness import ramp_stiffness
 from tissueid.identification.registry import engine
 from tissueid.identification.second_order import HOLD_DESCRIPTION, HOLD_TITLE, Hold
 from tissueid.identification.second_order_fit import InputRun, SecondOrderFit, fit_second_order, input_runs, sandwich
@@ -44,6 +45,10 @@ Choice = Literal["auto", "kelvin-voigt", "maxwell", "standard-linear-solid", "bu
 
 _LEAST_S = 0.125
 """Shortest record, s, as the memory of ``lms``; outputs before it are not fitted."""
+_BLOCKS = 8
+"""Stretches of a ramp and hold over which coloured residuals are taken as correlated."""
+_FASTEST = 3.0
+"""Decays of a free response per sample above which it is not fitted: it is gone after one sample."""
 _HELD = 0.1
 """Largest standard deviation of an input that is held at the start, relative to that of the whole input."""
 _ITERATIONS = 60
@@ -146,7 +151,7 @@ class _Problem:
                 here[0] -= creep * t
                 for k, damper in ((1, system.values[1]), (3, system.values[3])):
                     here[k + 1] -= creep * system.creep_rate * damper * t
-            for pole in poles[poles.imag >= 0.0]:
+            for pole in poles[(poles.imag >= 0.0) & (poles.real > -_FASTEST * self.rate)]:
                 decay = np.exp(np.clip(pole.real * t, -700.0, 0.0))
                 free.append(decay * np.cos(pole.imag * t))
                 free.append(decay * np.sin(pole.imag * t) if pole.imag > 0.0 else decay * pole.real * t)
@@ -223,7 +228,10 @@ def _fit(problem: _Problem, linear: SecondOrderFit) -> _Fitted:
     ]
     best = min(ends, key=lambda end: end.point.cost).point
     system = Viscoelastic(problem.structure, tuple(float(v) for v in np.exp(best.theta)))
-    covariance = sandwich(best.slopes, best.error, dependence_samples(best.error, problem.rate))
+    block = dependence_samples(best.error, problem.rate)
+    if problem.held_start is not None and block > 1:  # slow dynamics are alike over much of a ramp and hold
+        block = best.error.size // _BLOCKS
+    covariance = sandwich(best.slopes, best.error, block)
     return _Fitted(system, covariance, best.error, problem.damped)
 
 
@@ -264,7 +272,7 @@ def _modulus(model: ViscoelasticModel) -> tuple[Curve, ...]:
 class ViscoelasticEngine(Engine):
     """Viscoelastic engine.
 
-    Assumes a linear tissue under a mass. A relaxation that is slower than the record, or faster than the driven band,
+    Of a slow ramp, it also gives the slope of force against position, for loading and unloading. Assumes a linear tissue under a mass. A relaxation that is slower than the record, or faster than the driven band,
     is not determined: such values have no standard deviation.
     """
 
@@ -348,7 +356,8 @@ class ViscoelasticEngine(Engine):
         model = replace(model, output_mean=model.output_mean + float(np.mean(residuals[scored])))
         residuals = np.where(used, model.residuals(record), np.nan)
         k = model.report.n_parameters
-        parameters = _parameters(best, linear)
+        fitted = replace(record, output=np.where(used, record.output, np.nan))
+        parameters = _parameters(best, linear) | ramp_stiffness(fitted)
         return model.with_report(
             vaf_percent=vaf_percent(record.output[scored], record.output[scored] - residuals[scored]),
             aic=aic(residuals, k),
@@ -378,6 +387,8 @@ def _parameters(best: _Fitted, linear: SecondOrderFit) -> dict[str, Estimate]:
     if not best.damped:
         del value["damping_n_s_per_m"]
     found = {name: estimate(linear.sign * number, **{name: 1.0}) for name, number in value.items()}
+    if not best.damped and found["mass_kg"].std is None:  # a ramp and hold has no inertia
+        del found["mass_kg"]
     if not linear.mechanical:
         found = {}
     times = {
