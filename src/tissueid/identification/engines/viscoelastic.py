@@ -21,7 +21,7 @@ from tissueid.identification.base import Array, Curve, Engine, FitReport, LineFi
 from tissueid.identification.correlation import Correlator, dependence_samples
 from tissueid.identification.levenberg_marquardt import Bounds, ErrorPoint, minimise
 from tissueid.identification.model_family import Family
-from tissueid.identification.preparation import complete_windows, prepare
+from tissueid.identification.preparation import complete_windows, finite_runs, prepare
 from tissueid.identification.ramp_stiffness import ramp_stiffness
 from tissueid.identification.registry import engine
 from tissueid.identification.second_order import HOLD_DESCRIPTION, HOLD_TITLE, Hold
@@ -109,13 +109,33 @@ def _held_start(u: Array, rate: float) -> float | None:
     return float(first.mean()) if np.std(first) < _HELD * np.std(u) else None
 
 
+def _held_runs(record: Record, used: Mask) -> list[InputRun]:
+    """Return the runs of a record whose tests all start at rest, from that input on and followed by as many zeros.
+
+    Empty if one does not, or if samples of the input were lost.
+    """
+    whole = finite_runs(np.isfinite(record.input))
+    starts = [_held_start(record.input[first:end], record.sample_rate_hz) for first, end in whole]
+    if None in starts or len(whole) != 1 + len(record.joints):
+        return []
+    runs, _y = input_runs(record, used, 0.0, 0.0)
+    found = []
+    for run in runs:
+        size = run.local.stop if isinstance(run.local, slice) else int(run.local[-1]) + 1
+        values = fft.irfft(run.spectrum, run.length)[:size]
+        length = fft.next_fast_len(2 * size, real=True)
+        start = _held_start(values, record.sample_rate_hz) or 0.0
+        found.append(replace(run, spectrum=fft.rfft(values - start, length), length=length))
+    return found
+
+
 @dataclass(frozen=True, eq=False)
 class _Problem:
     """Squared error of the free run of a structure; ``y`` (m,) is the output about its mean.
 
-    ``held_start`` is the input about its mean before a record that starts at rest, such as a ramp and hold: there is no
-    drift then, and no parallel damping, which noise of the input would bias, as a damper smooths it. Otherwise it is
-    None, and a straight line is a nuisance.
+    ``held`` marks runs that start at rest, such as a ramp and hold: each has an offset as its only nuisance, and no
+    parallel damping, which noise of the input would bias, as a damper smooths it. Other runs have an unknown initial
+    state and a straight line of drift.
     """
 
     structure: Structure
@@ -123,12 +143,12 @@ class _Problem:
     y: Array
     rate: float
     hold: Hold
-    held_start: float | None
+    held: bool
 
     @property
     def damped(self) -> bool:
         """Whether the parallel damping is fitted."""
-        return self.held_start is None or self.structure == "kelvin-voigt"
+        return not self.held or self.structure == "kelvin-voigt"
 
     def point(self, theta: Array) -> ErrorPoint:
         """Evaluate logarithms of the values, with offset, initial states and drift projected out."""
@@ -144,14 +164,15 @@ class _Problem:
             here[0] = self.y[run.place] - here[0]
             t = run.time_s
             free = [np.ones(t.size)]
-            if self.held_start is None:
-                free.append(t)
-            elif system.creeps:
-                creep = system.creep_rate * (float(run.spectrum[0].real) / run.length - self.held_start)
+            if self.held and system.creeps:
+                creep = system.creep_rate * float(run.spectrum[0].real) / run.length
                 here[0] -= creep * t
                 for k, damper in ((1, system.values[1]), (3, system.values[3])):
                     here[k + 1] -= creep * system.creep_rate * damper * t
-            for pole in poles[(poles.imag >= 0.0) & (poles.real > -_FASTEST * self.rate)]:
+            if not self.held:
+                free.append(t)
+            unknown = (poles.imag >= 0.0) & (poles.real > -_FASTEST * self.rate) & (not self.held)
+            for pole in poles[unknown]:
                 decay = np.exp(np.clip(pole.real * t, -700.0, 0.0))
                 free.append(decay * np.cos(pole.imag * t))
                 free.append(decay * np.sin(pole.imag * t) if pole.imag > 0.0 else decay * pole.real * t)
@@ -229,7 +250,7 @@ def _fit(problem: _Problem, linear: SecondOrderFit) -> _Fitted:
     best = min(ends, key=lambda end: end.point.cost).point
     system = Viscoelastic(problem.structure, tuple(float(v) for v in np.exp(best.theta)))
     block = dependence_samples(best.error, problem.rate)
-    if problem.held_start is not None and block > 1:  # slow dynamics are alike over much of a ramp and hold
+    if problem.held and block > 1:  # slow dynamics are alike over much of a ramp and hold
         block = best.error.size // _BLOCKS
     covariance = sandwich(best.slopes, best.error, block)
     return _Fitted(system, covariance, best.error, problem.damped)
@@ -272,8 +293,9 @@ def _modulus(model: ViscoelasticModel) -> tuple[Curve, ...]:
 class ViscoelasticEngine(Engine):
     """Viscoelastic engine.
 
-    Of a slow ramp, it also gives the slope of force against position, for loading and unloading. Assumes a linear tissue under a mass. A relaxation that is slower than the record, or faster than the driven band,
-    is not determined: such values have no standard deviation.
+    Assumes a linear tissue under a mass. A relaxation that is slower than the record, or faster than the driven band,
+    is not determined: such values have no standard deviation. Of a slow ramp, it also gives the slope of force against
+    position, for loading and unloading.
     """
 
     name: ClassVar[str] = "viscoelastic"
@@ -325,12 +347,13 @@ class ViscoelasticEngine(Engine):
         rate = record.sample_rate_hz
         prepared = prepare(record, fit_part, _LEAST_S, 8)
         used = prepared.used
-        start = _held_start(record.input[np.isfinite(record.input)], rate)
         linear = fit_second_order(record, used, self.hold)
         runs, y = input_runs(record, used, float(np.mean(record.input[used])), float(np.mean(record.output[used])))
         tried = STRUCTURES if self.structure == "auto" else (self.structure,)
-        held = start if start is None else start - float(np.mean(record.input[used]))
-        fits = [_fit(_Problem(one, runs, linear.sign * y, rate, self.hold, held), linear) for one in tried]
+        held = _held_runs(record, used)
+        fits = [
+            _fit(_Problem(one, held or runs, linear.sign * y, rate, self.hold, bool(held)), linear) for one in tried
+        ]
         samples = independent_samples(min(fits, key=lambda fit: float(fit.error @ fit.error)).error)
         scores = {fit.system.structure: fit.criterion(samples) for fit in fits}
         chosen = _smallest(scores)
@@ -341,7 +364,7 @@ class ViscoelasticEngine(Engine):
                 self.name, self.options(), int(used.sum()), len(best.system.values) + int(best.damped), math.nan
             ),
             sample_rate_hz=rate,
-            memory_samples=max(1, memory if start is None else min(memory, math.ceil(_LEAST_S * rate))),
+            memory_samples=max(1, memory if not held else min(memory, math.ceil(_LEAST_S * rate))),
             system=best.system,
             sign=linear.sign,
             input_mean=prepared.input_mean,
