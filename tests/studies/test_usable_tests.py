@@ -39,7 +39,7 @@ def test_every_test_that_does_not_count_is_listed_with_its_reason():
         "study.reason.configuration",
     ]
     assert len(found.used) + len(found.left_out) == len(table)
-    assert codes(found) == {"study.tests_dropped", "study.configurations"}
+    assert codes(found) == {"study.tests_dropped", "study.not_comparable"}
     answer = study_statistics(table).as_answer()
     assert "reference_moved" in answer["left_out"][0]["reason"]
 

@@ -121,6 +121,11 @@ def compare(
     Raises:
         UnusableInputError: every engine refused the record, or none could be scored on held-out samples.
     """
+    if not parts.scorable:
+        raise UnusableInputError(
+            "compare.nothing_to_predict",
+            "the held-out output does not vary above its noise: hold out another test, or a part that varies",
+        )
     done: dict[str, Analysis] = {}
     refused: dict[str, str] = {}
     for engine, outcome in zip(engines, (fits or _fit_each(progress))(engines, parts), strict=True):

@@ -157,8 +157,10 @@ def engines_of(test: Test) -> tuple[str, ...]:
     """Return the names of the engines of the standard report of a test.
 
     They are the usual ones for a test without a record, such as one that was stopped in its preload: each of them then
-    gives the reason.
+    gives the reason. Of a ramp or a hold, the report has stiffness and relaxation.
     """
+    if test.kind in ("slow_ramp", "step_hold"):
+        return ("viscoelastic",)
     try:
         record = test.record()
     except UnusableInputError:
@@ -177,6 +179,7 @@ def fit_split(specification: Engine, parts: Split) -> Analysis:
     model = _with_test_values(model, specification, known, parts.weight_n)
     with _engine_errors(specification):
         model = validated(model, parts.held_out_record, parts.held_out).with_report(seconds=seconds)
+    model = model if parts.scorable else model.without_validation()
     model = _without_spring(model, parts.external_spring_n_per_m)
     return Analysis(
         model if parts.actuator is None else _with_tissue_alone(model, parts.actuator),

@@ -47,8 +47,8 @@ if TYPE_CHECKING:
     from tissueid.sessions import Session, Test
 
 _ANALYSING = marked("Analysing sessions")
-_FAILED, _CURVES = "failed", "curves"
-_FORMAT = 4
+_FAILED, _CURVES, _DETAILS = "failed", "curves", "details"
+_FORMAT = 5
 """Format of stored rows: those of another one are computed again."""
 _MOST_FAILURES, _LONGEST_REASON = 100_000, 1000
 
@@ -86,7 +86,7 @@ def run_study(plan: StudyPlan, control: Control) -> StudyRun:
     from tissueid.studies.study_table import read_subjects, study_table, write_table
 
     options = parse_options(plan.options)
-    get_engine(plan.engine).from_options(options)
+    specification = get_engine(plan.engine).from_options(options)
     store = _store(plan)
     keys = store.sessions()
     if not keys:
@@ -96,22 +96,11 @@ def run_study(plan: StudyPlan, control: Control) -> StudyRun:
     results = plan.folder / RESULTS
     for folder in (plan.folder, results):
         private_folder(folder)
-    analysis = _analysis(plan, options)
-    stored = set(store.results(analysis))
-    for stale in stored - set(keys.values()):
-        store.remove_result(analysis, stale)
-    known = {
-        name: found
-        for name, key in keys.items()
-        if key in stored and (found := _decoded(store.read_result(analysis, key))) is not None
-    }
-    new = [name for name in keys if name not in known]
-    work = functools.partial(_analysed, plan, options, store, analysis)
-    if new:
-        done = CountedProgress(control, _ANALYSING, len(new))
-        with plan_executor(plan.workers, plan.scheduler) as pool:
-            items = [(name, keys[name]) for name in new]
-            known |= dict(zip(new, pool.do(work, items, control.check, done), strict=True))
+    known, new = _analyse(plan, options, store, keys, control)
+    common = specification.common([one for found in known.values() for one in found.get(_DETAILS, ())])
+    if common != specification:  # one model for all tests, as parameters of different ones are not comparable
+        known, again = _analyse(plan, common.options(), store, keys, control)
+        new = max(new, again)
     failures = {name: reason for name in keys if (reason := known[name].get(_FAILED)) is not None}
     _write_failures(results / NOT_ANALYSED_FILE, failures, keys)
     rows = [row | {"session": name} for name in keys for row in known[name].get("rows", ())]
@@ -133,7 +122,30 @@ def run_study(plan: StudyPlan, control: Control) -> StudyRun:
         (name, test, curve) for name in keys for test, curve in known[name].get(_CURVES, ()) if name not in failures
     )
     write_curves(curves, results / CURVES_FILE)
-    return StudyRun(plan, table, curves, failures, len(keys), len(new))
+    return StudyRun(plan, table, curves, failures, len(keys), new)
+
+
+def _analyse(
+    plan: StudyPlan, options: Mapping[str, Any], store: SessionStore, keys: Mapping[str, str], control: Control
+) -> tuple[dict[str, dict[str, Any]], int]:
+    """Return the results of all sessions by name, and how many of them were not stored before."""
+    analysis = _analysis(plan, options)
+    stored = set(store.results(analysis))
+    for stale in stored - set(keys.values()):
+        store.remove_result(analysis, stale)
+    known = {
+        name: found
+        for name, key in keys.items()
+        if key in stored and (found := _decoded(store.read_result(analysis, key))) is not None
+    }
+    new = [name for name in keys if name not in known]
+    if new:
+        work = functools.partial(_analysed, plan, options, store, analysis)
+        done = CountedProgress(control, _ANALYSING, len(new))
+        with plan_executor(plan.workers, plan.scheduler) as pool:
+            items = [(name, keys[name]) for name in new]
+            known |= dict(zip(new, pool.do(work, items, control.check, done), strict=True))
+    return known, len(new)
 
 
 def read_failures(path: Path, keys: Mapping[str, str]) -> dict[str, str]:
@@ -205,10 +217,11 @@ def _analysed(
         with store.local_file(name) as path:
             place = str(path)
             session = read_session(path)
-        found = {"rows": [], _CURVES: []}
+        found = {"rows": [], _CURVES: [], _DETAILS: []}
         for test in session.tests:
-            row, sampled = _row(session, test, plan, options)
+            row, details, sampled = _row(session, test, plan, options)
             found["rows"].append(row)
+            found[_DETAILS].append(details)
             # As they are read again, so that a second run gives the same report.
             found[_CURVES] += [(test.number, from_json(curve.as_json())) for curve in sampled]
     except TissueIDError as error:
@@ -223,13 +236,14 @@ def _analysed(
 
 def _row(
     session: Session, test: Test, plan: StudyPlan, options: Mapping[str, Any]
-) -> tuple[dict[str, Any], list[SampledCurve]]:
+) -> tuple[dict[str, Any], dict[str, float], list[SampledCurve]]:
     from tissueid.acquisition.quality import judge
     from tissueid.analysis.curves.samples import sampled_curves
     from tissueid.analysis.fitting import fit_split, fit_whole
     from tissueid.analysis.scoring import scheduled_scores
     from tissueid.analysis.split import split
     from tissueid.identification import get_engine
+    from tissueid.identification.base import NEGATIVE_MASS, PREDICTS_NOTHING
 
     quality = judge(test, session.instrument)
     row: dict[str, Any] = {
@@ -256,17 +270,23 @@ def _row(
         fit = fit_split if plan.held_out else fit_whole
         analysis = fit(get_engine(plan.engine).from_options(options), parts)
     except UnusableInputError as error:
-        return row | {"status": "not analysed", "problem": str(error)}, []
+        return row | {"status": "not analysed", "problem": str(error)}, {}, []
     report = analysis.model.report
+    if NEGATIVE_MASS in report.warnings:
+        return row | {"status": "not analysed", "problem": str(NEGATIVE_MASS)}, {}, []
+    record = analysis.record
     row |= {
+        "model": report.model,
+        "signals": f"{record.input_name} ({record.input_unit}), {record.output_name} ({record.output_unit})",
         "vaf_percent": report.vaf_percent,
         "vaf_validation_percent": report.vaf_validation_percent,
         "vaf_scheduled_percent": scheduled_scores(analysis)[0],
-        "problem": "",
+        "problem": str(PREDICTS_NOTHING) if report.predicts_nothing else "",
     }
     for name, estimate in report.reportable_parameters.items():
         row |= {name: _finite(estimate.value), f"{name}_sd": _finite(estimate.std)}
-    return row, sampled_curves(analysis, test.surface_position_m)
+    details = {name: value for name, value in report.details.items() if _finite(value) is not None}
+    return row, details, sampled_curves(analysis, test.surface_position_m)
 
 
 def _finite(value: float | None) -> float | None:

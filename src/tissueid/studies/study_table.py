@@ -36,6 +36,8 @@ DESCRIPTION = (
     "quality",
     "findings",
     "engine",
+    "model",
+    "signals",
     "vaf_percent",
     "vaf_validation_percent",
     "vaf_scheduled_percent",

@@ -8,7 +8,7 @@ import threading
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, fields
 from pathlib import Path
-from typing import Annotated, Any
+from typing import Annotated, Any, Literal
 
 from pydantic import AwareDatetime, BaseModel, ConfigDict, Field, ValidationError
 
@@ -160,6 +160,7 @@ class _Report(_Line):
     warnings: _Words
     findings: _Words
     details: Annotated[dict[Name, _Number], Field(max_length=200)]
+    model: Name | Literal[""] = ""
     messages: _Messages = {}
 
     @classmethod
