@@ -158,6 +158,12 @@ def test_the_report_has_the_statistics(run, folder):
     assert answer["statistics"]["variation"][0]["site"] == "arm"
 
 
+def test_a_report_on_paper_of_a_study_without_a_parameter_that_counts(run, tmp_path):
+    few = study_statistics(run.table[run.table["subject"] == "P-0"].groupby("site").head(1))
+    write_study_pdf(tmp_path / "report.pdf", "few", "lms", replace(few, parameters=()), {})
+    assert (tmp_path / "report.pdf").read_bytes().startswith(b"%PDF")
+
+
 def test_a_condition_is_compared_within_subjects(tmp_path):
     fill(tmp_path / "s")
     apply_lotion(tmp_path / "s", SUBJECTS)
