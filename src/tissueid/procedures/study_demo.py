@@ -35,7 +35,7 @@ from tissueid.procedures.study_plans import SUBJECTS_FILE, StudyReportPlan
 from tissueid.procedures.study_report import StudyReport, report_study
 from tissueid.procedures.test_plan import TestPlan
 from tissueid.procedures.test_run import TestControl, run_test
-from tissueid.sessions.hdf5_members import journal_path
+from tissueid.sessions.file_policy import journal_path
 from tissueid.untrusted_input import json_value
 
 _MEASURING = marked("Measuring the simulated population")

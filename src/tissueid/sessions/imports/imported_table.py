@@ -17,7 +17,6 @@ from tissueid.messages import Action, Message, Verbatim
 from tissueid.units import split_header
 from tissueid.untrusted_input import MAX_SAMPLES
 
-MAX_BYTES = 4_000_000_000
 _MOST_LISTED = 20
 """Most columns that a message lists."""
 _LONGEST_NAME = 60
@@ -171,28 +170,6 @@ class ImportedTable:
                 columns=Verbatim(self.listed()),
             )
         )
-
-
-def checked_size(path: Path) -> int:
-    """Return the size of a file in bytes after checking that it can be read.
-
-    Raises:
-        UnusableInputError: it is missing, not a file, empty or too large.
-    """
-    if path.is_dir():
-        raise UnusableInputError(Message("file.folder", "is a folder; name a file"))
-    if not path.exists():
-        raise UnusableInputError(Message("file.no_such", "no such file"))
-    if not path.is_file():
-        raise UnusableInputError(Message("file.not_plain", "is not an ordinary file"))
-    size = path.stat().st_size
-    if size == 0:
-        raise UnusableInputError(Message("file.empty", "is empty"))
-    if size > MAX_BYTES:
-        raise UnusableInputError(
-            Message("file.too_large", "has {size} bytes; at most {most} are read", size=size, most=MAX_BYTES)
-        )
-    return size
 
 
 def sha256_of(path: Path) -> str:

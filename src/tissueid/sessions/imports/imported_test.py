@@ -15,11 +15,11 @@ from numpy.typing import NDArray
 
 from tissueid.errors import UnusableInputError
 from tissueid.messages import Message, Verbatim
-from tissueid.sessions.hdf5_members import located
+from tissueid.sessions.file_policy import checked_size, located
 from tissueid.sessions.imports.column_mapping import Mapped, doubts, mapped, time_column
 from tissueid.sessions.imports.csv import open_csv
 from tissueid.sessions.imports.export_attributes import Attributes, attributes_beside
-from tissueid.sessions.imports.imported_table import MAP, RATE, ROWS, TIME, ImportedTable, Rows, checked_size, sha256_of
+from tissueid.sessions.imports.imported_table import MAP, RATE, ROWS, TIME, ImportedTable, Rows, sha256_of
 from tissueid.sessions.imports.lvm import FIRST_LINE, open_lvm
 from tissueid.sessions.imports.mat import HDF5_MARK, MARK, open_mat
 from tissueid.sessions.imports.sample_clock import Clock, clock_of, resampled, steady
