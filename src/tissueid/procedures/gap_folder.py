@@ -121,7 +121,7 @@ def _diagnosed(
     kept = _kept_answers(files, twin, of)
     done = CountedProgress(control, _DIAGNOSING, len(files))
     try:
-        with plan_executor(plan.workers, plan.scheduler) as pool:
+        with plan_executor(plan.workers, plan) as pool:
             work = functools.partial(_of_file, of, twin, kept)
             answers = pool.do(work, files, control.check, done)
     except (CancelledError, KeyboardInterrupt):

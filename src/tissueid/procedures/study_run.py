@@ -139,7 +139,7 @@ def run_study(plan: StudyPlan, control: Control) -> StudyRun:
     work = functools.partial(_analysed, plan, options, store, analysis)
     if new:
         done = CountedProgress(control, _ANALYSING, len(new))
-        with plan_executor(plan.workers, plan.scheduler) as pool:
+        with plan_executor(plan.workers, plan) as pool:
             items = [(name, keys[name]) for name in new]
             known |= dict(zip(new, pool.do(work, items, control.check, done), strict=True))
     failures = {name: reason for name in keys if (reason := known[name].get(_FAILED)) is not None}
