@@ -117,14 +117,14 @@ def json_text(value: Any) -> str:
 
 
 def write_text(target: Path, text: str) -> None:
-    """Write a text file atomically.
+    """Write a text file atomically; parts of names that are not UTF-8 become ``\\udce9``.
 
     Raises:
         UnusableInputError: the file cannot be written.
     """
     try:
         with atomic_file(target) as partial:
-            partial.write_text(text, encoding="utf-8")
+            partial.write_text(text, encoding="utf-8", errors="backslashreplace")
     except OSError as error:
         raise unwritable(target, error) from error
 
