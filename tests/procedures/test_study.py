@@ -2,6 +2,7 @@
 
 import csv
 import json
+import os
 import zipfile
 from dataclasses import replace
 
@@ -443,6 +444,20 @@ def test_other_folders_are_no_population(tmp_path):
         with pytest.raises(UnusableInputError, check=coded("study.folder_used")):
             run_population(PopulationPlan(out=tmp_path), Control())
         assert [path.name for path in tmp_path.iterdir()] == ["population.json"]
+
+
+@pytest.mark.skipif(not hasattr(os, "mkfifo"), reason="needs pipes with names")
+def test_marks_of_an_earlier_run_that_never_end_are_not_read(tmp_path, capsys):
+    for command, name in (("study demo", "population.json"), ("demo", "results.json"), ("reproduce", "results.json")):
+        folder = tmp_path / command
+        folder.mkdir()
+        os.mkfifo(folder / name)
+        assert main([*command.split(), "--out", str(folder)]) == 2
+        assert len(capsys.readouterr().err.splitlines()) == 1
+        (folder / name).unlink()
+        (folder / name).write_text("[" * 100_000)
+        assert main([*command.split(), "--out", str(folder)]) == 2
+        assert len(capsys.readouterr().err.splitlines()) == 1
 
 
 def test_an_interrupted_series_leaves_no_session(tmp_path, monkeypatch):
