@@ -2,8 +2,11 @@
 
 from __future__ import annotations
 
+import csv
+import io
 import math
 import re
+from collections.abc import Iterable
 from datetime import datetime
 from typing import TYPE_CHECKING, Any
 
@@ -23,6 +26,8 @@ _MOST_ITEMS = 12
 _LONGEST_TEXT = 1000
 _LONGEST_LABEL = 40
 _DEEPEST = 4
+_FORMULA = re.compile(r"[=+\-@\t\r](?![\d.]+(e[+-]?\d+)?$)", re.IGNORECASE)
+"""Beginning of a text that a spreadsheet takes for a formula; a signed number is none."""
 _DIGEST = re.compile(r"[0-9a-f]{40,128}")
 _DIGITS = 16
 """Digits of a hash that are shown."""
@@ -235,6 +240,24 @@ def clean(text: str) -> str:
     if text.isprintable():
         return text
     return "".join(c if c.isprintable() else " " if c.isspace() else "\ufffd" for c in text)
+
+
+def cell_text(text: str) -> str:
+    """Return a text for a cell of a CSV file: an apostrophe before what a spreadsheet would take for a formula."""
+    return f"'{text}" if _FORMULA.match(text) else text
+
+
+def text_of_cell(cell: str) -> str:
+    """Return the text that ``cell_text`` made the cell from."""
+    return cell[1:] if cell.startswith("'") and _FORMULA.match(cell, 1) else cell
+
+
+def csv_text(rows: Iterable[Iterable[object]]) -> str:
+    """Return rows as CSV; no text is a formula for a spreadsheet, and None is an empty cell."""
+    text = io.StringIO(newline="")
+    writer = csv.writer(text, lineterminator="\n")
+    writer.writerows([cell_text(cell) if isinstance(cell, str) else cell for cell in row] for row in rows)
+    return text.getvalue()
 
 
 def _and_more(items: dict[Any, Any] | list[Any] | tuple[Any, ...]) -> str:

@@ -138,9 +138,7 @@ def test_edges_of_the_band(qtbot, typed, value):
     assert form.low.hint.isHidden()
 
 
-@pytest.mark.parametrize(
-    ("typed", "value"), [("7", 7), ("1,5", 3), ("1.5", 3), ("1e1", 3), ("12", 3), ("", 3)]
-)
+@pytest.mark.parametrize(("typed", "value"), [("7", 7), ("1,5", 3), ("1.5", 3), ("1e1", 3), ("12", 3), ("", 3)])
 def test_whole_numbers(qtbot, typed, value):
     field = WholeNumberField()
     qtbot.addWidget(field)

@@ -70,7 +70,9 @@ def answers_to_arm(**changed):
 
     codes = np.full(1500, -7.6 * 4.0 / 60.0 * 32768, "<i2").tobytes()
     ask(MessageType.HELLO, wire.pack(wire.HELLO, protocol_min=1, protocol_max=1, host=b"test"))
-    ask(MessageType.STIMULUS_BEGIN, wire.pack(wire.STIMULUS_BEGIN, stimulus_id=1, samples=1500, crc32=zlib.crc32(codes)))
+    ask(
+        MessageType.STIMULUS_BEGIN, wire.pack(wire.STIMULUS_BEGIN, stimulus_id=1, samples=1500, crc32=zlib.crc32(codes))
+    )
     for at in range(0, 1500, 500):
         chunk = wire.pack(wire.STIMULUS_CHUNK, stimulus_id=1, offset=at) + codes[2 * at : 2 * at + 1000]
         assert ask(MessageType.STIMULUS_CHUNK, chunk) == Result.OK

@@ -177,7 +177,7 @@ class PlotCanvas(QFrame):
         form = path.suffix.lower().removeprefix(".")
         with atomic_file(path) as partial:
             if form == "csv":
-                partial.write_text(as_csv(self.plots), encoding="utf-8")
+                partial.write_text(as_csv(self.plots), encoding="utf-8", errors="backslashreplace")
             else:
                 from tissueid.reports.plot_renderer import draw_grid, draw_relief
                 from tissueid.reports.style import drawing, new_figure, plain_image

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 import time
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import asdict, replace
@@ -14,7 +13,7 @@ from tissueid.errors import CancelledError, TissueIDError, UnusableInputError
 from tissueid.language import marked
 from tissueid.messages import Message, Verbatim
 from tissueid.procedures.control import Control
-from tissueid.procedures.output_files import json_text, unwritable, write_text
+from tissueid.procedures.output_files import json_text, stored_values, unwritable, write_text
 from tissueid.procedures.overlay import named_fits, sweep_columns
 from tissueid.procedures.plan_options import Option, Plan
 
@@ -169,11 +168,7 @@ def _check_folder(out: Path) -> None:
         raise unwritable(out, error) from error
     if not any((out / name).exists() for name in (_RESULTS, _PAGE)):
         return
-    try:
-        made_by = json.loads((out / _RESULTS).read_text(encoding="utf-8")).get("made_by")
-    except (OSError, ValueError, AttributeError):
-        made_by = None
-    if made_by != _MADE_BY:
+    if stored_values(out / _RESULTS).get("made_by") != _MADE_BY:
         raise UnusableInputError(
             Message(
                 "reproduce.other_results",

@@ -2,11 +2,10 @@
 
 from __future__ import annotations
 
-import contextlib
 import functools
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Annotated, Any
+from typing import Annotated
 
 from pydantic import Field
 
@@ -18,7 +17,7 @@ from tissueid.instrument import Instrument, SimulatedInstrument
 from tissueid.language import marked
 from tissueid.messages import Message
 from tissueid.procedures.control import Control, CountedProgress
-from tissueid.procedures.output_files import json_text, write_text
+from tissueid.procedures.output_files import json_text, stored_values, write_text
 from tissueid.procedures.plan_options import Option, Plan
 from tissueid.procedures.simulated_population import (
     LOTION_MINUTES,
@@ -36,13 +35,11 @@ from tissueid.procedures.study_report import StudyReport, report_study
 from tissueid.procedures.test_plan import TestPlan
 from tissueid.procedures.test_run import TestControl, run_test
 from tissueid.sessions.file_policy import journal_path
-from tissueid.untrusted_input import json_value
 
 _MEASURING = marked("Measuring the simulated population")
 _MARK, _MADE_BY = "population.json", "tissueid study demo"
 _OPTIONS = ("subjects", "repeats", "seconds", "seed", "products")
 """Options on which the sessions depend."""
-_LONGEST_MARK = 10_000
 MARGIN = 0.1
 """Relative margin of equivalence of the lotions, chosen."""
 
@@ -169,10 +166,8 @@ def _take_folder(plan: PopulationPlan) -> None:
     """
     mark = {"made_by": _MADE_BY, "options": plan.model_dump(mode="json", include=set(_OPTIONS))}
     if plan.out.exists() and (not plan.out.is_dir() or any(plan.out.iterdir())):
-        found: Any = None
-        with contextlib.suppress(OSError, ValueError):
-            found = json_value((plan.out / _MARK).read_text(encoding="utf-8")[:_LONGEST_MARK])
-        if not isinstance(found, dict) or found.get("made_by") != _MADE_BY:
+        found = stored_values(plan.out / _MARK)
+        if found.get("made_by") != _MADE_BY:
             raise UnusableInputError(
                 Message(
                     "study.folder_used",

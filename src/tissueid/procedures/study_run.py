@@ -11,18 +11,20 @@ import contextlib
 import csv
 import functools
 import hashlib
-import io
 import itertools
 import json
 from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Annotated, Any
+
+from pydantic import BaseModel, ConfigDict, Field
 
 from tissueid import __version__
 from tissueid.atomic_write import private_folder
 from tissueid.errors import TissueIDError, UnusableInputError
 from tissueid.extras import check_packages
+from tissueid.formatting import csv_text, text_of_cell
 from tissueid.language import marked
 from tissueid.messages import Message, Verbatim
 from tissueid.procedures.cluster import plan_executor
@@ -51,6 +53,39 @@ _FAILED, _CURVES, _DETAILS = "failed", "curves", "details"
 _FORMAT = 5
 """Format of stored rows: those of another one are computed again."""
 _MOST_FAILURES, _LONGEST_REASON = 100_000, 1000
+
+
+_Count = Annotated[int, Field(ge=0, lt=2**31)]
+
+
+class _StoredRow(BaseModel):
+    """Row of one test: the columns by which a study sorts and counts; ``study_table`` makes the others uniform."""
+
+    model_config = ConfigDict(strict=True, extra="allow")
+    __pydantic_extra__: dict[str, str | bool | float | None] = Field(init=False)
+    session_id: str
+    created: str
+    test: _Count
+    subject: str
+    site: str
+    condition: str
+    configuration: str
+    orientation_deg: str | float | None
+    simulated: bool
+    status: str
+    quality: str
+    findings: str
+    engine: str
+
+
+class _StoredResult(BaseModel):
+    """Content of the file of one session: rows, details of the fits and curves of its tests, or why it has none."""
+
+    model_config = ConfigDict(strict=True)
+    rows: list[_StoredRow] = []
+    details: list[dict[str, float]] = []
+    failed: str | None = None
+    curves: list[tuple[_Count, list[Any]]] = []
 
 
 @dataclass(frozen=True)
@@ -142,7 +177,7 @@ def _analyse(
     if new:
         work = functools.partial(_analysed, plan, options, store, analysis)
         done = CountedProgress(control, _ANALYSING, len(new))
-        with plan_executor(plan.workers, plan.scheduler) as pool:
+        with plan_executor(plan.workers, plan) as pool:
             items = [(name, keys[name]) for name in new]
             known |= dict(zip(new, pool.do(work, items, control.check, done), strict=True))
     return known, len(new)
@@ -156,23 +191,22 @@ def read_failures(path: Path, keys: Mapping[str, str]) -> dict[str, str]:
         keys: key of each session by its name.
     """
     try:
+        if not path.is_file():
+            return {}
         with path.open(encoding="utf-8", newline="") as file:
             lines = list(itertools.islice(csv.DictReader(file), _MOST_FAILURES))
     except (OSError, ValueError, csv.Error):
         return {}
     return {
-        name: (line.get("reason") or "")[:_LONGEST_REASON]
+        name: text_of_cell(line.get("reason") or "")[:_LONGEST_REASON]
         for line in lines
-        if (name := line.get("session") or "") in keys and keys[name] == line.get("key")
+        if (name := text_of_cell(line.get("session") or "")) in keys and keys[name] == line.get("key")
     }
 
 
 def _write_failures(path: Path, failures: Mapping[str, str], keys: Mapping[str, str]) -> None:
-    text = io.StringIO(newline="")
-    writer = csv.writer(text, lineterminator="\n")
-    writer.writerow(("session", "reason", "key"))
-    writer.writerows((name, " ".join(reason.split()), keys[name]) for name, reason in failures.items())
-    write_text(path, text.getvalue())
+    lines = ((name, " ".join(reason.split()), keys[name]) for name, reason in failures.items())
+    write_text(path, csv_text([("session", "reason", "key"), *lines]))
 
 
 def _analysis(plan: StudyPlan, options: Mapping[str, Any]) -> str:
@@ -188,19 +222,21 @@ def _store(plan: StudyPlan) -> SessionStore:
 
 
 def _decoded(content: bytes | None) -> dict[str, Any] | None:
+    # None for a damaged file, which is computed again.
     from tissueid.analysis.curves.samples import from_json
 
     if content is None:
         return None
     try:
-        found = json.loads(content)
-        if not isinstance(found, dict) or not ("rows" in found or _FAILED in found):
-            return None
+        stored = _StoredResult.model_validate_json(content)
         # As arrays at once: the texts of thousands of sessions do not fit in memory as lists.
-        found[_CURVES] = [(int(test), from_json(stored)) for test, stored in found.get(_CURVES, ())]
-    except (ValueError, TypeError):  # a damaged file is computed again
+        curves = [(test, from_json(curve)) for test, curve in stored.curves]
+    except (ValueError, TypeError, OverflowError):
         return None
-    return found
+    if stored.failed is not None:
+        return {_FAILED: stored.failed}
+    rows = [row.model_dump() for row in stored.rows]
+    return {"rows": rows, _DETAILS: stored.details, _CURVES: curves} if rows else None
 
 
 def _analysed(
@@ -228,7 +264,7 @@ def _analysed(
         found = {_FAILED: str(error).removeprefix(place).lstrip(" :")}  # the name of the file is stated with it
     if not found.get("rows") and _FAILED not in found:
         found[_FAILED] = "no test could be analysed"
-    with contextlib.suppress(OSError):
+    with contextlib.suppress(OSError, UnusableInputError):
         stored = [(test, curve.as_json()) for test, curve in found.get(_CURVES, ())]
         store.write_result(analysis, key, json.dumps(found | {_CURVES: stored}).encode())
     return found
@@ -244,6 +280,7 @@ def _row(
     from tissueid.analysis.split import split
     from tissueid.identification import get_engine
     from tissueid.identification.base import NEGATIVE_MASS, PREDICTS_NOTHING
+    from tissueid.studies.study_table import DESCRIPTION, KEYS, STD_SUFFIX
 
     quality = judge(test, session.instrument)
     row: dict[str, Any] = {
@@ -264,7 +301,9 @@ def _row(
         "findings": ", ".join(one.code for one in quality.findings if one.severity == quality.verdict),
         "engine": plan.engine,
     }
-    row |= session.subject.demographics
+    own = (*KEYS, *DESCRIPTION)
+    demographics = session.subject.demographics.items()
+    row |= {name: value for name, value in demographics if name not in own and not name.endswith(STD_SUFFIX)}
     try:
         parts = split(session, test=test.number)
         fit = fit_split if plan.held_out else fit_whole

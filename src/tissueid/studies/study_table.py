@@ -11,7 +11,7 @@ import pandas as pd
 
 from tissueid.atomic_write import atomic_file
 from tissueid.errors import UnusableInputError
-from tissueid.formatting import label_and_unit
+from tissueid.formatting import cell_text, clean, label_and_unit
 from tissueid.language import marked
 from tissueid.messages import Listing, Message, Verbatim
 
@@ -66,6 +66,11 @@ NO_CONDITION = marked("without")
 """Name of the condition of tests without a product."""
 AGE_LIMIT_YEARS = 25.0
 """Limit of the two groups of age in thesis 7.1.2."""
+_NUMBERS = ("minutes_since_application", "orientation_deg", *DEMOGRAPHICS[:5])
+_TEXTS = ("coupling", *DEMOGRAPHICS[5:])
+"""Columns whose values a session or a file of subjects may give as text or as number, and which they are."""
+_LARGEST = 1e60
+"""Numbers from here on count as missing, so that their fourth powers are finite."""
 _LARGEST_SUBJECTS = 10_000_000
 _MOST_COLUMNS = 100
 
@@ -83,6 +88,7 @@ def study_table(rows: Iterable[Mapping[str, Any]], subjects: pd.DataFrame | None
     table = pd.DataFrame(list(rows))
     if table.empty:
         return pd.DataFrame(columns=[*KEYS, *DESCRIPTION])
+    table = _uniform(table)
     table = table.sort_values(["created", "session", "test"], kind="stable").reset_index(drop=True)
     same = ["subject", "site", "condition", "configuration", "orientation_deg", "engine"]
     order = table[counting(table)].groupby(same, dropna=False).cumcount() + 1
@@ -91,6 +97,7 @@ def study_table(rows: Iterable[Mapping[str, Any]], subjects: pd.DataFrame | None
         table = _with_subjects(table, subjects)
     if {"weight_kg", "height_m"} <= set(table.columns):
         weight, height = (pd.to_numeric(table[name], errors="coerce") for name in ("weight_kg", "height_m"))
+        height = height.where(height > 0.0)
         table["bmi_kg_per_m2"] = weight / height**2
         table["weight_per_height_kg_per_m"] = weight / height
     if "age_years" in table:
@@ -175,7 +182,9 @@ def write_table(table: pd.DataFrame, path: Path) -> None:
         if path.suffix == ".parquet":
             table.to_parquet(partial, index=False)
         else:
-            table.to_csv(partial, index=False)
+            texts = table.select_dtypes(["object", "string"]).columns
+            safe = table.assign(**{name: table[name].map(cell_text, na_action="ignore") for name in texts})
+            safe.rename(columns=cell_text).to_csv(partial, index=False)
 
 
 def as_json_rows(table: pd.DataFrame) -> list[dict[str, Any]]:
@@ -183,6 +192,31 @@ def as_json_rows(table: pd.DataFrame) -> list[dict[str, Any]]:
     return list(json.loads(table.to_json(orient="records", double_precision=15)))
 
 
+def _uniform(table: pd.DataFrame) -> pd.DataFrame:
+    """Return a table whose columns are all texts or all numbers, whatever a session or a file of subjects holds.
+
+    Numbers that are not finite, or too large to be squared, become missing.
+    """
+    for name in table:
+        column = table[name]
+        if name in _NUMBERS or str(name).endswith(STD_SUFFIX) or f"{name}{STD_SUFFIX}" in table:
+            column = pd.to_numeric(column, errors="coerce")
+        elif name in _TEXTS or column.map(lambda value: isinstance(value, str)).any():
+            column = column.map(str, na_action="ignore").astype(object)
+        if pd.api.types.is_float_dtype(column):
+            column = column.where(column.abs() < _LARGEST)
+        table[name] = column
+    return table
+
+
 def _with_subjects(table: pd.DataFrame, subjects: pd.DataFrame) -> pd.DataFrame:
-    given: Sequence[str] = [name for name in subjects if name != "subject"]
+    given: Sequence[str] = [str(name) for name in subjects if name != "subject"]
+    taken = [name for name in given if name in (*KEYS, *DESCRIPTION) or name.endswith(STD_SUFFIX)]
+    if taken := taken + [name for name in given if f"{name}{STD_SUFFIX}" in table]:
+        raise UnusableInputError(
+            "study.subjects_taken",
+            "the file of subjects has a column '{name}', which is a column of the table of a study: rename it",
+            name=Verbatim(clean(taken[0])[:60]),
+        )
+    subjects = _uniform(subjects.copy())
     return table.drop(columns=[name for name in given if name in table]).merge(subjects, on="subject", how="left")

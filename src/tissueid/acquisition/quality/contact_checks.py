@@ -130,7 +130,8 @@ def baseline_shift(prepared: PreparedTest) -> tuple[float, float, bool] | None:
     """Return the shift of the position, m, its time, s from the start, and whether it was sudden; None without a shift.
 
     Block means of the position (50 ms, longer in tests of over 100 s) are regressed on those of the powers of the force
-    (static curve; of pushing and pulling separately, where a test does both) and on the logarithm of time (creep). A significant step or ramp in the residual is the shift.
+    (static curve; of pushing and pulling separately, where a test does both) and on the logarithm of time (creep). A
+    significant step or ramp in the residual is the shift.
     """
     samples = prepared.test.samples - prepared.first
     length = max(1, round(_BLOCK_S * prepared.rate), math.ceil(samples / _MAX_BLOCKS))

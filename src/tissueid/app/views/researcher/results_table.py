@@ -339,11 +339,9 @@ def _plain_row(outcome: EngineOutcome, names: Sequence[str]) -> list[str]:
     first, report = outcome.tests[0], outcome.report
     numbers = " ".join(str(test.number) for test in outcome.tests)
     row = [outcome.engine, outcome.test_label, first.pseudonym, first.site, str(first.path), numbers]
-    row = [
-        _harmless(text) for text in [*row, *outcome.signals, plain_text(outcome.options | outcome.preparation.changed)]
-    ]
+    row = [clean(text) for text in [*row, *outcome.signals, plain_text(outcome.options | outcome.preparation.changed)]]
     if report is None:
-        return row + [""] * (5 + 2 * len(names)) + [_harmless(outcome.refused)]
+        return row + [""] * (5 + 2 * len(names)) + [clean(outcome.refused)]
     row += [_bare(report.vaf_percent), _bare(report.vaf_validation_percent), outcome.validated_on]
     row += [_bare(report.aicc), _bare(report.seconds)]
     for name in names:
@@ -354,9 +352,3 @@ def _plain_row(outcome: EngineOutcome, names: Sequence[str]) -> list[str]:
 
 def _bare(value: float | None) -> str:
     return "" if value is None else f"{value:.10g}"
-
-
-def _harmless(text: str) -> str:
-    """Return text that a spreadsheet does not take for a formula."""
-    text = clean(text)
-    return f"'{text}" if text[:1] in ("=", "+", "-", "@") else text

@@ -75,7 +75,7 @@ class FiguresTab(QWidget):
         from tissueid.reports.study import simulated_line, study_plots
 
         title = self.kind.currentText()
-        self.figures = [(heading, plots) for _key, heading, plots in study_plots(found) if plots]
+        self.figures = [(heading, plots) for _key, heading, plots in study_plots(found)]
         self.kind.blockSignals(True)
         self.kind.clear()
         for heading, _plots in self.figures:

@@ -10,7 +10,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from tissueid.errors import UnusableInputError
-from tissueid.formatting import clean
+from tissueid.formatting import clean, text_of_cell
 from tissueid.language import marked
 from tissueid.messages import Message, Verbatim
 from tissueid.procedures.session_store import FolderStore
@@ -95,11 +95,9 @@ def load_study(folder: Path) -> StudyData:
     """
     from tissueid.procedures.study_run import read_failures
 
-    if not folder.is_dir():
-        raise UnusableInputError(Message("study.no_folder", "{folder} is not a folder", folder=str(folder)))
     results = folder / RESULTS
-    rows, parameters = _read_table(results / TABLE)
     files = FolderStore(folder).sessions()
+    rows, parameters = _read_table(results / TABLE)
     listed = {row.session for row in rows}
     reasons = read_failures(results / NOT_ANALYSED_FILE, files)
     missing = [_without_test(file, reasons.get(file, NOT_ANALYSED)) for file in sorted(set(files) - listed)]
@@ -215,7 +213,7 @@ class _Reader:
 
     def _text(self, cells: Sequence[str], name: str) -> str:
         place = self._at.get(name)
-        return "" if place is None else clean(cells[place])[:_LONGEST]
+        return "" if place is None else clean(text_of_cell(cells[place]))[:_LONGEST]
 
 
 def _without_test(session: str, problem: str) -> TestRow:

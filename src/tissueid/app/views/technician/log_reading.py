@@ -13,7 +13,7 @@ from tissueid.atomic_write import atomic_file
 from tissueid.audit import Line
 from tissueid.audit.line import MAX_LINE, fields_of, read_line
 from tissueid.errors import UnusableInputError
-from tissueid.formatting import clean, grouped, plain_text
+from tissueid.formatting import cell_text, clean, grouped, plain_text
 from tissueid.language import _
 from tissueid.messages import Message, translated
 
@@ -21,7 +21,6 @@ MOST_BYTES = 96 * 1024 * 1024
 MOST_LINES = 200_000
 _LOOK = 500
 _LONGEST = 600
-_FORMULA = ("=", "+", "-", "@", "\t", "\r")
 COLUMNS = ("number", "time", "role", "who", "what", "subject", "old", "new", "software", "previous", "hash")
 """Of the file for a spreadsheet."""
 
@@ -161,5 +160,4 @@ def write_csv(path: Path, log: Path, lines: Sequence[Line], cancelled: Callable[
 
 
 def _cell(value: Any) -> str:
-    text = "" if value is None else clean(value) if isinstance(value, str) else plain_text(value)
-    return f"'{text}" if text.startswith(_FORMULA) else text
+    return "" if value is None else cell_text(clean(value) if isinstance(value, str) else plain_text(value))
