@@ -2,8 +2,8 @@
 
 ``python -m benchmarks.planted_effects`` measures and analyses one population of 16 subjects for each seed and prints
 how often each effect has p < 0.05, next to comparisons with nothing put in. ``--json FILE`` keeps the rows; a run with
-the same file continues. Two tests at each site instead of five: the effects are tested on the means of the subjects, which
-depend little on the number of tests.
+the same file continues. Two tests at each site instead of five: the effects are tested on the means of the subjects,
+which depend little on the number of tests.
 """
 
 from __future__ import annotations
@@ -103,12 +103,13 @@ def summary(rows: Sequence[dict[str, Any]]) -> pd.DataFrame:
 def main(arguments: Sequence[str] | None = None) -> None:
     """Run the seeds and print the summary."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("--seeds", type=int, default=SEEDS)
+    parser.add_argument("--seeds", type=int, default=SEEDS, help="number of seeds")
+    parser.add_argument("--first", type=int, default=0, help="first seed")
     parser.add_argument("--json", type=Path, help="rows by seed; a run with the same file continues")
-    parser.add_argument("--workers", type=int)
+    parser.add_argument("--workers", type=int, default=1)
     options = parser.parse_args(arguments)
     rows = json.loads(options.json.read_text()) if options.json and options.json.exists() else []
-    for seed in range(options.seeds):
+    for seed in range(options.first, options.first + options.seeds):
         if seed in {row["seed"] for row in rows}:
             continue
         rows.append(study_of(seed, workers=options.workers))

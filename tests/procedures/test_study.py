@@ -302,6 +302,22 @@ def test_a_report_on_paper_of_a_study_without_a_parameter_that_counts(run, tmp_p
     assert (tmp_path / "report.pdf").read_bytes().startswith(b"%PDF")
 
 
+def test_a_subgroup_of_the_subjects_is_reported(folder, run, tmp_path):
+    plan = StudyReportPlan(folder=folder, engine="lms", workers=1, report=tmp_path / "a.html")
+    found = report_study(plan.model_copy(update={"only": ("gender=female", "age_years=20:22")}), Control())
+    assert set(found.run.table["subject"]) == {"P-1"}
+    assert found.statistics.as_answer()["subjects"] == 1
+    assert "age_years=20:22" in found.page.read_text(encoding="utf-8")
+    for condition, code in (
+        ("gender", "study.subgroup"),
+        ("shoe=38", "study.subgroup"),
+        ("gender=none", "study.empty_subgroup"),
+        ("age_years=90:99", "study.empty_subgroup"),
+    ):
+        with pytest.raises(UnusableInputError, check=coded(code)):
+            report_study(plan.model_copy(update={"only": (condition,)}), Control())
+
+
 def test_a_condition_is_compared_within_subjects(tmp_path):
     fill(tmp_path / "s")
     apply_lotion(tmp_path / "s", SUBJECTS)

@@ -64,6 +64,14 @@ class StudyReportPlan(StudyPlan):
         tuple[str, ...],
         Option("--regress", metavar="NAME", help="column with a value of subjects, such as age_years; may be repeated"),
     ] = ()
+    only: Annotated[
+        tuple[str, ...],
+        Option(
+            "--only",
+            metavar="NAME=VALUE",
+            help="only subjects with this value, such as gender=male or age_years=18:28; may be repeated",
+        ),
+    ] = ()
     before: Annotated[
         str,
         Option("--before", metavar="CONDITION", help="condition of the reference; default: without one"),

@@ -13,7 +13,7 @@ from tissueid.atomic_write import atomic_file
 from tissueid.errors import UnusableInputError
 from tissueid.formatting import cell_text, clean, label_and_unit
 from tissueid.language import marked
-from tissueid.messages import Listing, Message, Verbatim
+from tissueid.messages import MISSING, Listing, Message, Verbatim, joined
 
 KEYS = (
     "session",
@@ -73,6 +73,8 @@ _LARGEST = 1e60
 """Numbers from here on count as missing, so that their fourth powers are finite."""
 _LARGEST_SUBJECTS = 10_000_000
 _MOST_COLUMNS = 100
+_SHOWN = 60
+"""Characters of a condition, and number of values, that a message repeats."""
 
 
 def study_table(rows: Iterable[Mapping[str, Any]], subjects: pd.DataFrame | None = None) -> pd.DataFrame:
@@ -144,6 +146,43 @@ def subject_columns(table: pd.DataFrame) -> list[str]:
         for name in table
         if name not in others and not str(name).endswith(STD_SUFFIX) and table[name].notna().any()
     ]
+
+
+def subgroup(table: pd.DataFrame, conditions: Sequence[str]) -> pd.DataFrame:
+    """Return the tests of the subjects that meet all conditions; those of samples stay.
+
+    Args:
+        table: of the study.
+        conditions: ``NAME=VALUE`` or, for numbers, ``NAME=LOW:HIGH`` with both ends included.
+
+    Raises:
+        UnusableInputError: a condition is malformed, names no column with values of subjects, or leaves no subject.
+    """
+    for condition in conditions:
+        name, equals, value = condition.partition("=")
+        known = subject_columns(table)
+        if not equals or name not in known:
+            raise UnusableInputError(
+                "study.subgroup",
+                "{condition}: give NAME=VALUE or NAME=LOW:HIGH with one of {known}",
+                condition=Verbatim(clean(condition)[:_SHOWN]),
+                known=joined(map(Verbatim, known)) or MISSING,
+            )
+        try:
+            low, high = (float(edge) for edge in value.split(":")) if ":" in value else (float(value), float(value))
+            kept = pd.to_numeric(table[name], errors="coerce").between(low, high)
+        except ValueError:
+            kept = table[name].astype(str) == value
+        sample = table[MATERIAL].notna() if MATERIAL in table else kept & False
+        if not (kept & ~sample).any():
+            raise UnusableInputError(
+                "study.empty_subgroup",
+                "no subject has {condition}; values: {known}",
+                condition=Verbatim(clean(condition)[:_SHOWN]),
+                known=joined(Verbatim(clean(str(one))[:_SHOWN]) for one in sorted(set(table[name].dropna()))[:_SHOWN]),
+            )
+        table = table[kept | sample]
+    return table
 
 
 def read_subjects(path: Path) -> pd.DataFrame:
