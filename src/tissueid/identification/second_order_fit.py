@@ -284,8 +284,8 @@ def fit_second_order(
         warnings.append(
             Message(
                 "second_order.dead_time",
-                "the output is {milliseconds:.3g} ms ({samples:.2g} samples) late against the input, as by a filter or a "
-                "multiplexer in one channel: a dead time was fitted together with mass, damping and stiffness",
+                "the output is {milliseconds:.3g} ms ({samples:.2g} samples) late against the input, as by a filter or "
+                "a multiplexer in one channel: a dead time was fitted together with mass, damping and stiffness",
                 milliseconds=1e3 * dead_time.value,
                 samples=dead_time.value * rate,
             )
