@@ -53,6 +53,10 @@ _WORTH_DEAD_TIME = 0.1
 """Share of the squared error that a dead time must be able to remove, to first order, to be fitted."""
 _LEFT_BY_DEAD_TIME = 0.7
 """Largest share of the squared error that a dead time may leave: less can be the nonlinearity of tissue."""
+_RELEVANT_GAIN = 1e-4
+"""Least share of the output power that a dead time must explain."""
+_LEAST_DEAD_TIME = 0.1
+"""Shortest dead time, samples: less can be the integration of a simulated record."""
 _DEAD_TIMES = (0, 1, 2, 3, 4, 6, 8, 12, 16, 24, 32, 48, 64)
 """Dead times, samples, of the starting points."""
 _EXTENSION = 64
@@ -246,7 +250,10 @@ def fit_second_order(
         if other_sign == sign:
             starts.append([math.log(other.mass), math.log(other.damping), math.log(other.stiffness), float(shift)])
         with_dead_time = min((search(theta) for theta in starts), key=lambda one: one.point.cost)
-        if with_dead_time.point.cost < _LEFT_BY_DEAD_TIME * found.point.cost:
+        gained = found.point.cost - with_dead_time.point.cost
+        power = float(y @ y) if w is None else float((w * y) @ (w * y))
+        decisive = with_dead_time.point.cost < _LEFT_BY_DEAD_TIME * found.point.cost and gained > _RELEVANT_GAIN * power
+        if decisive and abs(with_dead_time.point.theta[3]) > _LEAST_DEAD_TIME:
             found = with_dead_time
     mass, damping, stiffness = np.exp(found.point.theta[:3])
     fitted = SecondOrder(mass=float(mass), damping=float(damping), stiffness=float(stiffness))
@@ -284,8 +291,8 @@ def fit_second_order(
         warnings.append(
             Message(
                 "second_order.dead_time",
-                "the output is {milliseconds:.3g} ms ({samples:.2g} samples) late against the input, as by a filter or a "
-                "multiplexer in one channel: a dead time was fitted together with mass, damping and stiffness",
+                "the output is {milliseconds:.3g} ms ({samples:.2g} samples) late against the input, as by a filter or "
+                "a multiplexer in one channel: a dead time was fitted together with mass, damping and stiffness",
                 milliseconds=1e3 * dead_time.value,
                 samples=dead_time.value * rate,
             )

@@ -90,7 +90,8 @@ def fit_contrast(tissue: SimulatedTissue, log_parameters: Array, used: Mask) -> 
             step = 0.5 * step
         if np.max(np.abs(step)) < _TOLERANCE or gained < _GAIN_TOLERANCE * bound:
             root = _contrast_root(tissue, logs, theta.size, slopes, measured - run)
-            return replace(contrast_of(theta), root=root)
+            misfit = float(np.std(measured - run) / np.std(measured))
+            return replace(contrast_of(theta), root=root, misfit=misfit)
     return None
 
 
@@ -130,10 +131,11 @@ _PROBE = 0.05
 _LEAST_GAIN = 0.15
 """Lower bound on the sensitivity of an estimate to the parameter, for the correction."""
 
-_CORRECTION_STD = 0.5
-"""Standard deviation of a correction, relative to it: the simulated tissue does not relax, lift off or recruit mass."""
-_MISFIT_STD = 0.3
-"""Relative standard deviation of the level of a parameter for the same reason, relative to the error of the kernels."""
+_MISFIT = 0.02
+"""Relative error of the simulated tissue, which does not relax or recruit mass, at which the error of that model equals
+that of sampling: 1.5 standard deviations on the simulated skin.
+"""
+_MOST_WIDENING = 2.0
 
 _LARGEST_CORRECTION = np.log(2.0)
 """Largest plausible correction of a logarithm; beyond it the simulated tissue does not resemble the record."""
@@ -271,17 +273,8 @@ class _Search:
         widened = (self.inverse @ across.reshape(self.inverse.shape[0], -1)).reshape(across.shape)
         found = lines.smooth(sought) + wanted - back
         root = root + np.einsum("kl,lim->kim", lines.basis, widened - across)
-        level = np.full_like(found, _MISFIT_STD * self._misfit)
-        doubts = [values[:, :, None] * np.eye(3) for values in (_CORRECTION_STD * (found - wanted), level)]
-        return replace(self.seen.local, log_parameters=found, root=np.concatenate([root, *doubts], axis=2))
-
-    @property
-    def _misfit(self) -> float:
-        """Error of the kernels relative to the output, both as standard deviations."""
-        modelled = self.seen.solved.modelled
-        known = np.isfinite(modelled)
-        output = self.estimator.prepared.record.output[known]
-        return float(np.std(output - modelled[known]) / np.std(output))
+        widening = min(float(np.hypot(1.0, contrast.misfit / _MISFIT)), _MOST_WIDENING)
+        return replace(self.seen.local, log_parameters=found, root=widening * root)
 
     def _re_estimated(self, values: Array, contrast: Contrast) -> Array | None:
         """Return the estimates for a tissue with these logarithms (K, 3); None if they are not available."""

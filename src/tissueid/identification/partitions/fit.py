@@ -40,6 +40,8 @@ _OFFSETS = (marked("auto"), marked("common"), marked("mean"), marked("partition"
 
 _MOST_COEFFICIENTS = 2000
 """Largest number of coefficients of all kernels on an automatic grid."""
+_FEWEST_LAGS = 41
+"""Number of lags of a kernel up to which they are not limited."""
 
 _ROUNDS = 3
 """Number of times that the fitted samples are assigned to partitions by the model's own output."""
@@ -118,7 +120,7 @@ def _grid(engine: PartitionEngine, first: Prepared) -> tuple[LagGrid, tuple[str,
         return lag_grid(engine.memory_s, rate, engine.downsample), ()
     kernels = engine.partitions * (2 if engine.directional else 1)
     grid = automatic_grid(engine.memory_s, first.record.input[first.part] - first.input_mean, rate)
-    return shortened(grid, max(1, _MOST_COEFFICIENTS // kernels), rate)
+    return shortened(grid, max(_FEWEST_LAGS, _MOST_COEFFICIENTS // kernels), rate)
 
 
 def _part_mask(prepared: Prepared) -> Mask:
@@ -249,8 +251,8 @@ def _local(
         linear=linear,
     )
     if engine.correct:
-        found = estimator.corrected()
-        return found if engine.directional else replace(found, contrast=None)
+        estimates = estimator.corrected()
+        return estimates if engine.directional else replace(estimates, contrast=None)
     return estimator.estimate(record.output)
 
 

@@ -33,13 +33,15 @@ class Contrast:
     ``share`` (K, 2) holds those of damping and stiffness at each cell, linear in depth; ``root`` (K, 2, m) is a square
     root of their covariance. ``level_n`` is half the difference of the force at the middle of the cells, N: a dry
     friction and the difference that stiffness has accumulated up to there. ``log_width`` is the logarithm of the
-    width of the transition between the directions, relative to the assumed one.
+    width of the transition between the directions, relative to the assumed one. ``misfit`` is the error of the
+    simulated tissue relative to the output, both as standard deviations.
     """
 
     share: Array
     root: Array
     level_n: float = 0.0
     log_width: float = 0.0
+    misfit: float = 0.0
 
     @classmethod
     def none(cls, count: int) -> Contrast:
