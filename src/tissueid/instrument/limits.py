@@ -158,7 +158,6 @@ def check_limits(
             )
         )
 
-
     if readable is None:
         return
     lowest_m, highest_m = readable["position"]

@@ -106,7 +106,9 @@ def _not_finite(device: DeviceUnderTest) -> None:
     device.require_state(State.LOADED)
 
 
-@clause("5.3b", marked("Limits above those of the device, that contradict each other, or below any reading are refused"))
+@clause(
+    "5.3b", marked("Limits above those of the device, that contradict each other, or below any reading are refused")
+)
 def _beyond(device: DeviceUnderTest) -> None:
     device.load(_quiet(device, 0.01))
     stroke = device.known.device.stroke_m
