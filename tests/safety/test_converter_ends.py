@@ -1,4 +1,4 @@
-"""Limits that equal the end of a converter: no reading lies beyond them, so the end itself counts; either side alone."""
+"""Limits that equal the end of a converter: no reading lies beyond them, so the end itself counts, on either side."""
 
 import itertools
 import zlib
@@ -70,9 +70,8 @@ def answers_to_arm(**changed):
 
     codes = np.full(1500, -7.6 * 4.0 / 60.0 * 32768, "<i2").tobytes()
     ask(MessageType.HELLO, wire.pack(wire.HELLO, protocol_min=1, protocol_max=1, host=b"test"))
-    ask(
-        MessageType.STIMULUS_BEGIN, wire.pack(wire.STIMULUS_BEGIN, stimulus_id=1, samples=1500, crc32=zlib.crc32(codes))
-    )
+    begin = wire.pack(wire.STIMULUS_BEGIN, stimulus_id=1, samples=1500, crc32=zlib.crc32(codes))
+    assert ask(MessageType.STIMULUS_BEGIN, begin) == Result.OK
     for at in range(0, 1500, 500):
         chunk = wire.pack(wire.STIMULUS_CHUNK, stimulus_id=1, offset=at) + codes[2 * at : 2 * at + 1000]
         assert ask(MessageType.STIMULUS_CHUNK, chunk) == Result.OK

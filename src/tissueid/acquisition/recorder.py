@@ -29,6 +29,7 @@ from tissueid.acquisition.journal import (
 )
 from tissueid.acquisition.quality import QualityGate
 from tissueid.acquisition.recovery import write_journal_session
+from tissueid.atomic_write import check_creatable
 from tissueid.audit import AuditTrail
 from tissueid.device import DeviceDescription
 from tissueid.errors import (
@@ -120,6 +121,7 @@ class SessionRecorder:
         self._run_samples = 0
         self._turn = threading.Lock()
         self._check_disk_space(0)
+        self._explain_disk_failure(lambda: check_creatable(path))
         waiting = round(MAX_UNWRITTEN_S * device.sample_rate_hz * SAMPLE.itemsize)
         self._journal = Journal(journal_path(path), sync_s=sync_s, max_waiting=waiting)
         who = subject or Subject()

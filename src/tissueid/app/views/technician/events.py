@@ -119,7 +119,7 @@ def read_events(files: list[Path], log: LogPage, cancelled: Callable[[], object]
     for number, line in enumerate(log.lines):
         if number % 1000 == 0:
             cancelled()
-        if line.what == "session.broken_off" and line.subject in reported or number in in_calibrations:
+        if number in in_calibrations or (line.what == "session.broken_off" and line.subject in reported):
             continue  # its test, or its calibration, says so, and whether it was a person
         if (event := _of_line(line, names)) is not None:
             subject = _short(line.subject)
