@@ -14,7 +14,8 @@ import h5py
 import numpy as np
 
 from tissueid.errors import SessionFormatError
-from tissueid.messages import Message
+from tissueid.language import marked
+from tissueid.messages import Action, Message
 from tissueid.sessions.file_policy import check_session_file, damaged, located, missing, unreadable
 from tissueid.untrusted_input import MAX_CHUNK_BYTES, MAX_HEAP_BYTES, MAX_MEMBERS, MAX_TEXT, json_value, storable_text
 
@@ -128,8 +129,9 @@ def unavailable(error: Exception) -> Message | None:
     if "already open for write" in str(error):  # a mark in the file, which a program that was ended leaves there
         return Message(
             "session.left_open",
-            "is open for writing in another program, or that program was ended: close it there, or remove its mark "
-            "with h5clear --status",
+            "is open for writing in another program, or that program was ended: close it there, or remove the mark "
+            "with {action}",
+            action=Action("session.clear_mark", "h5clear --status FILE", marked("the HDF5 tools")),
         )
     return unreadable(error) if error.errno in _UNAVAILABLE else None
 

@@ -85,7 +85,8 @@ def _left_out(times: Array, kept: slice) -> list[Message]:
     return [
         Message(
             "import.odd_row",
-            "row {row} is left out: its time is {odd:.4g} s from the next row, where others are {usual:.4g} s apart",
+            "row {row} is left out: its time is {odd:.4g} s from the row beside it, where others are {usual:.4g} s "
+            "apart",
             row=int(np.arange(times.size)[end]),
             odd=float(steps[end]),
             usual=float(np.median(steps)),

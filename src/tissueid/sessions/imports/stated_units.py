@@ -10,7 +10,7 @@ import re
 from collections.abc import Iterator
 from fractions import Fraction
 from functools import cache, lru_cache
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 from tissueid.errors import UnusableInputError
 from tissueid.messages import Verbatim
@@ -253,19 +253,19 @@ def _temperature(name: str) -> Unit:
 
 
 @cache
-def _si_units() -> dict[frozenset[tuple[str, float]], tuple[str, float]]:
+def _si_units() -> dict[frozenset[tuple[str, Any]], tuple[str, float]]:
     """Return symbol and size of the SI unit of each quantity, by its root units."""
-    found: dict[frozenset[tuple[str, float]], tuple[str, float]] = {}
+    found: dict[frozenset[tuple[str, Any]], tuple[str, float]] = {}
     for symbol in _SI:
         size, root = _root(list(_factors(symbol)))
         found.setdefault(root, (_SYMBOLS.get(symbol, symbol), size))
     return found
 
 
-def _root(factors: list[tuple[str, int]]) -> tuple[float, frozenset[tuple[str, float]]]:
-    factor, unit = _registry().get_root_units(_product(factors))
-    size = float(factor)  # type: ignore[arg-type]  # never complex
-    return size, frozenset((str(name), float(power)) for name, power in unit._units.items())
+def _root(factors: list[tuple[str, int]]) -> tuple[float, frozenset[tuple[str, Any]]]:
+    size, unit = _registry().get_root_units(_product(factors))
+    assert isinstance(size, int | float)
+    return size, frozenset((str(name), power) for name, power in unit._units.items())
 
 
 def _factors(text: str) -> Iterator[tuple[str, int]]:

@@ -40,8 +40,7 @@ def read_titles(paths: Sequence[Path], cancelled: threading.Event) -> dict[Path,
 def title_of(entry: SessionEntry) -> str:
     """Return subject, site, date and test of a session; "" if the file has none of the first three."""
     sites = dict.fromkeys(clean(test.site).strip() for test in entry.tests)
-    subject, when = subject_text(entry.pseudonym), local_time(entry.when)
-    known = [subject, *(sites if any(sites) else [clean(entry.path.name)] if subject or when else ()), when]
+    known = [subject_text(entry.pseudonym), *sites, local_time(entry.when)]
     parts = [part[:_LONGEST] for part in known if part]
     return ", ".join([*parts, _tests(entry)]) if parts else ""
 

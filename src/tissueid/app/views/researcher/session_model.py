@@ -203,7 +203,7 @@ def _session_row(entry: SessionEntry) -> _Row:
     texts = [
         _date(entry.when),
         subject_text(entry.pseudonym),
-        _joined(test.site for test in entry.tests),
+        _joined(test.site for test in entry.tests) or name,
         _(_VERDICT_WORDS[verdict]),
         str(len(entry.tests)),
         _joined(_(test.kind) for test in entry.tests),
