@@ -18,7 +18,7 @@ from tissueid.analysis.split import split, split_records
 from tissueid.errors import UnusableInputError
 from tissueid.identification import engine_names, get_engine
 from tissueid.identification.base import NEGATIVE_MASS
-from tissueid.identification.ramp_stiffness import ramp_stiffness
+from tissueid.identification.ramp_stiffness import is_slow, ramp_stiffness
 from tissueid.identification.validation import validated
 from tissueid.identification.validation.scores import above_noise
 from tissueid.messages import code_of
@@ -255,6 +255,14 @@ def test_intervals_of_slopes_hold_for_coloured_noise(colour: float):
         found = ramp_stiffness(record_of(500.0 * x + noise, x))["loading_stiffness_n_per_m"]
         inside.append(abs(found.value - 500.0) < 1.96 * found.std)
     assert np.mean(inside) >= 0.85
+
+
+def test_noise_after_a_rest_is_not_slow():
+    rng = np.random.default_rng(7)
+    noise = signal.sosfilt(signal.butter(4, 200.0, fs=2000.0, output="sos"), rng.standard_normal(4000))
+    assert not is_slow(np.concatenate([np.zeros(1000), noise]))
+    assert is_slow(triangle(1000, 5))
+    assert is_slow(held(1).signals["force"])
 
 
 def test_noise_has_no_ramps():

@@ -20,10 +20,10 @@ _LEAST_HEIGHT = 0.5
 """Least height of a ramp relative to the range of the displacement."""
 _STEADY = 0.8
 """Least height of a ramp relative to the way of the moving mean along it: with less it is noise."""
-_FEWEST = 20
-"""Fewest samples in that part: with fewer it is a step."""
-_MOST_RAMPS = 40
-"""Most ramps of a record: with more it is an oscillation or noise."""
+_FEWEST, _LEAST_LENGTH = 20, 0.01
+"""Fewest samples in that part, and its least length relative to the record: a shorter one is a step, or noise."""
+_MOST_TURNS = 24
+"""Most ends of ramps and steps of a slow input."""
 _SMOOTHED = 200
 """Lengths of the moving mean that finds the ramps in a record."""
 _LOOKED_AT = 4000
@@ -43,8 +43,9 @@ def ramp_stiffness(record: Record) -> dict[str, Estimate]:
     if known.size < _FEWEST:
         return {}
     x, force = record.output[known], record.input[known]
-    smooth = ndimage.uniform_filter1d(x, max(1, known.size // _SMOOTHED), mode="nearest")
+    smooth = _smooth(x)
     turns = _turning_points(smooth, _LEAST_HEIGHT * float(np.ptp(smooth)))
+    fewest = max(_FEWEST, round(_LEAST_LENGTH * known.size))
     ramps: dict[float, list[np.ndarray]] = {1.0: [], -1.0: []}
     for first, last in pairwise(turns):
         height = smooth[last] - smooth[first]
@@ -52,11 +53,21 @@ def ramp_stiffness(record: Record) -> dict[str, Estimate]:
             continue
         share = (smooth[first : last + 1] - smooth[first]) / height
         inside = first + np.flatnonzero((share > _PART[0]) & (share < _PART[1]))
-        if inside.size >= _FEWEST:
+        if inside.size >= fewest:
             ramps[float(np.sign(height))].append(inside)
-    if not 0 < sum(map(len, ramps.values())) <= _MOST_RAMPS:
+    if len(turns) - 1 > 2 * sum(map(len, ramps.values())):  # most are steps, or noise
         return {}
     return {NAMES[way]: _slope(x, force, parts, record.sample_rate_hz) for way, parts in ramps.items() if parts}
+
+
+def is_slow(u: Array) -> bool:
+    """Return whether an input (n,) without NaN is made of a few ramps, steps and holds, and is not noise."""
+    smooth = _smooth(u)
+    return len(_turning_points(smooth, _LEAST_HEIGHT * float(np.ptp(smooth)))) <= _MOST_TURNS
+
+
+def _smooth(x: Array) -> Array:
+    return np.asarray(ndimage.uniform_filter1d(x, max(1, x.size // _SMOOTHED), mode="nearest"), dtype=np.float64)
 
 
 def _turning_points(x: Array, least: float) -> list[int]:

@@ -22,7 +22,7 @@ from tissueid.identification.correlation import Correlator, dependence_samples
 from tissueid.identification.levenberg_marquardt import Bounds, ErrorPoint, minimise
 from tissueid.identification.model_family import Family
 from tissueid.identification.preparation import complete_windows, finite_runs, prepare
-from tissueid.identification.ramp_stiffness import ramp_stiffness
+from tissueid.identification.ramp_stiffness import is_slow, ramp_stiffness
 from tissueid.identification.registry import engine
 from tissueid.identification.second_order import HOLD_DESCRIPTION, HOLD_TITLE, Hold
 from tissueid.identification.second_order_fit import InputRun, SecondOrderFit, fit_second_order, input_runs, sandwich
@@ -49,6 +49,8 @@ _BLOCKS = 8
 """Stretches of a ramp and hold over which coloured residuals are taken as correlated."""
 _FASTEST = 3.0
 """Decays of a free response per sample above which it is not fitted: it is gone after one sample."""
+_FEWEST_HELD = 8
+"""Fewest samples at the start of a record by which the input counts as held."""
 _HELD = 0.1
 """Largest standard deviation of an input that is held at the start, relative to that of the whole input."""
 _ITERATIONS = 60
@@ -105,18 +107,20 @@ class ViscoelasticModel(Model):
 
 def _held_start(u: Array, rate: float) -> float | None:
     """Return the mean of the first samples of an input (n,) if it is held there; None if it varies as later."""
-    first = u[: max(2, math.ceil(_LEAST_S * rate))]
+    first = u[: max(_FEWEST_HELD, math.ceil(_LEAST_S * rate))]
     return float(first.mean()) if np.std(first) < _HELD * np.std(u) else None
 
 
 def _held_runs(record: Record, used: Mask) -> list[InputRun]:
-    """Return the runs of a record whose tests all start at rest, from that input on and followed by as many zeros.
+    """Return the runs of slow tests that all start at rest, from that input on and followed by as many zeros.
 
-    Empty if one does not, or if samples of the input were lost.
+    Empty if one does not, if the input is noise, or if samples of it were lost.
     """
     whole = finite_runs(np.isfinite(record.input))
     starts = [_held_start(record.input[first:end], record.sample_rate_hz) for first, end in whole]
     if None in starts or len(whole) != 1 + len(record.joints):
+        return []
+    if not all(is_slow(record.input[first:end]) for first, end in whole):
         return []
     runs, _y = input_runs(record, used, 0.0, 0.0)
     found = []
