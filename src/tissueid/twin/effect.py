@@ -6,6 +6,7 @@ the group ``tissueid.effects`` to another package.
 
 from __future__ import annotations
 
+import re
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from enum import IntEnum, auto
@@ -234,6 +235,13 @@ class Effect:
     """Whether the simulated laboratory of the blind check has an independent effect of the same name."""
 
     def __post_init__(self) -> None:
+        texts = (self.name, self.title, self.equation, self.signature, self.source, self.remedy)
+        if not all(isinstance(text, str) for text in texts) or re.fullmatch(r"[a-z][a-z0-9_]{0,63}", self.name) is None:
+            raise ValueError(
+                f"effect {self.name!r}: its name needs small letters, digits and _, its other texts are texts"
+            )
+        if not all(isinstance(parameter, Parameter) for parameter in self.parameters):
+            raise ValueError(f"effect {self.name}: a parameter is of another class")
         if self.stage not in STAGES:
             raise ValueError(f"effect {self.name}: there is no stage {self.stage!r}")
         if self.hook is not None and len(self.parameters) > bus.MOST_PARAMETERS:
