@@ -80,7 +80,7 @@ def _by_button(pages: Pages, page: str, button: QAbstractButton, *, energises: b
             pages.show(page)
         _reveal(button)
         if energises:
-            button.setFocus()
+            button.setFocus(Qt.FocusReason.ShortcutFocusReason)
         else:
             button.click()
 

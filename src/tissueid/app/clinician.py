@@ -150,6 +150,7 @@ class Clinician(QObject):
         form = self._ui.form
         form.site.setCurrentText(site)
         form.site.setFocus()
+        form.go_on()
 
     def accept(self) -> None:
         """Accept the repeats so far as the result; the next test starts a new sitting."""

@@ -12,6 +12,7 @@ from typing import Any
 from PySide6.QtCore import Qt, Signal
 from PySide6.QtGui import QKeyEvent
 from PySide6.QtWidgets import (
+    QAbstractButton,
     QComboBox,
     QFileDialog,
     QGridLayout,
@@ -73,12 +74,11 @@ _MOST_SEED = 2**31 - 1
 
 
 class PlanForm(QWidget):
-    """The fields of a test plan; :meth:`plan` returns it. Return in one of them sends ``filled``.
+    """The fields of a test plan; :meth:`plan` returns it. Return in one of them goes to the next one.
 
     ``changed`` is sent whenever one of them has another value.
     """
 
-    filled = Signal()
     changed = Signal()
 
     def __init__(self, folder: Path, now: Callable[[], datetime], parent: QWidget | None = None) -> None:
@@ -276,11 +276,25 @@ class PlanForm(QWidget):
             fields[name](value)
 
     def keyPressEvent(self, event: QKeyEvent) -> None:  # noqa: N802
-        """Accept Return where a field does not use it, so that it does not start a test."""
+        """Go to the next field at Return, where a field does not use it."""
         if event.key() in (Qt.Key.Key_Return, Qt.Key.Key_Enter):
-            self.filled.emit()
+            self.go_on()
             return
         super().keyPressEvent(event)
+
+    def go_on(self) -> None:
+        """Set the focus to the next field of the form; the last one keeps it. Buttons are passed over."""
+        at = self.focusWidget()
+        after = None if at is None else at.nextInFocusChain()
+        while after is not None and after is not at:
+            tabbed = bool(after.focusPolicy() & Qt.FocusPolicy.TabFocus) and after.focusProxy() is None
+            if tabbed and after.isVisible() and after.isEnabled():
+                if not self.isAncestorOf(after):
+                    return
+                if not isinstance(after, QAbstractButton):
+                    after.setFocus(Qt.FocusReason.TabFocusReason)
+                    return
+            after = after.nextInFocusChain()
 
     def order_options(self) -> None:
         """Put the options of the stimulus into the order of the tab key, where they stand."""

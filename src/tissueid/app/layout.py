@@ -280,6 +280,11 @@ class Layout:
         return self.start, self.gate.run_again, self.gate.repeats.repeat, *self.calibration.begin.values()
 
     @property
+    def guarded(self) -> tuple[QAbstractButton, ...]:
+        """What energises a coil, or allows a button of the instrument to: a key that is typed must not press it."""
+        return *self.energising, self.calibration.done, self.guidance.lamp.watch, self.guidance.lamp.arm
+
+    @property
     def harmless(self) -> tuple[QAbstractButton, ...]:
         """The other buttons of that page that the command palette offers."""
         of_form = self.form.instrument.refresh, self.form.map

@@ -18,6 +18,7 @@ from tissueid.app.calibration_state import calibration_state
 from tissueid.app.clinician import Clinician
 from tissueid.app.command_palette import CommandPalette
 from tissueid.app.context import AppContext
+from tissueid.app.deliberate_press import DeliberatePress
 from tissueid.app.device_search import DeviceSearch
 from tissueid.app.emergency import BY_BUTTON, BY_CLOSING, BY_DEFECT, NO_ANSWER, EmergencyStop
 from tissueid.app.file_drops import RECORDS, FileDrops, dropped_paths
@@ -111,6 +112,7 @@ class MainWindow(QMainWindow):
         self.files = FileDrops(self.context, self.pages, lambda: ui.form.folder, self)
         self.setAcceptDrops(True)
         install_shortcuts(self._actions(), self)
+        DeliberatePress(ui.guarded, self)
         self.commands = CommandPalette(self._actions, self)
         self._connect()
         self._take_palette()
@@ -468,7 +470,6 @@ class MainWindow(QMainWindow):
         ui.role.changed.connect(self._change_role)
         ui.gate.again.connect(self.start_test)
         ui.gate.judge.connect(self._judge)
-        ui.form.filled.connect(ui.start.setFocus)
         ui.form.changed.connect(ui.notice.form_changed)
         ui.stop.clicked.connect(self._stop_by_button)
         ui.halt.clicked.connect(self._stop_by_button)
