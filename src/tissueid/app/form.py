@@ -80,6 +80,8 @@ class PlanForm(QWidget):
     """
 
     changed = Signal()
+    subject_chosen = Signal(str)
+    """Another pseudonym was typed in full, or filled in."""
 
     def __init__(self, folder: Path, now: Callable[[], datetime], parent: QWidget | None = None) -> None:
         super().__init__(parent)
@@ -182,6 +184,8 @@ class PlanForm(QWidget):
         for choice in (self.set_up.name, self.set_up.coupling, self.set_up.orientation):
             choice.currentIndexChanged.connect(self.changed)
         self.subject.textChanged.connect(self._look_at_subject)
+        self.subject.editingFinished.connect(self._choose_subject)
+        self._chosen_subject = ""
         self.limits.currentIndexChanged.connect(self._apply_limits)
         self.instrument.choice.currentTextChanged.connect(self._apply_limits)
         self.max_force.valueChanged.connect(self._take_own_force)
@@ -274,6 +278,7 @@ class PlanForm(QWidget):
         }
         for name, value in values.items():
             fields[name](value)
+        self._choose_subject()
 
     def keyPressEvent(self, event: QKeyEvent) -> None:  # noqa: N802
         """Go to the next field at Return, where a field does not use it."""
@@ -498,6 +503,11 @@ class PlanForm(QWidget):
         doubtful = reads_like_name(text)
         self.like_name.setVisible(doubtful)
         self.subject.setAccessibleDescription(_(_LIKE_NAME) if doubtful else "")
+
+    def _choose_subject(self) -> None:
+        if self._chosen_subject != (subject := self.subject.text().strip()):
+            self._chosen_subject = subject
+            self.subject_chosen.emit(subject)
 
     def _look_at_product(self) -> None:
         """Offer the minutes where there is a product."""

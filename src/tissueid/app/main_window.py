@@ -155,7 +155,7 @@ class MainWindow(QMainWindow):
         from tissueid.app.live_test import LiveTest
         from tissueid.procedures.test_run import run_test
 
-        if self.clinician.watcher.start_after() or self.busy:
+        if self.clinician.watcher.start_after() or self.busy or self.study.complete:
             return
         form = self.ui.form
         wrong: QWidget = form.site
@@ -172,13 +172,9 @@ class MainWindow(QMainWindow):
                 wrong.setFocus()
             return
         self._plan, self._live = plan, LiveSignals()
-        plan = self.clinician.planned(plan)
+        plan = self.clinician.planned(plan, self.study.wanted)
         stop = self.begin_energised(self._show_frame)
-        self.findings = None
-        self.reports.show_findings(None)
-        self.ui.pages.setTabVisible(1, False)
-        self.ui.gate.hide()
-        self.ui.guidance.show_idle()
+        self._clear_result()
         self.ui.guidance.say(_("Connecting to the instrument."))
         self.panels.log.note(
             _("A test begins: {site}, with {url}, to {path}.").format(site=plan.site, url=plan.url, path=plan.out)
@@ -288,13 +284,13 @@ class MainWindow(QMainWindow):
             self._show_gate(session.test())
             self._identify(outcome.path, session, None)
         else:
-            self.ui.guidance.show_idle()
+            self.show_idle()
 
     def _test_failed(self, words: str) -> None:
         self._end_frames()
         self.ui.signals.clear()
         self.ui.analysis.hide()
-        self.ui.guidance.show_idle()
+        self.show_idle()
         self.ui.notice.say(words, problem=True, page=MEASURE)
         if self._live.device is None:  # else it had answered, and something else kept the test from beginning
             self._doubt_instrument()
@@ -347,6 +343,25 @@ class MainWindow(QMainWindow):
         self.ui.pages.tabBar().setFocus()
         self.show_idle()
 
+    def _clear_result(self) -> None:
+        self.findings = None
+        self.reports.show_findings(None)
+        self.ui.pages.setTabVisible(1, False)
+        self.ui.gate.hide()
+        self.ui.form.show_other_test(False)
+        self.clinician.clear()
+        self.show_idle()
+
+    def _subject_begins(self, subject: str) -> None:
+        """Remove a result that is shown: it is of another subject than the next test."""
+        found = self.findings
+        if found is None or self.testing or subject in ("", found.session.subject.pseudonym):
+            return
+        self._clear_result()
+        self.ui.signals.clear()
+        self.ui.analysis.hide()
+        self._settle()
+
     def _judge(self) -> None:
         """Judge the tests of the shown session that the quality gate has not judged; the file is not changed."""
         if self.findings is None or self.busy:
@@ -362,7 +377,8 @@ class MainWindow(QMainWindow):
     def show_idle(self) -> None:
         """Show the name of the displayed test, or how to start one."""
         found = self.findings
-        self.ui.guidance.show_idle("" if found is None else f"{whose(found)}  ·  {found.path.name}")
+        shown = "" if found is None else f"{whose(found)}  ·  {found.path.name}"
+        self.ui.guidance.show_idle(self.study.instruction or shown)
 
     def _choose_session(self) -> None:
         kinds = _("Sessions and records (*.h5 {records});;All files (*)").format(records=RECORDS)
@@ -471,6 +487,7 @@ class MainWindow(QMainWindow):
         ui.gate.again.connect(self.start_test)
         ui.gate.judge.connect(self._judge)
         ui.form.changed.connect(ui.notice.form_changed)
+        ui.form.subject_chosen.connect(self._subject_begins)
         ui.stop.clicked.connect(self._stop_by_button)
         ui.halt.clicked.connect(self._stop_by_button)
         self._keys.pressed.connect(self._stop_by_key)

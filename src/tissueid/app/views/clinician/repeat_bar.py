@@ -11,7 +11,7 @@ from PySide6.QtWidgets import QFrame, QGridLayout, QLabel, QPushButton, QVBoxLay
 
 from tissueid.app.small_window import FoldingBox
 from tissueid.app.theme import Theme
-from tissueid.app.views.clinician.sitting import HEADS, NORM, QUANTITIES, VALUE_HEAD, Sitting, Standing
+from tissueid.app.views.clinician.sitting import HEADS, QUANTITIES, VALUE_HEAD, Sitting, Standing
 from tissueid.language import _, marked
 from tissueid.messages import Message, translated
 from tissueid.units import shown_si
@@ -171,7 +171,7 @@ class RepeatBar(QWidget):
         if sitting is None:
             return
         self._shown = tuple(repeat.verdict if repeat.counts else "repeat" for repeat in sitting.repeats)
-        self._left = max(0, NORM - sitting.counted)
+        self._left = max(0, sitting.wanted - sitting.counted)
         newest = bool(sitting.repeats) and sitting.repeats[-1].counts
         self.repeat.setText(
             translated(
@@ -179,7 +179,7 @@ class RepeatBar(QWidget):
                     "sitting.measure_again",
                     "Measure again ({number} of {count})",
                     number=sitting.counted + 1,
-                    count=NORM,
+                    count=sitting.wanted,
                 )
             )
         )
@@ -188,7 +188,7 @@ class RepeatBar(QWidget):
         self.accept.setText(_finish(sitting))
         self.undo.setVisible(sitting.accepted)
         said = ", ".join(f"{place} {_(_WORDS[verdict])}" for place, verdict in enumerate(self._shown, 1))
-        done = {"done": sitting.counted, "count": NORM}
+        done = {"done": sitting.counted, "count": sitting.wanted}
         if sitting.accepted:
             count = translated(Message("sitting.repeats_finished", "{done} of {count} repeats, finished", **done))
         else:

@@ -112,6 +112,8 @@ class Sitting:
     key: str = field(default_factory=lambda: str(uuid.uuid4()))
     repeats: list[Repeat] = field(default_factory=list)
     result: AcceptedResult | None = None
+    wanted: int = NORM
+    """Number of repeats: the usual one, or that of the protocol of a study."""
 
     @property
     def accepted(self) -> bool:
@@ -120,7 +122,7 @@ class Sitting:
 
     def continues(self, plan: TestPlan) -> bool:
         """Whether a test by this plan is a repeat of those that are here."""
-        return not self.accepted and self.counted < NORM and _without_place(plan) == _without_place(self.plan)
+        return not self.accepted and self.counted < self.wanted and _without_place(plan) == _without_place(self.plan)
 
     def planned(self, plan: TestPlan) -> TestPlan:
         """The plan, marked as the next repeat of this sitting."""

@@ -11,7 +11,6 @@ from PySide6.QtWidgets import (
     QHBoxLayout,
     QHeaderView,
     QLabel,
-    QPushButton,
     QTableWidget,
     QTableWidgetItem,
     QVBoxLayout,
@@ -24,6 +23,8 @@ from tissueid.app.views.start.recent import Recent
 Cell = tuple[str, str]
 """What a cell says, and the level of its colour: good, check, poor, or none."""
 _LEVEL = Qt.ItemDataRole.UserRole
+_LONGEST_ADDRESS = 36
+"""Characters of an address in the list of instruments; the tooltip shows all of it."""
 _LOWEST = 4
 """Rows that are seen at least."""
 
@@ -151,7 +152,16 @@ class Rows(QTableWidget):
 
 def cells(item: Recent) -> tuple[tuple[str, str], ...]:
     """Return the cells of a row for a session."""
-    return (item.date, ""), (item.site, ""), (item.subject, ""), (item.verdict, item.level)
+    subject = "  ·  ".join(filter(None, [item.subject, item.study]))
+    return (item.date, ""), (item.site, ""), (subject, ""), (item.verdict, item.level), (item.accepted, "")
+
+
+def short_address(url: str) -> str:
+    """Return an address without its middle where it is long: the end names a port or a file."""
+    if len(url) <= _LONGEST_ADDRESS:
+        return url
+    kept = _LONGEST_ADDRESS // 3
+    return f"{url[:kept]}…{url[-2 * kept :]}"
 
 
 def brief(health: str) -> str:
@@ -176,7 +186,7 @@ def words() -> QLabel:
     return label
 
 
-def under_heading(title: str, about: QLabel, table: Rows, *buttons: QPushButton) -> QVBoxLayout:
+def under_heading(title: str, about: QLabel, table: Rows, *buttons: QWidget) -> QVBoxLayout:
     """A table under a heading with buttons next to the heading."""
     about.setProperty("role", "muted")
     top = QHBoxLayout()

@@ -16,6 +16,7 @@ from PySide6.QtWidgets import (
     QGridLayout,
     QHBoxLayout,
     QLabel,
+    QLineEdit,
     QPushButton,
     QScrollArea,
     QVBoxLayout,
@@ -27,11 +28,13 @@ from tissueid.app.chooser import TYPED
 from tissueid.app.context import AppContext, View
 from tissueid.app.preferences import LanguageChooser, UnitChooser
 from tissueid.app.roles import RoleCard
+from tissueid.app.small_window import FoldingBox
 from tissueid.app.theme import Theme
-from tissueid.app.views.start.recent import FolderLook, KnownDates, look_into
-from tissueid.app.views.start.rows import Rows, brief, cells, heading, under_heading, words
+from tissueid.app.views.start.recent import FolderLook, KnownFiles, look_into
+from tissueid.app.views.start.rows import Rows, brief, cells, heading, short_address, under_heading, words
 from tissueid.app.views.start.storage_locations import storage_locations
 from tissueid.app.widgets import ElidedLabel
+from tissueid.app.window_state import visited_studies
 from tissueid.app.words import RESEARCH_USE
 from tissueid.audit import Role
 from tissueid.formatting import clean
@@ -53,6 +56,9 @@ HINT = marked("No instrument? simulated://forearm plays one.")
 _LEVELS = {"instruments.ready": "good", "instruments.no_answer": "poor"}
 """Levels of a colour by the code of the state of an instrument."""
 _MOST_NAMES = 3
+_TYPING_MS = 250
+_TWO_COLUMNS = 960
+"""Width below which the instruments stand below the sessions, pixels."""
 
 
 class StartView(View):
@@ -70,7 +76,7 @@ class StartView(View):
     def __init__(self, context: AppContext, parent: QWidget | None = None) -> None:
         super().__init__(context, parent)
         self._look = FolderLook()
-        self._known = KnownDates()
+        self._known = KnownFiles()
         self._urls: list[str] = []
         self._stale, self._reading = True, False
         self._cancelled = threading.Event()
@@ -81,8 +87,18 @@ class StartView(View):
         self._soon.setInterval(0)
         self._soon.timeout.connect(self._go_on)
         self.cards = {role: RoleCard(role, _(sentence)) for role, sentence in WHAT_ROLES_DO.items()}
-        self.recent = Rows(_("Recent sessions"), (_("Date"), _("Site"), _("Subject"), _("Quality gate")), (1, 3))
-        self.instruments = Rows(_("Instruments"), (_("Instrument"), _("Health"), _("Calibration")), (1, 2))
+        columns = _("Date"), _("Site"), _("Subject"), _("Quality"), _("Accepted result")
+        self.recent = Rows(_("Recent sessions"), columns, (1, 2, 3, 4))
+        self.instruments = Rows(_("Instruments"), (_("Instrument"), _("Health"), _("Calibration")), (0, 1, 2))
+        self.search = QLineEdit()
+        self.search.setPlaceholderText(_("Search: subject, site, date"))
+        self.search.setAccessibleName(_("Search sessions by subject, site, study or date"))
+        self.search.setToolTip(_("Such as P01 forearm, or 2026-01-15"))
+        self.search.setClearButtonEnabled(True)
+        self._typed = QTimer(self)
+        self._typed.setSingleShot(True)
+        self._typed.setInterval(_TYPING_MS)
+        self._typed.timeout.connect(self._search)
         self.about_recent, self.about_instruments = words(), ElidedLabel()
         self.open = QPushButton(_("Open"))
         self.open.setAccessibleName(_("Open the selected session"))
@@ -144,7 +160,7 @@ class StartView(View):
             mark = "✓ " if url == chosen else ""
             lines.append(
                 (
-                    (f"{mark}{clean(url)}", ""),
+                    (f"{mark}{short_address(clean(url))}", ""),
                     (brief(clean(translated(health))), level),
                     (clean(calibration), state.level),
                 )
@@ -153,7 +169,7 @@ class StartView(View):
         self.instruments.fill(lines)
         for row, url in enumerate(urls):
             health, state = known.get(url, (TYPED, CalibrationState()))
-            self.instruments.explain(row, "\n".join([translated(health), _(state.words), *state.warnings]))
+            self.instruments.explain(row, "\n".join([clean(url), translated(health), _(state.words), *state.warnings]))
         self.about_instruments.setText(
             _("The next test is with {url}.").format(url=clean(chosen)) if chosen else _("None is chosen.")
         )
@@ -197,12 +213,14 @@ class StartView(View):
         elif self._stale:
             self._stale, self._reading = False, True
             self._cancelled = threading.Event()
-            work = functools.partial(look_into, self.context.services.folder, self._cancelled, self._known)
+            folder, settings = self.context.services.folder, self.context.settings
+            given = {"studies": visited_studies(settings), "search": self.search.text()}
+            work = functools.partial(look_into, folder, self._cancelled, self._known, **given)
             self.context.jobs.do(work, self._looked, self._looking_failed)
 
     def _looked(self, look: FolderLook) -> None:
         self._reading = False
-        if self._cancelled.is_set() and self._then is not None:
+        if self._cancelled.is_set() and (self._then is not None or self._stale):
             return  # it was cut short for something else
         self._look = look
         self.recent.fill([cells(item) for item in look.sessions])
@@ -225,9 +243,20 @@ class StartView(View):
                     "start.cancelled", "Cancelled: {read} of {count} sessions were read.", read=read, count=look.count
                 )
             )
+        if self.search.text().strip() and not look.sessions:
+            return _("No session matches.")
+        if self.search.text().strip():
+            return ""
         if not look.count:
             return translated(Message("start.no_session", "No session is here yet: the first test makes one."))
         return _("The newest {shown} of {count}.").format(shown=read, count=look.count) if look.count > read else ""
+
+    def _search(self) -> None:
+        """List what matches, now or as soon as nothing else goes on."""
+        self._stale = True
+        if self._reading:
+            self._cancelled.set()
+        self._soon.start()
 
     def _looking_failed(self, words: str) -> None:
         self._reading = False
@@ -282,6 +311,7 @@ class StartView(View):
     def _connect(self) -> None:
         for role, card in self.cards.items():
             card.clicked.connect(functools.partial(self._choose_role, role))
+        self.search.textChanged.connect(self._typed.start)
         self.recent.taken.connect(self._open_row)
         self.recent.itemSelectionChanged.connect(self._enable_choices)
         self.open.clicked.connect(self._open_chosen)
@@ -306,13 +336,16 @@ class StartView(View):
             cards.addWidget(card, 1)
         rows.addLayout(cards)
         rows.addWidget(self._make_strip())
-        columns = QHBoxLayout()
+        columns = FoldingBox(_TWO_COLUMNS)
         columns.setSpacing(16)
         columns.addLayout(
-            under_heading(_("Recent sessions"), self.about_recent, self.recent, self.stop_reading, self.open), 1
+            under_heading(
+                _("Recent sessions"), self.about_recent, self.recent, self.search, self.stop_reading, self.open
+            ),
+            3,
         )
         columns.addLayout(
-            under_heading(_("Instruments"), self.about_instruments, self.instruments, self.use, self.seek), 1
+            under_heading(_("Instruments"), self.about_instruments, self.instruments, self.use, self.seek), 2
         )
         rows.addLayout(columns, 1)
         rows.addWidget(self._make_foot())
@@ -325,7 +358,7 @@ class StartView(View):
         whole = QVBoxLayout(self)
         whole.setContentsMargins(0, 0, 0, 0)
         whole.addWidget(scroll)
-        order = [*self.cards.values(), self.recover, self.recent, self.stop_reading, self.open]
+        order = [*self.cards.values(), self.recover, self.search, self.stop_reading, self.open, self.recent]
         order += [self.seek, self.instruments, self.use, self.folder, self.language.choice, self.units.choice]
         for before, after in pairwise(order):
             QWidget.setTabOrder(before, after)
