@@ -13,6 +13,7 @@ from PySide6.QtCore import Qt, Signal
 from PySide6.QtGui import QKeyEvent
 from PySide6.QtWidgets import (
     QAbstractButton,
+    QCheckBox,
     QComboBox,
     QFileDialog,
     QGridLayout,
@@ -34,7 +35,6 @@ from tissueid.app.form_choices import (
     MULTISTEP,
     SITES,
     longest_stimulus_s,
-    reads_like_name,
 )
 from tissueid.app.number_field import NumberField, OptionalNumberField
 from tissueid.app.presets import PresetChooser
@@ -44,6 +44,7 @@ from tissueid.formatting import ANONYMOUS
 from tissueid.instrument import PROFILES
 from tissueid.language import _, marked
 from tissueid.messages import Message, Verbatim, translated
+from tissueid.procedures.pseudonyms import reads_like_name
 from tissueid.procedures.test_plan import TestPlan
 from tissueid.procedures.test_presets import PRESETS, Preset
 from tissueid.stimuli.kinds.noise import Noise
@@ -101,7 +102,9 @@ class PlanForm(QWidget):
         self.like_name.setProperty("level", "check")
         self.like_name.setWordWrap(True)
         self.like_name.setMinimumWidth(1)
-        self.like_name.hide()
+        self.is_pseudonym = QCheckBox(_("This is a pseudonym, not a name"))
+        for part in (self.like_name, self.is_pseudonym):
+            part.hide()
         self.product = QLineEdit()
         self.product.setPlaceholderText(_("such as lotion"))
         self.product.setToolTip(_("The product on the skin, for studies that compare conditions"))
@@ -152,6 +155,7 @@ class PlanForm(QWidget):
         _add(layout, _("Si&te"), where, focus=self.site)
         _add(layout, _("Su&bject (a pseudonym, never a name)"), self.subject)
         layout.addWidget(self.like_name)
+        layout.addWidget(self.is_pseudonym)
         condition = QWidget()
         row = QHBoxLayout(condition)
         row.setContentsMargins(0, 0, 0, 0)
@@ -212,6 +216,7 @@ class PlanForm(QWidget):
             site=self.site.currentText().strip(),
             out=Path(self.path.text().strip()),
             subject=self.subject.text().strip() or ANONYMOUS,
+            pseudonym_confirmed=self.is_pseudonym.isChecked(),
             condition=(product := self.product.text().strip()),
             minutes_since_application=self.minutes.given if product else None,
             limits=self.limits.currentData(),
@@ -499,9 +504,11 @@ class PlanForm(QWidget):
         )
 
     def _look_at_subject(self, text: str) -> None:
-        """Warn of a pseudonym that looks like a real name; it is accepted, since a pseudonym may look like one."""
+        """Warn of a pseudonym that looks like a real name, and ask whether it is one: a pseudonym may look so."""
         doubtful = reads_like_name(text)
-        self.like_name.setVisible(doubtful)
+        self.is_pseudonym.setChecked(False)
+        for part in (self.like_name, self.is_pseudonym):
+            part.setVisible(doubtful)
         self.subject.setAccessibleDescription(_(_LIKE_NAME) if doubtful else "")
 
     def _choose_subject(self) -> None:

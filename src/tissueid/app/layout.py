@@ -156,6 +156,7 @@ class Layout:
             self.form.site,
             self.form.map,
             self.form.subject,
+            self.form.is_pseudonym,
             self.form.product,
             self.form.minutes,
         ]

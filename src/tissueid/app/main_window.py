@@ -168,7 +168,9 @@ class MainWindow(QMainWindow):
             check_save_path(plan.out)
         except (TissueIDError, OSError) as error:
             self.ui.notice.say(in_words(error), problem=True, about_form=True)
-            if wrong is form.path or not form.site.currentText().strip():
+            if isinstance(error, TissueIDError) and code_of(error.message) == "subject.name":
+                form.is_pseudonym.setFocus()
+            elif wrong is form.path or not form.site.currentText().strip():
                 wrong.setFocus()
             return
         self._plan, self._live = plan, LiveSignals()

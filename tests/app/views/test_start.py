@@ -478,7 +478,8 @@ def test_visits_of_studies_are_listed_and_found_by_subject_and_date(visits):
     home, other = visits
 
     def found(search=""):
-        look = look_into(home, threading.Event(), studies=[other], search=search)
+        look = look_into(home, threading.Event(), studies=[other, home / "skin" / ".." / "skin"], search=search)
+        assert all(item.tests == 1 for item in look.sessions)
         return [(item.subject, item.study) for item in look.sessions]
 
     assert found() == [("P01", "skin"), ("P02", "lotion"), ("anonymous", "")]

@@ -103,7 +103,7 @@ def look_into(
         journals = tuple(unfinished_journals(folder))
     except OSError as error:
         return FolderLook(problem=in_words(error))
-    for study in list(dict.fromkeys([*_studies_below(folder), *studies]))[:MOST_STUDIES]:
+    for study in list(dict.fromkeys(path.resolve() for path in [*_studies_below(folder), *studies]))[:MOST_STUDIES]:
         with contextlib.suppress(OSError):
             places |= dict.fromkeys(study.glob("*/*.h5"), study.name)
     files = []

@@ -57,6 +57,7 @@ _LEVELS = {"instruments.ready": "good", "instruments.no_answer": "poor"}
 """Levels of a colour by the code of the state of an instrument."""
 _MOST_NAMES = 3
 _TYPING_MS = 250
+_SEARCH_WIDTH = 190
 _TWO_COLUMNS = 960
 """Width below which the instruments stand below the sessions, pixels."""
 
@@ -95,6 +96,7 @@ class StartView(View):
         self.search.setAccessibleName(_("Search sessions by subject, site, study or date"))
         self.search.setToolTip(_("Such as P01 forearm, or 2026-01-15"))
         self.search.setClearButtonEnabled(True)
+        self.search.setMinimumWidth(_SEARCH_WIDTH)
         self._typed = QTimer(self)
         self._typed.setSingleShot(True)
         self._typed.setInterval(_TYPING_MS)
