@@ -19,7 +19,7 @@ from tissueid.procedures.test_plan import TestPlan
 
 pytestmark = [pytest.mark.qt_log_level_fail("WARNING"), pytest.mark.qt_log_ignore("This plugin does not support")]
 
-WAITING = "Waiting for the stimulus."
+WAITING = "No estimate yet: it comes during the stimulus."
 
 
 class Newest:

@@ -209,6 +209,7 @@ class Clinician(QObject):
             return
         self._comparison, self._paper = comparison, None
         self._ui.result.comparison.show_comparison(comparison)
+        self._ui.result.show_changes({name: translated(words) for name, words in comparison.changes.items()})
 
     def _not_compared(self, words: str) -> None:
         self._ui.result.comparison.clear()

@@ -40,6 +40,7 @@ from tissueid.app.number_field import NumberField, OptionalNumberField
 from tissueid.app.presets import PresetChooser
 from tissueid.app.stimulus_form import StimulusForm
 from tissueid.app.user_files import dated_path
+from tissueid.audit import Role
 from tissueid.formatting import ANONYMOUS
 from tissueid.instrument import PROFILES
 from tissueid.language import _, marked
@@ -90,7 +91,7 @@ class PlanForm(QWidget):
         self._now = now
         self._own_path = False
         self._own_force = False
-        self._applying = False
+        self._applying = self._plain = False
         self._usual_force_n = NoiseChoice.max_force_n
         self._forces_n: dict[str, float] = {}
         self.instrument = InstrumentChooser()
@@ -146,7 +147,7 @@ class PlanForm(QWidget):
         layout = QVBoxLayout(self)
         layout.setContentsMargins(0, 0, 0, 0)
         layout.setSpacing(10)
-        self.other_test = QLabel(_("For the next test, not of the result that is shown"))
+        self.other_test = QLabel(_("For the next test. The result that is shown is of another test."))
         self.other_test.setProperty("role", "muted")
         self.other_test.setWordWrap(True)
         self.other_test.hide()
@@ -164,7 +165,7 @@ class PlanForm(QWidget):
         row.addWidget(self.minutes)
         _add(layout, _("Condition (product on the skin)"), condition, focus=self.product)
         layout.addWidget(self.set_up)
-        _add(layout, _("&Limits"), self.limits)
+        self._limits_label = _add(layout, _("&Limits"), self.limits)
         self._add_settings(layout)
         saving = QWidget()
         row = QHBoxLayout(saving)
@@ -306,6 +307,11 @@ class PlanForm(QWidget):
                     return
             after = after.nextInFocusChain()
 
+    def show_role(self, role: Role) -> None:
+        """Fold more of the settings away for a clinician."""
+        self._plain = role == "clinician"
+        self._unfold(self.fold.isChecked())
+
     def order_options(self) -> None:
         """Put the options of the stimulus into the order of the tab key, where they stand."""
         around = (
@@ -400,13 +406,17 @@ class PlanForm(QWidget):
         for spin in (self.min_force, self.max_force, self.seconds, self.seed):
             spin.valueChanged.connect(self._summarise)
         self._unfold(False)
-        self._summarise()
 
     # -- reacting -----------------------------------------------------------------------------------------
 
     def _unfold(self, opened: bool) -> None:
         self.fold.setArrowType(Qt.ArrowType.DownArrow if opened else Qt.ArrowType.RightArrow)
         self.settings.setVisible(opened)
+        usual_place = self.set_up.name.currentIndex() == 0
+        self.set_up.setVisible(opened or not self._plain or not usual_place)
+        for part in (self._limits_label, self.limits):
+            part.setVisible(opened or not self._plain)
+        self._summarise()
         if opened:
             self.stimulus.offer_all()
 
@@ -475,8 +485,13 @@ class PlanForm(QWidget):
 
     def _summarise(self) -> None:
         self.preset.show_preset(self._shown_preset())
+        has = self.stimulus.has
+        if self._plain and not self.fold.isChecked() and {"seconds", "force_max_n"} <= set(has):
+            values = {"force": self.max_force.value(), "seconds": self.seconds.value()}
+            self._show_summary(_("{seconds:g} s, up to {force:g} N").format(**values))
+            return
         if self.stimulus.chosen != Noise.name:
-            title, has = self.stimulus.kind.currentText(), self.stimulus.has
+            title = self.stimulus.kind.currentText()
             low, high, seconds = self.min_force.value(), self.max_force.value(), self.seconds.value()
             words = _("{title}, {low:g} to {high:g} N").format(title=title, low=low, high=high)
             words = words if "force_max_n" in has else title
@@ -551,8 +566,8 @@ class PlanForm(QWidget):
         self.path.setToolTip(path)
 
 
-def _add(layout: QVBoxLayout, name: str, field: QWidget, *, focus: QWidget | None = None) -> None:
-    """A field under its label; the label's mnemonic goes to ``focus``, the field itself when None."""
+def _add(layout: QVBoxLayout, name: str, field: QWidget, *, focus: QWidget | None = None) -> QLabel:
+    """Return the label of a field under it; the label's mnemonic goes to ``focus``, the field itself when None."""
     label = QLabel(name)
     label.setProperty("role", "field")
     label.setBuddy(focus or field)
@@ -562,6 +577,7 @@ def _add(layout: QVBoxLayout, name: str, field: QWidget, *, focus: QWidget | Non
     group.addWidget(label)
     group.addWidget(field)
     layout.addLayout(group)
+    return label
 
 
 def _number(unit: str, low: float, high: float, step: float, value: float) -> NumberField:

@@ -229,7 +229,7 @@ class MainWindow(QMainWindow):
         if self.testing:
             self._stop.press(reason)
             self.ui.guidance.say(_("Stopping: the coil is being released."))
-        elif not self.busy:
+        elif not self.busy and not self.ui.notice.holds_problem:
             self.ui.notice.say(sentence(translated(NO_TEST)))
 
     def _stop_by_button(self) -> None:
@@ -371,6 +371,9 @@ class MainWindow(QMainWindow):
         self.ui.guidance.say(_("Judging the test."))
         self.jobs.do(functools.partial(judge_and_analyse, self.findings), self.show_findings, self.context.say_failed)
 
+    def _go_calibrate(self) -> None:
+        self.pages.go_calibrate(_("Put the calibration spring under the probe, then begin a calibration."))
+
     def _show_gate(self, test: Test, verdict: Verdict | None = None) -> None:
         """Show the findings of the quality gate, and the verdict once the test is analysed."""
         can_repeat = self._plan is not None and not self._closing and not self.study.leads
@@ -488,6 +491,7 @@ class MainWindow(QMainWindow):
         ui.role.changed.connect(self._change_role)
         ui.gate.again.connect(self.start_test)
         ui.gate.judge.connect(self._judge)
+        ui.gate.calibration_wanted.connect(self._go_calibrate)
         ui.form.changed.connect(ui.notice.form_changed)
         ui.form.subject_chosen.connect(self._subject_begins)
         ui.stop.clicked.connect(self._stop_by_button)

@@ -112,6 +112,11 @@ class Pages(QObject):
         self._ui.show_page(name)
         self.shown.emit(name)
 
+    def go(self, name: str) -> None:
+        """Show a page and put the focus into it, as somebody who works by keyboard expects."""
+        self.show(name)
+        self._ui.focus_page()
+
     def title(self, name: str) -> str:
         """Return the title of a page."""
         return self._ui.rail.buttons[name].text()

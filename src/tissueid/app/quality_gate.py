@@ -11,9 +11,10 @@ from PySide6.QtWidgets import QFrame, QGridLayout, QHBoxLayout, QLabel, QPushBut
 from tissueid.app.small_window import FoldingBox
 from tissueid.app.views.clinician.repeat_bar import RepeatBar
 from tissueid.app.views.clinician.sitting import Sitting
+from tissueid.audit import Role
 from tissueid.language import _, marked
-from tissueid.messages import translated
-from tissueid.sessions.quality import Quality, Verdict
+from tissueid.messages import sentences, translated
+from tissueid.sessions.quality import Quality, QualityFinding, Verdict
 
 if TYPE_CHECKING:
     from tissueid.reports import verdict as report
@@ -22,6 +23,9 @@ _LEVELS: dict[Verdict, str] = {"good": "good", "look": "check", "repeat": "poor"
 _ONE_ROW = 640
 MOST_SHOWN = 3
 """Number of findings that are shown at first; a button shows the others."""
+_CALIBRATION = "calibration_"
+"""First letters of the codes of findings about the calibration."""
+_ASK = marked("The values can be compared only with those of this instrument. Ask the technician to calibrate it.")
 UNJUDGED = marked("The quality gate did not judge this test when it was made.")
 
 
@@ -34,6 +38,7 @@ class QualityGate(QFrame):
 
     again = Signal()
     judge = Signal()
+    calibration_wanted = Signal()
 
     def __init__(self, parent: QWidget | None = None) -> None:
         super().__init__(parent)
@@ -48,8 +53,11 @@ class QualityGate(QFrame):
         self.more = QPushButton()
         self.more.setCheckable(True)
         self.more.setAccessibleName(_("All findings"))
-        self.run_again = QPushButton(_("Run again"))
+        self.run_again = QPushButton(_("Start test again"))
         self.run_again.setToolTip(_("The same test once more, into a file of its own"))
+        self.calibrate = QPushButton(_("Calibrate…"))
+        self.calibrate.setToolTip(_("Go to the calibrations; nothing starts"))
+        self._role: Role = "technician"
         self.judge_now = QPushButton(_("Judge this test"))
         self.judge_now.setToolTip(_("Let the quality gate look at the recorded signals; the file stays as it is"))
         said, offered = QHBoxLayout(), QHBoxLayout()
@@ -59,7 +67,7 @@ class QualityGate(QFrame):
         self.repeats = RepeatBar()
         offered.setSpacing(8)
         offered.addStretch(1)
-        for part in (self.repeats, self.more, self.judge_now, self.run_again):
+        for part in (self.repeats, self.more, self.judge_now, self.calibrate, self.run_again):
             offered.addWidget(part)
         top = FoldingBox(_ONE_ROW)
         top.setSpacing(4)
@@ -78,6 +86,7 @@ class QualityGate(QFrame):
         self.more.toggled.connect(self._fill)
         self.run_again.clicked.connect(self.again)
         self.judge_now.clicked.connect(self.judge)
+        self.calibrate.clicked.connect(self.calibration_wanted)
         self.hide()
 
     def show_quality(self, quality: Quality | None, *, can_repeat: bool, verdict: report.Verdict | None = None) -> None:
@@ -106,6 +115,11 @@ class QualityGate(QFrame):
         if level in ("check", "poor"):
             QAccessible.updateAccessibility(QAccessibleEvent(self, QAccessible.Event.Alert))
 
+    def show_role(self, role: Role) -> None:
+        """Give advice that this role can follow."""
+        self._role = role
+        self._fill()
+
     def show_sitting(self, sitting: Sitting | None) -> None:
         """Show how far the sitting of the shown test has come; one button repeats it."""
         self.repeats.show_sitting(sitting)
@@ -115,25 +129,34 @@ class QualityGate(QFrame):
     @property
     def words(self) -> tuple[str, ...]:
         """All findings, including those that are not shown at first."""
-        return (_(UNJUDGED),) if self._quality is None else tuple(translated(line) for line in self._quality.lines)
+        findings = () if self._quality is None else self._quality.findings
+        said = (sentences(finding.words, self._advice(finding)) for finding in findings)
+        return (_(UNJUDGED),) if self._quality is None else tuple(translated(line) for line in said)
+
+    def _advice(self, finding: QualityFinding) -> str:
+        """Return what to do, as far as the role can do it."""
+        asks = self._role != "technician" and finding.code.startswith(_CALIBRATION)
+        return _(_ASK) if asks else translated(finding.advice)
 
     def _fill(self) -> None:
         while (item := self._grid.takeAt(0)) is not None:
             if (widget := item.widget()) is not None:
                 widget.hide()
                 widget.deleteLater()
+        findings = () if self._quality is None else self._quality.findings
+        calibrated = not any(finding.code.startswith(_CALIBRATION) for finding in findings)
+        self.calibrate.setVisible(self._role == "technician" and not calibrated)
         if self._quality is None:
             self._grid.addWidget(_text(_(UNJUDGED), "muted"), 0, 0, 1, 2)
             self.more.hide()
             return
-        findings = self._quality.findings
         hidden = len(findings) - MOST_SHOWN
         self.more.setVisible(hidden > 0)
         self.more.setText(_("Fewer") if self.more.isChecked() else _("{count} more").format(count=hidden))
         shown = findings if self.more.isChecked() else findings[:MOST_SHOWN]
         for row, finding in enumerate(shown):
             self._grid.addWidget(_text(translated(finding.words), ""), row, 0)
-            self._grid.addWidget(_text(translated(finding.advice), "muted"), row, 1)
+            self._grid.addWidget(_text(self._advice(finding), "muted"), row, 1)
 
 
 def _text(text: str, role: str) -> QLabel:

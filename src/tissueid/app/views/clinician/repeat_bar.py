@@ -131,7 +131,7 @@ class RepeatBar(QWidget):
         self._left = 0
         self.dots = QLabel()
         self.dots.setTextFormat(Qt.TextFormat.RichText)
-        self.repeat = QPushButton(_("Measure again"))
+        self.repeat = QPushButton(_("Start test again"))
         self.repeat.setToolTip(
             translated(
                 Message(
@@ -177,7 +177,7 @@ class RepeatBar(QWidget):
             translated(
                 Message(
                     "sitting.measure_again",
-                    "Measure again ({number} of {count})",
+                    "Start test again ({number} of {count})",
                     number=sitting.counted + 1,
                     count=sitting.wanted,
                 )

@@ -52,7 +52,7 @@ WHAT_ROLES_DO: dict[Role, str] = {
     ),
     "technician": marked("Maintain the instrument: identity, health, calibration of coil and sensors."),
 }
-HINT = marked("No instrument? simulated://forearm plays one.")
+HINT = marked("No instrument? Try simulated://forearm.")
 _LEVELS = {"instruments.ready": "good", "instruments.no_answer": "poor"}
 """Levels of a colour by the code of the state of an instrument."""
 _MOST_NAMES = 3
@@ -331,7 +331,7 @@ class StartView(View):
         rows = QVBoxLayout(page)
         rows.setContentsMargins(16, 10, 16, 10)
         rows.setSpacing(8)
-        rows.addWidget(heading(_("Who works?")))
+        rows.addWidget(heading(_("Who is working?")))
         cards = QHBoxLayout()
         cards.setSpacing(10)
         for card in self.cards.values():
