@@ -193,7 +193,7 @@ def test_it_is_there_during_a_test_and_gone_with_an_opened_session(qtbot, open_w
 
 
 def test_phase_and_nonlinearity_are_seen_at_1280x740_without_scrolling(qtbot, open_window, saved):
-    window = open_window()
+    window = open_window(role="researcher")
     window.resize(1280, 740)
     panel = window.ui.analysis
     panel.show()

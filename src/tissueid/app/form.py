@@ -17,10 +17,9 @@ from PySide6.QtWidgets import (
     QComboBox,
     QFileDialog,
     QGridLayout,
-    QHBoxLayout,
     QLabel,
+    QLayout,
     QLineEdit,
-    QPushButton,
     QSpinBox,
     QToolButton,
     QVBoxLayout,
@@ -28,6 +27,7 @@ from PySide6.QtWidgets import (
 )
 
 from tissueid.acquisition.stimulus_choice import NoiseChoice
+from tissueid.app.build import button, column, fill, label, row, styled
 from tissueid.app.chooser import InstrumentChooser
 from tissueid.app.configuring import ConfigurationChooser
 from tissueid.app.form_choices import (
@@ -98,11 +98,8 @@ class PlanForm(QWidget):
         self.subject = QLineEdit()
         self.subject.setPlaceholderText(_("such as P-001; empty: anonymous"))
         self.subject.setToolTip(_("A pseudonym, never a name"))
-        self.like_name = QLabel(_(_LIKE_NAME))
-        self.like_name.setProperty("role", "readout")
-        self.like_name.setProperty("level", "check")
-        self.like_name.setWordWrap(True)
-        self.like_name.setMinimumWidth(1)
+        self.like_name = label("readout", level="check")
+        self.like_name.setText(_(_LIKE_NAME))
         self.is_pseudonym = QCheckBox(_("This is a pseudonym, not a name"))
         for part in (self.like_name, self.is_pseudonym):
             part.hide()
@@ -123,14 +120,7 @@ class PlanForm(QWidget):
         self.site.setCurrentIndex(-1)
         if (line := self.site.lineEdit()) is not None:
             line.setPlaceholderText(_("such as left calf"))
-        self.map = QPushButton(_("Body map…"))
-        self.map.setToolTip(_("Choose the site on a drawn body"))
-        where = QWidget()
-        row = QHBoxLayout(where)
-        row.setContentsMargins(0, 0, 0, 0)
-        row.setSpacing(6)
-        row.addWidget(self.site, 1)
-        row.addWidget(self.map)
+        self.map = button(_("Body map…"), tip=_("Choose the site on a drawn body"))
         self.set_up = ConfigurationChooser()
         self.limits = QComboBox()
         for name in sorted(PROFILES):
@@ -141,39 +131,24 @@ class PlanForm(QWidget):
                 name,
             )
         self.path = QLineEdit()
-        self.browse = QPushButton(_("C&hoose…"))
-        self.browse.setAccessibleName(_("Choose where to save"))
+        self.browse = button(_("C&hoose…"), name=_("Choose where to save"))
 
-        layout = QVBoxLayout(self)
-        layout.setContentsMargins(0, 0, 0, 0)
-        layout.setSpacing(10)
-        self.other_test = QLabel(_("For the next test. The result that is shown is of another test."))
-        self.other_test.setProperty("role", "muted")
-        self.other_test.setWordWrap(True)
+        self.other_test = label("muted")
+        self.other_test.setText(_("For the next test. The result that is shown is of another test."))
         self.other_test.hide()
-        layout.addWidget(self.other_test)
+        layout = QVBoxLayout(self)
+        fill(layout, self.other_test, spacing=10)
         _add(layout, _("&Instrument"), self.instrument, focus=self.instrument.choice)
-        _add(layout, _("Si&te"), where, focus=self.site)
-        _add(layout, _("Su&bject (a pseudonym, never a name)"), self.subject)
+        _add(layout, _("Si&te"), row((self.site, 1), self.map), focus=self.site)
+        _add(layout, _("Su&bject (a pseudonym, never a name)"), self.subject, focus=self.subject)
         layout.addWidget(self.like_name)
         layout.addWidget(self.is_pseudonym)
-        condition = QWidget()
-        row = QHBoxLayout(condition)
-        row.setContentsMargins(0, 0, 0, 0)
-        row.setSpacing(6)
-        row.addWidget(self.product, 1)
-        row.addWidget(self.minutes)
+        condition = row((self.product, 1), self.minutes)
         _add(layout, _("Condition (product on the skin)"), condition, focus=self.product)
         layout.addWidget(self.set_up)
-        self._limits_label = _add(layout, _("&Limits"), self.limits)
+        self._limits_label = _add(layout, _("&Limits"), self.limits, focus=self.limits)
         self._add_settings(layout)
-        saving = QWidget()
-        row = QHBoxLayout(saving)
-        row.setContentsMargins(0, 0, 0, 0)
-        row.setSpacing(6)
-        row.addWidget(self.path, 1)
-        row.addWidget(self.browse)
-        _add(layout, _("Sa&ve to"), saving, focus=self.path)
+        _add(layout, _("Sa&ve to"), row((self.path, 1), self.browse), focus=self.path)
         layout.addStretch(1)
 
         texts = (self.subject.textChanged, self.product.textChanged, self.path.textChanged)
@@ -190,6 +165,7 @@ class PlanForm(QWidget):
             choice.currentIndexChanged.connect(self.changed)
         self.subject.textChanged.connect(self._look_at_subject)
         self.subject.editingFinished.connect(self._choose_subject)
+        self.set_up.name.currentIndexChanged.connect(self._show_set_up)
         self._chosen_subject = ""
         self.limits.currentIndexChanged.connect(self._apply_limits)
         self.instrument.choice.currentTextChanged.connect(self._apply_limits)
@@ -328,14 +304,11 @@ class PlanForm(QWidget):
         """The presets, and the stimulus, folded away under a line that says what it is."""
         self.preset = PresetChooser()
         _add(layout, _("Test"), self.preset, focus=self.preset.choice)
-        self.fold = QToolButton()
+        self.fold = styled(QToolButton(), role="fold", name=_("Settings of the stimulus"))
         self.fold.setText(_("S&ettings"))
-        self.fold.setProperty("role", "fold")
         self.fold.setCheckable(True)
         self.fold.setToolButtonStyle(Qt.ToolButtonStyle.ToolButtonTextBesideIcon)
-        self.fold.setAccessibleName(_("Settings of the stimulus"))
-        self.summary = QLabel()
-        self.summary.setProperty("role", "field")
+        self.summary = styled(QLabel(), role="field")
         self.summary.setWordWrap(True)
         self.distribution = QComboBox()
         for name in DISTRIBUTIONS:
@@ -358,13 +331,9 @@ class PlanForm(QWidget):
             self.under_probe.addItem(_(title), name)
         self.stimulus = StimulusForm()
         self.settings = QWidget()
-        inside = QVBoxLayout(self.settings)
-        inside.setContentsMargins(0, 0, 0, 0)
-        inside.setSpacing(6)
-        inside.addWidget(self.stimulus)
         grid = QGridLayout()
         grid.setVerticalSpacing(6)
-        inside.addLayout(grid)
+        fill(QVBoxLayout(self.settings), self.stimulus, grid)
         self._rows: list[tuple[QLabel, QWidget]] = []
         rows = (
             (_("&Distribution"), self.distribution),
@@ -376,19 +345,15 @@ class PlanForm(QWidget):
             (_("Rest between repeats"), self.rest),
             (_("Under the probe"), self.under_probe),
         )
-        for row, (name, field) in enumerate(rows):
-            label = QLabel(name)
-            label.setBuddy(field)
+        for place, (name, field) in enumerate(rows):
+            named = QLabel(name)
+            named.setBuddy(field)
             field.setAccessibleName(name.replace("&", ""))
-            grid.addWidget(label, row, 0)
-            grid.addWidget(field, row, 1)
-            self._rows.append((label, field))
+            grid.addWidget(named, place, 0)
+            grid.addWidget(field, place, 1)
+            self._rows.append((named, field))
         grid.setColumnStretch(1, 1)
-        group = QVBoxLayout()
-        group.setSpacing(4)
-        for widget in (self.stimulus.depths, self.fold, self.summary, self.settings):
-            group.addWidget(widget)
-        layout.addLayout(group)
+        layout.addLayout(column(self.stimulus.depths, self.fold, self.summary, self.settings, spacing=4))
         self.fold.toggled.connect(self._unfold)
         for choice in (self.distribution, self.under_probe):
             choice.currentIndexChanged.connect(self._summarise)
@@ -412,13 +377,17 @@ class PlanForm(QWidget):
     def _unfold(self, opened: bool) -> None:
         self.fold.setArrowType(Qt.ArrowType.DownArrow if opened else Qt.ArrowType.RightArrow)
         self.settings.setVisible(opened)
-        usual_place = self.set_up.name.currentIndex() == 0
-        self.set_up.setVisible(opened or not self._plain or not usual_place)
         for part in (self._limits_label, self.limits):
             part.setVisible(opened or not self._plain)
+        self._show_set_up()
         self._summarise()
         if opened:
             self.stimulus.offer_all()
+
+    def _show_set_up(self) -> None:
+        """Show how the instrument meets the tissue; a clinician sees it with the settings, or where it is unusual."""
+        usual = self.set_up.name.currentIndex() == 0
+        self.set_up.setVisible(not (self._plain and usual) or self.fold.isChecked())
 
     def _apply_limits(self) -> None:
         """Limit force and length to the profile of limits and the maximum force of the instrument."""
@@ -446,8 +415,8 @@ class PlanForm(QWidget):
             self.rest: self.stimulus.chosen != MULTISTEP and self.repeats.value() > 1,
             self.under_probe: self.stimulus.chosen != MULTISTEP,
         }
-        for label, field in self._rows:
-            for widget in (label, field):
+        for named, field in self._rows:
+            for widget in (named, field):
                 widget.setVisible(wanted[field])
         if self.window() is not self:  # before that, the fields belong to several windows
             self.order_options()
@@ -566,18 +535,13 @@ class PlanForm(QWidget):
         self.path.setToolTip(path)
 
 
-def _add(layout: QVBoxLayout, name: str, field: QWidget, *, focus: QWidget | None = None) -> QLabel:
-    """Return the label of a field under it; the label's mnemonic goes to ``focus``, the field itself when None."""
-    label = QLabel(name)
-    label.setProperty("role", "field")
-    label.setBuddy(focus or field)
-    (focus or field).setAccessibleName(name.replace("&", ""))
-    group = QVBoxLayout()
-    group.setSpacing(3)
-    group.addWidget(label)
-    group.addWidget(field)
-    layout.addLayout(group)
-    return label
+def _add(layout: QVBoxLayout, name: str, field: QWidget | QLayout, *, focus: QWidget) -> QLabel:
+    """Return the label above a field; the label's mnemonic goes to ``focus``."""
+    named = styled(QLabel(name), role="field")
+    named.setBuddy(focus)
+    focus.setAccessibleName(name.replace("&", ""))
+    layout.addLayout(column(named, field, spacing=3))
+    return named
 
 
 def _number(unit: str, low: float, high: float, step: float, value: float) -> NumberField:

@@ -11,14 +11,13 @@ from PySide6.QtWidgets import (
     QComboBox,
     QFrame,
     QGridLayout,
-    QHBoxLayout,
     QLabel,
-    QPushButton,
     QScrollArea,
     QVBoxLayout,
     QWidget,
 )
 
+from tissueid.app.build import button, fill, label, row, styled
 from tissueid.app.findings import Findings, Number, whose
 from tissueid.app.plot_canvas import PlotCanvas
 from tissueid.app.small_window import FoldingBox
@@ -87,12 +86,7 @@ class ResultPage(QScrollArea):
         self._tile_grid = QGridLayout()
         self._tile_grid.setSpacing(8)
         layout.addLayout(self._tile_grid)
-        self.readings = QLabel()
-        self.readings.setProperty("role", "muted")
-        self.readings.setWordWrap(True)
-        self.readings.setMinimumWidth(1)
-        self.readings.setTextFormat(Qt.TextFormat.PlainText)
-        self.readings.setTextInteractionFlags(Qt.TextInteractionFlag.TextSelectableByMouse)
+        self.readings = label("muted")
         self.readings.setContentsMargins(12, 0, 8, 0)
         self.readings.hide()
         layout.addWidget(self.readings)
@@ -167,6 +161,7 @@ class ResultPage(QScrollArea):
             if place < len(numbers):
                 number = numbers[place]
                 tile.fill(number, findings.verdict.level, self._changes.get(number.quantity, ""))
+        self._arrange(self.width())
 
     def resizeEvent(self, event: QResizeEvent) -> None:  # noqa: N802
         """Rearrange tiles and plots for the new width."""
@@ -183,53 +178,22 @@ class ResultPage(QScrollArea):
     # -- building -----------------------------------------------------------------------------------------
 
     def _make_verdict(self) -> QWidget:
-        self._verdict = QFrame()
-        self._verdict.setProperty("role", "verdict")
-        self.whose = ElidedLabel()
-        self.whose.setProperty("role", "headline")
-        self.facts = QLabel()
-        self.facts.setProperty("role", "muted")
-        self.simulated = QLabel(_(SIMULATED_LINE))
-        self.simulated.setProperty("role", "heading")
-        self.simulated.setWordWrap(True)
-        self.simulated.setMinimumWidth(1)
-        self.reasons = QLabel()
-        self.reasons.setToolTip(_(_METHODS))
-        self.test = QComboBox()
-        self.test.setAccessibleName(_("Test of this session"))
+        frame = styled(QFrame(), role="verdict")
+        self.whose = styled(ElidedLabel(), role="headline")
+        self.facts, self.simulated = label("muted"), label("heading")
+        self.simulated.setText(_(SIMULATED_LINE))
+        self.reasons = label(tip=_(_METHODS))
+        self.test = styled(QComboBox(), name=_("Test of this session"))
         self.test.setMaximumWidth(260)
         self.test.activated.connect(self._choose_test)
-        for label in (self.facts, self.reasons):
-            label.setWordWrap(True)
-            label.setMinimumWidth(1)
-            label.setTextFormat(Qt.TextFormat.PlainText)
-            label.setTextInteractionFlags(Qt.TextInteractionFlag.TextSelectableByMouse)
-        named, offered = QHBoxLayout(), QHBoxLayout()
-        named.setSpacing(_APART)
-        offered.setSpacing(_APART)
-        self.pdf = QPushButton(_("PDF report"))
-        self.pdf.setToolTip(_("One or two pages to print, saved next to the session"))
-        self.details = QPushButton(_("Details"))
+        self.pdf = button(_("PDF report"), tip=_("One or two pages to print, saved next to the session"))
+        self.details = button(_("Details"), tip=_("How well the model fits, and the curves behind the numbers"))
         self.details.setCheckable(True)
-        self.details.setToolTip(_("How well the model fits, and the curves behind the numbers"))
         self.details.toggled.connect(self._fill)
-        named.addWidget(self.whose, 1)
-        offered.addStretch(1)
-        offered.addWidget(self.test)
-        offered.addWidget(self.details)
-        offered.addWidget(self.pdf)
-        top = FoldingBox(_ONE_ROW)
-        top.setSpacing(4)
-        top.addLayout(named, 1)
-        top.addLayout(offered)
-        layout = QVBoxLayout(self._verdict)
-        layout.setContentsMargins(12, 8, 12, 8)
-        layout.setSpacing(3)
-        layout.addLayout(top)
-        layout.addWidget(self.simulated)
-        layout.addWidget(self.reasons)
-        layout.addWidget(self.facts)
-        return self._verdict
+        offered = row(None, self.test, self.details, self.pdf, spacing=_APART)
+        top = fill(FoldingBox(_ONE_ROW), (row((self.whose, 1)), 1), offered, spacing=4)
+        fill(QVBoxLayout(frame), top, self.simulated, self.reasons, self.facts, spacing=3, margins=(12, 8, 12, 8))
+        return frame
 
     def _build_plots(self) -> None:
         if self.cards:
@@ -248,8 +212,9 @@ class ResultPage(QScrollArea):
 
     def _arrange(self, width: int) -> None:
         """Put tiles and plots into as many columns as a width, pixels, holds."""
+        shown = sum(not tile.isHidden() for tile in self._tiles) or _TILES
         columns = (
-            (_TILES if width >= _ROOM_FOR_TILES else 3 if width >= _ROOM_FOR_THREE else 2),
+            (min(shown, _TILES) if width >= _ROOM_FOR_TILES else 3 if width >= _ROOM_FOR_THREE else 2),
             (2 if width >= _ROOM_FOR_TWO_PLOTS else 1),
         )
         if columns == self._columns:
@@ -261,8 +226,8 @@ class ResultPage(QScrollArea):
                 grid.addWidget(widget, place // across, place % across)
             for column in range(_TILES):
                 grid.setColumnStretch(column, int(column < across))
-            for row in range(len(widgets)):
-                grid.setRowStretch(row, int(row * across < len(widgets)))
+            for place in range(len(widgets)):
+                grid.setRowStretch(place, int(place * across < len(widgets)))
 
     # -- filling ------------------------------------------------------------------------------------------
 
@@ -314,24 +279,14 @@ class _Tile(QFrame):
         self.setProperty("role", "card")
         self._number: Number | None = None
         self._label, self._value, self._rest, self._note, self._change = (QLabel() for _ in range(5))
-        for label in (self._label, self._note, self._change):
-            label.setProperty("role", "field")
-            label.setWordWrap(True)
+        for part in (self._label, self._note, self._change):
+            styled(part, role="field").setWordWrap(True)
         self._value.setProperty("role", "value")
         self._rest.setProperty("role", "muted")
-        number = QHBoxLayout()
-        number.setSpacing(5)
-        number.addWidget(self._value)
-        number.addWidget(self._rest, 0, Qt.AlignmentFlag.AlignBottom)
-        number.addStretch(1)
-        layout = QVBoxLayout(self)
-        layout.setContentsMargins(12, 7, 8, 7)
-        layout.setSpacing(1)
-        layout.addWidget(self._label)
-        layout.addLayout(number)
-        layout.addWidget(self._note)
-        layout.addWidget(self._change)
-        layout.addStretch(1)
+        number = row(self._value, self._rest, None, spacing=5)
+        number.setAlignment(self._rest, Qt.AlignmentFlag.AlignBottom)
+        parts = self._label, number, self._note, self._change, None
+        fill(QVBoxLayout(self), *parts, spacing=1, margins=(12, 7, 8, 7))
 
     def fill(self, number: Number, level: str, change: str) -> None:
         """Show a number of a test with a verdict of ``level``, and what ``change`` says of the sitting before."""

@@ -63,7 +63,7 @@ def test_a_card_sets_the_role_and_goes_to_its_page(qtbot, open_start, role, page
     card.setFocus()
     qtbot.keyClick(card, Qt.Key.Key_Return)
     assert (window.ui.role.role, window.ui.page) == (role, page)
-    assert card.accessibleName().startswith(f"{role.capitalize()} · now")
+    assert card.accessibleName().startswith(f"{role.capitalize()} (current)")
     qtbot.waitUntil(lambda: idle(window), timeout=WAIT_MS)
 
 
@@ -71,7 +71,7 @@ def test_an_instrument_that_is_chosen_is_that_of_the_next_test(qtbot, open_start
     window = open_start()
     page = window.pages.start
     assert said(page.instruments)[1][0] == "✓ simulated://forearm"
-    assert "not asked" in said(page.instruments)[0][1]
+    assert "not checked" in said(page.instruments)[0][1]
     assert not page.use.isEnabled()
     page.instruments.setFocus()
     page.instruments.selectRow(2)

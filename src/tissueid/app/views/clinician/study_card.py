@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from PySide6.QtWidgets import QFrame, QProgressBar, QVBoxLayout, QWidget
+from PySide6.QtWidgets import QFrame, QProgressBar, QSizePolicy, QVBoxLayout, QWidget
 
 from tissueid.app.build import button, column, fill, label, row, styled
 from tissueid.app.small_window import FoldingBox
@@ -35,6 +35,7 @@ class StudyCard(QFrame):
     def __init__(self, parent: QWidget | None = None) -> None:
         super().__init__(parent)
         styled(self, role="card")
+        self.setSizePolicy(QSizePolicy.Policy.Preferred, QSizePolicy.Policy.Maximum)
         self.heading = styled(ElidedLabel(), role="heading")
         self.progress_text = label("headline")
         self.site, self.test, self.condition = label("heading"), label(), label()
