@@ -348,3 +348,13 @@ def test_identify_reads_as_its_golden_page(session_file, capsys, monkeypatch):
     monkeypatch.setenv("COLUMNS", "400")
     assert main(["identify", str(session_file), "--engine", "wiener"]) == 0
     check_golden_page("command-identify", capsys.readouterr().out.splitlines())
+
+
+@pytest.mark.parametrize("command", [[*A_TEST, "--seconds", "1"], ["import", "no.csv"]])
+def test_a_name_is_no_subject_unless_it_is_confirmed(tmp_path, monkeypatch, capsys, command):
+    monkeypatch.chdir(tmp_path)
+    out = [] if "--out" in command else ["--out", "made.h5"]
+    assert main([*command, *out, "--subject", "Hans Müller"]) == 2
+    assert "looks like a person's name" in capsys.readouterr().err
+    main([*command, *out, "--subject", "Hans Müller", "--confirm-pseudonym"])
+    assert "looks like a person's name" not in capsys.readouterr().err

@@ -58,7 +58,9 @@ def test_a_run_has_the_same_noise_whenever_it_starts():
         for _ in range(2):
             bench.block(np.zeros(waited), energised=False)
             bench.begin_test()
-            runs.append(bench.block(10.0 + 5.0 * np.sin(np.arange(400.0)), energised=True).codes[:, :4])  # the coil cools
+            runs.append(
+                bench.block(10.0 + 5.0 * np.sin(np.arange(400.0)), energised=True).codes[:, :4]
+            )  # the coil cools
             bench.place_fixture(0.010)
         codes.append(runs)
     np.testing.assert_array_equal(*codes)

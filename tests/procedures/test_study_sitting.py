@@ -189,14 +189,16 @@ def test_a_folder_without_a_protocol_says_how_to_get_one(tmp_path):
         read_protocol(tmp_path)
 
 
-@pytest.mark.parametrize("text", ["John Smith", "a@b.org", "", "..", "../P1", "P" * 41, "Jürgen", "P1.", "Results"])
+@pytest.mark.parametrize(
+    "text", ["John Smith", "a@b.org", "", "..", "../P1", "P" * 41, "Jürgen", "P1.", "Results", "Hans.Mueller"]
+)
 def test_a_name_is_no_pseudonym(text):
     with pytest.raises(UnusableInputError, check=coded("protocol.pseudonym")):
         check_pseudonym(text)
 
 
 def test_pseudonyms():
-    assert [check_pseudonym(text) for text in ("P01", " P-001 ", "a_1.b")] == ["P01", "P-001", "a_1.b"]
+    assert [check_pseudonym(text) for text in ("P01", " P-001 ", "a_1.b", "P 1")] == ["P01", "P-001", "a_1.b", "P 1"]
 
 
 # -- demographic values and photographs ---------------------------------------------------------------------------

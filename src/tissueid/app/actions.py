@@ -42,7 +42,8 @@ def declare(ui: Layout, panels: Panels, pages: Pages, window: QWidget) -> tuple[
     """Return the actions of the window as it is now, with those of the pages that have been made."""
     own = [Action(ui.stop.accessibleName(), ui.stop.click, why_not=partial(_nothing_to_stop, ui))]
     own += [
-        Action(button.accessibleName(), button.click, ui.rail.keys[name]) for name, button in ui.rail.buttons.items()
+        Action(button.accessibleName(), partial(pages.go, name), ui.rail.keys[name])
+        for name, button in ui.rail.buttons.items()
     ]
     own += [
         Action(_("Help for this page"), panels.help_button.click, HELP_KEY),
@@ -80,7 +81,7 @@ def _by_button(pages: Pages, page: str, button: QAbstractButton, *, energises: b
             pages.show(page)
         _reveal(button)
         if energises:
-            button.setFocus()
+            button.setFocus(Qt.FocusReason.ShortcutFocusReason)
         else:
             button.click()
 

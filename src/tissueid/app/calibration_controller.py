@@ -142,7 +142,7 @@ class CalibrationController(QObject):
     def _close(self) -> None:
         self._end_energised()
         self._prompts = self._live = None
-        self._guidance.show_idle()
+        self._context.show_idle()
 
     def _open_report(self) -> None:
         if self._report is not None:

@@ -218,7 +218,7 @@ class CalibrationPage(QWidget):
         asked = state.answer
         if asked and self.done.isHidden():
             self.done.show()
-            self.done.setFocus()
+            self.done.setFocus(Qt.FocusReason.ShortcutFocusReason)
         elif not asked:
             self.done.hide()
 

@@ -30,7 +30,7 @@ from tissueid.units import display_unit
 _OF_WHAT = {
     "mass_kg": marked("coil and tissue"),
     "damping_n_s_per_m": marked("coil and tissue"),
-    "stiffness_n_per_m": marked("tissue, depths visited"),
+    "stiffness_n_per_m": marked("tissue, at the measured depths"),
 }
 
 
@@ -122,7 +122,7 @@ def _numbers(analyses: Mapping[str, Analysis]) -> Iterator[Number]:
     for engine, label in ((linear, linear_label(analyses)), (Wiener.name, _("Motion explained, nonlinear"))):
         if engine in analyses:
             report = analyses[engine].model.report
-            note = _("of the check part; {vaf} % of the rest").format(vaf=fixed(report.vaf_percent, 1))
+            note = _("held-out part; {vaf} % of the fitted part").format(vaf=fixed(report.vaf_percent, 1))
             yield Number(label, fixed(report.vaf_validation_percent, 1), "%", note)
 
 

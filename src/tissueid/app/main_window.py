@@ -20,6 +20,7 @@ from tissueid.app.calibration_state import calibration_state
 from tissueid.app.clinician import Clinician
 from tissueid.app.command_palette import CommandPalette
 from tissueid.app.context import AppContext
+from tissueid.app.deliberate_press import DeliberatePress
 from tissueid.app.device_search import DeviceSearch
 from tissueid.app.emergency import BY_BUTTON, BY_CLOSING, BY_DEFECT, NO_ANSWER, EmergencyStop
 from tissueid.app.file_drops import RECORDS, FileDrops, dropped_paths
@@ -125,6 +126,7 @@ class MainWindow(QMainWindow):
         self.files = FileDrops(self.context, self.pages, lambda: ui.form.folder, self)
         self.setAcceptDrops(True)
         install_shortcuts(self._actions(), self)
+        DeliberatePress(ui.guarded, self)
         self.commands = CommandPalette(self._actions, self)
         self._connect()
         self._take_palette()
@@ -167,7 +169,7 @@ class MainWindow(QMainWindow):
         from tissueid.app.live_test import LiveTest
         from tissueid.procedures.test_run import run_test
 
-        if self.clinician.watcher.start_after() or self.busy:
+        if self.clinician.watcher.start_after() or self.busy or self.study.complete:
             return
         form = self.ui.form
         wrong: QWidget = form.site
@@ -180,16 +182,15 @@ class MainWindow(QMainWindow):
             check_save_path(plan.out)
         except (TissueIDError, OSError) as error:
             self.ui.notice.say(in_words(error), problem=True, about_form=True)
-            if wrong is form.path or not form.site.currentText().strip():
+            if isinstance(error, TissueIDError) and code_of(error.message) == "subject.name":
+                form.is_pseudonym.setFocus()
+            elif wrong is form.path or not form.site.currentText().strip():
                 wrong.setFocus()
             return
         self._plan, self._live = plan, LiveSignals()
-        plan = self.clinician.planned(plan)
+        plan = self.clinician.planned(plan, self.study.wanted)
         stop = self.begin_energised(self._show_frame, _("Connecting to the instrument."))
-        self.findings = None
-        self.reports.show_findings(None)
-        self.ui.pages.setTabVisible(1, False)
-        self.ui.gate.hide()
+        self._clear_result()
         self.panels.log.note(
             _("A test begins: {site}, with {url}, to {path}.").format(site=plan.site, url=plan.url, path=plan.out)
         )
@@ -246,7 +247,7 @@ class MainWindow(QMainWindow):
         if self.testing:
             self._stop.press(reason)
             self.ui.guidance.say(_("Stopping: the coil is being released."))
-        elif not self.busy:
+        elif not self.busy and not self.ui.notice.holds_problem:
             self.ui.notice.say(sentence(translated(NO_TEST)))
 
     def _stop_by_button(self) -> None:
@@ -333,13 +334,13 @@ class MainWindow(QMainWindow):
             self._show_gate(session.test())
             self._identify(outcome.path, session, None)
         else:
-            self.ui.guidance.show_idle()
+            self.show_idle()
 
     def _test_failed(self, words: str) -> None:
         self._end_frames()
         self.ui.signals.clear()
         self.ui.analysis.hide()
-        self.ui.guidance.show_idle()
+        self.show_idle()
         self.ui.notice.say(words, problem=True, page=MEASURE)
         if self._live.device is None:  # else it had answered, and something else kept the test from beginning
             self._doubt_instrument()
@@ -405,12 +406,34 @@ class MainWindow(QMainWindow):
         self.ui.pages.tabBar().setFocus()
         self.show_idle()
 
+    def _clear_result(self) -> None:
+        self.findings = None
+        self.reports.show_findings(None)
+        self.ui.pages.setTabVisible(1, False)
+        self.ui.gate.hide()
+        self.ui.form.show_other_test(False)
+        self.clinician.clear()
+        self.show_idle()
+
+    def _subject_begins(self, subject: str) -> None:
+        """Remove a result that is shown: it is of another subject than the next test."""
+        found = self.findings
+        if found is None or self.testing or subject in ("", found.session.subject.pseudonym):
+            return
+        self._clear_result()
+        self.ui.signals.clear()
+        self.ui.analysis.hide()
+        self._settle()
+
     def _judge(self) -> None:
         """Judge the tests of the shown session that the quality gate has not judged; the file is not changed."""
         if self.findings is None or self.busy:
             return
         self.ui.guidance.say(_("Judging the test."))
         self.jobs.do(functools.partial(judge_and_analyse, self.findings), self.show_findings, self.context.say_failed)
+
+    def _go_calibrate(self) -> None:
+        self.pages.go_calibrate(_("Put the calibration spring under the probe, then begin a calibration."))
 
     def _show_gate(self, test: Test, verdict: Verdict | None = None) -> None:
         """Show the findings of the quality gate, and the verdict once the test is analysed."""
@@ -420,7 +443,8 @@ class MainWindow(QMainWindow):
     def show_idle(self) -> None:
         """Show the name of the displayed test, or how to start one."""
         found = self.findings
-        self.ui.guidance.show_idle("" if found is None else f"{whose(found)}  ·  {found.path.name}")
+        shown = "" if found is None else f"{whose(found)}  ·  {found.path.name}"
+        self.ui.guidance.show_idle(self.study.instruction or shown)
 
     def _choose_session(self) -> None:
         kinds = _("Sessions and records (*.h5 {records});;All files (*)").format(records=RECORDS)
@@ -528,8 +552,9 @@ class MainWindow(QMainWindow):
         ui.role.changed.connect(self._change_role)
         ui.gate.again.connect(self.start_test)
         ui.gate.judge.connect(self._judge)
-        ui.form.filled.connect(ui.start.setFocus)
+        ui.gate.calibration_wanted.connect(self._go_calibrate)
         ui.form.changed.connect(ui.notice.form_changed)
+        ui.form.subject_chosen.connect(self._subject_begins)
         ui.stop.clicked.connect(self._stop_by_button)
         ui.halt.clicked.connect(self._stop_by_button)
         self._keys.pressed.connect(self._stop_by_key)

@@ -102,8 +102,9 @@ class NumberField(QDoubleSpinBox):
         if not typed:
             self.hint.say("")
             return
-        kept = self.textFromValue(self.value()) + self.suffix()
-        self.hint.say(_("{range}; {kept} stands again").format(range=self.range_words, kept=kept), fading=True)
+        kept = self.textFromValue(self.value())
+        said = _("{range}; {kept} is kept").format(range=self.range_words, kept=kept + self.suffix())
+        self.hint.say(said if kept else _("{range}; left empty").format(range=self.range_words), fading=True)
         self.refused.emit(typed)
 
     def valueFromText(self, text: str) -> float:  # noqa: N802

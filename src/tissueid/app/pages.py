@@ -11,7 +11,7 @@ from collections.abc import Callable, Mapping
 from pathlib import Path
 from typing import Any
 
-from PySide6.QtCore import QObject, Signal
+from PySide6.QtCore import QObject, Qt, Signal
 from PySide6.QtWidgets import QLineEdit, QPlainTextEdit, QTextEdit, QWidget
 
 from tissueid.app.context import AppContext, View
@@ -112,6 +112,11 @@ class Pages(QObject):
         self._ui.show_page(name)
         self.shown.emit(name)
 
+    def go(self, name: str) -> None:
+        """Show a page and put the focus into it, as somebody who works by keyboard expects."""
+        self.show(name)
+        self._ui.focus_page()
+
     def title(self, name: str) -> str:
         """Return the title of a page."""
         return self._ui.rail.buttons[name].text()
@@ -196,7 +201,7 @@ class Pages(QObject):
         ui = self._ui
         ui.pages.setCurrentWidget(ui.calibration)
         ui.notice.say(words)
-        ui.calibration.begin["static"].setFocus()
+        ui.calibration.begin["static"].setFocus(Qt.FocusReason.ShortcutFocusReason)
 
     def prepare_test(self, values: Mapping[str, Any], words: str) -> None:
         """Fill the form of a test and show it with a notice; nothing starts."""

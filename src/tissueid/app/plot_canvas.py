@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING, Any, TypeGuard, cast
 
 import numpy as np
 from PySide6.QtCore import QEvent, QObject, QPointF, QSize, Qt, QTimer
-from PySide6.QtGui import QContextMenuEvent, QKeyEvent, QMouseEvent, QResizeEvent, QShowEvent, QWheelEvent
+from PySide6.QtGui import QContextMenuEvent, QKeyEvent, QMouseEvent, QPalette, QResizeEvent, QShowEvent, QWheelEvent
 from PySide6.QtWidgets import QFileDialog, QFrame, QLabel, QMenu, QScrollArea, QSizePolicy, QVBoxLayout, QWidget
 
 from tissueid.app.draw_queue import request_drawing
@@ -95,6 +95,11 @@ class PlotCanvas(QFrame):
         self.readout.setProperty("role", "readout")
         self.readout.setAttribute(Qt.WidgetAttribute.WA_TransparentForMouseEvents)
         self.readout.hide()
+        self._cover = QLabel(_("Being drawn…"), self)
+        self._cover.setAlignment(Qt.AlignmentFlag.AlignCenter)
+        self._cover.setAutoFillBackground(True)
+        self._cover.setBackgroundRole(QPalette.ColorRole.Base)
+        self._cover.hide()
         self._inside = QVBoxLayout(self)
         self._inside.setContentsMargins(6, 4, 6, 4)
         self._inside.setSpacing(0)
@@ -148,6 +153,8 @@ class PlotCanvas(QFrame):
         self._axes, self._long, self._home = [], [], []
         if self._stale and self.isVisible():
             request_drawing(self)
+        self._cover.setVisible(self._stale)
+        self._cover.raise_()
 
     def say_missing(self, text: str) -> None:
         """Show a text in place of plots."""
@@ -225,6 +232,7 @@ class PlotCanvas(QFrame):
     def resizeEvent(self, event: QResizeEvent) -> None:  # noqa: N802
         """Lay the plots out for the new size."""
         super().resizeEvent(event)
+        self._cover.setGeometry(self.rect().adjusted(2, 2, -2, -2))
         self._relayout.start()
 
     def eventFilter(self, watched: QObject, event: QEvent) -> bool:  # noqa: N802
@@ -373,6 +381,7 @@ class PlotCanvas(QFrame):
 
         canvas = self._make_canvas()
         canvas.setVisible(True)
+        self._cover.hide()
         self._inside.activate()  # gives the canvas its size before the plots are laid out
         figure = canvas.figure
         self._stale, self._scale, self._grabbed = False, 1.0, None

@@ -82,7 +82,7 @@ class StimulusForm(QWidget):
         self.browse = QPushButton(_("Browse…"))
         self.stop_when = QLineEdit()
         self.stop_when.setPlaceholderText("stiffness=0.02")
-        self.stop_when.setAccessibleName(_("Stop when known to"))
+        self.stop_when.setAccessibleName(_("Stop at uncertainty"))
         self.stop_when.setToolTip(
             _("Standard deviation that is enough, as a share of the value: mass, damping, stiffness")
             + "\n"
@@ -107,7 +107,7 @@ class StimulusForm(QWidget):
         row.setContentsMargins(0, 0, 0, 0)
         row.addWidget(self.file, 1)
         row.addWidget(self.browse)
-        self._stop_label = QLabel(_("Stop when known to"))
+        self._stop_label = QLabel(_("Stop at uncertainty"))
         self._stop_label.setWordWrap(True)
         self._grid.addWidget(QLabel(_("Stimulus")), 0, 0)
         self._grid.addWidget(self.kind, 0, 1)

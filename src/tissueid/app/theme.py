@@ -88,6 +88,7 @@ QLabel[role="heading"] { font-weight: 600; font-size: 9pt; }
 QLabel[role="research"] { color: $muted; border: 1px solid $line; border-radius: 9px; padding: 2px 10px; }
 QLabel[role="instruction"] { font-size: 14pt; }
 QLabel[role="value"] { font-size: 16pt; font-weight: 600; }
+QLabel[role="value"][level="poor"] { font-size: 11pt; font-weight: 400; color: $muted; }
 QLabel[role="headline"] { font-size: 13pt; font-weight: 600; }
 QLabel[role="headline"][level="good"] { color: $good; }
 QLabel[role="headline"][level="check"] { color: $check; }

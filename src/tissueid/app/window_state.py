@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 from collections.abc import Sequence
+from pathlib import Path
 
 from PySide6.QtCore import QByteArray, QSettings
 from PySide6.QtWidgets import QMainWindow, QWidget
@@ -21,6 +22,8 @@ _FOLD = "window/settings-unfolded"
 _INSTRUMENT = "test/instrument"
 _LIMITS = "test/limits"
 _LIVE_METHOD = "test/live-method"
+_STUDIES = "window/studies"
+_MOST_STUDIES = 20
 _LONGEST = 200
 _VERSION = 3
 
@@ -98,3 +101,14 @@ def load_texts(settings: QSettings, name: str) -> list[str]:
     if not isinstance(texts, list) or len(texts) > _MOST_TEXTS:
         return []
     return [text for text in texts if isinstance(text, str) and len(text) <= _LONGEST_TEXT]
+
+
+def visited_studies(settings: QSettings) -> list[Path]:
+    """Return the folders of studies in which a subject was measured, the newest first."""
+    return [Path(text) for text in load_texts(settings, _STUDIES)]
+
+
+def keep_visited_study(settings: QSettings, folder: Path) -> None:
+    """Keep the folder of a study in which a subject is measured."""
+    others = [path for path in visited_studies(settings) if path != folder]
+    save_texts(settings, _STUDIES, [str(path) for path in (folder, *others)][:_MOST_STUDIES])

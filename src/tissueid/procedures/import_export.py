@@ -15,6 +15,7 @@ from tissueid.messages import Message, Verbatim
 from tissueid.procedures.audit_notes import audit_note
 from tissueid.procedures.control import Control
 from tissueid.procedures.plan_options import Option, Plan
+from tissueid.procedures.pseudonyms import PseudonymConfirmed, check_subject
 
 if TYPE_CHECKING:  # each takes long to import
     from tissueid.audit import AuditTrail
@@ -82,6 +83,7 @@ class ImportPlan(Plan):
         tuple[float, ...], Option("--surface", metavar="METRE", help=f"position of the tissue surface{_EACH}")
     ] = ()
     subject: Annotated[str | None, Option("--subject", metavar="PSEUDONYM", help="pseudonym, never a name")] = None
+    pseudonym_confirmed: PseudonymConfirmed = False
     instrument: Annotated[
         tuple[str, ...],
         Option(
@@ -115,6 +117,7 @@ class ImportPlan(Plan):
                             known=Verbatim(", ".join(known)),
                         )
                     )
+        check_subject(self.subject or "", confirmed=self.pseudonym_confirmed)
         for text in (*self.sites, *self.instrument, self.subject or ""):
             if not text.isprintable():
                 shown = "".join(mark if mark.isprintable() else "�" for mark in text)

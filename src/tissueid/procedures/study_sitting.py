@@ -52,7 +52,7 @@ class SittingRunPlan(Plan):
     """A whole sitting of one subject."""
 
     folder: Annotated[Path, Option(argument=True, metavar="FOLDER", help="folder of a study with a protocol")]
-    subject: Annotated[str, Option("--subject", metavar="PSEUDONYM", help="pseudonym such as P01, never a name")]
+    subject: Annotated[str, Option("--subject", metavar="PSEUDONYM", help="pseudonym such as P-001, never a name")]
     url: Annotated[
         str, Option("--device", metavar="URL", help="simulator, such as 'simulated://forearm?variation=1&subject=2'")
     ]

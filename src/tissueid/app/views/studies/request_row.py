@@ -67,7 +67,7 @@ class RequestRow(QFrame):
         self.template = QPushButton(_("New protocol"))
         self.template.setToolTip(_("Write a protocol.json to begin with; change it in a text editor"))
         self.subject = QLineEdit()
-        self.subject.setPlaceholderText(_("Subject, such as P01"))
+        self.subject.setPlaceholderText(_("Subject, such as P-001"))
         self.subject.setAccessibleName(_("Pseudonym of the subject, never a name"))
         self.subject.setToolTip(self.subject.accessibleName())
         self.measure = QPushButton(_("Measure subject"))
