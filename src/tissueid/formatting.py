@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 import re
+from collections.abc import Iterable
 from datetime import datetime
 from typing import TYPE_CHECKING, Any
 
@@ -26,6 +27,15 @@ _DEEPEST = 4
 _DIGEST = re.compile(r"[0-9a-f]{40,128}")
 _DIGITS = 16
 """Digits of a hash that are shown."""
+
+PRINCIPAL = ("mass_kg", "damping_n_s_per_m", "stiffness_n_per_m")
+"""The parameters that are asked for first."""
+
+
+def principal_first(names: Iterable[str]) -> list[str]:
+    """Return names of parameters with mass, damping and stiffness first; the others keep their order."""
+    return sorted(names, key=lambda name: PRINCIPAL.index(name) if name in PRINCIPAL else len(PRINCIPAL))
+
 
 _LABELS = {
     "natural_frequency_rad_per_s": "Natural frequency",

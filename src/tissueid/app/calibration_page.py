@@ -104,7 +104,7 @@ class CalibrationPage(QWidget):
         self.report.clicked.connect(self.report_wanted)
         self._figures: dict[str, Quantity] = {}
         self.figures = QTableWidget(0, 3)
-        self.figures.setHorizontalHeaderLabels([_("Figure"), _("Value"), _("Unit")])
+        self.figures.setHorizontalHeaderLabels([_("Quantity"), _("Value"), _("Unit")])
         self.figures.setAccessibleName(_("Figures of the calibration"))
         self.figures.verticalHeader().hide()
         self.figures.setEditTriggers(QTableWidget.EditTrigger.NoEditTriggers)

@@ -209,6 +209,7 @@ class MainWindow(QMainWindow):
         self._stop.beat()
         self._keys.listen(True)
         self.testing = True
+        self.jobs.hold_results(True)
         self.ui.make_way()
         self.ui.notice.retract()
         self.ui.safety.expect()
@@ -221,6 +222,7 @@ class MainWindow(QMainWindow):
         self._keys.listen(False)
         self._frames.stop()
         self.testing = False
+        self.jobs.hold_results(False)
         self.clinician.freed()
         self.ui.safety.clear()
 
@@ -426,14 +428,14 @@ class MainWindow(QMainWindow):
         self.study.update_enabled(busy=self.busy)
         self.pages.update_enabled(busy=self.busy, testing=self.testing)
         show_disabled_reason(self.ui.waiting, self.jobs.why)
-        if self._closing and not self.jobs:
+        if self._closing and self.jobs.idle:
             self.close()
 
     # -- the window itself ------------------------------------------------------------------------------------
 
     def closeEvent(self, event: QCloseEvent) -> None:  # noqa: N802
         """Close; a running test first releases the coil and keeps what was recorded."""
-        if self.jobs:
+        if not self.jobs.idle:
             self._closing = True
             self._stop.press(BY_CLOSING)
             self.pages.cancel()
@@ -482,6 +484,7 @@ class MainWindow(QMainWindow):
         self.clinician.findings_wanted.connect(self.show_findings)
         self.device_search.recovered.connect(self._show_recovered)
         self.pages.shown.connect(self._page_shown)
+        self._calibrator.answered.connect(self.pages.on_instrument_answered)
         self.pages.start.find_asked.connect(self.device_search.find_instruments)
         self.pages.start.recovery_asked.connect(self.device_search.recover)
         # Queued: the new palette must first have reached every widget, or the rest would be overwritten by it.

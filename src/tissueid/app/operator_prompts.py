@@ -15,6 +15,7 @@ from tissueid.app.emergency import EmergencyStop
 from tissueid.app.live_signals import Array, LiveSignals, Snapshot
 from tissueid.app.safety import SafetyWatch
 from tissueid.calibration.file import Calibration
+from tissueid.device import DeviceDescription
 from tissueid.instrument import CLINICAL, Instrument
 from tissueid.procedures.control import Control
 from tissueid.wire import Flag
@@ -26,6 +27,8 @@ _WAIT_S = 0.1
 class CalibrationOutcome:
     """The result. ``remarks`` are further messages, ``state`` is the new state of the instrument's calibration.
 
+    ``nominal`` is the instrument as it answered, without a calibration.
+
     ``report`` is None if it could not be written; the calibration is valid without it.
     """
 
@@ -34,6 +37,7 @@ class CalibrationOutcome:
     report: Path | None
     remarks: tuple[str, ...]
     state: CalibrationState = field(default_factory=CalibrationState)
+    nominal: DeviceDescription | None = None
 
 
 @dataclass(frozen=True)

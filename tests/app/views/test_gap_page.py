@@ -63,7 +63,7 @@ def page_of(window):
 
 def wait(qtbot, window):
     # Between the end of a reading job and the diagnosis that was asked for meanwhile, no job runs.
-    qtbot.waitUntil(lambda: not window.jobs and not page_of(window)._running, timeout=WAIT_MS)
+    qtbot.waitUntil(lambda: window.jobs.idle and not page_of(window)._running, timeout=WAIT_MS)
 
 
 @pytest.fixture
@@ -121,9 +121,7 @@ def test_from_a_session_to_verdict_stage_and_effect(qtbot, diagnosed):
     assert result.isVisible()
     headline = page.history.result.story.headline
     assert headline.code == "gap.explained"
-    assert says(
-        part_of(headline, "gap.cause_probability"), "gap.cause_probability", effect=FRICTION.title, percent="> 99"
-    )
+    assert says(part_of(headline, "gap.cause_both"), "gap.cause_both", effect=FRICTION.title, percent="> 99")
     assert result.headline.text() == headline.replace(" %", "\N{NO-BREAK SPACE}%")
     assert FRICTION.remedy in result.todo.text()
     assert result.chain.stages["mechanics"].accessibleName().endswith("at fault")

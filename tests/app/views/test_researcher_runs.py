@@ -245,10 +245,10 @@ def test_the_page_research_reads_as_its_golden_page(qtbot, open_window, monkeypa
     monkeypatch.setenv("TISSUEID_ANALYSES", str(tmp_path / "analyses.jsonl"))
     window = open_window(first_page="research")
     view = window.ui.views["research"]
-    qtbot.waitUntil(lambda: not window.jobs, timeout=WAIT_MS)
+    qtbot.waitUntil(lambda: window.jobs.idle, timeout=WAIT_MS)
     before = list(lines_of_widget(view))
     view.tabs.setCurrentWidget(view.analysis)
     view.analysis.show_tests(two)
     press(qtbot, view.analysis.run)
-    qtbot.waitUntil(lambda: not window.jobs, timeout=WAIT_MS)
+    qtbot.waitUntil(lambda: window.jobs.idle, timeout=WAIT_MS)
     check_golden_page("window-research", [*before, *lines_of_widget(view.analysis)])

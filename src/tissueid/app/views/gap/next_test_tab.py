@@ -18,9 +18,12 @@ if TYPE_CHECKING:
 
 _NONE = {
     "no_gap": marked("No further test is needed: the twin explains this recording down to its noise."),
-    "effect": marked("No further test is needed: one cause is clear, or no test would separate the candidates."),
+    "effect": marked("No further test is needed: the cause is clear."),
     "unexplained": marked("No test would separate the candidates: none of them explains the gap."),
 }
+_NONE_SEPARATES = marked(
+    "More than one cause remains possible, and no test of this instrument would separate them: see the tab Which."
+)
 
 
 class NextTestTab(QWidget):
@@ -53,7 +56,9 @@ class NextTestTab(QWidget):
         """Show the proposed test of a diagnosis."""
         step = story.proposal
         self.title.setText(_("Nothing to measure") if step is None else as_title(step.title))
-        self.why.setText(_(_NONE[story.verdict]) if step is None else as_sentence(step.why))
+        clear = story.level == "good" and not any(item.alike for item in story.ranking if item.named)
+        none = _NONE[story.verdict] if clear or story.verdict != "effect" else _NONE_SEPARATES
+        self.why.setText(_(none) if step is None else as_sentence(step.why))
         self.put.setText("" if step is None else as_sentence(step.put))
         self.put.setVisible(bool(self.put.text()))
         self.by_hand.setText("" if step is None else as_sentence(step.by_hand))

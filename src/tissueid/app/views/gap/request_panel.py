@@ -150,6 +150,12 @@ class RequestPanel(QFrame):
         self.stop.setEnabled(True)
         self.show_progress(None, _("Starting"))
 
+    def show_reason(self, why: str) -> None:
+        """Say why no diagnosis can start; an empty text hides it."""
+        if why or self.bar.isHidden():
+            self.doing.setText(why)
+            self.doing.setVisible(bool(why))
+
     def update_enabled(self, *, busy: bool, testing: bool) -> None:
         """Enable or disable the controls."""
         for widget in (*self.session.fields, *self.twin.fields, self.fold, self.fit, self.check):

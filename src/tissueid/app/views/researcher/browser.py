@@ -197,6 +197,8 @@ class Browser(QWidget):
     def update_enabled(self, *, testing: bool) -> None:
         """Disable the controls during a test."""
         self.setEnabled(not testing)
+        if self._all_wanted:
+            self._tell_count()
 
     def apply_theme(self, theme: Theme) -> None:
         """Apply the colours of a theme."""
@@ -268,7 +270,8 @@ class Browser(QWidget):
             words += _(", {count} unreadable").format(count=grouped(bad))
         if shown != len(entries):
             words += _("; {count} shown").format(count=grouped(shown))
-        self.count.setText(words)
+        waits = self._all_wanted and self._context.busy
+        self.count.setText(self._context.unread if waits else words)
         empty = "" if entries or self._search is not None or self._all_wanted else _("No sessions in these folders.")
         if entries and not shown:
             empty = _("Nothing matches.")

@@ -55,6 +55,9 @@ class AnalysisHistory:
         self.path = path or default_path()
         self._lock = threading.Lock()
 
+    def __reduce__(self) -> tuple[type[AnalysisHistory], tuple[Path]]:
+        return AnalysisHistory, (self.path,)  # for the process of an analysis
+
     def read(self) -> tuple[list[HistoryEntry], int]:
         """Return the latest entries, newest first, and the number of unreadable lines. A missing file is empty.
 

@@ -27,8 +27,8 @@ _ALL_ROLES, _ALL_ACTS = marked("All roles"), marked("All acts")
 _ROLE, _SEARCH = "instrument/audit/role", "instrument/audit/search"
 _MOST_ACTS = 60
 _BLIND = marked(
-    "Lines cut off at its end together with the note next to it are seen only against a session or a calibration: "
-    "'tissueid audit verify FILE'."
+    "A log that was cut at its end, together with the note next to it, can be recognised only by comparing it with a "
+    "session or a calibration that was made later."
 )
 
 
@@ -151,7 +151,7 @@ class AuditTab(Tab):
             self.stale = False
 
     def _loaded(self, found: Read) -> None:
-        self._read = found
+        self._read, self.read = found, True
         kept = self.act.currentText()
         self.act.blockSignals(True)
         self.act.clear()
@@ -229,6 +229,8 @@ class AuditTab(Tab):
         self.again.setEnabled(not busy)
         self.verify.setEnabled(not busy)
         self.export.setEnabled(not busy and bool(self.model.rows))
+        if not self.read:
+            self._show()
 
     def _show(self) -> None:
         role = self.role.currentData()
@@ -249,7 +251,8 @@ class AuditTab(Tab):
         said = _("{shown} of {count} lines, newest first, in {path}.").format(
             shown=grouped(len(found)), count=grouped(len(lines)), path=self.context.services.audit.path
         )
-        self.count.setText(" ".join([clean(said), *(clean(line) for line in self._read.page.remarks)]))
+        remarks = (clean(line) for line in self._read.page.remarks)
+        self.count.setText(" ".join([clean(said), *remarks]) if self.read else self.context.unread)
         self.export.setEnabled(bool(found) and not self.context.busy)
         self._show_full()
 

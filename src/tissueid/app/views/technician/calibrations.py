@@ -206,13 +206,14 @@ class CalibrationsTab(Tab):
             self.stale = False
 
     def _loaded(self, stored: tuple[Stored, ...]) -> None:
-        self._stored = stored
+        self._stored, self.read = stored, True
         self._show()
 
     def tell_instrument(self, nominal: DeviceDescription | None) -> None:
         """Set the instrument for which the active calibrations are shown."""
-        self._nominal = nominal
-        self._show()
+        if nominal is not self._nominal or not self.read:
+            self._nominal = nominal
+            self._show()
 
     def _go(self) -> None:
         """Show the page of calibrations; start nothing."""
@@ -228,6 +229,8 @@ class CalibrationsTab(Tab):
         """Disable reading and calibrating while a job runs."""
         self.again.setEnabled(not busy)
         self.calibrate.setEnabled(not busy)
+        if not self.read:
+            self._show()
 
     @property
     def selected(self) -> list[Calibration]:
@@ -249,13 +252,17 @@ class CalibrationsTab(Tab):
                 selection.select(
                     self.model.index(number, 0), selection.SelectionFlag.Select | selection.SelectionFlag.Rows
                 )
-        if not rows:
+        if not self.read:
+            self.about.setText(self.context.unread)
+        elif not rows:
             self.about.setText(_("There is no calibration yet: the nominal figures are used."))
         elif self._nominal is None:
-            self.about.setText(_("Read the instrument under Health to see which of them are active."))
+            self.about.setText(_("Check the instrument under Health to see which of them it uses."))
         else:
             self.about.setText(
-                _("Whether it is active for {serial}.").format(serial=clean(self._nominal.serial_number)[:60])
+                _("Column “Active”: whether the instrument {serial} uses it.").format(
+                    serial=clean(self._nominal.serial_number)[:60]
+                )
             )
         self._show_selected()
 

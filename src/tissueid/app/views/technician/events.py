@@ -127,7 +127,9 @@ def read_events(files: list[Path], log: LogPage, cancelled: Callable[[], object]
         cancelled()
         for subject, event in _of_session(path):
             logged = by_subject.get(subject)
-            by_subject[subject] = event if logged is None else replace(logged, path=path, subject=event.subject)
+            if logged is not None:  # the session has the reason as a message, which is translated
+                event = replace(logged, path=path, subject=event.subject, reason=event.reason or logged.reason)
+            by_subject[subject] = event
     remarks = [*log.remarks]
     if len(files) > MOST_FILES:
         remarks.append(

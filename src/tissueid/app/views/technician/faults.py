@@ -106,7 +106,7 @@ class FaultsTab(Tab):
             self.stale = False
 
     def _loaded(self, events: Events) -> None:
-        self.events = events
+        self.events, self.read = events, True
         self._show()
 
     def update_enabled(self, *, busy: bool) -> None:
@@ -114,6 +114,8 @@ class FaultsTab(Tab):
         self._busy = busy
         self.again.setEnabled(not busy)
         self._settle_open()
+        if not self.read:
+            self._show()
 
     def _settle_open(self) -> None:
         event = self.selected
@@ -137,7 +139,8 @@ class FaultsTab(Tab):
         said = _("{shown} shown; {concerns} of {count} events are something other than a completed test.").format(
             shown=grouped(len(found)), concerns=grouped(total), count=grouped(len(self.events.found))
         )
-        self.count.setText(" ".join([said, *(clean(line) for line in self.events.remarks)]))
+        lines = [said, *(clean(line) for line in self.events.remarks)] if self.read else [self.context.unread]
+        self.count.setText(" ".join(lines))
         self._show_selected()
 
     def _show_selected(self) -> None:

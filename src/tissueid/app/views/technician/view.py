@@ -16,6 +16,7 @@ from tissueid.app.views.technician.calibrations import CalibrationsTab
 from tissueid.app.views.technician.faults import FaultsTab
 from tissueid.app.views.technician.health import HealthTab
 from tissueid.app.views.technician.tab import Tab
+from tissueid.device import DeviceDescription
 from tissueid.language import _, marked
 
 _TAB = "instrument/tab"
@@ -31,6 +32,7 @@ class InstrumentView(View):
         super().__init__(context, parent)
         self.page_job = PageJob(context.jobs, self)
         self._closing = self._busy = False
+        self._answered: tuple[str, DeviceDescription] | None = None
         self.health = HealthTab(context, self.page_job)
         self.calibrations = CalibrationsTab(context, self.page_job)
         self.faults = FaultsTab(context, self.page_job)
@@ -107,6 +109,8 @@ class InstrumentView(View):
         """Mark the tabs as stale: files may have changed."""
         for tab in self.all:
             tab.stale = True
+        self.health.show_chosen()
+        self._judge_chosen()
         self._soon.start()
 
     def showEvent(self, event: QShowEvent) -> None:  # noqa: N802
@@ -129,7 +133,21 @@ class InstrumentView(View):
         self.give_up.setVisible(self.page_job.running)
         checkup = self.health.checkup
         if not self.page_job.running and checkup is not None:
-            self.calibrations.tell_instrument(checkup.nominal)
+            self._answered = checkup.url, checkup.nominal
+        self._judge_chosen()
+
+    def _judge_chosen(self) -> None:
+        """Judge the calibrations for the chosen instrument; for none, where another one answered last."""
+        url, nominal = self._answered or ("", None)
+        self.calibrations.tell_instrument(nominal if url == self.context.instrument() else None)
+
+    def on_instrument_answered(self, url: str, nominal: DeviceDescription) -> None:
+        """Take a calibration that was just made for an answer of its instrument."""
+        self._answered = url, nominal
+        for tab in self.all:
+            tab.stale = True
+        self._judge_chosen()
+        self._soon.start()
 
     def update_enabled(self, *, busy: bool, testing: bool) -> None:
         """Disable what starts a job while another one runs."""
