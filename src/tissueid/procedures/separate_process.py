@@ -26,8 +26,8 @@ _LEAVE = "leave"
 def run_in_process(work: Callable[[Control], R], control: Control, grace_s: float = 0.0) -> R:
     """Run picklable work in a new process and return its result. Progress and notices reach ``control``.
 
-    The process has a low priority, so that it does not disturb a measurement. A diagnosis in a thread would block the window whenever it is between two compiled loops, and could not be ended in
-    the middle of a fit.
+    The process has a low priority, so that it does not disturb a measurement. A diagnosis in a thread would block the
+    window whenever it is between two compiled loops, and could not be ended in the middle of a fit.
 
     Args:
         work: gets the control of its process.
