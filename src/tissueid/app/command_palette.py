@@ -140,6 +140,12 @@ class CommandPalette(QFrame):
             else:
                 item.setData(Qt.ItemDataRole.UserRole, action)
             self.list.addItem(item)
+        if not self.list.count():
+            item = QListWidgetItem(
+                _("Nothing matches. Try fewer or other words, such as “open”, “page” or “language”.")
+            )
+            item.setFlags(Qt.ItemFlag.NoItemFlags)
+            self.list.addItem(item)
         self._step(0)
 
     def _step(self, by: int) -> None:

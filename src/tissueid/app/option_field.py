@@ -17,7 +17,7 @@ from PySide6.QtWidgets import QCheckBox, QComboBox, QDoubleSpinBox, QHBoxLayout,
 
 from tissueid.errors import UnusableInputError
 from tissueid.formatting import label_and_unit
-from tissueid.language import _
+from tissueid.language import _, decimal
 from tissueid.messages import Message
 from tissueid.units import display_unit
 
@@ -230,7 +230,7 @@ class _GeneralSpin(QDoubleSpinBox):
 
     def textFromValue(self, value: float) -> str:  # noqa: N802
         """Return the number with up to ten digits."""
-        return f"{value:.{_DIGITS}g}"
+        return decimal(f"{value:.{_DIGITS}g}")
 
     def valueFromText(self, text: str) -> float:  # noqa: N802
         """Return the typed number, with or without its unit."""

@@ -9,8 +9,8 @@ from pathlib import Path
 from typing import Any
 
 from platformdirs import user_log_path
-from PySide6.QtCore import QObject, Qt, QUrl, Signal
-from PySide6.QtGui import QFontDatabase, QGuiApplication, QHideEvent, QShowEvent
+from PySide6.QtCore import QObject, Qt, QTimer, QUrl, Signal
+from PySide6.QtGui import QFontDatabase, QGuiApplication, QHideEvent, QShowEvent, QTextCursor
 from PySide6.QtWidgets import (
     QApplication,
     QDockWidget,
@@ -173,6 +173,15 @@ class LogPanel(QDockWidget):
         self._unfold(False)
         self.fold.hide()
 
+    def showEvent(self, event: QShowEvent) -> None:  # noqa: N802
+        """Show the newest lines."""
+        super().showEvent(event)
+        QTimer.singleShot(0, self, self._show_newest)
+
+    def _show_newest(self) -> None:
+        self.lines.moveCursor(QTextCursor.MoveOperation.End)
+        self.lines.ensureCursorVisible()
+
     def note(self, text: str, problem: bool = False) -> None:
         """Add a line; what was said just before is not said again."""
         text = clean(text).strip()
@@ -236,7 +245,7 @@ def _reader(name: str) -> QPlainTextEdit:
 
 HELP_KEY = "F1"
 LOG_KEY = "F9"
-_LOG_HEIGHT = 150
+_LOG_HEIGHT = 230
 
 
 class Panels(QObject):

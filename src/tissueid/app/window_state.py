@@ -13,6 +13,7 @@ from tissueid.audit import ROLES, Role
 from tissueid.formatting import clean
 
 _GEOMETRY = "window/geometry"
+_MAXIMISED = "window/maximised"
 _PANELS = "window/panels"
 _HELP = "window/help"
 _PAGE = "window/page"
@@ -47,6 +48,7 @@ def save_window_state(
 ) -> None:
     """Save the window state. Write errors are ignored."""
     settings.setValue(_GEOMETRY, window.saveGeometry())
+    settings.setValue(_MAXIMISED, "yes" if window.isMaximized() else "no")
     settings.setValue(_PANELS, window.saveState(_VERSION))
     settings.setValue(_HELP, "no" if help_panel.isHidden() else "yes")
     settings.setValue(_PAGE, page)
@@ -60,6 +62,7 @@ def save_window_state(
 
 def restore_window_state(window: QMainWindow, form: PlanForm, help_panel: QWidget, settings: QSettings) -> None:
     """Restore the window state except page and role. Values that are no longer valid are ignored."""
+    window.setProperty(_MAXIMISED, _text(settings, _MAXIMISED))
     geometry, panels = settings.value(_GEOMETRY), settings.value(_PANELS)
     if isinstance(geometry, QByteArray):
         window.restoreGeometry(geometry)
@@ -72,6 +75,14 @@ def restore_window_state(window: QMainWindow, form: PlanForm, help_panel: QWidge
     for choice, key in ((form.limits, _LIMITS), (form.stimulus.live_method, _LIVE_METHOD)):
         if (place := choice.findData(_text(settings, key))) >= 0:
             choice.setCurrentIndex(place)
+
+
+def show_window(window: QMainWindow) -> None:
+    """Show a window, maximised if it was left so: not every system does this by the geometry alone."""
+    if window.property(_MAXIMISED) == "yes":
+        window.showMaximized()
+    else:
+        window.show()
 
 
 def _text(settings: QSettings, key: str) -> str:

@@ -79,12 +79,12 @@ class FolderButton(QPushButton):
 
 
 _FOLDERS, _ASKED, _HEADER = "research/folders", "research/asked", "research/columns"
+_WIDTHS = "research/widths"
 _SETTLED_MS = 120
 """A selection that stands so long is what was meant; the arrow keys pass over many."""
 _DRAIN_MS = 80
 _AT_ONCE = 200
 _LONGEST_LABEL = 60
-_WIDTHS = (134, 72, 108, 72, 46, 84, 70, 100, 180)
 
 
 class Browser(QWidget):
@@ -209,6 +209,7 @@ class Browser(QWidget):
         save_texts(self._context.settings, _FOLDERS, [str(path) for path in self.folders.paths])
         save_texts(self._context.settings, _ASKED, list(self.bar.asked))
         self._context.settings.setValue(_HEADER, self.tree.header().saveState())
+        save_texts(self._context.settings, _WIDTHS, self.tree.widths())
 
     # -- searching ------------------------------------------------------------------------------------------
 
@@ -299,12 +300,10 @@ class Browser(QWidget):
     # -- building -------------------------------------------------------------------------------------------
 
     def _restore(self) -> None:
-        header = self.tree.header()
-        for column, width in enumerate(_WIDTHS):
-            header.resizeSection(column, width)
         state = self._context.settings.value(_HEADER)
         if isinstance(state, QByteArray):
-            header.restoreState(state)
+            self.tree.header().restoreState(state)  # order and sorting; widths stand apart, where no room bends them
+        self.tree.restore(load_texts(self._context.settings, _WIDTHS))
         asked = load_texts(self._context.settings, _ASKED)
         if len(asked) == 4:
             self.bar.ask(*asked)

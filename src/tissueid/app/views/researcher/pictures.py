@@ -28,6 +28,10 @@ _LEAST, _AROUND = 48, 8
 _PANEL = 100
 """Minimum height of a panel, pixels."""
 
+_LOW = 460
+"""Height of the plots with their legend below which the legend has two lines, pixels."""
+_ANY = 16_777_215
+
 
 class Pictures(QWidget):
     """Plots of results. ``show_outcomes`` returns the drawn ones in the order of their colours."""
@@ -51,6 +55,7 @@ class Pictures(QWidget):
         self.legend = QLabel()
         self.legend.setTextFormat(Qt.TextFormat.RichText)
         self.legend.setWordWrap(True)
+        self.legend.setAlignment(Qt.AlignmentFlag.AlignTop)
         self.legend.setMinimumWidth(1)
         self.legend.setAccessibleName(_("Key of the plots"))
         self.choice.currentIndexChanged.connect(self._show)
@@ -191,9 +196,15 @@ class Pictures(QWidget):
             )
         entries += [f'<span style="color:{theme.muted}">{word}</span>' for word in words]
         self.legend.setText(" &nbsp;&nbsp; ".join(entries))
-        self.legend.setMinimumHeight(0)  # what the text needs must be asked without the former minimum
+        self.legend.setMinimumHeight(0)  # what the text needs must be asked without the former bounds
+        self.legend.setMaximumHeight(_ANY)
         needed = max(0, self.legend.heightForWidth(self.width()))  # -1 without a text
-        self.legend.setMinimumHeight(needed)  # a splitter does not know heights of wrapped texts
+        if self.height() < _LOW:  # the plots need the room more; the tool tip has the rest
+            needed = min(needed, 2 * self.legend.fontMetrics().lineSpacing())
+            self.legend.setToolTip(self.legend.text())
+        else:
+            self.legend.setToolTip("")
+        self.legend.setFixedHeight(needed)  # a splitter does not know heights of wrapped texts
         self.legend.setVisible(bool(entries) and bool(panels))
 
 

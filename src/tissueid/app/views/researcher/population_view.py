@@ -29,7 +29,7 @@ from tissueid.app.views.researcher.population import (
 from tissueid.app.views.researcher.result_figures import PopulationFigure
 from tissueid.app.views.researcher.results_table import SERIES
 from tissueid.app.widgets import ElidedLabel
-from tissueid.formatting import axis_label, grouped, label_and_unit, plus_minus, with_unit
+from tissueid.formatting import axis_label, fixed, grouped, label_and_unit, plus_minus, with_unit
 from tissueid.language import _, marked, plural
 from tissueid.messages import Verbatim
 from tissueid.records import Estimate
@@ -303,6 +303,6 @@ def _overall(found: Population) -> list[str]:
 
 def _figure(parameter: str, estimate: Estimate) -> str:
     if parameter in SCORES:
-        return f"{estimate.value:.2f} %"
+        return f"{fixed(estimate.value, 2)} %"
     unit, scale = shown_si(label_and_unit(parameter)[1])
     return with_unit(plus_minus(estimate, scale), unit)

@@ -22,10 +22,11 @@ from PySide6.QtWidgets import (
     QWidget,
 )
 
+from tissueid.app.build import row
 from tissueid.app.calibration_state import CalibrationState
 from tissueid.app.chooser import TYPED
 from tissueid.app.context import AppContext, View
-from tissueid.app.preferences import LanguageChooser, UnitChooser
+from tissueid.app.preferences import choosers
 from tissueid.app.roles import RoleCard
 from tissueid.app.theme import Theme
 from tissueid.app.views.start.recent import FolderLook, KnownDates, look_into
@@ -95,8 +96,8 @@ class StartView(View):
         self.unfinished = words()
         self.recover = QPushButton(_("Recover"))
         self.recover.setAccessibleName(_("Recover all unfinished tests"))
-        self.language = LanguageChooser(context.settings)
-        self.units = UnitChooser(context.settings)
+        self.choosers = choosers(context.settings)
+        self.language, self.units, self.appearance, self.text_size = self.choosers
         self.folder = QPushButton(_("Show folder"))
         self.folder.setAccessibleName(_("Show the folder of sessions"))
         self._arrange()
@@ -151,9 +152,9 @@ class StartView(View):
             )
         self._urls = urls
         self.instruments.fill(lines)
-        for row, url in enumerate(urls):
+        for place, url in enumerate(urls):
             health, state = known.get(url, (TYPED, CalibrationState()))
-            self.instruments.explain(row, "\n".join([translated(health), _(state.words), *state.warnings]))
+            self.instruments.explain(place, "\n".join([translated(health), _(state.words), *state.warnings]))
         self.about_instruments.setText(
             _("The next test is with {url}.").format(url=clean(chosen)) if chosen else _("None is chosen.")
         )
@@ -292,7 +293,6 @@ class StartView(View):
         self.seek.clicked.connect(self._find)
         self.recover.clicked.connect(self._recover)
         self.folder.clicked.connect(self._show_folder)
-        self.language.changed.connect(self.context.say)
 
     def _arrange(self) -> None:
         page = QWidget()
@@ -326,7 +326,8 @@ class StartView(View):
         whole.setContentsMargins(0, 0, 0, 0)
         whole.addWidget(scroll)
         order = [*self.cards.values(), self.recover, self.recent, self.stop_reading, self.open]
-        order += [self.seek, self.instruments, self.use, self.folder, self.language.choice, self.units.choice]
+        order += [self.seek, self.instruments, self.use, self.folder]
+        order += [chooser.choice for chooser in self.choosers]
         for before, after in pairwise(order):
             QWidget.setTabOrder(before, after)
 
@@ -359,12 +360,7 @@ class StartView(View):
             path.setToolTip(clean(where))
             grid.addWidget(label, 1 + place // 2, 2 * (place % 2), Qt.AlignmentFlag.AlignTop)
             grid.addWidget(path, 1 + place // 2, 2 * (place % 2) + 1, 1, 1 + place % 2)
-        choices = QHBoxLayout()
-        choices.setSpacing(24)
-        choices.addWidget(self.language)
-        choices.addWidget(self.units)
-        choices.addStretch(1)
-        grid.addLayout(choices, 3, 2, 1, 3)
+        grid.addLayout(row(*self.choosers, None, spacing=24), 4, 0, 1, 5)
         grid.setColumnStretch(1, 1)
         grid.setColumnStretch(3, 1)
         return foot

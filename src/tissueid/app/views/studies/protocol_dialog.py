@@ -8,6 +8,7 @@ from typing import Any, get_args
 
 from PySide6.QtCore import Qt, Signal
 from PySide6.QtWidgets import (
+    QBoxLayout,
     QCheckBox,
     QComboBox,
     QDialog,
@@ -58,9 +59,9 @@ class ProtocolDialog(QDialog):
             spin.setRange(1, most)
             spin.setValue(value)
         self.attempts.setToolTip(_("After so many tests that are of no use, the visit goes on to the next test"))
-        self.conditions = _Rows(
-            (_("Product, empty for none"), _("Minutes since application"), _("Direction (°)")), _("Conditions")
-        )
+        columns = _("Product"), _("Minutes after"), _("Direction (°)")
+        self.conditions = _Rows(columns, _("Conditions"))
+        self.conditions.setToolTip(_("One line for each; an empty product means none"))
         self.conditions.fill([tuple(one.model_dump().values()) for one in protocol.conditions])
         self.order, self.stimulus = QComboBox(), QComboBox()
         for name, words in _orders():
@@ -84,7 +85,7 @@ class ProtocolDialog(QDialog):
         form.addRow(_("Order of the sites"), self.order)
         form.addRow(_("Test"), self.stimulus)
         form.addRow(_("Attempts at each test"), self.attempts)
-        form.addRow(_("Ask the subject for"), _holder(column(*self.asked.values(), spacing=2)))
+        form.addRow(_("Ask the subject for"), _holder(_two_columns(tuple(self.asked.values()))))
         form.addRow("", self.photograph)
         inside = _holder(form)
         self.setLayout(column((PageScroll(inside), 1), self.problem, self.buttons, spacing=8, margins=(12,)))
@@ -186,7 +187,7 @@ class _Rows(QWidget):
         self.table = table(columns, name)
         self.table.setEditTriggers(QTableWidget.EditTrigger.AllEditTriggers)
         self.table.horizontalHeader().setSectionResizeMode(self.table.horizontalHeader().ResizeMode.Stretch)
-        self.table.setMinimumHeight(110)
+        self.table.setMinimumHeight(92)
         add, remove = button(_("Add"), name=f"{_('Add')}: {name}"), button(_("Remove"), name=f"{_('Remove')}: {name}")
         add.clicked.connect(lambda: self.fill([*self.rows, ()]))
         remove.clicked.connect(self._remove)
@@ -228,6 +229,11 @@ def _number(text: str) -> Any:
         return float(text.replace(",", ".")) if text else None
     except ValueError:
         return text
+
+
+def _two_columns(parts: Sequence[QWidget]) -> QBoxLayout:
+    half = (len(parts) + 1) // 2
+    return row(column(*parts[:half], spacing=2), column(*parts[half:], None, spacing=2), None, spacing=24)
 
 
 def _holder(box: Any) -> QWidget:
