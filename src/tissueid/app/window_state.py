@@ -91,6 +91,8 @@ def _text(settings: QSettings, key: str) -> str:
     return clean(kept).strip()[:_LONGEST] if isinstance(kept, str) else ""
 
 
+RESEARCH_FOLDERS = "research/folders"
+"""Setting with the folders of sessions that were added on the page Research."""
 _MOST_TEXTS = 200
 _LONGEST_TEXT = 5000
 

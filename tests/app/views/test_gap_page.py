@@ -276,7 +276,8 @@ def test_no_gap_says_so_and_makes_no_twin(qtbot, open_window, tmp_path):
     assert not page.asking.run.isEnabled()
     wait(qtbot, window)
     assert says(page.history.result.story.headline, "gap.none")
-    assert page.history.list.item(0).text().splitlines() == ["clean.h5", "No gap"]
+    name, verdict = page.history.list.item(0).text().splitlines()
+    assert (name, verdict) == (f"clean.h5  ·  {page.history.result.when.astimezone():%Y-%m-%d %H:%M}", "No gap")
     press(qtbot, page.result.accept)
     assert says(why_not_accepted(page.history.result), "accept.no_gap")
     assert page.history.result.story.verdict == "no_gap"
@@ -286,7 +287,8 @@ def test_no_gap_says_so_and_makes_no_twin(qtbot, open_window, tmp_path):
     removed = page.history.list
     qtbot.keyClick(removed, Qt.Key.Key_Z, Qt.KeyboardModifier.ControlModifier)
     assert page.result.isVisible()
-    assert page.history.list.item(0).text().splitlines() == ["clean.h5", "No gap"]
+    name, verdict = page.history.list.item(0).text().splitlines()
+    assert (name, verdict) == (f"clean.h5  ·  {page.history.result.when.astimezone():%Y-%m-%d %H:%M}", "No gap")
     qtbot.keyClick(removed, Qt.Key.Key_Delete)
     assert page.welcome.isVisible()
 

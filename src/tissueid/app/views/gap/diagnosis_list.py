@@ -148,6 +148,7 @@ class DiagnosisList(QWidget):
 def _words(result: DiagnosisResult, state: State) -> list[str]:
     story = result.story
     words = [clean(result.asked.session.name)[:_LONGEST], _(VERDICT_TITLES[story.verdict])]
+    words[0] += f"  ·  {result.when.astimezone():%Y-%m-%d %H:%M}"
     if story.at_fault:
         words[1] += f"  ·  {', '.join(_(STAGE_TITLES[stage]) for stage in story.at_fault)}"
     if story.effect:

@@ -3,8 +3,9 @@
 from __future__ import annotations
 
 import contextlib
+import itertools
 import os
-from collections.abc import Mapping
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from pathlib import Path
 
 from PySide6.QtCore import QObject, QSettings, Qt, Signal
@@ -34,6 +35,7 @@ from tissueid.procedures.gap_plans import DiagnosisPlan, read_test_number
 NOMINAL = marked("Nominal twin")
 _NEWEST = 20
 """Maximum number of listed files of the folder."""
+_MOST_FOLDERS, _MOST_ENTRIES = 200, 5000
 _RECENT = 10
 """Maximum number of listed files from other folders."""
 _LONGEST = 120
@@ -50,10 +52,12 @@ class RequestPanel(QFrame):
     unwanted = Signal()
     changed = Signal()
 
-    def __init__(self, folder: Path, parent: QWidget | None = None) -> None:
+    def __init__(
+        self, folder: Path, others: Callable[[], Sequence[Path]] = tuple, parent: QWidget | None = None
+    ) -> None:
         super().__init__(parent)
         self.setProperty("role", "card")
-        self._folder = folder
+        self._folder, self._others = folder, others
         self.session = _FileChoice(_("Session"), _("Open a session"), _("Sessions (*.h5);;All files (*)"), folder)
         self.twin = _FileChoice(
             _("Baseline twin"), _("Open a twin"), _("Twins (*.toml);;All files (*)"), folder, first=_(NOMINAL)
@@ -119,8 +123,9 @@ class RequestPanel(QFrame):
 
     def look(self) -> None:
         """List the newest files of the folder; the selection stays."""
-        self.session.offer(_newest(self._folder, ".h5"))
-        self.twin.offer(_newest(self._folder, ".toml"))
+        folders = dict.fromkeys((self._folder, *self._others()))
+        self.session.offer(_newest(folders, ".h5"))
+        self.twin.offer(_newest(folders, ".toml"))
 
     def take(self, path: Path) -> None:
         """Select a dropped file: a twin by its suffix, else a session."""
@@ -338,15 +343,18 @@ class _FileChoice(QObject):
         self.choose(Path(path))
 
 
-def _newest(folder: Path, suffix: str) -> list[Path]:
-    """Return the newest files with a suffix; none if the folder cannot be read."""
-    dated = []
-    try:
-        with os.scandir(folder) as entries:
-            for entry in entries:
-                if entry.name.endswith(suffix) and not entry.name.startswith("."):
-                    with contextlib.suppress(OSError):  # it has just gone
+def _newest(folders: Iterable[Path], suffix: str) -> list[Path]:
+    """Return the newest files with a suffix in folders and the folders in them, as far as these can be read."""
+    dated: list[tuple[float, Path]] = []
+    waiting = [(folder, True) for folder in folders]
+    for folder, deeper in waiting:
+        with contextlib.suppress(OSError), os.scandir(folder) as entries:
+            for entry in itertools.islice(entries, _MOST_ENTRIES):
+                with contextlib.suppress(OSError):  # it has just gone
+                    if entry.name.startswith("."):
+                        continue
+                    if entry.name.endswith(suffix):
                         dated.append((entry.stat().st_mtime, Path(entry.path)))
-    except OSError:
-        return []
+                    elif deeper and len(waiting) < _MOST_FOLDERS and entry.is_dir(follow_symlinks=False):
+                        waiting.append((Path(entry.path), False))
     return [path for _, path in sorted(dated, reverse=True)][:_NEWEST]

@@ -39,6 +39,7 @@ from tissueid.app.views.gap.next_test import prepared_words, session_url
 from tissueid.app.views.gap.request_panel import RequestPanel
 from tissueid.app.views.gap.result_page import ResultPage
 from tissueid.app.widgets import plain_label, show_disabled_reason
+from tissueid.app.window_state import RESEARCH_FOLDERS, load_texts
 from tissueid.app.words import in_words
 from tissueid.errors import CancelledError, UnusableInputError
 from tissueid.language import _, marked
@@ -76,7 +77,9 @@ class GapView(View):
         self._soon = QTimer(self)
         self._soon.setSingleShot(True)
         self._soon.setInterval(0)
-        self.asking = RequestPanel(context.services.folder)
+        self.asking = RequestPanel(
+            context.services.folder, lambda: [Path(text) for text in load_texts(context.settings, RESEARCH_FOLDERS)]
+        )
         self.history = DiagnosisList()
         self.result = ResultPage()
         self.welcome = plain_label("muted")

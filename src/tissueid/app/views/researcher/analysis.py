@@ -51,9 +51,9 @@ from tissueid.app.widgets import ElidedLabel, show_disabled_reason
 from tissueid.app.words import in_words, sentence
 from tissueid.errors import TissueIDError
 from tissueid.language import _, plural
-from tissueid.messages import translated
+from tissueid.messages import Message, Verbatim, translated
 from tissueid.option_errors import validation_reason
-from tissueid.procedures.control import Control
+from tissueid.procedures.control import Control, RemainingTime
 
 _STEPS = 1000
 _LOOK_MS = 100
@@ -78,6 +78,7 @@ class AnalysisPanel(QWidget):
         self._history = history or AnalysisHistory()
         self._chosen: tuple[SelectedTest, ...] = ()
         self._work: JobControl | None = None
+        self._left = RemainingTime()
         self._doing = ""
         self._busy = self._working = False
         self.form = EngineForm()
@@ -251,6 +252,7 @@ class AnalysisPanel(QWidget):
             return
         control = JobControl()
         self._work, self._doing = control, doing
+        self._left = RemainingTime()
         self.cancelling.setEnabled(True)
         self._show_working()
         self._looking.start()
@@ -304,9 +306,10 @@ class AnalysisPanel(QWidget):
 
     def _look(self) -> None:
         if self._work is not None and not self._work.cancelled():
-            step = self._work.step
-            self.bar.setValue(round(_STEPS * (self._work.fraction or 0.0)))
-            self.step.setText(f"{self._doing} {step}" if step else f"{self._doing}.")
+            step, share = self._work.step, self._work.fraction or 0.0
+            self.bar.setValue(round(_STEPS * share))
+            doing = Verbatim(f"{self._doing} {step}" if step else self._doing)
+            self.step.setText(translated(self._left.added_to(Message("research.step", "{step}", step=doing), share)))
 
     def _done(self, batch: Batch) -> None:
         self._end()

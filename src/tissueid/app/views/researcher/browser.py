@@ -21,7 +21,7 @@ from tissueid.app.views.researcher.session_model import DATE, ITEM, SessionModel
 from tissueid.app.views.researcher.session_search import SessionEntry, SessionSearch, TestEntry
 from tissueid.app.views.researcher.session_tree import SessionFilter, SessionTree
 from tissueid.app.widgets import plain_tip
-from tissueid.app.window_state import load_texts, save_texts
+from tissueid.app.window_state import RESEARCH_FOLDERS, load_texts, save_texts
 from tissueid.formatting import clean, grouped, subject_text
 from tissueid.language import _, plural
 from tissueid.messages import Message, translated
@@ -78,7 +78,7 @@ class FolderButton(QPushButton):
         dialog.open()
 
 
-_FOLDERS, _ASKED, _HEADER = "research/folders", "research/asked", "research/columns"
+_ASKED, _HEADER = "research/asked", "research/columns"
 _WIDTHS = "research/widths"
 _SETTLED_MS = 120
 """A selection that stands so long is what was meant; the arrow keys pass over many."""
@@ -112,7 +112,7 @@ class Browser(QWidget):
         self.tree = SessionTree(self.shown)
         self.count = QLabel()
         self.picked = QLabel()
-        folders = [Path(text) for text in load_texts(context.settings, _FOLDERS)]
+        folders = [Path(text) for text in load_texts(context.settings, RESEARCH_FOLDERS)]
         self.folders = FolderButton(folders or [context.services.folder], self)
         self.again = QPushButton(_("Search again"))
         self.again.setToolTip(_("Look for new sessions in the folders (F5)"))
@@ -206,10 +206,13 @@ class Browser(QWidget):
 
     def save_state(self) -> None:
         """Save folders, filters and columns."""
-        save_texts(self._context.settings, _FOLDERS, [str(path) for path in self.folders.paths])
+        self._save_folders()
         save_texts(self._context.settings, _ASKED, list(self.bar.asked))
         self._context.settings.setValue(_HEADER, self.tree.header().saveState())
         save_texts(self._context.settings, _WIDTHS, self.tree.widths())
+
+    def _save_folders(self) -> None:
+        save_texts(self._context.settings, RESEARCH_FOLDERS, [str(path) for path in self.folders.paths])
 
     # -- searching ------------------------------------------------------------------------------------------
 
@@ -339,6 +342,7 @@ class Browser(QWidget):
     def _connect(self) -> None:
         self.bar.changed.connect(self._ask)
         self.again.clicked.connect(self.look_again)
+        self.folders.changed.connect(self._save_folders)
         self.folders.changed.connect(self.look_again)
         self.tree.opened.connect(self._open)
         self.tree.selectionModel().selectionChanged.connect(self._select)

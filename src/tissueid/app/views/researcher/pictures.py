@@ -46,6 +46,7 @@ class Pictures(QWidget):
         self._theme: Theme | None = None
         self._drawn: list[EngineOutcome] = []
         self._total = 0
+        self._refused = ""
         self._under: Mapping[str, Curve] = {}
         self._for_depth: list[QWidget] = []
         self.plots, self.kernel = PlotCanvas(), KernelPlot()
@@ -81,6 +82,7 @@ class Pictures(QWidget):
         ``total`` counts all fits of the table, which the legend says where only some are drawn.
         """
         there = [outcome for outcome in outcomes if outcome.report is not None]
+        self._refused = "" if there or not outcomes else translated(outcomes[0].refused)
         self._drawn = [outcome for outcome in there if outcome.plots.units == there[0].plots.units][: len(SERIES)]
         self._total = max(total, len(there))
         self.kernel.offer([o for o in there if o.plots.kernels])
@@ -160,7 +162,8 @@ class Pictures(QWidget):
         self._pages.setCurrentWidget(self.plots if panels else self.kernel)
         self.plots.setMinimumHeight(_PANEL * len(panels))
         if panels and not self._drawn:
-            self.plots.say_missing(_("Nothing to show yet: choose tests and run an engine."))
+            refused = _("Refused: {reason}").format(reason=self._refused) if self._refused else ""
+            self.plots.say_missing(refused or _("Nothing to show yet: choose tests and run an engine."))
         elif panels:
             self.plots.show_plots(
                 PictureFigure(name, tuple(self._drawn), *self.keys, self._under).plots(SERIES), key=False
@@ -182,7 +185,8 @@ class Pictures(QWidget):
         below = [self._under[panel].name for panel in panels if panel in self._under][:1]
         # The key says what else is drawn: measurements, and faint curves.
         words = [_(name) for name in below]
-        words += dict.fromkeys(_(c.name) for plots in every for plot in plots for c in plot.curves if c.name)
+        named = (text for plots in every for plot in plots for c in plot.curves for text in (c.name, c.band) if text)
+        words += dict.fromkeys(_(text) for text in named)
         for plots in every:
             without = sum(not plot.parts for plot in plots)
             if 0 < without < len(plots):
