@@ -46,7 +46,7 @@ def declare(ui: Layout, panels: Panels, pages: Pages, window: QWidget) -> tuple[
     ]
     own += [
         Action(_("Help for this page"), panels.help_button.click, HELP_KEY),
-        Action(_("What happened so far"), panels.log_button.click, LOG_KEY),
+        Action(_("Log of the window"), panels.log_button.click, LOG_KEY),
         Action(_("Close TissueID"), window.close, "Ctrl+Q"),
     ]
     for chooser in pages.start.choosers:

@@ -54,7 +54,7 @@ _KINDS: dict[Kind, tuple[str, str, str]] = {
 }
 _CURVES: dict[Kind, tuple[str, str, str]] = {
     "static": (marked("Position on the spring"), marked("Current (A)"), "mm"),
-    "sweep": (marked("Swing of the probe for an ampere"), marked("Position (mm)"), "mm/A"),
+    "sweep": (marked("Probe displacement per ampere"), marked("Position (mm)"), "mm/A"),
 }
 _MM = 1e3
 _STEPS = 1000

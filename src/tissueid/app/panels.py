@@ -131,10 +131,10 @@ class LogPanel(QDockWidget):
     saved = Signal(str, bool)
 
     def __init__(self, now: Callable[[], datetime], folder: Path, parent: QWidget | None = None) -> None:
-        super().__init__(_("What happened"), parent)
+        super().__init__(_("Log of the window"), parent)
         self.setObjectName("log")
         self._now, self._folder, self._last = now, folder, ""
-        self.lines = _reader(_("What happened"))
+        self.lines = _reader(_("Log of the window"))
         self.lines.setMaximumBlockCount(MOST_LINES)
         self.copy = QPushButton(_("Copy"))
         self.copy.setAccessibleName(_("Copy all lines"))
@@ -210,7 +210,7 @@ class LogPanel(QDockWidget):
 
     def _choose(self) -> None:
         name = self._folder / f"tissueid-log-{self._now():%Y-%m-%d_%H-%M-%S}.txt"
-        dialog = QFileDialog(self, _("Save what happened"), str(self._folder), _("Text (*.txt)"))
+        dialog = QFileDialog(self, _("Save the log"), str(self._folder), _("Text (*.txt)"))
         dialog.setAcceptMode(QFileDialog.AcceptMode.AcceptSave)
         dialog.setDefaultSuffix("txt")
         dialog.selectFile(name.name)
@@ -225,7 +225,7 @@ class LogPanel(QDockWidget):
         except OSError as error:
             self.saved.emit(in_words(error), True)
         else:
-            self.saved.emit(_("What happened is saved in {path}.").format(path=path), False)
+            self.saved.emit(_("The log is saved in {path}.").format(path=path), False)
 
 
 def _defect_path() -> Path:
@@ -262,7 +262,7 @@ class Panels(QObject):
         self.log.setFeatures(features.DockWidgetClosable | features.DockWidgetMovable)
         window.addDockWidget(Qt.DockWidgetArea.BottomDockWidgetArea, self.log)
         self.help_button = self._add(self.help, rail.add_foot(_("Help"), HELP_KEY, _("Help for this page")))
-        self.log_button = self._add(self.log, rail.add_foot(_("Log"), LOG_KEY, _("What happened so far")))
+        self.log_button = self._add(self.log, rail.add_foot(_("Log"), LOG_KEY, _("Log of the window")))
         self.help.turned.connect(partial(self._follow, self.help, self.help_button))
         self.log.visibilityChanged.connect(partial(self._follow, self.log, self.log_button))
         notice.said.connect(self.log.note)

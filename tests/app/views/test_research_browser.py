@@ -201,7 +201,14 @@ def test_every_control_has_a_name_and_the_tab_key_reaches_it(qtbot, opened):
     show(qtbot, window, view, (0,), tests=1)
     bar = view.browser.bar
     expected = [view.browser.folders, view.browser.again, bar.words, bar.clear, bar.subject, bar.site, bar.kind]
-    expected += [view.browser.tree, view.export, view.tabs.tabBar(), view.signals.channels, view.signals.low]
+    expected += [
+        view.browser.tree,
+        view.export,
+        view.tabs.tabBar(),
+        view.fold_list,
+        view.signals.channels,
+        view.signals.low,
+    ]
     expected += [view.signals.high, view.signals.save, view.signals.table, view.signals.spectrum.choice]
     bar.words.setText("p-2")  # so that Clear can be pressed
     expected[0].setFocus()
@@ -252,7 +259,8 @@ def test_columns_come_back_with_room_also_at_the_next_start_unless_they_were_tak
     tree.fold()
     view.save_state()
     again = Browser(view.context, view.strip)
-    again.tree.resize(1600, 300)
+    again.resize(1600, 300)
+    again.show()
     again.tree.fold()
     assert not any(again.tree.isColumnHidden(column) for column in range(header.count()))
     menu = again.tree.columns_menu()
@@ -261,7 +269,8 @@ def test_columns_come_back_with_room_also_at_the_next_start_unless_they_were_tak
     assert again.tree.isColumnHidden(FILE)
     again.save_state()
     last = Browser(view.context, view.strip)
-    last.tree.resize(1600, 300)
+    last.resize(1600, 300)
+    last.show()
     last.tree.fold()
     assert [column for column in range(header.count()) if last.tree.isColumnHidden(column)] == [FILE]
     for browser in (again, last):

@@ -71,7 +71,7 @@ def test_an_instrument_that_is_chosen_is_that_of_the_next_test(qtbot, open_start
     window = open_start()
     page = window.pages.start
     assert said(page.instruments)[1][0] == "✓ simulated://forearm"
-    assert "not asked" in said(page.instruments)[0][1]
+    assert "not checked" in said(page.instruments)[0][1]
     assert not page.use.isEnabled()
     page.instruments.setFocus()
     page.instruments.selectRow(2)
@@ -237,7 +237,7 @@ def test_the_tab_key_visits_the_page_from_top_to_bottom(qtbot, open_start):
             break
         visited.append(window.focusWidget())
     expected = [*page.cards.values(), page.recent, page.seek, page.instruments, page.folder, page.language.choice]
-    expected.append(page.units.choice)
+    expected += [page.units.choice, page.appearance.choice, page.text_size.choice]
     assert visited[: len(expected)] == expected
     assert set(visited[len(expected) :]) == {ui.role.choice, ui.open, ui.rail.buttons["start"], *ui.rail.feet}
 

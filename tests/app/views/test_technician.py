@@ -169,7 +169,7 @@ def test_the_newest_test_and_a_fault_of_it_are_told_without_asking(qtbot, page, 
     [
         ("Stopped by key; the coil is released.", "Stopped", ""),
         ("stopped in the window; the coil is released", "Stopped", ""),
-        ("the window was closed; the coil is released", "Broken off", "check"),
+        ("the window was closed; the coil is released", "Interrupted", "check"),
     ],
 )
 def test_a_stop_by_a_person_is_no_fault_where_only_the_session_tells_of_it(tmp_path, saved, reason, kind, level):

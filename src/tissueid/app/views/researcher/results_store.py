@@ -230,7 +230,7 @@ class _Result(_Line):
         """Return the result; ``stamp`` is the current one of its file."""
         from tissueid.analysis.curves.results import TITLES, missing_plot
 
-        without = marked("Kept from an earlier start, without its curves: Refit draws them.")
+        without = marked("From an earlier session, without curves; “Refit” computes them.")
         panels = {panel: missing_plot(panel, without) for panel in TITLES}
         units = {str(panel): self.units[panel] for panel in panels if panel in self.units}
         tests: tuple[SelectedTest, ...] = tuple(test.chosen for test in self.tests)

@@ -28,7 +28,7 @@ from tissueid.app.widgets import ElidedLabel, plain_label, plain_tip, show_level
 from tissueid.app.window_state import load_texts, save_texts
 from tissueid.formatting import clean
 from tissueid.identification import engine_label, engine_names
-from tissueid.language import _, plural
+from tissueid.language import _
 from tissueid.messages import Message, Verbatim, translated
 from tissueid.procedures.plan_options import parse_options
 from tissueid.procedures.study_plans import StudyPlan
@@ -131,9 +131,11 @@ class RequestRow(QFrame):
         if data is not None:
             self._studies = list(dict.fromkeys([str(data.folder), *self._studies]))[:_MOST_RECENT]
         self._offer_recent()
-        for part in (self.engine, self.options, self.held_out, self.analyse, self.report):
+        of_analysis: tuple[QWidget, ...] = (self.engine, self.options, self.held_out, self.analyse, self.report)
+        for part in of_analysis:
             part.setVisible(data is not None)
-        for part in (self.template, self.subject, self.measure, self.protocol):
+        of_visit: tuple[QWidget, ...] = (self.template, self.subject, self.measure, self.protocol)
+        for part in of_visit:
             part.setVisible(data is not None)
         if data is None:
             return
@@ -238,8 +240,8 @@ class RequestRow(QFrame):
     def _take_options(self, options: tuple[str, ...]) -> None:
         """Take options, as NAME=VALUE, of the engine."""
         self._options = options
-        changed = plural("Options… ({count} changed)", "Options… ({count} changed)", len(options))
-        self.options.setText(changed.format(count=len(options)) if options else _("Options…"))
+        changed = _("Options… ({count} changed)").format(count=len(options))
+        self.options.setText(changed if options else _("Options…"))
         self.options.setToolTip(plain_tip("\n".join(options) or _("All options have their defaults")))
 
     def _edit_options(self) -> None:

@@ -22,7 +22,7 @@ if TYPE_CHECKING:
     from tissueid.procedures.control import Control
     from tissueid.procedures.study_plans import StudyPlan, StudyReportPlan
 STD_SUFFIX = "_sd"
-NOT_ANALYSED = marked("not in the table yet: Analyse reads it, or says why it cannot be read")
+NOT_ANALYSED = marked("not analysed yet: press “Analyse”")
 _LARGEST_TABLE = 500_000_000
 _MOST_COLUMNS = 1000
 _LONGEST = 200

@@ -23,7 +23,7 @@ MOST_FILES = 2000
 _LONGEST = 400
 FAULT, BROKEN, STOPPED, RECOVERED, COMPLETED = (
     marked("Fault"),
-    marked("Broken off"),
+    marked("Interrupted"),
     marked("Stopped"),
     marked("Recovered"),
     marked("Completed"),
@@ -205,7 +205,9 @@ def advice(kind: str, reason: str, codes: Collection[str]) -> str:
         if code in codes:
             return sentence(translated(words))
     _cause, colon, remedy = reason.rpartition(": ")
-    return sentence(clean(remedy)[:_LONGEST]) if colon else _("Measure again; if it happens again, ask the instrument.")
+    return (
+        sentence(clean(remedy)[:_LONGEST]) if colon else _("Measure again; if it happens again, check the instrument.")
+    )
 
 
 def _texts(value: object) -> list[str]:

@@ -18,7 +18,7 @@ from tissueid.app.views.technician.tab import PiecesModel, Tab, mark_level, plai
 from tissueid.formatting import clean, grouped
 from tissueid.language import _, marked
 
-_CONCERNS, _ALL = marked("Needs a look"), marked("All ends of tests")
+_CONCERNS, _ALL = marked("Problems only"), marked("All ends of tests")
 _FILTER, _SEARCH = "instrument/faults/filter", "instrument/faults/search"
 
 

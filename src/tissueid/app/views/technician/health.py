@@ -96,7 +96,7 @@ class HealthTab(Tab):
         self.headline = plain_label(role="headline")
         self.reasons = plain_label()
         self.chosen = plain_label(role="muted")
-        self.ask = QPushButton(_("Ask the instrument"))
+        self.ask = QPushButton(_("Check the instrument"))
         self.ask.setToolTip(_("Opens the chosen instrument, listens for a second, closes it; the coil stays free (F5)"))
         self.ask.clicked.connect(self.begin_asking)
         self.identity = FactsCard(_("Instrument"))
@@ -242,7 +242,7 @@ class HealthTab(Tab):
         if not mine:
             self.trend.say_missing(
                 _(
-                    "No calibration{whose} holds a force constant yet. The button under Calibrations leads to one."
+                    "No calibration{whose} holds a force constant yet. “Calibrate…” under Calibrations makes one."
                 ).format(whose=whose)
             )
             return
@@ -273,7 +273,7 @@ def _dated(calibrations: list[Calibration], now: datetime) -> tuple[np.ndarray, 
 
 def _identity(checkup: Checkup | None) -> dict[str, str]:
     if checkup is None:
-        return {_("Model"): _("not asked")}
+        return {_("Model"): _("not checked")}
     device = checkup.device
     clinical, research = checkup.limits["clinical"], checkup.limits["research"]
     return {
@@ -301,7 +301,7 @@ def _calibration(checkup: Checkup | None, known: Background) -> dict[str, str]:
     else:
         facts[_("In the folder")] = _("{count} calibrations").format(count=grouped(len(known.stored)))
     if checkup is None:
-        return {_("State"): _("not asked")} | facts
+        return {_("State"): _("not checked")} | facts
     device = checkup.device
     held = device.calibration
     facts = {_("State"): _(calibration_state(checkup.device).words)} | facts
@@ -319,12 +319,12 @@ def _calibration(checkup: Checkup | None, known: Background) -> dict[str, str]:
 def _link(checkup: Checkup | None, last: LastTest | None) -> dict[str, str]:
     facts: dict[str, str] = {}
     if checkup is None:
-        facts[_("Now")] = _("not asked")
+        facts[_("Now")] = _("not checked")
     else:
         facts[_("Samples")] = _("{samples}, {lost} of them lost").format(
             samples=grouped(checkup.samples), lost=grouped(checkup.lost)
         )
-        facts[_("Coil free reads")] = f"{fixed(1e3 * checkup.resting_a, 1)} mA"
+        facts[_("Current with the coil free")] = f"{fixed(1e3 * checkup.resting_a, 1)} mA"
         facts |= _cable(checkup.link)
     if last is None:
         return facts | {_("Newest test"): _("none in the folder of sessions")}
