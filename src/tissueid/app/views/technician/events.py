@@ -205,9 +205,8 @@ def advice(kind: str, reason: str, codes: Collection[str]) -> str:
         if code in codes:
             return sentence(translated(words))
     _cause, colon, remedy = reason.rpartition(": ")
-    return (
-        sentence(clean(remedy)[:_LONGEST]) if colon else _("Measure again; if it happens again, check the instrument.")
-    )
+    usual = _("Measure again; if it happens again, check the instrument.")
+    return sentence(clean(remedy)[:_LONGEST]) if colon else usual
 
 
 def _texts(value: object) -> list[str]:
