@@ -141,9 +141,7 @@ class CommandPalette(QFrame):
                 item.setData(Qt.ItemDataRole.UserRole, action)
             self.list.addItem(item)
         if not self.list.count():
-            item = QListWidgetItem(
-                _("Nothing matches. Try fewer or other words, such as “open”, “page” or “language”.")
-            )
+            item = QListWidgetItem(_("Nothing matches. Try another word, such as “page” or “open”."))
             item.setFlags(Qt.ItemFlag.NoItemFlags)
             self.list.addItem(item)
         self._step(0)

@@ -9,8 +9,8 @@ from pathlib import Path
 from typing import Any
 
 from platformdirs import user_log_path
-from PySide6.QtCore import QObject, Qt, QTimer, QUrl, Signal
-from PySide6.QtGui import QFontDatabase, QGuiApplication, QHideEvent, QShowEvent, QTextCursor
+from PySide6.QtCore import QObject, Qt, QUrl, Signal
+from PySide6.QtGui import QFontDatabase, QGuiApplication, QHideEvent, QShowEvent
 from PySide6.QtWidgets import (
     QApplication,
     QDockWidget,
@@ -167,6 +167,9 @@ class LogPanel(QDockWidget):
         texts.addWidget(self.details, 1)
         column.addLayout(texts)
         self.setWidget(inside)
+        self._newest = True
+        self.lines.verticalScrollBar().rangeChanged.connect(self._show_newest)
+        self.lines.verticalScrollBar().actionTriggered.connect(self._scrolled)
         self.copy.clicked.connect(self._copy)
         self.save.clicked.connect(self._choose)
         self.fold.toggled.connect(self._unfold)
@@ -176,11 +179,15 @@ class LogPanel(QDockWidget):
     def showEvent(self, event: QShowEvent) -> None:  # noqa: N802
         """Show the newest lines."""
         super().showEvent(event)
-        QTimer.singleShot(0, self, self._show_newest)
+        self._newest = True
+        self._show_newest()
 
     def _show_newest(self) -> None:
-        self.lines.moveCursor(QTextCursor.MoveOperation.End)
-        self.lines.ensureCursorVisible()
+        if self._newest:
+            self.lines.verticalScrollBar().setValue(self.lines.verticalScrollBar().maximum())
+
+    def _scrolled(self) -> None:
+        self._newest = False  # somebody reads older lines
 
     def note(self, text: str, problem: bool = False) -> None:
         """Add a line; what was said just before is not said again."""

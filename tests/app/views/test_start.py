@@ -71,7 +71,7 @@ def test_an_instrument_that_is_chosen_is_that_of_the_next_test(qtbot, open_start
     window = open_start()
     page = window.pages.start
     assert said(page.instruments)[1][0] == "✓ simulated://forearm"
-    assert "not checked" in said(page.instruments)[0][1]
+    assert "not asked" in said(page.instruments)[0][1]
     assert not page.use.isEnabled()
     page.instruments.setFocus()
     page.instruments.selectRow(2)

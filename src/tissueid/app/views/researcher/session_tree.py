@@ -81,7 +81,7 @@ class SessionFilter(QSortFilterProxyModel):
 
 _FOLDED = (FILE, CONFIGURATION, KIND, DURATION, TESTS)
 """Columns that are hidden where there is no room, in this order."""
-_WIDTHS = (128, 62, 98, 66, 46, 84, 70, 100, 180)
+_WIDTHS = (138, 60, 98, 66, 46, 84, 70, 100, 180)
 """Widths of the columns until a person changes them, pixels."""
 _WIDEST = 2000
 
