@@ -5,8 +5,9 @@ from __future__ import annotations
 from typing import TYPE_CHECKING
 
 from PySide6.QtCore import Signal
-from PySide6.QtWidgets import QFrame, QHBoxLayout, QPushButton, QVBoxLayout, QWidget
+from PySide6.QtWidgets import QFrame, QHBoxLayout, QVBoxLayout, QWidget
 
+from tissueid.app.build import button
 from tissueid.app.theme import Theme
 from tissueid.app.views.gap.bar_table import BarTable
 from tissueid.app.views.gap.displayed_text import as_sentence, as_title
@@ -37,8 +38,10 @@ class NextTestTab(QWidget):
         self.why = plain_label()
         self.put = plain_label()
         self.by_hand = plain_label()
-        self.prepare = QPushButton(_("Prepare this test"))
-        self.prepare.setToolTip(_("Fill in the form of the guided test; nothing moves before you start it there"))
+        self.prepare = button(
+            _("Prepare this test"),
+            tip=_("Fill in the form of the guided test; nothing moves before you start it there"),
+        )
         self.gains = BarTable(_("What each test would be worth"), (_("Test"), _("Expected odds")), 1)
         if (head := self.gains.horizontalHeaderItem(1)) is not None:
             head.setToolTip(

@@ -17,12 +17,12 @@ from PySide6.QtWidgets import (
     QLabel,
     QLineEdit,
     QProgressBar,
-    QPushButton,
     QToolButton,
     QVBoxLayout,
     QWidget,
 )
 
+from tissueid.app.build import button
 from tissueid.app.small_window import FoldingBox
 from tissueid.app.views.gap.diagnosis_loader import unique_titles
 from tissueid.app.widgets import BigButton
@@ -65,8 +65,7 @@ class RequestPanel(QFrame):
         self.run = BigButton(_("Run"))
         self.run.setAccessibleName(_("Run the diagnosis"))
         self.run.setToolTip(_("Find out where simulated and recorded differ, and why (half a minute to some minutes)"))
-        self.stop = QPushButton(_("Cancel"))
-        self.stop.setAccessibleName(_("Cancel the diagnosis"))
+        self.stop = button(_("Cancel"), name=_("Cancel the diagnosis"))
         self.fold = QToolButton()
         self.fold.setText(_("Advanced"))
         self.fold.setProperty("role", "fold")
@@ -257,8 +256,7 @@ class _FileChoice(QObject):
         self.choice.setSizeAdjustPolicy(QComboBox.SizeAdjustPolicy.AdjustToMinimumContentsLengthWithIcon)
         self.choice.setMinimumContentsLength(12)
         self.choice.setPlaceholderText(_("No session: open one, or drop its file here"))
-        self.open = QPushButton(_("Open…"))
-        self.open.setAccessibleName(f"{title}…")
+        self.open = button(_("Open…"), name=f"{title}…")
         self.open.clicked.connect(self._ask)
         self.choice.currentIndexChanged.connect(self._tell)
         if first:

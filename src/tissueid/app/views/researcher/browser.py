@@ -12,6 +12,7 @@ from PySide6.QtCore import QByteArray, QItemSelection, QModelIndex, Qt, QTimer, 
 from PySide6.QtGui import QKeySequence, QShortcut
 from PySide6.QtWidgets import QFileDialog, QHBoxLayout, QLabel, QMenu, QPushButton, QVBoxLayout, QWidget
 
+from tissueid.app.build import button
 from tissueid.app.context import AppContext
 from tissueid.app.theme import Theme
 from tissueid.app.views.researcher.background_work import ProgressStrip
@@ -114,8 +115,7 @@ class Browser(QWidget):
         self.picked = QLabel()
         folders = [Path(text) for text in load_texts(context.settings, RESEARCH_FOLDERS)]
         self.folders = FolderButton(folders or [context.services.folder], self)
-        self.again = QPushButton(_("Search again"))
-        self.again.setToolTip(_("Look for new sessions in the folders (F5)"))
+        self.again = button(_("Search again"), tip=_("Look for new sessions in the folders (F5)"))
         self._restore()
         self._arrange()
         self._drain = self._timer(_DRAIN_MS, self._take_found, single=False)

@@ -10,8 +10,9 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 from PySide6.QtCore import Qt, Signal
-from PySide6.QtWidgets import QComboBox, QGridLayout, QLabel, QPushButton, QVBoxLayout, QWidget
+from PySide6.QtWidgets import QComboBox, QGridLayout, QLabel, QVBoxLayout, QWidget
 
+from tissueid.app.build import button
 from tissueid.app.plot_canvas import PlotCanvas, Point
 from tissueid.app.theme import LIGHT, Theme
 from tissueid.app.views.researcher.engine_outcome import EngineOutcome, variant_of
@@ -73,9 +74,11 @@ class PopulationView(QWidget):
             for key, words in entries.items():
                 choice.addItem(_(words), key)
         self.group.setCurrentIndex(self.group.findData("engine"))
-        self.save_figure = QPushButton(_("Figure…"))
-        self.save_figure.setAccessibleName(_("Save the figure of the population"))
-        self.save_figure.setToolTip(_("Save the figure as PDF, SVG or PNG with 300 dpi"))
+        self.save_figure = button(
+            _("Figure…"),
+            name=_("Save the figure of the population"),
+            tip=_("Save the figure as PDF, SVG or PNG with 300 dpi"),
+        )
         self.card = PlotCanvas(_("Population"))
         self.card.pick, self.card.tip = self._clicked, self._tip
         self.key = QLabel()

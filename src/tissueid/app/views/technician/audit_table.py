@@ -8,8 +8,9 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from PySide6.QtCore import Qt
-from PySide6.QtWidgets import QComboBox, QFileDialog, QFrame, QHBoxLayout, QLineEdit, QPushButton, QVBoxLayout, QWidget
+from PySide6.QtWidgets import QComboBox, QFileDialog, QFrame, QHBoxLayout, QLineEdit, QVBoxLayout, QWidget
 
+from tissueid.app.build import button
 from tissueid.app.context import AppContext
 from tissueid.app.jobs import PageJob
 from tissueid.app.theme import Theme
@@ -100,14 +101,11 @@ class AuditTab(Tab):
         self.search.setAccessibleName(_("Search the audit log"))
         self.search.setClearButtonEnabled(True)
         self.search.setMaxLength(200)
-        self.again = QPushButton(_("Read again"))
-        self.again.setAccessibleName(_("Read the audit log again"))
+        self.again = button(_("Read again"), name=_("Read the audit log again"))
         self.again.clicked.connect(self.load)
-        self.verify = QPushButton(_("Verify"))
-        self.verify.setToolTip(_("Checks every line of the log for changes, from the first to the last"))
+        self.verify = button(_("Verify"), tip=_("Checks every line of the log for changes, from the first to the last"))
         self.verify.clicked.connect(self.begin_verifying)
-        self.export = QPushButton(_("Export CSV…"))
-        self.export.setToolTip(_("Writes the lines that are shown, for a spreadsheet"))
+        self.export = button(_("Export CSV…"), tip=_("Writes the lines that are shown, for a spreadsheet"))
         self.export.clicked.connect(self._choose_csv)
         self.verdict = QFrame()
         self.verdict.setProperty("role", "verdict")

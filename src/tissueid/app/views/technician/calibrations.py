@@ -9,8 +9,9 @@ from datetime import UTC, datetime
 from pathlib import Path
 
 from PySide6.QtCore import Qt
-from PySide6.QtWidgets import QHBoxLayout, QPushButton, QSplitter, QStackedWidget, QVBoxLayout, QWidget
+from PySide6.QtWidgets import QHBoxLayout, QSplitter, QStackedWidget, QVBoxLayout, QWidget
 
+from tissueid.app.build import button
 from tissueid.app.context import AppContext
 from tissueid.app.jobs import PageJob
 from tissueid.app.theme import Theme
@@ -152,11 +153,9 @@ class CalibrationsTab(Tab):
         super().__init__(context, page_job, parent)
         self._stored: tuple[Stored, ...] = ()
         self._nominal: DeviceDescription | None = None
-        self.calibrate = QPushButton(_("Calibrate…"))
-        self.calibrate.setToolTip(_("Shows the page Measure, where calibrations are made"))
+        self.calibrate = button(_("Calibrate…"), tip=_("Shows the page Measure, where calibrations are made"))
         self.calibrate.clicked.connect(self._go)
-        self.again = QPushButton(_("Read again"))
-        self.again.setAccessibleName(_("Read the folder of calibrations again"))
+        self.again = button(_("Read again"), name=_("Read the folder of calibrations again"))
         self.again.clicked.connect(self.load)
         self.about = plain_label(role="muted")
         self.model = PiecesModel(tuple(_(head) for head in HEADERS), Row.cell, level=lambda row: row.level, marked=4)

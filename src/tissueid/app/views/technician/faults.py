@@ -6,8 +6,9 @@ import functools
 from collections.abc import Callable
 from pathlib import Path
 
-from PySide6.QtWidgets import QComboBox, QFrame, QHBoxLayout, QLineEdit, QPushButton, QVBoxLayout, QWidget
+from PySide6.QtWidgets import QComboBox, QFrame, QHBoxLayout, QLineEdit, QVBoxLayout, QWidget
 
+from tissueid.app.build import button
 from tissueid.app.context import AppContext
 from tissueid.app.jobs import PageJob
 from tissueid.app.theme import Theme
@@ -52,8 +53,7 @@ class FaultsTab(Tab):
         self.search.setAccessibleName(_("Search the events"))
         self.search.setClearButtonEnabled(True)
         self.search.setMaxLength(200)
-        self.again = QPushButton(_("Read again"))
-        self.again.setAccessibleName(_("Read the events again"))
+        self.again = button(_("Read again"), name=_("Read the events again"))
         self.again.clicked.connect(self.load)
         self.count = plain_label(role="muted")
         self.model = PiecesModel(
@@ -61,8 +61,7 @@ class FaultsTab(Tab):
         )
         self.list = table_of(self.model, _("Faults and events"), (140, 120, 260))
         self.list.selectionModel().selectionChanged.connect(self._show_selected)
-        self.open = QPushButton(_("Open session"))
-        self.open.setToolTip(_("Analyses the session of the selected event on the page Measure"))
+        self.open = button(_("Open session"), tip=_("Analyses the session of the selected event on the page Measure"))
         self.open.clicked.connect(self._open)
         self.title = plain_label(role="headline")
         self.reason = plain_label()

@@ -6,8 +6,9 @@ from pathlib import Path
 
 from PySide6.QtCore import Qt, QTimer
 from PySide6.QtGui import QKeySequence, QShortcut, QShowEvent
-from PySide6.QtWidgets import QAbstractButton, QHBoxLayout, QLabel, QPushButton, QTabWidget, QVBoxLayout, QWidget
+from PySide6.QtWidgets import QAbstractButton, QHBoxLayout, QLabel, QTabWidget, QVBoxLayout, QWidget
 
+from tissueid.app.build import button
 from tissueid.app.context import AppContext, View
 from tissueid.app.jobs import PageJob
 from tissueid.app.theme import Theme
@@ -41,9 +42,7 @@ class InstrumentView(View):
         self.doing = QLabel()
         self.doing.setProperty("role", "muted")
         self.doing.setTextFormat(Qt.TextFormat.PlainText)
-        self.give_up = QPushButton(_("Cancel"))
-        self.give_up.setProperty("role", "small")  # it stands in the corner of a bar of tabs
-        self.give_up.setToolTip(_("Ends what is being read or asked"))
+        self.give_up = button(_("Cancel"), role="small", tip=_("Ends what is being read or asked"))
         self.give_up.clicked.connect(self.page_job.cancel)
         self.tabs = QTabWidget()
         self.tabs.setDocumentMode(True)
