@@ -10,7 +10,7 @@ from collections.abc import Iterable
 from datetime import datetime
 from typing import TYPE_CHECKING, Any
 
-from tissueid.language import _
+from tissueid.language import _, decimal
 from tissueid.messages import MISSING, signed
 from tissueid.units import Figure, display_unit, shown_si, split_name, unit_of
 
@@ -31,6 +31,15 @@ _FORMULA = re.compile(r"[=+\-@\t\r](?![\d.]+(e[+-]?\d+)?$)", re.IGNORECASE)
 _DIGEST = re.compile(r"[0-9a-f]{40,128}")
 _DIGITS = 16
 """Digits of a hash that are shown."""
+
+PRINCIPAL = ("mass_kg", "damping_n_s_per_m", "stiffness_n_per_m")
+"""The parameters that are asked for first."""
+
+
+def principal_first(names: Iterable[str]) -> list[str]:
+    """Return names of parameters with mass, damping and stiffness first; the others keep their order."""
+    return sorted(names, key=lambda name: PRINCIPAL.index(name) if name in PRINCIPAL else len(PRINCIPAL))
+
 
 _LABELS = {
     "natural_frequency_rad_per_s": "Natural frequency",
@@ -95,9 +104,9 @@ def number(value: float | None, digits: int = 4) -> str:
     mantissa, _mark, power = f"{value:.{digits - 1}e}".partition("e")
     exponent = int(power)
     if not -4 <= exponent < 7:
-        return f"{signed(_trimmed(mantissa))} × 10{superscript(exponent)}"
+        return f"{decimal(signed(_trimmed(mantissa)))} × 10{superscript(exponent)}"
     decimals = digits - 1 - exponent
-    return signed(_trimmed(f"{round(value, decimals):.{max(0, decimals)}f}"))
+    return decimal(signed(_trimmed(f"{round(value, decimals):.{max(0, decimals)}f}")))
 
 
 def superscript(exponent: int) -> str:
@@ -109,7 +118,7 @@ def fixed(value: float | None, decimals: int) -> str:
     """Return a number with ``decimals`` decimals; a dash if it is not finite."""
     if value is None or not math.isfinite(value):
         return MISSING
-    return signed(f"{value:.{decimals}f}")
+    return decimal(signed(f"{value:.{decimals}f}"))
 
 
 def grouped(value: float | None) -> str:
@@ -133,7 +142,7 @@ def estimate(found: Estimate, scale: float = 1.0) -> tuple[str, str, str]:
     exponent = math.floor(math.log10(max(abs(value), std)))
     power = 0 if -3 <= exponent < 6 else exponent
     decimals = min(8, 1 - math.floor(math.log10(std)) + power)
-    shown = [signed(f"{round(part / 10.0**power, decimals):.{max(0, decimals)}f}") for part in (value, std)]
+    shown = [decimal(signed(f"{round(part / 10.0**power, decimals):.{max(0, decimals)}f}")) for part in (value, std)]
     return shown[0], shown[1], f"10{superscript(power)}" if power else ""
 
 

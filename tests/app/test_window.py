@@ -32,7 +32,7 @@ def type_site(qtbot, window, site="left forearm"):
 
 
 def idle(window):
-    return not window.jobs and not window.testing
+    return window.jobs.idle and not window.testing
 
 
 def wait_for_result(qtbot, window):

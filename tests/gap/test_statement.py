@@ -42,6 +42,7 @@ def diagnosis(**changes: Any) -> Any:
     found |= {
         "where": SimpleNamespace(**where),
         "conditional_odds": {},
+        "budget": None,
         "at_fault": ("coil",),
         "detection_limits": LIMITS,
     } | changes
@@ -65,8 +66,7 @@ def test_the_headline_holds_verdict_and_probabilities():
     says(headline, "gap.explained")
     assert level == "good"
     cause = headline.values["causes"].items[0].values["names"].items[0]
-    assert says(cause, "gap.cause_probability", effect=effect_title("coil_heating"), percent="95")
-    assert headline == "The gap is explained: The coil warms up (95 %)"
+    assert says(cause, "gap.cause_both", effect=effect_title("coil_heating"), share="40", percent="95")
     says(headline_of(diagnosis(verdict="no_gap", combination=(), at_fault=()))[0], "gap.none")
     says(headline_of(diagnosis(verdict="unexplained", combination=()))[0], "gap.unexplained", stage="coil")
     says(headline_of(diagnosis(verdict="unexplained", combination=(), at_fault=()))[0], "gap.unexplained_nowhere")

@@ -24,7 +24,7 @@ _OUT_OF_REACH = 0.001
 """Significance level of a lead on the last quarter beyond which the trailing engine is not fitted to other quarters."""
 
 
-_STEP = marked("holding out every quarter")
+_STEP = marked("fitting again with each quarter held out")
 
 
 def cross_validated(

@@ -47,9 +47,16 @@ def declare(ui: Layout, panels: Panels, pages: Pages, window: QWidget) -> tuple[
     ]
     own += [
         Action(_("Help for this page"), panels.help_button.click, HELP_KEY),
-        Action(_("What happened so far"), panels.log_button.click, LOG_KEY),
+        Action(_("Log of the window"), panels.log_button.click, LOG_KEY),
         Action(_("Close TissueID"), window.close, "Ctrl+Q"),
     ]
+    for chooser in pages.start.choosers:
+        choice = chooser.choice
+        own += [
+            Action(f"{chooser.name}: {choice.itemText(place)}", partial(choice.setCurrentIndex, place))
+            for place in range(choice.count())
+            if place != choice.currentIndex()
+        ]
     own += [_by_button(pages, MEASURE, button, energises=True) for button in ui.energising]
     own += [_by_button(pages, MEASURE, button) for button in ui.harmless]
     own += [_by_button(pages, "", button) for button in (ui.open, ui.report)]

@@ -8,7 +8,7 @@ from dataclasses import replace
 from datetime import UTC, datetime
 from pathlib import Path
 
-from PySide6.QtCore import QObject
+from PySide6.QtCore import QObject, Signal
 
 from tissueid.app.calibration_page import CalibrationPage
 from tissueid.app.calibration_state import calibration_state
@@ -35,7 +35,12 @@ from tissueid.procedures.test_plan import NO_INSTRUMENT
 
 
 class CalibrationController(QObject):
-    """Starts calibrations and shows their progress and result; they share jobs and STOP with the tests."""
+    """Starts calibrations and shows their progress and result; they share jobs and STOP with the tests.
+
+    ``answered`` carries the address of a calibrated instrument, and the instrument without a calibration.
+    """
+
+    answered = Signal(str, object)
 
     def __init__(
         self,
@@ -132,6 +137,8 @@ class CalibrationController(QObject):
         # The same instrument may stand at another address too.
         self._instruments.forget_calibrations()
         self._instruments.tell_calibration(self._url, outcome.state)
+        if outcome.nominal is not None:
+            self.answered.emit(self._url, outcome.nominal)
 
     def _failed(self, words: str) -> None:
         notices = [] if self._prompts is None else [sentence(translated(line)) for line in self._prompts.notices]
@@ -175,4 +182,4 @@ def calibrate(
         )
     stored = stored_calibrations(plan.folder)
     state = calibration_state(apply_calibrations(result.nominal, stored, datetime.now(UTC)))
-    return CalibrationOutcome(result.calibration, result.path, result.report, remarks, state)
+    return CalibrationOutcome(result.calibration, result.path, result.report, remarks, state, result.nominal)

@@ -9,7 +9,7 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from PySide6.QtCore import QCoreApplication, Qt, QTimer
+from PySide6.QtCore import QCoreApplication, QLocale, Qt, QTimer
 from PySide6.QtGui import QCloseEvent, QDragEnterEvent, QDropEvent, QKeySequence, QShortcut
 from PySide6.QtWidgets import QApplication, QFileDialog, QMainWindow, QWidget
 
@@ -31,13 +31,13 @@ from tissueid.app.live_signals import LiveSignals
 from tissueid.app.navigation_bar import MEASURE
 from tissueid.app.pages import Pages
 from tissueid.app.panels import Panels
-from tissueid.app.preferences import chosen, take_kept
+from tissueid.app.preferences import appearance, chosen, show_everywhere, take_kept, text_scale
 from tissueid.app.readouts import NO_TEST, StopKeys
 from tissueid.app.report_opener import Reports
 from tissueid.app.services import AppServices
 from tissueid.app.session_jobs import find, judge_and_analyse
 from tissueid.app.study_sitting import StudySitting
-from tissueid.app.theme import PaletteWatch, Theme, palette_of, style_sheet, theme_of
+from tissueid.app.theme import PaletteWatch, Theme, palette_of, style_sheet
 from tissueid.app.user_files import check_save_path
 from tissueid.app.widgets import show_disabled_reason
 from tissueid.app.window_state import restore_window_state, save_role, save_window_state, saved_role
@@ -45,7 +45,7 @@ from tissueid.app.words import in_words, outcome_text, sentence
 from tissueid.atomic_write import private_folder
 from tissueid.audit import Role
 from tissueid.errors import CancelledError, LinkLostError, TissueIDError
-from tissueid.language import _, set_language
+from tissueid.language import ENGLISH, _, current_language, set_language
 from tissueid.messages import code_of, translated
 from tissueid.procedures.audit_notes import NOT_LOGGED, record_role
 from tissueid.procedures.control import BY_KEY
@@ -83,12 +83,16 @@ class MainWindow(QMainWindow):
         self.findings: Findings | None = None
         self._closing = False
         self._theme: Theme | None = None
+        self._scale = 0.0
+        self.restarts = False
+        """Whether a new window is to be opened after this one, which closes."""
         QCoreApplication.setAttribute(Qt.ApplicationAttribute.AA_UseStyleSheetPropagationInWidgetStyles)
         self._palette_watch = PaletteWatch()
         self.testing = False
         self.setWindowTitle("TissueID")
         self.settings = self.services.settings()
         set_language(chosen(self.services.language, self.settings))
+        QLocale.setDefault(QLocale(current_language()) if current_language() != ENGLISH else QLocale.c())
         take_kept(self.settings)
         role = self.services.role or saved_role(self.settings)
         self.ui = Layout(self, self.services.folder, self.services.now, role)
@@ -227,6 +231,7 @@ class MainWindow(QMainWindow):
         self.ui.guidance.say(_("Preparing. The coil is off."))
         self._keys.listen(True)
         self.testing = True
+        self.jobs.hold_results(True)
         self.ui.make_way()
         self.ui.notice.retract()
         self.ui.safety.expect()
@@ -239,6 +244,7 @@ class MainWindow(QMainWindow):
         self._keys.listen(False)
         self._frames.stop()
         self.testing = False
+        self.jobs.hold_results(False)
         self.clinician.freed()
         self.ui.safety.clear()
 
@@ -510,14 +516,14 @@ class MainWindow(QMainWindow):
         self.study.update_enabled(busy=self.busy)
         self.pages.update_enabled(busy=self.busy, testing=self.testing)
         show_disabled_reason(self.ui.waiting, self.jobs.why)
-        if self._closing and not self.jobs:
+        if self._closing and self.jobs.idle:
             self.close()
 
     # -- the window itself ------------------------------------------------------------------------------------
 
     def closeEvent(self, event: QCloseEvent) -> None:  # noqa: N802
         """Close; a running test first releases the coil and keeps what was recorded."""
-        if self.jobs:
+        if not self.jobs.idle:
             self._closing = True
             self._stop.press(BY_CLOSING)
             self.pages.cancel()
@@ -533,13 +539,29 @@ class MainWindow(QMainWindow):
         self.pages.save()
         super().closeEvent(event)
 
+    def _take_units(self) -> None:
+        take_kept(self.settings)
+        show_everywhere(self)
+
+    def _offer_restart(self) -> None:
+        language = self.pages.start.language.choice.currentText()
+        said = _("The language is {language} when TissueID has restarted.").format(language=language)
+        self.ui.notice.say(said, offer=_("Restart now"), act=self._restart)
+
+    def _restart(self) -> None:
+        self.restarts = True
+        self.close()
+
     def _take_palette(self) -> None:
-        """Apply the theme of the system's palette; called whenever it changes."""
-        theme = theme_of(self._palette_watch.palette())
-        if theme is not self._theme:
-            self._theme = theme
+        """Apply appearance and text size; called whenever they or the system's palette change."""
+        theme, scale = appearance(self.settings, self._palette_watch.palette()), text_scale(self.settings)
+        if (theme, scale) != (self._theme, self._scale):
+            self._theme, self._scale = theme, scale
+            font = QApplication.font()
+            font.setPointSizeF(scale * font.pointSizeF())
+            self.setFont(font)
             self.setPalette(palette_of(theme))
-            self.setStyleSheet(style_sheet(theme))
+            self.setStyleSheet(style_sheet(theme, scale))
             self.ui.apply_theme(theme)
             self.clinician.apply_theme(theme)
             self.panels.apply_theme(theme)
@@ -567,6 +589,12 @@ class MainWindow(QMainWindow):
         self.clinician.findings_wanted.connect(self.show_findings)
         self.device_search.recovered.connect(self._show_recovered)
         self.pages.shown.connect(self._page_shown)
+        self._calibrator.answered.connect(self.pages.on_instrument_answered)
+        start = self.pages.start
+        start.language.chosen.connect(self._offer_restart)
+        start.units.chosen.connect(self._take_units)
+        for chooser in (start.appearance, start.text_size):
+            chooser.chosen.connect(self._take_palette, Qt.ConnectionType.QueuedConnection)
         self.pages.start.find_asked.connect(self.device_search.find_instruments)
         self.pages.start.recovery_asked.connect(self.device_search.recover)
         # Queued: the new palette must first have reached every widget, or the rest would be overwritten by it.

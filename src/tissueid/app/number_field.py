@@ -8,7 +8,7 @@ from PySide6.QtCore import QPoint, Qt, QTimer, Signal
 from PySide6.QtGui import QValidator
 from PySide6.QtWidgets import QDoubleSpinBox, QLabel, QSpinBox, QWidget
 
-from tissueid.language import _
+from tissueid.language import _, decimal
 
 _SHOWN_MS = 6000
 _NUMBER = re.compile(r"[+-]?(\d+([.,]\d*)?|[.,]\d+)([eE][+-]?\d+)?")
@@ -192,7 +192,7 @@ class OptionalNumberField(NumberField):
 
     def textFromValue(self, value: float) -> str:  # noqa: N802
         """Nothing for the least value; no more decimals than needed."""
-        return "" if value < 0.0 else f"{value:.10g}"
+        return "" if value < 0.0 else decimal(f"{value:.10g}")
 
     def _is_empty(self, text: str) -> bool:
         return not text.strip().removesuffix(self.suffix().strip()).strip()

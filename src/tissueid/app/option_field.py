@@ -18,7 +18,7 @@ from PySide6.QtWidgets import QCheckBox, QComboBox, QDoubleSpinBox, QHBoxLayout,
 from tissueid.app.number_field import NumberField, WholeNumberField
 from tissueid.errors import UnusableInputError
 from tissueid.formatting import label_and_unit
-from tissueid.language import _
+from tissueid.language import _, decimal, marked
 from tissueid.messages import Message
 from tissueid.units import display_unit
 
@@ -30,6 +30,43 @@ _LONGEST = 2000
 _SHORT_S, _START = 0.1, 10.0
 _NARROW = 60
 """Controls may shrink so far: the form scrolls up and down alone."""
+
+CHOICES = {
+    "autocorrelation": marked("by its autocorrelation"),
+    "band": marked("flat up to the cutoff"),
+    "blackman": "Blackman",
+    "boxcar": marked("none (rectangular)"),
+    "burger": "Burgers",
+    "butterworth": marked("low-pass (Butterworth)"),
+    "full": marked("all lines"),
+    "gaussian": marked("Gaussian"),
+    "hamming": "Hamming",
+    "hammerstein": marked("nonlinearity, then dynamics (Hammerstein)"),
+    "hann": "Hann",
+    "in": marked("inward"),
+    "kelvin-voigt": "Kelvin-Voigt",
+    "laguerre": "Laguerre",
+    "lnl": marked("dynamics, nonlinearity, dynamics"),
+    "low_crest": marked("low crest factor"),
+    "maxwell": "Maxwell",
+    "nln": marked("nonlinearity, dynamics, nonlinearity"),
+    "odd": marked("odd lines"),
+    "odd_random": marked("odd lines, some left out"),
+    "out": marked("outward"),
+    "power": marked("power of the frequency"),
+    "power_law": marked("power of the frequency"),
+    "quantiles": marked("by its quantiles"),
+    "rayleigh": "Rayleigh",
+    "schroeder": "Schroeder",
+    "second_order": marked("second order"),
+    "standard-linear-solid": marked("standard linear solid"),
+    "svd": marked("robust (singular values)"),
+    "table": marked("from a table"),
+    "toeplitz": marked("fast (Toeplitz)"),
+    "white": marked("flat (white)"),
+    "wiener": marked("dynamics, then nonlinearity (Wiener)"),
+}
+"""Labels of choices whose name, as it is typed in the shell, does not say enough."""
 
 
 class OptionField(QWidget):
@@ -142,7 +179,7 @@ class OptionField(QWidget):
             combo.setSizeAdjustPolicy(QComboBox.SizeAdjustPolicy.AdjustToMinimumContentsLengthWithIcon)
             combo.setMinimumContentsLength(6)
             for choice in get_args(kind):
-                combo.addItem(_(str(choice)), choice)
+                combo.addItem(_(CHOICES.get(str(choice), str(choice))), choice)
             combo.currentIndexChanged.connect(self._tell)
             return combo
         if kind is int or kind is float:
@@ -231,7 +268,7 @@ class _GeneralSpin(NumberField):
 
     def textFromValue(self, value: float) -> str:  # noqa: N802
         """Return the number with up to ten digits."""
-        return f"{value:.{_DIGITS}g}"
+        return decimal(f"{value:.{_DIGITS}g}")
 
     def stepBy(self, steps: int) -> None:  # noqa: N802
         """Step by the second digit: 0.125 s to 0.135 s, 1e-12 to 1.1e-12."""

@@ -13,7 +13,17 @@ from typing import TYPE_CHECKING, Any, TypeGuard, cast
 import numpy as np
 from PySide6.QtCore import QEvent, QObject, QPointF, QSize, Qt, QTimer
 from PySide6.QtGui import QContextMenuEvent, QKeyEvent, QMouseEvent, QPalette, QResizeEvent, QShowEvent, QWheelEvent
-from PySide6.QtWidgets import QFileDialog, QFrame, QLabel, QMenu, QScrollArea, QSizePolicy, QVBoxLayout, QWidget
+from PySide6.QtWidgets import (
+    QApplication,
+    QFileDialog,
+    QFrame,
+    QLabel,
+    QMenu,
+    QScrollArea,
+    QSizePolicy,
+    QVBoxLayout,
+    QWidget,
+)
 
 from tissueid.app.draw_queue import request_drawing
 from tissueid.app.plot_readout import extremes, unit_of_values, values_at
@@ -334,6 +344,7 @@ class PlotCanvas(QFrame):
         menu.setAttribute(Qt.WidgetAttribute.WA_DeleteOnClose)
         menu.addAction(_("Show everything"), self.show_everything)
         menu.addAction(_("Save plot…"), self.ask_where_to_save)
+        menu.addAction(_("Copy picture"), lambda: QApplication.clipboard().setPixmap(self.grab()))
         menu.popup(event.globalPos())
 
     def ask_where_to_save(self) -> None:
@@ -378,6 +389,7 @@ class PlotCanvas(QFrame):
     def _draw(self) -> None:
         """Draw everything, and lay it out."""
         from tissueid.reports.plot_renderer import draw_grid, draw_relief
+        from tissueid.reports.style import localise_numbers
 
         canvas = self._make_canvas()
         canvas.setVisible(True)
@@ -392,6 +404,7 @@ class PlotCanvas(QFrame):
             self._axes, self._long = [draw_relief(figure, self.plots[0], look, units=shown)], [[]]
         else:
             self._axes, self._long = draw_grid(figure, self._rows, look, units=shown, key=self._key)
+        localise_numbers(figure)
         self._lay_out()
         self._home = [
             (one.get_xlim(), one.get_ylim(), (one.elev, one.azim) if _in_space(one) else None) for one in self._axes

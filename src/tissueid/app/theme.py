@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from dataclasses import asdict, dataclass
 from string import Template
 
@@ -193,9 +194,10 @@ def palette_of(theme: Theme) -> QPalette:
     return palette
 
 
-def style_sheet(theme: Theme) -> str:
-    """Return the style sheet of the window."""
-    return _SHEET.substitute(asdict(theme))
+def style_sheet(theme: Theme, scale: float = 1.0) -> str:
+    """Return the style sheet of the window, with texts that are ``scale`` times as large as usual."""
+    sheet = _SHEET.substitute(asdict(theme))
+    return re.sub(r"(\d+)pt", lambda size: f"{scale * float(size[1]):g}pt", sheet)
 
 
 def faint(colour: str, alpha: int) -> QColor:

@@ -12,12 +12,13 @@ import threading
 from pathlib import Path
 from types import FrameType, TracebackType
 
-from PySide6.QtCore import QLocale, QObject, QTimer
+from PySide6.QtCore import QObject, QTimer
 from PySide6.QtGui import QIcon
 from PySide6.QtWidgets import QApplication
 
 from tissueid.app.main_window import MainWindow
 from tissueid.app.preferences import qt_texts
+from tissueid.app.window_state import show_window
 from tissueid.errors import TissueIDError
 
 _HOUSEKEEPING_MS = 500
@@ -140,8 +141,16 @@ def run() -> int:
     application.setWindowIcon(QIcon(str(Path(__file__).with_name("tissueid.svg"))))
     application.setDesktopFileName("tissueid")
     application.setStyle("Fusion")
-    QLocale.setDefault(QLocale.c())  # figures have a decimal point in every language
-    window = MainWindow()
+    while True:
+        window = MainWindow()
+        status = _show(application, window)
+        if not window.restarts:
+            return status
+        window.deleteLater()
+
+
+def _show(application: QApplication, window: MainWindow) -> int:
+    """Show a window until it is closed; returns the exit status."""
     said_by_qt = qt_texts()
     application.installTranslator(said_by_qt)
     housekeeping = Housekeeping(window)
@@ -158,7 +167,7 @@ def run() -> int:
     previous = {number: signal.signal(number, close) for number in (signal.SIGINT, signal.SIGTERM)}
     sys.excepthook = tell
     try:
-        window.show()
+        show_window(window)
         return application.exec()
     finally:
         warm_up.end()
@@ -167,3 +176,4 @@ def run() -> int:
             signal.signal(number, handler)
         gc.enable()
         housekeeping.deleteLater()
+        application.removeTranslator(said_by_qt)

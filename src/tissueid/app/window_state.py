@@ -14,6 +14,7 @@ from tissueid.audit import ROLES, Role
 from tissueid.formatting import clean
 
 _GEOMETRY = "window/geometry"
+_MAXIMISED = "window/maximised"
 _PANELS = "window/panels"
 _HELP = "window/help"
 _PAGE = "window/page"
@@ -50,6 +51,7 @@ def save_window_state(
 ) -> None:
     """Save the window state. Write errors are ignored."""
     settings.setValue(_GEOMETRY, window.saveGeometry())
+    settings.setValue(_MAXIMISED, "yes" if window.isMaximized() else "no")
     settings.setValue(_PANELS, window.saveState(_VERSION))
     settings.setValue(_HELP, "no" if help_panel.isHidden() else "yes")
     settings.setValue(_PAGE, page)
@@ -63,6 +65,7 @@ def save_window_state(
 
 def restore_window_state(window: QMainWindow, form: PlanForm, help_panel: QWidget, settings: QSettings) -> None:
     """Restore the window state except page and role. Values that are no longer valid are ignored."""
+    window.setProperty(_MAXIMISED, _text(settings, _MAXIMISED))
     geometry, panels = settings.value(_GEOMETRY), settings.value(_PANELS)
     if isinstance(geometry, QByteArray):
         window.restoreGeometry(geometry)
@@ -77,12 +80,22 @@ def restore_window_state(window: QMainWindow, form: PlanForm, help_panel: QWidge
             choice.setCurrentIndex(place)
 
 
+def show_window(window: QMainWindow) -> None:
+    """Show a window, maximised if it was left so: not every system does this by the geometry alone."""
+    if window.property(_MAXIMISED) == "yes":
+        window.showMaximized()
+    else:
+        window.show()
+
+
 def _text(settings: QSettings, key: str) -> str:
     """Return a setting as one line of text; the file may contain anything."""
     kept = settings.value(key, "")
     return clean(kept).strip()[:_LONGEST] if isinstance(kept, str) else ""
 
 
+RESEARCH_FOLDERS = "research/folders"
+"""Setting with the folders of sessions that were added on the page Research."""
 _MOST_TEXTS = 200
 _LONGEST_TEXT = 5000
 

@@ -154,19 +154,28 @@ def write_protocol(plan: ProtocolPlan) -> tuple[Protocol, bool]:
     Raises:
         UnusableInputError: the protocol is not valid, or the folder cannot be used.
     """
-    path = plan.folder / PROTOCOL_FILE
-    if path.exists():
+    if (plan.folder / PROTOCOL_FILE).exists():
         return read_protocol(plan.folder), False
+    protocol = template()
+    save_protocol(plan.folder, protocol)
+    return protocol, True
+
+
+def save_protocol(folder: Path, protocol: Protocol) -> None:
+    """Write the protocol of a study into its folder, which is made if it is not there.
+
+    Raises:
+        UnusableInputError: the protocol is not valid, or the folder cannot be used.
+    """
     from tissueid.procedures.output_files import unwritable, write_text
 
-    protocol = template()
+    path = folder / PROTOCOL_FILE
     check_tests(protocol, str(path))
     try:
-        private_folder(plan.folder)
+        private_folder(folder)
     except OSError as error:
-        raise unwritable(plan.folder, error) from error
+        raise unwritable(folder, error) from error
     write_text(path, protocol_text(protocol))
-    return protocol, True
 
 
 def prepare_subject(plan: SittingRunPlan, protocol: Protocol, control: Control) -> None:

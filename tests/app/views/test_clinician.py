@@ -28,7 +28,7 @@ def press(qtbot, widget):
 
 
 def idle(window):
-    return not window.jobs and not window.testing
+    return window.jobs.idle and not window.testing
 
 
 def run_test(qtbot, window, button):

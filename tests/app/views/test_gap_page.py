@@ -63,7 +63,7 @@ def page_of(window):
 
 def wait(qtbot, window):
     # Between the end of a reading job and the diagnosis that was asked for meanwhile, no job runs.
-    qtbot.waitUntil(lambda: not window.jobs and not page_of(window)._running, timeout=WAIT_MS)
+    qtbot.waitUntil(lambda: window.jobs.idle and not page_of(window)._running, timeout=WAIT_MS)
 
 
 @pytest.fixture
@@ -121,9 +121,7 @@ def test_from_a_session_to_verdict_stage_and_effect(qtbot, diagnosed):
     assert result.isVisible()
     headline = page.history.result.story.headline
     assert headline.code == "gap.explained"
-    assert says(
-        part_of(headline, "gap.cause_probability"), "gap.cause_probability", effect=FRICTION.title, percent="> 99"
-    )
+    assert says(part_of(headline, "gap.cause_both"), "gap.cause_both", effect=FRICTION.title, percent="> 99")
     assert result.headline.text() == headline.replace(" %", "\N{NO-BREAK SPACE}%")
     assert FRICTION.remedy in result.todo.text()
     assert result.chain.stages["mechanics"].accessibleName().endswith("at fault")
@@ -278,7 +276,8 @@ def test_no_gap_says_so_and_makes_no_twin(qtbot, open_window, tmp_path):
     assert not page.asking.run.isEnabled()
     wait(qtbot, window)
     assert says(page.history.result.story.headline, "gap.none")
-    assert page.history.list.item(0).text().splitlines() == ["clean.h5", "No gap"]
+    name, verdict = page.history.list.item(0).text().splitlines()
+    assert (name, verdict) == (f"clean.h5  ·  {page.history.result.when.astimezone():%Y-%m-%d %H:%M}", "No gap")
     press(qtbot, page.result.accept)
     assert says(why_not_accepted(page.history.result), "accept.no_gap")
     assert page.history.result.story.verdict == "no_gap"
@@ -288,7 +287,8 @@ def test_no_gap_says_so_and_makes_no_twin(qtbot, open_window, tmp_path):
     removed = page.history.list
     qtbot.keyClick(removed, Qt.Key.Key_Z, Qt.KeyboardModifier.ControlModifier)
     assert page.result.isVisible()
-    assert page.history.list.item(0).text().splitlines() == ["clean.h5", "No gap"]
+    name, verdict = page.history.list.item(0).text().splitlines()
+    assert (name, verdict) == (f"clean.h5  ·  {page.history.result.when.astimezone():%Y-%m-%d %H:%M}", "No gap")
     qtbot.keyClick(removed, Qt.Key.Key_Delete)
     assert page.welcome.isVisible()
 

@@ -264,16 +264,8 @@ def test_the_tab_key_visits_the_page_from_top_to_bottom(qtbot, open_start):
         if window.focusWidget() is visited[0]:
             break
         visited.append(window.focusWidget())
-    expected = [
-        *page.cards.values(),
-        page.search,
-        page.recent,
-        page.seek,
-        page.instruments,
-        page.folder,
-        page.language.choice,
-    ]
-    expected.append(page.units.choice)
+    expected = [*page.cards.values(), page.search, page.recent, page.seek, page.instruments, page.folder]
+    expected += [chooser.choice for chooser in page.choosers]
     assert visited[: len(expected)] == expected
     assert set(visited[len(expected) :]) == {ui.role.choice, ui.open, ui.rail.buttons["start"], *ui.rail.feet}
 

@@ -25,7 +25,7 @@ class PreparationForm(QWidget):
             _("Subtract the linear drift"), _("The straight line through the output is subtracted before the fit")
         )
         self.tissue_alone = self._box(
-            _("Tissue alone as well"),
+            _("Also report the tissue alone"),
             _("Mass and damping without the moving part of the instrument, next to those of both together"),
         )
         self.low = self._edge(_("Band from"), _("Lower frequencies are removed from both signals before the fit"))

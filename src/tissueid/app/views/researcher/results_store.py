@@ -55,6 +55,9 @@ class AnalysisHistory:
         self.path = path or default_path()
         self._lock = threading.Lock()
 
+    def __reduce__(self) -> tuple[type[AnalysisHistory], tuple[Path]]:
+        return AnalysisHistory, (self.path,)  # for the process of an analysis
+
     def read(self) -> tuple[list[HistoryEntry], int]:
         """Return the latest entries, newest first, and the number of unreadable lines. A missing file is empty.
 
@@ -228,7 +231,7 @@ class _Result(_Line):
         """Return the result; ``stamp`` is the current one of its file."""
         from tissueid.analysis.curves.results import TITLES, missing_plot
 
-        without = marked("Kept from an earlier start, without its curves: Refit draws them.")
+        without = marked("From an earlier session, without curves; “Refit” computes them.")
         panels = {panel: missing_plot(panel, without) for panel in TITLES}
         units = {str(panel): self.units[panel] for panel in panels if panel in self.units}
         tests: tuple[SelectedTest, ...] = tuple(test.chosen for test in self.tests)

@@ -14,7 +14,7 @@ from PySide6.QtCore import (
     Qt,
     Signal,
 )
-from PySide6.QtGui import QColor, QFont, QKeyEvent, QKeySequence
+from PySide6.QtGui import QColor, QFont, QIcon, QKeyEvent, QKeySequence, QPainter, QPixmap
 from PySide6.QtWidgets import QAbstractItemView, QHeaderView, QTableView, QWidget
 
 from tissueid.app.theme import Theme
@@ -49,6 +49,9 @@ _SORT = Qt.ItemDataRole.UserRole
 _LONGEST = 60
 Index = QModelIndex | QPersistentModelIndex
 _TOP = QModelIndex()
+
+_SIDE = 14
+"""Side of the square in the colour of a curve, pixels."""
 
 
 class ResultsTable(QTableView):
@@ -260,7 +263,7 @@ class _Results(QAbstractTableModel):
             return _tool_tip(outcome) if self._is_text(column) else None
         if role == Qt.ItemDataRole.DecorationRole and column == 0 and self._theme is not None:
             place = self._colours.get(id(outcome))
-            return None if place is None else QColor(getattr(self._theme, SERIES[place % len(SERIES)]))
+            return None if place is None else _square(getattr(self._theme, SERIES[place % len(SERIES)]))
         if role == Qt.ItemDataRole.TextAlignmentRole and not self._is_text(column):
             return Qt.AlignmentFlag.AlignRight | Qt.AlignmentFlag.AlignVCenter
         if role == Qt.ItemDataRole.ForegroundRole and self._theme is not None:
@@ -310,6 +313,18 @@ def in_two_lines(head: str) -> str:
     words = head.split()
     parted = [(" ".join(words[:place]), " ".join(words[place:])) for place in range(1, len(words))]
     return "\n".join(min(parted, key=lambda lines: max(map(len, lines)))) if parted else head
+
+
+def _square(colour: str) -> QIcon:
+    """Return a square in a colour with a light edge, which the selection does not tint."""
+    picture = QPixmap(_SIDE, _SIDE)
+    picture.fill(QColor("white"))
+    painter = QPainter(picture)
+    painter.fillRect(1, 1, _SIDE - 2, _SIDE - 2, QColor(colour))
+    painter.end()
+    icon = QIcon(picture)
+    icon.addPixmap(picture, QIcon.Mode.Selected)
+    return icon
 
 
 def _tool_tip(outcome: EngineOutcome) -> str:

@@ -15,6 +15,7 @@ from PySide6.QtWidgets import (
     QWidget,
 )
 
+from tissueid.app.build import button
 from tissueid.app.context import AppContext
 from tissueid.app.number_field import NumberField
 from tissueid.app.small_window import FoldingBox
@@ -114,10 +115,8 @@ class SignalsPanel(QWidget):
         self.loaded: list[LoadedTest] = []
         self.channels = ChannelButton(load_texts(context.settings, _SIGNALS))
         self.low, self.high = NumberField(), NumberField()
-        self.whole = QPushButton(_("Whole test"))
-        self.whole.setToolTip(_("Show everything again (a double click on a plot does the same)"))
-        self.save = QPushButton(_("Save figure…"))
-        self.save.setToolTip(_("What is shown, as PDF, SVG or PNG with 300 dpi"))
+        self.whole = button(_("Whole test"), tip=_("Show everything again (a double click on a plot does the same)"))
+        self.save = button(_("Save figure…"), tip=_("What is shown, as PDF, SVG or PNG with 300 dpi"))
         self._saver = SaveDialog(context, self)
         self.about = ElidedLabel()
         self.stack = PlotStack()

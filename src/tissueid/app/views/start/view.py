@@ -26,7 +26,7 @@ from tissueid.app.build import button, fill, label, row, styled
 from tissueid.app.calibration_state import CalibrationState
 from tissueid.app.chooser import TYPED
 from tissueid.app.context import AppContext, View
-from tissueid.app.preferences import LanguageChooser, UnitChooser
+from tissueid.app.preferences import choosers
 from tissueid.app.roles import RoleCard
 from tissueid.app.small_window import FoldingBox
 from tissueid.app.theme import Theme
@@ -108,8 +108,8 @@ class StartView(View):
         self.seek = button(_("Fin&d"), name=_("Find instruments: ask every port"))
         self.unfinished = label()
         self.recover = button(_("Recover"), name=_("Recover all unfinished tests"))
-        self.language = LanguageChooser(context.settings)
-        self.units = UnitChooser(context.settings)
+        self.choosers = choosers(context.settings)
+        self.language, self.units, self.appearance, self.text_size = self.choosers
         self.folder = button(_("Show folder"), name=_("Show the folder of sessions"))
         self._arrange()
         self._connect()
@@ -319,7 +319,6 @@ class StartView(View):
         self.seek.clicked.connect(self._find)
         self.recover.clicked.connect(self._recover)
         self.folder.clicked.connect(self._show_folder)
-        self.language.changed.connect(self.context.say)
 
     def _arrange(self) -> None:
         page = QWidget()
@@ -346,7 +345,8 @@ class StartView(View):
         scroll.setFocusPolicy(Qt.FocusPolicy.NoFocus)
         fill(QVBoxLayout(self), scroll)
         order = [*self.cards.values(), self.recover, self.search, self.stop_reading, self.open, self.recent]
-        order += [self.seek, self.instruments, self.use, self.folder, self.language.choice, self.units.choice]
+        order += [self.seek, self.instruments, self.use, self.folder]
+        order += [chooser.choice for chooser in self.choosers]
         for before, after in pairwise(order):
             QWidget.setTabOrder(before, after)
 
@@ -372,7 +372,7 @@ class StartView(View):
             path.setToolTip(clean(where))
             grid.addWidget(named, 1 + place // 2, 2 * (place % 2), Qt.AlignmentFlag.AlignTop)
             grid.addWidget(path, 1 + place // 2, 2 * (place % 2) + 1, 1, 1 + place % 2)
-        grid.addLayout(row(self.language, self.units, None, spacing=24), 3, 2, 1, 3)
+        grid.addLayout(row(*self.choosers, None, spacing=24), 4, 0, 1, 5)
         grid.setColumnStretch(1, 1)
         grid.setColumnStretch(3, 1)
         return foot

@@ -8,8 +8,9 @@ from dataclasses import dataclass, field
 from pathlib import Path
 
 from PySide6.QtCore import Qt
-from PySide6.QtWidgets import QComboBox, QFileDialog, QFrame, QHBoxLayout, QLineEdit, QPushButton, QVBoxLayout, QWidget
+from PySide6.QtWidgets import QComboBox, QFileDialog, QFrame, QHBoxLayout, QLineEdit, QVBoxLayout, QWidget
 
+from tissueid.app.build import button
 from tissueid.app.context import AppContext
 from tissueid.app.jobs import PageJob
 from tissueid.app.theme import Theme
@@ -35,8 +36,8 @@ _ALL_ROLES, _ALL_ACTS = marked("All roles"), marked("All acts")
 _ROLE, _SEARCH = "instrument/audit/role", "instrument/audit/search"
 _MOST_ACTS = 60
 _BLIND = marked(
-    "Lines cut off at its end together with the note next to it are seen only against a session or a calibration: "
-    "'tissueid audit verify FILE'."
+    "A log that was cut at its end, together with the note next to it, can be recognised only by comparing it with a "
+    "session or a calibration that was made later."
 )
 
 
@@ -112,14 +113,11 @@ class AuditTab(Tab):
         self.search.setAccessibleName(_("Search the audit log"))
         self.search.setClearButtonEnabled(True)
         self.search.setMaxLength(200)
-        self.again = QPushButton(_("Read again"))
-        self.again.setAccessibleName(_("Read the audit log again"))
+        self.again = button(_("Read again"), name=_("Read the audit log again"))
         self.again.clicked.connect(self.load)
-        self.verify = QPushButton(_("Verify"))
-        self.verify.setToolTip(_("Checks every line of the log for changes, from the first to the last"))
+        self.verify = button(_("Verify"), tip=_("Checks every line of the log for changes, from the first to the last"))
         self.verify.clicked.connect(self.begin_verifying)
-        self.export = QPushButton(_("Export CSV…"))
-        self.export.setToolTip(_("Writes the lines that are shown, for a spreadsheet"))
+        self.export = button(_("Export CSV…"), tip=_("Writes the lines that are shown, for a spreadsheet"))
         self.export.clicked.connect(self._choose_csv)
         self.verdict = QFrame()
         self.verdict.setProperty("role", "verdict")
@@ -163,7 +161,7 @@ class AuditTab(Tab):
             self.stale = False
 
     def _loaded(self, found: Read) -> None:
-        self._read = found
+        self._read, self.read = found, True
         kept = self.act.currentText()
         self.act.blockSignals(True)
         self.act.clear()
@@ -241,6 +239,8 @@ class AuditTab(Tab):
         self.again.setEnabled(not busy)
         self.verify.setEnabled(not busy)
         self.export.setEnabled(not busy and bool(self.model.rows))
+        if not self.read:
+            self._show()
 
     def _show(self) -> None:
         role = self.role.currentData()
@@ -261,7 +261,8 @@ class AuditTab(Tab):
         said = _("{shown} of {count} lines, newest first, in {path}.").format(
             shown=grouped(len(found)), count=grouped(len(lines)), path=self.context.services.audit.path
         )
-        self.count.setText(" ".join([clean(said), *(clean(line) for line in self._read.page.remarks)]))
+        remarks = (clean(line) for line in self._read.page.remarks)
+        self.count.setText(" ".join([clean(said), *remarks]) if self.read else self.context.unread)
         self.export.setEnabled(bool(found) and not self.context.busy)
         self._show_full()
 

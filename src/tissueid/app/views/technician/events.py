@@ -23,7 +23,7 @@ MOST_FILES = 2000
 _LONGEST = 400
 FAULT, BROKEN, STOPPED, RECOVERED, COMPLETED = (
     marked("Fault"),
-    marked("Broken off"),
+    marked("Interrupted"),
     marked("Stopped"),
     marked("Recovered"),
     marked("Completed"),
@@ -128,7 +128,9 @@ def read_events(files: list[Path], log: LogPage, cancelled: Callable[[], object]
         cancelled()
         for subject, event in _of_session(path):
             logged = by_subject.get(subject)
-            by_subject[subject] = event if logged is None else replace(logged, path=path, subject=event.subject)
+            if logged is not None:  # the session has the reason as a message, which is translated
+                event = replace(logged, path=path, subject=event.subject, reason=event.reason or logged.reason)
+            by_subject[subject] = event
     remarks = [*log.remarks]
     if len(files) > MOST_FILES:
         remarks.append(
@@ -222,7 +224,8 @@ def advice(kind: str, reason: str, codes: Collection[str]) -> str:
         if code in codes:
             return sentence(translated(words))
     _cause, colon, remedy = reason.rpartition(": ")
-    return sentence(clean(remedy)[:_LONGEST]) if colon else _("Measure again; if it happens again, ask the instrument.")
+    usual = _("Measure again; if it happens again, check the instrument.")
+    return sentence(clean(remedy)[:_LONGEST]) if colon else usual
 
 
 def _texts(value: object) -> list[str]:

@@ -70,9 +70,7 @@ def read_log(path: Path, cancelled: Callable[[], object], most_bytes: int = MOST
     remarks = []
     if size > most_bytes or whole > MOST_LINES:
         remarks.append(
-            _("Only the newest {count} lines are shown; 'tissueid audit show' has the others.").format(
-                count=grouped(len(kept))
-            )
+            _("Only the newest {count} lines are shown; the file holds all of them.").format(count=grouped(len(kept)))
         )
     if damaged:
         one = Message("audit.table.piece", "1 incomplete line is not shown: press Verify for details.")
