@@ -319,7 +319,8 @@ class ImportDialog(QDialog):
         place.addWidget(self.browse)
         form = QFormLayout()
         form.addRow(_("Sample rate (Hz)"), self.rate)
-        form.addRow(_("Decimal sign"), self.decimal)
+        if self._preview.format == "csv" and not self._preview.described:
+            form.addRow(_("Decimal sign"), self.decimal)
         form.addRow(_("Rows"), rows)
         form.addRow(_("Site"), self.site)
         form.addRow(_("Subject"), self.subject)
@@ -331,7 +332,7 @@ class ImportDialog(QDialog):
         layout.addWidget(self.table, 1)
         if self._preview.described:
             layout.addWidget(QLabel(_("Its attributes file (.json) says what its columns are.")))
-            for widget in (self.rate, self.decimal, self.table):
+            for widget in (self.rate, self.table):
                 widget.setEnabled(False)
         layout.addLayout(form)
         layout.addWidget(self.said)

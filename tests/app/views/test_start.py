@@ -4,6 +4,7 @@ import dataclasses
 import os
 import shutil
 import threading
+from dataclasses import replace
 
 import pytest
 from app.benches import WAIT_MS, found
@@ -152,6 +153,15 @@ def test_the_newest_sessions_are_listed_and_return_opens_one(qtbot, open_start, 
     qtbot.waitUntil(lambda: window.findings is not None and idle(window), timeout=WAIT_MS)
     assert window.findings.path == tmp_path / f"{MOST_SHOWN:02d}.h5"
     assert window.findings.verdict.headline in window.panels.log.lines.toPlainText()
+
+
+def test_a_session_without_a_site_has_the_name_of_its_file(open_start, tmp_path, saved):
+    session = read_session(saved)
+    unnamed = replace(session, tests=tuple(replace(test, site="") for test in session.tests))
+    for name in ("imported.h5", "2026-01-15_10-30-00.h5"):
+        write_session(tmp_path / name, unnamed)
+    page = open_start().pages.start
+    assert {line[1] for line in said(page.recent)} >= {"imported.h5", "Site not recorded"}
 
 
 def test_rubbish_has_a_line_that_says_so_and_cannot_harm(qtbot, open_start, tmp_path):
