@@ -113,8 +113,8 @@ def test_every_statement_is_translated():
         assert [text for text in said if not is_german(text)] == []
     assert translated(list(sentences_of(diagnosis()))[1]) == (
         "Am meisten zeigt sie sich in: Position, von 3 bis 9 Hz und 20 bis 40 Hz, in Tiefen von 1 bis 2 mm, bei "
-        "Strömen von 0.1 bis 0.2 A, bei einer Amplitude (der Anregung über die letzten 0.1 s) von 1 bis 2 N und bei "
-        "Netzphasen (50 Hz) von 5.7 bis 57 Grad und 110 bis 170 Grad, während die Sonde hineingeht."
+        "Strömen von 0,1 bis 0,2 A, bei einer Amplitude (der Anregung über die letzten 0,1 s) von 1 bis 2 N und bei "
+        "Netzphasen (50 Hz) von 5,7 bis 57 Grad und 110 bis 170 Grad, während die Sonde hineingeht."
     )
 
 

@@ -22,6 +22,7 @@ from tissueid.app.views.gap.effect_dialog import EffectDialog
 from tissueid.app.views.gap.next_test import session_url
 from tissueid.app.views.gap.page_content import Proposal
 from tissueid.app.views.gap.page_content_builder import page_content_of
+from tissueid.app.views.gap.request_panel import RequestPanel
 from tissueid.app.words import sentence
 from tissueid.audit import AuditLog, last_lines
 from tissueid.device import DeviceDescription
@@ -518,3 +519,14 @@ def test_the_page_gap_reads_as_its_golden_page(diagnosed, language):
         check_golden_page(f"window-gap-{language}", lines)
     finally:
         set_language("en")
+
+
+def test_sessions_of_the_folders_of_research_and_of_those_in_them_are_listed(qtbot, tmp_path):
+    own, other = tmp_path / "own", tmp_path / "other"
+    files = [own / "a.h5", other / "b.h5", other / "subject" / "c.h5"]
+    for path in (*files, other / "subject" / "deeper" / "d.h5", other / "notes.txt"):
+        path.parent.mkdir(parents=True, exist_ok=True)
+        path.touch()
+    panel = RequestPanel(own, lambda: [other, tmp_path / "gone"])
+    qtbot.addWidget(panel)
+    assert set(panel.session.untitled) == set(files)

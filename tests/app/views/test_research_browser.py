@@ -204,8 +204,8 @@ def test_every_control_has_a_name_and_the_tab_key_reaches_it(qtbot, opened):
     expected += [
         view.browser.tree,
         view.export,
-        view.tabs.tabBar(),
         view.fold_list,
+        view.tabs.tabBar(),
         view.signals.channels,
         view.signals.low,
     ]

@@ -58,6 +58,8 @@ class ResearchView(View):
         self.split.setStretchFactor(0, 3)
         self.split.setStretchFactor(1, 7)
         self.split.setSizes(list(_WIDTHS))
+        QWidget.setTabOrder(self.export, self.fold_list)
+        QWidget.setTabOrder(self.fold_list, self.tabs.tabBar())
         rows = QVBoxLayout(self)
         rows.setContentsMargins(12, 10, 12, 6)
         rows.setSpacing(4)
