@@ -120,3 +120,17 @@ def test_damping_parallel_to_relaxing_skin():
 
 
 _SIGNALS = ("current", "position")
+
+
+@pytest.mark.soak
+@pytest.mark.parametrize("structure", STRUCTURES)
+def test_ten_records_of_each_structure(structure: str):
+    true = {name: value for name, value in true_values(structure).items() if name.endswith("time_s")}
+    chosen = 0
+    for seed in range(10):
+        model = ViscoelasticEngine().fit(simulated.record(structure, 100 + seed))
+        if model.report.model == structure:
+            chosen += 1
+            for name, value in true.items():
+                assert model.report.parameters[name].value == pytest.approx(value, rel=0.01), (name, seed)
+    assert chosen >= 8

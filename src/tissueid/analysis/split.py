@@ -283,9 +283,8 @@ def _stretches(record: Record) -> list[tuple[int, int]]:
     """
     whole = [(0, len(record))]
     stretches = [(one.first, one.end) for one in localized_levels(record)] or whole
-    held_out = [record.output[slice(*_quarter_within(one, QUARTERS - 1))] for one in stretches]
-    varies = np.nanvar(np.concatenate(held_out)) if np.isfinite(np.concatenate(held_out)).any() else np.nan
-    if varies < _LEAST_VARIANCE * np.nanvar(record.output):
+    held_out = np.concatenate([record.output[slice(*_quarter_within(one, QUARTERS - 1))] for one in stretches])
+    if np.isfinite(held_out).any() and np.nanvar(held_out) < _LEAST_VARIANCE * np.nanvar(record.output):
         edges = np.linspace(0, len(record), _STRETCHES + 1).round().astype(int).tolist()
         return list(pairwise(edges))
     return stretches

@@ -55,11 +55,11 @@ _HELD = 0.1
 """Largest standard deviation of an input that is held at the start, relative to that of the whole input."""
 _ITERATIONS = 60
 _GAIN_TOLERANCE = 1e-7
-_STARTS = 2
+_STARTS = 3
 """Number of starting points that are refined."""
 _START_TIMES_S = (0.001, 0.003, 0.01, 0.03, 0.1, 0.3)
 _START_SHARES = (0.2, 1.0, 4.0)
-_START_DAMPING = 0.5
+_START_DAMPING = 0.2
 _NO_DAMPING = 1e-6
 """Parallel damping of the starting points, and where it is not fitted, relative to that of the second-order system."""
 _DAMPING = PARALLEL.index("damping_n_s_per_m")

@@ -52,7 +52,7 @@ def above_noise(measured: Array, fitted: Array | None = None) -> bool:
         return False
     steps = np.diff(measured)
     alike = float(np.nanmean(steps**2)) < variance if np.isfinite(steps).any() else False
-    if fitted is None:
+    if fitted is None or not np.isfinite(fitted).any():
         return alike
     share = variance / max(float(np.nanvar(fitted)), 1e-300)
     return share > (_LEAST_SHARE_ALIKE if alike else _LEAST_SHARE)
