@@ -56,10 +56,10 @@ def identify(path: Path, session: Session, number: int | None) -> Findings:
         numbers=tuple(_numbers(analyses)),
         ended=how_it_ended(test),
         visited=translated(visited(analyses, surface_of(test))),
-        cautions=(
-            *(sentence(f"{', '.join(dict.fromkeys(names))}: {translated(text)}") for text, names in refusals.items()),
-            *unread,
+        cautions=tuple(
+            sentence(f"{', '.join(dict.fromkeys(names))}: {translated(text)}") for text, names in refusals.items()
         ),
+        unread=unread,
         plots=plots_of_test(analyses, linear_engine(analyses)),
         recorded=record_plots(test, analyses),
         accepted=accepted,

@@ -148,7 +148,7 @@ class ResultPage(QScrollArea):
         shown = {finding.words for finding in findings.quality.findings} if findings.quality else set()
         reasons = [reason for reason in findings.verdict.reasons if reason not in shown]
         cautions = findings.cautions if detailed else ()
-        self.reasons.setText("\n".join(translated(line) for line in [*reasons, *cautions]))
+        self.reasons.setText("\n".join(translated(line) for line in [*findings.unread, *reasons, *cautions]))
         self.reasons.setVisible(bool(self.reasons.text()))
         facts = [_recorded(findings), findings.ended, findings.visited if detailed else ""]
         self.facts.setText(" ".join(filter(None, facts)))
