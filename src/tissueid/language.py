@@ -8,6 +8,7 @@ Numbers have the decimal mark of the language where they are shown, and a point 
 
 from __future__ import annotations
 
+import contextlib
 import functools
 import gettext
 from pathlib import Path
@@ -76,11 +77,7 @@ def current_language() -> str:
 
 
 def set_language(code: str) -> None:
-    """Make a language active for every text translated from now on; an unknown code means English.
-
-    Raises:
-        OSError: the compiled catalogue is missing or damaged.
-    """
+    """Make a language active for every text translated from now on; an unknown code means English."""
     code = code if code in languages() else ENGLISH
     if code != _Active.code:
         _Active.catalogue = gettext.NullTranslations() if code == ENGLISH else _catalogue(code)
@@ -92,9 +89,12 @@ _NAME = marked("name of this language")
 
 @functools.cache
 def languages() -> dict[str, str]:
-    """Return the languages that can be chosen: code and own name, English first."""
-    found = {path.parents[1].name for path in FOLDER.glob(f"*/LC_MESSAGES/{DOMAIN}.mo")}
-    return {ENGLISH: "English"} | {code: _catalogue(code).gettext(_NAME) for code in sorted(found)}
+    """Return the languages that can be chosen: code and own name, English first. Damaged catalogues are left out."""
+    found = {ENGLISH: "English"}
+    for code in sorted(path.parents[1].name for path in FOLDER.glob(f"*/LC_MESSAGES/{DOMAIN}.mo")):
+        with contextlib.suppress(Exception):  # gettext raises OSError, ValueError, struct.error, IndexError and others
+            found[code] = _catalogue(code).gettext(_NAME)
+    return found
 
 
 @functools.cache

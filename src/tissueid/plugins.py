@@ -51,8 +51,8 @@ class Registry(Generic[T]):
         name = getattr(declared, "name", None)
         if not isinstance(name, str) or _NAME.fullmatch(name) is None:
             raise TypeError(f"{declared.__qualname__} has the name {name!r}: it needs letters, digits and _ only")
-        if inspect.isabstract(declared):
-            raise TypeError(f"{declared.__qualname__} lacks {', '.join(sorted(declared.__abstractmethods__))}")
+        if missing := sorted(getattr(declared, "__abstractmethods__", ())):
+            raise TypeError(f"{declared.__qualname__} lacks {', '.join(missing)}")
         held = self._members.setdefault(name, declared)
         if (held.__module__, held.__qualname__) != (declared.__module__, declared.__qualname__):
             raise ValueError(

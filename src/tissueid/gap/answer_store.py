@@ -109,8 +109,8 @@ def _read(folder: Path, key: str) -> dict[str, Any] | None:
     try:
         usable = path.is_file() and path.stat().st_size <= _MOST_BYTES
         found = json.loads(path.read_text(encoding="utf-8")) if usable else None
-        content = found.get("content") if isinstance(found, dict) else None
-        if isinstance(content, dict) and found.get("sha256") == _digest(json.dumps(content)):
+        content, digest = (found.get("content"), found.get("sha256")) if isinstance(found, dict) else (None, None)
+        if isinstance(content, dict) and digest == _digest(json.dumps(content)):
             return content
     except (OSError, ValueError, RecursionError) as error:
         raise _unreadable(path) from error

@@ -94,10 +94,10 @@ class Pool:
         try:
             while len(answers) < len(things):
                 while waiting and (idle or len(doing) < self._count):
-                    pipe = idle.pop() if idle else self._started()
-                    doing[pipe] = waiting.pop()
+                    free = idle.pop() if idle else self._started()
+                    doing[free] = waiting.pop()
                     with contextlib.suppress(OSError):  # of a process that died: its end is received below
-                        pipe.send((work, things[doing[pipe]]))
+                        free.send((work, things[doing[free]]))
                 for pipe in wait(list(doing), POLL_S):
                     assert isinstance(pipe, Connection)
                     place = doing[pipe]

@@ -138,8 +138,9 @@ def compare_engines(
         ceiling = known_ceiling(session, parts)
     except UnusableInputError as error:
         ceiling, no_ceiling = None, error.message
-    local = cluster is None or cluster.scheduler is None
-    fits = None if local else functools.partial(_fits_on_cluster, cluster, control)
+    fits = None
+    if cluster is not None and cluster.scheduler is not None:
+        fits = functools.partial(_fits_on_cluster, cluster, control)
     found = compare(engines, parts, ceiling=ceiling, sweep=sweep, progress=_shown(control), fits=fits)
     return ComparedTests(session, found, no_ceiling)
 

@@ -29,7 +29,7 @@ from tissueid.language import marked
 from tissueid.messages import Message, Verbatim
 from tissueid.procedures.cluster import plan_executor
 from tissueid.procedures.control import Control, CountedProgress
-from tissueid.procedures.output_files import write_text
+from tissueid.procedures.output_files import unwritable, write_text
 from tissueid.procedures.plan_options import parse_options
 from tissueid.procedures.session_store import FolderStore, RemoteStore, SessionStore
 from tissueid.procedures.study_plans import (
@@ -151,12 +151,19 @@ def run_study(plan: StudyPlan, control: Control) -> StudyRun:
             )
         )
     table = study_table(rows, subjects)
-    for suffix in ("csv", "parquet"):
-        write_table(table, results / f"table.{suffix}")
     curves = curves_table(
         (name, test, curve) for name in keys for test, curve in known[name].get(_CURVES, ()) if name not in failures
     )
-    write_curves(curves, results / CURVES_FILE)
+    written = (
+        (table, "table.csv", write_table),
+        (table, "table.parquet", write_table),
+        (curves, CURVES_FILE, write_curves),
+    )
+    for rows_of, file_name, write in written:
+        try:
+            write(rows_of, results / file_name)
+        except OSError as error:
+            raise unwritable(results / file_name, error) from error
     return StudyRun(plan, table, curves, failures, len(keys), new)
 
 

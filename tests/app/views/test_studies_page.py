@@ -129,7 +129,7 @@ def test_columns_are_chosen(qtbot, window, folder):
 
 def test_a_folder_that_is_no_study_says_why(qtbot, window, folder, tmp_path):
     page = opened(qtbot, window, tmp_path / "nowhere")
-    assert shows(window.ui.notice.text.text(), "study.no_folder")
+    assert shows(window.ui.notice.text.text(), "file.no_folder")
     assert page.data is None
     (folder / RESULTS / "table.csv").write_text("rubbish")
     opened(qtbot, window, folder)
