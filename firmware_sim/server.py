@@ -56,7 +56,7 @@ class PseudoTerminal:
 
     def __init__(self) -> None:
         self._master = -1
-        self.connected = lambda: None
+        self.connected: Callable[[], None] = lambda: None
         self.replug()
 
     def replug(self) -> None:  # noqa: D102
@@ -101,7 +101,7 @@ class TcpPort:
     def __init__(self, port: int) -> None:
         self._host: socket.socket | None = None
         self._new_host = False
-        self.connected = lambda: None
+        self.connected: Callable[[], None] = lambda: None
         self._listen(port)
         self._number = int(self._listener.getsockname()[1])
         self.url = f"socket://127.0.0.1:{self._number}"

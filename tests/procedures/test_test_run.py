@@ -1,9 +1,13 @@
 """The command line and the window make the same session from the same plan, with the same entries in the audit log."""
 
+import contextlib
+import gc
+import weakref
+
 import pytest
 from coded import coded
 from procedures.same_session import assert_same_session
-from support import connect_scenario
+from support import connect, connect_scenario
 
 from firmware_sim.scenario import Scenario
 from tissueid.acquisition.stimulus_choice import save_stimulus
@@ -12,7 +16,7 @@ from tissueid.app.live_signals import LiveSignals
 from tissueid.app.live_test import LiveTest
 from tissueid.audit import AuditLog, AuditTrail, last_lines
 from tissueid.cli import main
-from tissueid.errors import CancelledError, LimitError, UnusableInputError
+from tissueid.errors import CancelledError, InstrumentError, LimitError, UnusableInputError
 from tissueid.instrument import SimulatedInstrument
 from tissueid.procedures.test_plan import TestPlan
 from tissueid.procedures.test_run import TestControl, run_test
@@ -196,3 +200,27 @@ def test_the_path_of_the_session_is_checked_first_by_both(tmp_path, audit_file, 
         in_window(TestPlan(url="nothing", site="a", out=out), audit_file)
     assert main(["test", "--device", "nothing", "--site", "a", "--out", str(out)]) == 2
     assert "nothing" not in capsys.readouterr().err.splitlines()[-1].replace(str(tmp_path), "")
+
+
+@pytest.mark.parametrize("how", ["refused", "tripped"])
+def test_a_run_that_fails_leaves_nothing_behind_for_a_collection(tmp_path, how):
+    """Its error would hold the frames, and these the instrument: half a megabyte a run until a full collection."""
+    opened = []
+
+    def opener(_url):
+        instrument = connect()
+        opened.append(weakref.ref(instrument))
+        if how == "tripped":
+            instrument._link.firmware.bench.stuck.add("position")
+        return instrument
+
+    most_n = 14.0 if how == "refused" else 6.0
+    plan = TestPlan(url="x", site="s", out=tmp_path / "s.h5", seconds=1.0, min_force_n=most_n - 1.0, max_force_n=most_n)
+    gc.disable()
+    try:
+        with contextlib.suppress(LimitError):
+            outcome = run_test(plan, TestControl(), None, opener=opener, separate_process=False)
+            assert isinstance(outcome.error, InstrumentError)
+        assert [reference() for reference in opened] == [None]
+    finally:
+        gc.enable()

@@ -2,12 +2,12 @@
 
 import itertools
 import zlib
-from dataclasses import replace
+from dataclasses import asdict, replace
 
 import numpy as np
 import pytest
 from coded import coded
-from safety.rigs import WIDE, rig, volts
+from safety.rigs import WIDE, rig
 
 from firmware_sim.bench import Bench, Block
 from firmware_sim.converters import CHANNELS, CODE_MAX, CODE_MIN
@@ -17,6 +17,7 @@ from firmware_sim.plant import PlantParameters
 from tissueid import wire
 from tissueid.errors import LimitError
 from tissueid.instrument import Limits
+from tissueid.instrument.interface import SIGNALS
 from tissueid.wire import Fault, Flag, MessageType, Result, State
 
 CHANNEL = {channel.name: channel for channel in CHANNELS}
@@ -123,22 +124,31 @@ def test_the_firmware_refuses_limits_that_no_reading_can_meet(changed, answer):
         ("temperature", 100.0 / 65536, "max_temperature_c"),
     ],
 )
-def test_the_host_alone_refuses_a_limit_at_the_end_of_a_converter(signal, gain, name):
-    instrument = rig()
-    instrument.load(volts(4.0, 0.3))
-    plain = instrument._handshake
+def test_the_host_alone_moves_a_limit_inside_the_range_of_its_converter(signal, gain, name):
+    plain = rig()._handshake
+    assert plain.effective_limits(WIDE) == WIDE
     gains, offsets = plain.gains.copy(), plain.offsets.copy()
-    k = list(plain.readable).index(signal)
+    k = SIGNALS.index(signal)
     gains[k] = gain
     if signal == "position":
         offsets[k] = gain * 32768 + (0.0004 if name == "min_position_m" else 0.0)
     if signal == "temperature":
         offsets[k] = 30.0
-    instrument._handshake = replace(plain, gains=gains, offsets=offsets)
-    with pytest.raises(LimitError, check=coded("limit.unreadable", name=name)):
-        instrument.arm(WIDE)
-    instrument._handshake = plain
-    instrument.arm(WIDE)
+    read = gains * np.array([[-32768.0], [32767.0]]) + offsets
+    effective = replace(plain, gains=gains, offsets=offsets).effective_limits(WIDE)
+    changed = {item for item in asdict(WIDE) if getattr(effective, item) != getattr(WIDE, item)}
+    assert changed == {name}
+    value = getattr(effective, name)
+    if name == "min_position_m":
+        assert value > read[0, k]
+    else:
+        scale = 1.05 / 3.0 if signal == "current" else 1.0
+        assert value * scale < read[1, k]
+
+
+def test_the_host_lets_a_gentle_probe_lean_on_the_end_of_its_converter():
+    gentle = Limits(**GENTLE)
+    assert rig()._handshake.effective_limits(gentle) == gentle
 
 
 @pytest.mark.parametrize("force_n", [5e-324, 0.09])

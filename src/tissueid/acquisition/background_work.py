@@ -32,15 +32,8 @@ def run_while_polling(
     if isinstance(instrument, SimulatedInstrument):
         return work()
     done: Future[_Result] = Future()
-
-    def run() -> None:
-        try:
-            done.set_result(work())
-        except BaseException as error:  # noqa: BLE001 - raised by ``done.result()``
-            done.set_exception(error)
-
     # A daemon thread: cancelled work does not keep the program alive.
-    threading.Thread(target=run, name="background work", daemon=True).start()
+    threading.Thread(target=_run, args=(work, done), name="background work", daemon=True).start()
     try:
         while wait((done,), _REST_S).not_done:
             if cancelled():
@@ -49,4 +42,16 @@ def run_while_polling(
     except BaseException:
         instrument.release()  # the soft end of the previous run may not be over
         raise
-    return done.result()
+    try:
+        return done.result()
+    finally:
+        del done  # it holds the error, whose frames hold this one: the instrument would stay until a collection
+
+
+def _run(work: Callable[[], _Result], done: Future[_Result]) -> None:
+    try:
+        done.set_result(work())
+    except BaseException as error:  # noqa: BLE001 - raised by ``done.result()``
+        done.set_exception(error)
+    finally:
+        del work, done  # the error holds this frame

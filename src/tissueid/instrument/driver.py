@@ -5,8 +5,9 @@ from __future__ import annotations
 import contextlib
 import logging
 import time
+import weakref
 from collections.abc import Callable
-from typing import TypeVar
+from typing import ParamSpec, TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
@@ -64,6 +65,21 @@ _PUMP_S = 0.02
 _HELLO_PUMP_S = 0.05
 
 
+_Arguments = ParamSpec("_Arguments")
+
+
+def _weakly(method: Callable[_Arguments, object]) -> Callable[_Arguments, None]:
+    """Return a caller of a method for a part of its object, which would else keep the object alive after its use."""
+    reference = weakref.WeakMethod(method)
+
+    def call(*arguments: _Arguments.args, **named: _Arguments.kwargs) -> None:
+        alive = reference()
+        if alive is not None:
+            alive(*arguments, **named)
+
+    return call
+
+
 class SerialInstrument:
     """Instrument on a link. Opening it performs the handshake and starts the stream of samples.
 
@@ -82,10 +98,8 @@ class SerialInstrument:
         self.observer: Observer | None = None
         self._link = link
         self._clock = clock
-        self._monitor = RunMonitor(
-            self._stream, lambda: self._channel.send(MessageType.STATUS_REQUEST), self._run_ended
-        )
-        self._channel = RequestChannel(link, clock, self._pump, self._monitor.take_error)
+        self._monitor = RunMonitor(self._stream, _weakly(self._ask_status), _weakly(self._run_ended))
+        self._channel = RequestChannel(link, clock, _weakly(self._pump), self._monitor.take_error)
         self._corrections: Corrections = {}
         self._command = np.zeros(0)
         self._following = 0
@@ -186,8 +200,8 @@ class SerialInstrument:
         """
         if self._monitor.error is not None:
             raise self._monitor.error
+        check_limits(limits, self.nominal)
         limits = self.effective_limits(limits)
-        check_limits(limits, self.nominal, self._handshake.readable)
         for description in checked_descriptions(self.nominal, self.device):
             check_stimulus(self._command, description, limits, self._following)
             if self._following:

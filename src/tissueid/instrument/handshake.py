@@ -13,7 +13,7 @@ from tissueid import wire
 from tissueid.device import DeviceDescription
 from tissueid.errors import InstrumentError, LimitError, ProtocolVersionError
 from tissueid.instrument.interface import SIGNALS
-from tissueid.instrument.limits import Limits
+from tissueid.instrument.limits import FORCE_MARGIN, GENTLE_FORCE_N, Limits
 from tissueid.messages import Message, joined
 
 
@@ -35,18 +35,22 @@ class Handshake:
     watchdog_s: float
 
     def effective_limits(self, limits: Limits) -> Limits:
-        """Return ``limits``, reduced to the fixed limits of the device."""
+        """Return ``limits``, reduced to the fixed limits of the device and to what its converters can read beyond.
+
+        A limit at the end of a converter would never be exceeded. Up to ``GENTLE_FORCE_N`` a position may be there.
+        """
+        ends = np.array([[-32767.0], [32766.0]]) * self.gains + self.offsets  # one code within the range
+        lowest, highest = (dict(zip(SIGNALS, map(float, row), strict=True)) for row in ends)
+        largest_n = min(-lowest["current"], highest["current"]) * self.device.force_constant_n_per_a
+        force_n = min(limits.max_force_n, self.max_force_n, largest_n / FORCE_MARGIN)
+        gentle = force_n <= GENTLE_FORCE_N
         return replace(
             limits,
-            max_force_n=min(limits.max_force_n, self.max_force_n),
-            max_temperature_c=min(limits.max_temperature_c, self.max_temperature_c),
+            max_force_n=force_n,
+            min_position_m=limits.min_position_m if gentle else max(limits.min_position_m, lowest["position"]),
+            max_position_m=limits.max_position_m if gentle else min(limits.max_position_m, highest["position"]),
+            max_temperature_c=min(limits.max_temperature_c, self.max_temperature_c, highest["temperature"]),
         )
-
-    @property
-    def readable(self) -> dict[str, tuple[float, float]]:
-        """Lowest and highest reading of each signal, SI."""
-        ends = np.array([[-32768.0], [32767.0]]) * self.gains + self.offsets
-        return {name: (float(low), float(high)) for name, low, high in zip(SIGNALS, *ends, strict=True)}
 
     def codes(self, command_v: NDArray[np.float64]) -> NDArray[np.int16]:
         """Return the converter codes, shape (n,), of commands in V.

@@ -5,7 +5,6 @@ The firmware enforces the same limits independently (docs/protocol.md, section 5
 
 from __future__ import annotations
 
-from collections.abc import Mapping
 from dataclasses import asdict, dataclass
 
 import numpy as np
@@ -135,17 +134,12 @@ def check_command(command_v: NDArray[np.float64], device: DeviceDescription, lim
         )
 
 
-def check_limits(
-    limits: Limits, device: DeviceDescription, readable: Mapping[str, tuple[float, float]] | None = None
-) -> None:
-    """Check the position limits against the stroke of the device, and all limits against its converters.
-
-    ``readable`` holds the lowest and highest reading of each signal, SI; None where they are unknown.
+def check_limits(limits: Limits, device: DeviceDescription) -> None:
+    """Check the position limits against the stroke of the device.
 
     Raises:
-        LimitError: the upper position limit is beyond the stroke; where the force limit is at most ``GENTLE_FORCE_N``,
-            it may be beyond by up to ``BEYOND_STROKE_M``. Or the device cannot read beyond a limit, so that nothing
-            would notice when it is exceeded; at most ``GENTLE_FORCE_N`` the position may.
+        LimitError: the upper limit is beyond the stroke; where the force limit is at most ``GENTLE_FORCE_N``, it may be
+            beyond by up to ``BEYOND_STROKE_M``.
     """
     furthest = device.stroke_m + (BEYOND_STROKE_M if limits.max_force_n <= GENTLE_FORCE_N else 0.0)
     if limits.max_position_m > furthest:
@@ -157,25 +151,6 @@ def check_limits(
                 stroke=1e3 * device.stroke_m,
             )
         )
-
-    if readable is None:
-        return
-    lowest_m, highest_m = readable["position"]
-    largest_a = min(-readable["current"][0], readable["current"][1])
-    for name, inside in (
-        ("max_force_n", limits.max_force_n * FORCE_MARGIN < largest_a * device.force_constant_n_per_a),
-        ("min_position_m", limits.max_force_n <= GENTLE_FORCE_N or limits.min_position_m > lowest_m),
-        ("max_position_m", limits.max_force_n <= GENTLE_FORCE_N or limits.max_position_m < highest_m),
-        ("max_temperature_c", limits.max_temperature_c < readable["temperature"][1]),
-    ):
-        if not inside:
-            raise LimitError(
-                "limit.unreadable",
-                "the limit {name}, {value:g}, cannot be monitored: the converter of the instrument ends there. "
-                "Choose a limit within its range",
-                name=name,
-                value=getattr(limits, name),
-            )
 
 
 def coil_too_hot(temperature_c: float, limits: Limits) -> LimitError:

@@ -72,11 +72,9 @@ def check_session_path(path: Path) -> None:
 
 
 def _creation_error(path: Path) -> OSError | None:
-    """Return why the temporary file of a session cannot be created; None if it can, or its folder is missing."""
+    """Return why the temporary file of a session cannot be created; None if it can."""
     try:
         check_creatable(path)
-    except FileNotFoundError:
-        return None
     except OSError as error:
         return error
     return None

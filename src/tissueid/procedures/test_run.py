@@ -24,7 +24,7 @@ from tissueid.acquisition.surface_detection import Placement, place_in_air
 from tissueid.audit import AuditTrail
 from tissueid.calibration.active import ActiveCalibration, activate_calibration
 from tissueid.device import DeviceDescription
-from tissueid.errors import CancelledError, FirmwareFaultError, LinkLostError
+from tissueid.errors import CancelledError, FirmwareFaultError, LinkLostError, TissueIDError
 from tissueid.instrument import PROFILES, Instrument, Limits, SimulatedInstrument, open_instrument
 from tissueid.language import marked
 from tissueid.messages import Action, Message
@@ -161,17 +161,29 @@ def run_test(
             finally:
                 run.end_identification()
     except BaseException as reason:
-        error = reason
         if run.recorder is None:
             if trail is not None:
                 log_no_recording(trail, plan.out, Subject(plan.subject), plan.site, reason)
                 settle(trail, control)
             if not isinstance(reason, CancelledError):
                 raise
+        error = reason
     session, not_saved = _kept(run.recorder, error)
     if trail is not None:
         settle(trail, control)
-    return TestOutcome(plan.out, session, steps, error, not_saved)
+    return TestOutcome(plan.out, session, steps, _without_frames(error), not_saved)
+
+
+def _without_frames(error: BaseException | None) -> BaseException | None:
+    """Return an error without the frames that it came through, which hold the instrument, samples and recording.
+
+    An error that is kept would keep these alive. A defect keeps its frames, for its report.
+    """
+    step = error if isinstance(error, TissueIDError) else None
+    while step is not None:
+        step.__traceback__ = None
+        step = step.__cause__ or step.__context__  # type: ignore[assignment]
+    return error
 
 
 def _kept(recorder: SessionRecorder | None, error: BaseException | None) -> tuple[Session | None, Exception | None]:
