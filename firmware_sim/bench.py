@@ -139,11 +139,13 @@ class Bench:
             self.tissue = self._variation.tissue(self._placed, self._placing, self._test, self._compressed)
 
     def begin_test(self) -> None:
-        """Draw the tissue that the next run meets; without variation nothing changes.
+        """Restart the noise by seed and number of the run, and draw the tissue that the run meets.
 
-        The tissue varies between runs, and stays compressed by those before it until it recovers or the probe is placed
-        again.
+        A run has the same noise whenever the host starts it. Without variation the tissue stays the same. Otherwise it
+        varies between runs, and stays compressed by those before it until it recovers or the probe is placed again.
         """
+        self._runs += 1
+        self._converters.restart_noise([self.seed, self._runs])
         if self._variation is None:
             return
         pressed_s, passed_s = (samples / self.sample_rate_hz for samples in self._worked)
@@ -167,6 +169,7 @@ class Bench:
             effects=self.effects,
         )
         self._converters = Converters(self.seed, errors=self._errors)
+        self._runs = 0
         self.button = False
         self.stuck: set[str] = set()
         self.coil_open = False

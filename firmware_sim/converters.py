@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -107,6 +107,10 @@ class Converters:
         self._gains = np.array([channel.gain for channel in channels])
         self._zeros = np.array([channel.offset for channel in channels])
         self._bits = np.array([1 << k for k in range(len(channels))], dtype=np.uint16)
+        self._random = np.random.default_rng(seed)
+
+    def restart_noise(self, seed: Sequence[int]) -> None:
+        """Restart the noise from a seed."""
         self._random = np.random.default_rng(seed)
 
     @property

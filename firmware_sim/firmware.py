@@ -126,6 +126,10 @@ class Firmware:
 
     # -- bytes in -----------------------------------------------------------------------------------------
 
+    def connected(self) -> None:
+        """Handle a new connection, on a line that has connections: its host has to send HELLO first."""
+        self._greeted = False
+
     def receive(self, data: bytes, now_s: float) -> None:
         """Process bytes from the host. Damaged frames are dropped and counted."""
         if now_s < self.stalled_until_s:
@@ -136,7 +140,8 @@ class Firmware:
 
     def _handle(self, frame: Frame, now_s: float) -> None:
         if frame.type == MessageType.HEARTBEAT:
-            self._last_heartbeat_s = now_s
+            if self._greeted:
+                self._last_heartbeat_s = now_s
         elif frame.type == MessageType.STATUS_REQUEST:
             self._send_status()
         elif frame.type == MessageType.HELLO:
@@ -247,7 +252,11 @@ class Firmware:
         stimulus_v = self._volts(self._stimulus.codes)
         if (
             not limits.within(
-                self.identity.max_force_n, self.identity.max_temperature_c, coil.stroke_m, self.sample_rate_hz
+                self.identity.max_force_n,
+                self.identity.max_temperature_c,
+                self.sample_rate_hz,
+                self._channels,
+                coil,
             )
             or length > limits.max_samples
             or not limits.permits(np.append(stimulus_v, self._setpoints.hold_v), coil)

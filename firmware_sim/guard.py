@@ -80,18 +80,19 @@ class Guard:
                 self._channels,
                 self._coil,
                 first - self._release_samples,  # the release is in addition to the agreed samples
-                self._near_limit_applies(readings.position, armed, first),
+                self._near_limit_applies(readings.position_codes, armed, first),
             ),
         ]
         if self.winding.temperature_c > armed.max_temperature_c:
             found.append((0, Fault.OVER_TEMPERATURE))
         return min((item for item in found if item[1]), key=lambda item: item[0], default=(0, Fault.NONE))
 
-    def _near_limit_applies(self, position: NDArray[np.float64], armed: ArmedLimits, first: int) -> NDArray[np.bool_]:
+    def _near_limit_applies(self, codes: NDArray[np.int16], armed: ArmedLimits, first: int) -> NDArray[np.bool_]:
         """Return the mask (n,) of samples for which the near limit applies: after the probe was inside it, or had time
         to be.
         """
-        off = (position >= armed.min_position_m) | (first + np.arange(position.size) >= self._lift_samples)
+        off = armed.off_near_end(codes, self._channels["position"])
+        off |= first + np.arange(codes.size) >= self._lift_samples
         off = np.logical_or.accumulate(off) | self._lifted
         self._lifted = bool(off[-1]) if off.size else self._lifted
         return np.asarray(off)

@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from firmware_sim.bench import Block
-from firmware_sim.converters import Channel
+from firmware_sim.converters import CODE_MAX, CODE_MIN, Channel
 from firmware_sim.plant import PlantParameters
 from tissueid.wire import Fault
 
@@ -46,15 +46,31 @@ class ArmedLimits:
     max_temperature_c: float
     max_samples: int
 
-    def within(self, max_force_n: float, max_temperature_c: float, stroke_m: float, sample_rate_hz: float) -> bool:
-        """Return whether all limits are valid and none exceeds that of the device."""
-        beyond = BEYOND_STROKE_M if self.max_force_n <= GENTLE_FORCE_N else 0.0
+    @property
+    def gentle(self) -> bool:
+        """Whether the probe may press against the ends of its stroke."""
+        return self.max_force_n <= GENTLE_FORCE_N
+
+    def within(
+        self,
+        max_force_n: float,
+        max_temperature_c: float,
+        sample_rate_hz: float,
+        channels: dict[str, Channel],
+        coil: PlantParameters,
+    ) -> bool:
+        """Return whether all limits are valid, none exceeds that of the device, and a reading can lie within each."""
+        beyond = BEYOND_STROKE_M if self.gentle else 0.0
         figures = (self.max_force_n, self.min_position_m, self.max_position_m, self.max_temperature_c)
+        step_n = channels["current"].gain * coil.force_constant_n_per_a
+        coldest_c = channels["temperature"].offset + CODE_MIN * channels["temperature"].gain
         return bool(
             np.all(np.isfinite(figures))
-            and 0 < self.max_force_n <= max_force_n
-            and -beyond <= self.min_position_m < self.max_position_m <= stroke_m + beyond
-            and self.max_temperature_c <= max_temperature_c
+            and step_n <= self.max_force_n <= max_force_n
+            and -beyond <= self.min_position_m
+            and self.max_position_m - self.min_position_m >= channels["position"].gain
+            and self.max_position_m <= coil.stroke_m + beyond
+            and coldest_c <= self.max_temperature_c <= max_temperature_c
             and 0 < self.max_samples <= MAX_RUN_S * sample_rate_hz
         )
 
@@ -73,22 +89,38 @@ class ArmedLimits:
         """Return index and kind of the first limit violation in a block; ``first`` is the index of its first sample in
         the run.
 
-        Where ``lifted`` is false, shape (n,), the probe may still rest at the near end.
+        Where ``lifted`` is false, shape (n,), the probe may still rest at the near end. A reading at the end of its
+        converter violates the limit on that side, which the converter could not read beyond.
         """
         samples = block.codes.shape[0]
         columns = list(channels)
 
-        def physical(name: str) -> NDArray[np.float64]:
-            return channels[name].decode(block.codes[:, columns.index(name)])
+        def codes(name: str) -> NDArray[np.int16]:
+            return block.codes[:, columns.index(name)]
 
-        force = np.abs(physical("current")) * coil.force_constant_n_per_a
-        position = physical("position")
+        current, position, temperature = codes("current"), codes("position"), codes("temperature")
+        force = np.abs(channels["current"].decode(current)) * coil.force_constant_n_per_a
+        far = channels["position"].decode(position) > self.max_position_m
+        if not self.gentle:
+            far |= position == CODE_MAX
         checks = (
-            (Fault.OVER_FORCE, force > self.max_force_n * FORCE_MARGIN),
-            (Fault.STROKE, (position < self.min_position_m) & lifted | (position > self.max_position_m)),
-            (Fault.OVER_TEMPERATURE, physical("temperature") > self.max_temperature_c),
+            (Fault.OVER_FORCE, (force > self.max_force_n * FORCE_MARGIN) | _at_an_end(current)),
+            (Fault.STROKE, ~self.off_near_end(position, channels["position"]) & lifted | far),
+            (
+                Fault.OVER_TEMPERATURE,
+                (channels["temperature"].decode(temperature) > self.max_temperature_c) | (temperature == CODE_MAX),
+            ),
             (Fault.OVER_TIME, first + np.arange(samples) >= self.max_samples),
             (Fault.BUTTON, np.full(samples, block.button)),
         )
         found = [(int(np.argmax(broken)), fault) for fault, broken in checks if broken.any()]
         return min(found, key=lambda item: item[0]) if found else (0, Fault.NONE)
+
+    def off_near_end(self, codes: NDArray[np.int16], channel: Channel) -> NDArray[np.bool_]:
+        """Return where position codes, shape (n,), lie inside the near limit."""
+        inside = channel.decode(codes) >= self.min_position_m
+        return np.asarray(inside if self.gentle else inside & (codes > CODE_MIN))
+
+
+def _at_an_end(codes: NDArray[np.int16]) -> NDArray[np.bool_]:
+    return np.asarray((codes == CODE_MIN) | (codes == CODE_MAX))

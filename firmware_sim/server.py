@@ -38,6 +38,8 @@ class Port(Protocol):
     """The device's end of the cable."""
 
     url: str
+    connected: Callable[[], None]
+    """Called when a host connects, on a line that has connections."""
 
     def exchange(self, outgoing: bytes, timeout_s: float) -> tuple[bytes, int]:
         """Send as much as possible of ``outgoing``; return the received bytes and the number of bytes sent."""
@@ -54,6 +56,7 @@ class PseudoTerminal:
 
     def __init__(self) -> None:
         self._master = -1
+        self.connected = lambda: None
         self.replug()
 
     def replug(self) -> None:  # noqa: D102
@@ -67,6 +70,7 @@ class PseudoTerminal:
         tty.setraw(self._slave)
         os.set_blocking(self._master, False)
         self.url = os.ttyname(self._slave)
+        self.connected()
 
     def exchange(self, outgoing: bytes, timeout_s: float) -> tuple[bytes, int]:  # noqa: D102
         if self._master < 0:
@@ -96,6 +100,8 @@ class TcpPort:
 
     def __init__(self, port: int) -> None:
         self._host: socket.socket | None = None
+        self._new_host = False
+        self.connected = lambda: None
         self._listen(port)
         self._number = int(self._listener.getsockname()[1])
         self.url = f"socket://127.0.0.1:{self._number}"
@@ -105,6 +111,9 @@ class TcpPort:
         self._listener.setblocking(False)
 
     def exchange(self, outgoing: bytes, timeout_s: float) -> tuple[bytes, int]:  # noqa: D102
+        if self._new_host:
+            self._new_host = False
+            self.connected()
         waiting: list[socket.socket] = [self._listener] if self._listener.fileno() >= 0 else []
         if self._host is not None:
             waiting.append(self._host)
@@ -124,6 +133,7 @@ class TcpPort:
                 newcomer.setblocking(False)
                 newcomer.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
                 self._host = newcomer
+                self._new_host = True  # reported after the last bytes of the previous one
                 sent = len(outgoing)  # pending bytes were meant for the previous host
         return data, sent
 
@@ -172,6 +182,7 @@ class Server:
     ) -> None:
         self._firmware = firmware
         self._port = port
+        port.connected = firmware.connected
         self._announce = announce
         self._nominal_rate = self._rate = firmware.sample_rate_hz * scenario.speed
         self._accelerated = scenario.speed > 1.0

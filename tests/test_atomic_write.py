@@ -146,16 +146,15 @@ def mode(path: Path) -> int:
     return stat.S_IMODE(path.lstat().st_mode)
 
 
-@pytest.fixture
-def open_umask() -> Iterator[None]:
-    before = os.umask(0)
-    yield
+@pytest.fixture(params=[0, 0o777], ids=["open", "closed"])
+def any_umask(request: pytest.FixtureRequest) -> Iterator[int]:
+    before = os.umask(request.param)
+    yield request.param
     os.umask(before)
 
 
 @posix
-@pytest.mark.usefixtures("open_umask")
-def test_files_and_folders_are_for_their_owner_alone_whatever_the_umask(tmp_path: Path):
+def test_files_and_folders_are_for_their_owner_alone_whatever_the_umask(tmp_path: Path, any_umask: int):
     with atomic_file(tmp_path / "a.json") as partial:
         partial.write_text("new")
         assert mode(partial) == 0o600
@@ -165,18 +164,20 @@ def test_files_and_folders_are_for_their_owner_alone_whatever_the_umask(tmp_path
         assert mode(partial) == 0o700
     write_private(private_folder(tmp_path / "x" / "y") / "b", "new")
     os.close(create_private(tmp_path / "c"))
-    files = ("a.json", "out/a.csv", "x/y/b", "c")
-    assert [mode(tmp_path / name) for name in files] == [0o600] * 4
+    os.close(private_opener(str(tmp_path / "d"), os.O_WRONLY | os.O_CREAT))
+    files = ("a.json", "out/a.csv", "x/y/b", "c", "d")
+    assert [mode(tmp_path / name) for name in files] == [0o600] * 5
     assert [mode(tmp_path / name) for name in ("out", "out/inner", "x", "x/y")] == [0o700] * 4
     with atomic_file(tmp_path / "calibration.toml", shared=True) as partial:
         partial.write_text("new")
-    assert mode(tmp_path / "calibration.toml") == 0o666
+    assert mode(tmp_path / "calibration.toml") == 0o666 & ~any_umask
 
 
 @posix
-@pytest.mark.usefixtures("open_umask")
+@pytest.mark.usefixtures("any_umask")
 def test_a_folder_of_the_user_keeps_its_mode(tmp_path: Path):
-    (tmp_path / "mine").mkdir(0o755)
+    (tmp_path / "mine").mkdir()
+    (tmp_path / "mine").chmod(0o755)
     private_folder(tmp_path / "mine" / "new")
     assert (mode(tmp_path / "mine"), mode(tmp_path / "mine" / "new")) == (0o755, 0o700)
 

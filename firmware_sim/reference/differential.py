@@ -30,10 +30,10 @@ _IDENTITY = Identity(
     model="desktop indenter (reference)", serial_number="REF-0001", firmware_version="ref-1.0", stage=True
 )
 _NAN, _INFINITE = float("nan"), float("inf")
-_FORCES = (1.0, 2.0, 5.0, 12.0, 12.0, 15.0, 15.1, 0.0, -1.0, _NAN, _INFINITE)
+_FORCES = (1.0, 2.0, 5.0, 12.0, 12.0, 15.0, 15.1, 0.0, 5e-324, -1.0, _NAN, _INFINITE)
 _LOWS = (-1e-3, 0.0, 0.0, 0.0003, 0.005, 0.016, -2e-3, _NAN, -_INFINITE)
 _HIGHS = (0.033, 0.0317, 0.032, 0.032, 0.02, 0.0331, 0.001, _NAN, _INFINITE)
-_TEMPERATURES = (20.0, 80.0, 80.0, 85.0, 85.0, 90.0, _NAN, _INFINITE)
+_TEMPERATURES = (20.0, -1e308, 80.0, 80.0, 85.0, 85.0, 90.0, _NAN, _INFINITE)
 _STAGES = (0.0, 0.01, 0.032, 0.04, -1.0, _NAN, _INFINITE)
 _SIZES = (0, 1, 5, 50, 200, 400, 400, 1000, 240_000, 240_001, 2**32 - 1)
 

@@ -82,6 +82,7 @@ def atomic_folder(path: Path) -> Iterator[Path]:
     held = None
     try:
         partial.mkdir(_PRIVATE_FOLDER)
+        partial.chmod(_PRIVATE_FOLDER)
         if sys.platform != "win32":
             held = os.open(partial, os.O_RDONLY | _NO_FOLLOW)
             _lock(held, exclusive=False)
@@ -101,6 +102,16 @@ def atomic_folder(path: Path) -> Iterator[Path]:
         shutil.rmtree(partial, ignore_errors=True)
 
 
+def check_creatable(path: Path) -> None:
+    """Create and remove the temporary file by which :func:`atomic_file` would write ``path``.
+
+    Raises:
+        OSError: that fails: the name is too long with what is added to it, or the folder is not writable.
+    """
+    with _claimed_file(path, _PRIVATE_FILE) as (partial, _identity):
+        partial.unlink()
+
+
 def private_folder(path: Path) -> Path:
     """Create a folder and its missing parents, readable for the owner only, and return it.
 
@@ -112,6 +123,7 @@ def private_folder(path: Path) -> Path:
     for folder in (*reversed(path.parents), path):
         if not folder.is_dir():
             folder.mkdir(_PRIVATE_FOLDER, exist_ok=True)
+            folder.chmod(_PRIVATE_FOLDER)  # whatever the umask is
     return path
 
 
@@ -140,7 +152,12 @@ def open_regular(path: Path) -> IO[bytes]:
 
 def private_opener(path: str, flags: int) -> int:
     """Opener for ``open``: a new file is readable for its owner only; symbolic links are not followed."""
-    return os.open(path, flags | _NO_FOLLOW, _PRIVATE_FILE)
+    if not flags & os.O_CREAT:
+        return os.open(path, flags | _NO_FOLLOW)
+    try:
+        return _private(os.open(path, flags | os.O_EXCL | _NO_FOLLOW, _PRIVATE_FILE))
+    except FileExistsError:
+        return os.open(path, flags | _NO_FOLLOW, _PRIVATE_FILE)
 
 
 def write_private(path: Path, text: str) -> None:
@@ -195,7 +212,15 @@ def _partial(path: Path) -> Path:
 
 def _create(path: Path, mode: int) -> int:
     flags = os.O_RDWR | os.O_CREAT | os.O_EXCL | _NO_FOLLOW | getattr(os, "O_BINARY", 0)
-    return os.open(str(path), flags, mode)
+    descriptor = os.open(str(path), flags, mode)
+    return _private(descriptor) if mode == _PRIVATE_FILE else descriptor
+
+
+def _private(descriptor: int) -> int:
+    """Make a new file readable and writable for its owner, whatever the umask is; return its descriptor."""
+    if hasattr(os, "fchmod"):
+        os.fchmod(descriptor, _PRIVATE_FILE)
+    return descriptor
 
 
 @contextmanager

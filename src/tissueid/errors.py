@@ -88,3 +88,7 @@ class CancelledError(TissueIDError):
 
     def __init__(self, message: str = CANCELLED) -> None:
         super().__init__(message)
+
+
+class UnattendedError(CancelledError):
+    """The program cancelled, not a person: the window stood still or had a defect, so that nobody could stop."""

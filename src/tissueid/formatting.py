@@ -2,12 +2,15 @@
 
 from __future__ import annotations
 
+import csv
+import io
 import math
 import re
+from collections.abc import Iterable
 from datetime import datetime
 from typing import TYPE_CHECKING, Any
 
-from tissueid.language import _
+from tissueid.language import _, decimal
 from tissueid.messages import MISSING, signed
 from tissueid.units import Figure, display_unit, shown_si, split_name, unit_of
 
@@ -23,9 +26,20 @@ _MOST_ITEMS = 12
 _LONGEST_TEXT = 1000
 _LONGEST_LABEL = 40
 _DEEPEST = 4
+_FORMULA = re.compile(r"[=+\-@\t\r](?![\d.]+(e[+-]?\d+)?$)", re.IGNORECASE)
+"""Beginning of a text that a spreadsheet takes for a formula; a signed number is none."""
 _DIGEST = re.compile(r"[0-9a-f]{40,128}")
 _DIGITS = 16
 """Digits of a hash that are shown."""
+
+PRINCIPAL = ("mass_kg", "damping_n_s_per_m", "stiffness_n_per_m")
+"""The parameters that are asked for first."""
+
+
+def principal_first(names: Iterable[str]) -> list[str]:
+    """Return names of parameters with mass, damping and stiffness first; the others keep their order."""
+    return sorted(names, key=lambda name: PRINCIPAL.index(name) if name in PRINCIPAL else len(PRINCIPAL))
+
 
 _LABELS = {
     "natural_frequency_rad_per_s": "Natural frequency",
@@ -90,9 +104,9 @@ def number(value: float | None, digits: int = 4) -> str:
     mantissa, _mark, power = f"{value:.{digits - 1}e}".partition("e")
     exponent = int(power)
     if not -4 <= exponent < 7:
-        return f"{signed(_trimmed(mantissa))} × 10{superscript(exponent)}"
+        return f"{decimal(signed(_trimmed(mantissa)))} × 10{superscript(exponent)}"
     decimals = digits - 1 - exponent
-    return signed(_trimmed(f"{round(value, decimals):.{max(0, decimals)}f}"))
+    return decimal(signed(_trimmed(f"{round(value, decimals):.{max(0, decimals)}f}")))
 
 
 def superscript(exponent: int) -> str:
@@ -104,7 +118,7 @@ def fixed(value: float | None, decimals: int) -> str:
     """Return a number with ``decimals`` decimals; a dash if it is not finite."""
     if value is None or not math.isfinite(value):
         return MISSING
-    return signed(f"{value:.{decimals}f}")
+    return decimal(signed(f"{value:.{decimals}f}"))
 
 
 def grouped(value: float | None) -> str:
@@ -128,7 +142,7 @@ def estimate(found: Estimate, scale: float = 1.0) -> tuple[str, str, str]:
     exponent = math.floor(math.log10(max(abs(value), std)))
     power = 0 if -3 <= exponent < 6 else exponent
     decimals = min(8, 1 - math.floor(math.log10(std)) + power)
-    shown = [signed(f"{round(part / 10.0**power, decimals):.{max(0, decimals)}f}") for part in (value, std)]
+    shown = [decimal(signed(f"{round(part / 10.0**power, decimals):.{max(0, decimals)}f}")) for part in (value, std)]
     return shown[0], shown[1], f"10{superscript(power)}" if power else ""
 
 
@@ -235,6 +249,24 @@ def clean(text: str) -> str:
     if text.isprintable():
         return text
     return "".join(c if c.isprintable() else " " if c.isspace() else "\ufffd" for c in text)
+
+
+def cell_text(text: str) -> str:
+    """Return a text for a cell of a CSV file: an apostrophe before what a spreadsheet would take for a formula."""
+    return f"'{text}" if _FORMULA.match(text) else text
+
+
+def text_of_cell(cell: str) -> str:
+    """Return the text that ``cell_text`` made the cell from."""
+    return cell[1:] if cell.startswith("'") and _FORMULA.match(cell, 1) else cell
+
+
+def csv_text(rows: Iterable[Iterable[object]]) -> str:
+    """Return rows as CSV; no text is a formula for a spreadsheet, and None is an empty cell."""
+    text = io.StringIO(newline="")
+    writer = csv.writer(text, lineterminator="\n")
+    writer.writerows([cell_text(cell) if isinstance(cell, str) else cell for cell in row] for row in rows)
+    return text.getvalue()
 
 
 def _and_more(items: dict[Any, Any] | list[Any] | tuple[Any, ...]) -> str:

@@ -20,7 +20,7 @@ from collections.abc import Callable, Iterable, Iterator, Mapping
 from dataclasses import dataclass
 from typing import Any, Self
 
-from tissueid.language import _
+from tissueid.language import _, decimal
 
 MISSING = "—"
 """Text of a number that is not finite."""
@@ -186,7 +186,9 @@ def _filled(template: str, values: Mapping[str, Any], say: Callable[[Any], str])
         if name not in values:
             return field[0]
         value = values[name]
-        return _number(value, form) if form and isinstance(value, int | float) else say(value)
+        if not (form and isinstance(value, int | float)):
+            return say(value)
+        return decimal(_number(value, form)) if say is translated else _number(value, form)
 
     return _FIELD.sub(fill, template)
 

@@ -6,8 +6,11 @@ Built-in modules are found by scanning their package. A plug-in that fails to lo
 from __future__ import annotations
 
 import importlib
+import inspect
 import pkgutil
+import re
 import warnings
+from collections.abc import Callable
 from importlib.metadata import entry_points
 from typing import Any, Generic, TypeVar
 
@@ -15,6 +18,9 @@ from tissueid.errors import UnusableInputError
 from tissueid.messages import Listing, Message, Verbatim
 
 T = TypeVar("T")
+
+_NAME = re.compile(r"[A-Za-z][A-Za-z0-9_]{0,63}")
+_LONGEST_REASON = 300
 
 
 class Registry(Generic[T]):
@@ -40,8 +46,13 @@ class Registry(Generic[T]):
 
         Raises:
             ValueError: another class already has that name.
+            TypeError: its name is none, or it lacks methods.
         """
-        name = str(getattr(declared, "name", ""))
+        name = getattr(declared, "name", None)
+        if not isinstance(name, str) or _NAME.fullmatch(name) is None:
+            raise TypeError(f"{declared.__qualname__} has the name {name!r}: it needs letters, digits and _ only")
+        if missing := sorted(getattr(declared, "__abstractmethods__", ())):
+            raise TypeError(f"{declared.__qualname__} lacks {', '.join(missing)}")
         held = self._members.setdefault(name, declared)
         if (held.__module__, held.__qualname__) != (declared.__module__, declared.__qualname__):
             raise ValueError(
@@ -78,12 +89,25 @@ class Registry(Generic[T]):
         package = importlib.import_module(self._package)
         for module in pkgutil.iter_modules(package.__path__):
             importlib.import_module(f"{self._package}.{module.name}")
-        for plugin in entry_points(group=self._group):
-            try:
-                loaded: Any = plugin.load()
-                if isinstance(loaded, type) and issubclass(loaded, self._base):
-                    self.register(loaded)
-            except Exception as error:  # noqa: BLE001 - a plug-in may fail in any way, and must fail alone
-                warnings.warn(
-                    f"the {self._what} plug-in {plugin.name!r} ({plugin.value}) was left out: {error}", stacklevel=2
-                )
+        load_plugins(self._group, self._what, self._add)
+
+    def _add(self, loaded: Any) -> None:
+        if isinstance(loaded, type) and issubclass(loaded, self._base):
+            self.register(loaded)
+        elif not inspect.ismodule(loaded):
+            raise TypeError(f"it is neither a class of the kind {self._base.__name__} nor a module")
+
+
+def load_plugins(group: str, what: str, add: Callable[[Any], object]) -> None:
+    """Load the entry points of a group and pass each to ``add``.
+
+    One that fails, even by leaving the program while it is imported, is left out with a warning.
+    """
+    for plugin in entry_points(group=group):
+        try:
+            add(plugin.load())
+        except (Exception, SystemExit) as error:  # noqa: BLE001 - a plug-in may fail in any way, and must fail alone
+            reason = "" if isinstance(error, SystemExit) else str(error)
+            why = " ".join((reason or type(error).__name__).split())[:_LONGEST_REASON]
+            left_out = f"the {what} plug-in {plugin.name!r} ({plugin.value}) was left out: {why}"
+            warnings.warn("".join(mark if mark.isprintable() else "?" for mark in left_out), stacklevel=3)

@@ -18,6 +18,8 @@ SECONDS_PER_BYTE = 1.0 / 2_000_000
 MEMORY_BYTES = 500_000_000
 """Memory of the whole program while and after it reads a file."""
 
+MAX_FILE_BYTES = 4_000_000_000
+"""Largest file of a session or an imported record, bytes."""
 MAX_SAMPLES = 20_000_000
 """Most samples of one signal."""
 MAX_COLUMNS = 10_000

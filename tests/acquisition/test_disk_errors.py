@@ -324,8 +324,9 @@ def test_what_a_kill_at_the_end_left_is_removed_by_recover(tmp_path, monkeypatch
 
 
 @posix
-def test_sessions_journals_and_the_audit_log_are_for_their_owner_alone(tmp_path, audit_file):
-    before = os.umask(0)
+@pytest.mark.parametrize("umask", [0, 0o777])
+def test_sessions_journals_and_the_audit_log_are_for_their_owner_alone(tmp_path, audit_file, umask):
+    before = os.umask(umask)
     try:
         recorder = a_sitting(tmp_path / "s.h5", trail=AuditTrail(AuditLog(audit_file), "researcher"))
         modes = [stat.S_IMODE(path.stat().st_mode) for path in (journal_path(recorder.path), audit_file)]

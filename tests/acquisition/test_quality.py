@@ -24,6 +24,7 @@ from tissueid.sessions.model import reason_notes
 from tissueid.sessions.quality import HEADLINES, worst_first
 from tissueid.stimuli.base import with_preload
 from tissueid.stimuli.kinds.noise import Noise
+from tissueid.stimuli.kinds.stepped_noise import SteppedNoise
 from tissueid.wire import Fault
 
 pytestmark = pytest.mark.usefixtures("long_frames")
@@ -238,6 +239,15 @@ def test_a_breath_is_no_drift_that_asks_for_a_repeat(phase):
     breath = 0.08e-3 * np.sin(2.0 * np.pi * 0.25 * np.arange(test.samples) / RATE + phase)
     finding = found(with_signal(test, "position", test.signals["position"] + breath)).get("reference_moved")
     assert finding is None or (finding.severity == "look" and finding.value < 0.25e-3)
+
+
+@pytest.mark.parametrize(("moved_m", "severity"), [(0.0, None), (0.8e-3, "repeat")])
+def test_pulling_stiffer_than_pushing_is_no_movement(moved_m, severity):
+    options = {"force_min_n": -5.0, "force_max_n": 5.0, "level_s": 0.5, "sample_rate": RATE}
+    test = Desk("forearm-attached", surface_m=0.014).run(with_preload(SteppedNoise(**options).build(), 0.5))
+    moved = np.where(np.arange(test.samples) < test.samples / 2, 0.0, moved_m)
+    finding = found(with_signal(test, "position", test.signals["position"] + moved)).get("reference_moved")
+    assert (finding and finding.severity) == severity
 
 
 @pytest.mark.parametrize(("metres", "severity"), [(0.3e-3, "look"), (-0.3e-3, "look"), (-0.8e-3, "repeat")])

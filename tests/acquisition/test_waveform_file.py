@@ -43,6 +43,7 @@ def column(values: np.ndarray) -> str:
     [
         ("a.txt", column(WAVE)),
         ("a.csv", "# made for a test\nforce\n" + column(WAVE)),
+        ("a.csv", "Time (s),Force (N)\n" + "".join(f"{k / RATE:.6f},{v!r}\n" for k, v in enumerate(WAVE.tolist()))),
         ("a.csv", "t,F\n" + "".join(f"{k / RATE:.6f},{v!r}\n" for k, v in enumerate(WAVE.tolist()))),
         ("a.csv", "".join(f"{k / RATE:.4f};{v!r}\n".replace(".", ",") for k, v in enumerate(WAVE.tolist()))),
         ("a.tsv", "".join(f"{k / RATE:.4f}\t{v!r}\n" for k, v in enumerate(WAVE.tolist()))),
@@ -92,6 +93,10 @@ REFUSED = {
     "not finite, npy": ("a.npy", npy(np.array([1.0, np.nan])), {}, "waveform.not_finite"),
     "a gap": ("a.csv", "1,2\n,3\n", {}, "waveform.cell"),
     "words": ("a.csv", "force\n1\ntwo\n", {}, "waveform.cell"),
+    "time in ms": ("a.csv", "t (ms),F\n0,1\n1,2\n2,3\n", {}, "waveform.unit"),
+    "force in mN": ("a.csv", "force_mN\n1\n2\n", {}, "waveform.unit"),
+    "voltage": ("a.csv", "time_s;voltage_V\n0;1\n1;2\n", {}, "waveform.unit"),
+    "unknown unit": ("a.csv", "Time [s],Force [units of 2 N]\n0,1\n1,2\n", {}, "waveform.unit"),
     "three columns": ("a.csv", "1,2,3\n4,5,6\n", {}, "waveform.columns"),
     "ragged": ("a.csv", "1,2\n3\n", {}, "waveform.columns"),
     "empty": ("a.csv", "", {}, "waveform.short"),

@@ -58,8 +58,6 @@ def sit_down(window: MainWindow, url: str) -> None:
     QTest.keyClick(handle, Qt.Key.Key_I, ALT)
     assert ui.form.instrument.choice.hasFocus()
     type_over(url)
-    QTest.keyClick(handle, Qt.Key.Key_B, ALT)
-    type_over("P-042")
     point_at(ui.form.fold)
     until(ui.form.seconds.isVisible, "the settings")
     QTest.keyClick(handle, Qt.Key.Key_A, ALT)
@@ -69,7 +67,8 @@ def sit_down(window: MainWindow, url: str) -> None:
     assert ui.form.site.hasFocus()
     type_over("left calf")
     QTest.keyClick(handle, Qt.Key.Key_Return)
-    assert ui.start.hasFocus()
+    assert ui.form.subject.hasFocus()
+    type_over("P 042")
     assert not window.testing
     point_at(ui.start)
     assert window.testing

@@ -14,6 +14,8 @@ from PySide6.QtCore import Qt, QTimer
 from PySide6.QtWidgets import QDialog, QLineEdit, QVBoxLayout
 from support import connect
 
+from tissueid.acquisition import recorder
+from tissueid.acquisition.surface_detection import Contact
 from tissueid.app.emergency import (
     BY_BUTTON,
     BY_CLOSING,
@@ -23,12 +25,19 @@ from tissueid.app.emergency import (
     seconds_since_boot,
 )
 from tissueid.app.session_jobs import find
+from tissueid.app.views.technician.events import read_events
+from tissueid.app.views.technician.log_reading import read_log
+from tissueid.app.words import sentence
 from tissueid.audit import AuditLog, last_lines
-from tissueid.errors import CancelledError
+from tissueid.errors import CancelledError, LinkLostError
 from tissueid.instrument import CLINICAL, SimulatedInstrument
+from tissueid.messages import MISSING, Message
 from tissueid.procedures.control import BY_KEY
 
 pytestmark = [pytest.mark.qt_log_level_fail("WARNING"), pytest.mark.qt_log_ignore("This plugin does not support")]
+
+
+LOST = Message("link.broken", "the connection to {port} broke", port="loopback")
 
 
 @pytest.fixture(scope="module")
@@ -350,3 +359,86 @@ def test_stopping_twice_and_stopping_late_does_no_harm(qtbot, open_window, tmp_p
     assert begins(words, "outcome.stopped")
     assert begins(only_session(tmp_path)[1].test().notes["reason"], "stop.released", cause=BY_BUTTON)
     assert idle(window)
+
+
+def test_a_test_that_ended_is_not_shown_as_running_while_it_is_saved(qtbot, open_window, tmp_path, monkeypatch):
+    gate, saving, go_on = Gate(passed=300), threading.Event(), threading.Event()
+
+    def lost(seconds):
+        gate.wait(seconds)
+        if gate.opened.is_set():
+            raise LinkLostError(LOST, 0.5)
+
+    written = recorder.write_journal_session
+
+    def write_late(*arguments):
+        saving.set()
+        assert go_on.wait(WAIT_MS / 1000)
+        return written(*arguments)
+
+    monkeypatch.setattr(recorder, "write_journal_session", write_late)
+    window = open_window(wait=lost)
+    begin(qtbot, window, gate)
+    window.ui.guidance.lamp.show_contact(Contact.ON)
+    gate.opened.set()
+    qtbot.waitUntil(lambda: saving.is_set() and window._abort_shown is not None, timeout=WAIT_MS)
+    assert window.testing, "its recording is still being saved"
+    assert window.ui.notice.text.text() == sentence(LOST)
+    assert "0.5 s" in window.ui.safety.keys.text()
+    assert window.ui.safety.force.text().endswith(MISSING)
+    assert window.ui.guidance.lamp.contact is Contact.UNWATCHED
+    go_on.set()
+    wait_for_result(qtbot, window)
+    assert only_session(tmp_path)[1].test().status == "aborted"
+
+
+def test_a_window_that_does_not_keep_up_opens_no_instrument(qtbot, open_window, bench, monkeypatch, audit_file):
+    monkeypatch.setattr("tissueid.app.main_window.KEEPS_UP_S", -1.0)
+    window = open_window(audit=AuditLog(audit_file))
+    type_site(qtbot, window)
+    press(qtbot, window.ui.start)
+    frames = []
+    window._frames.timeout.connect(lambda: frames.append(1))
+    qtbot.waitUntil(lambda: len(frames) > 5, timeout=WAIT_MS)
+    assert window.testing
+    assert not window._stop.watching
+    assert bench.opened == []
+    press(qtbot, window.ui.stop)
+    qtbot.waitUntil(lambda: idle(window), timeout=WAIT_MS)
+    assert bench.opened == []
+    (line,) = [line for line in last_lines(audit_file, 100) if line.what.startswith("test.")]
+    assert (line.what, line.new["codes"]) == ("test.stopped", ["stop.button", "stop.released"])
+
+
+def test_what_warms_up_keeps_the_instrument_closed_until_it_is_done(qtbot, open_window, bench):
+    window = open_window()
+    warming = [True]
+    window.warming = lambda: bool(warming)
+    type_site(qtbot, window)
+    press(qtbot, window.ui.start)
+    frames = []
+    window._frames.timeout.connect(lambda: frames.append(1))
+    qtbot.waitUntil(lambda: len(frames) > 5, timeout=WAIT_MS)
+    assert bench.opened == []
+    warming.clear()
+    qtbot.waitUntil(lambda: bool(bench.opened), timeout=WAIT_MS)
+    assert window._stop.watching
+    press(qtbot, window.ui.stop)
+    qtbot.waitUntil(lambda: idle(window), timeout=WAIT_MS)
+
+
+@pytest.mark.parametrize("begun", [False, True], ids=["while placing", "in the stimulus"])
+def test_a_test_that_the_watchdog_of_the_window_ended_is_logged_as_aborted(
+    qtbot, open_window, clock, audit_file, tmp_path, begun
+):
+    gate = Gate(passed=300 if begun else 1)
+    window = open_window(wait=gate.wait, audit=AuditLog(audit_file))
+    begin(qtbot, window, gate)
+    clock.now += 1.2
+    qtbot.waitUntil(window._stop.is_set, timeout=WAIT_MS)
+    gate.opened.set()
+    qtbot.waitUntil(lambda: idle(window), timeout=WAIT_MS)
+    ends = [line for line in last_lines(audit_file, 100) if line.what in ("test.aborted", "test.stopped")]
+    assert [(line.what, line.new["codes"]) for line in ends] == [("test.aborted", ["stop.no_answer"])]
+    (event,) = read_events([], read_log(audit_file, lambda: None), lambda: None).found
+    assert event.level == "check"

@@ -171,3 +171,15 @@ def test_the_dialog_is_worked_by_keys(qtbot, open_window, record):
     assert not dialog.cancel.autoDefault()
     qtbot.keyClick(dialog, Qt.Key.Key_Escape)
     qtbot.waitUntil(lambda: window.files.dialog is None, timeout=WAIT_MS)
+
+
+def test_what_cannot_be_opened_is_named_and_leaves_the_page(qtbot, open_window, tmp_path):
+    window = open_window()
+    window.pages.show("research")
+    (tmp_path / "bad.h5").write_bytes(b"rubbish" * 99)
+    (tmp_path / "bad.csv").write_text("no numbers\nat all\n")
+    for name in ("bad.h5", "bad.csv"):
+        window.files.open([tmp_path / name])
+        qtbot.waitUntil(lambda: idle(window), timeout=WAIT_MS)
+        assert window.ui.page == "research"
+        assert name in window.ui.notice.text.text()

@@ -55,6 +55,15 @@ def test_a_path_that_no_session_can_be_saved_to(tmp_path, name, code):
     assert sorted(tmp_path.iterdir()) == there
 
 
+@pytest.mark.skipif(sys.platform == "win32", reason="other names are too long there")
+@pytest.mark.parametrize("letters", [227, 240, 245, 252, 300])
+def test_a_name_is_refused_where_a_temporary_name_would_not_fit(tmp_path, letters):
+    with pytest.raises(UnusableInputError, check=coded("save_path.too_long")):
+        check_save_path(tmp_path / f"{'n' * letters}.h5")
+    check_save_path(tmp_path / f"{'n' * 226}.h5")
+    assert list(tmp_path.iterdir()) == []
+
+
 def test_checking_a_path_writes_nothing(tmp_path):
     check_save_path(tmp_path / "new.h5")
     assert list(tmp_path.iterdir()) == []

@@ -8,11 +8,11 @@ from golden.golden_page import check_golden_page, lines_of_widget
 from tissueid.language import set_language
 
 
-@pytest.mark.parametrize("language", ["en", "de"])
-def test_the_page_measure_reads_as_its_golden_page(qtbot, open_window, saved, language):
+@pytest.mark.parametrize(("language", "role"), [("en", "clinician"), ("de", "researcher")])
+def test_the_page_measure_reads_as_its_golden_page(qtbot, open_window, saved, language, role):
     """Renew the pages by ``python tests/golden/renew.py``."""
     try:
-        window = open_window(language=language, first_page="measure")
+        window = open_window(language=language, role=role, first_page="measure")
         qtbot.waitUntil(lambda: idle(window), timeout=WAIT_MS)
         before = list(lines_of_widget(window.ui.pages.currentWidget()))
         window.open_session(saved)

@@ -7,6 +7,7 @@ from pathlib import Path
 from symtable import symtable
 
 import pytest
+from app.benches import WAIT_MS
 from PySide6.QtCore import QLocale, QSettings
 from PySide6.QtWidgets import QAbstractButton, QComboBox, QLabel
 
@@ -14,7 +15,10 @@ from tissueid import language
 from tissueid.app.panels import FOLDER
 from tissueid.app.preferences import chosen
 from tissueid.app.views.start.view import WHAT_ROLES_DO
+from tissueid.formatting import fixed, number, plus_minus
 from tissueid.language import _, plural, set_language
+from tissueid.messages import Message, Verbatim, translated
+from tissueid.records import Estimate
 from tools import translations
 
 SOURCE = Path(language.__file__).parent
@@ -178,14 +182,14 @@ def test_start_and_measure_are_german_and_the_choice_is_kept(open_window):
     assert chooser.currentData() == "de"
     chooser.setCurrentIndex(0)
     assert window.settings.value("language") == "en"
-    assert window.ui.notice.text.text() == "English gilt ab dem nächsten Start."
+    assert window.ui.notice.offer.isVisible()
     assert window.ui.start.text() == "Test &starten"  # not before
 
     window.pages.show("measure")
     ui = window.ui
     assert ui.stop.text() == "STOPP – Spule freigeben"
     assert ui.guidance.instruction.text().startswith("Setzen Sie die Sonde auf die Haut")
-    assert ui.form.summary.text() == "Rauschen, Gauß: 0.5–10.5 N, 4 s, Startwert 1"
+    assert ui.form.summary.text() == "Rauschen, Gauß: 0,5–10,5 N, 4 s, Startwert 1"
     assert ui.safety.keys.text() == "Kein Test läuft"
     assert [button.text() for button in ui.rail.buttons.values()] == [
         "Start",
@@ -195,6 +199,29 @@ def test_start_and_measure_are_german_and_the_choice_is_kept(open_window):
         "Gerät",
         "Studien",
     ]
+
+
+def test_a_new_language_is_taken_on_by_a_new_window(qtbot, open_window):
+    window = open_window()
+    palette = {action.title: action for action in window._actions()}
+    palette["Language: Deutsch"].run()
+    assert window.settings.value("language") == "de"
+    assert not window.restarts
+    window.ui.notice.offer.click()
+    qtbot.waitUntil(lambda: not window.isVisible(), timeout=WAIT_MS)
+    assert window.restarts
+    assert open_window(language="").ui.start.text() == "Test &starten"
+
+
+def test_numbers_have_the_decimal_mark_of_the_language():
+    share = Message("a.share", "{percent:.1f} % of {what}", percent=1.25, what=Verbatim("v1.5"))
+    shown = [fixed(-1.25, 2), plus_minus(Estimate(93.4, 3.2)), number(2.5e-7), translated(share)]
+    assert shown == ["−1.25", "93.4 ± 3.2", "2.5 × 10⁻⁷", "1.2 % of v1.5"]
+    set_language("de")
+    shown = [fixed(-1.25, 2), plus_minus(Estimate(93.4, 3.2)), number(2.5e-7), translated(share)]
+    assert shown == ["−1,25", "93,4 ± 3,2", "2,5 × 10⁻⁷", "1,2 % of v1.5"]
+    assert str(share) == "1.2 % of v1.5"
+    assert _("{low:g} to {high:g}{unit}").format(low=0.5, high=2.0, unit=" v1.5") == "0,5 bis 2 v1.5"
 
 
 def test_letters_for_alt_are_taken_once_on_a_page(open_window):

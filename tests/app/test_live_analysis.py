@@ -19,7 +19,7 @@ from tissueid.procedures.test_plan import TestPlan
 
 pytestmark = [pytest.mark.qt_log_level_fail("WARNING"), pytest.mark.qt_log_ignore("This plugin does not support")]
 
-WAITING = "Waiting for the stimulus."
+WAITING = "No estimate yet: it comes during the stimulus."
 
 
 class Newest:
@@ -193,7 +193,7 @@ def test_it_is_there_during_a_test_and_gone_with_an_opened_session(qtbot, open_w
 
 
 def test_phase_and_nonlinearity_are_seen_at_1280x740_without_scrolling(qtbot, open_window, saved):
-    window = open_window()
+    window = open_window(role="researcher")
     window.resize(1280, 740)
     panel = window.ui.analysis
     panel.show()

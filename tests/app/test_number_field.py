@@ -1,9 +1,14 @@
 """What is typed into a field for a force or a length is that number or none: never another one."""
 
+from pathlib import Path
+
 import pytest
 from PySide6.QtCore import Qt
+from PySide6.QtWidgets import QDoubleSpinBox
 
-from tissueid.app.number_field import NumberField
+from tissueid.app import number_field
+from tissueid.app.number_field import NumberField, WholeNumberField
+from tissueid.app.views.researcher.preparation_form import PreparationForm
 
 pytestmark = [pytest.mark.qt_log_level_fail("WARNING"), pytest.mark.qt_log_ignore("This plugin does not support")]
 
@@ -95,3 +100,57 @@ def test_what_is_not_taken_is_explained_at_the_field(qtbot, window, typed, at_on
     field.selectAll()
     qtbot.keyClicks(field, "4")
     assert not field.hint.isVisible()
+
+
+def type_into(qtbot, field, typed):
+    field.setFocus()
+    field.selectAll()
+    qtbot.keyClicks(field, typed)
+    qtbot.keyClick(field, Qt.Key.Key_Return)
+
+
+@pytest.mark.parametrize(
+    ("typed", "value"),
+    [
+        ("0,5", 0.5),
+        ("12,5", 12.5),
+        ("12.5", 12.5),
+        ("12,5 Hz", 12.5),
+        ("5 kHz", 3.0),
+        ("0", 0.0),
+        ("", 3.0),
+        ("-1", 3.0),
+    ],
+)
+def test_edges_of_the_band(qtbot, typed, value):
+    form = PreparationForm()
+    qtbot.addWidget(form)
+    form.show()
+    edges = form.findChildren(QDoubleSpinBox)
+    assert edges == [form.low, form.high]
+    for edge in edges:
+        edge.setValue(3.0)
+        type_into(qtbot, edge, typed)
+        assert edge.value() == value
+    form.low.setValue(0.0)
+    type_into(qtbot, form.low, "")
+    assert form.low.text() == "no limit"
+    assert form.low.hint.isHidden()
+
+
+@pytest.mark.parametrize(("typed", "value"), [("7", 7), ("1,5", 3), ("1.5", 3), ("1e1", 3), ("12", 3), ("", 3)])
+def test_whole_numbers(qtbot, typed, value):
+    field = WholeNumberField()
+    qtbot.addWidget(field)
+    field.setRange(1, 9)
+    field.setValue(3)
+    field.show()
+    type_into(qtbot, field, typed)
+    assert field.value() == value
+
+
+def test_no_field_of_the_window_is_a_bare_spin_box():
+    bare = ("= QSpinBox(", "= QDoubleSpinBox(", ", QDoubleSpinBox(", "(QDoubleSpinBox)", "(QSpinBox)")
+    sources = Path(number_field.__file__).parent.rglob("*.py")
+    found = {path.name for path in sources if any(text in path.read_text(encoding="utf-8") for text in bare)}
+    assert found == {"number_field.py"}

@@ -83,12 +83,12 @@ def test_a_clinician_measures_a_site_twice_accepts_and_prints(qtbot, from_start,
     chart = window.clinician._map
     qtbot.waitUntil(lambda: chart.isVisible() and chart.isActiveWindow(), timeout=WAIT_MS)
     press(qtbot, chart.spots["left thigh"])
+    press(qtbot, chart.use)
     assert ui.form.site.currentText() == "left thigh"
     window.activateWindow()  # there is no window manager here that would
-    qtbot.waitUntil(ui.form.site.hasFocus, timeout=WAIT_MS)
-    qtbot.keyClick(ui.form.site, Qt.Key.Key_Return)
-    qtbot.keyClick(ui.start, Qt.Key.Key_Return)
-    assert window.testing
+    qtbot.waitUntil(ui.form.subject.hasFocus, timeout=WAIT_MS)
+    qtbot.keyClick(ui.form.subject, Qt.Key.Key_S, Qt.KeyboardModifier.AltModifier)
+    qtbot.waitUntil(lambda: window.testing, timeout=WAIT_MS)
     assert ui.stop.hasFocus()
     rest(qtbot, window)
     assert (ui.gate.headline.text(), ui.gate.property("level")) == (
@@ -220,6 +220,7 @@ def test_a_technician_asks_calibrates_and_verifies(qtbot, from_start, calibratio
     page = window.ui.calibration
     assert page.isVisible()
     assert page.begin["static"].hasFocus()
+    monkeypatch.setattr("tissueid.app.deliberate_press.QUIET_S", 0.0)
     qtbot.keyClick(page.begin["static"], Qt.Key.Key_Space)
     assert window.testing
     assert window.ui.stop.hasFocus()

@@ -2,11 +2,12 @@
 
 import pytest
 from app.benches import WAIT_MS
-from coded import shows
+from coded import coded, shows
 from PySide6.QtCore import Qt
 from PySide6.QtWidgets import QLabel
 
-from tissueid.app.form_choices import reads_like_name
+from tissueid.errors import UnusableInputError
+from tissueid.procedures.pseudonyms import reads_like_name
 
 pytestmark = [pytest.mark.qt_log_level_fail("WARNING"), pytest.mark.qt_log_ignore("This plugin does not support")]
 
@@ -39,6 +40,9 @@ def shown_result(qtbot, open_window, saved):
         "Jean-Luc O’Neill",
         "Łukasz Żak",
         "Ελένη Παπαδοπούλου",
+        "Hans.Mueller",
+        "Hans_Mueller",
+        "J.Smith",
     ],
 )
 def test_what_reads_like_a_name(text):
@@ -59,6 +63,9 @@ def test_what_reads_like_a_name(text):
         "van de",
         "Dr.",
         "P-001 left",
+        "P 001",
+        "P_001.a",
+        "left_arm",
         "4 5",
     ],
 )
@@ -67,17 +74,26 @@ def test_what_does_not(text):
 
 
 @pytest.mark.parametrize(("language", "words"), [("en", "looks like a person's name"), ("de", "Name eines Menschen")])
-def test_a_name_is_remarked_on_and_taken_all_the_same(open_window, language, words):
+def test_a_name_is_refused_until_a_person_says_that_it_is_a_pseudonym(open_window, language, words):
     form = open_window(language=language).ui.form
     assert form.like_name.isHidden()
     form.subject.setText("John Smith")
     assert form.like_name.isVisible()
     assert words in form.like_name.text()
     assert form.subject.accessibleDescription() == form.like_name.text()
+    form.site.setEditText("left calf")
+    with pytest.raises(UnusableInputError, check=coded("subject.name")):
+        form.plan().check()
+    form.is_pseudonym.setChecked(True)
+    form.plan().check()
     assert form.plan().subject == "John Smith"
+    form.subject.setText("John Smyth")
+    assert not form.is_pseudonym.isChecked()
     form.subject.setText("P-001")
     assert form.like_name.isHidden()
+    assert form.is_pseudonym.isHidden()
     assert form.subject.accessibleDescription() == ""
+    form.plan().check()
 
 
 @pytest.mark.parametrize(

@@ -406,7 +406,8 @@ def test_the_form_says_how_the_probe_meets_the_tissue(window):
     assert form.values()["normal_preload_n"] is None
 
 
-def test_the_keys_reach_the_form_by_mnemonics(qtbot, window):
+def test_the_keys_reach_the_form_by_mnemonics(qtbot, open_window):
+    window = open_window(role="researcher")
     form = window.ui.form.set_up
     qtbot.keyClick(window, Qt.Key.Key_P, Qt.KeyboardModifier.AltModifier)
     assert form.probe.hasFocus()

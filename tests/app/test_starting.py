@@ -104,7 +104,7 @@ shown = MainWindow.show
 def show(window):
     shown(window)
     # Two thirds of the time to the first picture went into these; they come when they are wanted, or soon after.
-    assert not {{"scipy.signal", "scipy.stats", "scipy.linalg", "numba", "matplotlib"}} & set(sys.modules)
+    assert not {{"scipy.signal", "scipy.stats", "scipy.linalg", "numba", "matplotlib", "pint"}} & set(sys.modules)
     QTimer.singleShot(0, lambda: {ending})
 MainWindow.show = show
 """

@@ -9,6 +9,7 @@ from app.test_window import idle, press
 from coded import begins
 
 from tissueid.app.form_choices import FROM_FILE, MULTISTEP
+from tissueid.app.stimulus_form import StimulusForm
 from tissueid.cli import main
 from tissueid.instrument import SimulatedInstrument
 from tissueid.procedures.demo import LARGE_CLIPPED, LARGE_N
@@ -244,3 +245,17 @@ def test_a_localized_test_shows_its_levels(qtbot, open_window):
     run(qtbot, window)
     assert "localized" in window.findings.analyses
     assert len(window.findings.plots.impulse.curves) == 5
+
+
+def test_a_stop_rule_is_typed_in_words_and_percent(qtbot):
+    form = StimulusForm()
+    qtbot.addWidget(form)
+    for typed, expected in (
+        ("stiffness 2 %", ("stiffness=0.02",)),
+        ("Stiffness 2,5%; mass = 3 %", ("stiffness=0.025", "mass=0.03")),
+        ("stiffness=0.2, mass=0.1", ("stiffness=0.2", "mass=0.1")),
+        ("fast", ("fast",)),
+        ("", ()),
+    ):
+        form.stop_when.setText(typed)
+        assert form.values()["stop_when"] == expected

@@ -307,7 +307,7 @@ def choose(window, system):
 
 
 def test_the_choice_is_shown_at_once_on_every_page_and_kept(qtbot, open_window, saved, tmp_path):
-    window = open_window(first_page="start")
+    window = open_window(first_page="start", role="researcher")
     chooser = window.pages.start.units.choice
     assert [chooser.itemText(place) for place in range(chooser.count())] == ["Clinical (mm, g)", "SI (m, kg)"]
     assert chooser.currentData() == "clinical"

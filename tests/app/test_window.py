@@ -32,7 +32,7 @@ def type_site(qtbot, window, site="left forearm"):
 
 
 def idle(window):
-    return not window.jobs and not window.testing
+    return window.jobs.idle and not window.testing
 
 
 def wait_for_result(qtbot, window):
@@ -48,10 +48,10 @@ def test_the_whole_path_by_keyboard(qtbot, window, tmp_path):
     ui = window.ui
     type_site(qtbot, window)
     qtbot.keyClick(ui.form.site, Qt.Key.Key_Return)
-    assert ui.start.hasFocus()
+    assert ui.form.subject.hasFocus()
     assert not window.testing
-    qtbot.keyClick(ui.start, Qt.Key.Key_Return)
-    assert window.testing
+    qtbot.keyClick(ui.form.subject, Qt.Key.Key_S, Qt.KeyboardModifier.AltModifier)
+    qtbot.waitUntil(lambda: window.testing, timeout=WAIT_MS)
     assert ui.stop.hasFocus()
     wait_for_result(qtbot, window)
     path, session = only_session(tmp_path)

@@ -13,6 +13,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 from coded import shows
+from endless_files import files_that_never_end
 from gap_records import DEVICE, changed, recorded
 from golden.golden_page import check_golden_page
 
@@ -182,9 +183,11 @@ def test_a_batch_answers_for_every_file(tmp_path: Path, capsys: pytest.CaptureFi
     folder.mkdir()
     stored(folder, recorded(samples=SAMPLES)).rename(folder / "good.h5")
     (folder / "rubbish.h5").write_bytes(b"rubbish")
+    others = files_that_never_end(folder)
     assert main(["gap", "batch", str(folder), "--workers", "1", "--json", str(out)]) == 0
     found = json.loads(out.read_text())
-    assert set(found) == {"good.h5", "rubbish.h5"}
+    assert set(found) == {"good.h5", "rubbish.h5", *others}
+    assert {name for name in found if "verdict" in found[name]} == {"good.h5"}
     assert found["good.h5"]["verdict"] == "no_gap"
     assert "\n" not in found["rubbish.h5"]["error"]
     assert "good.h5: no gap" in capsys.readouterr().out

@@ -9,6 +9,7 @@ from pathlib import Path
 
 import pytest
 from coded import says, shows
+from endless_files import files_that_never_end
 from gap_records import DEVICE, RATE_HZ, SIGNALS, scenario
 from reports.page_check import checked
 
@@ -184,9 +185,13 @@ def test_a_session_that_cannot_be_used_is_listed_with_its_reason(watched: Path, 
     write_session(
         folder / "other.h5", replace(session(1, "2026-02-28T08:00:00Z"), instrument=replace(DEVICE, stroke_m=0.02))
     )
-    plan = WatchPlan(folder=folder, twin=watched.parent / "arm.toml", workers=1)
+    (folder / "b-first.h5").rename(folder / "b-\udce9.h5")
+    others = files_that_never_end(folder)
+    page = tmp_path / "page.html"
+    plan = WatchPlan(folder=folder, twin=watched.parent / "arm.toml", workers=1, report=page)
     history = watch_folder(plan, Control()).history
-    assert [entry.file for entry in history.entries] == ["other.h5", "b-first.h5"]
+    assert page.is_file()
+    assert [entry.file for entry in history.entries] == ["other.h5", "b-\udce9.h5", *sorted(others)]
     assert history.first_grown is None
     assert says(history.entries[0].reason, "gap.other_instrument", name="stroke_m")
 

@@ -111,7 +111,7 @@ def test_what_is_doubtful_is_said(table, tmp_path, capsys):
     printed = capsys.readouterr().out
     assert shows(printed, "import.time_found", column="time", unit="s")
     assert main(["import", str(table), "--out", str(tmp_path / "t.h5"), "--map", "force=force:mN", *MAP[2:]]) == 0
-    assert shows(capsys.readouterr().out, "import.implausible", unit="mN", others="N, gf, kgf")
+    assert shows(capsys.readouterr().out, "import.implausible", unit="mN", others="N, gf, kgf, lbf")
 
 
 def test_a_column_s_name_is_no_markup(tmp_path, capsys):

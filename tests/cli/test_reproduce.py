@@ -44,7 +44,7 @@ def reproduced(out: Path, *numbers: str) -> list[dict[str, Any]]:
     assert main(["reproduce", *numbers, "--quick", "--out", str(out), "--json", str(out.with_suffix(".json"))]) == 0
     figures = json.loads((out / "results.json").read_text())["figures"]
     assert {one["number"]: one["why_missing"] for one in figures if one["why_missing"]} == {}
-    assert all(one["rows"] and one["remark"] for one in figures)
+    assert all(one["rows"] for one in figures)
     assert all("nan" not in row["here"] for one in figures for row in one["rows"])
     return figures
 
@@ -74,7 +74,12 @@ def test_the_figures_that_a_quick_run_chooses(tmp_path: Path) -> None:
 @pytest.mark.soak
 @pytest.mark.timeout(1800)
 def test_every_figure_in_a_quick_run(tmp_path: Path) -> None:
-    reproduced(tmp_path / "thesis", *(one.number for one in FIGURES))
+    numbers = tuple(one.number for one in FIGURES)
+    plan = reproduction.ReproductionPlan(numbers=numbers, quick=True, out=tmp_path / "thesis")
+    made = {one.number: one for one in reproduction.run_reproduction(plan, Control())}
+    assert {number for number, one in made.items() if one.why or not one.rows} == set()
+    drawn = {number: one.report for number, one in made.items() if one.report is not None and one.report.pictures}
+    assert {number for number, report in drawn.items() if report.csv().count("\n") < 2} == set()
 
 
 def test_without_numbers_a_quick_run_makes_the_figures_of_a_few_tests(
@@ -93,8 +98,8 @@ def test_without_numbers_a_quick_run_makes_the_figures_of_a_few_tests(
     assert set(played) == QUICK_TESTS
 
 
-def test_every_figure_has_a_remark_and_a_remark_no_other_figure() -> None:
-    assert set(REMARKS) == {one.number for one in FIGURES}
+def test_remarks_are_of_figures() -> None:
+    assert set(REMARKS) <= {one.number for one in FIGURES}
     assert all(str(text).endswith(".") for text in REMARKS.values())
 
 

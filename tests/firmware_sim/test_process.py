@@ -303,9 +303,12 @@ def test_the_status_is_that_of_the_process(tmp_path):
 
 def test_a_host_that_follows_another_at_once_is_let_in():
     port = TcpPort(0)
+    connections = []
+    port.connected = lambda: connections.append(1)
     address = ("127.0.0.1", int(port.url.rpartition(":")[2]))
     for number in range(20):
         host = socket.create_connection(address)
+        assert len(connections) == max(0, number - 1), "reported after the last words of the one before"
         assert port.exchange(b"", 1.0) == (b"last words %d" % (number - 1) if number else b"", 0)
         host.sendall(b"last words %d" % number)
         host.close()
@@ -317,4 +320,5 @@ def test_a_host_that_follows_another_at_once_is_let_in():
         with socket.create_connection(address) as second:
             port.exchange(b"", 1.0)
             assert second.recv(1) == b"", "one at a time"
+    assert len(connections) == 21
     port.unplug()

@@ -9,7 +9,7 @@ import pytest
 from firmware_sim.bench import Bench
 from firmware_sim.firmware import Firmware
 from tissueid import wire
-from tissueid.wire import MessageType, Result, State
+from tissueid.wire import Fault, MessageType, Result, State
 
 HELLO = wire.pack(wire.HELLO, protocol_min=1, protocol_max=1, host=b"test")
 FREEING = (MessageType.STOP, MessageType.RELEASE, MessageType.FINISH)
@@ -76,3 +76,31 @@ def test_a_stimulus_of_nothing_is_no_argument_and_one_too_long_is_too_large():
     assert begin(0) == Result.BAD_ARGUMENT
     assert begin(firmware.stimulus_capacity) == Result.OK
     assert begin(firmware.stimulus_capacity + 1) == Result.TOO_LARGE
+
+
+def test_heartbeats_of_a_connection_without_hello_do_not_keep_a_run_alive():
+    firmware, ask = running()
+
+    def half_a_second_of_heartbeats(begin):
+        for k in range(1, 11):
+            firmware.receive(wire.encode_frame(wire.Frame(MessageType.HEARTBEAT, k)), begin + 0.06 * k)
+            firmware.advance(2, begin + 0.06 * k)
+
+    half_a_second_of_heartbeats(0.01)
+    assert firmware.state is State.RUNNING
+    firmware.connected()
+    assert firmware.state is State.RUNNING, "a new connection alone releases nothing"
+    assert ask(MessageType.STREAM, b"\1") == Result.BAD_STATE
+    half_a_second_of_heartbeats(0.61)
+    assert firmware.faults == Fault.WATCHDOG
+    assert not firmware.energised
+
+
+def test_heartbeats_after_the_hello_of_a_new_connection_count():
+    firmware, ask = running()
+    firmware.connected()
+    ask(MessageType.HELLO, HELLO)
+    for k in range(1, 11):
+        firmware.receive(wire.encode_frame(wire.Frame(MessageType.HEARTBEAT, k)), 0.06 * k)
+        firmware.advance(2, 0.06 * k)
+    assert firmware.state is State.RUNNING

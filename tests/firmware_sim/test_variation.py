@@ -49,6 +49,24 @@ def test_without_variation_nothing_changes():
     assert Scenario().bench().tissue == Bench().tissue
 
 
+def test_a_run_has_the_same_noise_whenever_it_starts():
+    """Check that a reproduction does not depend on the load of the computer."""
+    codes = []
+    for waited in (200, 740):
+        bench = Bench("left-posterior-forearm", seed=3)
+        runs = []
+        for _ in range(2):
+            bench.block(np.zeros(waited), energised=False)
+            bench.begin_test()
+            runs.append(
+                bench.block(10.0 + 5.0 * np.sin(np.arange(400.0)), energised=True).codes[:, :4]
+            )  # the coil cools
+            bench.place_fixture(0.010)
+        codes.append(runs)
+    np.testing.assert_array_equal(*codes)
+    assert not np.array_equal(*codes[0])
+
+
 def test_draws_belong_to_their_seeds():
     preset = load_preset("skin-anterior")
 

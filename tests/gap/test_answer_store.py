@@ -1,5 +1,6 @@
 """Stored answers of a blind check: stored one by one, reused, and refused where damaged."""
 
+import os
 from pathlib import Path
 
 import numpy as np
@@ -58,6 +59,19 @@ def test_nothing_is_stored_without_a_request(tmp_path: Path, asked: list[str]):
     assert list(tmp_path.iterdir()) == []
 
 
+@pytest.mark.skipif(not hasattr(os, "mkfifo"), reason="needs pipes with names")
+def test_a_changed_answer_is_refused(tmp_path: Path):
+    store_answer(tmp_path, "a", ANSWER)
+    file = tmp_path / "answers" / "a.json"
+    file.write_text(file.read_text().replace("no_gap", "effect"))
+    with pytest.raises(UnusableInputError, check=coded("blind.unreadable_answer")):
+        stored_answer(tmp_path, "a")
+    file.unlink()
+    os.mkfifo(file)
+    with pytest.raises(UnusableInputError, check=coded("blind.unreadable_answer")):
+        stored_answer(tmp_path, "a")
+
+
 @pytest.mark.parametrize("text", ["", "{", "[1]", '{"verdict": "no_gap"}', "[" * 100_000])
 def test_a_damaged_answer_is_refused(tmp_path: Path, text: str):
     store_answer(tmp_path, "a", ANSWER)
@@ -75,7 +89,7 @@ def test_a_check_in_progress_is_described(tmp_path: Path):
     begin_check(tmp_path, CheckInProgress(3, 7, 0.5, "ab" * 32, software="0.0.0"))
     with pytest.raises(UnusableInputError, check=coded("blind.other_version", begun="0.0.0")):
         check_in_progress(tmp_path)
-    (tmp_path / "answers" / "check.json").write_text('{"n": "many"}')
+    store_answer(tmp_path, "check", {"n": "many"})
     with pytest.raises(UnusableInputError, check=coded("blind.damaged_check")):
         check_in_progress(tmp_path)
 

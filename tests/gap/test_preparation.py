@@ -195,6 +195,13 @@ def test_an_unusable_test_is_refused_with_its_reason(session, code, values):
         prepare(session())
 
 
+@pytest.mark.parametrize("name", ["voltage", "current"])
+def test_a_signal_without_any_sample_counts_as_not_recorded(name: str):
+    missing = np.full(recorded().tests[0].samples, np.nan)
+    (test,) = prepare(changed(recorded(), **{name: missing})).tests
+    assert name not in test.signals
+
+
 def test_missing_tests_are_refused():
     with pytest.raises(UnusableInputError, check=coded("gap.not_usable")) as refused:
         prepare(without_anything())

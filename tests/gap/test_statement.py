@@ -42,6 +42,7 @@ def diagnosis(**changes: Any) -> Any:
     found |= {
         "where": SimpleNamespace(**where),
         "conditional_odds": {},
+        "budget": None,
         "at_fault": ("coil",),
         "detection_limits": LIMITS,
     } | changes
@@ -65,8 +66,7 @@ def test_the_headline_holds_verdict_and_probabilities():
     says(headline, "gap.explained")
     assert level == "good"
     cause = headline.values["causes"].items[0].values["names"].items[0]
-    assert says(cause, "gap.cause_probability", effect=effect_title("coil_heating"), percent="95")
-    assert headline == "The gap is explained: The coil warms up (95 %)"
+    assert says(cause, "gap.cause_both", effect=effect_title("coil_heating"), share="40", percent="95")
     says(headline_of(diagnosis(verdict="no_gap", combination=(), at_fault=()))[0], "gap.none")
     says(headline_of(diagnosis(verdict="unexplained", combination=()))[0], "gap.unexplained", stage="coil")
     says(headline_of(diagnosis(verdict="unexplained", combination=(), at_fault=()))[0], "gap.unexplained_nowhere")
@@ -113,8 +113,8 @@ def test_every_statement_is_translated():
         assert [text for text in said if not is_german(text)] == []
     assert translated(list(sentences_of(diagnosis()))[1]) == (
         "Am meisten zeigt sie sich in: Position, von 3 bis 9 Hz und 20 bis 40 Hz, in Tiefen von 1 bis 2 mm, bei "
-        "Strömen von 0.1 bis 0.2 A, bei einer Amplitude (der Anregung über die letzten 0.1 s) von 1 bis 2 N und bei "
-        "Netzphasen (50 Hz) von 5.7 bis 57 Grad und 110 bis 170 Grad, während die Sonde hineingeht."
+        "Strömen von 0,1 bis 0,2 A, bei einer Amplitude (der Anregung über die letzten 0,1 s) von 1 bis 2 N und bei "
+        "Netzphasen (50 Hz) von 5,7 bis 57 Grad und 110 bis 170 Grad, während die Sonde hineingeht."
     )
 
 

@@ -182,6 +182,7 @@ def _with(content, *path, value):
         (("format",), "tissueid-calibration", "twin.format"),
         (("instrument", "resistance_ohm"), -1.0, "twin.out_of_range"),
         (("instrument", "resistance_ohm"), float("nan"), "option.finite"),
+        *((("instrument", "filter_time_s"), seconds, "twin.out_of_range") for seconds in (-1.0, 5e-324, 10.0)),
         (("tissue", "stiffness_n_per_m"), 1e9, "twin.out_of_range"),
         (("tissue", "hair_m"), 1.0, "twin.unknown"),
         (("sample_rate_hz",), 1.0, "twin.too_stiff"),

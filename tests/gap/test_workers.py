@@ -4,11 +4,15 @@ from __future__ import annotations
 
 import math
 import operator
+import os
+import signal
 import threading
+from pathlib import Path
 
 import pytest
+from coded import coded
 
-from tissueid.errors import CancelledError
+from tissueid.errors import CancelledError, UnusableInputError
 from tissueid.gap.workers import Pool, SerialExecutor, executor
 
 
@@ -77,18 +81,29 @@ def test_an_interrupt_ends_the_pool_even_if_its_processes_are_gone(killed: bool)
     assert people.processes == ()
 
 
-def test_a_process_that_dies_is_an_error_and_the_pool_goes_on():
+def negative_or_die(thing: tuple[int, Path | None]) -> int:
+    """Return the negative number; end the process as the system does if the file is missing, or always without one."""
+    number, once = thing
+    if once is None or (number == 2 and not once.exists()):
+        if once is not None:
+            once.touch()
+        os.kill(os.getpid(), getattr(signal, "SIGKILL", signal.SIGTERM))
+    return -number
+
+
+def test_the_work_of_a_process_that_dies_is_repeated_once(tmp_path: Path):
+    done: list[object] = []
+    things = [(number, tmp_path / "tried") for number in range(4)]
     with executor(2) as people:
         assert isinstance(people, Pool)
-        things = [(number, LARGE) for number in range(9)]
-
-        def kill(_: object) -> None:
-            for process in people.processes:
-                process.kill()
-
-        with pytest.raises(RuntimeError, match="unexpectedly"):
-            people.do(answer_or_wait, things, never, kill)
-        assert people.do(math.factorial, [3, 4], never, lambda _: None) == [6, 24]
+        assert people.do(negative_or_die, things, never, done.append) == [0, -1, -2, -3]
+        assert len(done) == 4
+        with pytest.raises(UnusableInputError, check=coded("workers.ended")):
+            people.do(negative_or_die, [(1, None)], never, done.append)
+        for process in people.processes:  # while they have nothing to do
+            process.kill()
+            process.join()
+        assert people.do(math.factorial, [3], never, lambda _: None) == [6]
 
 
 class OnlyHere(Exception):

@@ -12,25 +12,25 @@ from tissueid.records import Record
 FINE = 8
 VALUES = {
     "kelvin-voigt": (0.09, 20.0, 4000.0),
-    "maxwell": (0.09, 3000.0, 60.0),
-    "standard-linear-solid": (0.09, 2500.0, 2500.0, 25.0),
-    "burger": (0.09, 6000.0, 400.0, 4000.0, 40.0),
+    "maxwell": (0.09, 5.0, 3000.0, 60.0),
+    "standard-linear-solid": (0.09, 5.0, 2500.0, 2500.0, 25.0),
+    "burger": (0.09, 5.0, 6000.0, 400.0, 4000.0, 40.0),
 }
-"""Mass (kg), then the elements in the order of the engine."""
+"""Mass (kg), parallel damping (N s/m), then the elements in the order of the engine."""
 
 
 def _states(structure: str) -> tuple[list[list[float]], list[list[float]]]:
     """State matrix and input; the first state is the position, the second the speed, then force and extension."""
-    m, *e = VALUES[structure]
+    m, b, *e = VALUES[structure]
     if structure == "kelvin-voigt":
-        return [[0, 1], [-e[1] / m, -e[0] / m]], [[0], [1 / m]]
+        return [[0, 1], [-e[0] / m, -b / m]], [[0], [1 / m]]
     if structure == "maxwell":
-        return [[0, 1, 0], [0, 0, -1 / m], [0, e[0], -e[0] / e[1]]], [[0], [1 / m], [0]]
+        return [[0, 1, 0], [0, -b / m, -1 / m], [0, e[0], -e[0] / e[1]]], [[0], [1 / m], [0]]
     if structure == "standard-linear-solid":
-        return [[0, 1, 0], [-e[0] / m, 0, -1 / m], [0, e[1], -e[1] / e[2]]], [[0], [1 / m], [0]]
+        return [[0, 1, 0], [-e[0] / m, -b / m, -1 / m], [0, e[1], -e[1] / e[2]]], [[0], [1 / m], [0]]
     k1, b1, k2, b2 = e
     force = [0, k1, -k1 / b1 - k1 / b2, k1 * k2 / b2]
-    return [[0, 1, 0, 0], [0, 0, -1 / m, 0], force, [0, 0, 1 / b2, -k2 / b2]], [[0], [1 / m], [0], [0]]
+    return [[0, 1, 0, 0], [0, -b / m, -1 / m, 0], force, [0, 0, 1 / b2, -k2 / b2]], [[0], [1 / m], [0], [0]]
 
 
 def record(structure: str, *seed: int, snr_db: float = 40.0, colour: float = 0.0, n: int = 8000) -> Record:

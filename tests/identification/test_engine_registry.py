@@ -30,7 +30,7 @@ class Plugin:
     loaded: object
 
     def load(self) -> object:
-        if isinstance(self.loaded, Exception):
+        if isinstance(self.loaded, BaseException):
             raise self.loaded
         return self.loaded
 
@@ -70,6 +70,23 @@ def test_a_broken_plugin_gives_a_warning_and_affects_no_other(plugins: list[Plug
     with pytest.warns(UserWarning, match=r"'broken' \(broken:Engine\) was left out: no module named 'gone'"):
         names = engine_names()
     assert {"foreign", "lms"} <= set(names)
+
+
+@pytest.mark.parametrize(
+    ("loaded", "why"),
+    [
+        (SystemExit(3), "SystemExit"),
+        (RuntimeError("\x1b[31mred\nsecond line"), r"\?\[31mred second line"),
+        (5, "neither a class of the kind Engine nor a module"),
+        (type("Nameless", (Foreign,), {"name": ""}), "has the name ''"),
+        (type("Escape", (Foreign,), {"name": "\x1b[31m"}), "has the name"),
+        (type("Abstract", (Engine,), {"name": "abstract"}), "lacks fit"),
+    ],
+)
+def test_a_plugin_of_any_other_content_is_left_out(plugins: list[Plugin], loaded: object, why: str):
+    plugins += [Plugin("odd", "odd:Odd", loaded), Plugin("foreign", "elsewhere:Foreign", Foreign)]
+    with pytest.warns(UserWarning, match=rf"'odd' \(odd:Odd\) was left out: .*{why}"):
+        assert {"foreign", "lms"} <= set(engine_names())
 
 
 def test_a_plugin_may_not_take_a_name_that_is_held(plugins: list[Plugin]):

@@ -269,7 +269,7 @@ def test_the_firmware_refuses_a_stimulus_beyond_the_limits(monkeypatch):
     # A host that does not know the limits of the device asks for more.
     instrument._handshake = replace(instrument._handshake, max_force_n=1000.0)
     with pytest.raises(LimitError, check=coded("refused.beyond_limits", request="ARM")):
-        instrument.arm(Limits(max_force_n=500.0))
+        instrument.arm(Limits(max_force_n=16.0))
     assert not instrument._link.firmware.energised
 
 

@@ -67,6 +67,37 @@ def test_the_dialog_imports_what_the_command_line_does(qtbot, record, tmp_path, 
     assert first == second
 
 
+def test_the_dialog_shows_which_units_it_cannot_read(qtbot, tmp_path):
+    path = tmp_path / "record.csv"
+    path.write_text("Time (min),Load (lbf),Travel (mil),Other (counts)\n0,1,2,3\n1,2,3,4\n2,3,4,5\n")
+    dialog = ImportDialog(preview_of([path]), tmp_path / "window.h5")
+    qtbot.addWidget(dialog)
+    assert [dialog._role(row).currentData() for row in range(4)] == ["time", "force", "position", ""]
+    assert [dialog._unit(row).currentText() for row in range(4)] == ["min", "lbf", "mil", "counts"]
+    dialog._role(3).setCurrentIndex(dialog._role(3).findData("output"))
+    assert [dialog._unit(row).property("level") for row in range(4)] == [None, None, None, "poor"]
+    assert dialog._unit(3).accessibleDescription()
+    with pytest.raises(UnusableInputError, check=coded("import.unknown_unit", unit="counts")):
+        dialog.plan()
+    dialog._unit(3).setEditText("1")
+    assert dialog._unit(3).property("level") is None
+    assert dialog.plan().mapping == ("time=1:min", "force=2:lbf", "position=3:mil", "output=4:1")
+
+
+def test_the_dialog_asks_for_the_decimal_sign(qtbot, tmp_path, trail):
+    path = tmp_path / "record.csv"
+    rows = [f"{load:,.0f}\t{load:,.0f}" for load in range(100, 3000, 50)]
+    path.write_text("\n".join(["Load (mN)\tTravel (um)", *rows]) + "\n")
+    dialog = ImportDialog(preview_of([path]), tmp_path / "window.h5")
+    qtbot.addWidget(dialog)
+    dialog.rate.setText("100")
+    dialog._role(1).setCurrentIndex(dialog._role(1).findData("position"))
+    with pytest.raises(UnusableInputError, check=coded("import.thousands", path=str(path))):
+        run_import(dialog.plan(), Control(), trail)
+    dialog.decimal.setCurrentIndex(dialog.decimal.findData("point"))
+    assert run_import(dialog.plan(), Control(), trail).session.test().signals["force"][-1] == 2.95
+
+
 def test_the_window_exports_what_the_command_line_does(imported, tmp_path, trail, audit_file):
     assert main(["export", str(imported), "--out", str(tmp_path / "cli"), "--format", "csv", "--test", "2"]) == 0
     export = SessionExport([SelectedTest(imported, 2, "", "", "")], tmp_path, "csv", trail).run()

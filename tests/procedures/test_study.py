@@ -1,6 +1,9 @@
 """A folder of sessions becomes a table, statistics and a report; what cannot be used is stated and nothing is lost."""
 
+import csv
 import json
+import os
+import zipfile
 from dataclasses import replace
 
 import numpy as np
@@ -9,6 +12,7 @@ import pytest
 from coded import coded
 from reports.synthetic_sitting import make_session, make_test
 
+from tissueid.app.views.studies.study_data import load_study
 from tissueid.cli import main
 from tissueid.errors import CancelledError, UnusableInputError
 from tissueid.procedures.control import Control
@@ -21,7 +25,7 @@ from tissueid.reports.study import study_html
 from tissueid.reports.study_pdf import write_study_pdf
 from tissueid.sessions import Subject, write_session
 from tissueid.studies.study_statistics import study_statistics
-from tissueid.studies.study_table import parameters_of, read_subjects
+from tissueid.studies.study_table import parameters_of, read_subjects, study_table
 
 
 @pytest.fixture(autouse=True)
@@ -114,10 +118,113 @@ def test_what_has_not_changed_is_not_analysed_again(run, folder):
     pd.testing.assert_frame_equal(again.table, run.table)
 
 
-def test_a_damaged_result_is_computed_again(run, folder):
-    damaged = next((folder / RESULTS).glob("lms-*/*.json"))
-    damaged.write_text("{")
-    assert run_study(plan_of(folder), Control()).analysed == 1
+def test_damaged_results_are_computed_again(tmp_path):
+    folder = tmp_path / "s"
+    fill(folder, subjects=1)
+    run_study(plan_of(folder), Control())
+    stored = next((folder / RESULTS).glob("lms-*/*.json"))
+    whole = json.loads(stored.read_text())
+    row, curve = whole["rows"][0], whole["curves"][0]
+    damaged = [
+        *("", "{", "[]", "null", "5", "[" * 100_000, '{"rows":' + "[" * 100_000),
+        {"rows": 5},
+        {"rows": []},
+        {"rows": [5]},
+        {"rows": [{}]},
+        {"failed": 5},
+        {"failed": []},
+        *({"rows": [row | changed]} for changed in ({"created": 5}, {"site": []}, {"test": "one"}, {"mass_kg": [1.0]})),
+        *({"rows": [row | {"test": number}]} for number in (-1, 10**30, 1.5)),
+        *(
+            whole | {"curves": other}
+            for other in (5, [5], [[1]], [[1, []]], [[1, ["none", 0, 0, []]]], [["1", curve[1]]])
+        ),
+        *(whole | {"curves": [[1, [curve[1][0], 0, 0, other]]]} for other in ("text", [[1.0]], [1e300], [10**400], 5)),
+        *(whole | {"curves": [[1, [curve[1][0], 0, first, [1.0]]]]} for first in (-1, 10**6, 0.5, "0")),
+    ]
+    odd = ({"mass_kg": "heavy"}, {"mass_kg": 1e300}, {"vaf_percent": float("nan")}, {"gender": 5})
+    usable = [whole | {"rows": [item | values for item in whole["rows"]]} for values in odd]
+    for number in range(len(damaged) + len(usable) - 1):
+        (folder / f"{number}.h5").write_bytes((folder / "P0-arm.h5").read_bytes())
+    (folder / "P0-leg.h5").unlink()
+    known = run_study(plan_of(folder), Control())
+    for path, content in zip((folder / RESULTS).glob("lms-*/*.json"), damaged + usable, strict=True):
+        path.write_text(content if isinstance(content, str) else json.dumps(content))
+    run = report_study(StudyReportPlan(folder=folder, engine="lms", workers=1), Control()).run
+    assert run.analysed == len(damaged)
+    assert len(run.table) == len(known.table)
+    assert run.table["mass_kg"].max() < 1.0
+
+
+HOSTILE = (
+    ({}, {}),
+    ({"coupling": 3.0, "orientation_deg": "abc", "condition": 5.0, "minutes_since_application": "x"}, {"gender": "m"}),
+    ({}, {"age_years": "old", "status": "x", "mass_kg": "a", "mass_kg_sd": "b", "height_m": float("inf"), "x": "=1+1"}),
+    ({"orientation_deg": 1e308}, {"age_years": 30.0, "gender": 3.0, "height_m": 0.0, "weight_kg": 1e308, "x": -1.0}),
+)
+
+
+def test_any_notes_and_demographic_values_of_sessions_make_a_table(tmp_path):
+    for who, (notes, values) in enumerate(HOSTILE):
+        test = replace(make_test(1, seconds=0.5, seed=who), site="=HYPERLINK(1)", notes=notes)
+        made = replace(make_session(test), subject=Subject(f"P-{who}", values), session_id="@SUM(1)")
+        write_session(tmp_path / (f"-{who}.h5" if who else "\udce9.h5"), made)
+    plan = StudyReportPlan(folder=tmp_path, engine="lms", workers=1, pdf=tmp_path / "report.pdf")
+    run = report_study(plan, Control()).run
+    table = run.table.set_index("subject")
+    assert sorted(table["session"]) == ["-1.h5", "-2.h5", "-3.h5", "\\xe9.h5"]
+    assert (table["status"] == "completed").all()
+    assert (table["mass_kg"] > 0.0).all()
+    assert np.isfinite(table.select_dtypes("number").fillna(0.0)).all(axis=None)
+    assert table.loc["P-2", ["age_years", "height_m"]].isna().all()
+    assert list(table["gender"].dropna()) == ["m", "3.0"]
+    lines = (tmp_path / RESULTS / "table.csv").read_text(encoding="utf-8").splitlines()
+    cells = [cell for line in csv.reader(lines) for cell in line]
+    assert {"'=HYPERLINK(1)", "'@SUM(1)", "'-1.h5", "'=1+1", "-1.0"} <= set(cells)
+    assert {row.session for row in load_study(tmp_path).rows} == set(table["session"])
+    assert load_study(tmp_path).without_row == 0
+    assert run_study(plan_of(tmp_path), Control()).analysed == 0
+
+
+@pytest.mark.parametrize("column", ["status", "site", "mass_kg", "x_sd"])
+def test_a_file_of_subjects_does_not_replace_what_was_measured(run, column):
+    with pytest.raises(UnusableInputError, check=coded("study.subjects_taken", name=column)):
+        study_table(run.table.to_dict("records"), pd.DataFrame({"subject": ["P-0"], column: [1.0]}))
+
+
+@pytest.mark.parametrize(
+    "address",
+    [
+        *("zip:///FILE", "zip://::/FILE", "tar://::/FILE", "file:///FILE", "memory://nothing", "none://x", "://"),
+        *("reference://::/FILE", "dask://", "generic://", "jupyter://127.0.0.1:1/", "dir://x", "dbfs://x/y"),
+    ],
+)
+def test_addresses_that_cannot_be_read_are_one_line(tmp_path, capsys, address):
+    pytest.importorskip("fsspec")
+    (tmp_path / "file").write_bytes(b"rubbish")
+    address = address.replace("/FILE", str(tmp_path / "file"))
+    assert main(["study", "run", str(tmp_path / "study"), "--sessions", address, "--engine", "lms"]) == 2
+    (line,) = capsys.readouterr().err.splitlines()
+    assert line.startswith("tissueid: ")
+    assert not (tmp_path / "study").exists()
+
+
+def test_sessions_of_an_archive_are_read_and_a_member_that_unpacks_to_more_is_refused(tmp_path, folder, run):
+    pytest.importorskip("fsspec")
+    archive = tmp_path / "sessions.zip"
+    with zipfile.ZipFile(archive, "w", zipfile.ZIP_DEFLATED) as packed:
+        packed.write(folder / "P0-arm.h5", "sub/P0-arm.h5")
+        packed.writestr("text.h5", b"rubbish")
+        with packed.open("bomb.h5", "w") as member:
+            member.write((folder / "P0-arm.h5").read_bytes())
+            for _ in range(101):
+                member.write(bytes(1_000_000))
+    content = archive.read_bytes()
+    found = run_study(plan_of(tmp_path / "study", sessions=f"zip://::{archive}"), Control())
+    assert found.failures["bomb.h5"].startswith("has ")
+    assert found.failures["text.h5"] == "is not an HDF5 session"
+    assert set(found.table["session"]) == {"sub/P0-arm.h5"}
+    assert archive.read_bytes() == content
 
 
 def test_other_options_are_another_analysis(run, folder):
@@ -156,6 +263,59 @@ def test_the_report_has_the_statistics(run, folder):
     answer = json.loads(json.dumps(found.as_answer()))
     assert answer["subjects"] == SUBJECTS
     assert answer["statistics"]["variation"][0]["site"] == "arm"
+
+
+PARAMETER_KEYS = {"cv_individual", "cv_population", "icc", "minimal_detectable_change"}
+COMPARISON_KEYS = {"kind", "parameter", "groups", "estimate", "ci", "effect_size", "p", "p_corrected", "test", "n"}
+
+
+@pytest.mark.parametrize("command", ["run", "table", "report"])
+def test_the_json_of_a_study_has_the_keys_that_scripts_rely_on(folder, run, capsys, command):
+    assert main(["study", command, str(folder), "--engine", "lms", "--workers", "1", "--json", "-"]) == 0
+    answer = json.loads(capsys.readouterr().out)
+    assert (answer["tests"], answer["subjects"]) == (len(run.table), SUBJECTS)
+    found = study_statistics(run.table).tables
+    assert len(answer["parameters"]) > 3
+    for name, values in answer["parameters"].items():
+        assert set(values) == PARAMETER_KEYS
+        expected = found["variation"].set_index("parameter").loc[name, "individual_cv"].mean()
+        assert values["cv_individual"] == pytest.approx(expected)
+    assert 0.0 < answer["parameters"]["stiffness_n_per_m"]["icc"] <= 1.0
+    assert all(set(one) >= COMPARISON_KEYS for one in answer["comparisons"])
+    assert {one["kind"] for one in answer["comparisons"]} == {"first_test", "site", "group", "regression"}
+    (sites,) = (
+        one for one in answer["comparisons"] if (one["kind"], one["parameter"]) == ("site", "stiffness_n_per_m")
+    )
+    row = found["sites"].set_index("parameter").loc["stiffness_n_per_m"]
+    assert (sites["groups"], sites["test"], sites["n"]) == (["arm", "leg"], "mixed_model", SUBJECTS)
+    assert sites["ci"] == pytest.approx([row["low"], row["high"]])
+    assert sites["ci"][0] < sites["estimate"] < sites["ci"][1]
+    gender = [one for one in answer["comparisons"] if (one["kind"], one["factor"]) == ("group", "gender")]
+    assert all(one["groups"] == ["female", "male"] and 0.0 <= one["p"] <= one["p_corrected"] for one in gender)
+    assert len(answer["warnings"]) == len(answer["warning_messages"])
+    assert all(set(message) >= {"code", "values"} for message in answer["warning_messages"])
+
+
+def test_a_report_on_paper_of_a_study_without_a_parameter_that_counts(run, tmp_path):
+    few = study_statistics(run.table[run.table["subject"] == "P-0"].groupby("site").head(1))
+    write_study_pdf(tmp_path / "report.pdf", "few", "lms", replace(few, parameters=()), {})
+    assert (tmp_path / "report.pdf").read_bytes().startswith(b"%PDF")
+
+
+def test_a_subgroup_of_the_subjects_is_reported(folder, run, tmp_path):
+    plan = StudyReportPlan(folder=folder, engine="lms", workers=1, report=tmp_path / "a.html")
+    found = report_study(plan.model_copy(update={"only": ("gender=female", "age_years=20:22")}), Control())
+    assert set(found.run.table["subject"]) == {"P-1"}
+    assert found.statistics.as_answer()["subjects"] == 1
+    assert "age_years=20:22" in found.page.read_text(encoding="utf-8")
+    for condition, code in (
+        ("gender", "study.subgroup"),
+        ("shoe=38", "study.subgroup"),
+        ("gender=none", "study.empty_subgroup"),
+        ("age_years=90:99", "study.empty_subgroup"),
+    ):
+        with pytest.raises(UnusableInputError, check=coded(code)):
+            report_study(plan.model_copy(update={"only": (condition,)}), Control())
 
 
 def test_a_condition_is_compared_within_subjects(tmp_path):
@@ -199,7 +359,7 @@ def test_a_file_of_subjects_that_cannot_be_used(tmp_path, content, code):
 
 
 def test_folders_that_cannot_be_used(tmp_path):
-    with pytest.raises(UnusableInputError, check=coded("study.no_folder")):
+    with pytest.raises(UnusableInputError, check=coded("file.no_folder")):
         run_study(plan_of(tmp_path / "none"), Control())
     with pytest.raises(UnusableInputError, check=coded("study.no_sessions")):
         run_study(plan_of(tmp_path), Control())
@@ -331,6 +491,20 @@ def test_other_folders_are_no_population(tmp_path):
         with pytest.raises(UnusableInputError, check=coded("study.folder_used")):
             run_population(PopulationPlan(out=tmp_path), Control())
         assert [path.name for path in tmp_path.iterdir()] == ["population.json"]
+
+
+@pytest.mark.skipif(not hasattr(os, "mkfifo"), reason="needs pipes with names")
+def test_marks_of_an_earlier_run_that_never_end_are_not_read(tmp_path, capsys):
+    for command, name in (("study demo", "population.json"), ("demo", "results.json"), ("reproduce", "results.json")):
+        folder = tmp_path / command
+        folder.mkdir()
+        os.mkfifo(folder / name)
+        assert main([*command.split(), "--out", str(folder)]) == 2
+        assert len(capsys.readouterr().err.splitlines()) == 1
+        (folder / name).unlink()
+        (folder / name).write_text("[" * 100_000)
+        assert main([*command.split(), "--out", str(folder)]) == 2
+        assert len(capsys.readouterr().err.splitlines()) == 1
 
 
 def test_an_interrupted_series_leaves_no_session(tmp_path, monkeypatch):

@@ -2,6 +2,7 @@
 
 import io
 import json
+import zlib
 
 import pytest
 from coded import coded
@@ -188,14 +189,16 @@ def test_a_folder_without_a_protocol_says_how_to_get_one(tmp_path):
         read_protocol(tmp_path)
 
 
-@pytest.mark.parametrize("text", ["John Smith", "a@b.org", "", "..", "../P1", "P" * 41, "Jürgen", "P1.", "Results"])
+@pytest.mark.parametrize(
+    "text", ["John Smith", "a@b.org", "", "..", "../P1", "P" * 41, "Jürgen", "P1.", "Results", "Hans.Mueller"]
+)
 def test_a_name_is_no_pseudonym(text):
     with pytest.raises(UnusableInputError, check=coded("protocol.pseudonym")):
         check_pseudonym(text)
 
 
 def test_pseudonyms():
-    assert [check_pseudonym(text) for text in ("P01", " P-001 ", "a_1.b")] == ["P01", "P-001", "a_1.b"]
+    assert [check_pseudonym(text) for text in ("P01", " P-001 ", "a_1.b", "P 1")] == ["P01", "P-001", "a_1.b", "P 1"]
 
 
 # -- demographic values and photographs ---------------------------------------------------------------------------
@@ -277,6 +280,42 @@ def test_what_is_no_photograph_is_refused(tmp_path, data):
     with pytest.raises(UnusableInputError, check=coded("photograph.kind")):
         add_photograph(tmp_path / "s", "P01", "arm", tmp_path / "a.jpg")
     assert not (tmp_path / "s").exists()
+
+
+def with_density(numbers):
+    """Return a PNG picture whose physical size has other bytes, and a checksum that is right."""
+    png = picture("PNG", dpi=(72, 72))
+    at = png.index(b"pHYs")
+    length = int.from_bytes(png[at - 4 : at], "big")
+    chunk = b"pHYs" + numbers
+    size = len(numbers).to_bytes(4, "big")
+    return png[: at - 4] + size + chunk + zlib.crc32(chunk).to_bytes(4, "big") + png[at + length + 8 :]
+
+
+def with_resolution_as_bytes():
+    """Return a JPEG picture whose description has a resolution of the wrong type."""
+    described = Image.Exif()
+    described[0x0112], described[0x011A] = 6, 72.5
+    return picture("JPEG", exif=described).replace(b"\x01\x1a\x00\x05", b"\x01\x1a\x00\x01")
+
+
+@pytest.mark.parametrize("data", [with_density(b""), with_density(bytes(3)), with_resolution_as_bytes()])
+def test_a_photograph_with_damaged_descriptions_is_refused(tmp_path, data):
+    (tmp_path / "a.jpg").write_bytes(data)
+    with pytest.raises(UnusableInputError, check=coded("photograph.kind")):
+        add_photograph(tmp_path / "s", "P01", "arm", tmp_path / "a.jpg")
+    assert not (tmp_path / "s").exists()
+
+
+def test_a_photograph_with_too_many_pixels_is_made_smaller_or_refused(tmp_path, monkeypatch):
+    monkeypatch.setattr("tissueid.procedures.study_subjects._MOST_PIXELS", 20)
+    (tmp_path / "a.jpg").write_bytes(picture("JPEG"))
+    with Image.open(add_photograph(tmp_path / "s", "P01", "arm", tmp_path / "a.jpg")) as smaller:
+        assert smaller.size == (4, 2)
+    for kind, options in (("PNG", {}), ("JPEG", {"progressive": True})):
+        (tmp_path / "a.jpg").write_bytes(picture(kind, **options))
+        with pytest.raises(UnusableInputError, check=coded("photograph.kind")):
+            add_photograph(tmp_path / "s", "P01", "arm", tmp_path / "a.jpg")
 
 
 # -- a whole sitting ----------------------------------------------------------------------------------------------

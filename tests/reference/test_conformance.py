@@ -25,7 +25,9 @@ QUICK = [identity for identity in CLAUSES if identity not in ("5.7a",)]
 @pytest.mark.parametrize("plant", ["free", "dummy"])
 def test_the_reference_firmware_conforms(program, plant):
     results = run_on(ReferenceLine(program, "--plant", plant, "--stage", "0.05"))
-    assert {item.id: (item.outcome, item.reason) for item in results.values() if item.outcome != "passed"} == {}
+    beyond_a_dummy = {"5.4f"} if plant == "dummy" else set()  # its potentiometer stays where it is
+    assert {item.id for item in results.values() if item.outcome == "not tested"} == beyond_a_dummy
+    assert {item.id: item.reason for item in results.values() if item.outcome == "failed"} == {}
     assert results.keys() == CLAUSES.keys()
 
 

@@ -4,6 +4,7 @@ import struct
 import subprocess
 import sys
 
+import numpy as np
 import pytest
 from reference.lines import ReferenceLine
 
@@ -75,6 +76,32 @@ def test_the_process_serves_a_port(program, port):
             device = DeviceUnderTest(LinkLine(link), Confirmed("free-coil", 1.0, 60.0))
             results = run_suite(device, ["2a", "2f", "4.3b", "5.3a"])
             assert [item.outcome for item in results] == ["passed"] * 4
+            link.close()
+        finally:
+            process.terminate()
+
+
+@pytest.mark.skipif(sys.platform == "win32", reason="needs POSIX")
+def test_heartbeats_of_a_connection_without_hello_do_not_keep_the_coil_armed(program):
+    with subprocess.Popen([program, "--tcp", "0", "--plant", "free"], stdout=subprocess.PIPE, text=True) as process:
+        try:
+            url = process.stdout.readline().strip()
+            link = SerialLink(url)
+            first = DeviceUnderTest(LinkLine(link), Confirmed("free-coil", 1.0, 60.0))
+            first.prepare()
+            first.load(np.zeros(10, "<i2"))
+            first.arm()
+            link.close()
+            first.line.pause(0.05)  # until the device has noticed
+            link = SerialLink(url)
+            second = DeviceUnderTest(LinkLine(link), Confirmed("free-coil", 1.0, 60.0))
+            for _ in range(6):
+                second.send(MessageType.HEARTBEAT)
+                second.pump(0.1)
+            assert second.require_state(State.FAULT)["faults"] == Fault.WATCHDOG
+            second.expect(Result.BAD_STATE, MessageType.CLEAR_FAULTS)
+            second.prepare()
+            second.require_state(State.IDLE)
             link.close()
         finally:
             process.terminate()

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import pytest
 from reports import in_german as language
 from reports.page_check import checked
@@ -50,3 +52,12 @@ def test_the_page_has_every_figure_and_table(found: Overlay) -> None:
 def test_the_page_says_nothing_in_english(found: Overlay) -> None:
     texts = language.in_german(lambda: language.shown(overlay_report(found).html()))
     assert language.english_in(texts, ("aa", "bb", "lms", "wiener", "volterra", "depth", "memory")) == []
+
+
+def test_six_fits_by_depth_are_drawn_in_blocks_of_equal_width(found: Overlay) -> None:
+    entries = [replace(one, source=name) for one in found.entries if one.fit.label == "depth" for name in "abc"]
+    drawn = overlay_report(replace(found, entries=tuple(entries)), keys=("partitions", "bode-by-depth"))
+    for made in drawn.pictures:
+        assert made.figure is not None
+        panels = [axes for axes in made.figure.axes if axes.get_label() != "<colorbar>"]
+        assert min(axes.get_position().width for axes in panels) > 0.15  # a warning of the layout is an error here

@@ -137,7 +137,7 @@ def test_a_column_of_text_that_is_not_asked_for(tmp_path):
     path = written(tmp_path, "when,force,position\n2026-01-01 10:00:00,1.5,2\n2026-01-01 10:00:01,2.5,3\n")
     found = imported(path, *MAP, rate_hz=10.0)
     np.testing.assert_array_equal(found.test.signals["force"], [1.5, 2.5])
-    with pytest.raises(UnusableInputError, check=coded("import.not_a_number", line=2, column=1)):
+    with pytest.raises(UnusableInputError, check=coded("import.contradiction", column="when", stated="s", used="N")):
         imported(path, "force=when:N", "position=position:m", rate_hz=10.0)
 
 
@@ -250,11 +250,15 @@ def test_one_column_for_two_signals(tmp_path):
             (1000, 1),
             {"role": "force", "low": -3000.0, "high": 2500.0, "others": "mN, gf"},
         ),
-        (["force=force:mN", "position=position:mm"], (1, 1), {"role": "force", "unit": "mN", "others": "N, gf, kgf"}),
+        (
+            ["force=force:mN", "position=position:mm"],
+            (1, 1),
+            {"role": "force", "unit": "mN", "others": "N, gf, kgf, lbf"},
+        ),
         (
             ["force=force:N", "position=position:m"],
             (1, 1),
-            {"role": "position", "low": 0.1, "others": "cm, mm"},
+            {"role": "position", "low": 0.1, "others": "cm, mm, mil"},
         ),
         (
             ["force=force:N", "position=position:um"],
@@ -281,9 +285,12 @@ def test_honest_sizes_are_not_doubted(tmp_path):
     assert says(notice, "import.time_found", column="time", unit="s")
 
 
-def test_a_unit_that_contradicts_the_header_is_told(tmp_path):
+def test_a_unit_that_contradicts_the_header_is_refused_unless_it_is_insisted_on(tmp_path):
     path = written(tmp_path, "t_s,force_mN,position_mm\n0,1,1\n0.01,9,4\n")
-    found = imported(path, "force=force:N", "position=position:mm")
+    with pytest.raises(UnusableInputError, check=coded("import.contradiction", stated="mN", used="N")):
+        imported(path, "force=force:N", "position=position:mm")
+    found = imported(path, "force=force:N!", "position=position:mm")
+    assert list(found.test.signals["force"]) == [1.0, 9.0]
     notice = next(notice for notice in found.notices if code_of(notice) == "import.other_unit")
     assert says(notice, "import.other_unit", role="force", stated="mN", used="N")
 

@@ -39,7 +39,7 @@ def test_every_test_that_does_not_count_is_listed_with_its_reason():
         "study.reason.configuration",
     ]
     assert len(found.used) + len(found.left_out) == len(table)
-    assert codes(found) == {"study.tests_dropped", "study.configurations"}
+    assert codes(found) == {"study.tests_dropped", "study.not_comparable"}
     answer = study_statistics(table).as_answer()
     assert "reference_moved" in answer["left_out"][0]["reason"]
 
@@ -166,8 +166,8 @@ def test_remarks_show_labels_and_keep_the_columns():
     assert "no value of 'Stiffness'" in by_code["study.no_value"]
     assert by_code["study.no_value"].values["name"] == "stiffness_n_per_m"
     answer = found.as_answer()
-    assert answer["remark_messages"][0]["code"] in by_code
-    assert len(answer["remark_messages"]) == len(answer["remarks"])
+    assert answer["warning_messages"][0]["code"] in by_code
+    assert len(answer["warning_messages"]) == len(answer["warnings"])
 
 
 def test_only_tests_that_count_are_numbered():

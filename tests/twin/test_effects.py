@@ -251,3 +251,31 @@ def test_records_of_a_motion_that_diverges_give_no_warning(one):
         for start in one.starts[:2]:
             found = simulation.recorded(Readings(time, signal, signal, signal, RATE), at(one, start))
             assert found.position.shape == time.shape
+
+
+@pytest.mark.parametrize("values", [{"name": 5}, {"name": "\x1b[31m"}, {"title": None}, {"parameters": ("x",)}])
+def test_a_declaration_of_other_content_is_refused(values):
+    with pytest.raises(ValueError, match="effect "):
+        replace(effect("dry_friction"), **values)
+
+
+def test_effects_of_plugins_that_cannot_be_used_are_left_out(monkeypatch):
+    class Plugin:
+        value = "elsewhere:X"
+
+        def __init__(self, name, loaded):
+            self.name, self.loaded = name, loaded
+
+        def load(self):
+            if isinstance(self.loaded, BaseException):
+                raise self.loaded
+            return self.loaded
+
+    new = replace(effect("dry_friction"), name="new_friction")
+    contents = {"good": new, "twice": new, "number": 5, "ours": effect("sensor_lag"), "exits": SystemExit(3)}
+    installed = [Plugin(name, loaded) for name, loaded in contents.items()]
+    monkeypatch.setattr("tissueid.plugins.entry_points", lambda group: installed)
+    with pytest.warns(UserWarning, match="was left out") as seen:
+        found = all_effects.__wrapped__()
+    assert set(found) - set(all_effects()) == {"new_friction"}
+    assert len(seen) == len(contents) - 1

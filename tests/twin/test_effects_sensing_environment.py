@@ -356,11 +356,13 @@ def test_moving_surface_is_that_of_its_equation():
     parameters = np.array([values[name] for name in names])
     numbers, state, step = np.zeros(bus.MOST_STATES), np.zeros(bus.MOST_STATES), 1e-4
     for k in range(41001):
-        numbers[bus.TIME], numbers[bus.SURFACE_POSITION] = k * step, SURFACE
+        numbers[bus.TIME], numbers[bus.SURFACE_POSITION], numbers[bus.SURFACE_VELOCITY] = k * step, SURFACE, 0.0
         one.hook(bus.SURFACE, numbers, parameters, state, step)
         if k in (0, 3700, 41000):
             expected = SURFACE + moved_surface(values, (k + 0.5) * step)
             assert numbers[bus.SURFACE_POSITION] == pytest.approx(expected, rel=1e-10)
+            near = [moved_surface(values, (k + share) * step) for share in (0.49, 0.51)]
+            assert numbers[bus.SURFACE_VELOCITY] == pytest.approx((near[1] - near[0]) / (0.02 * step), rel=1e-6)
 
 
 def moved_surface(values, time):

@@ -168,6 +168,7 @@ void firmware_take(struct firmware *firmware)
         .temperature_c = physical(firmware, &sample, TEMPERATURE),
         .current_code = sample.code[CURRENT],
         .position_code = sample.code[POSITION],
+        .temperature_code = sample.code[TEMPERATURE],
         .button = board_button(),
     };
     uint16_t flags = firmware->pending ? firmware->pending_flags : 0u;
@@ -274,6 +275,11 @@ void firmware_send(struct firmware *firmware, uint8_t type, const uint8_t *paylo
     const uint64_t index = firmware->sample_index;
     board_unlock();
     put(firmware, type, index, payload, size);
+}
+
+void firmware_connected(struct firmware *firmware)
+{
+    firmware->greeted = false;
 }
 
 void firmware_receive(struct firmware *firmware, const uint8_t *bytes, size_t count)

@@ -41,7 +41,7 @@ struct firmware {
     enum state state;
     uint16_t faults;
     bool streaming;
-    bool greeted; /* a host with a common protocol version is connected */
+    bool greeted; /* the host of this connection has a common protocol version */
     bool armed;   /* the limits of a run are agreed */
     bool has_token;
     uint32_t token;
@@ -86,6 +86,10 @@ void firmware_interrupt(struct firmware *firmware);
 
 /* Main loop: process received bytes, and send what waits. */
 void firmware_poll(struct firmware *firmware);
+
+/* A new connection, on a line that has connections (USB CDC: DTR rises; TCP): its host has to send HELLO first. A UART
+ * has none. Called from the main loop. */
+void firmware_connected(struct firmware *firmware);
 
 /* Parts of the above, for a board that calls them one by one. */
 void firmware_watch(struct firmware *firmware);

@@ -46,7 +46,7 @@ double guard_lowered(const struct guard *guard, double volts, const struct limit
 uint16_t guard_judge(struct guard *guard, const struct readings *readings, const struct limits *limits,
                      uint32_t first)
 {
-    if (readings->position_m >= limits->min_position_m || first >= guard->lift_samples) {
+    if (limits_off_near_end(limits, readings) || first >= guard->lift_samples) {
         guard->lifted = true;
     }
     uint16_t fault = plausibility_check(&guard->plausibility, readings);

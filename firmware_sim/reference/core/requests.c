@@ -358,9 +358,11 @@ static void greet(struct firmware *firmware, const struct frame *frame)
 void requests_handle(struct firmware *firmware, const struct frame *frame)
 {
     if (frame->type == HEARTBEAT) {
-        board_lock();
-        firmware->last_heartbeat_us = board_clock_us();
-        board_unlock();
+        if (firmware->greeted) {
+            board_lock();
+            firmware->last_heartbeat_us = board_clock_us();
+            board_unlock();
+        }
     } else if (frame->type == STATUS_REQUEST) {
         board_lock();
         firmware_status(firmware);

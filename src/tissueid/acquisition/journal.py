@@ -20,7 +20,7 @@ from tissueid.acquisition.journal_entries import MAGIC, Damage, Entry, encode_en
 from tissueid.atomic_write import create_private, sync_folder, write_all
 from tissueid.errors import TissueIDError
 from tissueid.messages import Action, Message
-from tissueid.sessions.hdf5_members import RECOVER_PLACE, journal_path
+from tissueid.sessions.file_policy import RECOVER_PLACE, journal_path
 
 __all__ = [
     "MAGIC",

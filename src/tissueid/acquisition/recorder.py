@@ -29,9 +29,17 @@ from tissueid.acquisition.journal import (
 )
 from tissueid.acquisition.quality import QualityGate
 from tissueid.acquisition.recovery import write_journal_session
+from tissueid.atomic_write import check_creatable
 from tissueid.audit import AuditTrail
 from tissueid.device import DeviceDescription
-from tissueid.errors import CancelledError, FirmwareFaultError, SessionExistsError, SessionFormatError
+from tissueid.errors import (
+    CancelledError,
+    FirmwareFaultError,
+    SessionExistsError,
+    SessionFormatError,
+    TissueIDError,
+    UnattendedError,
+)
 from tissueid.instrument import CLINICAL, SAMPLE, SIGNALS, Limits, Run
 from tissueid.language import marked
 from tissueid.messages import Action, Message, codes_in
@@ -101,6 +109,7 @@ class SessionRecorder:
         self.trail = trail
         self.tests_begun = 0
         self.samples_appended = 0
+        self._ends_logged = False
         self.gate = QualityGate(device)
         """Quality gate of this sitting."""
         self._sample_rate_hz = device.sample_rate_hz
@@ -112,6 +121,7 @@ class SessionRecorder:
         self._run_samples = 0
         self._turn = threading.Lock()
         self._check_disk_space(0)
+        self._explain_disk_failure(lambda: check_creatable(path))
         waiting = round(MAX_UNWRITTEN_S * device.sample_rate_hz * SAMPLE.itemsize)
         self._journal = Journal(journal_path(path), sync_s=sync_s, max_waiting=waiting)
         who = subject or Subject()
@@ -303,7 +313,9 @@ class SessionRecorder:
             JournalError: see ``write``.
         """
         if self.trail is not None and cause is not None:
-            self.trail.note("session.broken_off", subject=self.session_id, new=self._without_names(str(cause)))
+            if not self._ends_logged:
+                self._log_end(self.tests_begun + 1, _end_name("aborted", cause), 0, _reason(cause))
+            self.trail.note("session.broken_off", subject=self.session_id, new=_without_names(str(cause), self.path))
         if self.samples_appended:
             return self.finish()
         self._discard()
@@ -386,17 +398,14 @@ class SessionRecorder:
         return f"{self.session_id} test {number}"
 
     def _log_end(self, number: int, what: str, samples: int, reason: str) -> None:
+        self._ends_logged = True
         if self.trail is not None:
             new: dict[str, str | int | list[str]] = {"samples": samples}
             if reason:
-                new["reason"] = self._without_names(reason)
+                new["reason"] = _without_names(reason, self.path)
             if codes := codes_in(reason):
                 new["codes"] = sorted(codes)
             self.trail.note(what, subject=self._test(number), new=new)
-
-    def _without_names(self, words: str) -> str:
-        """Return a text for the audit log without file names, which may contain names of people."""
-        return words.replace(str(self.path), "the session").replace(str(self.path.parent), "its folder")
 
 
 def _duplicated(entry: bytes) -> bytes:
@@ -415,10 +424,29 @@ def _audit_values(device: DeviceDescription, subject: Subject) -> dict[str, str 
     } | active
 
 
+def log_no_recording(trail: AuditTrail, path: Path, subject: Subject, site: str, cause: BaseException) -> None:
+    """Log the end of a test whose recording had not begun. Never raises and never waits.
+
+    ``path`` is the session file that was planned.
+    """
+    reason = _reason(cause)
+    new = {"site": site, "pseudonym": subject.pseudonym, "samples": 0, "reason": _without_names(reason, path)}
+    trail.note(_end_name("aborted", cause), new=new | {"codes": sorted(codes_in(reason))})
+
+
+def _reason(cause: BaseException) -> str:
+    return cause.message if isinstance(cause, TissueIDError) else str(cause) or type(cause).__name__
+
+
+def _without_names(words: str, path: Path) -> str:
+    """Return a text for the audit log without file names, which may contain names of people."""
+    return words.replace(str(path), "the session").replace(str(path.parent), "its folder")
+
+
 def _end_name(status: str, cause: BaseException | None) -> str:
     """Return the name of the end of a test in the audit log."""
     if isinstance(cause, FirmwareFaultError):
         return "test.fault"
-    if isinstance(cause, CancelledError | KeyboardInterrupt):
+    if isinstance(cause, CancelledError | KeyboardInterrupt) and not isinstance(cause, UnattendedError):
         return "test.stopped"
     return f"test.{status}"

@@ -240,6 +240,8 @@ def _of_text(path: Path, data: bytes) -> _Columns:
         names = [cell.strip().lower() for cell in head]
         if len(names) == 3 and names[0] == "time_s" and names[1] in _UNITS:
             unit, most = _UNITS[names[1]], 3  # written by tissueid stimulus --csv; the third column is the command
+        else:
+            _check_units(path, head)
         lines = lines[1:]
     _check_count(path, len(lines))
     table = np.empty((len(lines), 2))
@@ -273,6 +275,30 @@ def _of_text(path: Path, data: bytes) -> _Columns:
     if width == 1:
         return _Columns(table[:, 0].copy(), None, unit)
     return _Columns(table[:, 1].copy(), table[:, 0].copy(), unit)
+
+
+def _check_units(path: Path, head: list[str]) -> None:
+    """Check that a header states no other units than s and N.
+
+    Raises:
+        UnusableInputError: it does; values in mN would be played in N.
+    """
+    from tissueid.sessions.imports.imported_table import Column  # takes long to import
+    from tissueid.sessions.imports.stated_units import unit_of
+
+    for place, cell in enumerate(head):
+        is_time = place == 0 and len(head) > 1
+        roles = (("time", "s"),) if is_time else (("force", "N"), ("voltage", "V"))
+        stated = next((text for role in roles if (text := Column.headed(cell).unit_for(*role))), "")
+        known = unit_of(stated, roles[0][1])
+        if stated and (known is None or (known.si, known.scale) != (roles[0][1], 1.0)):
+            raise UnusableInputError(
+                "waveform.unit",
+                "{path}: column '{column}' is in {unit}; times of a waveform are in s and values in N: convert them",
+                path=str(path),
+                column=Verbatim(cell.strip()[:_LONGEST_SHOWN]),
+                unit=Verbatim(stated[:_LONGEST_SHOWN]),
+            )
 
 
 def _delimiter(text: str) -> str:

@@ -130,6 +130,11 @@ def compare(
             refused[engine.name] = outcome
     if not done:
         raise UnusableInputError(_no_engine_message(refused))
+    if not parts.scorable:
+        raise UnusableInputError(
+            "compare.nothing_to_predict",
+            "the held-out output does not vary above its noise: hold out another test, or a part that varies",
+        )
     rows = dict(zip(done, scored(list(done.values()), parts), strict=True))
     specified = {engine.name: engine for engine in engines}
     contenders = candidates(list(rows.values()), [specified[name].family for name in rows], parts)

@@ -24,7 +24,7 @@ _OUT_OF_REACH = 0.001
 """Significance level of a lead on the last quarter beyond which the trailing engine is not fitted to other quarters."""
 
 
-_STEP = marked("holding out every quarter")
+_STEP = marked("fitting again with each quarter held out")
 
 
 def cross_validated(
@@ -34,7 +34,8 @@ def cross_validated(
 
     ``engines`` holds the specifications by name. Each engine is refitted without each of the other quarters. Engines
     far behind on the last quarter are not refitted, and none is when another test is held out. The mean error of each
-    quarter is removed, as a constant offset does not count in Eq. 3.13.
+    quarter is removed, as a constant offset does not count in Eq. 3.13, and the mean output too: no model is credited
+    with the differences between quarters.
     """
     others = parts.other_quarters
     if not others:
@@ -46,7 +47,16 @@ def cross_validated(
             progress(_STEP, (done + number / len(others)) / len(names))
             _add(engines[name], quarter, candidates, errors)
     progress(_STEP, 1.0)
-    return [replace(c, error=e) for c, e in zip(candidates, errors, strict=True)], joined(parts.records)
+    quarters = [quarter.unseen.output for quarter in (*others, parts)]
+    centred = [_centred_output(error, quarters) for error in errors]
+    found = [replace(c, error=e, measured=y) for c, e, y in zip(candidates, errors, centred, strict=True)]
+    return found, joined(parts.records)
+
+
+def _centred_output(error: Array, quarters: Sequence[Array]) -> Array:
+    """Return the output (n,) without its mean in each quarter, over the samples where the error (n,) is known."""
+    known = [np.where(np.isfinite(error), quarter, np.nan) for quarter in quarters]
+    return np.asarray(np.nansum([_without_mean(quarter) for quarter in known], axis=0), dtype=np.float64)
 
 
 def _is_far_behind(candidate: Candidate, candidates: Sequence[Candidate], unseen: Record) -> bool:

@@ -157,8 +157,10 @@ def engines_of(test: Test) -> tuple[str, ...]:
     """Return the names of the engines of the standard report of a test.
 
     They are the usual ones for a test without a record, such as one that was stopped in its preload: each of them then
-    gives the reason.
+    gives the reason. Of a ramp or a hold, the report has stiffness and relaxation.
     """
+    if test.kind in ("slow_ramp", "step_hold"):
+        return ("viscoelastic",)
     try:
         record = test.record()
     except UnusableInputError:
@@ -177,6 +179,7 @@ def fit_split(specification: Engine, parts: Split) -> Analysis:
     model = _with_test_values(model, specification, known, parts.weight_n)
     with _engine_errors(specification):
         model = validated(model, parts.held_out_record, parts.held_out).with_report(seconds=seconds)
+    model = model if parts.scorable else model.without_validation()
     model = _without_spring(model, parts.external_spring_n_per_m)
     return Analysis(
         model if parts.actuator is None else _with_tissue_alone(model, parts.actuator),
@@ -224,8 +227,10 @@ def _with_test_values(model: Model, given: Engine, used: Engine, weight_n: float
     A load C3 that differs significantly from the weight of the moving part becomes a finding.
     """
     report, options = model.report, given.options()
-    taken = {f"known_{name}": v for name, v in used.options().items() if isinstance(v, float) and options[name] is None}
-    model = replace(model, report=replace(report, options=options, details=report.details | taken))
+    changed = {name: value for name, value in used.options().items() if value != options[name]}
+    taken = {f"known_{name}": v for name, v in changed.items() if isinstance(v, float) and options[name] is None}
+    as_given = report.options | {name: options[name] for name in changed}
+    model = replace(model, report=replace(report, options=as_given, details=report.details | taken))
     load = report.parameters.get("c3_n")
     if weight_n is None or load is None or load.std is None or abs(load.value - weight_n) <= _DIFFERS * load.std:
         return model
@@ -271,12 +276,13 @@ def _without_spring(model: Model, spring_n_per_m: float) -> Model:
         return model
     line = Message(
         "analysis.spring_subtracted",
-        "The external spring of {spring:g} N/m is subtracted from the stiffness; natural frequency, damping ratio, "
-        "curves and figures of the response are those of tissue and spring together.",
+        "The external spring of {spring:g} N/m is subtracted from the stiffness of tables and profiles; natural "
+        "frequency, damping ratio, curves, figures of the response and the findings below are those of tissue and "
+        "spring together.",
         spring=spring_n_per_m,
     )
     parameters = without_spring(report.parameters, spring_n_per_m)
-    return replace(model, report=replace(report, parameters=parameters, findings=(*report.findings, line)))
+    return replace(model, report=replace(report, parameters=parameters, findings=(line, *report.findings)))
 
 
 def timed_fit(specification: Engine, record: Record, fit_part: slice | None) -> tuple[Model, float]:

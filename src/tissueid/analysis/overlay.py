@@ -296,12 +296,19 @@ def quantity_label(name: str) -> tuple[str, str]:
 def repeated_values(found: Overlay) -> tuple[RepeatedValue, ...]:
     """Return mean and standard deviation of every score and parameter over the tests of each source label.
 
-    Chen 2010, Table 3.1. A parameter of a fit that predicts nothing is left out.
+    Chen 2010, Table 3.1. A parameter of a fit that predicts nothing is left out. Fits with different models of one
+    engine, whose parameters are not comparable, are not averaged together.
     """
     columns: dict[tuple[str, str, str], list[float]] = {}
+    models: dict[tuple[str, str], set[str]] = {}
     for entry in found.entries:
+        models.setdefault((entry.source, entry.fit.label), set()).add(entry.analysis.model.report.model)
+    for entry in found.entries:
+        several = len(models[entry.source, entry.fit.label]) > 1
+        model = entry.analysis.model.report.model if several else ""
+        label = f"{entry.fit.label} ({model})" if model else entry.fit.label
         for quantity, value in quantities(entry).items():
-            columns.setdefault((entry.source, entry.fit.label, quantity), []).append(value.value)
+            columns.setdefault((entry.source, label, quantity), []).append(value.value)
     made = []
     for (source, fit, quantity), values in columns.items():
         known = np.array([value for value in values if np.isfinite(value)])

@@ -97,6 +97,7 @@ def scored(analyses: Sequence[Analysis], parts: Split) -> list[Scored]:
             aic=aic(residual, parameters),
             aicc=aicc(residual, parameters),
         )
+        model = model if parts.scorable else model.without_validation()
         own_samples = fitted_own[k] or held_out_own[k]
         found.append(Scored(replace(analysis, model=model), parameters, int(fitted[k].sum()), own_samples, error))
     return found

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from itertools import pairwise
 
 import numpy as np
 
@@ -13,12 +14,17 @@ from tissueid.device import GRAVITY_M_S2, DeviceDescription
 from tissueid.errors import UnusableInputError
 from tissueid.identification.depth_levels import localized_levels
 from tissueid.identification.preparation import band_filtered, detrended
+from tissueid.identification.validation.scores import above_noise
 from tissueid.language import marked
 from tissueid.messages import Listing, Message
 from tissueid.records import Record, joined
 from tissueid.sessions import Session, Test
 
 QUARTERS = 4
+_STRETCHES = 16
+"""Stretches of a ramp or a hold, of each of which a quarter is held out."""
+_LEAST_VARIANCE = 0.05
+"""Least variance of a held-out quarter relative to that of the record: with less, every stretch has a held-out part."""
 FIT_SHARE = 1.0 - 1.0 / QUARTERS
 """Share of each test that is fitted, from its start; the rest is held out unless another test is."""
 
@@ -77,6 +83,11 @@ class Split:
         output = np.full(len(self.held_out_record), np.nan)
         output[self.held_out] = self.held_out_record.output[self.held_out]
         return replace(self.held_out_record, output=output)
+
+    @property
+    def scorable(self) -> bool:
+        """Whether the held-out output varies above its noise: a score relative to noise alone says nothing."""
+        return above_noise(self.unseen.output, self.fitted.output)
 
     @property
     def other_quarters(self) -> tuple[Split, ...]:
@@ -228,11 +239,12 @@ def split_records(records: Sequence[Record], tests: tuple[int, ...] = (1,)) -> S
     """Hold out the last quarter of every record; ``tests`` are the numbers of their tests.
 
     Of a localized test, it is the last quarter at every level, as the last quarter of the test lacks the other levels.
+    Of a ramp and hold, it is the last quarter of each of several stretches, as the hold alone does not vary.
 
     Raises:
         UnusableInputError: there is no record, or they differ in sample rate, signals or units.
     """
-    if len(records) != 1 or localized_levels(records[0]):
+    if len(records) != 1 or len(_stretches(records[0])) > 1:
         return _hold_out(records, QUARTERS - 1, tests)
     record, cut = records[0], round(FIT_SHARE * len(records[0]))
     whole = tuple(records)
@@ -243,37 +255,60 @@ def _hold_out(records: Sequence[Record], quarter: int, tests: tuple[int, ...]) -
     """Hold out the quarter ``quarter`` (0 to 3) of every record, and join the rest."""
     kept: list[Record] = []
     unseen: list[Record] = []
-    by_level = False
+    parts = 1
     for record in records:
         hidden = np.zeros(len(record), dtype=np.bool_)
-        levels = localized_levels(record)
-        stretches = [(one.first, one.end) for one in levels] or [(0, len(record))]
-        quarters = tuple(
-            (
-                begin + round(quarter * (stop - begin) / QUARTERS),
-                begin + round((quarter + 1) * (stop - begin) / QUARTERS),
-            )
-            for begin, stop in stretches
-        )
+        stretches = _stretches(record)
+        quarters = tuple(_quarter_within(one, quarter) for one in stretches)
         for first, end in quarters:
             hidden[first:end] = True
-        if levels:  # stays in one piece: the engines see by which steps its levels were reached
+        if len(stretches) > 1:  # stays in one piece: the engines see by which steps its levels were reached
             kept.append(replace(record, output=np.where(hidden, np.nan, record.output), withheld=quarters))
-            by_level = True
+            parts = max(parts, len(stretches))
         else:
             first, end = quarters[0]
             kept += [record[part] for part in (slice(0, first), slice(end, len(record))) if part.start < part.stop]
         unseen.append(replace(record, output=np.where(hidden, record.output, np.nan)))
     fitted, held_out = joined(kept), joined(unseen)
     whole = slice(0, len(fitted)), slice(0, len(held_out))
-    said = _quarter_of(tests, quarter, by_level=by_level)
+    said = _quarter_of(tests, quarter, parts)
     return Split(fitted, whole[0], held_out, whole[1], tests, said, tuple(records))
 
 
-def _quarter_of(tests: Sequence[int], quarter: int = QUARTERS - 1, *, by_level: bool = False) -> str:
+def _stretches(record: Record) -> list[tuple[int, int]]:
+    """Return first sample and end of the stretches of a record of each of which a quarter is held out.
+
+    They are the levels of a localized test, and equal parts of a record whose quarters vary little, such as a ramp and
+    hold; else the whole record.
+    """
+    whole = [(0, len(record))]
+    stretches = [(one.first, one.end) for one in localized_levels(record)] or whole
+    held_out = np.concatenate([record.output[slice(*_quarter_within(one, QUARTERS - 1))] for one in stretches])
+    if np.isfinite(held_out).any() and np.nanvar(held_out) < _LEAST_VARIANCE * np.nanvar(record.output):
+        edges = np.linspace(0, len(record), _STRETCHES + 1).round().astype(int).tolist()
+        return list(pairwise(edges))
+    return stretches
+
+
+def _quarter_within(stretch: tuple[int, int], quarter: int) -> tuple[int, int]:
+    begin, stop = stretch
+    step = (stop - begin) / QUARTERS
+    return begin + round(quarter * step), begin + round((quarter + 1) * step)
+
+
+def _quarter_of(tests: Sequence[int], quarter: int = QUARTERS - 1, parts: int = 1) -> str:
     percent = 100.0 / QUARTERS
     which = (marked("first"), marked("second"), marked("third"), marked("last"))[quarter]
-    if by_level and len(tests) == 1:
+    if parts == _STRETCHES and len(tests) == 1:
+        return Message(
+            "split.part_of_stretches",
+            "the {which} {percent:.0f} % of each of {parts} parts of test {number}",
+            which=which,
+            percent=percent,
+            parts=parts,
+            number=tests[0],
+        )
+    if parts > 1 and len(tests) == 1:
         return Message(
             "split.part_of_levels",
             "the {which} {percent:.0f} % at each level of test {number}",

@@ -42,13 +42,21 @@ def declare(ui: Layout, panels: Panels, pages: Pages, window: QWidget) -> tuple[
     """Return the actions of the window as it is now, with those of the pages that have been made."""
     own = [Action(ui.stop.accessibleName(), ui.stop.click, why_not=partial(_nothing_to_stop, ui))]
     own += [
-        Action(button.accessibleName(), button.click, ui.rail.keys[name]) for name, button in ui.rail.buttons.items()
+        Action(button.accessibleName(), partial(pages.go, name), ui.rail.keys[name])
+        for name, button in ui.rail.buttons.items()
     ]
     own += [
         Action(_("Help for this page"), panels.help_button.click, HELP_KEY),
-        Action(_("What happened so far"), panels.log_button.click, LOG_KEY),
+        Action(_("Log of the window"), panels.log_button.click, LOG_KEY),
         Action(_("Close TissueID"), window.close, "Ctrl+Q"),
     ]
+    for chooser in pages.start.choosers:
+        choice = chooser.choice
+        own += [
+            Action(f"{chooser.name}: {choice.itemText(place)}", partial(choice.setCurrentIndex, place))
+            for place in range(choice.count())
+            if place != choice.currentIndex()
+        ]
     own += [_by_button(pages, MEASURE, button, energises=True) for button in ui.energising]
     own += [_by_button(pages, MEASURE, button) for button in ui.harmless]
     own += [_by_button(pages, "", button) for button in (ui.open, ui.report)]
@@ -80,7 +88,7 @@ def _by_button(pages: Pages, page: str, button: QAbstractButton, *, energises: b
             pages.show(page)
         _reveal(button)
         if energises:
-            button.setFocus()
+            button.setFocus(Qt.FocusReason.ShortcutFocusReason)
         else:
             button.click()
 

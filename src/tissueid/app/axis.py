@@ -10,6 +10,8 @@ from PySide6.QtCore import QPointF, QRectF
 from PySide6.QtGui import QColor, QPainter, QPen
 from PySide6.QtWidgets import QGraphicsItem, QGraphicsSceneWheelEvent, QStyleOptionGraphicsItem, QWidget
 
+from tissueid.language import decimal
+
 Line = tuple[QPen, QPointF, QPointF]
 Text = tuple[QRectF, int, str]
 
@@ -43,6 +45,10 @@ class QuickAxis(pg.AxisItem):  # type: ignore[misc]
             event.ignore()
             return
         super().wheelEvent(event)
+
+    def tickStrings(self, values: list[float], scale: float, spacing: float) -> list[str]:  # noqa: N802
+        """Return the numbers with the decimal mark of the language."""
+        return [decimal(text) for text in super().tickStrings(values, scale, spacing)]
 
     def set_ground(self, colour: str) -> None:
         """On which colour the grid lies."""

@@ -4,10 +4,11 @@ from __future__ import annotations
 
 import functools
 from collections.abc import Callable
+from dataclasses import replace
 from datetime import UTC, datetime
 from pathlib import Path
 
-from PySide6.QtCore import QObject
+from PySide6.QtCore import QObject, Signal
 
 from tissueid.app.calibration_page import CalibrationPage
 from tissueid.app.calibration_state import calibration_state
@@ -34,12 +35,17 @@ from tissueid.procedures.test_plan import NO_INSTRUMENT
 
 
 class CalibrationController(QObject):
-    """Starts calibrations and shows their progress and result; they share jobs and STOP with the tests."""
+    """Starts calibrations and shows their progress and result; they share jobs and STOP with the tests.
+
+    ``answered`` carries the address of a calibrated instrument, and the instrument without a calibration.
+    """
+
+    answered = Signal(str, object)
 
     def __init__(
         self,
         context: AppContext,
-        begin_energised: Callable[[Callable[[], None]], EmergencyStop],
+        begin_energised: Callable[[Callable[[], None], str], EmergencyStop],
         end_energised: Callable[[], None],
         *,
         page: CalibrationPage,
@@ -75,15 +81,16 @@ class CalibrationController(QObject):
             self._notice.say(in_words(error), problem=True, about_form=True)
             return
         self._url = self._instruments.url
-        stop = self._begin_energised(self._show)
+        stop = self._begin_energised(self._show, _("Calibrating. Keep hands and cables clear of the probe."))
         self._safety.expect(calibrating=True)
         self._signals.clear()
         self._analysis.hide()
         self._live = LiveCalibration(sweep=kind == "sweep")
         self._prompts = prompts = OperatorPrompts(stop, self._live)
         self._page.expect(kind)
-        self._guidance.say(_("Calibrating. Keep hands and cables clear of the probe."))
-        work = functools.partial(calibrate, plan, prompts, self._context.trail, self._context.services)
+        services = self._context.services
+        services = replace(services, opener=stop.opening_when_watched(services.opener))
+        work = functools.partial(calibrate, plan, prompts, self._context.trail, services)
         why = _("A calibration is running on Measure: stop it there, or wait.")
         self._context.jobs.do(work, self._ended, self._failed, why=why)
 
@@ -130,6 +137,8 @@ class CalibrationController(QObject):
         # The same instrument may stand at another address too.
         self._instruments.forget_calibrations()
         self._instruments.tell_calibration(self._url, outcome.state)
+        if outcome.nominal is not None:
+            self.answered.emit(self._url, outcome.nominal)
 
     def _failed(self, words: str) -> None:
         notices = [] if self._prompts is None else [sentence(translated(line)) for line in self._prompts.notices]
@@ -140,7 +149,7 @@ class CalibrationController(QObject):
     def _close(self) -> None:
         self._end_energised()
         self._prompts = self._live = None
-        self._guidance.show_idle()
+        self._context.show_idle()
 
     def _open_report(self) -> None:
         if self._report is not None:
@@ -173,4 +182,4 @@ def calibrate(
         )
     stored = stored_calibrations(plan.folder)
     state = calibration_state(apply_calibrations(result.nominal, stored, datetime.now(UTC)))
-    return CalibrationOutcome(result.calibration, result.path, result.report, remarks, state)
+    return CalibrationOutcome(result.calibration, result.path, result.report, remarks, state, result.nominal)

@@ -54,7 +54,7 @@ _KINDS: dict[Kind, tuple[str, str, str]] = {
 }
 _CURVES: dict[Kind, tuple[str, str, str]] = {
     "static": (marked("Position on the spring"), marked("Current (A)"), "mm"),
-    "sweep": (marked("Swing of the probe for an ampere"), marked("Position (mm)"), "mm/A"),
+    "sweep": (marked("Probe displacement per ampere"), marked("Position (mm)"), "mm/A"),
 }
 _MM = 1e3
 _STEPS = 1000
@@ -104,7 +104,7 @@ class CalibrationPage(QWidget):
         self.report.clicked.connect(self.report_wanted)
         self._figures: dict[str, Quantity] = {}
         self.figures = QTableWidget(0, 3)
-        self.figures.setHorizontalHeaderLabels([_("Figure"), _("Value"), _("Unit")])
+        self.figures.setHorizontalHeaderLabels([_("Quantity"), _("Value"), _("Unit")])
         self.figures.setAccessibleName(_("Figures of the calibration"))
         self.figures.verticalHeader().hide()
         self.figures.setEditTriggers(QTableWidget.EditTrigger.NoEditTriggers)
@@ -218,7 +218,7 @@ class CalibrationPage(QWidget):
         asked = state.answer
         if asked and self.done.isHidden():
             self.done.show()
-            self.done.setFocus()
+            self.done.setFocus(Qt.FocusReason.ShortcutFocusReason)
         elif not asked:
             self.done.hide()
 

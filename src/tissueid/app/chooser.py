@@ -69,7 +69,7 @@ class InstrumentChooser(QWidget):
         self.choice.setSizeAdjustPolicy(QComboBox.SizeAdjustPolicy.AdjustToMinimumContentsLengthWithIcon)
         self.refresh = QPushButton(_("&Find"))
         self.refresh.setAccessibleName(_("Find instruments"))
-        self.refresh.setToolTip(_("Ask every port whether an instrument answers"))
+        self.refresh.setToolTip(_("Look for an instrument at every port"))
         self.about = QLabel()
         self.about.setProperty("role", "field")
         self.about.setWordWrap(True)
@@ -172,13 +172,13 @@ class InstrumentChooser(QWidget):
         if url in self._doubted:
             return Message(
                 "instruments.failed",
-                "{what}: it failed the last time; “Find” asks it again.",
+                "{what}: it failed the last time; “Find” checks it again.",
                 what=Verbatim(_name(item)),
             )
         if item.answers is None:
             return Message(
                 "instruments.not_asked",
-                "{what}: not asked yet; “Find” asks whether it is ready.",
+                "{what}: not checked yet; “Find” checks whether it is ready.",
                 what=Verbatim(_name(item)),
             )
         return Message("instruments.no_answer", "Does not answer: {what}.", what=item.detail or item.what)

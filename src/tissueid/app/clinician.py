@@ -60,10 +60,10 @@ class Clinician(QObject):
 
     # -- the window tells --------------------------------------------------------------------------------------
 
-    def planned(self, plan: TestPlan) -> TestPlan:
-        """Return the plan of the next test as a repeat of the current or a new sitting."""
+    def planned(self, plan: TestPlan, wanted: int) -> TestPlan:
+        """Return the plan of the next test as a repeat of the current sitting or a new one of ``wanted`` repeats."""
         if self.sitting is None or not self.sitting.continues(plan):
-            self.sitting = Sitting(plan)
+            self.sitting = Sitting(plan, wanted=wanted)
         return self.sitting.planned(plan)
 
     @property
@@ -94,6 +94,12 @@ class Clinician(QObject):
         self._show_sitting()
         self._ui.result.comparison.clear()
         self._compare(findings)
+
+    def clear(self) -> None:
+        """Forget the shown test: it is of another subject than the next one."""
+        self._found, self._comparison, self._paper = None, Comparison(), None
+        self._cancelled.set()
+        self._ui.result.comparison.clear()
 
     def _show_sitting(self) -> None:
         """Show the progress and the result of the sitting of the shown test."""
@@ -150,6 +156,7 @@ class Clinician(QObject):
         form = self._ui.form
         form.site.setCurrentText(site)
         form.site.setFocus()
+        form.go_on()
 
     def accept(self) -> None:
         """Accept the repeats so far as the result; the next test starts a new sitting."""
@@ -198,8 +205,11 @@ class Clinician(QObject):
         self._context.jobs.do(work, self._compared, self._not_compared, why=why)
 
     def _compared(self, comparison: Comparison) -> None:
+        if self._found is None:
+            return
         self._comparison, self._paper = comparison, None
         self._ui.result.comparison.show_comparison(comparison)
+        self._ui.result.show_changes({name: translated(words) for name, words in comparison.changes.items()})
 
     def _not_compared(self, words: str) -> None:
         self._ui.result.comparison.clear()

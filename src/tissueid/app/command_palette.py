@@ -140,6 +140,10 @@ class CommandPalette(QFrame):
             else:
                 item.setData(Qt.ItemDataRole.UserRole, action)
             self.list.addItem(item)
+        if not self.list.count():
+            item = QListWidgetItem(_("Nothing matches. Try another word, such as “page” or “open”."))
+            item.setFlags(Qt.ItemFlag.NoItemFlags)
+            self.list.addItem(item)
         self._step(0)
 
     def _step(self, by: int) -> None:

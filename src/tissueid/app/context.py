@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, Protocol
+from typing import Any, Protocol, TypeVar
 
 from PySide6.QtCore import QSettings, Signal
 from PySide6.QtWidgets import QAbstractButton, QWidget
@@ -14,6 +14,11 @@ from tissueid.app.jobs import Jobs
 from tissueid.app.services import AppServices
 from tissueid.app.theme import Theme
 from tissueid.audit import AuditTrail, Role
+from tissueid.device import DeviceDescription
+from tissueid.language import _
+from tissueid.procedures.control import Control
+
+R = TypeVar("R")
 
 
 class Say(Protocol):
@@ -64,6 +69,40 @@ class AppContext:
         """Whether a job runs or the window closes: no other job may start."""
         return bool(self.jobs) or self.closing()
 
+    @property
+    def unread(self) -> str:
+        """What stands in place of files that are not read yet, and why they are not."""
+        return f"{_('Not read yet.')} {self.jobs.why}".strip()
+
+    @property
+    def no_work(self) -> bool:
+        """Whether no long work can start: other work runs, a test runs, or the window closes."""
+        return self.busy or self.jobs.working or self.testing()
+
+    def do_work(
+        self,
+        work: Callable[[Control], R],
+        control: Control,
+        done: Callable[[R], None],
+        failed: Callable[[str], None],
+        *,
+        why: str,
+        grace_s: float = 0.0,
+    ) -> None:
+        """Run long, picklable work on saved files in a process of low priority; one of the callbacks is called.
+
+        ``why`` describes it and how to end it. Cancelled work has ``grace_s`` seconds to return what it has done.
+        """
+
+        def run() -> R:
+            if not self.services.separate_process:
+                return work(control)
+            from tissueid.procedures.separate_process import run_in_process
+
+            return run_in_process(work, control, grace_s)
+
+        self.jobs.do(run, done, failed, why=why, long=True)
+
     def say_failed(self, words: str) -> None:
         """Show the error of a failed job, and what the window shows while nothing goes on."""
         self.show_idle()
@@ -101,6 +140,9 @@ class View(QWidget):
 
     def on_session_saved(self, path: Path) -> None:
         """Handle a session that was recorded or recovered to ``path``."""
+
+    def on_instrument_answered(self, url: str, nominal: DeviceDescription) -> None:
+        """Handle an instrument at ``url`` that answered, ``nominal`` without a calibration."""
 
     def offer_files(self, paths: list[Path]) -> bool:
         """Open files that were dropped on this page; return False to leave them to the window."""

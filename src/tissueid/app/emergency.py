@@ -5,16 +5,21 @@ from __future__ import annotations
 import threading
 import time
 from collections.abc import Callable
+from typing import TypeVar
 
-from tissueid.errors import CancelledError
+from tissueid.errors import CancelledError, UnattendedError
 from tissueid.messages import Message
 
 PATIENCE_S = 1.0
 """Longest time between two heartbeats of the window while the coil can be energised, s."""
 
+_Opened = TypeVar("_Opened")
+
 BY_BUTTON = Message("stop.button", "stopped in the window")
 BY_CLOSING = Message("stop.window_closed", "the window was closed")
 BY_DEFECT = Message("stop.defect", "a defect in the window")
+_LOOK_S = 0.05
+"""Time between two looks at the stop while the window is awaited, s."""
 NO_ANSWER = Message("stop.no_answer", "the window did not answer; the coil was released")
 
 
@@ -37,6 +42,7 @@ class EmergencyStop:
         self._patience_s = disk_timeout_s
         self._lock = threading.Lock()
         self._pressed = threading.Event()
+        self._watching = threading.Event()
         self._last_beat_s: float | None = None
         self._reason = ""
 
@@ -55,6 +61,26 @@ class EmergencyStop:
         """Record a heartbeat of the window. A late heartbeat does not clear a timeout."""
         self._miss()
         self._last_beat_s = self._clock()
+        self._watching.set()
+
+    @property
+    def watching(self) -> bool:
+        """Whether the window is watched: it has recorded a heartbeat."""
+        return self._watching.is_set()
+
+    def opening_when_watched(self, opener: Callable[[str], _Opened]) -> Callable[[str], _Opened]:
+        """Return an opener of instruments that first waits until the window is watched.
+
+        It raises CancelledError where the stop is triggered meanwhile.
+        """
+
+        def opened(url: str) -> _Opened:
+            while not self._watching.wait(_LOOK_S):
+                self.check()
+            self.check()
+            return opener(url)
+
+        return opened
 
     def is_set(self) -> bool:
         """Return whether to stop."""
@@ -65,12 +91,13 @@ class EmergencyStop:
         """Return False, or raise if the stop was triggered.
 
         Raises:
-            CancelledError: the stop was triggered; the message says why.
+            CancelledError: the stop was triggered; the message says why. An UnattendedError where it was not a person.
         """
         if self.is_set():
             if self._reason == NO_ANSWER:
-                raise CancelledError(self._reason)
-            raise CancelledError(Message("stop.released", "{cause}; the coil is released", cause=self._reason))
+                raise UnattendedError(self._reason)
+            kind = UnattendedError if self._reason == BY_DEFECT else CancelledError
+            raise kind(Message("stop.released", "{cause}; the coil is released", cause=self._reason))
         return False
 
     def wait(self, seconds: float) -> None:

@@ -62,6 +62,8 @@ class Findings:
     recorded: RecordPlots
     accepted: AcceptedResult | None = None
     refused: Mapping[str, str] = field(default_factory=dict)
+    unread: tuple[str, ...] = ()
+    """Why the accepted result of the sitting cannot be read, where that is so."""
     readings: str = ""
     """Readings of a step test for comparison with other probes, as one line; empty for other tests."""
 

@@ -12,20 +12,21 @@ from typing import Any
 from PySide6.QtCore import Qt, Signal
 from PySide6.QtGui import QKeyEvent
 from PySide6.QtWidgets import (
+    QAbstractButton,
+    QCheckBox,
     QComboBox,
     QFileDialog,
     QGridLayout,
-    QHBoxLayout,
     QLabel,
+    QLayout,
     QLineEdit,
-    QPushButton,
-    QSpinBox,
     QToolButton,
     QVBoxLayout,
     QWidget,
 )
 
 from tissueid.acquisition.stimulus_choice import NoiseChoice
+from tissueid.app.build import button, column, fill, label, row, styled
 from tissueid.app.chooser import InstrumentChooser
 from tissueid.app.configuring import ConfigurationChooser
 from tissueid.app.form_choices import (
@@ -33,16 +34,17 @@ from tissueid.app.form_choices import (
     MULTISTEP,
     SITES,
     longest_stimulus_s,
-    reads_like_name,
 )
-from tissueid.app.number_field import NumberField, OptionalNumberField
+from tissueid.app.number_field import NumberField, OptionalNumberField, WholeNumberField
 from tissueid.app.presets import PresetChooser
 from tissueid.app.stimulus_form import StimulusForm
 from tissueid.app.user_files import dated_path
+from tissueid.audit import Role
 from tissueid.formatting import ANONYMOUS
 from tissueid.instrument import PROFILES
 from tissueid.language import _, marked
 from tissueid.messages import Message, Verbatim, translated
+from tissueid.procedures.pseudonyms import reads_like_name
 from tissueid.procedures.test_plan import TestPlan
 from tissueid.procedures.test_presets import PRESETS, Preset
 from tissueid.stimuli.kinds.noise import Noise
@@ -73,13 +75,14 @@ _MOST_SEED = 2**31 - 1
 
 
 class PlanForm(QWidget):
-    """The fields of a test plan; :meth:`plan` returns it. Return in one of them sends ``filled``.
+    """The fields of a test plan; :meth:`plan` returns it. Return in one of them goes to the next one.
 
     ``changed`` is sent whenever one of them has another value.
     """
 
-    filled = Signal()
     changed = Signal()
+    subject_chosen = Signal(str)
+    """Another pseudonym was typed in full, or filled in."""
 
     def __init__(self, folder: Path, now: Callable[[], datetime], parent: QWidget | None = None) -> None:
         super().__init__(parent)
@@ -87,19 +90,18 @@ class PlanForm(QWidget):
         self._now = now
         self._own_path = False
         self._own_force = False
-        self._applying = False
+        self._applying = self._plain = False
         self._usual_force_n = NoiseChoice.max_force_n
         self._forces_n: dict[str, float] = {}
         self.instrument = InstrumentChooser()
         self.subject = QLineEdit()
         self.subject.setPlaceholderText(_("such as P-001; empty: anonymous"))
         self.subject.setToolTip(_("A pseudonym, never a name"))
-        self.like_name = QLabel(_(_LIKE_NAME))
-        self.like_name.setProperty("role", "readout")
-        self.like_name.setProperty("level", "check")
-        self.like_name.setWordWrap(True)
-        self.like_name.setMinimumWidth(1)
-        self.like_name.hide()
+        self.like_name = label("readout", level="check")
+        self.like_name.setText(_(_LIKE_NAME))
+        self.is_pseudonym = QCheckBox(_("This is a pseudonym, not a name"))
+        for part in (self.like_name, self.is_pseudonym):
+            part.hide()
         self.product = QLineEdit()
         self.product.setPlaceholderText(_("such as lotion"))
         self.product.setToolTip(_("The product on the skin, for studies that compare conditions"))
@@ -117,14 +119,7 @@ class PlanForm(QWidget):
         self.site.setCurrentIndex(-1)
         if (line := self.site.lineEdit()) is not None:
             line.setPlaceholderText(_("such as left calf"))
-        self.map = QPushButton(_("Body map…"))
-        self.map.setToolTip(_("Choose the site on a drawn body"))
-        where = QWidget()
-        row = QHBoxLayout(where)
-        row.setContentsMargins(0, 0, 0, 0)
-        row.setSpacing(6)
-        row.addWidget(self.site, 1)
-        row.addWidget(self.map)
+        self.map = button(_("Body map…"), tip=_("Choose the site on a drawn body"))
         self.set_up = ConfigurationChooser()
         self.limits = QComboBox()
         for name in sorted(PROFILES):
@@ -135,38 +130,24 @@ class PlanForm(QWidget):
                 name,
             )
         self.path = QLineEdit()
-        self.browse = QPushButton(_("C&hoose…"))
-        self.browse.setAccessibleName(_("Choose where to save"))
+        self.browse = button(_("C&hoose…"), name=_("Choose where to save"))
 
-        layout = QVBoxLayout(self)
-        layout.setContentsMargins(0, 0, 0, 0)
-        layout.setSpacing(10)
-        self.other_test = QLabel(_("For the next test, not of the result that is shown"))
-        self.other_test.setProperty("role", "muted")
-        self.other_test.setWordWrap(True)
+        self.other_test = label("muted")
+        self.other_test.setText(_("For the next test. The result that is shown is of another test."))
         self.other_test.hide()
-        layout.addWidget(self.other_test)
+        layout = QVBoxLayout(self)
+        fill(layout, self.other_test, spacing=10)
         _add(layout, _("&Instrument"), self.instrument, focus=self.instrument.choice)
-        _add(layout, _("Si&te"), where, focus=self.site)
-        _add(layout, _("Su&bject (a pseudonym, never a name)"), self.subject)
+        _add(layout, _("Si&te"), row((self.site, 1), self.map), focus=self.site)
+        _add(layout, _("Su&bject (a pseudonym, never a name)"), self.subject, focus=self.subject)
         layout.addWidget(self.like_name)
-        condition = QWidget()
-        row = QHBoxLayout(condition)
-        row.setContentsMargins(0, 0, 0, 0)
-        row.setSpacing(6)
-        row.addWidget(self.product, 1)
-        row.addWidget(self.minutes)
+        layout.addWidget(self.is_pseudonym)
+        condition = row((self.product, 1), self.minutes)
         _add(layout, _("Condition (product on the skin)"), condition, focus=self.product)
         layout.addWidget(self.set_up)
-        _add(layout, _("&Limits"), self.limits)
+        self._limits_label = _add(layout, _("&Limits"), self.limits, focus=self.limits)
         self._add_settings(layout)
-        saving = QWidget()
-        row = QHBoxLayout(saving)
-        row.setContentsMargins(0, 0, 0, 0)
-        row.setSpacing(6)
-        row.addWidget(self.path, 1)
-        row.addWidget(self.browse)
-        _add(layout, _("Sa&ve to"), saving, focus=self.path)
+        _add(layout, _("Sa&ve to"), row((self.path, 1), self.browse), focus=self.path)
         layout.addStretch(1)
 
         texts = (self.subject.textChanged, self.product.textChanged, self.path.textChanged)
@@ -182,6 +163,9 @@ class PlanForm(QWidget):
         for choice in (self.set_up.name, self.set_up.coupling, self.set_up.orientation):
             choice.currentIndexChanged.connect(self.changed)
         self.subject.textChanged.connect(self._look_at_subject)
+        self.subject.editingFinished.connect(self._choose_subject)
+        self.set_up.name.currentIndexChanged.connect(self._show_set_up)
+        self._chosen_subject = ""
         self.limits.currentIndexChanged.connect(self._apply_limits)
         self.instrument.choice.currentTextChanged.connect(self._apply_limits)
         self.max_force.valueChanged.connect(self._take_own_force)
@@ -208,6 +192,7 @@ class PlanForm(QWidget):
             site=self.site.currentText().strip(),
             out=Path(self.path.text().strip()),
             subject=self.subject.text().strip() or ANONYMOUS,
+            pseudonym_confirmed=self.is_pseudonym.isChecked(),
             condition=(product := self.product.text().strip()),
             minutes_since_application=self.minutes.given if product else None,
             limits=self.limits.currentData(),
@@ -274,13 +259,33 @@ class PlanForm(QWidget):
         }
         for name, value in values.items():
             fields[name](value)
+        self._choose_subject()
 
     def keyPressEvent(self, event: QKeyEvent) -> None:  # noqa: N802
-        """Accept Return where a field does not use it, so that it does not start a test."""
+        """Go to the next field at Return, where a field does not use it."""
         if event.key() in (Qt.Key.Key_Return, Qt.Key.Key_Enter):
-            self.filled.emit()
+            self.go_on()
             return
         super().keyPressEvent(event)
+
+    def go_on(self) -> None:
+        """Set the focus to the next field of the form; the last one keeps it. Buttons are passed over."""
+        at = self.focusWidget()
+        after = None if at is None else at.nextInFocusChain()
+        while after is not None and after is not at:
+            tabbed = bool(after.focusPolicy() & Qt.FocusPolicy.TabFocus) and after.focusProxy() is None
+            if tabbed and after.isVisible() and after.isEnabled():
+                if not self.isAncestorOf(after):
+                    return
+                if not isinstance(after, QAbstractButton):
+                    after.setFocus(Qt.FocusReason.TabFocusReason)
+                    return
+            after = after.nextInFocusChain()
+
+    def show_role(self, role: Role) -> None:
+        """Fold more of the settings away for a clinician."""
+        self._plain = role == "clinician"
+        self._unfold(self.fold.isChecked())
 
     def order_options(self) -> None:
         """Put the options of the stimulus into the order of the tab key, where they stand."""
@@ -298,14 +303,11 @@ class PlanForm(QWidget):
         """The presets, and the stimulus, folded away under a line that says what it is."""
         self.preset = PresetChooser()
         _add(layout, _("Test"), self.preset, focus=self.preset.choice)
-        self.fold = QToolButton()
+        self.fold = styled(QToolButton(), role="fold", name=_("Settings of the stimulus"))
         self.fold.setText(_("S&ettings"))
-        self.fold.setProperty("role", "fold")
         self.fold.setCheckable(True)
         self.fold.setToolButtonStyle(Qt.ToolButtonStyle.ToolButtonTextBesideIcon)
-        self.fold.setAccessibleName(_("Settings of the stimulus"))
-        self.summary = QLabel()
-        self.summary.setProperty("role", "field")
+        self.summary = styled(QLabel(), role="field")
         self.summary.setWordWrap(True)
         self.distribution = QComboBox()
         for name in DISTRIBUTIONS:
@@ -315,10 +317,10 @@ class PlanForm(QWidget):
         self.min_force.setToolTip(_("Below zero the coil pulls: tissue that is not attached to the probe is left"))
         self.max_force = _number(" N", 0.5, 15.0, 0.5, 10.5)
         self.seconds = _number(" s", _SHORTEST_S, 29.5, 1.0, 4.0)
-        self.seed = QSpinBox()
+        self.seed = WholeNumberField()
         self.seed.setRange(0, _MOST_SEED)
         self.seed.setValue(1)
-        self.repeats = QSpinBox()
+        self.repeats = WholeNumberField()
         self.repeats.setRange(1, _MOST_REPEATS)
         self.repeats.setToolTip(_("Tests one after another, in one session file"))
         self.rest = _number(" s", 0.0, 600.0, 10.0, 0.0)
@@ -328,13 +330,9 @@ class PlanForm(QWidget):
             self.under_probe.addItem(_(title), name)
         self.stimulus = StimulusForm()
         self.settings = QWidget()
-        inside = QVBoxLayout(self.settings)
-        inside.setContentsMargins(0, 0, 0, 0)
-        inside.setSpacing(6)
-        inside.addWidget(self.stimulus)
         grid = QGridLayout()
         grid.setVerticalSpacing(6)
-        inside.addLayout(grid)
+        fill(QVBoxLayout(self.settings), self.stimulus, grid)
         self._rows: list[tuple[QLabel, QWidget]] = []
         rows = (
             (_("&Distribution"), self.distribution),
@@ -346,19 +344,15 @@ class PlanForm(QWidget):
             (_("Rest between repeats"), self.rest),
             (_("Under the probe"), self.under_probe),
         )
-        for row, (name, field) in enumerate(rows):
-            label = QLabel(name)
-            label.setBuddy(field)
+        for place, (name, field) in enumerate(rows):
+            named = QLabel(name)
+            named.setBuddy(field)
             field.setAccessibleName(name.replace("&", ""))
-            grid.addWidget(label, row, 0)
-            grid.addWidget(field, row, 1)
-            self._rows.append((label, field))
+            grid.addWidget(named, place, 0)
+            grid.addWidget(field, place, 1)
+            self._rows.append((named, field))
         grid.setColumnStretch(1, 1)
-        group = QVBoxLayout()
-        group.setSpacing(4)
-        for widget in (self.stimulus.depths, self.fold, self.summary, self.settings):
-            group.addWidget(widget)
-        layout.addLayout(group)
+        layout.addLayout(column(self.stimulus.depths, self.fold, self.summary, self.settings, spacing=4))
         self.fold.toggled.connect(self._unfold)
         for choice in (self.distribution, self.under_probe):
             choice.currentIndexChanged.connect(self._summarise)
@@ -376,15 +370,23 @@ class PlanForm(QWidget):
         for spin in (self.min_force, self.max_force, self.seconds, self.seed):
             spin.valueChanged.connect(self._summarise)
         self._unfold(False)
-        self._summarise()
 
     # -- reacting -----------------------------------------------------------------------------------------
 
     def _unfold(self, opened: bool) -> None:
         self.fold.setArrowType(Qt.ArrowType.DownArrow if opened else Qt.ArrowType.RightArrow)
         self.settings.setVisible(opened)
+        for part in (self._limits_label, self.limits):
+            part.setVisible(opened or not self._plain)
+        self._show_set_up()
+        self._summarise()
         if opened:
             self.stimulus.offer_all()
+
+    def _show_set_up(self) -> None:
+        """Show how the instrument meets the tissue; a clinician sees it with the settings, or where it is unusual."""
+        usual = self.set_up.name.currentIndex() == 0
+        self.set_up.setVisible(not (self._plain and usual) or self.fold.isChecked())
 
     def _apply_limits(self) -> None:
         """Limit force and length to the profile of limits and the maximum force of the instrument."""
@@ -412,8 +414,8 @@ class PlanForm(QWidget):
             self.rest: self.stimulus.chosen != MULTISTEP and self.repeats.value() > 1,
             self.under_probe: self.stimulus.chosen != MULTISTEP,
         }
-        for label, field in self._rows:
-            for widget in (label, field):
+        for named, field in self._rows:
+            for widget in (named, field):
                 widget.setVisible(wanted[field])
         if self.window() is not self:  # before that, the fields belong to several windows
             self.order_options()
@@ -451,8 +453,13 @@ class PlanForm(QWidget):
 
     def _summarise(self) -> None:
         self.preset.show_preset(self._shown_preset())
+        has = self.stimulus.has
+        if self._plain and not self.fold.isChecked() and {"seconds", "force_max_n"} <= set(has):
+            values = {"force": self.max_force.value(), "seconds": self.seconds.value()}
+            self._show_summary(_("{seconds:g} s, up to {force:g} N").format(**values))
+            return
         if self.stimulus.chosen != Noise.name:
-            title, has = self.stimulus.kind.currentText(), self.stimulus.has
+            title = self.stimulus.kind.currentText()
             low, high, seconds = self.min_force.value(), self.max_force.value(), self.seconds.value()
             words = _("{title}, {low:g} to {high:g} N").format(title=title, low=low, high=high)
             words = words if "force_max_n" in has else title
@@ -480,10 +487,17 @@ class PlanForm(QWidget):
         )
 
     def _look_at_subject(self, text: str) -> None:
-        """Warn of a pseudonym that looks like a real name; it is accepted, since a pseudonym may look like one."""
+        """Warn of a pseudonym that looks like a real name, and ask whether it is one: a pseudonym may look so."""
         doubtful = reads_like_name(text)
-        self.like_name.setVisible(doubtful)
+        self.is_pseudonym.setChecked(False)
+        for part in (self.like_name, self.is_pseudonym):
+            part.setVisible(doubtful)
         self.subject.setAccessibleDescription(_(_LIKE_NAME) if doubtful else "")
+
+    def _choose_subject(self) -> None:
+        if self._chosen_subject != (subject := self.subject.text().strip()):
+            self._chosen_subject = subject
+            self.subject_chosen.emit(subject)
 
     def _look_at_product(self) -> None:
         """Offer the minutes where there is a product."""
@@ -520,17 +534,13 @@ class PlanForm(QWidget):
         self.path.setToolTip(path)
 
 
-def _add(layout: QVBoxLayout, name: str, field: QWidget, *, focus: QWidget | None = None) -> None:
-    """A field under its label; the label's mnemonic goes to ``focus``, the field itself when None."""
-    label = QLabel(name)
-    label.setProperty("role", "field")
-    label.setBuddy(focus or field)
-    (focus or field).setAccessibleName(name.replace("&", ""))
-    group = QVBoxLayout()
-    group.setSpacing(3)
-    group.addWidget(label)
-    group.addWidget(field)
-    layout.addLayout(group)
+def _add(layout: QVBoxLayout, name: str, field: QWidget | QLayout, *, focus: QWidget) -> QLabel:
+    """Return the label above a field; the label's mnemonic goes to ``focus``."""
+    named = styled(QLabel(name), role="field")
+    named.setBuddy(focus)
+    focus.setAccessibleName(name.replace("&", ""))
+    layout.addLayout(column(named, field, spacing=3))
+    return named
 
 
 def _number(unit: str, low: float, high: float, step: float, value: float) -> NumberField:

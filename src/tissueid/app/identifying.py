@@ -30,7 +30,7 @@ from tissueid.units import display_unit
 _OF_WHAT = {
     "mass_kg": marked("coil and tissue"),
     "damping_n_s_per_m": marked("coil and tissue"),
-    "stiffness_n_per_m": marked("tissue, depths visited"),
+    "stiffness_n_per_m": marked("tissue, at the measured depths"),
 }
 
 
@@ -56,10 +56,10 @@ def identify(path: Path, session: Session, number: int | None) -> Findings:
         numbers=tuple(_numbers(analyses)),
         ended=how_it_ended(test),
         visited=translated(visited(analyses, surface_of(test))),
-        cautions=(
-            *(sentence(f"{', '.join(dict.fromkeys(names))}: {translated(text)}") for text, names in refusals.items()),
-            *unread,
+        cautions=tuple(
+            sentence(f"{', '.join(dict.fromkeys(names))}: {translated(text)}") for text, names in refusals.items()
         ),
+        unread=unread,
         plots=plots_of_test(analyses, linear_engine(analyses)),
         recorded=record_plots(test, analyses),
         accepted=accepted,
@@ -122,7 +122,7 @@ def _numbers(analyses: Mapping[str, Analysis]) -> Iterator[Number]:
     for engine, label in ((linear, linear_label(analyses)), (Wiener.name, _("Motion explained, nonlinear"))):
         if engine in analyses:
             report = analyses[engine].model.report
-            note = _("of the check part; {vaf} % of the rest").format(vaf=fixed(report.vaf_percent, 1))
+            note = _("held-out part; {vaf} % of the fitted part").format(vaf=fixed(report.vaf_percent, 1))
             yield Number(label, fixed(report.vaf_validation_percent, 1), "%", note)
 
 

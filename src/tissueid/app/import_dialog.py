@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import itertools
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -34,19 +35,24 @@ from tissueid.language import _, marked
 from tissueid.messages import Message
 from tissueid.procedures.import_export import ImportPlan
 from tissueid.sessions import KINDS
+from tissueid.sessions.file_policy import located
 from tissueid.sessions.imports import (
+    OFFERED,
     ROLES,
-    alternatives,
     guessed_role,
     open_foreign,
     parse_map,
 )
 from tissueid.sessions.imports.export_attributes import attributes_beside
-from tissueid.sessions.imports.imported_table import Rows
+from tissueid.sessions.imports.imported_table import Column, Rows
+from tissueid.sessions.imports.stated_units import unit_of
 from tissueid.sessions.model import SIGNAL_UNITS
 
 _SHOWN_ROWS = 4
 _TITLE_BAR = 40
+_FURTHER_UNITS = ("Pa", "kPa", "MPa", "psi", "N m", "rad", "deg", "%", "1")
+"""Units that are offered for input and output of another system, besides those of the signals."""
+_DECIMALS = {"point": marked("a point"), "comma": marked("a comma")}
 _MOST_COLUMNS = 60
 """Columns that the table offers; the command line takes any."""
 _ROLE_NAMES = {
@@ -75,10 +81,9 @@ _KIND_NAMES = {
 
 @dataclass(frozen=True)
 class ColumnPreview:
-    """One column of a record: its header, the unit that the file states, the role it seems to have, first numbers."""
+    """One column of a record, the role it seems to have, and its first numbers."""
 
-    header: str
-    unit: str
+    column: Column
     role: str
     first: tuple[float, ...]
 
@@ -99,11 +104,23 @@ def preview_of(paths: Sequence[Path]) -> Preview:
     Raises:
         UnusableInputError: it cannot be read; OSError: neither can its disk.
     """
-    file = open_foreign(paths[0])
+    try:
+        return _preview_of(paths, None)
+    except UnusableInputError as error:
+        if error.code != "import.thousands":  # that is asked for
+            raise UnusableInputError(located(str(paths[0]), error.message)) from error
+    return _preview_of(paths, ".")
+
+
+def _preview_of(paths: Sequence[Path], decimal: str | None) -> Preview:
+    unit_of("N")  # loads the units here and not while somebody types
+    file = open_foreign(paths[0], decimal)
     places = range(min(len(file.columns), _MOST_COLUMNS))
     try:
         values = file.load(list(places), Rows(0, _SHOWN_ROWS))[0]
-    except UnusableInputError:  # a short record, or variables of different lengths
+    except UnusableInputError as error:  # a short record, or variables of different lengths
+        if error.code == "import.thousands":
+            raise
         values = [file.load([place], Rows())[0][0] for place in places]
     columns = []
     taken: set[str] = set()
@@ -112,8 +129,7 @@ def preview_of(paths: Sequence[Path]) -> Preview:
         role = "" if role in taken else role
         taken.add(role)
         first = tuple(float(one) for one in np.asarray(numbers[:_SHOWN_ROWS], np.float64))
-        column = file.columns[place]
-        columns.append(ColumnPreview(column.header, column.unit, role, first))
+        columns.append(ColumnPreview(file.columns[place], role, first))
     return Preview(tuple(paths), file.format, tuple(columns), attributes_beside(paths[0]) is not None)
 
 
@@ -135,6 +151,7 @@ class ImportDialog(QDialog):
         self.table = self._make_table()
         self.rate = QLineEdit()
         self.rate.setPlaceholderText(_("only where no column is time"))
+        self.decimal = _choice(_DECIMALS, tuple(_DECIMALS), _("as the numbers show"))
         self.first, self.last = QLineEdit(), QLineEdit()
         for field, name in ((self.first, _("First row")), (self.last, _("Row after the last"))):
             field.setPlaceholderText(name)
@@ -186,6 +203,7 @@ class ImportDialog(QDialog):
             out=Path(self.out.text().strip()),
             mapping=tuple(mapping),
             rate_hz=_rate(self.rate),
+            decimal=self.decimal.currentData(),
             kinds=(kind,) if kind else (),
             sites=(site,) if site else (),
             configurations=(configuration,) if configuration else (),
@@ -236,15 +254,16 @@ class ImportDialog(QDialog):
         header.setSectionResizeMode(QHeaderView.ResizeMode.ResizeToContents)
         header.setStretchLastSection(True)
         for row, column in enumerate(self._preview.columns):
-            table.setItem(row, 0, QTableWidgetItem(clean(column.header)[:60] or str(row + 1)))
+            table.setItem(row, 0, QTableWidgetItem(clean(column.column.header)[:60] or str(row + 1)))
             roles = QComboBox()
-            roles.setAccessibleName(_("What column {name} is").format(name=clean(column.header)[:60]))
+            roles.setAccessibleName(_("What column {name} is").format(name=clean(column.column.header)[:60]))
             for role in ("", *ROLES):
                 roles.addItem(_(_ROLE_NAMES[role]), role)
             units = QComboBox()
             units.setEditable(True)
-            units.setAccessibleName(_("Unit of column {name}").format(name=clean(column.header)[:60]))
+            units.setAccessibleName(_("Unit of column {name}").format(name=clean(column.column.header)[:60]))
             roles.currentIndexChanged.connect(lambda _index, row=row: self._offer_units(row))
+            units.editTextChanged.connect(lambda _text, row=row: self._mark(row))
             table.setCellWidget(row, 1, roles)
             table.setCellWidget(row, 2, units)
             numbers = "  ".join(number(one, 6) for one in column.first)
@@ -256,14 +275,30 @@ class ImportDialog(QDialog):
         return table
 
     def _offer_units(self, row: int) -> None:
-        """Offer the units of a role's quantity, with the one that the file states chosen."""
-        role, units, stated = self._role(row).currentData(), self._unit(row), self._preview.columns[row].unit
-        units.clear()
+        """Offer the units of a role's quantity, with the one that the file states chosen.
+
+        A text that is no unit of the quantity is marked: it has to be replaced.
+        """
+        role, units, column = self._role(row).currentData(), self._unit(row), self._preview.columns[row].column
         quantity = SIGNAL_UNITS.get(role, "")
-        symbols = [unit.symbol for unit in alternatives(quantity)] if quantity else []
-        units.addItems(symbols)
-        units.setEnabled(bool(role))
+        stated = "s" if column.dated else column.unit_for(role, quantity) if role else column.unit
+        units.clear()
+        units.addItems(OFFERED[quantity] if quantity else (*itertools.chain(*OFFERED.values()), *_FURTHER_UNITS))
+        units.setEnabled(bool(role) and not column.dated)
         units.setEditText(stated)
+        self._mark(row)
+
+    def _mark(self, row: int) -> None:
+        """Mark the unit of a column that cannot be read, and say why."""
+        role, units = self._role(row).currentData(), self._unit(row)
+        text, quantity = units.currentText().strip(), SIGNAL_UNITS.get(role, "")
+        unit = unit_of(text.removesuffix("!"), quantity) if role and text else None
+        fits = not role or not text or (unit is not None and quantity in ("", unit.si))
+        words = "" if fits else _("“{unit}” is not a known unit of this signal: choose one.").format(unit=clean(text))
+        units.setToolTip(words)
+        units.setAccessibleDescription(words)
+        units.setProperty("level", None if fits else "poor")
+        units.style().polish(units)
 
     def _role(self, row: int) -> QComboBox:
         widget = self.table.cellWidget(row, 1)
@@ -284,6 +319,8 @@ class ImportDialog(QDialog):
         place.addWidget(self.browse)
         form = QFormLayout()
         form.addRow(_("Sample rate (Hz)"), self.rate)
+        if self._preview.format == "csv" and not self._preview.described:
+            form.addRow(_("Decimal sign"), self.decimal)
         form.addRow(_("Rows"), rows)
         form.addRow(_("Site"), self.site)
         form.addRow(_("Subject"), self.subject)
@@ -302,9 +339,9 @@ class ImportDialog(QDialog):
         layout.addWidget(self.buttons)
 
 
-def _choice(names: dict[str, str], known: Sequence[str]) -> QComboBox:
+def _choice(names: dict[str, str], known: Sequence[str], usual: str = "") -> QComboBox:
     box = QComboBox()
-    box.addItem(_("as the file says, else the usual one"), None)
+    box.addItem(usual or _("as the file says, else the usual one"), None)
     for name in known:
         box.addItem(_(names[name]), name)
     return box

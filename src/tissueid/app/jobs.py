@@ -52,22 +52,32 @@ class Job(QThread):
     succeeded = Signal(object)
     failed = Signal(str)
 
-    def __init__(self, work: Callable[[], Any], parent: QObject) -> None:
+    def __init__(self, work: Callable[[], Any], gate: threading.Event | None, parent: QObject) -> None:
         super().__init__(parent)
-        self._work = work
+        self._work, self._gate = work, gate
 
     def run(self) -> None:
         """Run the work; called by Qt in the new thread."""
         try:
             result = self._work()
         except Exception as error:  # noqa: BLE001 - the last stop before the window, which says it in words
+            self._wait()
             self.failed.emit(in_words(error))
         else:
+            self._wait()
             self.succeeded.emit(result)
+
+    def _wait(self) -> None:
+        if self._gate is not None:
+            self._gate.wait()
 
 
 class Jobs(QObject):
-    """The running jobs; true while there is one. ``changed`` is sent when a job starts and when it has ended."""
+    """The running jobs; ``changed`` is sent when a job starts and when it has ended.
+
+    True while a short job runs, or one that uses the instrument: no other job can start then. Long work on saved files
+    is apart: it excludes other long work only, so that one can measure, open sessions and write reports meanwhile.
+    """
 
     changed = Signal()
     failed = Signal(str)
@@ -78,15 +88,40 @@ class Jobs(QObject):
     def __init__(self, parent: QObject) -> None:
         super().__init__(parent)
         self._running: dict[Job, str] = {}
+        self._long: dict[Job, str] = {}
+        self._gate = threading.Event()
+        self._gate.set()
 
     def __bool__(self) -> bool:
         return bool(self._running)
 
     @property
+    def idle(self) -> bool:
+        """Whether no job runs."""
+        return not (self._running or self._long)
+
+    @property
+    def working(self) -> bool:
+        """Whether long work runs."""
+        return bool(self._long)
+
+    @property
     def why(self) -> str:
-        """Return why no job can start: the running job and how to end it; empty if no job runs."""
+        """Return why no job can start: the running job and how to end it; empty if no short job runs."""
         said = [why for why in self._running.values() if why]
         return said[0] if said else _("Something is being finished: wait a moment.") if self._running else ""
+
+    @property
+    def why_no_work(self) -> str:
+        """Return why no long work can start; empty if no job runs."""
+        return next(iter(self._long.values()), "") or self.why
+
+    def hold_results(self, hold: bool) -> None:
+        """Keep back the results of long work, whose display would stall the window during a measurement."""
+        if hold:
+            self._gate.clear()
+        else:
+            self._gate.set()
 
     def do(
         self,
@@ -95,18 +130,20 @@ class Jobs(QObject):
         failed: Callable[[str], None],
         *,
         why: str = "",
+        long: bool = False,
     ) -> None:
         """Start a job; one of the two callbacks is called at its end.
 
         ``why`` describes the job and how to end it, for controls that are disabled meanwhile; short jobs need none.
+        ``long`` work must run in a process of its own, at low priority, to leave the processor to a measurement.
         """
-        job = Job(work, self)
+        job = Job(work, self._gate if long else None, self)
         job.succeeded.connect(self._say_ready)
         job.succeeded.connect(succeeded)
         job.failed.connect(failed)
         job.failed.connect(self.failed)
         job.finished.connect(self._finished)
-        self._running[job] = why
+        (self._long if long else self._running)[job] = why
         self.changed.emit()
         job.start()
 
@@ -118,6 +155,7 @@ class Jobs(QObject):
         if isinstance(job, Job):
             job.wait()
             self._running.pop(job, None)
+            self._long.pop(job, None)
             job.deleteLater()
         self.changed.emit()
 

@@ -74,6 +74,12 @@ class _Room(QWidget):
         self.resized.emit(event.size().width())
 
 
+def _takes_tab(widget: QWidget) -> bool:
+    """Return whether the tab key stops at a widget now."""
+    stops = bool(widget.focusPolicy() & Qt.FocusPolicy.TabFocus) and widget.focusProxy() is None
+    return stops and widget.isVisible() and widget.isEnabled()
+
+
 class Layout:
     """The parts of the window."""
 
@@ -145,6 +151,9 @@ class Layout:
 
     def show_role(self, role: Role) -> None:
         """Show the parts of a role."""
+        self.form.show_role(role)
+        self.gate.show_role(role)
+        self.result.show_role(role)
         self.pages.setTabVisible(2, role == "technician")
 
     def order_tabs(self) -> None:
@@ -156,6 +165,7 @@ class Layout:
             self.form.site,
             self.form.map,
             self.form.subject,
+            self.form.is_pseudonym,
             self.form.product,
             self.form.minutes,
         ]
@@ -181,13 +191,14 @@ class Layout:
         ]
         order += [self.guidance.lamp.arm, self.start, self.stop]
         order += [self.role.choice, self.open, self.report, self.notice.offer, self.notice.dismiss]
-        order += [self.gate.more, self.gate.judge_now, self.gate.run_again]
+        order += [self.gate.more, self.gate.judge_now, self.gate.calibrate, self.gate.run_again]
         order += [self.gate.repeats.repeat, self.gate.repeats.accept, self.gate.repeats.undo]
         order += [
             self.pages.tabBar(),
             self.analysis.tabs,
             self.result,
             self.result.test,
+            self.result.details,
             self.result.pdf,
             self.result.comparison.cancel,
         ]
@@ -211,6 +222,17 @@ class Layout:
         self.notice.turn_to(name)
         self.rail.show_chosen(name)
         self._show_halt()
+
+    def focus_page(self) -> None:
+        """Put the focus into the shown page: where it was there before, or to its first control."""
+        page = self._holders[self.page]
+        last = page.focusWidget()
+        if last is None or last in self.guarded or not _takes_tab(last):
+            last = self.form.site if self.page == MEASURE else page.nextInFocusChain()
+            while last is not page and not (page.isAncestorOf(last) and _takes_tab(last)):
+                last = last.nextInFocusChain()
+        if last is not page:
+            last.setFocus(Qt.FocusReason.OtherFocusReason)
 
     def add_help(self, panel: HelpPanel) -> None:
         """Put the help, closed, to the right of the page, or in its place where the window is narrow."""
@@ -278,6 +300,11 @@ class Layout:
     def energising(self) -> tuple[QAbstractButton, ...]:
         """The buttons of the page Measure that start something that energises a coil."""
         return self.start, self.gate.run_again, self.gate.repeats.repeat, *self.calibration.begin.values()
+
+    @property
+    def guarded(self) -> tuple[QAbstractButton, ...]:
+        """What energises a coil, or allows a button of the instrument to: a key that is typed must not press it."""
+        return *self.energising, self.calibration.done, self.guidance.lamp.watch, self.guidance.lamp.arm
 
     @property
     def harmless(self) -> tuple[QAbstractButton, ...]:

@@ -16,7 +16,7 @@ from tissueid.app.small_window import FoldingBox
 from tissueid.app.theme import Theme
 from tissueid.app.words import sentence
 from tissueid.device import SIMULATED_LINE
-from tissueid.formatting import label_and_unit, value_and_rest
+from tissueid.formatting import fixed, label_and_unit, value_and_rest
 from tissueid.instrument.discovery import IN_PROCESS
 from tissueid.language import _, marked
 from tissueid.messages import MISSING, Message, Verbatim, translated
@@ -32,7 +32,7 @@ MS = 1e3
 PERCENT = 100.0
 _NOTHING = np.zeros(0)
 _FINE = 200
-_WAITING = marked("Waiting for the stimulus.")
+_WAITING = marked("No estimate yet: it comes during the stimulus.")
 _ENDED = marked("The test ended before there was enough of it.")
 _ORANGE = marked("Orange: mass, damping and stiffness")
 _QUANTITIES: dict[Parameter, str] = {
@@ -294,7 +294,7 @@ class LiveAnalysis(QWidget):
             figure.fill(*((MISSING, "") if found is None else value_and_rest(found, unit)))
 
     def _show_vaf(self, view: LiveView) -> None:
-        value = MISSING if view.vaf_percent is None else f"{view.vaf_percent:.1f}"
+        value = MISSING if view.vaf_percent is None else fixed(view.vaf_percent, 1)
         self.vaf.rename(_("Explained, {method}").format(method=_ABBREVIATED[view.method]))
         self.vaf.fill(value, "%")
 

@@ -13,10 +13,11 @@ from tissueid.procedures.test_run import TestControl
 
 
 class LiveTest(TestControl):
-    """Fills ``live`` until ``stop`` is triggered. ``notices`` are read by the GUI thread."""
+    """Fills ``live`` until ``stop`` is triggered. ``notices`` and ``error`` are read by the GUI thread."""
 
     def __init__(self, live: LiveSignals, stop: EmergencyStop) -> None:
         self.notices: list[str] = []
+        self.error: BaseException | None = None
         self._live, self._stop = live, stop
 
     def notice(self, message: str) -> None:
@@ -48,6 +49,10 @@ class LiveTest(TestControl):
     def placed(self, surface_m: float) -> None:
         """Set the position of the surface."""
         self._live.placed(surface_m)
+
+    def aborted(self, error: BaseException) -> None:
+        """Keep why the test ended early."""
+        self.error = error
 
     def received(self, progress: Progress) -> None:
         """Show new samples."""

@@ -3,11 +3,13 @@
 from __future__ import annotations
 
 import functools
+import math
+import time
 from collections.abc import Callable
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from PySide6.QtCore import QCoreApplication, Qt, QTimer
+from PySide6.QtCore import QCoreApplication, QLocale, Qt, QTimer
 from PySide6.QtGui import QCloseEvent, QDragEnterEvent, QDropEvent, QKeySequence, QShortcut
 from PySide6.QtWidgets import QApplication, QFileDialog, QMainWindow, QWidget
 
@@ -18,6 +20,7 @@ from tissueid.app.calibration_state import calibration_state
 from tissueid.app.clinician import Clinician
 from tissueid.app.command_palette import CommandPalette
 from tissueid.app.context import AppContext
+from tissueid.app.deliberate_press import DeliberatePress
 from tissueid.app.device_search import DeviceSearch
 from tissueid.app.emergency import BY_BUTTON, BY_CLOSING, BY_DEFECT, NO_ANSWER, EmergencyStop
 from tissueid.app.file_drops import RECORDS, FileDrops, dropped_paths
@@ -28,21 +31,21 @@ from tissueid.app.live_signals import LiveSignals
 from tissueid.app.navigation_bar import MEASURE
 from tissueid.app.pages import Pages
 from tissueid.app.panels import Panels
-from tissueid.app.preferences import chosen, take_kept
+from tissueid.app.preferences import appearance, chosen, show_everywhere, take_kept, text_scale
 from tissueid.app.readouts import NO_TEST, StopKeys
 from tissueid.app.report_opener import Reports
 from tissueid.app.services import AppServices
 from tissueid.app.session_jobs import find, judge_and_analyse
 from tissueid.app.study_sitting import StudySitting
-from tissueid.app.theme import PaletteWatch, Theme, palette_of, style_sheet, theme_of
+from tissueid.app.theme import PaletteWatch, Theme, palette_of, style_sheet
 from tissueid.app.user_files import check_save_path
 from tissueid.app.widgets import show_disabled_reason
 from tissueid.app.window_state import restore_window_state, save_role, save_window_state, saved_role
 from tissueid.app.words import in_words, outcome_text, sentence
 from tissueid.atomic_write import private_folder
 from tissueid.audit import Role
-from tissueid.errors import TissueIDError
-from tissueid.language import _, set_language
+from tissueid.errors import CancelledError, LinkLostError, TissueIDError
+from tissueid.language import ENGLISH, _, current_language, set_language
 from tissueid.messages import code_of, translated
 from tissueid.procedures.audit_notes import NOT_LOGGED, record_role
 from tissueid.procedures.control import BY_KEY
@@ -56,6 +59,12 @@ if TYPE_CHECKING:
     from tissueid.reports.verdict import Verdict
 
 FRAME_MS = 33
+_PREPARING_MS = 5
+"""Time between two frames until the watchdog is armed, ms."""
+KEEPS_UP_S = 0.25
+"""Longest time between two frames of a window that keeps up, s: a quarter of what the watchdog permits."""
+_STEADY_FRAMES = 3
+"""Consecutive frames that must keep up before the watchdog is armed and an instrument is opened."""
 
 
 class MainWindow(QMainWindow):
@@ -74,18 +83,28 @@ class MainWindow(QMainWindow):
         self.findings: Findings | None = None
         self._closing = False
         self._theme: Theme | None = None
+        self._scale = 0.0
+        self.restarts = False
+        """Whether a new window is to be opened after this one, which closes."""
         QCoreApplication.setAttribute(Qt.ApplicationAttribute.AA_UseStyleSheetPropagationInWidgetStyles)
         self._palette_watch = PaletteWatch()
         self.testing = False
         self.setWindowTitle("TissueID")
         self.settings = self.services.settings()
         set_language(chosen(self.services.language, self.settings))
+        QLocale.setDefault(QLocale(current_language()) if current_language() != ENGLISH else QLocale.c())
         take_kept(self.settings)
         role = self.services.role or saved_role(self.settings)
         self.ui = Layout(self, self.services.folder, self.services.now, role)
         self._frames = QTimer(self)
         self._frames.setInterval(FRAME_MS)
         self._frames.timeout.connect(self._frame)
+        self._frame_at = 0.0
+        self._steady = 0
+        self._abort_shown: BaseException | None = None
+        self._said_when_watched = ""
+        self.warming: Callable[[], bool] = lambda: False
+        """Whether modules are still being imported in the background, which slows the window down."""
         ui = self.ui
         self.context = self._make_context()
         self._calibrator = CalibrationController(
@@ -111,6 +130,7 @@ class MainWindow(QMainWindow):
         self.files = FileDrops(self.context, self.pages, lambda: ui.form.folder, self)
         self.setAcceptDrops(True)
         install_shortcuts(self._actions(), self)
+        DeliberatePress(ui.guarded, self)
         self.commands = CommandPalette(self._actions, self)
         self._connect()
         self._take_palette()
@@ -153,7 +173,7 @@ class MainWindow(QMainWindow):
         from tissueid.app.live_test import LiveTest
         from tissueid.procedures.test_run import run_test
 
-        if self.clinician.watcher.start_after() or self.busy:
+        if self.clinician.watcher.start_after() or self.busy or self.study.complete:
             return
         form = self.ui.form
         wrong: QWidget = form.site
@@ -166,18 +186,15 @@ class MainWindow(QMainWindow):
             check_save_path(plan.out)
         except (TissueIDError, OSError) as error:
             self.ui.notice.say(in_words(error), problem=True, about_form=True)
-            if wrong is form.path or not form.site.currentText().strip():
+            if isinstance(error, TissueIDError) and code_of(error.message) == "subject.name":
+                form.is_pseudonym.setFocus()
+            elif wrong is form.path or not form.site.currentText().strip():
                 wrong.setFocus()
             return
         self._plan, self._live = plan, LiveSignals()
-        plan = self.clinician.planned(plan)
-        stop = self.begin_energised(self._show_frame)
-        self.findings = None
-        self.reports.show_findings(None)
-        self.ui.pages.setTabVisible(1, False)
-        self.ui.gate.hide()
-        self.ui.guidance.show_idle()
-        self.ui.guidance.say(_("Connecting to the instrument."))
+        plan = self.clinician.planned(plan, self.study.wanted)
+        stop = self.begin_energised(self._show_frame, _("Connecting to the instrument."))
+        self._clear_result()
         self.panels.log.note(
             _("A test begins: {site}, with {url}, to {path}.").format(site=plan.site, url=plan.url, path=plan.out)
         )
@@ -185,13 +202,14 @@ class MainWindow(QMainWindow):
         self.ui.analysis.expect(plan)
         self.ui.show_part(self.ui.running)
         self._running = LiveTest(self._live, stop)
+        self._abort_shown = None
         self._notices_shown = 0
         work = functools.partial(
             run_test,
             plan,
             self._running,
             self.context.trail,
-            opener=self.services.opener,
+            opener=stop.opening_when_watched(self.services.opener),
             calibrate=self.services.calibrate,
             pace=self.services.wait or stop.wait,
             separate_process=self.services.separate_process,
@@ -200,19 +218,24 @@ class MainWindow(QMainWindow):
         why = _("A test is running on Measure: stop it there, or wait.")
         self.jobs.do(work, self._test_ended, self._test_failed, why=why)
 
-    def begin_energised(self, draw: Callable[[], None]) -> EmergencyStop:
-        """Arm the STOP button, the stop keys and the watchdog for an operation that can energise the coil.
+    def begin_energised(self, draw: Callable[[], None], said: str) -> EmergencyStop:
+        """Arm the STOP button and the stop keys for an operation that can energise the coil; return its stop.
 
-        ``draw`` shows its state 30 times a second until :meth:`end_energised`. Return the stop of the operation.
+        ``draw`` shows its state 30 times a second until :meth:`end_energised`. The watchdog is armed, and ``said`` is
+        shown, once the window keeps up: new plots, first drawing and imports of the first test take seconds. Open the
+        instrument by ``opening_when_watched`` of the stop, so that no coil is energised before.
         """
         self._draw, self._stop = draw, self.services.stop()
-        self._stop.beat()
+        self._steady, self._frame_at, self._said_when_watched = 0, math.inf, said
+        self.ui.guidance.show_idle()
+        self.ui.guidance.say(_("Preparing. The coil is off."))
         self._keys.listen(True)
         self.testing = True
+        self.jobs.hold_results(True)
         self.ui.make_way()
         self.ui.notice.retract()
         self.ui.safety.expect()
-        self._frames.start()
+        self._frames.start(_PREPARING_MS)
         self.ui.stop.setFocus()
         return self._stop
 
@@ -221,6 +244,7 @@ class MainWindow(QMainWindow):
         self._keys.listen(False)
         self._frames.stop()
         self.testing = False
+        self.jobs.hold_results(False)
         self.clinician.freed()
         self.ui.safety.clear()
 
@@ -229,7 +253,7 @@ class MainWindow(QMainWindow):
         if self.testing:
             self._stop.press(reason)
             self.ui.guidance.say(_("Stopping: the coil is being released."))
-        elif not self.busy:
+        elif not self.busy and not self.ui.notice.holds_problem:
             self.ui.notice.say(sentence(translated(NO_TEST)))
 
     def _stop_by_button(self) -> None:
@@ -247,12 +271,28 @@ class MainWindow(QMainWindow):
         """Draw a frame, then record a heartbeat; without heartbeats the running test is stopped."""
         self._draw()
         self.ui.safety.show_key_reach(reach=QApplication.activeWindow() is not None)
-        self._stop.beat()
+        if self._stop.watching or self._is_prepared():
+            self._stop.beat()
+
+    def _is_prepared(self) -> bool:
+        """Return whether the window keeps up, so that the watchdog can be armed."""
+        now = time.monotonic()
+        late = not 0.0 <= now - self._frame_at <= KEEPS_UP_S
+        self._frame_at, self._steady = now, 0 if late or self.warming() else self._steady + 1
+        if self._steady < _STEADY_FRAMES:
+            return False
+        self._frames.setInterval(FRAME_MS)
+        if not self._stop.is_set():
+            self.ui.guidance.say(self._said_when_watched)
+        return True
 
     def _show_frame(self) -> None:
         if self._running is not None and (new := self._running.notices[self._notices_shown :]):
             self._notices_shown += len(new)
             self.ui.notice.say(" ".join(sentence(translated(notice)) for notice in new), page=MEASURE)
+        if self._running is not None and self._running.error is not None:
+            self._show_abort(self._running.error)
+            return
         snapshot = self._live.snapshot()
         self.ui.signals.show_live(snapshot)
         self.ui.safety.show_safety(snapshot.safety, free=snapshot.phase is Phase.RELEASE)
@@ -265,6 +305,20 @@ class MainWindow(QMainWindow):
             self.ui.analysis.show_live(self._live.identification)
         if self._plan is not None and not self._stop.is_set():
             self.ui.guidance.follow(snapshot, self._plan)
+
+    def _show_abort(self, error: BaseException) -> None:
+        """Show at once that the test ended early: until its recording is saved, nothing of it is live any more."""
+        if self._abort_shown is error:
+            return
+        self._abort_shown = error
+        self.ui.signals.show_live(self._live.snapshot())
+        self.clinician.freed()
+        self.ui.safety.clear()
+        if isinstance(error, LinkLostError):
+            self.ui.safety.show_link_lost(error.watchdog_s)
+        if not isinstance(error, CancelledError):
+            self.ui.notice.say(in_words(error), problem=True, page=MEASURE)
+        self.ui.guidance.say(_("The test has ended. What was recorded is being saved."))
 
     def _test_ended(self, outcome: TestOutcome) -> None:
         self._end_frames()
@@ -286,13 +340,13 @@ class MainWindow(QMainWindow):
             self._show_gate(session.test())
             self._identify(outcome.path, session, None)
         else:
-            self.ui.guidance.show_idle()
+            self.show_idle()
 
     def _test_failed(self, words: str) -> None:
         self._end_frames()
         self.ui.signals.clear()
         self.ui.analysis.hide()
-        self.ui.guidance.show_idle()
+        self.show_idle()
         self.ui.notice.say(words, problem=True, page=MEASURE)
         if self._live.device is None:  # else it had answered, and something else kept the test from beginning
             self._doubt_instrument()
@@ -311,21 +365,34 @@ class MainWindow(QMainWindow):
     # -- sessions and results ------------------------------------------------------------------------------
 
     def open_session(self, path: Path) -> None:
-        """Read a saved session and analyse it."""
+        """Read a saved session and analyse it on the page of results; return to this page if it cannot be read."""
+        before = self.ui.page
         self.ui.notice.retract()
         self.ui.analysis.hide()
-        self.identify(path)
+        self.pages.show(MEASURE)
+        self._identify(path, None, None, functools.partial(self._not_opened, before))
+
+    def _not_opened(self, before: str, words: str) -> None:
+        if self.ui.page == MEASURE:
+            self.pages.show(before)
+        self.context.say_failed(words)
 
     def identify(self, path: Path, session: Session | None = None) -> None:
         """Analyse a session and show the page of results."""
         self.pages.show(MEASURE)
         self._identify(path, session, None)
 
-    def _identify(self, path: Path, session: Session | None, number: int | None) -> None:
+    def _identify(
+        self,
+        path: Path,
+        session: Session | None,
+        number: int | None,
+        failed: Callable[[str], None] | None = None,
+    ) -> None:
         self.ui.guidance.say(_("Identifying the tissue."))
         why = _("A test is being analysed on Measure: wait a few seconds.")
         work = functools.partial(find, path, session, number)
-        self.jobs.do(work, self.show_findings, self.context.say_failed, why=why)
+        self.jobs.do(work, self.show_findings, failed or self.context.say_failed, why=why)
 
     def show_findings(self, findings: Findings) -> None:
         """Show the result of the analysis of a test."""
@@ -345,12 +412,34 @@ class MainWindow(QMainWindow):
         self.ui.pages.tabBar().setFocus()
         self.show_idle()
 
+    def _clear_result(self) -> None:
+        self.findings = None
+        self.reports.show_findings(None)
+        self.ui.pages.setTabVisible(1, False)
+        self.ui.gate.hide()
+        self.ui.form.show_other_test(False)
+        self.clinician.clear()
+        self.show_idle()
+
+    def _subject_begins(self, subject: str) -> None:
+        """Remove a result that is shown: it is of another subject than the next test."""
+        found = self.findings
+        if found is None or self.testing or subject in ("", found.session.subject.pseudonym):
+            return
+        self._clear_result()
+        self.ui.signals.clear()
+        self.ui.analysis.hide()
+        self._settle()
+
     def _judge(self) -> None:
         """Judge the tests of the shown session that the quality gate has not judged; the file is not changed."""
         if self.findings is None or self.busy:
             return
         self.ui.guidance.say(_("Judging the test."))
         self.jobs.do(functools.partial(judge_and_analyse, self.findings), self.show_findings, self.context.say_failed)
+
+    def _go_calibrate(self) -> None:
+        self.pages.go_calibrate(_("Put the calibration spring under the probe, then begin a calibration."))
 
     def _show_gate(self, test: Test, verdict: Verdict | None = None) -> None:
         """Show the findings of the quality gate, and the verdict once the test is analysed."""
@@ -360,7 +449,8 @@ class MainWindow(QMainWindow):
     def show_idle(self) -> None:
         """Show the name of the displayed test, or how to start one."""
         found = self.findings
-        self.ui.guidance.show_idle("" if found is None else f"{whose(found)}  ·  {found.path.name}")
+        shown = "" if found is None else f"{whose(found)}  ·  {found.path.name}"
+        self.ui.guidance.show_idle(self.study.instruction or shown)
 
     def _choose_session(self) -> None:
         kinds = _("Sessions and records (*.h5 {records});;All files (*)").format(records=RECORDS)
@@ -426,14 +516,14 @@ class MainWindow(QMainWindow):
         self.study.update_enabled(busy=self.busy)
         self.pages.update_enabled(busy=self.busy, testing=self.testing)
         show_disabled_reason(self.ui.waiting, self.jobs.why)
-        if self._closing and not self.jobs:
+        if self._closing and self.jobs.idle:
             self.close()
 
     # -- the window itself ------------------------------------------------------------------------------------
 
     def closeEvent(self, event: QCloseEvent) -> None:  # noqa: N802
         """Close; a running test first releases the coil and keeps what was recorded."""
-        if self.jobs:
+        if not self.jobs.idle:
             self._closing = True
             self._stop.press(BY_CLOSING)
             self.pages.cancel()
@@ -449,13 +539,29 @@ class MainWindow(QMainWindow):
         self.pages.save()
         super().closeEvent(event)
 
+    def _take_units(self) -> None:
+        take_kept(self.settings)
+        show_everywhere(self)
+
+    def _offer_restart(self) -> None:
+        language = self.pages.start.language.choice.currentText()
+        said = _("The language is {language} when TissueID has restarted.").format(language=language)
+        self.ui.notice.say(said, offer=_("Restart now"), act=self._restart)
+
+    def _restart(self) -> None:
+        self.restarts = True
+        self.close()
+
     def _take_palette(self) -> None:
-        """Apply the theme of the system's palette; called whenever it changes."""
-        theme = theme_of(self._palette_watch.palette())
-        if theme is not self._theme:
-            self._theme = theme
+        """Apply appearance and text size; called whenever they or the system's palette change."""
+        theme, scale = appearance(self.settings, self._palette_watch.palette()), text_scale(self.settings)
+        if (theme, scale) != (self._theme, self._scale):
+            self._theme, self._scale = theme, scale
+            font = QApplication.font()
+            font.setPointSizeF(scale * font.pointSizeF())
+            self.setFont(font)
             self.setPalette(palette_of(theme))
-            self.setStyleSheet(style_sheet(theme))
+            self.setStyleSheet(style_sheet(theme, scale))
             self.ui.apply_theme(theme)
             self.clinician.apply_theme(theme)
             self.panels.apply_theme(theme)
@@ -468,8 +574,9 @@ class MainWindow(QMainWindow):
         ui.role.changed.connect(self._change_role)
         ui.gate.again.connect(self.start_test)
         ui.gate.judge.connect(self._judge)
-        ui.form.filled.connect(ui.start.setFocus)
+        ui.gate.calibration_wanted.connect(self._go_calibrate)
         ui.form.changed.connect(ui.notice.form_changed)
+        ui.form.subject_chosen.connect(self._subject_begins)
         ui.stop.clicked.connect(self._stop_by_button)
         ui.halt.clicked.connect(self._stop_by_button)
         self._keys.pressed.connect(self._stop_by_key)
@@ -482,6 +589,12 @@ class MainWindow(QMainWindow):
         self.clinician.findings_wanted.connect(self.show_findings)
         self.device_search.recovered.connect(self._show_recovered)
         self.pages.shown.connect(self._page_shown)
+        self._calibrator.answered.connect(self.pages.on_instrument_answered)
+        start = self.pages.start
+        start.language.chosen.connect(self._offer_restart)
+        start.units.chosen.connect(self._take_units)
+        for chooser in (start.appearance, start.text_size):
+            chooser.chosen.connect(self._take_palette, Qt.ConnectionType.QueuedConnection)
         self.pages.start.find_asked.connect(self.device_search.find_instruments)
         self.pages.start.recovery_asked.connect(self.device_search.recover)
         # Queued: the new palette must first have reached every widget, or the rest would be overwritten by it.

@@ -106,6 +106,11 @@ class Notice(QFrame):
         self._pages, self._lasts, self._about_form = frozenset(), False, False
         self.hide()
 
+    @property
+    def holds_problem(self) -> bool:
+        """Whether a problem is shown that was not dismissed."""
+        return self._lasts and not self.isHidden()
+
     def watch(self, page: QWidget) -> None:
         """Let a notice go when another action begins by a button of a page: news at once, problems when it succeeds."""
         for button in page.findChildren(QAbstractButton):

@@ -6,12 +6,12 @@ import re
 
 from PySide6.QtCore import QPoint, Qt, QTimer, Signal
 from PySide6.QtGui import QValidator
-from PySide6.QtWidgets import QDoubleSpinBox, QLabel, QWidget
+from PySide6.QtWidgets import QDoubleSpinBox, QLabel, QSpinBox, QWidget
 
-from tissueid.language import _
+from tissueid.language import _, decimal
 
 _SHOWN_MS = 6000
-_NUMBER = re.compile(r"[+-]?(\d+([.,]\d*)?|[.,]\d+)")
+_NUMBER = re.compile(r"[+-]?(\d+([.,]\d*)?|[.,]\d+)([eE][+-]?\d+)?")
 
 
 class FieldHint(QLabel):
@@ -98,12 +98,13 @@ class NumberField(QDoubleSpinBox):
 
     def _look_back(self) -> None:
         """Say what may be typed, and which value stands again."""
-        typed, self._typed = self._typed.removesuffix(self.suffix()).strip(), ""
+        typed, self._typed = self._typed.removeprefix(self.prefix()).removesuffix(self.suffix()).strip(), ""
         if not typed:
             self.hint.say("")
             return
-        kept = self.textFromValue(self.value()) + self.suffix()
-        self.hint.say(_("{range}; {kept} stands again").format(range=self.range_words, kept=kept), fading=True)
+        kept = self.textFromValue(self.value())
+        said = _("{range}; {kept} is kept").format(range=self.range_words, kept=kept + self.suffix())
+        self.hint.say(said if kept else _("{range}; left empty").format(range=self.range_words), fading=True)
         self.refused.emit(typed)
 
     def valueFromText(self, text: str) -> float:  # noqa: N802
@@ -113,9 +114,45 @@ class NumberField(QDoubleSpinBox):
 
     def _number(self, text: str) -> float | None:
         body, unit = text.strip(), self.suffix().strip()
+        if body and body == self.specialValueText():
+            return self.minimum()
+        body = body.removeprefix(self.prefix().strip()).strip()
         for _time in range(2):  # the field's own, and one that is typed before it
             body = body.removesuffix(unit).strip()
         return float(body.replace(",", ".")) if _NUMBER.fullmatch(body) else None
+
+
+class WholeNumberField(QSpinBox):
+    """A field for a whole number that, as ``NumberField``, never makes another number of what was typed.
+
+    A bare spin box drops the comma of "1,5", which would become 15. Here the value before stands again.
+    """
+
+    def __init__(self, parent: QWidget | None = None) -> None:
+        super().__init__(parent)
+        self.setKeyboardTracking(False)
+
+    def validate(self, text: str, position: int) -> tuple[QValidator.State, str, int]:
+        """Anything may be typed; only a whole number in the range is taken."""
+        number = self._number(text)
+        good = number is not None and self.minimum() <= number <= self.maximum()
+        return QValidator.State.Acceptable if good else QValidator.State.Intermediate, text, position
+
+    def fixup(self, text: str) -> str:
+        """Return the text as it is."""
+        return text
+
+    def valueFromText(self, text: str) -> int:  # noqa: N802
+        """Return the number that is typed; the value before where it is none."""
+        number = self._number(text)
+        return self.value() if number is None else number
+
+    def _number(self, text: str) -> int | None:
+        body = text.strip()
+        if body and body == self.specialValueText():
+            return self.minimum()
+        body = body.removesuffix(self.suffix().strip()).strip()
+        return int(body) if re.fullmatch(r"[+-]?\d{1,12}", body) else None
 
 
 class OptionalNumberField(NumberField):
@@ -155,7 +192,7 @@ class OptionalNumberField(NumberField):
 
     def textFromValue(self, value: float) -> str:  # noqa: N802
         """Nothing for the least value; no more decimals than needed."""
-        return "" if value < 0.0 else f"{value:.10g}"
+        return "" if value < 0.0 else decimal(f"{value:.10g}")
 
     def _is_empty(self, text: str) -> bool:
         return not text.strip().removesuffix(self.suffix().strip()).strip()

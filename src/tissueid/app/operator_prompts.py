@@ -15,16 +15,21 @@ from tissueid.app.emergency import EmergencyStop
 from tissueid.app.live_signals import Array, LiveSignals, Snapshot
 from tissueid.app.safety import SafetyWatch
 from tissueid.calibration.file import Calibration
+from tissueid.device import DeviceDescription
 from tissueid.instrument import CLINICAL, Instrument
 from tissueid.procedures.control import Control
 from tissueid.wire import Flag
 
 _WAIT_S = 0.1
+_AT_STOP_M = 0.5e-3
+"""Distance from the ends of the stroke within which the probe stands on a stop, m."""
 
 
 @dataclass(frozen=True)
 class CalibrationOutcome:
     """The result. ``remarks`` are further messages, ``state`` is the new state of the instrument's calibration.
+
+    ``nominal`` is the instrument as it answered, without a calibration.
 
     ``report`` is None if it could not be written; the calibration is valid without it.
     """
@@ -34,6 +39,7 @@ class CalibrationOutcome:
     report: Path | None
     remarks: tuple[str, ...]
     state: CalibrationState = field(default_factory=CalibrationState)
+    nominal: DeviceDescription | None = None
 
 
 @dataclass(frozen=True)
@@ -180,7 +186,9 @@ class LiveCalibration:
     def _end_chunk(self) -> None:
         part, self._played = np.concatenate(self._played), []
         held = np.ptp(part["command"]) == 0.0 and np.ptp(part["position"]) < _SETTLED_M
-        if held:
+        stroke_m = float("inf") if self._signals.device is None else self._signals.device.stroke_m
+        # At the end of the travel, where the range of motion is found, the probe stands on the stop and on no spring.
+        if held and _AT_STOP_M < float(part["position"].mean()) < stroke_m - _AT_STOP_M:
             self._add(float(part["current"].mean()), float(part["position"].mean()))
 
     def _end_run(self, rate_hz: float) -> None:

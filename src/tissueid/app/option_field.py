@@ -12,12 +12,13 @@ from typing import Any, Literal, Union, get_args, get_origin
 import annotated_types
 from pydantic.fields import FieldInfo
 from PySide6.QtCore import QEvent, QObject, Signal
-from PySide6.QtGui import QKeyEvent, QKeySequence, QValidator
+from PySide6.QtGui import QKeyEvent, QKeySequence
 from PySide6.QtWidgets import QCheckBox, QComboBox, QDoubleSpinBox, QHBoxLayout, QLineEdit, QSpinBox, QWidget
 
+from tissueid.app.number_field import NumberField, WholeNumberField
 from tissueid.errors import UnusableInputError
 from tissueid.formatting import label_and_unit
-from tissueid.language import _
+from tissueid.language import _, decimal, marked
 from tissueid.messages import Message
 from tissueid.units import display_unit
 
@@ -29,6 +30,43 @@ _LONGEST = 2000
 _SHORT_S, _START = 0.1, 10.0
 _NARROW = 60
 """Controls may shrink so far: the form scrolls up and down alone."""
+
+CHOICES = {
+    "autocorrelation": marked("by its autocorrelation"),
+    "band": marked("flat up to the cutoff"),
+    "blackman": "Blackman",
+    "boxcar": marked("none (rectangular)"),
+    "burger": "Burgers",
+    "butterworth": marked("low-pass (Butterworth)"),
+    "full": marked("all lines"),
+    "gaussian": marked("Gaussian"),
+    "hamming": "Hamming",
+    "hammerstein": marked("nonlinearity, then dynamics (Hammerstein)"),
+    "hann": "Hann",
+    "in": marked("inward"),
+    "kelvin-voigt": "Kelvin-Voigt",
+    "laguerre": "Laguerre",
+    "lnl": marked("dynamics, nonlinearity, dynamics"),
+    "low_crest": marked("low crest factor"),
+    "maxwell": "Maxwell",
+    "nln": marked("nonlinearity, dynamics, nonlinearity"),
+    "odd": marked("odd lines"),
+    "odd_random": marked("odd lines, some left out"),
+    "out": marked("outward"),
+    "power": marked("power of the frequency"),
+    "power_law": marked("power of the frequency"),
+    "quantiles": marked("by its quantiles"),
+    "rayleigh": "Rayleigh",
+    "schroeder": "Schroeder",
+    "second_order": marked("second order"),
+    "standard-linear-solid": marked("standard linear solid"),
+    "svd": marked("robust (singular values)"),
+    "table": marked("from a table"),
+    "toeplitz": marked("fast (Toeplitz)"),
+    "white": marked("flat (white)"),
+    "wiener": marked("dynamics, then nonlinearity (Wiener)"),
+}
+"""Labels of choices whose name, as it is typed in the shell, does not say enough."""
 
 
 class OptionField(QWidget):
@@ -141,7 +179,7 @@ class OptionField(QWidget):
             combo.setSizeAdjustPolicy(QComboBox.SizeAdjustPolicy.AdjustToMinimumContentsLengthWithIcon)
             combo.setMinimumContentsLength(6)
             for choice in get_args(kind):
-                combo.addItem(_(str(choice)), choice)
+                combo.addItem(_(CHOICES.get(str(choice), str(choice))), choice)
             combo.currentIndexChanged.connect(self._tell)
             return combo
         if kind is int or kind is float:
@@ -158,7 +196,7 @@ class OptionField(QWidget):
     ) -> QSpinBox | QDoubleSpinBox:
         spin: QSpinBox | QDoubleSpinBox
         if kind is int:
-            whole = QSpinBox()
+            whole = WholeNumberField()
             low = math.ceil(max(limits[0], -_LARGEST)) + (opened[0] and float(limits[0]).is_integer())
             high = math.floor(min(limits[1], _LARGEST)) - (opened[1] and float(limits[1]).is_integer())
             whole.setRange(low, high)
@@ -220,8 +258,8 @@ class OptionField(QWidget):
         self.edited.emit()
 
 
-class _GeneralSpin(QDoubleSpinBox):
-    """Spin box with as few digits as the number needs, e.g. 1e-12 or 200."""
+class _GeneralSpin(NumberField):
+    """Number field with as few digits as the number needs, e.g. 1e-12 or 200."""
 
     def __init__(self) -> None:
         super().__init__()
@@ -230,32 +268,13 @@ class _GeneralSpin(QDoubleSpinBox):
 
     def textFromValue(self, value: float) -> str:  # noqa: N802
         """Return the number with up to ten digits."""
-        return f"{value:.{_DIGITS}g}"
-
-    def valueFromText(self, text: str) -> float:  # noqa: N802
-        """Return the typed number, with or without its unit."""
-        try:
-            return float(self._bare(text))
-        except ValueError:
-            return self.value()
-
-    def validate(self, text: str, position: int) -> QValidator.State:
-        """Accept every prefix of a number."""
-        try:
-            inside = self.minimum() <= float(self._bare(text)) <= self.maximum()
-        except ValueError:
-            partial = all(c in "+-.0123456789eE" for c in self._bare(text))
-            return QValidator.State.Intermediate if partial else QValidator.State.Invalid
-        return QValidator.State.Acceptable if inside else QValidator.State.Intermediate
+        return decimal(f"{value:.{_DIGITS}g}")
 
     def stepBy(self, steps: int) -> None:  # noqa: N802
         """Step by the second digit: 0.125 s to 0.135 s, 1e-12 to 1.1e-12."""
         value = self.value()
         size = 10.0 ** (math.floor(math.log10(abs(value))) - 1) if value else 0.01
         self.setValue(round(value + steps * size, _DECIMALS))
-
-    def _bare(self, text: str) -> str:
-        return text.removesuffix(self.suffix()).strip().replace(",", ".")
 
 
 def _without_none(annotation: Any) -> tuple[Any, bool]:

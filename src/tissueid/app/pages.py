@@ -11,7 +11,7 @@ from collections.abc import Callable, Mapping
 from pathlib import Path
 from typing import Any
 
-from PySide6.QtCore import QObject, Signal
+from PySide6.QtCore import QObject, Qt, Signal
 from PySide6.QtWidgets import QLineEdit, QPlainTextEdit, QTextEdit, QWidget
 
 from tissueid.app.context import AppContext, View
@@ -22,6 +22,7 @@ from tissueid.app.views.start.view import StartView
 from tissueid.app.widgets import show_disabled_reason
 from tissueid.app.window_state import saved_page
 from tissueid.audit import Role
+from tissueid.device import DeviceDescription
 from tissueid.formatting import clean
 from tissueid.language import _, marked
 
@@ -71,6 +72,7 @@ class Pages(QObject):
         super().__init__(window)
         self._context, self._ui = context, ui
         self._theme: Theme | None = None
+        self._answered: tuple[str, DeviceDescription] | None = None
         self.start = StartView(self._context_of(StartView.name))
         self.views: list[View] = [self.start]
         ui.rail.add(self.start.name, _("Start"))
@@ -112,6 +114,11 @@ class Pages(QObject):
         self._ui.show_page(name)
         self.shown.emit(name)
 
+    def go(self, name: str) -> None:
+        """Show a page and put the focus into it, as somebody who works by keyboard expects."""
+        self.show(name)
+        self._ui.focus_page()
+
     def title(self, name: str) -> str:
         """Return the title of a page."""
         return self._ui.rail.buttons[name].text()
@@ -120,7 +127,7 @@ class Pages(QObject):
         """Enable or disable the controls of every page."""
         for view in self.views:
             view.update_enabled(busy=busy, testing=testing)
-            show_disabled_reason(view.waiting(), self._context.jobs.why)
+            show_disabled_reason(view.waiting(), self._context.jobs.why_no_work)
 
     def set_role(self, role: Role) -> None:
         """Apply a new user role to all pages."""
@@ -131,6 +138,12 @@ class Pages(QObject):
         """Notify all pages of a session that was recorded or recovered."""
         for view in self.views:
             view.on_session_saved(path)
+
+    def on_instrument_answered(self, url: str, nominal: DeviceDescription) -> None:
+        """Notify all pages of an instrument that was calibrated."""
+        self._answered = url, nominal
+        for view in self.views:
+            view.on_instrument_answered(url, nominal)
 
     def offer_files(self, paths: list[Path]) -> bool:
         """Return whether the page that is shown takes these files."""
@@ -168,8 +181,10 @@ class Pages(QObject):
         _pass_drops_on(view)
         self._ui.notice.watch(view)
         view.set_role(self._ui.role.role)
+        if self._answered is not None:
+            view.on_instrument_answered(*self._answered)
         view.update_enabled(busy=self._context.busy, testing=self._context.testing())
-        show_disabled_reason(view.waiting(), self._context.jobs.why)
+        show_disabled_reason(view.waiting(), self._context.jobs.why_no_work)
         if self._theme is not None:
             _paint(view, self._theme)
 
@@ -196,7 +211,7 @@ class Pages(QObject):
         ui = self._ui
         ui.pages.setCurrentWidget(ui.calibration)
         ui.notice.say(words)
-        ui.calibration.begin["static"].setFocus()
+        ui.calibration.begin["static"].setFocus(Qt.FocusReason.ShortcutFocusReason)
 
     def prepare_test(self, values: Mapping[str, Any], words: str) -> None:
         """Fill the form of a test and show it with a notice; nothing starts."""

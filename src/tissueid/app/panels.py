@@ -131,10 +131,10 @@ class LogPanel(QDockWidget):
     saved = Signal(str, bool)
 
     def __init__(self, now: Callable[[], datetime], folder: Path, parent: QWidget | None = None) -> None:
-        super().__init__(_("What happened"), parent)
+        super().__init__(_("Log of the window"), parent)
         self.setObjectName("log")
         self._now, self._folder, self._last = now, folder, ""
-        self.lines = _reader(_("What happened"))
+        self.lines = _reader(_("Log of the window"))
         self.lines.setMaximumBlockCount(MOST_LINES)
         self.copy = QPushButton(_("Copy"))
         self.copy.setAccessibleName(_("Copy all lines"))
@@ -167,11 +167,27 @@ class LogPanel(QDockWidget):
         texts.addWidget(self.details, 1)
         column.addLayout(texts)
         self.setWidget(inside)
+        self._newest = True
+        self.lines.verticalScrollBar().rangeChanged.connect(self._show_newest)
+        self.lines.verticalScrollBar().actionTriggered.connect(self._scrolled)
         self.copy.clicked.connect(self._copy)
         self.save.clicked.connect(self._choose)
         self.fold.toggled.connect(self._unfold)
         self._unfold(False)
         self.fold.hide()
+
+    def showEvent(self, event: QShowEvent) -> None:  # noqa: N802
+        """Show the newest lines."""
+        super().showEvent(event)
+        self._newest = True
+        self._show_newest()
+
+    def _show_newest(self) -> None:
+        if self._newest:
+            self.lines.verticalScrollBar().setValue(self.lines.verticalScrollBar().maximum())
+
+    def _scrolled(self) -> None:
+        self._newest = False  # somebody reads older lines
 
     def note(self, text: str, problem: bool = False) -> None:
         """Add a line; what was said just before is not said again."""
@@ -201,7 +217,7 @@ class LogPanel(QDockWidget):
 
     def _choose(self) -> None:
         name = self._folder / f"tissueid-log-{self._now():%Y-%m-%d_%H-%M-%S}.txt"
-        dialog = QFileDialog(self, _("Save what happened"), str(self._folder), _("Text (*.txt)"))
+        dialog = QFileDialog(self, _("Save the log"), str(self._folder), _("Text (*.txt)"))
         dialog.setAcceptMode(QFileDialog.AcceptMode.AcceptSave)
         dialog.setDefaultSuffix("txt")
         dialog.selectFile(name.name)
@@ -216,7 +232,7 @@ class LogPanel(QDockWidget):
         except OSError as error:
             self.saved.emit(in_words(error), True)
         else:
-            self.saved.emit(_("What happened is saved in {path}.").format(path=path), False)
+            self.saved.emit(_("The log is saved in {path}.").format(path=path), False)
 
 
 def _defect_path() -> Path:
@@ -236,7 +252,7 @@ def _reader(name: str) -> QPlainTextEdit:
 
 HELP_KEY = "F1"
 LOG_KEY = "F9"
-_LOG_HEIGHT = 150
+_LOG_HEIGHT = 230
 
 
 class Panels(QObject):
@@ -253,7 +269,7 @@ class Panels(QObject):
         self.log.setFeatures(features.DockWidgetClosable | features.DockWidgetMovable)
         window.addDockWidget(Qt.DockWidgetArea.BottomDockWidgetArea, self.log)
         self.help_button = self._add(self.help, rail.add_foot(_("Help"), HELP_KEY, _("Help for this page")))
-        self.log_button = self._add(self.log, rail.add_foot(_("Log"), LOG_KEY, _("What happened so far")))
+        self.log_button = self._add(self.log, rail.add_foot(_("Log"), LOG_KEY, _("Log of the window")))
         self.help.turned.connect(partial(self._follow, self.help, self.help_button))
         self.log.visibilityChanged.connect(partial(self._follow, self.log, self.log_button))
         notice.said.connect(self.log.note)

@@ -12,8 +12,18 @@ from typing import TYPE_CHECKING, Any, TypeGuard, cast
 
 import numpy as np
 from PySide6.QtCore import QEvent, QObject, QPointF, QSize, Qt, QTimer
-from PySide6.QtGui import QContextMenuEvent, QKeyEvent, QMouseEvent, QResizeEvent, QShowEvent, QWheelEvent
-from PySide6.QtWidgets import QFileDialog, QFrame, QLabel, QMenu, QScrollArea, QSizePolicy, QVBoxLayout, QWidget
+from PySide6.QtGui import QContextMenuEvent, QKeyEvent, QMouseEvent, QPalette, QResizeEvent, QShowEvent, QWheelEvent
+from PySide6.QtWidgets import (
+    QApplication,
+    QFileDialog,
+    QFrame,
+    QLabel,
+    QMenu,
+    QScrollArea,
+    QSizePolicy,
+    QVBoxLayout,
+    QWidget,
+)
 
 from tissueid.app.draw_queue import request_drawing
 from tissueid.app.plot_readout import extremes, unit_of_values, values_at
@@ -95,6 +105,11 @@ class PlotCanvas(QFrame):
         self.readout.setProperty("role", "readout")
         self.readout.setAttribute(Qt.WidgetAttribute.WA_TransparentForMouseEvents)
         self.readout.hide()
+        self._cover = QLabel(_("Being drawn…"), self)
+        self._cover.setAlignment(Qt.AlignmentFlag.AlignCenter)
+        self._cover.setAutoFillBackground(True)
+        self._cover.setBackgroundRole(QPalette.ColorRole.Base)
+        self._cover.hide()
         self._inside = QVBoxLayout(self)
         self._inside.setContentsMargins(6, 4, 6, 4)
         self._inside.setSpacing(0)
@@ -148,6 +163,8 @@ class PlotCanvas(QFrame):
         self._axes, self._long, self._home = [], [], []
         if self._stale and self.isVisible():
             request_drawing(self)
+        self._cover.setVisible(self._stale)
+        self._cover.raise_()
 
     def say_missing(self, text: str) -> None:
         """Show a text in place of plots."""
@@ -177,7 +194,7 @@ class PlotCanvas(QFrame):
         form = path.suffix.lower().removeprefix(".")
         with atomic_file(path) as partial:
             if form == "csv":
-                partial.write_text(as_csv(self.plots), encoding="utf-8")
+                partial.write_text(as_csv(self.plots), encoding="utf-8", errors="backslashreplace")
             else:
                 from tissueid.reports.plot_renderer import draw_grid, draw_relief
                 from tissueid.reports.style import drawing, new_figure, plain_image
@@ -225,6 +242,7 @@ class PlotCanvas(QFrame):
     def resizeEvent(self, event: QResizeEvent) -> None:  # noqa: N802
         """Lay the plots out for the new size."""
         super().resizeEvent(event)
+        self._cover.setGeometry(self.rect().adjusted(2, 2, -2, -2))
         self._relayout.start()
 
     def eventFilter(self, watched: QObject, event: QEvent) -> bool:  # noqa: N802
@@ -326,6 +344,7 @@ class PlotCanvas(QFrame):
         menu.setAttribute(Qt.WidgetAttribute.WA_DeleteOnClose)
         menu.addAction(_("Show everything"), self.show_everything)
         menu.addAction(_("Save plot…"), self.ask_where_to_save)
+        menu.addAction(_("Copy picture"), lambda: QApplication.clipboard().setPixmap(self.grab()))
         menu.popup(event.globalPos())
 
     def ask_where_to_save(self) -> None:
@@ -370,9 +389,11 @@ class PlotCanvas(QFrame):
     def _draw(self) -> None:
         """Draw everything, and lay it out."""
         from tissueid.reports.plot_renderer import draw_grid, draw_relief
+        from tissueid.reports.style import localise_numbers
 
         canvas = self._make_canvas()
         canvas.setVisible(True)
+        self._cover.hide()
         self._inside.activate()  # gives the canvas its size before the plots are laid out
         figure = canvas.figure
         self._stale, self._scale, self._grabbed = False, 1.0, None
@@ -383,6 +404,7 @@ class PlotCanvas(QFrame):
             self._axes, self._long = [draw_relief(figure, self.plots[0], look, units=shown)], [[]]
         else:
             self._axes, self._long = draw_grid(figure, self._rows, look, units=shown, key=self._key)
+        localise_numbers(figure)
         self._lay_out()
         self._home = [
             (one.get_xlim(), one.get_ylim(), (one.elev, one.azim) if _in_space(one) else None) for one in self._axes

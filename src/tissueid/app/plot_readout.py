@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from tissueid.formatting import clean, number
-from tissueid.language import _
+from tissueid.language import _, decimal
 from tissueid.messages import translated
 from tissueid.units import shown
 
@@ -20,7 +20,7 @@ def values_at(plot: Plot, x: float, y: float) -> str:
     ends = [(x, shown(plot.x.unit)[0]), (y, shown(plot.y.unit)[0])]
     if plot.surface is not None:
         ends.append(_value_at(plot, plot.surface, x, y))
-    texts = [f"{value:.4g} {unit}".strip() for value, unit in ends]
+    texts = [f"{decimal(f'{value:.4g}')} {unit}".strip() for value, unit in ends]
     if plot.y.ticks:
         texts[1] = clean(translated(min(plot.y.ticks, key=lambda tick: abs(tick[0] - y))[1]))
     return "   ".join(filter(None, texts))

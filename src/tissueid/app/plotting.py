@@ -16,7 +16,7 @@ from PySide6.QtWidgets import QFrame, QHBoxLayout, QLabel, QSizePolicy, QVBoxLay
 from tissueid.app.axis import QuickAxis
 from tissueid.app.theme import Theme, faint
 from tissueid.app.widgets import ElidedLabel
-from tissueid.language import _
+from tissueid.language import _, decimal
 from tissueid.units import shown, shown_label
 
 Array = NDArray[np.float64]
@@ -43,7 +43,7 @@ class LogAxis(QuickAxis):
 
     def tickStrings(self, values: list[float], scale: float, spacing: float) -> list[str]:  # noqa: N802
         """The numbers themselves, in the unit that is shown."""
-        return [f"{10.0**value * scale:.4g}" for value in values]
+        return [decimal(f"{10.0**value * scale:.4g}") for value in values]
 
 
 class PlotCard(QFrame):

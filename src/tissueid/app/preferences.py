@@ -1,12 +1,15 @@
-"""Language and units of the window: stored choices and their choosers."""
+"""Language, units, appearance and text size of the window: stored choices and their choosers."""
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from typing import Protocol, runtime_checkable
 
 from PySide6.QtCore import QLibraryInfo, QLocale, QSettings, QTranslator, Signal
+from PySide6.QtGui import QPalette
 from PySide6.QtWidgets import QComboBox, QWidget
 
+from tissueid.app.theme import DARK, LIGHT, Theme, theme_of
 from tissueid.app.widgets import labelled_row
 from tissueid.language import ENGLISH, _, current_language, languages, marked
 from tissueid.units import SYSTEMS, System, in_force, use
@@ -57,48 +60,60 @@ def show_everywhere(window: QWidget) -> None:
             widget.take_units()
 
 
-class LanguageChooser(QWidget):
-    """A small chooser that keeps what is chosen in the settings; ``changed`` carries what is to be said about it."""
+NAMES: dict[System, str] = {"clinical": marked("Clinical (mm, g)"), "si": marked("SI (m, kg)")}
+APPEARANCE_SETTING, TEXT_SIZE_SETTING = "appearance", "text_size"
+APPEARANCES = {"": marked("As the system"), "light": marked("Light"), "dark": marked("Dark")}
+TEXT_SIZES = {"100": marked("Normal"), "115": marked("Large"), "130": marked("Larger")}
 
-    changed = Signal(str)
 
-    def __init__(self, settings: QSettings, parent: QWidget | None = None) -> None:
-        super().__init__(parent)
-        self._settings = settings
+def appearance(settings: QSettings, palette: QPalette) -> Theme:
+    """Return the theme that was chosen, else that of the system's palette."""
+    return {"light": LIGHT, "dark": DARK}.get(str(settings.value(APPEARANCE_SETTING, ""))) or theme_of(palette)
+
+
+def text_scale(settings: QSettings) -> float:
+    """Return how much larger than usual texts are."""
+    kept = str(settings.value(TEXT_SIZE_SETTING, ""))
+    return float(kept) / 100.0 if kept in TEXT_SIZES else 1.0
+
+
+class Chooser(QWidget):
+    """A small chooser that keeps what is chosen in the settings; ``chosen`` is sent for a new choice."""
+
+    chosen = Signal()
+
+    def __init__(self, settings: QSettings, key: str, name: str, entries: Mapping[str, str], now: str) -> None:
+        super().__init__()
+        self._settings, self._key = settings, key
+        self.name = name
         self.choice = QComboBox()
-        for code, name in languages().items():
-            self.choice.addItem(name, code)
-        kept = self.choice.findData(settings.value(LANGUAGE_SETTING, ""))
-        self.choice.setCurrentIndex(kept if kept >= 0 else self.choice.findData(current_language()))
-        self.choice.setAccessibleName(_("Language"))
-        self.choice.setToolTip(_("The language of the window, from its next start on"))
-        labelled_row(self, _("Language"), self.choice).addStretch(1)
+        for value, words in entries.items():
+            self.choice.addItem(words, value)
+        self.choice.setCurrentIndex(max(0, self.choice.findData(now)))
+        self.choice.setAccessibleName(name)
+        labelled_row(self, name, self.choice)
         self.choice.currentIndexChanged.connect(self._keep)
 
     def _keep(self) -> None:
-        self._settings.setValue(LANGUAGE_SETTING, self.choice.currentData())
-        self.changed.emit(_("{language} is taken on at the next start.").format(language=self.choice.currentText()))
+        self._settings.setValue(self._key, self.choice.currentData())
+        self._settings.sync()
+        self.chosen.emit()
 
 
-NAMES: dict[System, str] = {"clinical": marked("Clinical (mm, g)"), "si": marked("SI (m, kg)")}
-
-
-class UnitChooser(QWidget):
-    """A small chooser that keeps what is chosen in the settings and shows it in the whole window."""
-
-    def __init__(self, settings: QSettings, parent: QWidget | None = None) -> None:
-        super().__init__(parent)
-        self._settings = settings
-        self.choice = QComboBox()
-        for system in SYSTEMS:
-            self.choice.addItem(_(NAMES[system]), system)
-        self.choice.setCurrentIndex(self.choice.findData(in_force()))
-        self.choice.setAccessibleName(_("Units"))
-        self.choice.setToolTip(_("Units of plots and tables in the window; files and reports stay as they are"))
-        labelled_row(self, _("Units"), self.choice)
-        self.choice.currentIndexChanged.connect(self._take)
-
-    def _take(self) -> None:
-        use(self.choice.currentData())
-        self._settings.setValue(UNITS_SETTING, in_force())
-        show_everywhere(self.window())
+def choosers(settings: QSettings) -> tuple[Chooser, Chooser, Chooser, Chooser]:
+    """Return the choosers of language, units, appearance and text size."""
+    kept = str(settings.value(LANGUAGE_SETTING, ""))
+    known = languages()
+    language = kept if kept in known else current_language()
+    looks = {value: _(words) for value, words in APPEARANCES.items()}
+    sizes = {value: f"{_(words)} ({value} %)" for value, words in TEXT_SIZES.items()}
+    look, size = str(settings.value(APPEARANCE_SETTING, "")), str(settings.value(TEXT_SIZE_SETTING, ""))
+    made = (
+        Chooser(settings, LANGUAGE_SETTING, _("Language"), known, language),
+        Chooser(settings, UNITS_SETTING, _("Units"), {name: _(NAMES[name]) for name in SYSTEMS}, in_force()),
+        Chooser(settings, APPEARANCE_SETTING, _("Appearance"), looks, look),
+        Chooser(settings, TEXT_SIZE_SETTING, _("Text size"), sizes, size),
+    )
+    tip = _("Units of plots and tables in the window; files and reports stay as they are")
+    made[1].choice.setToolTip(tip)
+    return made

@@ -6,14 +6,17 @@ from typing import TYPE_CHECKING
 
 from PySide6.QtCore import Qt, Signal
 from PySide6.QtGui import QAccessible, QAccessibleEvent
-from PySide6.QtWidgets import QFrame, QGridLayout, QHBoxLayout, QLabel, QPushButton, QVBoxLayout, QWidget
+from PySide6.QtWidgets import QFrame, QGridLayout, QLabel, QVBoxLayout, QWidget
 
+from tissueid.app.build import button, fill, label, row, styled
 from tissueid.app.small_window import FoldingBox
 from tissueid.app.views.clinician.repeat_bar import RepeatBar
 from tissueid.app.views.clinician.sitting import Sitting
+from tissueid.app.widgets import show_level
+from tissueid.audit import Role
 from tissueid.language import _, marked
-from tissueid.messages import translated
-from tissueid.sessions.quality import Quality, Verdict
+from tissueid.messages import sentences, translated
+from tissueid.sessions.quality import Quality, QualityFinding, Verdict
 
 if TYPE_CHECKING:
     from tissueid.reports import verdict as report
@@ -22,6 +25,9 @@ _LEVELS: dict[Verdict, str] = {"good": "good", "look": "check", "repeat": "poor"
 _ONE_ROW = 640
 MOST_SHOWN = 3
 """Number of findings that are shown at first; a button shows the others."""
+_CALIBRATION = "calibration_"
+"""First letters of the codes of findings about the calibration."""
+_ASK = marked("The values can be compared only with those of this instrument. Ask the technician to calibrate it.")
 UNJUDGED = marked("The quality gate did not judge this test when it was made.")
 
 
@@ -34,50 +40,34 @@ class QualityGate(QFrame):
 
     again = Signal()
     judge = Signal()
+    calibration_wanted = Signal()
 
     def __init__(self, parent: QWidget | None = None) -> None:
         super().__init__(parent)
-        self.setProperty("role", "verdict")
+        self._role: Role = "technician"
         self._quality: Quality | None = None
-        self.light = QLabel("●")
-        self.light.setProperty("role", "headline")
-        self.headline = QLabel()
-        self.headline.setProperty("role", "headline")
-        self.headline.setWordWrap(True)
-        self.headline.setMinimumWidth(1)
-        self.more = QPushButton()
+        styled(self, role="verdict")
+        self.light, self.headline = styled(QLabel("●"), role="headline"), label("headline")
+        self.more = button("", name=_("All findings"))
         self.more.setCheckable(True)
-        self.more.setAccessibleName(_("All findings"))
-        self.run_again = QPushButton(_("Run again"))
-        self.run_again.setToolTip(_("The same test once more, into a file of its own"))
-        self.judge_now = QPushButton(_("Judge this test"))
-        self.judge_now.setToolTip(_("Let the quality gate look at the recorded signals; the file stays as it is"))
-        said, offered = QHBoxLayout(), QHBoxLayout()
-        said.setSpacing(8)
-        said.addWidget(self.light)
-        said.addWidget(self.headline, 1)
+        self.run_again = button(_("Start test again"), tip=_("The same test once more, into a file of its own"))
+        self.calibrate = button(_("Calibrate…"), tip=_("Go to the calibrations; nothing starts"))
+        judging = _("Let the quality gate look at the recorded signals; the file stays as it is")
+        self.judge_now = button(_("Judge this test"), tip=judging)
         self.repeats = RepeatBar()
-        offered.setSpacing(8)
-        offered.addStretch(1)
-        for part in (self.repeats, self.more, self.judge_now, self.run_again):
-            offered.addWidget(part)
-        top = FoldingBox(_ONE_ROW)
-        top.setSpacing(4)
-        top.addLayout(said, 1)
-        top.addLayout(offered)
+        offered = None, self.repeats, self.more, self.judge_now, self.calibrate, self.run_again
+        said = row(self.light, (self.headline, 1), spacing=8)
+        top = fill(FoldingBox(_ONE_ROW), (said, 1), row(*offered, spacing=8), spacing=4)
         self._grid = QGridLayout()
         self._grid.setHorizontalSpacing(12)
         self._grid.setVerticalSpacing(2)
         self._grid.setColumnStretch(0, 1)
         self._grid.setColumnStretch(1, 1)
-        layout = QVBoxLayout(self)
-        layout.setContentsMargins(12, 5, 10, 5)
-        layout.setSpacing(3)
-        layout.addLayout(top)
-        layout.addLayout(self._grid)
+        fill(QVBoxLayout(self), top, self._grid, spacing=3, margins=(12, 5, 10, 5))
         self.more.toggled.connect(self._fill)
         self.run_again.clicked.connect(self.again)
         self.judge_now.clicked.connect(self.judge)
+        self.calibrate.clicked.connect(self.calibration_wanted)
         self.hide()
 
     def show_quality(self, quality: Quality | None, *, can_repeat: bool, verdict: report.Verdict | None = None) -> None:
@@ -92,9 +82,7 @@ class QualityGate(QFrame):
         if verdict is not None:
             level, headline = verdict.level, verdict.headline
         for widget in (self, self.light, self.headline):
-            widget.setProperty("level", level)
-            widget.style().unpolish(widget)
-            widget.style().polish(widget)
+            show_level(widget, level)
         self.headline.setText(_(headline) if headline else _("Not judged"))
         self.run_again.setVisible(level == "poor" and can_repeat)
         self.judge_now.setVisible(quality is None and verdict is not None)
@@ -106,6 +94,11 @@ class QualityGate(QFrame):
         if level in ("check", "poor"):
             QAccessible.updateAccessibility(QAccessibleEvent(self, QAccessible.Event.Alert))
 
+    def show_role(self, role: Role) -> None:
+        """Give advice that this role can follow."""
+        self._role = role
+        self._fill()
+
     def show_sitting(self, sitting: Sitting | None) -> None:
         """Show how far the sitting of the shown test has come; one button repeats it."""
         self.repeats.show_sitting(sitting)
@@ -115,33 +108,38 @@ class QualityGate(QFrame):
     @property
     def words(self) -> tuple[str, ...]:
         """All findings, including those that are not shown at first."""
-        return (_(UNJUDGED),) if self._quality is None else tuple(translated(line) for line in self._quality.lines)
+        findings = () if self._quality is None else self._quality.findings
+        said = (sentences(finding.words, self._advice(finding)) for finding in findings)
+        return (_(UNJUDGED),) if self._quality is None else tuple(translated(line) for line in said)
+
+    def _advice(self, finding: QualityFinding) -> str:
+        """Return what to do, as far as the role can do it."""
+        asks = self._role != "technician" and finding.code.startswith(_CALIBRATION)
+        return _(_ASK) if asks else translated(finding.advice)
 
     def _fill(self) -> None:
         while (item := self._grid.takeAt(0)) is not None:
             if (widget := item.widget()) is not None:
                 widget.hide()
                 widget.deleteLater()
+        findings = () if self._quality is None else self._quality.findings
+        calibrated = not any(finding.code.startswith(_CALIBRATION) for finding in findings)
+        self.calibrate.setVisible(self._role == "technician" and not calibrated)
         if self._quality is None:
             self._grid.addWidget(_text(_(UNJUDGED), "muted"), 0, 0, 1, 2)
             self.more.hide()
             return
-        findings = self._quality.findings
         hidden = len(findings) - MOST_SHOWN
         self.more.setVisible(hidden > 0)
         self.more.setText(_("Fewer") if self.more.isChecked() else _("{count} more").format(count=hidden))
         shown = findings if self.more.isChecked() else findings[:MOST_SHOWN]
-        for row, finding in enumerate(shown):
-            self._grid.addWidget(_text(translated(finding.words), ""), row, 0)
-            self._grid.addWidget(_text(translated(finding.advice), "muted"), row, 1)
+        for place, finding in enumerate(shown):
+            self._grid.addWidget(_text(translated(finding.words), ""), place, 0)
+            self._grid.addWidget(_text(self._advice(finding), "muted"), place, 1)
 
 
 def _text(text: str, role: str) -> QLabel:
-    label = QLabel(text)
-    label.setProperty("role", role)
-    label.setWordWrap(True)
-    label.setMinimumWidth(1)
-    label.setTextFormat(Qt.TextFormat.PlainText)
-    label.setAlignment(Qt.AlignmentFlag.AlignTop | Qt.AlignmentFlag.AlignLeft)
-    label.setTextInteractionFlags(Qt.TextInteractionFlag.TextSelectableByMouse)
-    return label
+    made = label(role)
+    made.setText(text)
+    made.setAlignment(Qt.AlignmentFlag.AlignTop | Qt.AlignmentFlag.AlignLeft)
+    return made

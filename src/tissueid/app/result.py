@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping
 from dataclasses import replace
 
 from PySide6.QtCore import Qt, Signal
@@ -11,14 +11,13 @@ from PySide6.QtWidgets import (
     QComboBox,
     QFrame,
     QGridLayout,
-    QHBoxLayout,
     QLabel,
-    QPushButton,
     QScrollArea,
     QVBoxLayout,
     QWidget,
 )
 
+from tissueid.app.build import button, fill, label, row, styled
 from tissueid.app.findings import Findings, Number, whose
 from tissueid.app.plot_canvas import PlotCanvas
 from tissueid.app.small_window import FoldingBox
@@ -26,7 +25,8 @@ from tissueid.app.theme import Theme
 from tissueid.app.views.clinician.comparison_card import ComparisonCard
 from tissueid.app.views.clinician.repeat_bar import SittingSummary
 from tissueid.app.views.clinician.sitting import Standing
-from tissueid.app.widgets import ElidedLabel
+from tissueid.app.widgets import ElidedLabel, show_level
+from tissueid.audit import Role
 from tissueid.device import SIMULATED_LINE
 from tissueid.formatting import local_time, value_and_rest, zone_offset
 from tissueid.language import _, marked
@@ -47,6 +47,19 @@ _METHODS = marked(
     "it."
 )
 _PLOT_HEIGHT = 150
+_MEANINGS = {
+    "mass_kg": marked(
+        "Mass: what moves with the probe, its coil and the tissue next to it. A larger mass follows the force more "
+        "slowly."
+    ),
+    "damping_n_s_per_m": marked(
+        "Damping: how strongly the tissue resists fast motion. More damping: it gives way and returns more slowly."
+    ),
+    "stiffness_n_per_m": marked(
+        "Stiffness: the force that presses the tissue in further. 1000 N/m is 1 N for each millimetre; more is harder."
+    ),
+}
+"""What the numbers mean, by quantity."""
 
 
 class ResultPage(QScrollArea):
@@ -68,21 +81,12 @@ class ResultPage(QScrollArea):
         layout.setSpacing(8)
         layout.addWidget(self._make_verdict())
         self._tiles = [_Tile() for _ in range(_TILES)]
-        for tile in self._tiles[-2:]:
-            tile.setToolTip(
-                _("Variance accounted for (VAF): how much of the motion a simulation explains that sees only the force")
-            )
         self.summary = SittingSummary()
         layout.addWidget(self.summary)
         self._tile_grid = QGridLayout()
         self._tile_grid.setSpacing(8)
         layout.addLayout(self._tile_grid)
-        self.readings = QLabel()
-        self.readings.setProperty("role", "muted")
-        self.readings.setWordWrap(True)
-        self.readings.setMinimumWidth(1)
-        self.readings.setTextFormat(Qt.TextFormat.PlainText)
-        self.readings.setTextInteractionFlags(Qt.TextInteractionFlag.TextSelectableByMouse)
+        self.readings = label("muted")
         self.readings.setContentsMargins(12, 0, 8, 0)
         self.readings.hide()
         layout.addWidget(self.readings)
@@ -93,25 +97,21 @@ class ResultPage(QScrollArea):
         self._plot_grid.setSpacing(8)
         layout.addLayout(self._plot_grid, 1)
         self._columns: tuple[int, int] | None = None
-        self._numbers: tuple[Number, ...] = ()
+        self._findings: Findings | None = None
+        self._standing: Standing | None = None
+        self._changes: Mapping[str, str] = {}
         self._arrange(self.width())
+        self.details.hide()
 
     def show_findings(self, findings: Findings) -> None:
         """Fill the page."""
         self._build_plots()
+        self._findings, self._changes = findings, {}
         self.whose.setText(whose(findings))
         self.whose.setToolTip(self.whose.text())
-        # Headline and light stand above, and so does what the quality gate said.
-        shown = {finding.words for finding in findings.quality.findings} if findings.quality else set()
-        reasons = [reason for reason in findings.verdict.reasons if reason not in shown]
-        self.reasons.setText("\n".join(translated(line) for line in [*reasons, *findings.cautions]))
-        self.reasons.setVisible(bool(self.reasons.text()))
         self.simulated.setVisible(findings.session.instrument.simulated)
-        self.facts.setText(" ".join(filter(None, [_recorded(findings), findings.ended, findings.visited])))
         self.readings.setText(findings.readings)
-        self.readings.setVisible(bool(findings.readings))
-        self._numbers = findings.numbers
-        self._fill_tiles(self._numbers)
+        self._fill()
         found, recorded = findings.plots, findings.recorded
         models = found.nonlinearity, found.impulse, found.magnitude, found.phase, found.prediction
         plots = *models, recorded.coherence, recorded.spectra, recorded.voltage
@@ -122,17 +122,46 @@ class ResultPage(QScrollArea):
 
     def show_standing(self, standing: Standing | None) -> None:
         """Show the summary of the sitting; an accepted result replaces the numbers of the test."""
+        self._standing = standing
         self.summary.show_standing(standing)
-        if standing is None or not standing.accepted:
-            self._fill_tiles(self._numbers)
-        else:
-            self._fill_tiles([_accepted(number, standing) for number in self._numbers])
+        self._fill()
 
-    def _fill_tiles(self, numbers: Sequence[Number]) -> None:
+    def show_changes(self, changes: Mapping[str, str]) -> None:
+        """Show what changed since the sitting before at this site, by quantity."""
+        self._changes = changes
+        self._fill()
+
+    def show_role(self, role: Role) -> None:
+        """Fold the details away for a clinician; others see all."""
+        self.details.setVisible(role == "clinician")
+        self.details.setChecked(role != "clinician")
+        self._fill()
+
+    def _fill(self) -> None:
+        """Show the numbers and words of the test, and what belongs to them if details are shown."""
+        findings, detailed = self._findings, self.details.isChecked()
+        for card in self.cards:
+            card.setVisible(detailed)
+        if findings is None:
+            return
+        # Headline and light stand above, and so does what the quality gate said.
+        shown = {finding.words for finding in findings.quality.findings} if findings.quality else set()
+        reasons = [reason for reason in findings.verdict.reasons if reason not in shown]
+        cautions = findings.cautions if detailed else ()
+        self.reasons.setText("\n".join(translated(line) for line in [*findings.unread, *reasons, *cautions]))
+        self.reasons.setVisible(bool(self.reasons.text()))
+        facts = [_recorded(findings), findings.ended, findings.visited if detailed else ""]
+        self.facts.setText(" ".join(filter(None, facts)))
+        self.readings.setVisible(detailed and bool(findings.readings))
+        numbers = [number for number in findings.numbers if detailed or number.unit != "%"]
+        if (standing := self._standing) is not None and standing.accepted:
+            numbers = [_accepted(number, standing) for number in numbers]
         for place, tile in enumerate(self._tiles):
             tile.setVisible(place < len(numbers))
             if place < len(numbers):
-                tile.fill(numbers[place])
+                number = numbers[place]
+                tile.fill(number, findings.verdict.level, self._changes.get(number.quantity, ""))
+        self._arrange(self.width())
 
     def resizeEvent(self, event: QResizeEvent) -> None:  # noqa: N802
         """Rearrange tiles and plots for the new width."""
@@ -149,48 +178,22 @@ class ResultPage(QScrollArea):
     # -- building -----------------------------------------------------------------------------------------
 
     def _make_verdict(self) -> QWidget:
-        self._verdict = QFrame()
-        self._verdict.setProperty("role", "verdict")
-        self.whose = ElidedLabel()
-        self.whose.setProperty("role", "headline")
-        self.facts = QLabel()
-        self.facts.setProperty("role", "muted")
-        self.simulated = QLabel(_(SIMULATED_LINE))
-        self.simulated.setProperty("role", "heading")
-        self.simulated.setWordWrap(True)
-        self.simulated.setMinimumWidth(1)
-        self.reasons = QLabel()
-        self.reasons.setToolTip(_(_METHODS))
-        self.test = QComboBox()
-        self.test.setAccessibleName(_("Test of this session"))
+        frame = styled(QFrame(), role="verdict")
+        self.whose = styled(ElidedLabel(), role="headline")
+        self.facts, self.simulated = label("muted"), label("heading")
+        self.simulated.setText(_(SIMULATED_LINE))
+        self.reasons = label(tip=_(_METHODS))
+        self.test = styled(QComboBox(), name=_("Test of this session"))
         self.test.setMaximumWidth(260)
         self.test.activated.connect(self._choose_test)
-        for label in (self.facts, self.reasons):
-            label.setWordWrap(True)
-            label.setMinimumWidth(1)
-            label.setTextFormat(Qt.TextFormat.PlainText)
-            label.setTextInteractionFlags(Qt.TextInteractionFlag.TextSelectableByMouse)
-        named, offered = QHBoxLayout(), QHBoxLayout()
-        named.setSpacing(_APART)
-        offered.setSpacing(_APART)
-        self.pdf = QPushButton(_("PDF report"))
-        self.pdf.setToolTip(_("One or two pages to print, saved next to the session"))
-        named.addWidget(self.whose, 1)
-        offered.addStretch(1)
-        offered.addWidget(self.test)
-        offered.addWidget(self.pdf)
-        top = FoldingBox(_ONE_ROW)
-        top.setSpacing(4)
-        top.addLayout(named, 1)
-        top.addLayout(offered)
-        layout = QVBoxLayout(self._verdict)
-        layout.setContentsMargins(12, 8, 12, 8)
-        layout.setSpacing(3)
-        layout.addLayout(top)
-        layout.addWidget(self.simulated)
-        layout.addWidget(self.reasons)
-        layout.addWidget(self.facts)
-        return self._verdict
+        self.pdf = button(_("PDF report"), tip=_("One or two pages to print, saved next to the session"))
+        self.details = button(_("Details"), tip=_("How well the model fits, and the curves behind the numbers"))
+        self.details.setCheckable(True)
+        self.details.toggled.connect(self._fill)
+        offered = row(None, self.test, self.details, self.pdf, spacing=_APART)
+        top = fill(FoldingBox(_ONE_ROW), (row((self.whose, 1)), 1), offered, spacing=4)
+        fill(QVBoxLayout(frame), top, self.simulated, self.reasons, self.facts, spacing=3, margins=(12, 8, 12, 8))
+        return frame
 
     def _build_plots(self) -> None:
         if self.cards:
@@ -203,13 +206,15 @@ class ResultPage(QScrollArea):
             card.focus = Qt.FocusPolicy.ClickFocus  # the page is scrolled by keys, not stop by stop
             if self._theme is not None:
                 card.apply_theme(self._theme)
+            card.setVisible(self.details.isChecked())
         self._columns = None
         self._arrange(self.width())
 
     def _arrange(self, width: int) -> None:
         """Put tiles and plots into as many columns as a width, pixels, holds."""
+        shown = sum(not tile.isHidden() for tile in self._tiles) or _TILES
         columns = (
-            (_TILES if width >= _ROOM_FOR_TILES else 3 if width >= _ROOM_FOR_THREE else 2),
+            (min(shown, _TILES) if width >= _ROOM_FOR_TILES else 3 if width >= _ROOM_FOR_THREE else 2),
             (2 if width >= _ROOM_FOR_TWO_PLOTS else 1),
         )
         if columns == self._columns:
@@ -221,8 +226,8 @@ class ResultPage(QScrollArea):
                 grid.addWidget(widget, place // across, place % across)
             for column in range(_TILES):
                 grid.setColumnStretch(column, int(column < across))
-            for row in range(len(widgets)):
-                grid.setRowStretch(row, int(row * across < len(widgets)))
+            for place in range(len(widgets)):
+                grid.setRowStretch(place, int(place * across < len(widgets)))
 
     # -- filling ------------------------------------------------------------------------------------------
 
@@ -243,7 +248,7 @@ def _accepted(number: Number, standing: Standing) -> Number:
     """Return the accepted value of a number, labelled so; a number that was not accepted is that of the shown test."""
     value = standing.values.get(number.quantity)
     if value is None:
-        return replace(number, note=_("shown test; {note}").format(note=number.note))
+        return replace(number, note=_("this test alone; {note}").format(note=number.note))
     note = (
         translated(Message("result.accepted_mean", "accepted: mean of {count} tests", count=value.count))
         if value.count > 1
@@ -273,28 +278,24 @@ class _Tile(QFrame):
         super().__init__()
         self.setProperty("role", "card")
         self._number: Number | None = None
-        self._label, self._value, self._rest, self._note = QLabel(), QLabel(), QLabel(), QLabel()
-        for label in (self._label, self._note):
-            label.setProperty("role", "field")
-            label.setWordWrap(True)
+        self._label, self._value, self._rest, self._note, self._change = (QLabel() for _ in range(5))
+        for part in (self._label, self._note, self._change):
+            styled(part, role="field").setWordWrap(True)
         self._value.setProperty("role", "value")
         self._rest.setProperty("role", "muted")
-        number = QHBoxLayout()
-        number.setSpacing(5)
-        number.addWidget(self._value)
-        number.addWidget(self._rest, 0, Qt.AlignmentFlag.AlignBottom)
-        number.addStretch(1)
-        layout = QVBoxLayout(self)
-        layout.setContentsMargins(12, 7, 8, 7)
-        layout.setSpacing(1)
-        layout.addWidget(self._label)
-        layout.addLayout(number)
-        layout.addWidget(self._note)
-        layout.addStretch(1)
+        number = row(self._value, self._rest, None, spacing=5)
+        number.setAlignment(self._rest, Qt.AlignmentFlag.AlignBottom)
+        parts = self._label, number, self._note, self._change, None
+        fill(QVBoxLayout(self), *parts, spacing=1, margins=(12, 7, 8, 7))
 
-    def fill(self, number: Number) -> None:
-        """Show a number."""
+    def fill(self, number: Number, level: str, change: str) -> None:
+        """Show a number of a test with a verdict of ``level``, and what ``change`` says of the sitting before."""
         self._number = number
+        vaf = _("Variance accounted for (VAF): how much of the motion a simulation explains that sees only the force")
+        self.setToolTip(_(_MEANINGS[number.quantity]) if number.quantity in _MEANINGS else vaf)
+        show_level(self._value, level)
+        self._change.setText(change)
+        self._change.setVisible(bool(change))
         self._label.setText(number.label)
         self._note.setText(number.note)
         self.take_units()
@@ -308,4 +309,5 @@ class _Tile(QFrame):
         value, rest = (number.value, number.unit) if found is None else value_and_rest(found, number.si_unit)
         self._value.setText(value)
         self._rest.setText(rest)
-        self.setAccessibleName(f"{number.label}: {value} {rest}, {number.note}")
+        said = f"{number.label}: {value} {rest}, {number.note}. {self._change.text()}"
+        self.setAccessibleName(said.strip())

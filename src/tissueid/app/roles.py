@@ -73,7 +73,7 @@ class RoleCard(BigButton):
         """Show whether this is the current role."""
         self.setProperty("taken", taken)
         title = _(ROLE_NAMES[self.role])
-        self._title.setText(_("{role} · now").format(role=title) if taken else title)
+        self._title.setText(_("{role} (current)").format(role=title) if taken else title)
         self.setAccessibleName(f"{self._title.text()}: {self._sentence}")
         self.style().unpolish(self)
         self.style().polish(self)

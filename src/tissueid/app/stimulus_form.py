@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from pathlib import Path
 from typing import Any
 
@@ -13,6 +14,7 @@ from tissueid.acquisition.waveform_file import RATES_HZ, SUFFIXES, is_waveform
 from tissueid.app.form_choices import FROM_FILE, MULTISTEP
 from tissueid.app.option_field import OptionField
 from tissueid.errors import UnusableInputError
+from tissueid.identification.live.stopping import PARAMETERS
 from tissueid.language import _, marked
 from tissueid.messages import Message
 from tissueid.procedures.test_plan import LIVE_METHODS
@@ -49,6 +51,10 @@ class _Played(BaseModel):
     )
 
 
+_BETWEEN = re.compile(r"[;,]\s*(?=[^\d\s])")
+_TARGET = re.compile(r"(\w+)[\s=:]+(\d+(?:[.,]\d+)?)\s*(%?)")
+
+
 class StimulusForm(QWidget):
     """``changed`` is sent when the kind or one of its options is another; ``kind_changed`` for the kind alone.
 
@@ -67,7 +73,7 @@ class StimulusForm(QWidget):
         self.file.setPlaceholderText(_("no file"))
         self.file.setToolTip(
             _(
-                "A stimulus saved by 'tissueid stimulus', or a waveform in N: .csv, .txt or .npy with one column of "
+                "A saved stimulus, or a waveform in N: .csv, .txt or .npy with one column of "
                 "values, or two of time and value"
             )
         )
@@ -81,12 +87,12 @@ class StimulusForm(QWidget):
         self._labels: dict[str, QLabel] = {}
         self.browse = QPushButton(_("Browse…"))
         self.stop_when = QLineEdit()
-        self.stop_when.setPlaceholderText("stiffness=0.02")
-        self.stop_when.setAccessibleName(_("Stop when known to"))
+        self.stop_when.setPlaceholderText(_("stiffness 2 %"))
+        self.stop_when.setAccessibleName(_("Stop at uncertainty"))
         self.stop_when.setToolTip(
             _("Standard deviation that is enough, as a share of the value: mass, damping, stiffness")
             + "\n"
-            + _("such as stiffness=0.02; empty: to its end")
+            + _("such as stiffness 2 %; empty: to its end")
         )
         self.live_method = QComboBox()
         for name, title in LIVE_METHODS.items():
@@ -107,7 +113,7 @@ class StimulusForm(QWidget):
         row.setContentsMargins(0, 0, 0, 0)
         row.addWidget(self.file, 1)
         row.addWidget(self.browse)
-        self._stop_label = QLabel(_("Stop when known to"))
+        self._stop_label = QLabel(_("Stop at uncertainty"))
         self._stop_label.setWordWrap(True)
         self._grid.addWidget(QLabel(_("Stimulus")), 0, 0)
         self._grid.addWidget(self.kind, 0, 1)
@@ -191,7 +197,7 @@ class StimulusForm(QWidget):
             depths_m = chosen["depth_min_m"], chosen["depth_max_m"]
             return {"multistep": chosen["steps"], "target": chosen["target"], "depth_range_m": depths_m}
         values: dict[str, Any] = {"live": True, "live_method": self.live_method.currentData()}
-        values["stop_when"] = tuple(self.stop_when.text().replace(",", " ").split())
+        values["stop_when"] = _targets(self.stop_when.text())
         if self.chosen == FROM_FILE:
             saved = self.file.text().strip()
             if not saved:
@@ -294,3 +300,19 @@ def _model(kind: str) -> type[BaseModel]:
     if kind in (MULTISTEP, FROM_FILE):
         return _Steps if kind == MULTISTEP else _Played
     return Noise if kind == Noise.name else get_stimulus(kind)
+
+
+def _targets(text: str) -> tuple[str, ...]:
+    """Return targets as they are typed, such as "stiffness 2 %, mass 3 %", as NAME=SHARE; the rule judges them."""
+    names = {_(name).casefold(): name for name in PARAMETERS}
+    targets = []
+    for part in filter(None, map(str.strip, _BETWEEN.split(text))):
+        found = _TARGET.fullmatch(part)
+        if found is None:
+            targets.append(part)
+            continue
+        name, share, percent = found[1].casefold(), found[2].replace(",", "."), found[3]
+        targets.append(
+            f"{names.get(name, name)}={float(share) / 100.0:g}" if percent else f"{names.get(name, name)}={share}"
+        )
+    return tuple(targets)

@@ -15,9 +15,13 @@ from tissueid.app.layout import Layout
 from tissueid.app.navigation_bar import MEASURE
 from tissueid.app.presets import why_not_offered
 from tissueid.app.views.clinician.demographics_dialog import DemographicsDialog
+from tissueid.app.views.clinician.sitting import NORM
+from tissueid.app.views.clinician.study_card import condition_words
+from tissueid.app.window_state import keep_visited_study
 from tissueid.atomic_write import private_folder
 from tissueid.language import _
 from tissueid.messages import Message, Verbatim, translated
+from tissueid.procedures.study_protocol import SittingStep
 from tissueid.procedures.study_sitting import SittingState, open_sitting
 from tissueid.procedures.study_subjects import add_photograph, read_demographics, save_demographics
 from tissueid.sessions import Session
@@ -39,6 +43,8 @@ class StudySitting(QObject):
         self._context, self._ui = context, ui
         self.state: SittingState | None = None
         self.dialog: DemographicsDialog | None = None
+        self.instruction = ""
+        """What comes next, in one sentence; "" without a sitting."""
         self._demographics: dict[str, str] = {}
         self._folder_before = ui.form.folder
         self.card = ui.study_card
@@ -51,6 +57,17 @@ class StudySitting(QObject):
         """Whether a sitting is open."""
         return self.state is not None
 
+    @property
+    def complete(self) -> bool:
+        """Whether a sitting is open in which nothing is left to measure."""
+        return self.state is not None and self.state.step is None
+
+    @property
+    def wanted(self) -> int:
+        """Return the number of repeats at a new place, those recorded before left out."""
+        step = None if self.state is None else self.state.step
+        return NORM if step is None else step.repeats - step.repeat + 1
+
     def begin(self, folder: Path, subject: str) -> None:
         """Open the sitting of a subject and offer its next test on the page Measure."""
         if self._context.busy:
@@ -60,15 +77,19 @@ class StudySitting(QObject):
     def recorded(self, path: Path, session: Session) -> None:
         """Count the tests of a session that was just recorded, and offer the next one."""
         if self.state is not None and path.parent == self.state.sessions:
+            before = self.state.step
             self.state.add(path, session.subject.pseudonym, session.tests)
-            self._offer()
+            self._offer(before)
 
     def leave(self) -> None:
         """Leave the sitting; it continues when it is opened again."""
         if self.state is None or self._context.testing():
             return
-        self.state = None
+        self.state, self.instruction = None, ""
         self.card.hide()
+        self._ui.start.setToolTip("")
+        self._ui.start.setEnabled(not self._context.busy)
+        self._context.show_idle()
         self._ui.gate.repeats.led = False
         self._ui.form.save_in(self._folder_before)
         self._ui.form.fill({"pseudonym": "", "site": "", "condition": "", "minutes_since_application": None})
@@ -89,6 +110,8 @@ class StudySitting(QObject):
     def update_enabled(self, *, busy: bool) -> None:
         """Disable the buttons of the card while a job runs."""
         self.card.update_enabled(busy=busy)
+        if self.complete:
+            self._ui.start.setEnabled(False)
         self.card.data.setVisible(self.state is None or bool(self.state.protocol.demographics))
 
     # -- private ----------------------------------------------------------------------------------------------
@@ -97,26 +120,34 @@ class StudySitting(QObject):
         if not self.leads:
             self._folder_before = self._ui.form.folder
         state, self._demographics = opened.state, opened.demographics
+        keep_visited_study(self._context.settings, state.folder.absolute())
         self.state = state
         self._context.go(MEASURE)
         self._ui.gate.repeats.led = True
+        self._ui.form.subject_chosen.emit(state.subject)
         self._ui.form.save_in(state.sessions)
-        self._offer()
+        self._offer(None)
+        self._context.show_idle()
         if state.problems:
             self._say(_unreadable(state.problems.items()), problem=True)
         if any(not self._demographics.get(name, "").strip() for name in state.protocol.demographics):
             self.ask_demographics()
 
-    def _offer(self) -> None:
-        """Show the next test and fill the form with it."""
+    def _offer(self, before: SittingStep | None) -> None:
+        """Show the next test and fill the form with it; ``before`` is the test that was just recorded."""
         state = self.state
         assert state is not None
-        self.card.show_state(state)
         step, protocol = state.step, state.protocol
+        moved = before is not None and step is not None and step.site != before.site
+        self.card.show_state(state, moved=moved)
         if step is None:
             done = Message("study.complete", "The sitting of {subject} is complete.", subject=Verbatim(state.subject))
-            self._say(translated(done))
+            self.instruction = translated(done)
+            self._ui.start.setToolTip(_("The sitting is complete. To measure anything else, press Leave."))
+            self._ui.start.setEnabled(False)
+            self._say(self.instruction)
             return
+        self.instruction = _next_words(before, step)
         condition = step.condition
         values = {
             "pseudonym": step.subject,
@@ -174,6 +205,22 @@ def _open(folder: Path, subject: str) -> _Opened:
     demographics = read_demographics(folder).get(state.subject, {})
     private_folder(state.sessions)
     return _Opened(state, demographics)
+
+
+def _next_words(before: SittingStep | None, step: SittingStep) -> str:
+    """Return what to do for the next test, in one line."""
+    names = {"site": Verbatim(step.site), "repeat": step.repeat, "count": step.repeats}
+    if before is None:
+        said = Message("study.first", "Place the probe: {site}. Then start the test.", **names)
+    elif step.site != before.site:
+        said = Message("study.move", "Now move to: {site}. Then start the test.", **names)
+    else:
+        said = Message("study.stay", "Same site again: {site}, test {repeat} of {count}.", **names)
+    words = [translated(said)]
+    if condition_words(step.condition) != ("" if before is None else condition_words(before.condition)):
+        condition = condition_words(step.condition) or _("without product")
+        words.append(translated(Message("study.now", "Condition: {condition}.", condition=Verbatim(condition))))
+    return " ".join(words)
 
 
 def _unreadable(problems: Iterable[tuple[str, str]]) -> str:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from dataclasses import asdict, dataclass
 from string import Template
 
@@ -88,6 +89,7 @@ QLabel[role="heading"] { font-weight: 600; font-size: 9pt; }
 QLabel[role="research"] { color: $muted; border: 1px solid $line; border-radius: 9px; padding: 2px 10px; }
 QLabel[role="instruction"] { font-size: 14pt; }
 QLabel[role="value"] { font-size: 16pt; font-weight: 600; }
+QLabel[role="value"][level="poor"] { font-size: 11pt; font-weight: 400; color: $muted; }
 QLabel[role="headline"] { font-size: 13pt; font-weight: 600; }
 QLabel[role="headline"][level="good"] { color: $good; }
 QLabel[role="headline"][level="check"] { color: $check; }
@@ -120,6 +122,7 @@ QPushButton[role="small"] { padding: 0px 10px; min-height: 16px; }
 QPushButton[role="small"]:focus { padding: 0px 9px; }
 QPushButton[role="toggle"]:checked { border-color: $accent; color: $accent; background: $window; }
 QPushButton:disabled { color: $muted; background: $window; border-color: $line; }
+QComboBox[level="poor"] { color: $poor; font-weight: 600; }
 QComboBox QAbstractItemView { background: $panel; color: $text; selection-background-color: $accent;
     selection-color: $accent_text; }
 QToolButton[role="fold"] { background: transparent; border: 1px solid transparent; padding: 2px 6px 2px 0px; }
@@ -191,9 +194,10 @@ def palette_of(theme: Theme) -> QPalette:
     return palette
 
 
-def style_sheet(theme: Theme) -> str:
-    """Return the style sheet of the window."""
-    return _SHEET.substitute(asdict(theme))
+def style_sheet(theme: Theme, scale: float = 1.0) -> str:
+    """Return the style sheet of the window, with texts that are ``scale`` times as large as usual."""
+    sheet = _SHEET.substitute(asdict(theme))
+    return re.sub(r"(\d+)pt", lambda size: f"{scale * float(size[1]):g}pt", sheet)
 
 
 def faint(colour: str, alpha: int) -> QColor:

@@ -24,7 +24,7 @@ def check_save_path(path: Path) -> None:
     Raises:
         UnusableInputError: it cannot; the message says why.
     """
-    if path.name and not path.is_dir() and path.suffix.lower() != SUFFIX:
+    if path.name and path.suffix.lower() != SUFFIX and not path.is_dir():
         raise UnusableInputError(
             Message("save_path.suffix", "the name of a session ends in .h5, {name} does not", name=path.name)
         )

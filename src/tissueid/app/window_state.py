@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 from collections.abc import Sequence
+from pathlib import Path
 
 from PySide6.QtCore import QByteArray, QSettings
 from PySide6.QtWidgets import QMainWindow, QWidget
@@ -13,6 +14,7 @@ from tissueid.audit import ROLES, Role
 from tissueid.formatting import clean
 
 _GEOMETRY = "window/geometry"
+_MAXIMISED = "window/maximised"
 _PANELS = "window/panels"
 _HELP = "window/help"
 _PAGE = "window/page"
@@ -21,6 +23,8 @@ _FOLD = "window/settings-unfolded"
 _INSTRUMENT = "test/instrument"
 _LIMITS = "test/limits"
 _LIVE_METHOD = "test/live-method"
+_STUDIES = "window/studies"
+_MOST_STUDIES = 20
 _LONGEST = 200
 _VERSION = 3
 
@@ -47,6 +51,7 @@ def save_window_state(
 ) -> None:
     """Save the window state. Write errors are ignored."""
     settings.setValue(_GEOMETRY, window.saveGeometry())
+    settings.setValue(_MAXIMISED, "yes" if window.isMaximized() else "no")
     settings.setValue(_PANELS, window.saveState(_VERSION))
     settings.setValue(_HELP, "no" if help_panel.isHidden() else "yes")
     settings.setValue(_PAGE, page)
@@ -60,6 +65,7 @@ def save_window_state(
 
 def restore_window_state(window: QMainWindow, form: PlanForm, help_panel: QWidget, settings: QSettings) -> None:
     """Restore the window state except page and role. Values that are no longer valid are ignored."""
+    window.setProperty(_MAXIMISED, _text(settings, _MAXIMISED))
     geometry, panels = settings.value(_GEOMETRY), settings.value(_PANELS)
     if isinstance(geometry, QByteArray):
         window.restoreGeometry(geometry)
@@ -74,12 +80,22 @@ def restore_window_state(window: QMainWindow, form: PlanForm, help_panel: QWidge
             choice.setCurrentIndex(place)
 
 
+def show_window(window: QMainWindow) -> None:
+    """Show a window, maximised if it was left so: not every system does this by the geometry alone."""
+    if window.property(_MAXIMISED) == "yes":
+        window.showMaximized()
+    else:
+        window.show()
+
+
 def _text(settings: QSettings, key: str) -> str:
     """Return a setting as one line of text; the file may contain anything."""
     kept = settings.value(key, "")
     return clean(kept).strip()[:_LONGEST] if isinstance(kept, str) else ""
 
 
+RESEARCH_FOLDERS = "research/folders"
+"""Setting with the folders of sessions that were added on the page Research."""
 _MOST_TEXTS = 200
 _LONGEST_TEXT = 5000
 
@@ -98,3 +114,14 @@ def load_texts(settings: QSettings, name: str) -> list[str]:
     if not isinstance(texts, list) or len(texts) > _MOST_TEXTS:
         return []
     return [text for text in texts if isinstance(text, str) and len(text) <= _LONGEST_TEXT]
+
+
+def visited_studies(settings: QSettings) -> list[Path]:
+    """Return the folders of studies in which a subject was measured, the newest first."""
+    return [Path(text) for text in load_texts(settings, _STUDIES)]
+
+
+def keep_visited_study(settings: QSettings, folder: Path) -> None:
+    """Keep the folder of a study in which a subject is measured."""
+    others = [path for path in visited_studies(settings) if path != folder]
+    save_texts(settings, _STUDIES, [str(path) for path in (folder, *others)][:_MOST_STUDIES])

@@ -49,7 +49,7 @@ _STOPPED_BY_BUTTON = Message(
 _NOTHING_YET = Message("outcome.nothing_yet", "Nothing was recorded yet.")
 _NOTHING = Message("outcome.nothing", "Nothing was recorded.")
 _START_AGAIN = Message(
-    "outcome.start_again", "Close other programs that keep the computer busy, then press Start again."
+    "outcome.start_again", "Close other programs that keep the computer busy, then press “Start test” again."
 )
 
 

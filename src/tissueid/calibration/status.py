@@ -129,7 +129,7 @@ def status_for_device(item: Stored, nominal: DeviceDescription, now: datetime) -
     if calibration.serial_number != nominal.serial_number:
         return "foreign", Message(
             "calibration.other_device",
-            "it is of {found}, not of {expected}",
+            "it belongs to {found}, not to {expected}",
             found=Verbatim(calibration.serial_number),
             expected=Verbatim(nominal.serial_number),
         )

@@ -10,7 +10,15 @@ from rich.table import Table
 
 from tissueid.cli.output import check_json, console_control, human_output, table, write_json
 from tissueid.gap import Diagnosis, as_answer
-from tissueid.gap.statement import alternatives_of, headline_of, members_of, ordered_candidates, percent, sentences_of
+from tissueid.gap.statement import (
+    alternatives_of,
+    headline_of,
+    members_of,
+    ordered_candidates,
+    percent,
+    sentences_of,
+    shown_probability,
+)
 from tissueid.messages import MISSING
 from tissueid.procedures.accept_effects import accept_effects
 from tissueid.procedures.diagnosis import diagnose_session
@@ -74,7 +82,10 @@ def _short(found: Diagnosis) -> str:
     named = " + ".join(found.combination) or found.verdict.replace("_", " ")
     figures = found.gap
     details = [f"stage {' and '.join(found.at_fault)}"] if found.at_fault else []
-    details += [f"{member.effect} {percent(member.probability)} %" for member in members_of(found)]
+    known = [
+        (member.effect, shown_probability(found, member.effect, member.probability)) for member in members_of(found)
+    ]
+    details += [f"{name} {percent(share)} %" for name, share in known if np.isfinite(share)]
     about = f" ({', '.join(details)})" if details else ""
     return (
         f"{named}{about}; gap {figures.before:.2%} to {figures.after:.2%}, floor {figures.floor:.2%}, "
@@ -118,8 +129,8 @@ def _interval(of: tuple[float, float]) -> str:
     return f"{of[0]:.0%} to {of[1]:.0%}" if of[0] <= of[1] else MISSING
 
 
-def _share(of: float) -> str:
-    return f"{of:.0%}" if np.isfinite(of) else MISSING
+def _share(of: float, form: str = ".0%") -> str:
+    return format(of, form) if np.isfinite(of) else MISSING
 
 
 def ranking_table(found: Diagnosis) -> Table:
@@ -132,7 +143,7 @@ def ranking_table(found: Diagnosis) -> Table:
         rows.add_row(
             item.effect,
             item.stage,
-            f"{item.probability:.1%}" if np.isfinite(item.probability) else MISSING,
+            _share(shown_probability(found, item.effect, item.probability), ".1%"),
             f"{item.closed:.0%} ({interval})" if interval != MISSING else _share(item.closed),
             ", ".join(item.indistinguishable),
         )

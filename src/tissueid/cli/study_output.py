@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from pathlib import Path
+from typing import Any
 
 import pandas as pd
 
@@ -15,6 +16,7 @@ from tissueid.procedures.study_plans import RESULTS, StudyPlan, StudyReportPlan
 from tissueid.procedures.study_report import StudyReport, report_study
 from tissueid.procedures.study_run import StudyRun, run_study
 from tissueid.studies.repeatability import variation_by_condition
+from tissueid.studies.study_statistics import study_statistics
 from tissueid.studies.study_table import as_json_rows
 from tissueid.studies.usable_tests import parameters_used, usable_tests
 from tissueid.units import display_unit
@@ -31,7 +33,7 @@ def print_run(plan: StudyPlan, json_file: Path | None) -> None:
         run = run_study(plan, control)
     _print_counts(run, json_file)
     if json_file is not None:
-        write_json(json_file, {"tests": as_json_rows(run.table), "failures": dict(run.failures)})
+        write_json(json_file, _answer(run) | {"rows": as_json_rows(run.table)})
 
 
 def print_table(plan: StudyPlan, json_file: Path | None) -> None:
@@ -60,7 +62,7 @@ def print_table(plan: StudyPlan, json_file: Path | None) -> None:
     console.print(shown)
     _print_counts(run, json_file)
     if json_file is not None:
-        write_json(json_file, {"rows": as_json_rows(rows), "failures": dict(run.failures)})
+        write_json(json_file, _answer(run) | {"rows": as_json_rows(rows)})
 
 
 def print_report(plan: StudyReportPlan, json_file: Path | None) -> None:
@@ -97,6 +99,10 @@ def _print_report(found: StudyReport, json_file: Path | None) -> None:
     console.print(f"report: {pages}", markup=False, soft_wrap=True)
     if json_file is not None:
         write_json(json_file, found.as_answer())
+
+
+def _answer(run: StudyRun) -> dict[str, Any]:
+    return run.as_answer() | study_statistics(run.table).as_answer()
 
 
 def _print_counts(run: StudyRun, json_file: Path | None) -> None:

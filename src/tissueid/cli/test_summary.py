@@ -15,6 +15,7 @@ from tissueid.messages import MISSING
 from tissueid.procedures.depth_coverage import DepthRange, depth_range_of, kolmogorov_distance, stimulus_of
 from tissueid.procedures.test_run import TestStep
 from tissueid.sessions import Test
+from tissueid.sessions.quality import verdict_of
 
 
 def answer_of(test: Test, asked: DepthRange | None, step: TestStep | None) -> dict[str, Any]:
@@ -38,7 +39,7 @@ def answer_of(test: Test, asked: DepthRange | None, step: TestStep | None) -> di
     answer["configuration"] = test.configuration
     for note in ("coupling", "orientation_deg", "initial_length_m", "normal_preload_n"):
         answer[note] = test.notes.get(note)
-    answer["verdict"] = None if quality is None else quality.verdict
+    answer["verdict"] = verdict_of(test)
     answer["quality"] = None if quality is None else quality.as_dict()["findings"]
     if step is not None:
         answer |= {

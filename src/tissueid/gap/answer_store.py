@@ -1,11 +1,13 @@
 """Stored answers of a blind check, so that a long check can be interrupted and resumed.
 
 ``answers/check.json`` in the folder of the scenarios holds the draw and the SHA-256 of the labels before the first
-diagnosis. ``answers/NAME.json`` holds one answer each, written atomically by the process that computed it.
+diagnosis. ``answers/NAME.json`` holds one answer each, written atomically by the process that computed it. Each file
+has the SHA-256 of its content, so that a changed one is never scored or reported.
 """
 
 from __future__ import annotations
 
+import hashlib
 import json
 from dataclasses import asdict, dataclass
 from pathlib import Path
@@ -79,7 +81,8 @@ def store_answer(folder: Path, key: str, answer: dict[str, Any]) -> None:
         private_folder(path.parent)
         with atomic_file(path) as partial:
             # NaN is kept, so that stored answers score exactly as fresh ones.
-            partial.write_text(json.dumps(answer, default=lambda item: item.item()), encoding="utf-8")
+            body = json.dumps(answer, default=lambda item: item.item())
+            partial.write_text(f'{{"sha256": "{_digest(body)}", "content": {body}}}', encoding="utf-8")
     except OSError as error:
         reason = error.strerror or ""
         raise UnusableInputError(
@@ -104,12 +107,18 @@ def _read(folder: Path, key: str) -> dict[str, Any] | None:
     if not path.exists():
         return None
     try:
-        found = json.loads(path.read_text(encoding="utf-8")) if path.stat().st_size <= _MOST_BYTES else None
+        usable = path.is_file() and path.stat().st_size <= _MOST_BYTES
+        found = json.loads(path.read_text(encoding="utf-8")) if usable else None
+        content, digest = (found.get("content"), found.get("sha256")) if isinstance(found, dict) else (None, None)
+        if isinstance(content, dict) and digest == _digest(json.dumps(content)):
+            return content
     except (OSError, ValueError, RecursionError) as error:
         raise _unreadable(path) from error
-    if not isinstance(found, dict):
-        raise _unreadable(path)
-    return found
+    raise _unreadable(path)
+
+
+def _digest(body: str) -> str:
+    return hashlib.sha256(body.encode()).hexdigest()
 
 
 def _unreadable(path: Path) -> UnusableInputError:

@@ -64,8 +64,8 @@ def known_instrument(device: DeviceDescription) -> bool:
 def excitation_of(test: Test, device: DeviceDescription) -> ExcitedTest:
     """Return the excitation of a test of a known instrument: its command, or the first signal recorded downstream.
 
-    A command is used where it has no gaps and the amplifier is known. Gaps of a recorded signal, at most half of it,
-    are interpolated linearly.
+    A command is used where it has no gaps and the amplifier is known. A signal without any sample counts as not
+    recorded. Gaps of a recorded signal, at most half of it, are interpolated linearly.
 
     Raises:
         UnusableInputError: there is no usable excitation, or no position.
@@ -73,7 +73,7 @@ def excitation_of(test: Test, device: DeviceDescription) -> ExcitedTest:
     signals: dict[str, FloatArray] = {
         name: np.where(np.isfinite(test.signals[name]), test.signals[name], np.nan)
         for name in ("voltage", "current", "position")
-        if name in test.signals
+        if name in test.signals and (name == "position" or np.isfinite(test.signals[name]).any())
     }
     if "position" not in signals:
         raise UnusableInputError(Message("gap.no_position", "it has no position"))

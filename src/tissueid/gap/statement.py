@@ -118,7 +118,7 @@ def _unranked(found: Diagnosis, member: Member) -> Ranked:
 
 
 def headline_of(found: Diagnosis) -> tuple[Message, Level]:
-    """Return the verdict in one line, with the probabilities of the named effects, and its level."""
+    """Return the verdict in one line, with what each named effect closes and its probability, and its level."""
     if found.verdict == "no_gap":
         return Message("gap.none", "No gap: the twin explains this recording down to its noise"), "good"
     if found.verdict == "unexplained":
@@ -144,27 +144,49 @@ def headline_of(found: Diagnosis) -> tuple[Message, Level]:
     return Message("gap.explained", "The gap is explained: {causes}", causes=causes), "good"
 
 
-def has_ranking_probability(found: Diagnosis, name: str) -> bool:
-    """Return whether a named effect of a combination has the probability of the ranking of single effects."""
-    return len(found.combination) > 1 and name in found.combination and name not in found.conditional_odds
+def shown_probability(found: Diagnosis, name: str, probability: float) -> float:
+    """Return the probability of a candidate as a reader can use it, NaN where there is none.
+
+    The ranking gives the probability of an effect as the only cause. Of a member of a combination that says nothing:
+    an effect that closes most of the gap has a small one if it needs a second effect.
+    """
+    of_single_cause = len(found.combination) > 1 and name in found.combination and name not in found.conditional_odds
+    return float("nan") if of_single_cause else probability
 
 
 def _with_rivals(found: Diagnosis, member: Member) -> Message:
-    alone = has_ranking_probability(found, member.effect)
-    named = with_probability(member.effect, member.probability, alone=alone)
-    rivals = [with_probability(name, share) for name, share in member.rivals]
-    return Message("gap.cause", "{names}", names=Listing((named, *rivals), marked(" or "), marked(" or ")))
+    names = [described(found, name, share) for name, share in ((member.effect, member.probability), *member.rivals)]
+    return Message("gap.cause", "{names}", names=Listing(tuple(names), marked(" or "), marked(" or ")))
 
 
-def with_probability(name: str, share: float, *, alone: bool = False) -> str:
-    """Return the title of an effect with its probability (0 to 1); the title alone if that is NaN."""
+def described(found: Diagnosis, name: str, probability: float) -> str:
+    """Return the title of an effect with the share of the gap that it closes and its probability, if they are known.
+
+    The shares of the members of a combination are those of the budget, in the order of adding: they sum to the whole.
+    A rival of the only cause has its own.
+    """
+    if name in found.combination and found.budget is not None:
+        closed = next((step.added for step in found.budget.steps if step.effect == name), float("nan"))
+    elif len(found.combination) == 1:
+        closed = next((item.closed for item in found.ranking if item.effect == name), float("nan"))
+    else:
+        closed = float("nan")
+    probability = shown_probability(found, name, probability)
     title = effect_title(name)
-    if not np.isfinite(share):
-        return title
-    values = {"effect": title, "percent": percent(share)}
-    if alone:
-        return Message("gap.single_cause_probability", "{effect} ({percent} % as a single cause)", **values)
-    return Message("gap.cause_probability", "{effect} ({percent} %)", **values)
+    share, odds = fixed(100.0 * closed, 0), percent(probability)
+    if np.isfinite(closed) and np.isfinite(probability):
+        return Message(
+            "gap.cause_both",
+            "{effect} (closes {share} %; probability {percent} %)",
+            effect=title,
+            share=share,
+            percent=odds,
+        )
+    if np.isfinite(closed):
+        return Message("gap.cause_share", "{effect} (closes {share} %)", effect=title, share=share)
+    if np.isfinite(probability):
+        return Message("gap.cause_probability", "{effect} (probability {percent} %)", effect=title, percent=odds)
+    return title
 
 
 def percent(share: float) -> str:

@@ -15,7 +15,7 @@ from multiprocessing.process import BaseProcess, parent_process
 from typing import Any, Protocol, TypeVar
 
 from tissueid.child_process import spawn_context, start_worker
-from tissueid.errors import CancelledError
+from tissueid.errors import CancelledError, UnusableInputError
 
 T = TypeVar("T")
 R = TypeVar("R")
@@ -78,31 +78,48 @@ class Pool:
     ) -> list[R]:
         """Return results in the order of ``things``; drop unfinished items when cancelled.
 
+        An item whose process dies is given to another process, once.
+
         Raises:
             CancelledError: ``cancelled`` returned True.
-            RuntimeError: a process died.
+            UnusableInputError: two processes died on the same item.
             Exception: the first exception of the work in the order of ``things``.
         """
         answers: dict[int, tuple[bool, Any]] = {}
         doing: dict[Connection, int] = {}
-        waiting = iter(range(len(things)))
-        idle: list[Connection] = []
+        waiting = list(reversed(range(len(things))))
+        self._stop([pipe for process, pipe in self._members if not process.is_alive()])
+        idle = [pipe for _, pipe in self._members]
+        repeated: set[int] = set()
         try:
-            idle += self._ensure_workers(min(self._count, len(things)))
             while len(answers) < len(things):
-                while idle and (place := next(waiting, None)) is not None:
-                    doing[idle[-1]] = place
-                    idle.pop().send((work, things[place]))
+                while waiting and (idle or len(doing) < self._count):
+                    free = idle.pop() if idle else self._started()
+                    doing[free] = waiting.pop()
+                    with contextlib.suppress(OSError):  # of a process that died: its end is received below
+                        free.send((work, things[doing[free]]))
                 for pipe in wait(list(doing), POLL_S):
                     assert isinstance(pipe, Connection)
-                    answers[doing[pipe]] = pipe.recv()
-                    done(things[doing[pipe]])
+                    place = doing[pipe]
+                    try:
+                        answers[place] = pipe.recv()
+                    except (EOFError, OSError):
+                        self._stop([pipe])
+                        del doing[pipe]
+                        if place in repeated:
+                            raise UnusableInputError(
+                                "workers.ended",
+                                "two processes that computed the same part were ended from outside: free memory, or "
+                                "choose fewer processes",
+                            ) from None
+                        repeated.add(place)
+                        waiting.append(place)
+                        continue
+                    done(things[place])
                     del doing[pipe]
                     idle.append(pipe)
                 if cancelled():
                     raise CancelledError
-        except (EOFError, OSError) as error:
-            raise RuntimeError("a process that fits ended unexpectedly") from error
         finally:
             self._stop(doing)
         for place in range(len(things)):
@@ -115,18 +132,17 @@ class Pool:
         """End all processes."""
         self._stop([pipe for _, pipe in self._members])
 
-    def _ensure_workers(self, wanted: int) -> list[Connection]:
-        # Pipes of at least this number of processes; start processes where there are fewer.
+    def _started(self) -> Connection:
+        """Start a process and return its pipe."""
         context = spawn_context()
-        while len(self._members) < wanted:
-            ours, theirs = context.Pipe()
-            process = context.Process(target=_serve, args=(theirs,), daemon=True)
-            try:
-                start_worker(process)
-                self._members.append((process, ours))
-            finally:
-                theirs.close()
-        return [pipe for _, pipe in self._members]
+        ours, theirs = context.Pipe()
+        process = context.Process(target=_serve, args=(theirs,), daemon=True)
+        try:
+            start_worker(process)
+            self._members.append((process, ours))
+        finally:
+            theirs.close()
+        return ours
 
     def _stop(self, pipes: Collection[Connection]) -> None:
         # End the processes of these pipes: a busy process would answer an outdated request.

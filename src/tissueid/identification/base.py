@@ -38,6 +38,18 @@ PREDICTS_NOTHING = Message(
 )
 """Warning in the report of a fit that ``predicts_nothing``."""
 
+NEGATIVE_MASS = Message(
+    "engine.negative_mass",
+    "a negative mass or stiffness does not exist: the output falls as the input rises; check the signs of the two "
+    "signals",
+)
+"""Warning of every engine with a mass; the parameters of such a fit are not compared in a study."""
+_FALLS = Message("second_order.reversed", "the output falls as the input rises: check the signs of the two signals")
+NOTHING_TO_PREDICT = Message(
+    "engine.nothing_to_predict",
+    "the held-out output does not vary above its noise: there is no held-out score",
+)
+
 
 def _finite_or_none(value: float | None) -> float | None:
     return None if value is None or not math.isfinite(value) else float(value)
@@ -52,7 +64,8 @@ class FitReport:
     measured output as the schedule, for engines that have one. ``validation_p_value`` is the probability that a
     simulation unrelated to the measurement scores as well on held-out samples. ``findings`` are results in words,
     ``warnings`` limits of their validity. ``details`` holds further figures of one engine, such as the condition
-    number. Unknown figures are None.
+    number. ``model`` names what the engine chose among models whose parameters have other meanings: values of different
+    ones are not comparable; "" where there is no such choice. Unknown figures are None.
     """
 
     engine: str
@@ -70,6 +83,7 @@ class FitReport:
     warnings: tuple[str, ...] = ()
     findings: tuple[str, ...] = ()
     details: dict[str, float] = field(default_factory=dict)
+    model: str = ""
 
     @property
     def predicts_nothing(self) -> bool:
@@ -89,6 +103,7 @@ class FitReport:
         return {
             "engine": self.engine,
             "options": dict(self.options),
+            "model": self.model,
             "n_samples": self.n_samples,
             "n_parameters": self.n_parameters,
             "vaf_percent": _finite_or_none(self.vaf_percent),
@@ -162,6 +177,16 @@ class Model(ABC):
     def with_report(self, **changes: Any) -> Self:
         """Return a copy with fields of its report replaced, for example ``seconds``."""
         return replace(self, report=replace(self.report, **changes))
+
+    def without_validation(self) -> Self:
+        """Return a copy without scores on held-out samples, which do not vary above their noise, and a warning."""
+        warnings = tuple(warning for warning in self.report.warnings if warning != PREDICTS_NOTHING)
+        return self.with_report(
+            vaf_validation_percent=None,
+            validation_p_value=None,
+            vaf_scheduled_percent=None,
+            warnings=(NOTHING_TO_PREDICT, *warnings),
+        )
 
     def with_validation(self, vaf_percent: float, p_value: float, scheduled_percent: float | None = None) -> Self:
         """Return a copy with its scores on held-out samples, and a warning where it predicts nothing there."""
@@ -249,10 +274,10 @@ class Engine(BaseModel, ABC):
 
     @classmethod
     def __pydantic_init_subclass__(cls, **kwargs: Any) -> None:
-        """Fill label and title of an engine that does not declare them, and limit the threads of its fits."""
+        """Fill label and title of an engine that does not declare them; let its fits use one thread and be checked."""
         super().__pydantic_init_subclass__(**kwargs)
         if "fit" in cls.__dict__ and not getattr(cls.fit, "__isabstractmethod__", False):
-            setattr(cls, "fit", _with_one_thread(cls.fit))  # noqa: B010
+            setattr(cls, "fit", _checked(cls.fit))  # noqa: B010
         name = getattr(cls, "name", "")
         if "label" not in cls.__dict__:
             cls.label = name[:1].upper() + name[1:]
@@ -286,6 +311,14 @@ class Engine(BaseModel, ABC):
         """
         return self
 
+    def common(self, details: Sequence[Mapping[str, float]]) -> Self:
+        """Return the specification with one model for many tests; itself if it leaves no choice.
+
+        Args:
+            details: those of the report of each test, fitted as specified.
+        """
+        return self
+
     @classmethod
     def from_options(cls, options: Mapping[str, Any]) -> Self:
         """Return the specification with options from a command line or a form.
@@ -304,12 +337,28 @@ class Engine(BaseModel, ABC):
         return self.model_dump(mode="json")
 
 
-def _with_one_thread(fit: Callable[..., Model]) -> Callable[..., Model]:
+def _with_sign_warning(model: Model) -> Model:
+    """Return the model with a warning where its mass is negative or its output falls as the input rises."""
+    parameters = model.report.parameters
+    profile = model.depth_profile() if "mass_kg" not in parameters else None
+    signed = parameters.get("mass_kg", parameters.get("stiffness_n_per_m", Estimate(math.nan))).value
+    if profile is not None and np.isfinite(profile.mass).any():
+        signed = float(np.nanmedian(profile.mass))
+    if signed < 0.0:
+        return model.with_report(warnings=(NEGATIVE_MASS, *model.report.warnings))
+    if "gain" in parameters and parameters["gain"].value < 0.0:
+        return model.with_report(warnings=(*model.report.warnings, _FALLS))
+    return model
+
+
+def _checked(fit: Callable[..., Model]) -> Callable[..., Model]:
+    """Return a fit with one thread and the options of the record, whose model has the warnings of every engine."""
+
     @wraps(fit)
     def fitted(self: Engine, record: Record, fit_part: slice | None = None, **options: Any) -> Model:
         with one_blas_thread(), refused_if_not_computed(self.name):
             model = fit(self.for_record(record, fit_part), record, fit_part, **options)
-        return _with_parametric_warning(model) if isinstance(model, Model) else model
+        return _with_sign_warning(_with_parametric_warning(model)) if isinstance(model, Model) else model
 
     return fitted
 

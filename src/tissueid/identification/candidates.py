@@ -64,7 +64,8 @@ class Candidate:
     ``error`` (n,) is measured minus free-run simulated output on the held-out record, NaN where it is not scored.
     ``parameters`` is the effective number of parameters. ``vaf_percent`` and ``aicc`` are scores on the fitted
     samples, ``scheduled_percent`` is the held-out VAF with the measured output as the schedule. ``second_order`` marks
-    a linear model reduced to mass, damping and stiffness.
+    a linear model reduced to mass, damping and stiffness. ``measured`` (n,) is the output that the error is relative
+    to; None for that of the held-out record.
     """
 
     engine: str
@@ -75,6 +76,7 @@ class Candidate:
     aicc: float | None = None
     scheduled_percent: float | None = None
     second_order: bool = False
+    measured: Array | None = None
 
 
 @dataclass(frozen=True)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 from dataclasses import dataclass
 from itertools import pairwise
@@ -30,6 +31,9 @@ _LEAST_CORRELATION = 0.15
 
 It distinguishes noise that is played from that of the sensors about bare steps: 0.2 to 0.8 against 0.05 to 0.11.
 """
+
+_CHANCE = 4.0
+"""Largest correlation of unrelated noise over all lags, in its standard deviations, 1 / sqrt(n)."""
 
 _RECORD_STEPS = Message(
     "localized.no_levels",
@@ -121,8 +125,13 @@ def localized_levels(record: Record) -> tuple[Level, ...]:
         return ()
     span = float(np.ptp([np.mean(record.input[part]) for part in settled]))
     noise = float(np.median([np.std(record.input[part]) for part in settled]))
-    related = np.median([_correlation(record[part], memory) for part in settled])
-    return levels if noise <= _LARGEST_NOISE * span and related >= _LEAST_CORRELATION else ()
+    related = np.median([_correlation(record[part], memory) / _least_correlation(used[part]) for part in settled])
+    return levels if noise <= _LARGEST_NOISE * span and related >= 1.0 else ()
+
+
+def _least_correlation(used: Mask) -> float:
+    """Return the least correlation of output and input at a level whose received samples (n,) are given."""
+    return max(_LEAST_CORRELATION, _CHANCE / math.sqrt(max(1, int(used.sum()))))
 
 
 def _correlation(part: Record, lags: int) -> float:

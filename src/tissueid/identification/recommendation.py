@@ -127,7 +127,7 @@ def recommend(
     Raises:
         UnusableInputError: no candidate could be scored on held-out samples.
     """
-    scored = [c for c in candidates if math.isfinite(_vaf(c.error, held_out))]
+    scored = [c for c in candidates if math.isfinite(_score(c, held_out))]
     if not scored:
         raise UnusableInputError(
             Message(
@@ -136,7 +136,7 @@ def recommend(
             )
         )
     leads = {(a, b): _lead(a, b, held_out) for a in scored for b in scored}
-    leader = max(scored, key=lambda c: (sum(leads[c, other].points > 0.0 for other in scored), _vaf(c.error, held_out)))
+    leader = max(scored, key=lambda c: (sum(leads[c, other].points > 0.0 for other in scored), _score(c, held_out)))
     unbeaten = _unbeaten(scored, leads) or [leader]
     choice = min(unbeaten, key=_simplicity)
     standings = {c: _standing(c, leads[leader, c], leads[choice, c], c not in unbeaten, held_out) for c in scored}
@@ -179,7 +179,8 @@ def sufficient(trials: Sequence[tuple[float, Array]], held_out: Record) -> float
 
 
 def _lead(candidate: Candidate, other: Candidate, held_out: Record) -> Difference:
-    return difference(candidate.error, other.error, held_out.output, held_out.sample_rate_hz)
+    measured = held_out.output if other.measured is None else other.measured
+    return difference(candidate.error, other.error, measured, held_out.sample_rate_hz)
 
 
 def _unbeaten(scored: Sequence[Candidate], leads: Mapping[tuple[Candidate, Candidate], Difference]) -> list[Candidate]:
@@ -203,7 +204,7 @@ def _standing(
         engine=candidate.engine,
         family=candidate.family,
         second_order=candidate.second_order,
-        vaf_percent=_vaf(candidate.error, held_out),
+        vaf_percent=_score(candidate, held_out),
         vaf_fitted_percent=candidate.vaf_percent,
         scheduled_percent=candidate.scheduled_percent,
         aicc=candidate.aicc,
@@ -217,6 +218,13 @@ def _simplicity(candidate: Candidate) -> tuple[int, bool, float]:
     """Return the sort key of candidates that are not beaten: simpler family first, then lower AICc."""
     aicc = math.inf if candidate.aicc is None or math.isnan(candidate.aicc) else candidate.aicc
     return candidate.family.rank, not candidate.second_order, aicc
+
+
+def _score(candidate: Candidate, held_out: Record) -> float:
+    """Return the held-out VAF of a candidate, %."""
+    if candidate.measured is None:
+        return _vaf(candidate.error, held_out)
+    return vaf_percent(candidate.measured, candidate.measured - candidate.error)
 
 
 def _vaf(error: Array, held_out: Record) -> float:

@@ -299,10 +299,6 @@ def fit_second_order(
                 samples=dead_time.value * rate,
             )
         )
-    if sign < 0.0:
-        warnings.append(
-            Message("second_order.reversed", "the output falls as the input rises: check the signs of the two signals")
-        )
     return SecondOrderFit(
         system=fitted,
         sign=sign,

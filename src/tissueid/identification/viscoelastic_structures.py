@@ -1,9 +1,10 @@
 """Linear models of tissue with relaxation: Kelvin-Voigt, Maxwell, standard linear solid and Burger (Chen 2010, 2.1).
 
-The mass M of actuator and tissue acts on a tissue of dynamic stiffness Z: H = 1 / (M s^2 + Z). With A(K, B) =
-K B s / (K + B s) for a spring K in series with a damper B (a Maxwell element of relaxation time B / K):
+The mass M of actuator and tissue and the damping B of the bearing and the tissue act in parallel with a tissue of
+dynamic stiffness Z: H = 1 / (M s^2 + B s + Z). With A(K, B) = K B s / (K + B s) for a spring K in series with a damper
+B (a Maxwell element of relaxation time B / K):
 
-- Kelvin-Voigt: Z = K + B s.
+- Kelvin-Voigt: Z = K.
 - Maxwell: Z = A(K1, B1).
 - Standard linear solid: Z = K + A(K1, B1).
 - Burger: 1 / Z = 1 / A(K1, B1) + 1 / (K2 + B2 s), a Maxwell and a Kelvin-Voigt element in series.
@@ -36,13 +37,15 @@ NAMES = {
 """Displayed names of the structures."""
 
 ELEMENTS: dict[Structure, tuple[str, ...]] = {
-    "kelvin-voigt": ("damping_n_s_per_m", "stiffness_n_per_m"),
+    "kelvin-voigt": ("stiffness_n_per_m",),
     "maxwell": ("spring_1_n_per_m", "damper_1_n_s_per_m"),
     "standard-linear-solid": ("stiffness_n_per_m", "spring_1_n_per_m", "damper_1_n_s_per_m"),
     "burger": ("spring_1_n_per_m", "damper_1_n_s_per_m", "spring_2_n_per_m", "damper_2_n_s_per_m"),
 }
-"""Elements of each structure besides the mass, in the order of the fitted parameters. ``stiffness_n_per_m`` carries a
-steady load; a spring in series with a damper does not."""
+"""Elements of each structure besides mass and parallel damping, in the order of the fitted parameters.
+``stiffness_n_per_m`` carries a steady load; a spring in series with a damper does not."""
+PARALLEL = ("mass_kg", "damping_n_s_per_m")
+"""Fitted parameters of every structure, before its elements."""
 
 DECAYED = 16.0
 """Time constants after which a response is forgotten: 1e-7."""
@@ -52,7 +55,7 @@ _ALIASES = 4
 
 @dataclass(frozen=True)
 class Viscoelastic:
-    """A structure with its mass (kg) and the values of its ``ELEMENTS``, SI."""
+    """A structure with the values of mass, parallel damping and its ``ELEMENTS``, SI."""
 
     structure: Structure
     values: tuple[float, ...]
@@ -65,10 +68,10 @@ class Viscoelastic:
     @property
     def ratio(self) -> tuple[Polynomial, Polynomial]:
         """Numerator and denominator of H in powers of s."""
-        m, *rest = self.values
-        inertia, s = Polynomial([0.0, 0.0, m]), Polynomial([0.0, 1.0])
+        m, b, *rest = self.values
+        inertia, s = Polynomial([0.0, b, m]), Polynomial([0.0, 1.0])
         if self.structure == "kelvin-voigt":
-            return Polynomial([1.0]), inertia + Polynomial([rest[1], rest[0]])
+            return Polynomial([1.0]), inertia + rest[0]
         if self.structure == "standard-linear-solid":
             k, k1, b1 = rest
             below = Polynomial([k1, b1])
@@ -96,21 +99,26 @@ class Viscoelastic:
     @property
     def creep_rate(self) -> float:
         """Speed under a unit of steady load, m/(N s); 0 for a structure that does not creep."""
-        return 1.0 / self.values[2] if self.creeps else 0.0
+        return 1.0 / (self.values[1] + self.values[3]) if self.creeps else 0.0
+
+    @property
+    def static_compliance(self) -> float:
+        """Displacement under a unit of steady load, m/N; 0 for a structure that creeps."""
+        return 0.0 if self.creeps else 1.0 / self.values[2]
 
     def response(self, frequency_hz: Array) -> tuple[Complex, Complex]:
         """Return H (n,) and its derivatives (p, n) with respect to the logarithms of the values."""
         s = 2j * np.pi * np.where(frequency_hz == 0.0, 1e-9, frequency_hz)
-        m, *rest = self.values
+        m, b, *rest = self.values
         z, dz = self._stiffness(s, rest)
-        h = 1.0 / (m * s**2 + z)
-        return h, np.asarray(-(h**2) * np.vstack([m * s**2, *dz]), dtype=np.complex128)
+        h = 1.0 / (m * s**2 + b * s + z)
+        return h, np.asarray(-(h**2) * np.vstack([m * s**2, b * s, *dz]), dtype=np.complex128)
 
     def _stiffness(self, s: Complex, rest: list[float]) -> tuple[Complex, list[Complex]]:
         """Return Z (n,) and its derivatives with respect to the logarithms of the elements."""
         if self.structure == "kelvin-voigt":
-            viscous, elastic = rest[0] * s, np.full_like(s, rest[1])
-            return viscous + elastic, [viscous, elastic]
+            elastic = np.full_like(s, rest[0])
+            return elastic, [elastic]
         k1, b1 = rest[1:] if self.structure == "standard-linear-solid" else rest[:2]
         arm = k1 * b1 * s / (k1 + b1 * s)
         arm_slopes = [arm**2 / k1, arm**2 / (b1 * s)]

@@ -225,7 +225,7 @@ def open_card(url: str) -> CardInstrument | None:
         card = opener(url)
     except TissueIDError:
         raise
-    except Exception as error:
+    except (Exception, SystemExit) as error:
         raise InstrumentError(
             Message(
                 "card.not_opened",

@@ -186,8 +186,8 @@ class SerialInstrument:
         """
         if self._monitor.error is not None:
             raise self._monitor.error
-        check_limits(limits, self.nominal)
         limits = self.effective_limits(limits)
+        check_limits(limits, self.nominal, self._handshake.readable)
         for description in checked_descriptions(self.nominal, self.device):
             check_stimulus(self._command, description, limits, self._following)
             if self._following:

@@ -42,6 +42,12 @@ class Handshake:
             max_temperature_c=min(limits.max_temperature_c, self.max_temperature_c),
         )
 
+    @property
+    def readable(self) -> dict[str, tuple[float, float]]:
+        """Lowest and highest reading of each signal, SI."""
+        ends = np.array([[-32768.0], [32767.0]]) * self.gains + self.offsets
+        return {name: (float(low), float(high)) for name, low, high in zip(SIGNALS, *ends, strict=True)}
+
     def codes(self, command_v: NDArray[np.float64]) -> NDArray[np.int16]:
         """Return the converter codes, shape (n,), of commands in V.
 

@@ -5,6 +5,7 @@ The firmware enforces the same limits independently (docs/protocol.md, section 5
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import asdict, dataclass
 
 import numpy as np
@@ -25,6 +26,9 @@ ends touches them.
 BEYOND_STROKE_M = 1.0e-3
 """Greatest distance of position limits beyond an end of the stroke at gentle force, m."""
 
+LEAST_FORCE_N = 0.1
+"""Smallest force limit, N: with less, the noise of a current sensor would end a test at once."""
+
 LIFT_S = 0.5
 """Time for lifting a free probe off the near end when the device points upwards, s."""
 
@@ -36,7 +40,8 @@ class Limits:
     If ``max_force_n`` is 2 N or less, the position limits may lie up to 1 mm beyond the ends of the stroke.
 
     Raises:
-        LimitError: a limit is not a positive number, or the lower position limit is above the upper one.
+        LimitError: a limit is not a positive number, the force limit is below ``LEAST_FORCE_N``, or the lower position
+            limit is above the upper one.
     """
 
     max_force_n: float = 15.0
@@ -57,6 +62,14 @@ class Limits:
                         value=value,
                     )
                 )
+        if self.max_force_n < LEAST_FORCE_N:
+            raise LimitError(
+                "limit.too_small",
+                "the limit {name} must be at least {least:g}, not {value:g}",
+                name="max_force_n",
+                least=LEAST_FORCE_N,
+                value=self.max_force_n,
+            )
         if self.min_position_m >= self.max_position_m:
             raise LimitError(Message("limit.positions_reversed", "the lower position limit is above the upper one"))
 
@@ -122,12 +135,17 @@ def check_command(command_v: NDArray[np.float64], device: DeviceDescription, lim
         )
 
 
-def check_limits(limits: Limits, device: DeviceDescription) -> None:
-    """Check the position limits against the stroke of the device.
+def check_limits(
+    limits: Limits, device: DeviceDescription, readable: Mapping[str, tuple[float, float]] | None = None
+) -> None:
+    """Check the position limits against the stroke of the device, and all limits against its converters.
+
+    ``readable`` holds the lowest and highest reading of each signal, SI; None where they are unknown.
 
     Raises:
-        LimitError: the upper limit is beyond the stroke; where the force limit is at most ``GENTLE_FORCE_N``, it may be
-            beyond by up to ``BEYOND_STROKE_M``.
+        LimitError: the upper position limit is beyond the stroke; where the force limit is at most ``GENTLE_FORCE_N``,
+            it may be beyond by up to ``BEYOND_STROKE_M``. Or the device cannot read beyond a limit, so that nothing
+            would notice when it is exceeded; at most ``GENTLE_FORCE_N`` the position may.
     """
     furthest = device.stroke_m + (BEYOND_STROKE_M if limits.max_force_n <= GENTLE_FORCE_N else 0.0)
     if limits.max_position_m > furthest:
@@ -139,6 +157,25 @@ def check_limits(limits: Limits, device: DeviceDescription) -> None:
                 stroke=1e3 * device.stroke_m,
             )
         )
+
+    if readable is None:
+        return
+    lowest_m, highest_m = readable["position"]
+    largest_a = min(-readable["current"][0], readable["current"][1])
+    for name, inside in (
+        ("max_force_n", limits.max_force_n * FORCE_MARGIN < largest_a * device.force_constant_n_per_a),
+        ("min_position_m", limits.max_force_n <= GENTLE_FORCE_N or limits.min_position_m > lowest_m),
+        ("max_position_m", limits.max_force_n <= GENTLE_FORCE_N or limits.max_position_m < highest_m),
+        ("max_temperature_c", limits.max_temperature_c < readable["temperature"][1]),
+    ):
+        if not inside:
+            raise LimitError(
+                "limit.unreadable",
+                "the limit {name}, {value:g}, cannot be monitored: the converter of the instrument ends there. "
+                "Choose a limit within its range",
+                name=name,
+                value=getattr(limits, name),
+            )
 
 
 def coil_too_hot(temperature_c: float, limits: Limits) -> LimitError:

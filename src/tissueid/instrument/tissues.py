@@ -36,7 +36,7 @@ class Variation:
 
 @dataclass(frozen=True)
 class SimulatedTissue:
-    """Parameters of the tissue, effects in the order of evaluation, and the variation between repeats.
+    """Parameters of the tissue, effects, and the variation between repeats.
 
     ``people`` is the variation between subjects, ``compression_m`` the depth by which tests compress the surface
     lastingly, ``breath_m`` the amplitude of breathing; they only act if asked for (``of_subject``, ``varied``).
@@ -143,7 +143,6 @@ _SKIN_EFFECTS: Effects = {
     "viscoelasticity": {"ratio": 0.26, "time_s": 0.08, "decades": 1.0, "growth": 1.0, "tilt": 0.0},
     "contact_loss": {"slowing_s": 0.1, "adhesion_n": 0.02},
 }
-"""Effects of skin. Contact loss is last because it acts on the sum of the others."""
 
 _REPEATS = Variation(0.04, 0.02, 0.03, 0.03, 0.07, 0.1e-3)
 """Variation that reproduces the individual coefficients of variation of Chen 2010, Table 7.1, within a

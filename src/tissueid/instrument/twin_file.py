@@ -39,6 +39,7 @@ _NAME = r"[A-Za-z0-9][A-Za-z0-9 ._-]{0,79}"
 _POSITIVE = ("resistance_ohm", "inductance_h", "force_constant_n_per_a", "moving_mass_kg", "amplifier_gain", "stroke_m")
 _LEAST = 1e-9
 _MOST = {"resistance_ohm": 1e4, "inductance_h": 10.0, "force_constant_n_per_a": 1e4, "moving_mass_kg": 1e3}
+_MOST_FILTER_S = 1.0
 _TISSUE_BOUNDS = {
     "surface_m": (-1.0, 1.0),
     "mass_kg": (0.0, 1e3),
@@ -114,6 +115,8 @@ class TwinFile(_Part):
         for name in _POSITIVE:
             if not _LEAST <= figures[name] <= _MOST.get(name, 1e6):
                 raise ValueError(_outside(name, _LEAST, _MOST.get(name, 1e6), figures[name]))
+        if not (figures["filter_time_s"] == 0.0 or _LEAST <= figures["filter_time_s"] <= _MOST_FILTER_S):
+            raise ValueError(_outside("filter_time_s", 0.0, _MOST_FILTER_S, figures["filter_time_s"]))
         for name in ("amplifier_limit_v", "bearing_damping_n_s_per_m"):
             if figures[name] < 0.0:
                 raise ValueError(

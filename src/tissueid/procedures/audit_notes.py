@@ -7,7 +7,7 @@ from contextlib import contextmanager
 from typing import Any
 
 from tissueid.audit import AuditTrail
-from tissueid.errors import CancelledError
+from tissueid.errors import CancelledError, UnattendedError
 from tissueid.messages import Message
 from tissueid.procedures.control import Control
 
@@ -35,7 +35,8 @@ def audit_failure(trail: AuditTrail, control: Control, what: str, *, subject: st
     try:
         yield
     except BaseException as error:
-        how = "stopped" if isinstance(error, CancelledError | KeyboardInterrupt) else "broken_off"
+        by_a_person = isinstance(error, CancelledError | KeyboardInterrupt) and not isinstance(error, UnattendedError)
+        how = "stopped" if by_a_person else "broken_off"
         audit_note(trail, control, f"{what}.{how}", subject=subject, new=str(error) or type(error).__name__)
         raise
 

@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 from tissueid.errors import UnusableInputError
 from tissueid.language import marked
 from tissueid.messages import Message, Verbatim
-from tissueid.procedures.cluster import plan_executor
+from tissueid.procedures.cluster import ClusterPlan, plan_executor
 from tissueid.procedures.control import Control, CountedProgress
 from tissueid.procedures.identification import FitPlan
 from tissueid.procedures.output_files import HTML, check_output, check_report, unwritable
@@ -26,7 +26,7 @@ if TYPE_CHECKING:  # each takes long to import
 _FITTING = marked("Fitting engines")
 
 
-class ComparePlan(FitPlan):
+class ComparePlan(FitPlan, ClusterPlan):
     """Tests, engines with their options, and the files to write."""
 
     engines: Annotated[
@@ -45,10 +45,6 @@ class ComparePlan(FitPlan):
         tuple[str, ...],
         Option("--option", metavar="ENGINE.NAME=VALUE", help="option of one engine; may be repeated"),
     ] = ()
-    scheduler: Annotated[
-        str | None,
-        Option("--scheduler", metavar="ADDRESS", help="Dask scheduler, such as tcp://host:8786: fit engines there"),
-    ] = None
     sweep: Annotated[bool, Option("--memory-sweep", help="also compute scores against memory; slow")] = False
     page: Annotated[Path | None, Option("--out", metavar="FILE", help="write the report, one HTML page")] = None
     figures: Annotated[
@@ -95,7 +91,7 @@ def run_comparison(plan: ComparePlan, control: Control) -> ComparedTests:
         sweep=plan.sweep,
         detrend=plan.detrend,
         band_hz=(plan.low_hz, plan.high_hz),
-        scheduler=plan.scheduler,
+        cluster=plan,
     )
     figures = _draw(compared, plan.page, plan.figures, control)
     return ComparedTests(session, compared.found, compared.no_ceiling, figures)
@@ -114,11 +110,11 @@ def compare_engines(
     sweep: bool = False,
     detrend: bool = False,
     band_hz: tuple[float | None, float | None] = (None, None),
-    scheduler: str | None = None,
+    cluster: ClusterPlan | None = None,
 ) -> ComparedTests:
     """Fit engines to one test, or to several jointly, and compare them; arguments as the options of ``ComparePlan``.
 
-    With the address of a Dask ``scheduler`` its workers fit the engines, each one at a time. The control shows the
+    With a ``cluster`` that has a scheduler its workers fit the engines, each one at a time. The control shows the
     name of each engine, and other steps, with the completed share of the step.
 
     Raises:
@@ -142,16 +138,20 @@ def compare_engines(
         ceiling = known_ceiling(session, parts)
     except UnusableInputError as error:
         ceiling, no_ceiling = None, error.message
-    fits = None if scheduler is None else functools.partial(_fits_on_cluster, scheduler, control)
+    fits = None
+    if cluster is not None and cluster.scheduler is not None:
+        fits = functools.partial(_fits_on_cluster, cluster, control)
     found = compare(engines, parts, ceiling=ceiling, sweep=sweep, progress=_shown(control), fits=fits)
     return ComparedTests(session, found, no_ceiling)
 
 
-def _fits_on_cluster(scheduler: str, control: Control, engines: Sequence[Engine], parts: Split) -> list[Analysis | str]:
+def _fits_on_cluster(
+    cluster: ClusterPlan, control: Control, engines: Sequence[Engine], parts: Split
+) -> list[Analysis | str]:
     from tissueid.analysis.comparison import fit_or_reason
 
     done = CountedProgress(control, _FITTING, len(engines))
-    with plan_executor(None, scheduler) as pool:
+    with plan_executor(None, cluster) as pool:
         return pool.do(functools.partial(fit_or_reason, parts), list(engines), control.check, done)
 
 

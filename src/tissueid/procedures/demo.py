@@ -22,7 +22,7 @@ from tissueid.language import marked
 from tissueid.messages import Message, Verbatim
 from tissueid.procedures.audit_notes import audit_note
 from tissueid.procedures.control import Control
-from tissueid.procedures.output_files import json_text, write_text
+from tissueid.procedures.output_files import json_text, stored_values, write_text
 from tissueid.procedures.plan_options import Option, Plan
 
 if TYPE_CHECKING:  # each takes long to import
@@ -122,10 +122,7 @@ def _check_target(out: Path) -> None:
     private_folder(out)
     if not any((out / name).exists() for name in OUTPUTS):
         return
-    made_by = None
-    with contextlib.suppress(OSError, ValueError, AttributeError):
-        made_by = json.loads((out / OUTPUTS[1]).read_text(encoding="utf-8")).get("made_by")
-    if made_by != "tissueid demo":
+    if stored_values(out / OUTPUTS[1]).get("made_by") != "tissueid demo":
         raise UnusableInputError(
             Message(
                 "demo.other_results",

@@ -22,7 +22,7 @@ if TYPE_CHECKING:
 
 STEPS: Mapping[Work, str] = {
     "baseline": marked("Fitting the baseline twin"),
-    "screening": marked("Looking at every known effect"),
+    "screening": marked("Screening all known effects"),
     "likeliest candidates": marked("Fitting the likeliest effects"),
     "candidates": marked("Fitting the other effects"),
     "leading candidates": marked("Fitting the leading effects to the end"),
@@ -32,7 +32,7 @@ STEPS: Mapping[Work, str] = {
     "tissue": marked("Fitting the effects of living tissue together"),
     "additions": marked("Fitting sets with one more effect"),
     "leading additions": marked("Fitting the leading sets to the end"),
-    "removals": marked("Fitting the set without each effect"),
+    "removals": marked("Removing each effect in turn"),
     "replacements": marked("Fitting other effects in place of each"),
     "leading replacements": marked("Fitting the leading replacements to the end"),
 }

@@ -10,7 +10,7 @@ import contextlib
 import functools
 import hashlib
 import shutil
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -18,6 +18,7 @@ from typing import Any
 from platformdirs import user_cache_path
 
 from tissueid import __version__
+from tissueid.atomic_write import open_regular
 from tissueid.errors import CancelledError, UnusableInputError
 from tissueid.gap import Diagnosis, as_answer, diagnose, prepare
 from tissueid.gap.answer_store import store_answer, stored_answer
@@ -32,6 +33,7 @@ from tissueid.procedures.control import Control, CountedProgress
 from tissueid.procedures.gap_plans import FolderPlan, WatchPlan
 from tissueid.procedures.output_files import HTML, check_output, write_text
 from tissueid.sessions import read_session
+from tissueid.sessions.file_policy import located, session_files, unreadable
 
 _DIAGNOSING = marked("Diagnosing sessions")
 _CREATED, _REASON = "created", "reason"
@@ -62,7 +64,7 @@ def watch_folder(plan: WatchPlan, control: Control) -> WatchedFolder:
     """
     check_output(plan.report, HTML)
     twin = read_twin(plan.twin)
-    answers = _diagnosed(_session_files(plan.folder), twin, plan, control, as_answer)
+    answers = _diagnosed(twin, plan, control, as_answer)
     entries = [_entry(path, answer) for path, answer in answers.items()]
     if all(entry.answer is None for entry in entries):
         raise UnusableInputError(
@@ -91,7 +93,7 @@ def diagnose_folder(
         UnusableInputError: there are no session files.
         CancelledError: it was cancelled.
     """
-    answers = _diagnosed(_session_files(plan.folder), None, plan, control, of)
+    answers = _diagnosed(None, plan, control, of)
     return {path: answer.get(_REASON) or answer for path, answer in answers.items()}
 
 
@@ -102,38 +104,29 @@ def _entry(path: Path, answer: dict[str, Any]) -> HistoryEntry:
     return HistoryEntry(path.name, created, answer)
 
 
-def _session_files(folder: Path) -> list[Path]:
-    files = sorted(folder.glob("*.h5"))
-    if not files:
-        raise UnusableInputError(
-            Message("gap.no_sessions", "there are no session files in {folder}", folder=str(folder))
-        )
-    return files
-
-
 def _diagnosed(
-    files: Sequence[Path],
-    twin: TwinFile | None,
-    plan: FolderPlan,
-    control: Control,
-    of: Callable[[Diagnosis], dict[str, Any]],
+    twin: TwinFile | None, plan: FolderPlan, control: Control, of: Callable[[Diagnosis], dict[str, Any]]
 ) -> dict[Path, dict[str, Any]]:
-    kept = _kept_answers(files, twin, of)
+    found = session_files(plan.folder)
+    if not found:
+        raise UnusableInputError("gap.no_sessions", "there are no session files in {folder}", folder=str(plan.folder))
+    files = [path for path, refused in found.items() if refused is None]
+    kept = _kept_answers(plan.folder, twin, of)
     done = CountedProgress(control, _DIAGNOSING, len(files))
     try:
-        with plan_executor(plan.workers, plan.scheduler) as pool:
+        with plan_executor(plan.workers, plan) as pool:
             work = functools.partial(_of_file, of, twin, kept)
-            answers = pool.do(work, files, control.check, done)
+            answers = dict(zip(files, pool.do(work, files, control.check, done), strict=True))
     except (CancelledError, KeyboardInterrupt):
         shutil.rmtree(kept, ignore_errors=True)
         raise
     shutil.rmtree(kept, ignore_errors=True)
-    return dict(zip(files, answers, strict=True))
+    return {path: answers.get(path) or {_CREATED: "", _REASON: refused} for path, refused in found.items()}
 
 
-def _kept_answers(files: Sequence[Path], twin: TwinFile | None, of: Callable[[Diagnosis], dict[str, Any]]) -> Path:
+def _kept_answers(folder: Path, twin: TwinFile | None, of: Callable[[Diagnosis], dict[str, Any]]) -> Path:
     # One folder for each folder of sessions, twin, kind of answer and version.
-    about = (str(files[0].resolve().parent), "" if twin is None else twin.model_dump_json(), of.__qualname__)
+    about = (str(folder.resolve()), "" if twin is None else twin.model_dump_json(), of.__qualname__)
     digest = hashlib.sha256("\0".join((*about, __version__)).encode()).hexdigest()
     return user_cache_path("tissueid", appauthor=False) / "gap" / digest[:32]
 
@@ -143,10 +136,10 @@ def _of_file(
 ) -> dict[str, Any]:
     # One process per session is faster than all processes on one session after another.
     try:
-        key = hashlib.sha256(path.read_bytes()).hexdigest()
+        with open_regular(path) as file:
+            key = hashlib.file_digest(file, "sha256").hexdigest()
     except OSError as error:
-        reason = Message("gap.unreadable", "{path} cannot be read: {why}", path=path.name, why=str(error.strerror))
-        return {_CREATED: "", _REASON: reason}
+        return {_CREATED: "", _REASON: located(str(path), unreadable(error))}
     if (before := _kept_answer(kept, key)) is not None:
         return before
     created = ""

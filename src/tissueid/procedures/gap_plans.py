@@ -10,6 +10,7 @@ from pydantic import Field
 
 from tissueid.errors import UnusableInputError
 from tissueid.messages import Message, Verbatim
+from tissueid.procedures.cluster import ClusterPlan
 from tissueid.procedures.plan_options import Option, Plan
 
 
@@ -88,14 +89,10 @@ class AcceptPlan(GapPlan):
         )
 
 
-class FolderPlan(Plan):
+class FolderPlan(ClusterPlan):
     """Diagnosis of all sessions of a folder. After a kill the same plan continues where it was."""
 
     folder: Annotated[Path, Option(argument=True, metavar="FOLDER", help="a folder of session files")]
-    scheduler: Annotated[
-        str | None,
-        Option("--scheduler", metavar="ADDRESS", help="Dask scheduler, such as tcp://host:8786, for a cluster"),
-    ] = None
     workers: Annotated[
         int | None,
         Option("--workers", metavar="N", help="number of processes; default: one per core"),

@@ -15,6 +15,7 @@ from tissueid.messages import Message, Verbatim
 from tissueid.procedures.audit_notes import audit_note
 from tissueid.procedures.control import Control
 from tissueid.procedures.plan_options import Option, Plan
+from tissueid.procedures.pseudonyms import PseudonymConfirmed, check_subject
 
 if TYPE_CHECKING:  # each takes long to import
     from tissueid.audit import AuditTrail
@@ -24,6 +25,7 @@ if TYPE_CHECKING:  # each takes long to import
 _T = TypeVar("_T")
 _EACH = "; once for all tests, or once for each in order"
 _RATES_HZ = (1e-6, 1e9)
+_DECIMALS = {"point": ".", "comma": ","}
 
 
 class ImportPlan(Plan):
@@ -55,6 +57,14 @@ class ImportPlan(Plan):
     resample_hz: Annotated[
         float | None, Option("--resample", metavar="HZ", help="interpolate irregular times to this rate")
     ] = None
+    decimal: Annotated[
+        str | None,
+        Option(
+            "--decimal",
+            metavar="SIGN",
+            help="point or comma: the decimal sign of CSV files where it could separate thousands, as in 1,545",
+        ),
+    ] = None
     kinds: Annotated[
         tuple[str, ...],
         Option("--kind", metavar="KIND", help=f"stochastic, quiet, slow_ramp, step_hold, spring or free_air{_EACH}"),
@@ -73,6 +83,7 @@ class ImportPlan(Plan):
         tuple[float, ...], Option("--surface", metavar="METRE", help=f"position of the tissue surface{_EACH}")
     ] = ()
     subject: Annotated[str | None, Option("--subject", metavar="PSEUDONYM", help="pseudonym, never a name")] = None
+    pseudonym_confirmed: PseudonymConfirmed = False
     instrument: Annotated[
         tuple[str, ...],
         Option(
@@ -91,7 +102,11 @@ class ImportPlan(Plan):
         from tissueid.sessions import KINDS
         from tissueid.sessions.imports import Choices
 
-        for words, known in ((self.kinds, KINDS), (self.configurations, tuple(CONFIGURATIONS))):
+        for words, known in (
+            (self.kinds, KINDS),
+            (self.configurations, tuple(CONFIGURATIONS)),
+            ((self.decimal,) if self.decimal is not None else (), tuple(_DECIMALS)),
+        ):
             for word in words:
                 if word not in known:
                     raise UnusableInputError(
@@ -102,6 +117,7 @@ class ImportPlan(Plan):
                             known=Verbatim(", ".join(known)),
                         )
                     )
+        check_subject(self.subject or "", confirmed=self.pseudonym_confirmed)
         for text in (*self.sites, *self.instrument, self.subject or ""):
             if not text.isprintable():
                 shown = "".join(mark if mark.isprintable() else "�" for mark in text)
@@ -183,6 +199,7 @@ def run_import(plan: ImportPlan, control: Control, trail: AuditTrail) -> Importe
         pseudonym=plan.subject,
         rate_hz=plan.rate_hz,
         resample_hz=plan.resample_hz,
+        decimal=None if plan.decimal is None else _DECIMALS[plan.decimal],
         progress=progress,
     )
     tests = made.session.tests

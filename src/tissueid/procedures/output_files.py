@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING, Any
 from tissueid.atomic_write import atomic_file, open_regular
 from tissueid.errors import UnusableInputError
 from tissueid.messages import Message
+from tissueid.untrusted_input import json_value
 
 if TYPE_CHECKING:
     from tissueid.sessions import Session
@@ -19,6 +20,7 @@ HTML = ("<!DOCTYPE html",)
 PDF = ("%PDF",)
 _LARGEST_REPORT = 200_000_000
 """Number of bytes of a report that are searched for the id of its session."""
+_LARGEST_VALUES = 20_000_000
 
 
 def check_output(target: Path | None, begins: tuple[str | bytes, ...]) -> None:
@@ -85,6 +87,16 @@ def check_new(target: Path | None) -> None:
         )
 
 
+def stored_values(path: Path) -> dict[str, Any]:
+    """Return the JSON object in a file that this program wrote; an empty one if there is none, or it cannot be used."""
+    try:
+        with open_regular(path) as file:
+            found = json_value(file.read(_LARGEST_VALUES))
+    except (OSError, ValueError):
+        return {}
+    return found if isinstance(found, dict) else {}
+
+
 def check_different(*targets: Path | None) -> None:
     """Check that no file is named for two outputs.
 
@@ -117,14 +129,14 @@ def json_text(value: Any) -> str:
 
 
 def write_text(target: Path, text: str) -> None:
-    """Write a text file atomically.
+    """Write a text file atomically; parts of names that are not UTF-8 become ``\\udce9``.
 
     Raises:
         UnusableInputError: the file cannot be written.
     """
     try:
         with atomic_file(target) as partial:
-            partial.write_text(text, encoding="utf-8")
+            partial.write_text(text, encoding="utf-8", errors="backslashreplace")
     except OSError as error:
         raise unwritable(target, error) from error
 

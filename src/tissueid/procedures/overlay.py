@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import csv
-import io
 import re
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -13,6 +11,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 from pydantic import Field
 
 from tissueid.errors import UnusableInputError
+from tissueid.formatting import csv_text
 from tissueid.messages import Message, Verbatim, joined
 from tissueid.procedures.comparison import check_figures
 from tissueid.procedures.control import Control
@@ -339,10 +338,8 @@ def repeats_csv(found: Overlay) -> str:
     """Return mean, standard deviation and coefficient of variation of every quantity as CSV, SI."""
     from tissueid.analysis.overlay import repeated_values
 
-    text = io.StringIO()
-    rows = csv.writer(text, lineterminator="\n")
-    rows.writerow(("source", "fit", "quantity", "count", "mean", "std", "cv"))
+    rows: list[tuple[object, ...]] = [("source", "fit", "quantity", "count", "mean", "std", "cv")]
     for one in repeated_values(found):
-        numbers = ("" if value != value else repr(value) for value in (one.mean, one.std, one.cv))
-        rows.writerow((one.source, one.fit, one.quantity, one.count, *numbers))
-    return text.getvalue()
+        numbers = (None if value != value else value for value in (one.mean, one.std, one.cv))
+        rows.append((one.source, one.fit, one.quantity, one.count, *numbers))
+    return csv_text(rows)

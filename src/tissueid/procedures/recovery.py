@@ -6,6 +6,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
+from tissueid.atomic_write import open_regular
 from tissueid.errors import TissueIDError
 from tissueid.procedures.audit_notes import settle
 from tissueid.procedures.control import Control
@@ -59,7 +60,7 @@ def unfinished_journals(folder: Path) -> list[Path]:
     found = []
     for path in sorted(folder.glob("*.journal")):
         try:
-            with path.open("rb") as file:
+            with open_regular(path) as file:
                 lock(file)
         except (OSError, JournalError):
             continue

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 import time
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import asdict, replace
@@ -14,7 +13,7 @@ from tissueid.errors import CancelledError, TissueIDError, UnusableInputError
 from tissueid.language import marked
 from tissueid.messages import Message, Verbatim
 from tissueid.procedures.control import Control
-from tissueid.procedures.output_files import json_text, unwritable, write_text
+from tissueid.procedures.output_files import json_text, stored_values, unwritable, write_text
 from tissueid.procedures.overlay import named_fits, sweep_columns
 from tissueid.procedures.plan_options import Option, Plan
 
@@ -169,11 +168,7 @@ def _check_folder(out: Path) -> None:
         raise unwritable(out, error) from error
     if not any((out / name).exists() for name in (_RESULTS, _PAGE)):
         return
-    try:
-        made_by = json.loads((out / _RESULTS).read_text(encoding="utf-8")).get("made_by")
-    except (OSError, ValueError, AttributeError):
-        made_by = None
-    if made_by != _MADE_BY:
+    if stored_values(out / _RESULTS).get("made_by") != _MADE_BY:
         raise UnusableInputError(
             Message(
                 "reproduce.other_results",
@@ -300,7 +295,12 @@ def _reproduced(
             report = replace(report, pictures=report.pictures + more.pictures, plots=report.plots + more.plots)
     except UnusableInputError as error:
         return ReproducedFigure(figure.number, figure.title, why=error.message)
-    return ReproducedFigure(figure.number, figure.title, rows, report=report)
+    warnings = {  # one that several fits share, once
+        warning: Message("reproduce.warning", "{fit}: {warning}", fit=Verbatim(entry.fit.label), warning=warning)
+        for entry in found.entries
+        for warning in entry.analysis.model.report.warnings
+    }
+    return ReproducedFigure(figure.number, figure.title, rows, report=report, warnings=tuple(warnings.values()))
 
 
 def _write(plan: ReproductionPlan, out: Path, made: Sequence[ReproducedFigure], began: float) -> None:
@@ -331,7 +331,7 @@ def _write(plan: ReproductionPlan, out: Path, made: Sequence[ReproducedFigure], 
 
 
 def answer_of(figure: ReproducedFigure) -> dict[str, Any]:
-    """Return a figure for JSON: number, title, thesis and present value of each quantity, and the remark."""
+    """Return a figure for JSON: number, title, thesis and present value of each quantity, remark and warnings."""
     rows = [{name: str(value) for name, value in asdict(row).items()} for row in figure.rows]
     return {
         "number": figure.number,
@@ -339,6 +339,7 @@ def answer_of(figure: ReproducedFigure) -> dict[str, Any]:
         "rows": rows,
         "why_missing": str(figure.why) or None,
         "remark": str(figure.remark),
+        "warnings": [str(text) for text in figure.warnings],
         "seconds": figure.seconds,
         "against": str(figure.against),
     }

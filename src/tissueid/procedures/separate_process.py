@@ -3,15 +3,18 @@
 from __future__ import annotations
 
 import contextlib
+import math
 import threading
+import time
 from collections.abc import Callable
 from multiprocessing.connection import Connection
 from typing import TypeVar
 
-from tissueid.child_process import spawn_context, start_worker
+from tissueid.child_process import lower_priority, spawn_context, start_worker
 from tissueid.errors import CancelledError
 from tissueid.language import current_language, set_language
 from tissueid.procedures.control import Control
+from tissueid.units import in_force, use
 
 R = TypeVar("R")
 
@@ -20,11 +23,16 @@ _LEAVING_S = 0.8
 _LEAVE = "leave"
 
 
-def run_in_process(work: Callable[[Control], R], control: Control) -> R:
+def run_in_process(work: Callable[[Control], R], control: Control, grace_s: float = 0.0) -> R:
     """Run picklable work in a new process and return its result. Progress and notices reach ``control``.
 
-    A diagnosis in a thread would block the window whenever it is between two compiled loops, and could not be ended in
-    the middle of a fit.
+    The process has a low priority, so that it does not disturb a measurement. A diagnosis in a thread would block the
+    window whenever it is between two compiled loops, and could not be ended in the middle of a fit.
+
+    Args:
+        work: gets the control of its process.
+        control: of the caller.
+        grace_s: how long cancelled work may take to return what it has done so far, s.
 
     Raises:
         CancelledError: it was cancelled.
@@ -33,11 +41,15 @@ def run_in_process(work: Callable[[Control], R], control: Control) -> R:
     """
     context = spawn_context()
     ours, theirs = context.Pipe()
-    process = context.Process(target=_work, args=(work, current_language(), theirs))
+    process = context.Process(target=_work, args=(work, current_language(), in_force(), theirs))
     start_worker(process)
     theirs.close()
     try:
-        while not control.cancelled():
+        deadline = math.inf
+        while time.monotonic() < deadline:
+            if control.cancelled() and deadline == math.inf:
+                ours.send(_LEAVE)
+                deadline = time.monotonic() + grace_s
             if not ours.poll(_POLL_S):
                 continue
             kind, content = ours.recv()
@@ -50,7 +62,7 @@ def run_in_process(work: Callable[[Control], R], control: Control) -> R:
             else:
                 return content  # type: ignore[no-any-return]
         raise CancelledError(control.reason)
-    except EOFError:
+    except (EOFError, BrokenPipeError):
         raise RuntimeError("the process of a procedure ended without a result") from None
     finally:
         with contextlib.suppress(OSError):
@@ -79,14 +91,15 @@ class _PipeControl(Control):
         return self.left.is_set()
 
     def send(self, kind: str, content: object) -> None:
-        if not self.left.is_set():
-            with contextlib.suppress(OSError):
-                self._out.send((kind, content))
+        with contextlib.suppress(OSError):
+            self._out.send((kind, content))
 
 
-def _work(work: Callable[[Control], object], language: str, out: Connection) -> None:
-    # Runs in the new process, which starts in English.
+def _work(work: Callable[[Control], object], language: str, units: str, out: Connection) -> None:
+    # Runs in the new process, which starts in English and clinical units.
+    lower_priority()
     set_language(language)
+    use(units)
     control = _PipeControl(out)
     threading.Thread(target=_listen, args=(out, control.left), daemon=True).start()
     try:

@@ -2,15 +2,21 @@
 
 from __future__ import annotations
 
-import tempfile
+import errno
 from pathlib import Path
 
+from tissueid.atomic_write import check_creatable
 from tissueid.errors import UnusableInputError
 from tissueid.messages import Message
 
+_SHOWN = 40
+"""Characters of a name that a message repeats."""
+_TEMPORARY = 26
+"""Characters that a temporary name adds; a journal adds fewer."""
+
 
 def check_session_path(path: Path) -> None:
-    """Check that a new session can be saved to a path. Nothing is written.
+    """Check that a new session, its journal and its temporary file can be created at a path. Nothing is left there.
 
     Raises:
         UnusableInputError: it cannot; the message says why.
@@ -19,6 +25,14 @@ def check_session_path(path: Path) -> None:
 
     if not path.name:
         raise UnusableInputError(Message("save_path.empty", "enter the file of the session"))
+    unwritable = _creation_error(path)
+    if unwritable is not None and unwritable.errno == errno.ENAMETOOLONG:
+        raise UnusableInputError(
+            "save_path.too_long",
+            "the name {name}… is too long: a temporary name, which is {more} characters longer, must fit too",
+            name=path.name[:_SHOWN],
+            more=_TEMPORARY,
+        ) from unwritable
     if path.is_dir():
         raise UnusableInputError(Message("save_path.folder", "{path} is a folder; name a session file", path=str(path)))
     if not path.parent.is_dir():
@@ -46,15 +60,23 @@ def check_session_path(path: Path) -> None:
                 action=RECOVER,
             )
         )
-    try:
-        with tempfile.TemporaryFile(dir=path.parent):
-            pass
-    except OSError as error:
+    if unwritable is not None:
         raise UnusableInputError(
             Message(
                 "save_path.not_writable",
                 "the folder {folder} cannot be written to ({problem}): choose another one",
                 folder=str(path.parent),
-                problem=error.strerror or str(error),
+                problem=unwritable.strerror or str(unwritable),
             )
-        ) from error
+        ) from unwritable
+
+
+def _creation_error(path: Path) -> OSError | None:
+    """Return why the temporary file of a session cannot be created; None if it can, or its folder is missing."""
+    try:
+        check_creatable(path)
+    except FileNotFoundError:
+        return None
+    except OSError as error:
+        return error
+    return None

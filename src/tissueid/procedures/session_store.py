@@ -9,6 +9,9 @@ from __future__ import annotations
 import contextlib
 import hashlib
 import json
+import os
+import re
+import shutil
 import tempfile
 from collections.abc import Iterator
 from dataclasses import dataclass
@@ -16,14 +19,19 @@ from pathlib import Path
 from typing import Any, Protocol
 
 from tissueid.atomic_write import atomic_file, private_folder
-from tissueid.errors import UnusableInputError
-from tissueid.messages import Message, Verbatim
+from tissueid.errors import SessionFormatError, UnusableInputError
+from tissueid.messages import Verbatim
 from tissueid.procedures.study_plans import RESULTS
+from tissueid.sessions.file_policy import check_session_file, session_files
+from tissueid.untrusted_input import MAX_FILE_BYTES, allowed_unpacked_bytes
 
 LARGEST_RESULT = 20_000_000
 """Number of bytes of the result of one session."""
-_LARGEST_SESSION = 4_000_000_000
 _ENDING = ".h5"
+_BLOCK_BYTES = 2 << 20
+"""Bytes that are copied at once: the first block has the signature of a session."""
+_REFUSED = {"reference", "dask", "async_wrapper", "asyncwrapper", "generic"}
+"""Kinds of addresses whose files name other places, code or pickles."""
 
 
 class SessionStore(Protocol):
@@ -70,16 +78,15 @@ class FolderStore:
 
     def sessions(self) -> dict[str, str]:
         """Return the key of each session by its name."""
-        if not self.folder.is_dir():
-            raise UnusableInputError(Message("study.no_folder", "{folder} is not a folder", folder=str(self.folder)))
         results = self.folder / RESULTS
-        files = sorted(path for path in self.folder.rglob(f"*{_ENDING}") if results not in path.parents)
-        return {str(path.relative_to(self.folder)): self._key(path) for path in files}
+        files = session_files(self.folder, recursive=True)
+        return {_name(path.relative_to(self.folder)): self._key(path) for path in files if results not in path.parents}
 
     @contextlib.contextmanager
     def local_file(self, name: str) -> Iterator[Path]:
         """Yield the file itself."""
-        yield self.folder / name
+        path = self.folder / name
+        yield path if path.exists() else self.folder / _stored_name(name)
 
     def results(self, analysis: str) -> list[str]:
         """Return the keys of the results of an analysis."""
@@ -89,7 +96,8 @@ class FolderStore:
         """Return a result, or None."""
         path = self._result(analysis, key)
         try:
-            return None if path.stat().st_size > LARGEST_RESULT else path.read_bytes()
+            usable = path.is_file() and path.stat().st_size <= LARGEST_RESULT
+            return path.read_bytes() if usable else None
         except OSError:
             return None
 
@@ -101,7 +109,8 @@ class FolderStore:
 
     def remove_result(self, analysis: str, key: str) -> None:
         """Remove a result, if it is there."""
-        self._result(analysis, key).unlink(missing_ok=True)
+        with contextlib.suppress(OSError):
+            self._result(analysis, key).unlink(missing_ok=True)
 
     def _result(self, analysis: str, key: str) -> Path:
         return self.folder / RESULTS / analysis / f"{key}.json"
@@ -120,91 +129,116 @@ class FolderStore:
 class RemoteStore:
     """An address of fsspec, such as ``s3://bucket/study``; each worker opens it by itself.
 
-    Every file system raises errors of its own, not only OSError.
+    A place that cannot be written, such as an archive, keeps no results.
     """
 
     url: str
 
     def sessions(self) -> dict[str, str]:
         """Return the key of each session by its name."""
-        files, root = self._open()
-        try:
-            found = files.find(root, detail=True) if files.exists(root) else None
-        except Exception as error:
-            raise self._unreadable(error) from error
-        if found is None:
-            raise self._unreadable(FileNotFoundError("there is nothing"))
-        names = {self._name(root, path): about for path, about in found.items() if path.endswith(_ENDING)}
-        return {
-            name: _digest(name, about.get("size"), _version(about))
-            for name, about in sorted(names.items())
-            if not name.startswith(f"{RESULTS}/")
-        }
+        with self._opened() as (files, root):
+            if not files.exists(root):
+                raise FileNotFoundError("there is nothing")
+            found = files.find(root, detail=True)
+            names = {_name(path[len(root) :].lstrip("/")): about for path, about in found.items()}
+            return {
+                name: _digest(name, about.get("size"), _version(about))
+                for name, about in sorted(names.items())
+                if name.lower().endswith(_ENDING) and not name.startswith(f"{RESULTS}/")
+            }
 
     @contextlib.contextmanager
     def local_file(self, name: str) -> Iterator[Path]:
-        """Yield a temporary copy: the reader of sessions needs a file."""
-        files, root = self._open()
+        """Yield a temporary copy: the reader of sessions needs a file. Sizes and signature are checked before."""
         with tempfile.TemporaryDirectory(prefix="tissueid-") as folder:
             path = Path(folder) / f"session{_ENDING}"
-            try:
-                size = files.size(f"{root}/{name}") or 0
-                if size <= _LARGEST_SESSION:
-                    files.get_file(f"{root}/{name}", str(path))
-            except Exception as error:
-                raise self._unreadable(error) from error
-            if size > _LARGEST_SESSION:
-                raise UnusableInputError(
-                    Message("study.session_size", "{name} is too large ({size} bytes)", name=name, size=size)
-                )
+            with self._opened() as (files, root):
+                place = f"{root}/{name}"
+                _copy(files, place if files.exists(place) else f"{root}/{_stored_name(name)}", path)
             yield path
 
     def results(self, analysis: str) -> list[str]:
         """Return the keys of the results of an analysis."""
-        files, root = self._open()
-        folder = f"{root}/{RESULTS}/{analysis}"
-        found = files.ls(folder, detail=False) if files.exists(folder) else []
-        return [Path(path).stem for path in found if str(path).endswith(".json")]
+        with contextlib.suppress(UnusableInputError), self._opened() as (files, root):
+            folder = f"{root}/{RESULTS}/{analysis}"
+            found = files.ls(folder, detail=False) if files.exists(folder) else []
+            return [Path(path).stem for path in found if str(path).endswith(".json")]
+        return []
 
     def read_result(self, analysis: str, key: str) -> bytes | None:
         """Return a result, or None."""
-        files, root = self._open()
-        path = f"{root}/{RESULTS}/{analysis}/{key}.json"
-        try:
+        with contextlib.suppress(UnusableInputError), self._opened() as (files, root):
+            path = f"{root}/{RESULTS}/{analysis}/{key}.json"
             return None if (files.size(path) or 0) > LARGEST_RESULT else bytes(files.cat_file(path))
-        except OSError:
-            return None
+        return None
 
     def write_result(self, analysis: str, key: str, content: bytes) -> None:
         """Write a result under another name and rename it; where a name is written at once, the rename is a copy."""
-        files, root = self._open()
-        folder = f"{root}/{RESULTS}/{analysis}"
-        files.makedirs(folder, exist_ok=True)
-        files.pipe_file(f"{folder}/{key}.partial", content)
-        files.mv(f"{folder}/{key}.partial", f"{folder}/{key}.json")
+        with self._opened() as (files, root):
+            folder = f"{root}/{RESULTS}/{analysis}"
+            files.makedirs(folder, exist_ok=True)
+            files.pipe_file(f"{folder}/{key}.partial", content)
+            files.mv(f"{folder}/{key}.partial", f"{folder}/{key}.json")
 
     def remove_result(self, analysis: str, key: str) -> None:
         """Remove a result, if it is there."""
-        files, root = self._open()
-        with contextlib.suppress(OSError):
+        with contextlib.suppress(UnusableInputError), self._opened() as (files, root):
             files.rm_file(f"{root}/{RESULTS}/{analysis}/{key}.json")
 
-    def _open(self) -> tuple[Any, str]:
+    @contextlib.contextmanager
+    def _opened(self) -> Iterator[tuple[Any, str]]:
+        """Yield the file system and the path in it; its errors, which may be of any kind, become one line.
+
+        Raises:
+            UnusableInputError: the block failed.
+        """
         import fsspec
 
+        kinds = {part.partition("://")[0] for part in self.url.lower().split("::")}
+        if refused := sorted(kinds & _REFUSED):
+            raise UnusableInputError(
+                "study.refused_address",
+                "{url} is not read: files at an address of the kind {kind} name other places or code",
+                url=Verbatim(self.url),
+                kind=Verbatim(refused[0]),
+            )
         try:
             files, root = fsspec.core.url_to_fs(self.url)
-        except (ImportError, ValueError, OSError) as error:
-            raise self._unreadable(error) from error
-        return files, str(root).rstrip("/")
+            yield files, str(root).rstrip("/")
+        except UnusableInputError:
+            raise
+        except Exception as error:
+            why = Verbatim((str(error).splitlines() or [type(error).__name__])[0])
+            raise UnusableInputError(
+                "study.no_address", "{url} cannot be read: {reason}", url=Verbatim(self.url), reason=why
+            ) from error
 
-    def _name(self, root: str, path: str) -> str:
-        return str(path)[len(root) :].lstrip("/")
 
-    def _unreadable(self, error: Exception) -> UnusableInputError:
-        why = Verbatim((str(error).splitlines() or [type(error).__name__])[0])
-        return UnusableInputError(
-            Message("study.no_address", "{url} cannot be read: {reason}", url=Verbatim(self.url), reason=why)
+def _copy(files: Any, place: str, target: Path) -> None:
+    """Copy a file of fsspec after checking its size, as stated and as packed, the room on this disk and its signature.
+
+    Raises:
+        UnusableInputError: it is too large, or is no session.
+        Exception: of any kind, from the file system.
+    """
+    about = files.info(place)
+    size, packed = about.get("size"), about.get("compress_size")
+    most = MAX_FILE_BYTES if packed is None else min(MAX_FILE_BYTES, allowed_unpacked_bytes(packed))
+    most = min(most, shutil.disk_usage(target.parent).free)
+    copied = 0
+    with files.open(place, "rb") as source, target.open("wb") as file:
+        while (size or 0) <= most and copied <= most and (block := source.read(_BLOCK_BYTES)):
+            file.write(block)
+            if not copied:
+                file.flush()
+                try:
+                    check_session_file(target)
+                except SessionFormatError as error:
+                    raise UnusableInputError("study.no_session", "is not an HDF5 session") from error
+            copied += len(block)
+    if (size := max(size or 0, copied)) > most:
+        raise UnusableInputError(
+            "study.session_size", "has {size} bytes; at most {most} are read", size=size, most=most
         )
 
 
@@ -212,6 +246,16 @@ def _version(about: dict[str, Any]) -> str:
     return next(
         (str(about[name]) for name in ("ETag", "etag", "mtime", "LastModified", "created") if name in about), ""
     )
+
+
+def _name(path: object) -> str:
+    """Return a path as text of a table; bytes that are not UTF-8 as ``\\xE9``."""
+    return os.fsencode(str(path)).decode("utf-8", "backslashreplace")
+
+
+def _stored_name(name: str) -> str:
+    """Return the path of a ``_name`` with bytes that are not UTF-8."""
+    return os.fsdecode(re.sub(rb"\\x([0-9a-f]{2})", lambda found: bytes.fromhex(found[1].decode()), name.encode()))
 
 
 def _digest(*parts: object) -> str:

@@ -2,11 +2,10 @@
 
 from __future__ import annotations
 
-import contextlib
 import functools
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Annotated, Any
+from typing import Annotated
 
 from pydantic import Field
 
@@ -18,7 +17,7 @@ from tissueid.instrument import Instrument, SimulatedInstrument
 from tissueid.language import marked
 from tissueid.messages import Message
 from tissueid.procedures.control import Control, CountedProgress
-from tissueid.procedures.output_files import json_text, write_text
+from tissueid.procedures.output_files import json_text, stored_values, write_text
 from tissueid.procedures.plan_options import Option, Plan
 from tissueid.procedures.simulated_population import (
     LOTION_MINUTES,
@@ -35,14 +34,12 @@ from tissueid.procedures.study_plans import SUBJECTS_FILE, StudyReportPlan
 from tissueid.procedures.study_report import StudyReport, report_study
 from tissueid.procedures.test_plan import TestPlan
 from tissueid.procedures.test_run import TestControl, run_test
-from tissueid.sessions.hdf5_members import journal_path
-from tissueid.untrusted_input import json_value
+from tissueid.sessions.file_policy import journal_path
 
 _MEASURING = marked("Measuring the simulated population")
 _MARK, _MADE_BY = "population.json", "tissueid study demo"
 _OPTIONS = ("subjects", "repeats", "seconds", "seed", "products")
 """Options on which the sessions depend."""
-_LONGEST_MARK = 10_000
 MARGIN = 0.1
 """Relative margin of equivalence of the lotions, chosen."""
 
@@ -78,13 +75,25 @@ class Series:
 def run_population(plan: PopulationPlan, control: Control) -> StudyReport:
     """Measure a simulated population by guided tests, analyse the sessions and write the report.
 
-    In the folder of an interrupted population with the same options, only the missing sessions are measured.
-
     Raises:
         UnusableInputError: the folder holds anything else or cannot be made, or a package is missing.
         CancelledError: it was cancelled; the finished sessions are kept.
     """
     check_packages("pandas", "pyarrow", "statsmodels", "sklearn")
+    measure_population(plan, control)
+    report = StudyReportPlan(folder=plan.out, workers=plan.workers, margin=MARGIN, pdf=plan.out / "report.pdf")
+    return report_study(report, control)
+
+
+def measure_population(plan: PopulationPlan, control: Control) -> None:
+    """Measure a simulated population by guided tests.
+
+    In the folder of an interrupted population with the same options, only the missing sessions are measured.
+
+    Raises:
+        UnusableInputError: the folder holds anything else or cannot be made.
+        CancelledError: it was cancelled; the finished sessions are kept.
+    """
     _take_folder(plan)
     people = population(plan.subjects, plan.seed)
     write_text(plan.out / SUBJECTS_FILE, subjects_file(people, MATERIALS if plan.products else ()))
@@ -101,8 +110,6 @@ def run_population(plan: PopulationPlan, control: Control) -> StudyReport:
         done = CountedProgress(control, _MEASURING, len(series))
         with executor(plan.workers) as pool:
             pool.do(functools.partial(measure_series, plan), series, control.check, done)
-    report = StudyReportPlan(folder=plan.out, workers=plan.workers, margin=MARGIN, pdf=plan.out / "report.pdf")
-    return report_study(report, control)
 
 
 def measure_series(plan: PopulationPlan, series: Series) -> Path:
@@ -130,6 +137,7 @@ def measure_series(plan: PopulationPlan, series: Series) -> Path:
         out=session_path(plan, series),
         subject=series.subject,
         repeats=repeats,
+        place_again=True,  # the compression of the skin by the first test shows only against its present surface
         seconds=plan.seconds,  # and the stimulus of the guided test, which is one for all subjects (thesis 7.1.1)
         calibration=False,
         condition=series.condition,
@@ -158,10 +166,8 @@ def _take_folder(plan: PopulationPlan) -> None:
     """
     mark = {"made_by": _MADE_BY, "options": plan.model_dump(mode="json", include=set(_OPTIONS))}
     if plan.out.exists() and (not plan.out.is_dir() or any(plan.out.iterdir())):
-        found: Any = None
-        with contextlib.suppress(OSError, ValueError):
-            found = json_value((plan.out / _MARK).read_text(encoding="utf-8")[:_LONGEST_MARK])
-        if not isinstance(found, dict) or found.get("made_by") != _MADE_BY:
+        found = stored_values(plan.out / _MARK)
+        if found.get("made_by") != _MADE_BY:
             raise UnusableInputError(
                 Message(
                     "study.folder_used",

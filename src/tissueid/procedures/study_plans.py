@@ -7,7 +7,8 @@ from typing import Annotated
 
 from pydantic import Field
 
-from tissueid.procedures.plan_options import Option, Plan
+from tissueid.procedures.cluster import ClusterPlan
+from tissueid.procedures.plan_options import Option
 
 CONDITION, MINUTES_SINCE = "condition", "minutes_since_application"
 """Notes of a test: its condition, such as a product, and the minutes since its application."""
@@ -21,7 +22,7 @@ NOT_ANALYSED_FILE = "not_analysed.csv"
 """Name of the file in the results with the reason of each session that could not be analysed."""
 
 
-class StudyPlan(Plan):
+class StudyPlan(ClusterPlan):
     """The folder of a study, and the engine whose parameters are compared."""
 
     folder: Annotated[Path, Option(argument=True, metavar="FOLDER", help="folder of the sessions; subfolders count")]
@@ -46,10 +47,6 @@ class StudyPlan(Plan):
         Option("--workers", metavar="N", help="number of processes; default: one per processor"),
         Field(ge=1, le=256),
     ] = None
-    scheduler: Annotated[
-        str | None,
-        Option("--scheduler", metavar="ADDRESS", help="Dask scheduler, such as tcp://host:8786, for a cluster"),
-    ] = None
 
 
 class StudyReportPlan(StudyPlan):
@@ -66,6 +63,14 @@ class StudyReportPlan(StudyPlan):
     regressors: Annotated[
         tuple[str, ...],
         Option("--regress", metavar="NAME", help="column with a value of subjects, such as age_years; may be repeated"),
+    ] = ()
+    only: Annotated[
+        tuple[str, ...],
+        Option(
+            "--only",
+            metavar="NAME=VALUE",
+            help="only subjects with this value, such as gender=male or age_years=18:28; may be repeated",
+        ),
     ] = ()
     before: Annotated[
         str,

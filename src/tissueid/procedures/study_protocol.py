@@ -31,6 +31,7 @@ from tissueid.formatting import clean
 from tissueid.language import marked
 from tissueid.messages import Action, Message, Verbatim, joined
 from tissueid.option_errors import option_error
+from tissueid.procedures.pseudonyms import reads_like_name
 from tissueid.procedures.study_plans import RESULTS
 from tissueid.procedures.test_plan import MAX_TEXT, TestPlan
 from tissueid.procedures.test_presets import PRESETS, Preset
@@ -44,7 +45,7 @@ _MOST_STEPS = 10_000
 PHOTOGRAPHS = "photographs"
 """Folder of a study with its photographs."""
 _OTHER_FOLDERS = (RESULTS, PHOTOGRAPHS)
-_PSEUDONYM = re.compile(r"[A-Za-z0-9][A-Za-z0-9._-]{0,39}")
+_PSEUDONYM = re.compile(r"[A-Za-z0-9][A-Za-z0-9._ -]{0,39}")
 
 Demographic = Literal["age_years", "weight_kg", "height_m", "gender", "handedness", "ethnicity", "skin_conditions"]
 """Values of a subject that a protocol can ask for."""
@@ -289,12 +290,13 @@ def check_pseudonym(text: str) -> str:
         UnusableInputError: it looks like a name or an address, or cannot be the name of a folder.
     """
     pseudonym = text.strip()
-    if not _PSEUDONYM.fullmatch(pseudonym) or pseudonym.endswith(".") or pseudonym.lower() in _OTHER_FOLDERS:
+    folder = _PSEUDONYM.fullmatch(pseudonym) and not pseudonym.endswith(".") and pseudonym.lower() not in _OTHER_FOLDERS
+    if not folder or reads_like_name(pseudonym):
         raise UnusableInputError(
             Message(
                 "protocol.pseudonym",
-                "the subject must be a pseudonym such as P01, never a name: up to 40 letters, digits, '-', '_' and '.' "
-                "without spaces, got '{text}'",
+                "the subject must be a pseudonym such as P-001, never a name: up to 40 letters, digits, spaces, '-', "
+                "'_' and '.', got '{text}'",
                 text=Verbatim(clean(text)[:MAX_TEXT]),
             )
         )

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -37,7 +37,7 @@ class StudyReport:
 
     def as_answer(self) -> dict[str, Any]:
         """Return the statistics for JSON."""
-        return {"failures": dict(self.run.failures), "sessions": self.run.sessions} | self.statistics.as_answer()
+        return self.run.as_answer() | self.statistics.as_answer()
 
 
 def _name(folder: Path) -> str:
@@ -62,6 +62,9 @@ def report_study(plan: StudyReportPlan, control: Control) -> StudyReport:
     check_different(plan.report, plan.pdf)
     run = run_study(plan, control)
     _check_names(plan, run.table)
+    from tissueid.studies.study_table import subgroup
+
+    run = replace(run, table=subgroup(run.table, plan.only))
     from tissueid.reports.study import study_html
     from tissueid.reports.study_pdf import write_study_pdf
     from tissueid.studies.study_statistics import study_statistics
@@ -78,7 +81,7 @@ def report_study(plan: StudyReportPlan, control: Control) -> StudyReport:
     )
     control.check()
     page = plan.report or plan.folder / RESULTS / "report.html"
-    name = _name(plan.folder)
+    name = ", ".join((_name(plan.folder), *plan.only))
     write_text(page, study_html(name, plan.engine, found, run.failures))
     if plan.pdf is not None:
         try:

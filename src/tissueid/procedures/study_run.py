@@ -11,23 +11,25 @@ import contextlib
 import csv
 import functools
 import hashlib
-import io
 import itertools
 import json
 from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Annotated, Any
+
+from pydantic import BaseModel, ConfigDict, Field
 
 from tissueid import __version__
 from tissueid.atomic_write import private_folder
 from tissueid.errors import TissueIDError, UnusableInputError
 from tissueid.extras import check_packages
+from tissueid.formatting import csv_text, text_of_cell
 from tissueid.language import marked
 from tissueid.messages import Message, Verbatim
 from tissueid.procedures.cluster import plan_executor
 from tissueid.procedures.control import Control, CountedProgress
-from tissueid.procedures.output_files import write_text
+from tissueid.procedures.output_files import unwritable, write_text
 from tissueid.procedures.plan_options import parse_options
 from tissueid.procedures.session_store import FolderStore, RemoteStore, SessionStore
 from tissueid.procedures.study_plans import (
@@ -47,10 +49,43 @@ if TYPE_CHECKING:
     from tissueid.sessions import Session, Test
 
 _ANALYSING = marked("Analysing sessions")
-_FAILED, _CURVES = "failed", "curves"
-_FORMAT = 4
+_FAILED, _CURVES, _DETAILS = "failed", "curves", "details"
+_FORMAT = 5
 """Format of stored rows: those of another one are computed again."""
 _MOST_FAILURES, _LONGEST_REASON = 100_000, 1000
+
+
+_Count = Annotated[int, Field(ge=0, lt=2**31)]
+
+
+class _StoredRow(BaseModel):
+    """Row of one test: the columns by which a study sorts and counts; ``study_table`` makes the others uniform."""
+
+    model_config = ConfigDict(strict=True, extra="allow")
+    __pydantic_extra__: dict[str, str | bool | float | None] = Field(init=False)
+    session_id: str
+    created: str
+    test: _Count
+    subject: str
+    site: str
+    condition: str
+    configuration: str
+    orientation_deg: str | float | None
+    simulated: bool
+    status: str
+    quality: str
+    findings: str
+    engine: str
+
+
+class _StoredResult(BaseModel):
+    """Content of the file of one session: rows, details of the fits and curves of its tests, or why it has none."""
+
+    model_config = ConfigDict(strict=True)
+    rows: list[_StoredRow] = []
+    details: list[dict[str, float]] = []
+    failed: str | None = None
+    curves: list[tuple[_Count, list[Any]]] = []
 
 
 @dataclass(frozen=True)
@@ -68,6 +103,10 @@ class StudyRun:
     analysed: int
     """Sessions analysed in this run; the others were unchanged."""
 
+    def as_answer(self) -> dict[str, Any]:
+        """Return the sessions and those that could not be analysed for JSON."""
+        return {"failures": dict(self.failures), "sessions": self.sessions}
+
 
 def run_study(plan: StudyPlan, control: Control) -> StudyRun:
     """Analyse every session of a study that has changed, and write the table and the sampled curves.
@@ -82,7 +121,7 @@ def run_study(plan: StudyPlan, control: Control) -> StudyRun:
     from tissueid.studies.study_table import read_subjects, study_table, write_table
 
     options = parse_options(plan.options)
-    get_engine(plan.engine).from_options(options)
+    specification = get_engine(plan.engine).from_options(options)
     store = _store(plan)
     keys = store.sessions()
     if not keys:
@@ -92,22 +131,11 @@ def run_study(plan: StudyPlan, control: Control) -> StudyRun:
     results = plan.folder / RESULTS
     for folder in (plan.folder, results):
         private_folder(folder)
-    analysis = _analysis(plan, options)
-    stored = set(store.results(analysis))
-    for stale in stored - set(keys.values()):
-        store.remove_result(analysis, stale)
-    known = {
-        name: found
-        for name, key in keys.items()
-        if key in stored and (found := _decoded(store.read_result(analysis, key))) is not None
-    }
-    new = [name for name in keys if name not in known]
-    work = functools.partial(_analysed, plan, options, store, analysis)
-    if new:
-        done = CountedProgress(control, _ANALYSING, len(new))
-        with plan_executor(plan.workers, plan.scheduler) as pool:
-            items = [(name, keys[name]) for name in new]
-            known |= dict(zip(new, pool.do(work, items, control.check, done), strict=True))
+    known, new = _analyse(plan, options, store, keys, control)
+    common = specification.common([one for found in known.values() for one in found.get(_DETAILS, ())])
+    if common != specification:  # one model for all tests, as parameters of different ones are not comparable
+        known, again = _analyse(plan, common.options(), store, keys, control)
+        new = max(new, again)
     failures = {name: reason for name in keys if (reason := known[name].get(_FAILED)) is not None}
     _write_failures(results / NOT_ANALYSED_FILE, failures, keys)
     rows = [row | {"session": name} for name in keys for row in known[name].get("rows", ())]
@@ -123,13 +151,43 @@ def run_study(plan: StudyPlan, control: Control) -> StudyRun:
             )
         )
     table = study_table(rows, subjects)
-    for suffix in ("csv", "parquet"):
-        write_table(table, results / f"table.{suffix}")
     curves = curves_table(
         (name, test, curve) for name in keys for test, curve in known[name].get(_CURVES, ()) if name not in failures
     )
-    write_curves(curves, results / CURVES_FILE)
-    return StudyRun(plan, table, curves, failures, len(keys), len(new))
+    written = (
+        (table, "table.csv", write_table),
+        (table, "table.parquet", write_table),
+        (curves, CURVES_FILE, write_curves),
+    )
+    for rows_of, file_name, write in written:
+        try:
+            write(rows_of, results / file_name)
+        except OSError as error:
+            raise unwritable(results / file_name, error) from error
+    return StudyRun(plan, table, curves, failures, len(keys), new)
+
+
+def _analyse(
+    plan: StudyPlan, options: Mapping[str, Any], store: SessionStore, keys: Mapping[str, str], control: Control
+) -> tuple[dict[str, dict[str, Any]], int]:
+    """Return the results of all sessions by name, and how many of them were not stored before."""
+    analysis = _analysis(plan, options)
+    stored = set(store.results(analysis))
+    for stale in stored - set(keys.values()):
+        store.remove_result(analysis, stale)
+    known = {
+        name: found
+        for name, key in keys.items()
+        if key in stored and (found := _decoded(store.read_result(analysis, key))) is not None
+    }
+    new = [name for name in keys if name not in known]
+    if new:
+        work = functools.partial(_analysed, plan, options, store, analysis)
+        done = CountedProgress(control, _ANALYSING, len(new))
+        with plan_executor(plan.workers, plan) as pool:
+            items = [(name, keys[name]) for name in new]
+            known |= dict(zip(new, pool.do(work, items, control.check, done), strict=True))
+    return known, len(new)
 
 
 def read_failures(path: Path, keys: Mapping[str, str]) -> dict[str, str]:
@@ -140,23 +198,22 @@ def read_failures(path: Path, keys: Mapping[str, str]) -> dict[str, str]:
         keys: key of each session by its name.
     """
     try:
+        if not path.is_file():
+            return {}
         with path.open(encoding="utf-8", newline="") as file:
             lines = list(itertools.islice(csv.DictReader(file), _MOST_FAILURES))
     except (OSError, ValueError, csv.Error):
         return {}
     return {
-        name: (line.get("reason") or "")[:_LONGEST_REASON]
+        name: text_of_cell(line.get("reason") or "")[:_LONGEST_REASON]
         for line in lines
-        if (name := line.get("session") or "") in keys and keys[name] == line.get("key")
+        if (name := text_of_cell(line.get("session") or "")) in keys and keys[name] == line.get("key")
     }
 
 
 def _write_failures(path: Path, failures: Mapping[str, str], keys: Mapping[str, str]) -> None:
-    text = io.StringIO(newline="")
-    writer = csv.writer(text, lineterminator="\n")
-    writer.writerow(("session", "reason", "key"))
-    writer.writerows((name, " ".join(reason.split()), keys[name]) for name, reason in failures.items())
-    write_text(path, text.getvalue())
+    lines = ((name, " ".join(reason.split()), keys[name]) for name, reason in failures.items())
+    write_text(path, csv_text([("session", "reason", "key"), *lines]))
 
 
 def _analysis(plan: StudyPlan, options: Mapping[str, Any]) -> str:
@@ -172,19 +229,21 @@ def _store(plan: StudyPlan) -> SessionStore:
 
 
 def _decoded(content: bytes | None) -> dict[str, Any] | None:
+    # None for a damaged file, which is computed again.
     from tissueid.analysis.curves.samples import from_json
 
     if content is None:
         return None
     try:
-        found = json.loads(content)
-        if not isinstance(found, dict) or not ("rows" in found or _FAILED in found):
-            return None
+        stored = _StoredResult.model_validate_json(content)
         # As arrays at once: the texts of thousands of sessions do not fit in memory as lists.
-        found[_CURVES] = [(int(test), from_json(stored)) for test, stored in found.get(_CURVES, ())]
-    except (ValueError, TypeError):  # a damaged file is computed again
+        curves = [(test, from_json(curve)) for test, curve in stored.curves]
+    except (ValueError, TypeError, OverflowError):
         return None
-    return found
+    if stored.failed is not None:
+        return {_FAILED: stored.failed}
+    rows = [row.model_dump() for row in stored.rows]
+    return {"rows": rows, _DETAILS: stored.details, _CURVES: curves} if rows else None
 
 
 def _analysed(
@@ -201,17 +260,18 @@ def _analysed(
         with store.local_file(name) as path:
             place = str(path)
             session = read_session(path)
-        found = {"rows": [], _CURVES: []}
+        found = {"rows": [], _CURVES: [], _DETAILS: []}
         for test in session.tests:
-            row, sampled = _row(session, test, plan, options)
+            row, details, sampled = _row(session, test, plan, options)
             found["rows"].append(row)
+            found[_DETAILS].append(details)
             # As they are read again, so that a second run gives the same report.
             found[_CURVES] += [(test.number, from_json(curve.as_json())) for curve in sampled]
     except TissueIDError as error:
         found = {_FAILED: str(error).removeprefix(place).lstrip(" :")}  # the name of the file is stated with it
     if not found.get("rows") and _FAILED not in found:
         found[_FAILED] = "no test could be analysed"
-    with contextlib.suppress(OSError):
+    with contextlib.suppress(OSError, UnusableInputError):
         stored = [(test, curve.as_json()) for test, curve in found.get(_CURVES, ())]
         store.write_result(analysis, key, json.dumps(found | {_CURVES: stored}).encode())
     return found
@@ -219,13 +279,15 @@ def _analysed(
 
 def _row(
     session: Session, test: Test, plan: StudyPlan, options: Mapping[str, Any]
-) -> tuple[dict[str, Any], list[SampledCurve]]:
+) -> tuple[dict[str, Any], dict[str, float], list[SampledCurve]]:
     from tissueid.acquisition.quality import judge
     from tissueid.analysis.curves.samples import sampled_curves
     from tissueid.analysis.fitting import fit_split, fit_whole
     from tissueid.analysis.scoring import scheduled_scores
     from tissueid.analysis.split import split
     from tissueid.identification import get_engine
+    from tissueid.identification.base import NEGATIVE_MASS, PREDICTS_NOTHING
+    from tissueid.studies.study_table import DESCRIPTION, KEYS, STD_SUFFIX
 
     quality = judge(test, session.instrument)
     row: dict[str, Any] = {
@@ -246,23 +308,31 @@ def _row(
         "findings": ", ".join(one.code for one in quality.findings if one.severity == quality.verdict),
         "engine": plan.engine,
     }
-    row |= session.subject.demographics
+    own = (*KEYS, *DESCRIPTION)
+    demographics = session.subject.demographics.items()
+    row |= {name: value for name, value in demographics if name not in own and not name.endswith(STD_SUFFIX)}
     try:
         parts = split(session, test=test.number)
         fit = fit_split if plan.held_out else fit_whole
         analysis = fit(get_engine(plan.engine).from_options(options), parts)
     except UnusableInputError as error:
-        return row | {"status": "not analysed", "problem": str(error)}, []
+        return row | {"status": "not analysed", "problem": str(error)}, {}, []
     report = analysis.model.report
+    if NEGATIVE_MASS in report.warnings:
+        return row | {"status": "not analysed", "problem": str(NEGATIVE_MASS)}, {}, []
+    record = analysis.record
     row |= {
+        "model": report.model,
+        "signals": f"{record.input_name} ({record.input_unit}), {record.output_name} ({record.output_unit})",
         "vaf_percent": report.vaf_percent,
         "vaf_validation_percent": report.vaf_validation_percent,
         "vaf_scheduled_percent": scheduled_scores(analysis)[0],
-        "problem": "",
+        "problem": str(PREDICTS_NOTHING) if report.predicts_nothing else "",
     }
     for name, estimate in report.reportable_parameters.items():
         row |= {name: _finite(estimate.value), f"{name}_sd": _finite(estimate.std)}
-    return row, sampled_curves(analysis, test.surface_position_m)
+    details = {name: value for name, value in report.details.items() if _finite(value) is not None}
+    return row, details, sampled_curves(analysis, test.surface_position_m)
 
 
 def _finite(value: float | None) -> float | None:

@@ -52,7 +52,7 @@ class SittingRunPlan(Plan):
     """A whole sitting of one subject."""
 
     folder: Annotated[Path, Option(argument=True, metavar="FOLDER", help="folder of a study with a protocol")]
-    subject: Annotated[str, Option("--subject", metavar="PSEUDONYM", help="pseudonym such as P01, never a name")]
+    subject: Annotated[str, Option("--subject", metavar="PSEUDONYM", help="pseudonym such as P-001, never a name")]
     url: Annotated[
         str, Option("--device", metavar="URL", help="simulator, such as 'simulated://forearm?variation=1&subject=2'")
     ]
@@ -154,19 +154,28 @@ def write_protocol(plan: ProtocolPlan) -> tuple[Protocol, bool]:
     Raises:
         UnusableInputError: the protocol is not valid, or the folder cannot be used.
     """
-    path = plan.folder / PROTOCOL_FILE
-    if path.exists():
+    if (plan.folder / PROTOCOL_FILE).exists():
         return read_protocol(plan.folder), False
+    protocol = template()
+    save_protocol(plan.folder, protocol)
+    return protocol, True
+
+
+def save_protocol(folder: Path, protocol: Protocol) -> None:
+    """Write the protocol of a study into its folder, which is made if it is not there.
+
+    Raises:
+        UnusableInputError: the protocol is not valid, or the folder cannot be used.
+    """
     from tissueid.procedures.output_files import unwritable, write_text
 
-    protocol = template()
+    path = folder / PROTOCOL_FILE
     check_tests(protocol, str(path))
     try:
-        private_folder(plan.folder)
+        private_folder(folder)
     except OSError as error:
-        raise unwritable(plan.folder, error) from error
+        raise unwritable(folder, error) from error
     write_text(path, protocol_text(protocol))
-    return protocol, True
 
 
 def prepare_subject(plan: SittingRunPlan, protocol: Protocol, control: Control) -> None:

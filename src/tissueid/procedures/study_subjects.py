@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import csv
 import io
+import math
 import warnings
 from collections.abc import Mapping
 from dataclasses import dataclass
@@ -12,7 +13,7 @@ from typing import TYPE_CHECKING
 
 from tissueid.atomic_write import atomic_file, private_folder, unused_path
 from tissueid.errors import UnusableInputError
-from tissueid.formatting import clean
+from tissueid.formatting import clean, csv_text
 from tissueid.language import marked
 from tissueid.messages import Message, Verbatim, joined
 from tissueid.procedures.output_files import unwritable, write_text
@@ -24,6 +25,8 @@ if TYPE_CHECKING:
 
 _LARGEST_FILE = 10_000_000
 _LARGEST_PHOTOGRAPH = 30_000_000
+_MOST_PIXELS = 36_000_000
+"""Pixels of a photograph: two copies of four bytes each while it is turned stay below ``MEMORY_BYTES``."""
 _LONGEST = 200
 _SUBJECT = "subject"
 
@@ -136,11 +139,8 @@ def save_demographics(folder: Path, subject: str, values: Mapping[str, str]) -> 
     rows = read_demographics(folder)
     rows[subject] = rows.get(subject, {}) | {_SUBJECT: subject} | checked
     columns = list(dict.fromkeys([_SUBJECT, *(name for row in rows.values() for name in row)]))
-    text = io.StringIO(newline="")
-    writer = csv.DictWriter(text, columns, restval="", lineterminator="\n")
-    writer.writeheader()
-    writer.writerows(rows.values())
-    write_text(folder / SUBJECTS_FILE, text.getvalue())
+    lines = [columns, *([row.get(name, "") for name in columns] for row in rows.values())]
+    write_text(folder / SUBJECTS_FILE, csv_text(lines))
 
 
 def missing_demographics(protocol: Protocol, folder: Path, subject: str) -> list[str]:
@@ -175,7 +175,12 @@ def add_photograph(folder: Path, subject: str, site: str, source: Path) -> Path:
         suffix, bare = _bare_picture(data)
     except ValueError as error:
         raise UnusableInputError(
-            Message("photograph.kind", "{path} is not a JPEG or PNG picture", path=str(source))
+            Message(
+                "photograph.kind",
+                "{path} is not a JPEG or PNG picture, is damaged, or has more than {most:g} megapixels",
+                path=str(source),
+                most=_MOST_PIXELS / 1e6,
+            )
         ) from error
     place = "".join(c if c.isalnum() else "-" for c in site).strip("-")[:60] or "site"
     target = folder / PHOTOGRAPHS / f"{subject} {place}{suffix}"
@@ -219,15 +224,19 @@ def _bare_picture(data: bytes) -> tuple[str, bytes]:
     bare = io.BytesIO()
     try:
         with warnings.catch_warnings():
+            warnings.simplefilter("ignore")  # of damaged descriptions, which are left out
             warnings.simplefilter("error", Image.DecompressionBombWarning)
             with Image.open(io.BytesIO(data), formats=("JPEG", "PNG")) as picture:
                 kind = "PNG" if picture.format == "PNG" else "JPEG"
-                upright = ImageOps.exif_transpose(picture)
-                pixels = Image.new(upright.mode, upright.size)
-                pixels.paste(upright)
-                if upright.mode == "P" and (palette := upright.getpalette()) is not None:
-                    pixels.putpalette(palette)
-                pixels.save(bare, kind, quality=95)
-    except (OSError, SyntaxError, ValueError, Image.DecompressionBombWarning, Image.DecompressionBombError) as error:
+                if math.prod(picture.size) > _MOST_PIXELS and "progressive" not in picture.info:
+                    picture.draft(None, (picture.width // 2, picture.height // 2))  # decodes a JPEG at half its size
+                if math.prod(picture.size) > _MOST_PIXELS:
+                    raise ValueError(f"more than {_MOST_PIXELS} pixels")
+                ImageOps.exif_transpose(picture, in_place=True)
+                picture.info.clear()  # no copy of the pixels: they may take 140 MB
+                picture.getexif().clear()
+                picture.save(bare, kind, quality=95)
+    except Exception as error:
+        # On damaged descriptions the library also raises KeyError, TypeError, struct.error and ZeroDivisionError.
         raise ValueError(str(error)) from error
     return (".png" if kind == "PNG" else ".jpg"), bare.getvalue()

@@ -20,7 +20,8 @@ from tissueid.calibration.sweep_file import as_calibration
 from tissueid.device import DeviceDescription
 from tissueid.errors import UnusableInputError
 from tissueid.instrument import Instrument, open_instrument
-from tissueid.messages import Message, Quantity, Verbatim
+from tissueid.language import marked
+from tissueid.messages import Action, Message, Quantity, Verbatim
 from tissueid.procedures.audit_notes import audit_failure
 from tissueid.procedures.calibration_files import CalibrationResult, calibration_path, check_files, keep
 from tissueid.procedures.calibration_plans import DynamicSweepPlan
@@ -29,6 +30,11 @@ from tissueid.sessions import Session, read_session
 
 _SWEEPING = Message("calibration.step.sweep", "identifying the spring along the stroke")
 _ANALYSING = Message("calibration.step.analysis", "analysing the sweep")
+_ANALYSE = Action(
+    "sweep.analyse_kept",
+    "tissueid calibrate sweep --kept FILE",
+    marked("for a calibration, remove the cause and begin the sweep again"),
+)
 _FIRST_YEAR = 2000
 """Earliest plausible year of a session."""
 
@@ -199,7 +205,7 @@ def _broken_off(
         )
     if recorder.finish_or_discard(error) is not None and wanted is not None:
         control.notice(
-            Message("sweep.kept", "the recording is saved in {path}: analyse it by --kept", path=str(wanted))
+            Message("sweep.kept", "the recording is saved in {path}: {analyse}", path=str(wanted), analyse=_ANALYSE)
         )
 
 

@@ -14,6 +14,7 @@ from tissueid.formatting import ANONYMOUS
 from tissueid.language import marked
 from tissueid.messages import Message, Verbatim
 from tissueid.procedures.plan_options import Option, Plan, name_and_value, named_values
+from tissueid.procedures.pseudonyms import PseudonymConfirmed, check_subject
 from tissueid.procedures.study_plans import CONDITION, MINUTES_SINCE
 
 if TYPE_CHECKING:  # each takes long to import
@@ -170,6 +171,9 @@ class TestPlan(Plan):
         ),
     ] = None
     repeats: Annotated[int, Option("--repeats", help="number of runs of the test"), Field(ge=1, le=100)] = 1
+    place_again: Annotated[
+        bool, Option("--place-again", help="find the surface before each repeat, not only before the first")
+    ] = False
     rest_s: Annotated[
         float,
         Option("--rest", metavar="SECONDS", help="pause between repeats, to cool the coil"),
@@ -177,6 +181,7 @@ class TestPlan(Plan):
     ] = 0.0
     limits: Annotated[str, Option("--limits", help="clinical (12 N) or research (15 N)")] = "clinical"
     subject: Annotated[str, Option("--subject", metavar="PSEUDONYM", help="pseudonym, never a name")] = ANONYMOUS
+    pseudonym_confirmed: PseudonymConfirmed = False
     configuration: Annotated[
         str, Option("--configuration", metavar="NAME", help="indentation, extension or surface")
     ] = "indentation"
@@ -245,6 +250,7 @@ class TestPlan(Plan):
                         most=MAX_TEXT,
                     )
                 )
+        check_subject(self.subject, confirmed=self.pseudonym_confirmed)
         if len(self.condition) > MAX_TEXT or not self.condition.isprintable():
             raise UnusableInputError(
                 Message("plan.condition", "the condition must be one line of at most {most} characters", most=MAX_TEXT)

@@ -17,7 +17,7 @@ from tissueid.acquisition.journal import JournalError
 from tissueid.acquisition.live import LiveIdentification
 from tissueid.acquisition.multistep import PLACING, MultistepTest, Step, check_multistep, run_multistep
 from tissueid.acquisition.playback import Phase
-from tissueid.acquisition.recorder import SessionRecorder
+from tissueid.acquisition.recorder import SessionRecorder, log_no_recording
 from tissueid.acquisition.rest_periods import predict_heating, rest, temperature_c
 from tissueid.acquisition.stimulus_choice import NoiseChoice, playable, playable_file, test_kind
 from tissueid.acquisition.surface_detection import Placement, place_in_air
@@ -68,6 +68,9 @@ class TestControl(Control):
 
     def received(self, progress: Progress) -> None:
         """Take new samples of the placement or of a test."""
+
+    def aborted(self, error: BaseException) -> None:
+        """Take note that the test ended early; closing the instrument and saving may take seconds from here on."""
 
 
 @dataclass(frozen=True)
@@ -149,17 +152,22 @@ def run_test(
                 if pace is not None:
                     instrument.play_in_real_time(pace)
             steps = run.play(separate_process=separate_process)
+        except BaseException as reason:
+            control.aborted(reason)
+            raise
         finally:
             try:
                 instrument.close()
             finally:
                 run.end_identification()
-    except CancelledError as reason:
-        error = reason
     except BaseException as reason:
-        if run.recorder is None:
-            raise
         error = reason
+        if run.recorder is None:
+            if trail is not None:
+                log_no_recording(trail, plan.out, Subject(plan.subject), plan.site, reason)
+                settle(trail, control)
+            if not isinstance(reason, CancelledError):
+                raise
     session, not_saved = _kept(run.recorder, error)
     if trail is not None:
         settle(trail, control)
@@ -324,7 +332,7 @@ class _Run:
                     external_spring_n_per_m=plan.external_spring_n_per_m,
                 )
                 control.identifying(self._identification)
-            if placement is None:
+            if placement is None or plan.place_again:
                 placement = self._placed()
             self._step = Message("test.step", "test {number} of {count}", **values)
             # A feedback stimulus depends on the measured depth: a second run is not a repeat.

@@ -318,7 +318,7 @@ QUICK_TESTS = frozenset(
 )
 """Tests that a quick run plays; it leaves out the figures that need others."""
 FIGURES: tuple[ThesisFigure, ...] = tuple(
-    replace(figure, remark=REMARKS[figure.number])
+    replace(figure, remark=REMARKS.get(figure.number, ""))
     for figure in sorted((*_COMPARED, *SIGNAL_FIGURES, *KERNEL_FIGURES, *INPUT_FIGURES), key=_place)
 )
 """The figures and tables, in the order of the thesis."""

@@ -4,13 +4,17 @@ from __future__ import annotations
 
 import json
 import time
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
+from dataclasses import replace
 
 import numpy as np
 
 from tissueid.analysis.computing_times import autocorrelation_times
+from tissueid.analysis.curves.depth import profile_plots
 from tissueid.analysis.curves.diagnostics import held_out_prediction
+from tissueid.analysis.curves.feedback import FeedbackRun, profiles_of, series_plots
 from tissueid.analysis.curves.online import response_by_depth, response_over_time
+from tissueid.analysis.curves.plot import Plot
 from tissueid.analysis.curves.settling import THESIS_MASS_KG, settling_plot, settling_times
 from tissueid.analysis.curves.stimuli import amplitude_plots, autocorrelation_plots, power_plot, swaps_plot
 from tissueid.analysis.curves.times import time_plot
@@ -18,6 +22,7 @@ from tissueid.analysis.curves.validation import scatter_plots
 from tissueid.analysis.overlay import Overlay
 from tissueid.formatting import fixed, grouped, number
 from tissueid.identification.engines.als import AlsModel
+from tissueid.identification.engines.dpn import Dpn
 from tissueid.language import marked
 from tissueid.procedures.thesis_comparisons import DPN, LINEAR, POSTERIOR, SITES, WIENER, entry_of, percent
 from tissueid.procedures.thesis_kernels import LARGE
@@ -207,7 +212,15 @@ def _feedback(
     rows.append(Row(marked("computing time relative to the test"), share, f"{fixed(max(shares), 1)} %"))
     shown = ("feedback-series", "feedback-distributions")
     pictures = tuple(panel.picture() for panel in feedback_panels(runs) if panel.key in shown)
-    return DrawnFigures(pictures, ()), rows
+    return DrawnFigures(pictures, tuple(plot for run in runs for plot in _named(run, series_plots(run)))), rows
+
+
+def _named(run: FeedbackRun, plots: Sequence[Plot]) -> list[Plot]:
+    """Return plots with the label of their run before the name of each part."""
+    return [
+        replace(plot, parts=tuple(replace(part, name=f"{run.label} {part.name}".strip()) for part in plot.parts))
+        for plot in plots
+    ]
 
 
 def _without_identification(sessions: Mapping[str, Session]) -> Outcome:
@@ -221,7 +234,7 @@ def _with_identification(sessions: Mapping[str, Session]) -> Outcome:
 
 
 def _identified(sessions: Mapping[str, Session]) -> Outcome:
-    """Return the parameters that the feedback loop identified (Fig. 6.12)."""
+    """Return the parameters that the feedback loop identified, and those of ``dpn`` from the same test (Fig. 6.12)."""
     said = {
         "linear": marked("no variation with depth"),
         "Wiener": marked("all three vary alike"),
@@ -232,13 +245,16 @@ def _identified(sessions: Mapping[str, Session]) -> Outcome:
     for run in runs:
         if run.profile is None:
             continue
-        p = run.profile
-        ratios = [fixed(float(values[-1] / values[0]), 1) for values in (p.mass, p.damping, p.stiffness)]
-        rows.append(
-            Row(f"{run.label}: M, B, K at the deepest over the shallowest level", said[run.label], ", ".join(ratios))
-        )
+        fitted = Dpn().fit(run.record).depth_profile()
+        for name, p in (("loop", run.profile), ("dpn", fitted)):
+            if p is None:
+                continue
+            ratios = [fixed(float(values[-1] / values[0]), 1) for values in (p.mass, p.damping, p.stiffness)]
+            masses = f"{fixed(1e3 * float(np.nanmin(p.mass)), 0)} to {fixed(1e3 * float(np.nanmax(p.mass)), 0)} g"
+            what = f"{run.label}, {name}: M, B, K at the deepest over the shallowest level; M"
+            rows.append(Row(what, said[run.label], f"{', '.join(ratios)}; {masses}"))
     pictures = tuple(panel.picture() for panel in feedback_panels(runs) if panel.key == "feedback-parameters")
-    return DrawnFigures(pictures, ()), rows
+    return DrawnFigures(pictures, profile_plots(profiles_of(runs))), rows
 
 
 def _systems(name: str, gains: Mapping[str, float] | None = None, **options: object) -> tuple[Source, ...]:

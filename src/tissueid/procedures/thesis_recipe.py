@@ -66,8 +66,8 @@ class ThesisFigure:
 
     ``pictures`` are keys of ``reports.overlay``, ``drawn`` makes further ones from the fits; the other arguments are
     those of ``analysis.overlay.overlay``. ``recorded`` makes figures and rows from the sessions by label instead, and
-    ``study`` makes them without tests; its argument is whether the run is quick. ``remark`` says what agrees, what
-    differs and why.
+    ``study`` makes them without tests; its argument is whether the run is quick. ``remark`` says what
+    differs by construction.
     """
 
     number: str

@@ -12,7 +12,7 @@ from tissueid.analysis.curves.diagnostics import held_out_prediction
 from tissueid.analysis.curves.linear import coherence_plot, frequency_response, impulse_response
 from tissueid.analysis.curves.nonlinearity import linear_output, stiffness_plot, wiener_nonlinearity
 from tissueid.analysis.curves.signals import distribution_plots, recording_spectra
-from tissueid.analysis.curves.sweep import Region
+from tissueid.analysis.curves.sweep import Region, bode_plots, parameter_plots
 from tissueid.analysis.curves.validation import prediction_plots
 from tissueid.analysis.overlay import Overlay, OverlayEntry
 from tissueid.calibration.sweep import sweep_tests
@@ -83,7 +83,8 @@ def _swept(sessions: Mapping[str, Session]) -> Outcome:
         return f"{fixed(float(values.min()), decimals)} to {fixed(float(values.max()), decimals)} {unit}"
 
     shown = [panel.picture() for panel in sweep_panels(tables, region) if panel.key in ("parameters", "bode")]
-    return DrawnFigures(tuple(shown), ()), [
+    plots = (*parameter_plots(sweep, region), *bode_plots(tables["response"], sweep))
+    return DrawnFigures(tuple(shown), plots), [
         Row(marked("VAF on the spring, linear region"), marked("95 to 98 %"), ends("vaf_percent", "%")),
         Row(marked("mass"), marked("60 to 80 g"), ends("mass_kg", "g", 1e3)),
         Row(marked("damping"), marked("3 to 4 N·s/m"), ends("damping_n_s_per_m", "N·s/m", 1.0, 2)),

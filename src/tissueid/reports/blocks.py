@@ -8,7 +8,6 @@ from dataclasses import dataclass
 from matplotlib.figure import Figure
 
 from tissueid.errors import UnusableInputError
-from tissueid.language import ENGLISH, current_language
 from tissueid.messages import Message, translated
 from tissueid.reports.style import to_svg
 
@@ -60,11 +59,6 @@ def picture(key: str, heading: str, alt: str, make: Callable[[], tuple[Figure, s
     except UnusableInputError as error:
         return absent(key, heading, error.message, wide=wide)
     return Picture(key, heading, alt, caption, figure, "", wide)
-
-
-def report_text(text: str) -> str:
-    """Return a text of the core for a report: in English with its commands, else translated."""
-    return str(text) if current_language() == ENGLISH else translated(text)
 
 
 def absent(key: str, heading: str, reason: str, *, wide: bool = True) -> Picture:

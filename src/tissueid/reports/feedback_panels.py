@@ -52,9 +52,9 @@ def feedback_panels(runs: Sequence[FeedbackRun]) -> Iterator[Panel]:
         _("Mass, damping and stiffness by depth, identified during the test"),
         _("Three panels against depth: mass, damping and stiffness by level, and below the samples of each level."),
         _(
-            "Estimates of the feedback loop by adaptive least squares during the test. Levels share samples and the "
-            "stochastic part is wide, so neighbouring levels are averaged (Chen 2010, 6.3.2); an engine fitted to the "
-            "whole record is more accurate."
+            "Estimates of the feedback loop by adaptive least squares, which steer the stimulus during the test. They "
+            "are no result: neighbouring levels are averaged, and mass and damping can be wrong by a factor of two or "
+            "more (Chen 2010, 6.3.2). Use an engine fitted to the whole record."
         ),
         lambda figure: draw_depth_panels(figure, profiles_of(runs), 0.0),
         height=4.3,

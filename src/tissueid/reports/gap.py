@@ -11,7 +11,15 @@ import numpy as np
 from tissueid import __version__
 from tissueid.formatting import fixed, number, subject_text
 from tissueid.gap.diagnosis import Diagnosis, Ranked
-from tissueid.gap.statement import effect_title, headline_of, next_steps_of, ordered_candidates, percent, sentences_of
+from tissueid.gap.statement import (
+    effect_title,
+    headline_of,
+    next_steps_of,
+    ordered_candidates,
+    percent,
+    sentences_of,
+    shown_probability,
+)
 from tissueid.language import _
 from tissueid.messages import MISSING, Message, translated
 from tissueid.reports.blocks import FigureGroup
@@ -160,7 +168,7 @@ def _ranking(found: Diagnosis) -> Table | None:
     if not candidates:
         return None
     places = {item.effect: str(place) for place, item in enumerate(candidates, 1)}
-    rows = tuple(_ranked(item, places) for item in candidates)
+    rows = tuple(_ranked(found, item, places) for item in candidates)
     head = ("", _("Effect"), _("Stage"), _("Probability"), _("Closed"), "95 %", _("Not separable"))
     # A column that says nothing in any row only makes the others narrow.
     kept = [place for place in range(len(head)) if place == 0 or any(row[place] for row in rows)]
@@ -174,9 +182,10 @@ def _ranking(found: Diagnosis) -> Table | None:
     return Table(_("Candidates"), shown, narrowed, note)
 
 
-def _ranked(item: Ranked, places: Mapping[str, str]) -> tuple[str, ...]:
+def _ranked(found: Diagnosis, item: Ranked, places: Mapping[str, str]) -> tuple[str, ...]:
     alike = ", ".join(places.get(name) or _effect(name) for name in item.indistinguishable)
-    probability = f"{percent(item.probability)} %" if np.isfinite(item.probability) else ""
+    share = shown_probability(found, item.effect, item.probability)
+    probability = f"{percent(share)} %" if np.isfinite(share) else ""
     closed = f"{fixed(100.0 * item.closed, 0)} %" if np.isfinite(item.closed) else ""
     name, stage = _effect(item.effect), _(STAGE_NAMES[item.stage])
     return (places[item.effect], name, stage, probability, closed, _interval(item.closed_ci), alike)

@@ -17,7 +17,6 @@ from tissueid.errors import UnusableInputError
 from tissueid.formatting import clean
 from tissueid.language import _, current_language, marked
 from tissueid.messages import Message, translated
-from tissueid.reports.blocks import report_text
 from tissueid.reports.page import test_page
 from tissueid.reports.tables import Comparison, comparison_table, readable_date, settings_tables
 from tissueid.sessions import Session
@@ -108,7 +107,7 @@ def template(name: str) -> Template:
         finalize=_without_control_characters,
     )
     environment.filters["svg"] = Markup
-    environment.globals |= {"_": _, "report_text": report_text, "translated": translated, "language": current_language}
+    environment.globals |= {"_": _, "translated": translated, "language": current_language}
     return environment.get_template(name)
 
 

@@ -185,7 +185,10 @@ def _rows(plots: Sequence[Plot], columns: int = _COLUMNS) -> Rows:
 
 
 def _transposed(columns: Sequence[Sequence[Plot]]) -> Rows:
-    return list(zip(*columns, strict=True))
+    """Return columns as rows of plots, in blocks of equal width one below the other where there are many."""
+    blocks = -(-len(columns) // _COLUMNS)
+    width = -(-len(columns) // blocks)
+    return [row for first in range(0, len(columns), width) for row in zip(*columns[first : first + width], strict=True)]
 
 
 def _depth(calibration: Columns | None) -> _Drawing:

@@ -15,7 +15,7 @@ from tissueid.identification.engines.wiener import WienerModel
 from tissueid.language import _
 from tissueid.messages import Message, Verbatim, translated
 from tissueid.reports import captions
-from tissueid.reports.blocks import FigureGroup, Picture, absent, picture, report_text
+from tissueid.reports.blocks import FigureGroup, Picture, absent, picture
 from tissueid.reports.configured import captions_for_configuration, spring_line, surface_of
 from tissueid.reports.figures.registry import Group, all_figures, figures_of
 from tissueid.reports.material import Material
@@ -97,7 +97,7 @@ def test_page(
 
 def _translated_verdict(verdict: Verdict) -> Verdict:
     """Return a verdict in the language of the page."""
-    return Verdict(verdict.level, _(verdict.headline), tuple(report_text(reason) for reason in verdict.reasons))
+    return Verdict(verdict.level, _(verdict.headline), tuple(translated(reason) for reason in verdict.reasons))
 
 
 def _warnings(analyses: Mapping[str, Analysis]) -> Iterator[str]:

@@ -26,7 +26,6 @@ from tissueid.errors import UnusableInputError
 from tissueid.formatting import clean, subject_text
 from tissueid.language import _
 from tissueid.messages import translated
-from tissueid.reports.blocks import report_text
 from tissueid.reports.configured import surface_of
 from tissueid.reports.html import NOTHING_ANALYSED, RESEARCH_LINE
 from tissueid.reports.plot_axes import turn_names
@@ -315,7 +314,7 @@ def _heading(paper: PageWriter, session: Session, test: Test) -> None:
         (_("Subject"), subject_text(session.subject.pseudonym)),
         (_("Date"), readable_date(session.created)),
         (_("Instrument"), f"{device.model}, {device.serial_number}"),
-        (_("Calibration"), report_text(calibration_summary(device))),
+        (_("Calibration"), translated(calibration_summary(device))),
         (_("Test"), settings),
         (_("Session"), session.session_id),
     )
@@ -330,7 +329,7 @@ def _heading(paper: PageWriter, session: Session, test: Test) -> None:
 def _verdict(paper: PageWriter, test: Test, analyses: Analyses) -> None:
     verdict = judge(test, analyses)
     paper.line(_(verdict.headline), size=13.0, colour=_COLOURS[verdict.level], bold=True)
-    lines = [line for reason in verdict.reasons for line in textwrap.wrap(clean(report_text(reason)), _ACROSS)]
+    lines = [line for reason in verdict.reasons for line in textwrap.wrap(clean(translated(reason)), _ACROSS)]
     for line in lines[:_MOST_REASONS]:
         paper.line(line)
     if len(lines) > _MOST_REASONS:

@@ -31,8 +31,8 @@ class Row:
 class ReproducedFigure:
     """A figure of the thesis with its comparison and its pictures; ``why`` says why it could not be made.
 
-    ``remark`` says what agrees, what differs and why. ``seconds`` is the time of fits and pictures, and
-    ``against`` the heading of what it is compared with.
+    ``remark`` says what differs by construction, ``warnings`` are those of its fits in this run. ``seconds`` is the
+    time of fits and pictures, and ``against`` the heading of what it is compared with.
     """
 
     number: str
@@ -41,6 +41,7 @@ class ReproducedFigure:
     why: str = ""
     report: DrawnFigures | None = None
     remark: str = ""
+    warnings: tuple[str, ...] = ()
     seconds: float = 0.0
     against: str = marked("Thesis")
 
@@ -107,7 +108,7 @@ def comparison(figure: ReproducedFigure) -> Table:
         f"{figure.number}. {translated(figure.title)}",
         (_("Quantity"), translated(figure.against), _("Here")),
         tuple((translated(row.what), translated(row.thesis), translated(row.here)) for row in figure.rows),
-        translated(figure.remark),
+        " ".join(filter(None, (translated(figure.remark), *map(_as_sentence, map(translated, figure.warnings))))),
     )
 
 
@@ -129,8 +130,8 @@ def as_markdown(results: Mapping[str, Any]) -> str:
             lines.append("")
         if one["why_missing"]:
             lines += [f"Not made: {one['why_missing']}.", ""]
-        if one["remark"]:
-            lines += [one["remark"], ""]
+        for text in filter(None, (one["remark"], *map(_as_sentence, one.get("warnings", ())))):
+            lines += [text, ""]
         parts.append("\n".join(lines))
     seconds = float(results["seconds"])
     head = (
@@ -138,6 +139,10 @@ def as_markdown(results: Mapping[str, Any]) -> str:
         f"{'quick run, ' if results['quick'] else ''}{fixed(seconds / 60.0, 1)} minutes.\n\n"
     )
     return head + "\n".join(parts)
+
+
+def _as_sentence(text: str) -> str:
+    return f"{text[:1].upper()}{text[1:]}."
 
 
 def _cell(text: str) -> str:

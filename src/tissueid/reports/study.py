@@ -88,7 +88,7 @@ def study_html(name: str, engine: str, found: StudyStatistics, failures: Mapping
         facts=study_facts(found, engine),
         remarks=[translated(remark) for remark in found.remarks],
         failures=[(file, translated(reason)) for file, reason in failures.items()],
-        groups=[_group(*item) for item in study_plots(found) if item[2]],
+        groups=[_group(*item) for item in study_plots(found)],
         tables=tables_of(found),
         left_out=_("Left out"),
     )
@@ -129,8 +129,12 @@ def tables_of(found: StudyStatistics) -> list[Table]:
     return tables + [one for key, rows in {**found.thesis, **found.tables}.items() for one in study_tables(key, rows)]
 
 
-def study_plots(found: StudyStatistics) -> Iterator[tuple[str, str, Plots]]:
-    """Yield key, heading and plots by parameter of each group of figures."""
+def study_plots(found: StudyStatistics) -> list[tuple[str, str, Plots]]:
+    """Return key, heading and plots by parameter of each group of figures that has plots."""
+    return [group for group in _figure_groups(found) if group[2]]
+
+
+def _figure_groups(found: StudyStatistics) -> Iterator[tuple[str, str, Plots]]:
     names = found.parameters[:MOST_DRAWN]
     tables = found.tables
     if len(found.used):

@@ -19,10 +19,10 @@ from matplotlib.axes import Axes
 from matplotlib.backend_bases import get_registered_canvas_class
 from matplotlib.colors import LinearSegmentedColormap
 from matplotlib.figure import Figure
-from matplotlib.ticker import FuncFormatter, LogLocator, NullFormatter, NullLocator
+from matplotlib.ticker import FuncFormatter, LogLocator, NullFormatter, NullLocator, ScalarFormatter
 
 from tissueid.formatting import clean, superscript
-from tissueid.language import _
+from tissueid.language import _, decimal
 
 INK = "#24292f"
 MUTED = "#6e7781"
@@ -136,9 +136,27 @@ def drawing(function: Callable[_P, _R]) -> Callable[_P, _R]:
     @wraps(function)
     def drawn(*args: _P.args, **kwargs: _P.kwargs) -> _R:
         with _report_style():
-            return function(*args, **kwargs)
+            made = function(*args, **kwargs)
+            for figure in (made, *args):
+                if isinstance(figure, Figure):
+                    localise_numbers(figure)
+            return made
 
     return drawn
+
+
+def localise_numbers(figure: Figure) -> None:
+    """Give the numbers of linear axes the decimal mark of the language."""
+    for axis in (axis for axes in figure.axes for axis in (axes.xaxis, axes.yaxis)):
+        if type(axis.get_major_formatter()) is ScalarFormatter and decimal(".") != ".":
+            axis.set_major_formatter(_LocalFormatter())
+
+
+class _LocalFormatter(ScalarFormatter):
+    """Numbers with the decimal mark of the language."""
+
+    def __call__(self, x: float, pos: int | None = None) -> str:
+        return decimal(super().__call__(x, pos))
 
 
 def new_figure(width: float, height: float) -> Figure:
@@ -154,7 +172,7 @@ def frequency_axis(axes: Axes, low: float, high: float) -> None:
     axes.set_xscale("log")
     axes.set_xlim(low, high)
     axes.xaxis.set_major_locator(LogLocator(subs=(1.0, 2.0, 5.0)))
-    axes.xaxis.set_major_formatter(FuncFormatter(lambda value, _place: f"{value:g}"))
+    axes.xaxis.set_major_formatter(FuncFormatter(lambda value, _place: decimal(f"{value:g}")))
     axes.xaxis.set_minor_locator(NullLocator())
     axes.set_xlabel(_("Frequency (Hz)"))
 
@@ -175,7 +193,7 @@ def _power_label(value: float, *, plain: bool) -> str:
         return ""
     exponent = int(np.floor(np.log10(value) + 1e-9))
     if plain and -4 <= exponent < 5:
-        return f"{value:g}"
+        return decimal(f"{value:g}")
     mantissa = round(value / 10.0**exponent)
     times = "" if mantissa == 1 else f"{mantissa}·"
     return f"{times}10{superscript(exponent)}"

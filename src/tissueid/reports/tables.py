@@ -78,8 +78,11 @@ class Comparison:
 
 _PLUS_MINUS = marked(
     "± is one standard deviation; a value without it has no estimate of its uncertainty, and one that is no larger "
-    "than two of them is called uncertain: it cannot be distinguished from zero. LMS and Spectral share "
-    "one second-order fit to the record: their mass, damping and stiffness are one answer, not two."
+    "than two of them is called uncertain: it cannot be distinguished from zero."
+)
+_SHARED_FIT = marked(
+    "{engines} share one second-order fit to the record: their mass, damping and stiffness are one answer, not "
+    "several, and not those of each engine's response."
 )
 UNCERTAIN_DEVIATIONS = 2.0
 """Number of standard deviations from zero within which a parameter counts as uncertain."""
@@ -122,8 +125,20 @@ def parameter_table(analyses: Mapping[str, Analysis]) -> Table | None:
         _("Parameters"),
         (_("Quantity"), _("Unit"), *map(engine_label, analyses)),
         tuple(rows),
-        " ".join([_(_PLUS_MINUS), spring_line(analyses.values())]).rstrip(),
+        " ".join(filter(None, [_(_PLUS_MINUS), _shared_fit(analyses), spring_line(analyses.values())])),
     )
+
+
+def _shared_fit(analyses: Mapping[str, Analysis]) -> str:
+    """Say which engines show the mass, damping and stiffness of one fit; "" if no two do."""
+    engines: dict[tuple[float, float], list[str]] = {}
+    for name, analysis in analyses.items():
+        found = analysis.model.report.reportable_parameters
+        if {"mass_kg", "stiffness_n_per_m"} <= found.keys():
+            key = found["mass_kg"].value, found["stiffness_n_per_m"].value
+            engines.setdefault(key, []).append(engine_label(name))
+    alike = [_(_SHARED_FIT).format(engines=", ".join(names)) for names in engines.values() if len(names) > 1]
+    return " ".join(alike)
 
 
 def _parameter_text(found: Estimate, scale: float) -> str:

@@ -41,7 +41,16 @@ FROM_ELSEWHERE = marked("Do not rely on this measurement")
 """Headline of a poor test that was imported: it cannot be done again."""
 NOT_JUDGED = marked("Not judged")
 """Headline of a test that the quality gate never judged and that has no other problem."""
-_KEY_PARAMETERS = ("mass_kg", "damping_n_s_per_m", "stiffness_n_per_m", "gain", "natural_frequency_rad_per_s")
+_KEY_PARAMETERS = (
+    "mass_kg",
+    "damping_n_s_per_m",
+    "stiffness_n_per_m",
+    "gain",
+    "natural_frequency_rad_per_s",
+    "relaxation_time_s",
+    "loading_stiffness_n_per_m",
+    "unloading_stiffness_n_per_m",
+)
 
 
 _UNCERTAIN = {
@@ -168,7 +177,9 @@ def _poorly_explained(analyses: Mapping[str, Analysis]) -> list[_Doubt]:
     name = max(scores, key=lambda engine: scores[engine])
     unseen, seen = scores[name], analyses[name].model.report.vaf_percent
     found: list[_Doubt] = []
-    if unseen < POOR_VAF_PERCENT:
+    if unseen <= 0.0:
+        found.append(("poor", Message("verdict.predicts_nothing", "No model predicts the held-out motion.")))
+    elif unseen < POOR_VAF_PERCENT:
         message = Message(
             "verdict.vaf_poor",
             "No model accounts for more than {percent:.0f} % of the held-out motion.",

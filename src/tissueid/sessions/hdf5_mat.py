@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 
 from tissueid.errors import UnusableInputError
 from tissueid.messages import Message, Verbatim
-from tissueid.sessions.hdf5_members import check_dataset, check_heaps
+from tissueid.sessions.hdf5_members import HDF5_ERRORS, check_dataset, check_heaps, open_hdf5, unavailable
 from tissueid.untrusted_input import MAX_COLUMNS, MAX_SAMPLES, allowed_unpacked_bytes
 
 _NUMERIC = frozenset(
@@ -120,7 +120,8 @@ def _opened(path: Path) -> Iterator[h5py.File]:
     """
     try:
         check_heaps(path)
-        with h5py.File(path, "r") as file:
+        with open_hdf5(path) as file:
             yield file
-    except (OSError, KeyError, ValueError, TypeError, RuntimeError, OverflowError, MemoryError) as error:
-        raise UnusableInputError(Message("import.mat_damaged", "is damaged, or not a MAT file")) from error
+    except HDF5_ERRORS as error:
+        reason = unavailable(error) or Message("import.mat_damaged", "is damaged, or not a MAT file")
+        raise UnusableInputError(reason) from error

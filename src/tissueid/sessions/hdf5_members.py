@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
+import errno
 import math
-import shlex
 import struct
 from collections.abc import Iterator
 from contextlib import contextmanager
@@ -15,7 +15,8 @@ import numpy as np
 
 from tissueid.errors import SessionFormatError
 from tissueid.language import marked
-from tissueid.messages import Action, Message, code_of
+from tissueid.messages import Action, Message
+from tissueid.sessions.file_policy import check_session_file, damaged, located, missing, unreadable
 from tissueid.untrusted_input import MAX_CHUNK_BYTES, MAX_HEAP_BYTES, MAX_MEMBERS, MAX_TEXT, json_value, storable_text
 
 _MARK = b"GCOL\x01\0\0\0"
@@ -76,73 +77,63 @@ _MOST_TEXTS = 16
 _MOST_CHARACTERS = 4 * MAX_TEXT
 """Largest number of characters of all attributes of one object, which can also refer to the same large text."""
 
-RECOVER_PLACE = marked("“Recover” on the page Start")
-
 
 @contextmanager
 def opened(path: Path) -> Iterator[h5py.File]:
     """Open an HDF5 file for reading; raise any error of the file as a SessionFormatError.
 
     Raises:
-        SessionFormatError: the file is missing, damaged, or not an HDF5 file.
+        SessionFormatError: the file is missing, damaged, not an HDF5 file, or open in another program.
     """
+    check_session_file(path)
     try:
-        if path.exists() and not path.is_file() and not path.is_dir():
-            raise SessionFormatError(Message("file.not_plain", "is not an ordinary file"))
         check_heaps(path)
-        with h5py.File(path, "r") as file:
+        with open_hdf5(path) as file:
             yield file
     except SessionFormatError as error:
         raise SessionFormatError(located(str(path), error.message)) from error
     except FileNotFoundError as error:
-        raise SessionFormatError(_missing(path)) from error
-    except (OSError, KeyError, ValueError, TypeError, RuntimeError, OverflowError, MemoryError) as error:
-        # h5py raises any of these for a damaged file.
-        raise SessionFormatError(_damaged(path)) from error
+        raise SessionFormatError(missing(path)) from error
+    except HDF5_ERRORS as error:
+        reason = unavailable(error)
+        raise SessionFormatError(damaged(path) if reason is None else located(str(path), reason)) from error
 
 
-def located(place: str, reason: str) -> Message:
-    """Return a message with the location of a reason, and with the code and the values of the reason."""
-    values = dict(reason.values) if isinstance(reason, Message) else {}
-    return Message(code_of(reason), "{path}: {reason}", **values | {"path": place, "reason": reason})
+HDF5_ERRORS = (OSError, KeyError, ValueError, TypeError, RuntimeError, OverflowError, MemoryError)
+"""Errors that h5py raises for a damaged file."""
+_LOCKED = (errno.EAGAIN, errno.EWOULDBLOCK, errno.EDEADLK, errno.ETXTBSY, errno.EBUSY)
+_NO_LOCKS = (errno.ENOLCK, errno.ENOSYS, errno.ENOTSUP, errno.EOPNOTSUPP)
+"""Errors of file systems without locks, such as some network drives."""
+_UNAVAILABLE = (errno.EACCES, errno.EPERM, errno.EIO, errno.ESTALE, errno.ETIMEDOUT, errno.EMFILE, errno.ENFILE)
+"""Errors of the system or the drive that say nothing about the content of a file."""
 
 
-def _missing(path: Path) -> Message:
-    if (action := _recovery(path)) is None:
-        return Message("file.missing", "{path}: no such file", path=str(path))
-    return Message(
-        "session.missing_with_journal",
-        "{path}: no such file; its journal exists: {action} makes the session from it",
-        path=str(path),
-        action=action,
-    )
+def open_hdf5(path: Path) -> h5py.File:
+    """Open an HDF5 file for reading, without a lock where the file system has none."""
+    try:
+        return h5py.File(path, "r")
+    except OSError as error:
+        if error.errno not in _NO_LOCKS:
+            raise
+    return h5py.File(path, "r", locking=False)
 
 
-def _damaged(path: Path) -> Message:
-    if path.is_dir():
-        return Message("session.folder", "{path} is a folder", path=str(path))
-    if (action := _recovery(path)) is None:
-        return Message("session.damaged", "{path} is damaged, or not an HDF5 session", path=str(path))
-    return Message(
-        "session.damaged_with_journal",
-        "{path} is damaged, or not an HDF5 session; its journal exists: move the file away, and {action} makes the "
-        "session from it",
-        path=str(path),
-        action=action,
-    )
-
-
-def _recovery(path: Path) -> Action | None:
-    """Return the action that makes the session from its journal; None without a journal."""
-    journal = journal_path(path)
-    if not journal.is_file():
+def unavailable(error: Exception) -> Message | None:
+    """Return why a file that need not be damaged cannot be read; None for other errors."""
+    if not isinstance(error, OSError):
         return None
-    return Action("session.recover", f"tissueid recover {shlex.quote(str(journal))}", RECOVER_PLACE)
-
-
-def journal_path(session: Path) -> Path:
-    """Return the path of the journal of a session, in the same folder."""
-    return session.with_name(session.name + ".journal")
+    if error.errno in _LOCKED:
+        return Message(
+            "session.open_elsewhere", "is open in another program: close it there. Nothing is known to be damaged."
+        )
+    if "already open for write" in str(error):  # a mark in the file, which a program that was ended leaves there
+        return Message(
+            "session.left_open",
+            "is open for writing in another program, or that program was ended: close it there, or remove the mark "
+            "with {action}",
+            action=Action("session.clear_mark", "h5clear --status FILE", marked("the HDF5 tools")),
+        )
+    return unreadable(error) if error.errno in _UNAVAILABLE else None
 
 
 def datasets(group: h5py.Group) -> Iterator[tuple[str, h5py.Dataset]]:

@@ -15,10 +15,10 @@ from tissueid.device import DeviceDescription
 from tissueid.errors import SessionFormatError
 from tissueid.formatting import ANONYMOUS
 from tissueid.messages import Message
+from tissueid.sessions.file_policy import located
 from tissueid.sessions.hdf5_members import (
     datasets,
     json_object,
-    located,
     number_of,
     opened,
     plain_attributes,

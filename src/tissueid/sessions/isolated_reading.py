@@ -4,7 +4,9 @@ from __future__ import annotations
 
 from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
+from tissueid.sessions.file_policy import check_session_file
 from tissueid.sessions.model import Outline, Session, Test
 from tissueid.sessions.reader_process import read_in_child
 
@@ -15,7 +17,7 @@ def read_session(path: Path) -> Session:
     Raises:
         SessionFormatError: missing, not a session, or not in accordance with the format or a limit.
     """
-    head, *tests = read_in_child("session", path)
+    head, *tests = _read("session", path)
     session: Session = replace(head, tests=tuple(tests))
     return session
 
@@ -26,7 +28,7 @@ def read_session_head(path: Path) -> Session:
     Raises:
         SessionFormatError: as ``read_session``.
     """
-    (head,) = read_in_child("head", path)
+    (head,) = _read("head", path)
     assert isinstance(head, Session)
     return head
 
@@ -37,7 +39,7 @@ def read_outline(path: Path) -> Outline:
     Raises:
         SessionFormatError: as ``read_session``.
     """
-    (outline,) = read_in_child("outline", path)
+    (outline,) = _read("outline", path)
     assert isinstance(outline, Outline)
     return outline
 
@@ -48,6 +50,11 @@ def read_test(path: Path, number: int) -> Test:
     Raises:
         SessionFormatError: as ``read_session``, or there is no such test.
     """
-    (test,) = read_in_child("test", path, number)
+    (test,) = _read("test", path, number)
     assert isinstance(test, Test)
     return test
+
+
+def _read(task: str, path: Path, *arguments: Any) -> list[Any]:
+    check_session_file(path)  # at once, and with errors that distinguish a folder from a missing file
+    return read_in_child(task, path, *arguments)

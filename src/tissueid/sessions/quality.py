@@ -27,6 +27,9 @@ HEADLINES: dict[Verdict, str] = {
 }
 """Verdicts as headlines."""
 
+ENDED_EARLY = ("aborted", "recovered")
+"""Statuses of tests that do not count as a repeat."""
+
 _MOST_FINDINGS = 50
 _LONGEST_TEXT = 1000
 
@@ -108,7 +111,21 @@ def quality_of(test: Test) -> Quality | None:
         items = list(json.loads(note)["findings"])[:_MOST_FINDINGS]
     except (ValueError, TypeError, KeyError, RecursionError):
         return None
-    return worst_first([finding for item in items if (finding := _finding(item)) is not None])
+    findings = [finding for item in items if (finding := _finding(item)) is not None]
+    if test.status in ENDED_EARLY:
+        findings = [replace(item, severity="repeat") if item.code == "ended_early" else item for item in findings]
+    return worst_first(findings)
+
+
+def verdict_of(test: Test) -> Verdict | None:
+    """Return the verdict on a test by its recording; None if it is not known. A test that ended early is to repeat.
+
+    Every page, list, command and report takes it from here or from ``quality_of``.
+    """
+    if test.status in ENDED_EARLY:
+        return "repeat"
+    quality = quality_of(test)
+    return None if quality is None else quality.verdict
 
 
 def _finding(item: object) -> QualityFinding | None:

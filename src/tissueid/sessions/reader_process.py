@@ -171,8 +171,6 @@ def read_in_child(task: str, path: Path, *arguments: Any) -> list[Any]:
     global _reader, _reader_of
     if _reader_of != os.getpid():  # after a fork, the child belongs to the parent
         _reader, _reader_of = ReaderProcess(), os.getpid()
-    if not path.is_file():
-        return list(_TASKS[task](path, *arguments))  # raises an error that distinguishes a folder from a missing file
     return _reader.read(task, path, *arguments)
 
 

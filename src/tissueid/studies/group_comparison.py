@@ -78,9 +78,9 @@ def one_way(means: pd.DataFrame, factor: str, parameters: Sequence[str]) -> pd.D
         parameters: columns to compare.
 
     Returns:
-        columns ``site``, ``factor``, ``parameter``, ``groups``, ``subjects``, ``statistic`` (F), ``p_value``,
-        ``p_corrected``, ``p_weighted`` (weights as in ``regressions``), ``effect_size`` (partial eta squared),
-        ``method`` ("anova" or "welch"), ``normal`` (residuals, by Shapiro and Wilk), ``equal_variances``,
+        columns ``site``, ``factor``, ``parameter``, ``levels``, ``groups`` (their number), ``subjects``, ``statistic``
+        (F), ``p_value``, ``p_corrected``, ``p_weighted`` (weights as in ``regressions``), ``effect_size`` (partial eta
+        squared), ``method`` ("anova" or "welch"), ``normal`` (residuals, by Shapiro and Wilk), ``equal_variances``,
         ``smallest_difference``, ``largest_std``, ``detectable`` (Cohen's f that these groups show with a power of 80
         %), and for two groups the ``difference`` of the second from the first with its 95 % interval ``low``, ``high``.
     """
@@ -103,6 +103,7 @@ def one_way(means: pd.DataFrame, factor: str, parameters: Sequence[str]) -> pd.D
                     "site": str(site),
                     "factor": factor,
                     "parameter": name,
+                    "levels": list(groups),
                     "groups": len(groups),
                     "subjects": sum(map(len, values)),
                     "statistic": float(found.statistic),

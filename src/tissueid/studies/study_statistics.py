@@ -35,6 +35,7 @@ from tissueid.studies.not_computed import (
 )
 from tissueid.studies.repeatability import first_test, reliability, variation
 from tissueid.studies.sample_size import sample_sizes
+from tissueid.studies.study_answer import comparisons_answer, parameters_answer
 from tissueid.studies.study_table import MATERIAL, SIMULATED, as_json_rows
 from tissueid.studies.thesis_tables import thesis_tables
 from tissueid.studies.usable_tests import has_groups, has_values, parameters_used, usable_tests
@@ -81,9 +82,10 @@ class StudyStatistics:
             "simulated_tests": self.simulated_tests,
             "subjects": int(self.used["subject"].nunique()),
             "sites": sorted(map(str, self.used["site"].unique())),
-            "parameters": list(self.parameters),
-            "remarks": [str(remark) for remark in self.remarks],
-            "remark_messages": [stored(remark) for remark in self.remarks],
+            "parameters": parameters_answer(self.parameters, self.tables),
+            "comparisons": comparisons_answer(self.tables),
+            "warnings": [str(remark) for remark in self.remarks],
+            "warning_messages": [stored(remark) for remark in self.remarks],
             "left_out": as_json_rows(self.left_out.assign(reason=self.left_out["reason"].map(str)))
             if len(self.left_out)
             else [],

@@ -11,9 +11,9 @@ import pandas as pd
 
 from tissueid.atomic_write import atomic_file
 from tissueid.errors import UnusableInputError
-from tissueid.formatting import label_and_unit
+from tissueid.formatting import cell_text, clean, label_and_unit
 from tissueid.language import marked
-from tissueid.messages import Listing, Message, Verbatim
+from tissueid.messages import MISSING, Listing, Message, Verbatim, joined
 
 KEYS = (
     "session",
@@ -36,6 +36,8 @@ DESCRIPTION = (
     "quality",
     "findings",
     "engine",
+    "model",
+    "signals",
     "vaf_percent",
     "vaf_validation_percent",
     "vaf_scheduled_percent",
@@ -64,8 +66,15 @@ NO_CONDITION = marked("without")
 """Name of the condition of tests without a product."""
 AGE_LIMIT_YEARS = 25.0
 """Limit of the two groups of age in thesis 7.1.2."""
+_NUMBERS = ("minutes_since_application", "orientation_deg", *DEMOGRAPHICS[:5])
+_TEXTS = ("coupling", *DEMOGRAPHICS[5:])
+"""Columns whose values a session or a file of subjects may give as text or as number, and which they are."""
+_LARGEST = 1e60
+"""Numbers from here on count as missing, so that their fourth powers are finite."""
 _LARGEST_SUBJECTS = 10_000_000
 _MOST_COLUMNS = 100
+_SHOWN = 60
+"""Characters of a condition, and number of values, that a message repeats."""
 
 
 def study_table(rows: Iterable[Mapping[str, Any]], subjects: pd.DataFrame | None = None) -> pd.DataFrame:
@@ -81,6 +90,7 @@ def study_table(rows: Iterable[Mapping[str, Any]], subjects: pd.DataFrame | None
     table = pd.DataFrame(list(rows))
     if table.empty:
         return pd.DataFrame(columns=[*KEYS, *DESCRIPTION])
+    table = _uniform(table)
     table = table.sort_values(["created", "session", "test"], kind="stable").reset_index(drop=True)
     same = ["subject", "site", "condition", "configuration", "orientation_deg", "engine"]
     order = table[counting(table)].groupby(same, dropna=False).cumcount() + 1
@@ -89,6 +99,7 @@ def study_table(rows: Iterable[Mapping[str, Any]], subjects: pd.DataFrame | None
         table = _with_subjects(table, subjects)
     if {"weight_kg", "height_m"} <= set(table.columns):
         weight, height = (pd.to_numeric(table[name], errors="coerce") for name in ("weight_kg", "height_m"))
+        height = height.where(height > 0.0)
         table["bmi_kg_per_m2"] = weight / height**2
         table["weight_per_height_kg_per_m"] = weight / height
     if "age_years" in table:
@@ -137,6 +148,43 @@ def subject_columns(table: pd.DataFrame) -> list[str]:
     ]
 
 
+def subgroup(table: pd.DataFrame, conditions: Sequence[str]) -> pd.DataFrame:
+    """Return the tests of the subjects that meet all conditions; those of samples stay.
+
+    Args:
+        table: of the study.
+        conditions: ``NAME=VALUE`` or, for numbers, ``NAME=LOW:HIGH`` with both ends included.
+
+    Raises:
+        UnusableInputError: a condition is malformed, names no column with values of subjects, or leaves no subject.
+    """
+    for condition in conditions:
+        name, equals, value = condition.partition("=")
+        known = subject_columns(table)
+        if not equals or name not in known:
+            raise UnusableInputError(
+                "study.subgroup",
+                "{condition}: give NAME=VALUE or NAME=LOW:HIGH with one of {known}",
+                condition=Verbatim(clean(condition)[:_SHOWN]),
+                known=joined(map(Verbatim, known)) or MISSING,
+            )
+        try:
+            low, high = (float(edge) for edge in value.split(":")) if ":" in value else (float(value), float(value))
+            kept = pd.to_numeric(table[name], errors="coerce").between(low, high)
+        except ValueError:
+            kept = table[name].astype(str) == value
+        sample = table[MATERIAL].notna() if MATERIAL in table else kept & False
+        if not (kept & ~sample).any():
+            raise UnusableInputError(
+                "study.empty_subgroup",
+                "no subject has {condition}; values: {known}",
+                condition=Verbatim(clean(condition)[:_SHOWN]),
+                known=joined(Verbatim(clean(str(one))[:_SHOWN]) for one in sorted(set(table[name].dropna()))[:_SHOWN]),
+            )
+        table = table[kept | sample]
+    return table
+
+
 def read_subjects(path: Path) -> pd.DataFrame:
     """Read demographic values by subject from a CSV file with the column ``subject``.
 
@@ -173,7 +221,9 @@ def write_table(table: pd.DataFrame, path: Path) -> None:
         if path.suffix == ".parquet":
             table.to_parquet(partial, index=False)
         else:
-            table.to_csv(partial, index=False)
+            texts = table.select_dtypes(["object", "string"]).columns
+            safe = table.assign(**{name: table[name].map(cell_text, na_action="ignore") for name in texts})
+            safe.rename(columns=cell_text).to_csv(partial, index=False)
 
 
 def as_json_rows(table: pd.DataFrame) -> list[dict[str, Any]]:
@@ -181,6 +231,31 @@ def as_json_rows(table: pd.DataFrame) -> list[dict[str, Any]]:
     return list(json.loads(table.to_json(orient="records", double_precision=15)))
 
 
+def _uniform(table: pd.DataFrame) -> pd.DataFrame:
+    """Return a table whose columns are all texts or all numbers, whatever a session or a file of subjects holds.
+
+    Numbers that are not finite, or too large to be squared, become missing.
+    """
+    for name in table:
+        column = table[name]
+        if name in _NUMBERS or str(name).endswith(STD_SUFFIX) or f"{name}{STD_SUFFIX}" in table:
+            column = pd.to_numeric(column, errors="coerce")
+        elif name in _TEXTS or column.map(lambda value: isinstance(value, str)).any():
+            column = column.map(str, na_action="ignore").astype(object)
+        if pd.api.types.is_float_dtype(column):
+            column = column.where(column.abs() < _LARGEST)
+        table[name] = column
+    return table
+
+
 def _with_subjects(table: pd.DataFrame, subjects: pd.DataFrame) -> pd.DataFrame:
-    given: Sequence[str] = [name for name in subjects if name != "subject"]
+    given: Sequence[str] = [str(name) for name in subjects if name != "subject"]
+    taken = [name for name in given if name in (*KEYS, *DESCRIPTION) or name.endswith(STD_SUFFIX)]
+    if taken := taken + [name for name in given if f"{name}{STD_SUFFIX}" in table]:
+        raise UnusableInputError(
+            "study.subjects_taken",
+            "the file of subjects has a column '{name}', which is a column of the table of a study: rename it",
+            name=Verbatim(clean(taken[0])[:60]),
+        )
+    subjects = _uniform(subjects.copy())
     return table.drop(columns=[name for name in given if name in table]).merge(subjects, on="subject", how="left")

@@ -11,7 +11,7 @@ import pandas as pd
 from tissueid.formatting import ANONYMOUS
 from tissueid.language import marked
 from tissueid.messages import Listing, Message, Verbatim
-from tissueid.studies.study_table import label_of, labels_of, parameters_of
+from tissueid.studies.study_table import STD_SUFFIX, label_of, labels_of, parameters_of
 
 THESIS_SIX = (
     "damping_ratio",
@@ -30,6 +30,8 @@ PLAUSIBLE = {
     "weight_per_height_kg_per_m": (2.0, 250.0),
 }
 """Range of each demographic value; others have another unit, such as cm, and do not count."""
+_COMPARABLE = ("configuration", "engine", "model", "signals")
+"""Columns that decide what the parameters of a test mean."""
 _MOST_PARAMETERS = 12
 _LEAST_VALUES = 3
 """Least number of different values of a regression."""
@@ -54,9 +56,9 @@ class _Reason(NamedTuple):
 
 
 def usable_tests(table: pd.DataFrame) -> UsableTests:
-    """Return the tests that count: completed, analysed, quality not "repeat", and in the most frequent configuration.
+    """Return the tests that count: completed, analysed, quality not "repeat", and with comparable parameters.
 
-    Tests of samples (with a material) are counted apart, and may have another configuration than those of subjects.
+    These are those of the most frequent configuration, engine, model of the engine, and signals with their units.
     """
     remarks: list[Message] = []
     reasons = _unusable(table)
@@ -72,10 +74,11 @@ def usable_tests(table: pd.DataFrame) -> UsableTests:
                 total=len(table),
             )
         )
-    other = _other_configurations(table[usable], remarks)
-    reasons += other
-    for reason in other:
-        usable &= ~reason.rows.reindex(table.index, fill_value=False)
+    for column in _COMPARABLE:
+        other = _others(table[usable], column, remarks) if column in table else []
+        reasons += other
+        for reason in other:
+            usable &= ~reason.rows.reindex(table.index, fill_value=False)
     used = table[usable].copy()
     used = used.assign(condition=used["condition"].fillna(""))
     for name, (least, most) in PLAUSIBLE.items():
@@ -104,7 +107,18 @@ def parameters_used(used: pd.DataFrame, remarks: list[Message]) -> list[str]:
                 labels=labels_of(constant),
             )
         )
-    chosen = [name for name in found if name not in constant]
+    stated = {name for name in found if f"{name}{STD_SUFFIX}" in used and used[f"{name}{STD_SUFFIX}"].notna().any()}
+    unknown = [name for name in found if stated and name not in stated and name not in constant]
+    if unknown:
+        remarks.append(
+            Message(
+                "study.undetermined",
+                "without a standard deviation in any test, and therefore left out: {labels}",
+                names=Listing(tuple(unknown)),
+                labels=labels_of(unknown),
+            )
+        )
+    chosen = [name for name in found if name not in (*constant, *unknown)]
     remarks += [
         Message(
             "study.no_value",
@@ -226,30 +240,35 @@ def _unusable(table: pd.DataFrame) -> list[_Reason]:
     return found
 
 
-def _other_configurations(usable: pd.DataFrame, remarks: list[Message]) -> list[_Reason]:
-    kinds = usable["configuration"].nunique()
-    if kinds < 2:
+def _others(usable: pd.DataFrame, column: str, remarks: list[Message]) -> list[_Reason]:
+    """Return the reasons for the tests whose value of a column is not the most frequent one."""
+    values = usable[column].fillna("")
+    if values.nunique() < 2:
         return []
-    most = usable["configuration"].mode().iloc[0]
+    most = values.mode().iloc[0]
+    kept = Verbatim(str(most))
     remarks.append(
         Message(
-            "study.configurations",
-            "the tests have {count} configurations; only those with '{kept}' count",
-            count=kinds,
-            kept=Verbatim(str(most)),
+            "study.not_comparable",
+            "the tests differ in '{label}' ({count} values) and their parameters are not comparable; only those with "
+            "'{kept}' count",
+            label=label_of(column),
+            count=values.nunique(),
+            kept=kept,
         )
     )
     return [
         _Reason(
-            usable["configuration"] == name,
+            values == name,
             Message(
-                "study.reason.configuration",
-                "configuration '{name}', not '{kept}'",
+                f"study.reason.{column}",
+                "{label} '{name}', not '{kept}'",
+                label=label_of(column),
                 name=Verbatim(str(name)),
-                kept=Verbatim(str(most)),
+                kept=kept,
             ),
         )
-        for name in usable["configuration"].unique()
+        for name in values.unique()
         if name != most
     ]
 

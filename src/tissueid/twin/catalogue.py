@@ -4,12 +4,11 @@ from __future__ import annotations
 
 import importlib
 import pkgutil
-import warnings
 from functools import lru_cache
-from importlib.metadata import entry_points
 
 from tissueid.errors import UnusableInputError
 from tissueid.messages import Message, Verbatim
+from tissueid.plugins import load_plugins
 from tissueid.twin import effects
 from tissueid.twin.effect import STAGES, Effect
 
@@ -27,15 +26,13 @@ def all_effects() -> dict[str, Effect]:
         declared = getattr(importlib.import_module(f"{effects.__name__}.{module.name}"), "EFFECT", None)
         if isinstance(declared, Effect):
             found.append(declared)
-    ours = {effect.name for effect in found}
-    for plugin in entry_points(group=GROUP):
-        try:
-            declared = plugin.load()
-            if not isinstance(declared, Effect) or declared.name in ours:
-                raise TypeError("it is no Effect with a name of its own")
-            found.append(declared)
-        except Exception as error:  # noqa: BLE001 - a plug-in may fail in any way, and must fail alone
-            warnings.warn(f"the effect plug-in {plugin.name!r} was left out: {error}", stacklevel=2)
+
+    def add(loaded: object) -> None:
+        if not isinstance(loaded, Effect) or loaded.name in {effect.name for effect in found}:
+            raise TypeError("it is no Effect with a name of its own")
+        found.append(loaded)
+
+    load_plugins(GROUP, "effect", add)
     found.sort(key=lambda effect: (STAGES.index(effect.stage), effect.name))
     return {effect.name: effect for effect in found}
 

@@ -6,8 +6,10 @@ the group ``tissueid.effects`` to another package.
 
 from __future__ import annotations
 
+import re
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
+from enum import IntEnum, auto
 from typing import Literal
 
 import numpy as np
@@ -28,6 +30,61 @@ STAGE_NAMES: Mapping[Stage, str] = {
     "environment": marked("surroundings"),
 }
 """Displayed names of the stages."""
+
+
+class ActsOn(IntEnum):
+    """What an effect acts on, in the order of evaluation: from the command to the recorded numbers.
+
+    An effect sees the changes by effects on earlier members. Effects on one member do not read what the others change.
+    The order is that of the signals in a device, and that of the equations: terms that scale with the elastic force
+    of the tissue refer to this force alone.
+    """
+
+    HELD_COMMAND = auto()
+    AMPLIFIER_GAIN = auto()
+    AMPLIFIER_RESPONSE = auto()
+    AMPLIFIER_OUTPUT = auto()
+    AMPLIFIER_LIMIT = auto()
+    SURFACE = auto()
+    """Position and velocity of the surface: before everything that depends on the depth."""
+    COIL = auto()
+    """Resistance, inductance and force constant."""
+    COIL_CURRENT = auto()
+    """The current that follows from them."""
+    PROBE = auto()
+    """Forces on the moving part, without and with tissue."""
+    ELASTIC_FORCE = auto()
+    """The elastic force of the twin's tissue, as a factor."""
+    ELASTIC_LOOPS = auto()
+    """Forces that grow with the elastic force."""
+    TISSUE = auto()
+    """Further forces, damping and mass of the tissue."""
+    CONTACT = auto()
+    """The total force of the tissue, which pushes only."""
+    FRAME = auto()
+    """The frame, which takes the reaction of all forces."""
+    LIFT_OFF = auto()
+    """The end of contact, with the force of the accelerated frame. A real-time simulation then adds no contact."""
+    SENSOR = auto()
+    """The place that the position sensor reads."""
+    SENSOR_PLAY = auto()
+    SENSOR_RESPONSE = auto()
+    CLOCK = auto()
+    CHANNELS = auto()
+    """The signals between sensors and converters."""
+    CONVERTER = auto()
+    LINK = auto()
+    """The samples on their way to the record."""
+
+
+_ACTS_ON: Mapping[Stage, ActsOn] = {
+    "drive": ActsOn.AMPLIFIER_GAIN,
+    "coil": ActsOn.COIL,
+    "mechanics": ActsOn.PROBE,
+    "tissue": ActsOn.TISSUE,
+    "sensing": ActsOn.SENSOR,
+    "environment": ActsOn.SURFACE,
+}
 
 SCALES = ("force_constant_n_per_a", "stroke_m")
 """Properties of the instrument with which parameters can scale."""
@@ -172,14 +229,19 @@ class Effect:
     """Whether it moves the probe without a command as well: it is no cause where quiet tests show only noise."""
     in_living_tissue: bool = False
     """Whether living tissue in general shows it: a search fits all such effects together."""
-    models_lift_off: bool = False
-    """Whether the effect models the end of contact. A real-time simulation then adds no one-sided
-    contact of its own.
-    """
+    acts_on: ActsOn | None = None
+    """What it acts on, which determines when it is evaluated; None: what effects of its stage usually act on."""
     in_laboratory: bool = True
     """Whether the simulated laboratory of the blind check has an independent effect of the same name."""
 
     def __post_init__(self) -> None:
+        texts = (self.name, self.title, self.equation, self.signature, self.source, self.remedy)
+        if not all(isinstance(text, str) for text in texts) or re.fullmatch(r"[a-z][a-z0-9_]{0,63}", self.name) is None:
+            raise ValueError(
+                f"effect {self.name!r}: its name needs small letters, digits and _, its other texts are texts"
+            )
+        if not all(isinstance(parameter, Parameter) for parameter in self.parameters):
+            raise ValueError(f"effect {self.name}: a parameter is of another class")
         if self.stage not in STAGES:
             raise ValueError(f"effect {self.name}: there is no stage {self.stage!r}")
         if self.hook is not None and len(self.parameters) > bus.MOST_PARAMETERS:
@@ -193,6 +255,16 @@ class Effect:
             raise ValueError(f"effect {self.name}: a hook needs the places that call it, and they a hook")
         if self.hook is None and self.recording is None:
             raise ValueError(f"effect {self.name}: it neither hooks into the chain nor changes what is recorded")
+
+    @property
+    def evaluation(self) -> tuple[int, int, str]:
+        """Return the key by which effects are ordered for evaluation, whatever the order in which they are given."""
+        return self.acts_on or _ACTS_ON[self.stage], STAGES.index(self.stage), self.name
+
+    @property
+    def models_lift_off(self) -> bool:
+        """Return whether it models the end of contact. A real-time simulation then adds no contact of its own."""
+        return self.acts_on is ActsOn.LIFT_OFF
 
     @property
     def neutral(self) -> tuple[Mapping[str, float], ...]:

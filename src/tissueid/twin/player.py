@@ -9,8 +9,8 @@ import numpy as np
 
 from tissueid.twin import bus
 from tissueid.twin.chain_parameters import Instrument, Tissue
-from tissueid.twin.effect import Effect, FloatArray, Parameter, Readings
-from tissueid.twin.simulation import ActiveEffect, Prepared, Start, prepared, recorded, run
+from tissueid.twin.effect import ActsOn, Effect, FloatArray, Parameter, Readings
+from tissueid.twin.simulation import ActiveEffect, Prepared, Start, in_order, prepared, recorded, run
 
 RUBBER_N_PER_M = 1.0e5
 RUBBER_N_S_PER_M = 50.0
@@ -42,6 +42,7 @@ def hook(where: int, b: FloatArray, p: FloatArray, s: FloatArray, dt: float) -> 
 END_BUMPERS = Effect(
     name="housing",
     stage="mechanics",
+    acts_on=ActsOn.CONTACT,
     title="The housing",
     equation="F = -K e - B v at e > 0 beyond an end of the stroke; tissue forces of either sign become at least 0",
     signature="position within the stroke; nothing pulls the probe back to a surface that it has left",
@@ -75,7 +76,7 @@ class Player:
         instrument: parameters of amplifier, coil and moving part.
         tissue: parameters of the tissue.
         start: initial state.
-        acting: effects, at most ``bus.MOST_EFFECTS``; the end bumpers are added.
+        acting: effects in any order, at most ``bus.MOST_EFFECTS``; the end bumpers are added.
         sample_rate_hz: sample rate, Hz.
         on_tissue: whether effects of the stage ``tissue`` are active.
         substeps: integration steps per sample.
@@ -97,7 +98,8 @@ class Player:
     ) -> None:
         one_sided = not any(item.effect.models_lift_off for item in acting)
         rubber = END_BUMPERS.starts[0][:2]
-        self._acting = (*acting, ActiveEffect(END_BUMPERS, np.array([*rubber, 1.0 if one_sided else 0.0])))
+        self._bumpers = ActiveEffect(END_BUMPERS, np.array([*rubber, 1.0 if one_sided else 0.0]))
+        self._acting = in_order((*acting, self._bumpers))
         self._instrument, self._tissue = instrument, tissue
         self._rate, self._substeps, self._on_tissue = sample_rate_hz, substeps, on_tissue
         self._prepared: Prepared = prepared(self._acting, on_tissue)
@@ -120,12 +122,13 @@ class Player:
         Raises:
             ValueError: other effects than those in use.
         """
-        if [item.effect for item in acting] != [item.effect for item in self._acting[:-1]]:
+        then = in_order((*acting, self._bumpers))
+        if [item.effect for item in then] != [item.effect for item in self._acting]:
             raise ValueError("only the parameters of effects change under way, not which effects act")
         self._tissue = replace(tissue, surface_m=self._tissue.surface_m)
-        self._acting = (*acting, self._acting[-1])
-        for k, item in enumerate(acting):
-            self._prepared.parameters[k, : item.values.size] = item.values
+        self._acting = then
+        changed = prepared(then, self._on_tissue)
+        self._prepared = replace(changed, states=self._prepared.states)
 
     def play(self, command_v: FloatArray) -> FloatArray:
         """Return voltage (V), current (A) and position (m) at the end of each sample of a command, shape (3, n)."""

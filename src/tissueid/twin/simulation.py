@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
 from functools import cache
 from typing import Any
@@ -92,7 +92,7 @@ def simulate(
         instrument: parameters of amplifier, coil and moving part.
         tissue: parameters of the tissue, or ``chain_parameters.spring`` or ``nothing``.
         start: state at the start.
-        acting: effects, at most ``bus.SLOTS``.
+        acting: effects in any order, at most ``bus.SLOTS``.
         given: measured signals that replace simulated ones.
         on_tissue: whether effects of the stage ``tissue`` take part; False on the calibration spring and in free air.
         substeps: integration steps in a sample.
@@ -138,7 +138,7 @@ def recorded(met: Readings, acting: Sequence[ActiveEffect], on_tissue: bool = Tr
     """Apply effects on the recorded numbers. A motion that diverges, which a fit can try, gives no warning."""
     readings = met
     with np.errstate(invalid="ignore", over="ignore"):
-        for item in acting:
+        for item in in_order(acting):
             if item.effect.recording is not None and (on_tissue or item.effect.on_spring):
                 readings = item.effect.recording(readings, item.values)
     return readings
@@ -146,13 +146,18 @@ def recorded(met: Readings, acting: Sequence[ActiveEffect], on_tissue: bool = Tr
 
 @dataclass(frozen=True)
 class Prepared:
-    """Effects in the form of the compiled loop: addresses of their hooks, shape (bus.SLOTS,), where each is called,
-    their parameters, and in ``states`` their states and the bus."""
+    """Effects ``in_order``, in the form of the compiled loop: addresses of their hooks, shape (bus.SLOTS,), where each
+    is called, their parameters, and in ``states`` their states and the bus."""
 
     hooks: NDArray[np.int64]
     places: NDArray[np.bool_]
     parameters: NDArray[np.float64]
     states: NDArray[np.float64]
+
+
+def in_order(acting: Iterable[ActiveEffect]) -> list[ActiveEffect]:
+    """Return effects in the order in which they are evaluated."""
+    return sorted(acting, key=lambda item: item.effect.evaluation)
 
 
 def prepared(acting: Sequence[ActiveEffect], on_tissue: bool) -> Prepared:
@@ -163,12 +168,10 @@ def prepared(acting: Sequence[ActiveEffect], on_tissue: bool) -> Prepared:
     """
     if len(acting) > bus.SLOTS:
         raise ValueError(f"at most {bus.SLOTS} effects act at once, not {len(acting)}")
-    # A frame that carries the tissue needs the force of the tissue, an effect that models lift-off that of all others.
-    acting = sorted(acting, key=lambda item: (item.effect.models_lift_off, item.effect.stage != "tissue"))
     hooks = np.zeros(bus.SLOTS, np.int64)
     places = np.zeros((bus.SLOTS, bus.PLACES), np.bool_)
     parameters = np.zeros((bus.SLOTS, bus.MOST_PARAMETERS))
-    for k, item in enumerate(acting):
+    for k, item in enumerate(in_order(acting)):
         if _is_active(item, on_tissue):
             places[k, list(item.effect.places)] = True
             parameters[k, : item.values.size] = item.values

@@ -69,7 +69,7 @@ class Host(QMainWindow):
         self.jobs = Jobs(self)
         self.settings = QSettings(str(ini), QSettings.Format.IniFormat)
         self.said, self.opened = [], []
-        services = AppServices(folder=folder)
+        services = AppServices(folder=folder, separate_process=False)
         none = [lambda *_: None] * 2
         context = AppContext(
             services, self.jobs, self.settings, self.say, lambda: "researcher", none[0], self.opened.append, *none
@@ -112,7 +112,7 @@ def host(qtbot, tmp_path):
     yield make
     for one in hosts:
         one.view.cancel()
-        qtbot.waitUntil(lambda one=one: not one.jobs, timeout=WAIT_MS)
+        qtbot.waitUntil(lambda one=one: one.jobs.idle, timeout=WAIT_MS)
         one.close()
         one.deleteLater()
     hosts.clear()
@@ -124,7 +124,7 @@ def host(qtbot, tmp_path):
 def opened(qtbot, host, year):
     def make(folder=year, ini=None):
         window, view = host(folder, ini)
-        qtbot.waitUntil(lambda: not window.jobs and not view.browser._all_wanted, timeout=WAIT_MS)
+        qtbot.waitUntil(lambda: window.jobs.idle and not view.browser._all_wanted, timeout=WAIT_MS)
         return window, view
 
     return make
@@ -145,7 +145,7 @@ def show(qtbot, window, view, rows, tests):
 
 
 def wait_shown(qtbot, window, view, tests):
-    qtbot.waitUntil(lambda: len(view.signals.loaded) == tests and not window.jobs, timeout=WAIT_MS)
+    qtbot.waitUntil(lambda: len(view.signals.loaded) == tests and window.jobs.idle, timeout=WAIT_MS)
     qtbot.waitUntil(lambda: not view.signals._figures.isActive() and not view.signals.stack._frame.isActive())
 
 

@@ -53,7 +53,7 @@ def open_panel(qtbot, tmp_path, strip, history):
         jobs = Jobs(home)
         settings = QSettings(str(tmp_path / "panel.ini"), QSettings.Format.IniFormat)
         nothing = lambda *_: None  # noqa: E731
-        services = AppServices(folder=tmp_path)
+        services = AppServices(folder=tmp_path, separate_process=False)
         context = AppContext(services, jobs, settings, strip, lambda: "researcher", nothing, nothing, nothing, nothing)
         panel = AnalysisPanel(context, home, history=history)
         jobs.changed.connect(lambda: panel.update_enabled(busy=bool(jobs), testing=False))
@@ -76,7 +76,7 @@ def panel(open_panel):
 
 
 def wait(qtbot, panel):
-    qtbot.waitUntil(lambda: not panel.context.jobs, timeout=WAIT_MS)
+    qtbot.waitUntil(lambda: panel.context.jobs.idle, timeout=WAIT_MS)
 
 
 def press(qtbot, widget):

@@ -28,7 +28,7 @@ def press(qtbot, widget):
 
 
 def idle(window):
-    return not window.jobs and not window.testing
+    return window.jobs.idle and not window.testing
 
 
 def run_test(qtbot, window, button):
@@ -78,8 +78,12 @@ def test_a_site_is_chosen_on_the_map_by_mouse_and_by_keys(qtbot, window):
     form = window.ui.form
     chart = open_map(qtbot, window)
     assert not chart.use.isEnabled()
+    press(qtbot, chart.spots["right calf"])
     press(qtbot, chart.spots["left thigh"])
-    assert not chart.isVisible()
+    assert chart.isVisible()
+    assert chart.name.text() == "left thigh"
+    assert form.site.currentText() == ""
+    press(qtbot, chart.use)
     assert form.site.currentText() == "left thigh"
     open_map(qtbot, window)
     assert chart.site == "left thigh"
@@ -94,6 +98,11 @@ def test_a_site_is_chosen_on_the_map_by_mouse_and_by_keys(qtbot, window):
     wanted = chart.site
     qtbot.keyClick(chart.focusWidget(), Qt.Key.Key_Return)
     assert form.site.currentText() == wanted
+    assert form.focusWidget() is form.subject
+    open_map(qtbot, window)
+    qtbot.mouseDClick(chart.spots["left calf"], Qt.MouseButton.LeftButton)
+    assert not chart.isVisible()
+    assert form.site.currentText() == "left calf"
     assert not window.testing
 
 
@@ -271,7 +280,7 @@ def test_the_button_on_the_instrument_starts_a_test(qtbot, open_window, bench):
     press(qtbot, lamp.watch)
     qtbot.waitUntil(lamp.arm.isVisible, timeout=WAIT_MS)
     assert not lamp.arm.isChecked()
-    qtbot.keyClick(lamp.arm, Qt.Key.Key_Space)
+    press(qtbot, lamp.arm)
     assert lamp.arm.isChecked()
     go.set()
     qtbot.waitUntil(lambda: window.testing, timeout=WAIT_MS)

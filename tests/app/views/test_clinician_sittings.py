@@ -146,7 +146,7 @@ def handheld(url):
 
 
 def test_the_usual_force_goes_down_to_what_the_instrument_gives(qtbot, open_window):
-    window = open_window(opener=handheld)
+    window = open_window(opener=handheld, role="researcher")
     ui = window.ui
     ui.form.seconds.setValue(1.0)
     ui.form.site.setCurrentText("left calf")

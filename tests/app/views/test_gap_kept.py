@@ -84,7 +84,7 @@ def idle(qtbot, window):
 
 
 def read_all(window, page):
-    return not window.jobs and not page.background.wanted and not page.asking.session.untitled
+    return window.jobs.idle and not page.background.wanted and not page.asking.session.untitled
 
 
 def press(qtbot, widget):
@@ -127,7 +127,7 @@ def test_a_diagnosis_is_there_at_the_next_start_with_headline_odds_chain_and_cur
     assert page.history.result is not before
     assert [page.result.headline.text(), page.result.todo.text(), page.result.far.closing.text()] == said
     story = page.history.result.story
-    assert says(part_of(story.headline, "gap.cause_probability"), "gap.cause_probability", percent="> 99")
+    assert says(part_of(story.headline, "gap.cause_both"), "gap.cause_both", percent="> 99")
     assert [item.odds for item in story.ranking] == [item.odds for item in before.story.ranking]
     assert [item.share for item in story.stages] == [item.share for item in before.story.stages]
     assert np.array_equal(story.overlays[0].after, before.story.overlays[0].after)

@@ -22,6 +22,7 @@ from tissueid.app.views.gap.effect_dialog import EffectDialog
 from tissueid.app.views.gap.next_test import session_url
 from tissueid.app.views.gap.page_content import Proposal
 from tissueid.app.views.gap.page_content_builder import page_content_of
+from tissueid.app.views.gap.request_panel import RequestPanel
 from tissueid.app.words import sentence
 from tissueid.audit import AuditLog, last_lines
 from tissueid.device import DeviceDescription
@@ -63,7 +64,7 @@ def page_of(window):
 
 def wait(qtbot, window):
     # Between the end of a reading job and the diagnosis that was asked for meanwhile, no job runs.
-    qtbot.waitUntil(lambda: not window.jobs and not page_of(window)._running, timeout=WAIT_MS)
+    qtbot.waitUntil(lambda: window.jobs.idle and not page_of(window)._running, timeout=WAIT_MS)
 
 
 @pytest.fixture
@@ -121,9 +122,7 @@ def test_from_a_session_to_verdict_stage_and_effect(qtbot, diagnosed):
     assert result.isVisible()
     headline = page.history.result.story.headline
     assert headline.code == "gap.explained"
-    assert says(
-        part_of(headline, "gap.cause_probability"), "gap.cause_probability", effect=FRICTION.title, percent="> 99"
-    )
+    assert says(part_of(headline, "gap.cause_both"), "gap.cause_both", effect=FRICTION.title, percent="> 99")
     assert result.headline.text() == headline.replace(" %", "\N{NO-BREAK SPACE}%")
     assert FRICTION.remedy in result.todo.text()
     assert result.chain.stages["mechanics"].accessibleName().endswith("at fault")
@@ -278,7 +277,8 @@ def test_no_gap_says_so_and_makes_no_twin(qtbot, open_window, tmp_path):
     assert not page.asking.run.isEnabled()
     wait(qtbot, window)
     assert says(page.history.result.story.headline, "gap.none")
-    assert page.history.list.item(0).text().splitlines() == ["clean.h5", "No gap"]
+    name, verdict = page.history.list.item(0).text().splitlines()
+    assert (name, verdict) == (f"clean.h5  ·  {page.history.result.when.astimezone():%Y-%m-%d %H:%M}", "No gap")
     press(qtbot, page.result.accept)
     assert says(why_not_accepted(page.history.result), "accept.no_gap")
     assert page.history.result.story.verdict == "no_gap"
@@ -288,7 +288,8 @@ def test_no_gap_says_so_and_makes_no_twin(qtbot, open_window, tmp_path):
     removed = page.history.list
     qtbot.keyClick(removed, Qt.Key.Key_Z, Qt.KeyboardModifier.ControlModifier)
     assert page.result.isVisible()
-    assert page.history.list.item(0).text().splitlines() == ["clean.h5", "No gap"]
+    name, verdict = page.history.list.item(0).text().splitlines()
+    assert (name, verdict) == (f"clean.h5  ·  {page.history.result.when.astimezone():%Y-%m-%d %H:%M}", "No gap")
     qtbot.keyClick(removed, Qt.Key.Key_Delete)
     assert page.welcome.isVisible()
 
@@ -518,3 +519,14 @@ def test_the_page_gap_reads_as_its_golden_page(diagnosed, language):
         check_golden_page(f"window-gap-{language}", lines)
     finally:
         set_language("en")
+
+
+def test_sessions_of_the_folders_of_research_and_of_those_in_them_are_listed(qtbot, tmp_path):
+    own, other = tmp_path / "own", tmp_path / "other"
+    files = [own / "a.h5", other / "b.h5", other / "subject" / "c.h5"]
+    for path in (*files, other / "subject" / "deeper" / "d.h5", other / "notes.txt"):
+        path.parent.mkdir(parents=True, exist_ok=True)
+        path.touch()
+    panel = RequestPanel(own, lambda: [other, tmp_path / "gone"])
+    qtbot.addWidget(panel)
+    assert set(panel.session.untitled) == set(files)

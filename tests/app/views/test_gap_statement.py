@@ -8,18 +8,20 @@ from html import escape
 
 import numpy as np
 import pytest
-from coded import made, reads, says
+from coded import made, part_of, reads, says
 from gap_records import observed, recorded
 
 from tissueid.app.views.gap.displayed_text import as_title
+from tissueid.app.views.gap.next_test_tab import _NONE, _NONE_SEPARATES, NextTestTab
 from tissueid.app.views.gap.page_content_builder import page_content_of
 from tissueid.app.views.gap.result_page import ResultPage
 from tissueid.cli.gap_diagnosis import summary_lines
+from tissueid.gap.budget import Budget, BudgetStep
 from tissueid.gap.diagnosis import Diagnosis, diagnose
-from tissueid.gap.statement import LIKELY, has_ranking_probability, headline_of, members_of, ordered_candidates
+from tissueid.gap.statement import LIKELY, effect_title, headline_of, members_of, ordered_candidates, shown_probability
 from tissueid.gap.twin_export import twin_of, with_prior_twin
 from tissueid.gap.workers import SerialExecutor
-from tissueid.messages import code_of
+from tissueid.messages import MISSING, code_of, messages_in
 from tissueid.reports.gap import gap_html
 from tissueid.reports.gap_panels import gap_panels
 from tissueid.twin.effect import STAGE_NAMES
@@ -113,8 +115,10 @@ def test_rivals_close_to_the_named_effect_stand_in_the_headline_and_lower_the_le
     assert (member.effect, member.rivals) == (EFFECT, ((RIVAL, 0.37),))
     headline, level = headline_of(found)
     assert level == "check"
-    assert "(40 %) or " in headline
-    assert "(37 %)" in headline
+    named, rival = (part for part in messages_in(headline) if part.code == "gap.cause_both")
+    assert (named.values["percent"], rival.values["percent"]) == ("40", "37")
+    closed = {item.effect: f"{100.0 * item.closed:.0f}" for item in found.ranking}
+    assert rival.values["share"] == closed[RIVAL]
     alone = replace(found, ranking=tuple(replace(item, probability=LIKELY / 2) for item in found.ranking[:1]))
     assert headline_of(alone)[1] == "check"
 
@@ -129,17 +133,33 @@ def test_every_member_of_a_combination_is_listed_first_with_its_odds():
     assert [item.effect for item in rows[2:]] == [RIVAL]
 
 
-def test_odds_of_the_leading_member_of_a_combination_are_said_to_be_those_of_a_single_cause():
+def test_a_member_of_a_combination_is_named_with_what_it_closes_and_not_with_its_probability_as_the_only_cause():
     found = synthetic("pair")
-    assert [has_ranking_probability(found, name) for name in (EFFECT, PARTNER, RIVAL)] == [True, False, False]
+    steps = (BudgetStep(EFFECT, "mechanics", 0.1, 0.79, (0.7, 0.8), 0.3, (0.2, 0.4)),)
+    steps += (BudgetStep(PARTNER, "drive", 0.1, 0.10, (0.0, 0.2), 0.1, (0.0, 0.2)),)
+    found = replace(found, budget=Budget(1.0, 0.1, 0.05, steps, 0.0, None))
+    shown = [shown_probability(found, name, 0.5) for name in (EFFECT, PARTNER, RIVAL)]
+    assert np.isnan(shown[0])
+    assert shown[1:] == [0.5, 0.5]
     headline = headline_of(found)[0]
-    leading, partner = headline.split("; ")
-    assert " % as a single cause)" in leading
-    assert partner.endswith("(95 %)")
-    odds = [item.odds for item in page_content_of(found, recorded(EFFECT, SEED, SAMPLES)).ranking[:2]]
-    assert says(odds[0], "gap.probability_alone")
-    assert odds[1] == "95 %"
-    assert "single cause" not in headline_of(synthetic("sure"))[0]
+    assert says(part_of(headline, "gap.cause_share"), "gap.cause_share", effect=effect_title(EFFECT), share="79")
+    partner = part_of(headline, "gap.cause_both")
+    assert says(partner, "gap.cause_both", effect=effect_title(PARTNER), share="10", percent="95")
+    content = page_content_of(found, recorded(EFFECT, SEED, SAMPLES))
+    assert [item.odds for item in content.ranking[:2]] == [MISSING, "95 %"]
+    offered = {name: title for name, title, _named in content.offered}
+    assert says(offered[EFFECT], "gap.cause_share", share="79")
+
+
+@pytest.mark.parametrize(("level", "alike", "clear"), [("good", "", True), ("check", "", False), ("good", "x", False)])
+def test_without_a_next_test_the_page_says_whether_the_cause_is_clear(qtbot, level, alike, clear):
+    content = page_content_of(synthetic("sure"), recorded(EFFECT, SEED, SAMPLES))
+    ranking = tuple(replace(item, alike=alike if item.named else "") for item in content.ranking)
+    tab = NextTestTab()
+    qtbot.addWidget(tab)
+    tab.show_story(replace(content, proposal=None, level=level, ranking=ranking))
+    assert (tab.why.text() == _NONE["effect"]) == clear
+    assert (tab.why.text() == _NONE_SEPARATES) != clear
 
 
 def test_where_nothing_is_named_the_list_is_ordered_by_what_is_closed():

@@ -12,7 +12,8 @@ from PySide6.QtWidgets import QApplication, QComboBox, QFileDialog, QLineEdit, Q
 
 from tissueid.app.theme import LIGHT
 from tissueid.app.views.researcher.background_work import BackgroundWork
-from tissueid.app.views.researcher.session_model import QUALITY
+from tissueid.app.views.researcher.browser import Browser
+from tissueid.app.views.researcher.session_model import COLUMNS, FILE, QUALITY
 
 pytestmark = [pytest.mark.qt_log_level_fail("WARNING"), pytest.mark.qt_log_ignore("This plugin does not support")]
 
@@ -200,7 +201,14 @@ def test_every_control_has_a_name_and_the_tab_key_reaches_it(qtbot, opened):
     show(qtbot, window, view, (0,), tests=1)
     bar = view.browser.bar
     expected = [view.browser.folders, view.browser.again, bar.words, bar.clear, bar.subject, bar.site, bar.kind]
-    expected += [view.browser.tree, view.export, view.tabs.tabBar(), view.signals.channels, view.signals.low]
+    expected += [
+        view.browser.tree,
+        view.export,
+        view.fold_list,
+        view.tabs.tabBar(),
+        view.signals.channels,
+        view.signals.low,
+    ]
     expected += [view.signals.high, view.signals.save, view.signals.table, view.signals.spectrum.choice]
     bar.words.setText("p-2")  # so that Clear can be pressed
     expected[0].setFocus()
@@ -242,6 +250,31 @@ def test_columns_without_room_are_folded_so_that_the_list_needs_no_sideways_scro
     assert len(shown) == 9
     view.browser.bar.words.setText("a.h5")
     assert listed(view) == ["a.h5"]
+
+
+def test_columns_come_back_with_room_also_at_the_next_start_unless_they_were_taken_out(opened, tmp_path):
+    _, view = opened()
+    tree, header = view.browser.tree, view.browser.tree.header()
+    tree.resize(380, 300)
+    tree.fold()
+    view.save_state()
+    again = Browser(view.context, view.strip)
+    again.resize(1600, 300)
+    again.show()
+    again.tree.fold()
+    assert not any(again.tree.isColumnHidden(column) for column in range(header.count()))
+    menu = again.tree.columns_menu()
+    assert [action.text() for action in menu.actions()] == list(COLUMNS[1:])
+    menu.actions()[FILE - 1].trigger()
+    assert again.tree.isColumnHidden(FILE)
+    again.save_state()
+    last = Browser(view.context, view.strip)
+    last.resize(1600, 300)
+    last.show()
+    last.tree.fold()
+    assert [column for column in range(header.count()) if last.tree.isColumnHidden(column)] == [FILE]
+    for browser in (again, last):
+        browser.deleteLater()
 
 
 def test_cancel_of_a_search_stays_within_the_strip_whatever_it_is_called(opened):

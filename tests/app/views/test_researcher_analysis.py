@@ -98,7 +98,7 @@ def test_what_cannot_be_is_said_in_words_and_not_run(qtbot, panel, strip, two):
     assert panel.form.problem.isVisible()
     panel.show_tests(two)
     press(qtbot, panel.run)
-    assert not panel.context.jobs
+    assert panel.context.jobs.idle
     assert strip.said[-1][1]
     line.clear()
     qtbot.keyClicks(line, "12, 13.5")
@@ -264,7 +264,7 @@ def test_the_window_closes_in_mid_work(qtbot, open_window, held, monkeypatch, tm
     monkeypatch.setenv("TISSUEID_ANALYSES", str(tmp_path / "analyses.jsonl"))
     window = open_window(first_page="research")
     (view,) = [view for view in window.pages.views if view.name == "research"]
-    qtbot.waitUntil(lambda: not window.jobs, timeout=WAIT_MS)
+    qtbot.waitUntil(lambda: window.jobs.idle, timeout=WAIT_MS)
     view.analysis.show_tests(two)
     view.tabs.setCurrentWidget(view.analysis)
     press(qtbot, view.analysis.run)

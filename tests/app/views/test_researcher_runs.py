@@ -1,6 +1,8 @@
 """The panel of analyses: engines that are run, compared and cancelled."""
 
 import dataclasses
+import functools
+import pickle
 import threading
 
 import numpy as np
@@ -15,9 +17,12 @@ from PySide6.QtWidgets import (
 
 from tissueid import analysis
 from tissueid.app.theme import DARK
+from tissueid.app.views.researcher import batch
+from tissueid.app.views.researcher.analysis_task import AnalysisTask, TestRef
 from tissueid.app.views.researcher.plot_data import PICTURES
 from tissueid.identification.base import PREDICTS_NOTHING
 from tissueid.messages import MISSING
+from tissueid.procedures.control import Control
 from tissueid.sessions import read_session, write_session
 
 pytestmark = [pytest.mark.qt_log_level_fail("WARNING"), pytest.mark.qt_log_ignore("This plugin does not support")]
@@ -247,10 +252,20 @@ def test_the_page_research_reads_as_its_golden_page(qtbot, open_window, monkeypa
     monkeypatch.setenv("TISSUEID_ANALYSES", str(tmp_path / "analyses.jsonl"))
     window = open_window(first_page="research")
     view = window.ui.views["research"]
-    qtbot.waitUntil(lambda: not window.jobs, timeout=WAIT_MS)
+    qtbot.waitUntil(lambda: window.jobs.idle, timeout=WAIT_MS)
     before = list(lines_of_widget(view))
     view.tabs.setCurrentWidget(view.analysis)
     view.analysis.show_tests(two)
     press(qtbot, view.analysis.run)
-    qtbot.waitUntil(lambda: not window.jobs, timeout=WAIT_MS)
+    qtbot.waitUntil(lambda: window.jobs.idle, timeout=WAIT_MS)
     check_golden_page("window-research", [*before, *lines_of_widget(view.analysis)])
+
+
+def test_the_work_of_an_analysis_and_its_result_travel_between_processes(two, history, tmp_path):
+    task = AnalysisTask(engines=("lms",), tests=tuple(TestRef.of(test) for test in two[:1]))
+    work = functools.partial(batch.run, task, history, "2026-03-01T10:00:00+00:00")
+    work = pickle.loads(pickle.dumps(work))  # noqa: S301 - written just now
+    (outcome,) = pickle.loads(pickle.dumps(work(Control()))).outcomes  # noqa: S301
+    assert outcome.report.engine == "lms"
+    assert not outcome.without_curves
+    assert len(history.read()[0]) == 1

@@ -4,6 +4,7 @@ import dataclasses
 import os
 import shutil
 import threading
+from dataclasses import replace
 
 import pytest
 from app.benches import WAIT_MS, found
@@ -14,11 +15,15 @@ from PySide6.QtCore import QSettings, Qt
 from PySide6.QtGui import QGuiApplication
 
 from tissueid.acquisition import journal_path
+from tissueid.acquisition.quality import HEADLINES, judge_session, quality_of
 from tissueid.app.panels import FOLDER, HELP_KEY, MOST_LINES
+from tissueid.app.views.researcher.session_search import entry_of
 from tissueid.app.views.start.recent import MOST_SHOWN, look_into
 from tissueid.app.views.start.rows import brief
+from tissueid.cli.test_summary import answer_of
 from tissueid.instrument import FoundInstrument
-from tissueid.sessions import read_session, write_session
+from tissueid.reports.verdict import judge
+from tissueid.sessions import Subject, read_session, write_session
 from tissueid.sessions.accepted_result import AcceptedResult, AcceptedTest, AcceptedValue, write_result
 
 pytestmark = [pytest.mark.qt_log_level_fail("WARNING"), pytest.mark.qt_log_ignore("This plugin does not support")]
@@ -48,6 +53,30 @@ def said(table):
     ]
 
 
+@pytest.mark.parametrize("status", ["aborted", "recovered"])
+@pytest.mark.parametrize("stored", ["judged now", "judged by an older version", "not judged"])
+def test_a_test_that_ended_early_has_one_verdict_everywhere(tmp_path, saved, status, stored):
+    session = read_session(saved)
+    test = dataclasses.replace(session.tests[0], status=status, notes=session.tests[0].notes | {"reason": "a cause"})
+    ((_test, quality),) = judge_session(dataclasses.replace(session, tests=(test,)))
+    note = quality.as_notes()["quality"]
+    if stored == "judged by an older version":
+        note = note.replace('"severity": "repeat"', '"severity": "look"')
+    notes = {name: value for name, value in test.notes.items() if name != "quality"}
+    test = dataclasses.replace(test, notes=notes if stored == "not judged" else notes | {"quality": note})
+    path = tmp_path / "stopped.h5"
+    write_session(path, dataclasses.replace(session, tests=(test,)))
+    kept = quality_of(test)
+    verdict = judge(test, {})
+    (line,) = look_into(tmp_path, threading.Event()).sessions
+    assert quality.verdict == "repeat", "tissueid quality"
+    assert kept is None or kept.verdict == "repeat", "the page Measure and the second box of the report"
+    assert (verdict.level, verdict.headline) == ("poor", HEADLINES["repeat"]), "the guide, and the banner of the report"
+    assert (line.level, line.verdict) == ("poor", HEADLINES["repeat"]), "Start"
+    assert entry_of(path, (0, 0)).tests[0].verdict == "repeat", "Research"
+    assert answer_of(test, None, None)["verdict"] == "repeat", "tissueid test"
+
+
 def test_a_first_start_shows_the_first_page_with_the_keyboard_on_a_role(open_window):
     window = open_window(first_page="")
     assert window.ui.page == "start"
@@ -63,7 +92,7 @@ def test_a_card_sets_the_role_and_goes_to_its_page(qtbot, open_start, role, page
     card.setFocus()
     qtbot.keyClick(card, Qt.Key.Key_Return)
     assert (window.ui.role.role, window.ui.page) == (role, page)
-    assert card.accessibleName().startswith(f"{role.capitalize()} · now")
+    assert card.accessibleName().startswith(f"{role.capitalize()} (current)")
     qtbot.waitUntil(lambda: idle(window), timeout=WAIT_MS)
 
 
@@ -71,7 +100,7 @@ def test_an_instrument_that_is_chosen_is_that_of_the_next_test(qtbot, open_start
     window = open_start()
     page = window.pages.start
     assert said(page.instruments)[1][0] == "✓ simulated://forearm"
-    assert "not asked" in said(page.instruments)[0][1]
+    assert "not checked" in said(page.instruments)[0][1]
     assert not page.use.isEnabled()
     page.instruments.setFocus()
     page.instruments.selectRow(2)
@@ -126,6 +155,15 @@ def test_the_newest_sessions_are_listed_and_return_opens_one(qtbot, open_start, 
     assert window.findings.verdict.headline in window.panels.log.lines.toPlainText()
 
 
+def test_a_session_without_a_site_has_the_name_of_its_file(open_start, tmp_path, saved):
+    session = read_session(saved)
+    unnamed = replace(session, tests=tuple(replace(test, site="") for test in session.tests))
+    for name in ("imported.h5", "2026-01-15_10-30-00.h5"):
+        write_session(tmp_path / name, unnamed)
+    page = open_start().pages.start
+    assert {line[1] for line in said(page.recent)} >= {"imported.h5", "Site not recorded"}
+
+
 def test_rubbish_has_a_line_that_says_so_and_cannot_harm(qtbot, open_start, tmp_path):
     (tmp_path / "rubbish.h5").write_bytes(b"\x00rubbish")
     (tmp_path / "<b>bold\x07.h5").write_bytes(b"")
@@ -174,10 +212,10 @@ def test_a_session_that_is_recorded_meanwhile_is_listed(qtbot, open_start, tmp_p
 def test_reading_is_cancelled_and_what_is_asked_for_meanwhile_comes_next(qtbot, open_window, tmp_path, monkeypatch):
     reached, go_on = threading.Event(), threading.Event()
 
-    def slow(folder, cancelled, known):
+    def slow(folder, cancelled, known, **search):
         reached.set()
         assert go_on.wait(WAIT_MS / 1000)
-        return look_into(folder, cancelled, known)
+        return look_into(folder, cancelled, known, **search)
 
     monkeypatch.setattr("tissueid.app.views.start.view.look_into", slow)
     (tmp_path / "rubbish.h5").write_bytes(b"rubbish")
@@ -203,10 +241,10 @@ def test_reading_is_cancelled_and_what_is_asked_for_meanwhile_comes_next(qtbot, 
 def test_closing_while_the_folder_is_read(qtbot, open_window, monkeypatch):
     reached, seen = threading.Event(), []
 
-    def slow(folder, cancelled, known):
+    def slow(folder, cancelled, known, **search):
         reached.set()
         seen.append(cancelled.wait(WAIT_MS / 1000))
-        return look_into(folder, cancelled, known)
+        return look_into(folder, cancelled, known, **search)
 
     monkeypatch.setattr("tissueid.app.views.start.view.look_into", slow)
     window = open_window(first_page="start")
@@ -236,8 +274,8 @@ def test_the_tab_key_visits_the_page_from_top_to_bottom(qtbot, open_start):
         if window.focusWidget() is visited[0]:
             break
         visited.append(window.focusWidget())
-    expected = [*page.cards.values(), page.recent, page.seek, page.instruments, page.folder, page.language.choice]
-    expected.append(page.units.choice)
+    expected = [*page.cards.values(), page.search, page.recent, page.seek, page.instruments, page.folder]
+    expected += [chooser.choice for chooser in page.choosers]
     assert visited[: len(expected)] == expected
     assert set(visited[len(expected) :]) == {ui.role.choice, ui.open, ui.rail.buttons["start"], *ui.rail.feet}
 
@@ -438,7 +476,8 @@ def test_sittings_are_listed_by_the_time_of_their_tests_with_their_accepted_mean
     page = open_start().pages.start
     lines = said(page.recent)
     assert len(lines) == 2
-    assert lines[0][1] == f"left calf (3 tests): {made('start.accepted_mean', count=2, values='92.7 g')}"
+    assert lines[0][1] == "left calf (3 tests)"
+    assert lines[0][4] == made("start.accepted_mean", count=2, values="92.7 g")
     assert lines[1][0].startswith("2025-02-01")
     assert [item.path for item in page._look.sessions] == [files[1], tmp_path / "copied.h5"]
     assert page.about_recent.text() == ""
@@ -447,3 +486,66 @@ def test_sittings_are_listed_by_the_time_of_their_tests_with_their_accepted_mean
         "left calf (3 tests)",
         "left calf",
     ]
+
+
+@pytest.fixture
+def visits(tmp_path, saved):
+    """A folder of sessions with a session of its own, and two studies: one in it, one elsewhere."""
+    session = read_session(saved)
+    home, other = tmp_path / "home", tmp_path / "elsewhere" / "lotion"
+    for folder, subject, day in ((home / "skin", "P01", 3), (other, "P02", 2)):
+        (folder / subject).mkdir(parents=True)
+        (folder / "protocol.json").write_text("{}", encoding="utf-8")
+        theirs = dataclasses.replace(
+            session, subject=Subject(pseudonym=subject), created=f"2026-02-0{day}T10:00:00Z", session_id=subject
+        )
+        write_session(folder / subject / f"2026-02-0{day}_10-00-00.h5", theirs)
+    write_session(home / "2026-02-01_10-00-00.h5", dataclasses.replace(session, created="2026-02-01T10:00:00Z"))
+    return home, other
+
+
+def test_visits_of_studies_are_listed_and_found_by_subject_and_date(visits):
+    home, other = visits
+
+    def found(search=""):
+        look = look_into(home, threading.Event(), studies=[other, home / "skin" / ".." / "skin"], search=search)
+        assert all(item.tests == 1 for item in look.sessions)
+        return [(item.subject, item.study) for item in look.sessions]
+
+    assert found() == [("P01", "skin"), ("P02", "lotion"), ("anonymous", "")]
+    assert found("p01") == found("2026-02-03 calf") == [("P01", "skin")]
+    assert found("2026-02") == found()
+    assert found("lotion") == [("P02", "lotion")]
+    assert found("P03") == []
+    assert [item.subject for item in look_into(home, threading.Event()).sessions] == ["P01", "anonymous"]
+
+
+def test_a_visit_is_searched_for_and_opened_on_the_page(qtbot, open_start, visits):
+    home, _other = visits
+    window = open_start(folder=home)
+    page = window.pages.start
+    assert [line[2] for line in said(page.recent)] == ["P01  ·  skin", "anonymous"]
+    qtbot.keyClicks(page.search, "P01")
+    qtbot.waitUntil(lambda: page.recent.rowCount() == 1 and settled(window), timeout=WAIT_MS)
+    page.recent.setFocus()
+    page.recent.selectRow(0)
+    qtbot.keyClick(page.recent, Qt.Key.Key_Return)
+    qtbot.waitUntil(lambda: window.findings is not None and idle(window), timeout=WAIT_MS)
+    assert window.findings.path.parent == home / "skin" / "P01"
+
+
+@pytest.mark.parametrize("width", [1024, 1366])
+def test_a_long_address_leaves_room_for_health_and_calibration(qtbot, open_start, width):
+    long = "/dev/serial/by-id/usb-" + "Maker_of_Converters_" * 6 + "if00-port0"
+
+    def finder(*, probe, opener=None):
+        return [FoundInstrument(long, "serial port", True, "TWIN-7"), *found(probe=probe)]
+
+    window = open_start(finder=finder)
+    window.resize(width, 768)
+    table = window.pages.start.instruments
+    qtbot.waitUntil(lambda: window.width() == width, timeout=WAIT_MS)
+    assert said(table)[0][0].endswith("if00-port0")
+    assert long in table.item(0, 0).toolTip()
+    assert min(table.columnWidth(column) for column in range(3)) >= 60
+    assert table.rowHeight(0) <= 3 * table.fontMetrics().height() + 12

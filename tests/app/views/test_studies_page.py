@@ -10,7 +10,9 @@ from coded import shows
 from procedures.test_study import SUBJECTS, fill
 from PySide6.QtCore import Qt
 
+from tissueid.analysis.curves.plot import as_csv
 from tissueid.app.views.studies import view as studies_view
+from tissueid.app.views.studies.protocol_dialog import OptionsDialog, ProtocolDialog
 from tissueid.app.views.studies.study_data import NOT_ANALYSED, load_study
 from tissueid.app.views.studies.tests_model import SITE, SUBJECT, WITHOUT
 from tissueid.errors import UnusableInputError
@@ -127,7 +129,7 @@ def test_columns_are_chosen(qtbot, window, folder):
 
 def test_a_folder_that_is_no_study_says_why(qtbot, window, folder, tmp_path):
     page = opened(qtbot, window, tmp_path / "nowhere")
-    assert shows(window.ui.notice.text.text(), "study.no_folder")
+    assert shows(window.ui.notice.text.text(), "file.no_folder")
     assert page.data is None
     (folder / RESULTS / "table.csv").write_text("rubbish")
     opened(qtbot, window, folder)
@@ -161,9 +163,7 @@ def test_a_study_is_analysed_drawn_and_reported(qtbot, open_window, recorded):
     press(qtbot, page.asking.report)
     qtbot.waitUntil(lambda: idle(window), timeout=WAIT_MS)
     assert (recorded / RESULTS / "report.html").stat().st_size > 10_000
-    page.compute_figures()
-    qtbot.waitUntil(lambda: idle(window), timeout=WAIT_MS)
-    assert page.tabs.currentWidget() is page.figures
+    page.tabs.setCurrentWidget(page.figures)
     titles = [page.figures.kind.itemText(place) for place in range(page.figures.kind.count())]
     assert titles[:3] == ["Subjects", "Sites", "Variation"]
     assert any(title.startswith("Frequency response") for title in titles)
@@ -171,8 +171,21 @@ def test_a_study_is_analysed_drawn_and_reported(qtbot, open_window, recorded):
         page.figures.kind.setCurrentIndex(place)
         assert page.figures.canvas.plots
     page.figures.kind.setCurrentIndex(0)
-    page.figures.parameter.setCurrentIndex(page.figures.parameter.findData("stiffness_n_per_m"))
+    page.figures.parameter.setCurrentIndex(page.figures.parameter.findText("Stiffness"))
     assert page.figures.canvas.plots[0].y.label == "Stiffness"
+    parameters = [page.figures.parameter.itemText(place) for place in range(3)]
+    assert parameters == ["Mass", "Damping", "Stiffness"]
+    assert list(page.data.parameters[:3]) == ["mass_kg", "damping_n_s_per_m", "stiffness_n_per_m"]
+    kept = load_study(page.data.folder).figures
+    shown = page.figures.figures
+    assert [heading for heading, _figures in kept.groups] == titles
+    pairs = zip(kept.groups, shown.groups, strict=True)
+    assert all(
+        [(label, as_csv([plot])) for label, plot in again] == [(label, as_csv([plot])) for label, plot in before]
+        for (_head, again), (_same, before) in pairs
+    )
+    page.data.folder.joinpath(RESULTS, "table.csv").touch()
+    assert load_study(page.data.folder).figures is None
 
 
 def test_a_folder_of_unreadable_sessions_says_why_of_each(qtbot, window, tmp_path):
@@ -216,12 +229,22 @@ def test_a_cancelled_analysis_continues(qtbot, window, tmp_path, monkeypatch):
     assert page.data.tests == 4
 
 
-def test_a_wrong_option_says_why(qtbot, window, recorded):
+def test_options_of_the_engine_are_chosen_in_a_form_and_kept(qtbot, open_window, recorded):
+    window = open_window()
     page = opened(qtbot, window, recorded)
-    page.asking.options.setText("nonsense=1")
-    page.analyse()
-    qtbot.waitUntil(lambda: idle(window), timeout=WAIT_MS)
-    assert shows(window.ui.notice.text.text(), "option.unknown")
+    choose_lms(page)
+    press(qtbot, page.asking.options)
+    dialog = page.findChild(OptionsDialog)
+    dialog.fields["memory"].set_value(0.04)
+    dialog._save()
+    assert page.asking.plan(recorded, workers=1).options == ("memory=0.04",)
+    window.close()
+    again = open_window()
+    again.pages.show("studies")
+    assert again.ui.views["studies"].asking.plan(recorded, workers=1).options == ("memory=0.04",)
+    choose_lms(page)
+    page.asking.engine.setCurrentIndex(0)
+    assert page.asking.plan(recorded, workers=1).options == ()
 
 
 # -- protocol and sitting -------------------------------------------------------------------------------------------
@@ -231,16 +254,63 @@ def test_a_study_without_a_protocol_gets_one(qtbot, window, folder):
     page = opened(qtbot, window, folder)
     assert not page.asking.measure.isVisible()
     press(qtbot, page.asking.template)
+    assert not (folder / PROTOCOL_FILE).exists()
+    page.findChild(ProtocolDialog)._save()
     qtbot.waitUntil(lambda: idle(window), timeout=WAIT_MS)
     assert (folder / PROTOCOL_FILE).read_text(encoding="utf-8") == protocol_text(template())
     assert shows(page.asking.protocol.text(), "study.protocol", count=20)
-    assert not page.asking.template.isVisible()
     page.asking.subject.setText("P07")
     press(qtbot, page.asking.measure)
     qtbot.waitUntil(lambda: idle(window) and window.study.leads, timeout=WAIT_MS)
     assert window.ui.page == "measure"
     assert window.ui.form.subject.text() == "P07"
     window.study.dialog.reject()
+
+
+def test_a_protocol_is_changed_in_a_form(qtbot, window, folder):
+    before = template().model_copy(update={"probe": "indenter-4.4mm"})
+    (folder / PROTOCOL_FILE).write_text(protocol_text(before))
+    page = opened(qtbot, window, folder)
+    press(qtbot, page.asking.template)
+    dialog = page.findChild(ProtocolDialog)
+    assert shows(dialog.problem.text(), "study.visit", count=20)
+    dialog.name.setText("Lotion")
+    dialog.sites.fill([("left calf", None), ("right calf", 3)])
+    dialog.repeats.setValue(2)
+    dialog.conditions.fill([("", None, None), ("lotion", 30, None)])
+    dialog.asked["ethnicity"].setChecked(True)
+    dialog.asked["age_years"].setChecked(False)
+    dialog.photograph.setChecked(True)
+    assert shows(dialog.problem.text(), "study.visit", count=10)
+    dialog.conditions.fill([("", 30, None)])
+    assert shows(dialog.problem.text(), "protocol.minutes")
+    assert not dialog.save.isEnabled()
+    dialog.conditions.fill([("", None, None), ("lotion", "1,5", "north")])
+    assert not dialog.save.isEnabled()
+    dialog.conditions.fill([("", None, None), ("lotion", "1,5", None)])
+    dialog._save()
+    qtbot.waitUntil(lambda: idle(window), timeout=WAIT_MS)
+    found = page.data.protocol
+    assert [(site.site, found.repeats_at(site)) for site in found.sites] == [("left calf", 2), ("right calf", 3)]
+    assert found.conditions[1].minutes_since_application == 1.5
+    assert (found.name, found.probe, found.photograph) == ("Lotion", before.probe, True)
+    assert set(found.demographics) == {*before.demographics, "ethnicity"} - {"age_years"}
+
+
+def test_without_a_study_the_page_says_what_one_is_and_offers_recent_ones(qtbot, open_window, folder):
+    window = open_window()
+    window.pages.show("studies")
+    page = window.ui.views["studies"]
+    assert page.welcome.isVisible()
+    assert not page.tabs.isVisible()
+    assert not page.asking.recent.isVisible()
+    opened(qtbot, window, folder)
+    assert not page.welcome.isVisible()
+    (action,) = page.asking.recent.menu().actions()
+    page.data = None
+    action.trigger()
+    qtbot.waitUntil(lambda: page.data is not None and idle(window), timeout=WAIT_MS)
+    assert page.data.folder == folder
 
 
 def test_a_bad_protocol_is_stated_on_the_page(qtbot, window, folder):

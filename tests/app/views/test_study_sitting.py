@@ -5,7 +5,8 @@ import json
 import pytest
 from app.benches import WAIT_MS
 from app.views.test_clinician import idle, press, run_test, seeded
-from coded import shows
+from coded import reads, shows
+from PySide6.QtCore import Qt
 
 from tissueid.procedures.study_plans import SUBJECTS_FILE
 from tissueid.procedures.study_protocol import PROTOCOL_FILE
@@ -68,6 +69,73 @@ def test_the_window_leads_through_a_sitting(qtbot, open_window, bench, study):
     assert ui.form.subject.text() == ""
     begin(qtbot, window, folder)
     assert card.progress_text.text() == "2 of 4"
+
+
+def test_a_change_of_site_is_announced_and_repeats_are_those_of_the_protocol(qtbot, open_window, bench, study):
+    window = open_window(opener=seeded(bench))
+    folder, ui = study(repeats=2, conditions=[{}]), window.ui
+    begin(qtbot, window, folder)
+    said, remark = ui.guidance.instruction, ui.study_card.remark
+    assert shows(said.text(), "study.first", site="left calf")
+    run_test(qtbot, window, ui.start)
+    assert shows(said.text(), "study.stay", site="left calf", repeat=2, count=2)
+    assert remark.isHidden()
+    assert window.clinician.sitting.wanted == 2
+    assert ui.gate.repeats.dots.accessibleName().startswith("1 of 2")
+    run_test(qtbot, window, ui.start)
+    assert shows(said.text(), "study.move", site="abdomen")
+    assert remark.isVisible()
+    assert ui.form.site.currentText() == "abdomen"
+    assert reads(ui.gate.repeats.accept.text(), "sitting.finish_mean", count=2)
+    assert ui.gate.repeats._left == 0
+    window.study.state.add(folder / "P01" / "other.h5", "P01", [])  # nothing was completed
+    assert not window.study.complete
+
+
+def test_nothing_starts_when_a_sitting_is_complete(qtbot, open_window, bench, study):
+    window = open_window(opener=seeded(bench))
+    folder, ui = study(sites=["left calf"], conditions=[{}]), window.ui
+    begin(qtbot, window, folder)
+    run_test(qtbot, window, ui.start)
+    assert window.study.complete
+    assert not ui.start.isEnabled()
+    assert ui.start.toolTip()
+    opened = len(bench.opened)
+    window.start_test()
+    assert idle(window)
+    assert len(bench.opened) == opened
+    press(qtbot, ui.study_card.leave)
+    qtbot.waitUntil(ui.start.isEnabled, timeout=WAIT_MS)
+    assert not ui.start.toolTip()
+
+
+def test_the_result_of_another_subject_leaves_the_screen_when_a_sitting_begins(qtbot, open_window, bench, study):
+    window = open_window(opener=seeded(bench))
+    ui = window.ui
+    ui.form.fill({"site": "left calf", "pseudonym": "P-001", "seconds": 1.0})
+    run_test(qtbot, window, ui.start)
+    assert window.findings is not None
+    begin(qtbot, window, study())
+    assert window.findings is None
+    assert ui.gate.isHidden()
+    assert not ui.pages.isTabVisible(1)
+    assert ui.report.isHidden()
+    assert "P-001" not in ui.guidance.instruction.text()
+
+
+def test_the_result_of_another_subject_leaves_the_screen_when_one_is_typed(qtbot, open_window, bench):
+    window = open_window(opener=seeded(bench))
+    ui = window.ui
+    ui.form.fill({"site": "left calf", "pseudonym": "P-001", "seconds": 1.0})
+    run_test(qtbot, window, ui.start)
+    ui.form.subject.setFocus()
+    qtbot.keyClick(ui.form.subject, Qt.Key.Key_Return)
+    assert window.findings is not None
+    qtbot.keyClicks(ui.form.subject, "2")
+    assert window.findings is not None
+    qtbot.keyClick(ui.form.subject, Qt.Key.Key_Return)
+    assert window.findings is None
+    assert ui.gate.isHidden()
 
 
 def test_a_condition_is_filled_in_and_stored(qtbot, open_window, bench, study):

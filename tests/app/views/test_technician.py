@@ -26,7 +26,7 @@ pytestmark = [pytest.mark.qt_log_level_fail("WARNING"), pytest.mark.qt_log_ignor
 def test_asking_tells_who_it_is_and_lights_yellow_without_a_calibration(qtbot, page, bench):
     view = page()
     assert view.health.lamps.level == ""
-    assert "not been asked" in view.health.headline.text()
+    assert view.health.headline.text() == "Not checked yet"
     press(qtbot, view.health.ask)
     rest(qtbot, view)
     facts = view.health.identity.facts
@@ -169,7 +169,7 @@ def test_the_newest_test_and_a_fault_of_it_are_told_without_asking(qtbot, page, 
     [
         ("Stopped by key; the coil is released.", "Stopped", ""),
         ("stopped in the window; the coil is released", "Stopped", ""),
-        ("the window was closed; the coil is released", "Broken off", "check"),
+        ("the window was closed; the coil is released", "Interrupted", "check"),
     ],
 )
 def test_a_stop_by_a_person_is_no_fault_where_only_the_session_tells_of_it(tmp_path, saved, reason, kind, level):
@@ -193,7 +193,7 @@ def test_each_calibration_says_whether_it_is_in_force_or_why_not(qtbot, page, ca
     write_calibration(calibrations / "d.toml", failed)
     (calibrations / "e.toml").write_bytes(b"\xff\x00 [[[")
     view = page(CALIBRATIONS)
-    assert "Read the instrument" in view.calibrations.about.text()
+    assert "under Health" in view.calibrations.about.text()
     choose(qtbot, view, HEALTH)
     press(qtbot, view.health.ask)
     rest(qtbot, view)
@@ -288,7 +288,7 @@ def test_a_folder_that_is_not_there_is_said(qtbot, page, tmp_path):
     view = page(CALIBRATIONS, calibrations=tmp_path / "nowhere")
     assert "nowhere" in view.window_.ui.notice.text.text()
     assert view.calibrations.model.rowCount() == 0
-    assert "nominal figures" in view.calibrations.about.text()
+    assert view.calibrations.about.text() == view.context.unread
 
 
 def test_the_page_instrument_reads_as_its_golden_page(qtbot, page, calibrations):
@@ -303,3 +303,27 @@ def test_the_page_instrument_reads_as_its_golden_page(qtbot, page, calibrations)
         choose(qtbot, view, tab)
         lines += lines_of_widget(view.tabs.currentWidget())
     check_golden_page("window-instrument", lines)
+
+
+def test_calibrations_are_judged_for_the_chosen_instrument_and_one_just_made_is_an_answer(qtbot, page, calibrations):
+    write_calibration(calibrations / "a.toml", sweep())
+    view = page(HEALTH)
+    window, tab = view.window_, view.calibrations
+    press(qtbot, view.health.ask)
+    rest(qtbot, view)
+    choose(qtbot, view, CALIBRATIONS)
+    assert view.health.checkup is not None
+    nominal = view.health.checkup.nominal
+    active = [tab.model.data(tab.model.index(0, 4))]
+    other = next(url for url in window.ui.form.instrument.known if url != window.ui.form.instrument.url)
+    window.pages.start.instrument_chosen.emit(other)
+    window.pages.show("start")
+    window.pages.show("instrument")
+    rest(qtbot, view)
+    assert view.health.checkup is None
+    assert view.health.light.level == ""
+    assert "Health" in tab.about.text()
+    window.pages.on_instrument_answered(other, nominal)
+    rest(qtbot, view)
+    assert nominal.serial_number in tab.about.text()
+    assert [tab.model.data(tab.model.index(0, 4))] == active

@@ -264,3 +264,31 @@ def test_a_hundred_thousand_lines_are_shown_in_pieces_and_filtered_at_once(qtbot
     assert model.rowCount() < 2000
     view.audit.search.setText("s77")
     assert len(view.audit.model.rows) == 1000
+
+
+def test_a_failed_calibration_is_one_row_and_a_test_is_named_by_site_and_person(qtbot, page, audit_file):
+    log = AuditLog(audit_file)
+    lost = "the connection broke"
+    for what, subject, new in (
+        ("session.begun", "a1", {"pseudonym": "P-007"}),
+        ("test.begun", "a1 test 1", {"site": "left calf"}),
+        ("test.aborted", "a1 test 1", {"reason": lost}),
+        ("session.broken_off", "a1", lost),
+        ("test.aborted", "", {"site": "right calf", "pseudonym": "P-008", "reason": lost}),
+        ("calibration.begun", "SIM-0001", "sweep"),
+        ("session.begun", "b2", {"pseudonym": "anonymous"}),
+        ("test.begun", "b2 test 1", {"site": ""}),
+        ("test.aborted", "b2 test 1", {"reason": lost}),
+        ("session.broken_off", "b2", lost),
+        ("calibration.broken_off", "SIM-0001", lost),
+    ):
+        log.record("technician", what, subject=subject, new=new)
+    view = page(FAULTS)
+    about = ["SIM-0001", "Test 1, left calf, P-007", "right calf, P-008"]
+    assert sorted(column(view.faults.model, 2)) == about
+    assert set(column(view.faults.model, 1)) == {"Broken off"}
+    choose(qtbot, view, AUDIT)
+    rest(qtbot, view)
+    assert set(about) < set(column(view.audit.model, 5))
+    qtbot.keyClicks(view.audit.search, "p-007 aborted")
+    assert column(view.audit.model, 4) == ["test.aborted"]

@@ -62,20 +62,21 @@ bool line_open_socket(struct line *line, uint16_t port)
     return set_nonblocking(line->listener);
 }
 
-/* Accept a host. Only one at a time, as on a cable: another is turned away. */
-static void accept_host(struct line *line)
+/* Accept a host; return whether there is one. Only one at a time, as on a cable: another is turned away. */
+static bool accept_host(struct line *line)
 {
     const int on = 1;
     const int newcomer = accept(line->listener, NULL, NULL);
     if (newcomer < 0) {
-        return;
+        return false;
     }
     if (line->host >= 0 || !set_nonblocking(newcomer)) {
         (void)close(newcomer);
-        return;
+        return false;
     }
     (void)setsockopt(newcomer, IPPROTO_TCP, TCP_NODELAY, &on, sizeof on);
     line->host = newcomer;
+    return true;
 }
 
 static void hang_up(struct line *line)
@@ -86,7 +87,7 @@ static void hang_up(struct line *line)
     }
 }
 
-void line_wait(struct line *line, uint64_t most_us)
+bool line_wait(struct line *line, uint64_t most_us)
 {
     struct pollfd files[2] = {{line->host, POLLIN, 0}, {line->listener, POLLIN, 0}};
     const struct timespec most = {(time_t)(most_us / 1000000u), (long)(most_us % 1000000u) * 1000L};
@@ -97,9 +98,7 @@ void line_wait(struct line *line, uint64_t most_us)
     } else {
         (void)poll(files, 2, (int)(most_us / 1000u));
     }
-    if ((files[1].revents & POLLIN) != 0) {
-        accept_host(line);
-    }
+    return (files[1].revents & POLLIN) != 0 && accept_host(line);
 }
 
 size_t line_receive(struct line *line, uint8_t *bytes, size_t most)

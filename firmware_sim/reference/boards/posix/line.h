@@ -19,8 +19,8 @@ bool line_open_terminal(struct line *line);
 /* Listen on a port of 127.0.0.1, 0 for a free one; return whether it succeeded. */
 bool line_open_socket(struct line *line, uint16_t port);
 
-/* Wait until bytes or a host arrive, at most for a time. */
-void line_wait(struct line *line, uint64_t most_us);
+/* Wait until bytes or a host arrive, at most for a time; return whether a host has connected. */
+bool line_wait(struct line *line, uint64_t most_us);
 
 /* Move bytes without waiting; return their number. Without a host, sent bytes are discarded. */
 size_t line_receive(struct line *line, uint8_t *bytes, size_t most);

@@ -58,7 +58,9 @@ static void serve(struct line *line)
         }
         now = now_us();
         const uint64_t wake_us = start_us + samples * period_us;
-        line_wait(line, wake_us > now ? wake_us - now : 0u);
+        if (line_wait(line, wake_us > now ? wake_us - now : 0u)) {
+            firmware_connected(&firmware);
+        }
     }
 }
 

@@ -130,7 +130,8 @@ def baseline_shift(prepared: PreparedTest) -> tuple[float, float, bool] | None:
     """Return the shift of the position, m, its time, s from the start, and whether it was sudden; None without a shift.
 
     Block means of the position (50 ms, longer in tests of over 100 s) are regressed on those of the powers of the force
-    (static curve) and on the logarithm of time (creep). A significant step or ramp in the residual is the shift.
+    (static curve; of pushing and pulling separately, where a test does both) and on the logarithm of time (creep). A
+    significant step or ramp in the residual is the shift.
     """
     samples = prepared.test.samples - prepared.first
     length = max(1, round(_BLOCK_S * prepared.rate), math.ceil(samples / _MAX_BLOCKS))
@@ -142,9 +143,12 @@ def baseline_shift(prepared: PreparedTest) -> tuple[float, float, bool] | None:
     if whole.sum() < _MIN_BLOCKS:
         return None
     force = prepared.force[part]
-    level, spread = float(force.mean()), float(force.std()) or 1.0
-    scaled = (force - level) / spread
-    blocks = [(scaled**power).reshape(count, length).mean(axis=1) for power in _POWERS]
+    spread = float(force.std()) or 1.0
+    if force.min() < -LOST_FORCE_N and force.max() > LOST_FORCE_N:  # pulling is a branch of its own
+        branches = [np.maximum(force, 0.0) / spread, np.minimum(force, 0.0) / spread]
+    else:
+        branches = [(force - float(force.mean())) / spread]
+    blocks = [(branch**power).reshape(count, length).mean(axis=1) for branch in branches for power in _POWERS]
     moving = (prepared.velocity[part] ** 2).reshape(count, length).mean(axis=1)
     seconds = (np.arange(count) + 0.5) * length / prepared.rate
     creep = np.log(seconds + max(prepared.test.preload_s, _BLOCK_S))

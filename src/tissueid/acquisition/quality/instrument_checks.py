@@ -53,9 +53,6 @@ _TOO_HOT = {"fault.over_temperature", "limit.winding_temperature"}
 _COPPER_PER_K = 0.0039
 """Relative change of the resistance of copper, 1/K."""
 
-MIN_S = 1.0
-"""Seconds of stimulus below which a test that ended early should be repeated."""
-
 
 def check_completion(prepared: PreparedTest) -> Iterator[QualityFinding]:
     """Report a test that was stopped early or recovered."""
@@ -89,7 +86,7 @@ def check_completion(prepared: PreparedTest) -> Iterator[QualityFinding]:
             )
     yield QualityFinding(
         "ended_early",
-        "repeat" if seconds < MIN_S else "look",
+        "repeat",
         words,
         marked("Remove the cause and run the test again. The recorded part can be analysed, but is short."),
         seconds,

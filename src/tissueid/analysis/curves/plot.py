@@ -6,8 +6,6 @@ translation, or messages; they are translated when they are drawn.
 
 from __future__ import annotations
 
-import csv
-import io
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from typing import Literal
@@ -16,6 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from tissueid.errors import UnusableInputError
+from tissueid.formatting import csv_text
 
 Array = NDArray[np.float64]
 Kind = Literal[
@@ -189,14 +188,12 @@ def plot_or_reason(title: str, x: Axis, y: Axis, make: Callable[[], Plot]) -> Pl
 
 def as_csv(plots: Sequence[Plot]) -> str:
     """Return the numbers of plots as CSV, in English: a row for every point, with plot, name, x, y, low and high."""
-    text = io.StringIO()
-    rows = csv.writer(text, lineterminator="\n")
-    rows.writerow(("plot", "name", "x", "x_unit", "y", "y_unit", "low", "high", "value", "value_unit"))
+    rows: list[tuple[object, ...]]
+    rows = [("plot", "name", "x", "x_unit", "y", "y_unit", "low", "high", "value", "value_unit")]
     for plot in plots:
         for part in plot.parts:
-            for cells in _rows_of(part, plot):
-                rows.writerow((str(plot.title), str(part.name), *cells))
-    return text.getvalue()
+            rows += [(str(plot.title), str(part.name), *cells) for cells in _rows_of(part, plot)]
+    return csv_text(rows)
 
 
 def _rows_of(part: Curve | Surface | Bars, plot: Plot) -> list[tuple[object, ...]]:

@@ -41,6 +41,8 @@ _DEPTH_STEP_M, _PARTITION_STEP_M = 1e-4, 2e-4
 _LARGEST_FORCE_N, _FORCE_STEP_N = 15.0, 0.25
 _DIGITS = 5
 """Significant digits that are stored."""
+_LARGEST = 1e30
+"""Largest value, SI, that is read: its square fits in double precision, itself in single precision."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -117,10 +119,10 @@ def from_json(stored: Any) -> SampledCurve:
     name, direction, first, values = stored
     if name not in GRIDS or direction not in (-1, 0, 1) or not isinstance(first, int) or first < 0:
         raise ValueError(name)
-    read = np.array(values, dtype=np.float32)  # None becomes NaN
-    if read.ndim != 1 or first + read.size > GRIDS[name].x.size:
+    read = np.array(values, dtype=np.float64)  # None becomes NaN
+    if read.ndim != 1 or first + read.size > GRIDS[name].x.size or (np.abs(read) > _LARGEST).any():
         raise ValueError(name)
-    return SampledCurve(name, first, read, direction)
+    return SampledCurve(name, first, read.astype(np.float32), direction)
 
 
 def sampled_curves(analysis: Analysis, surface_position_m: float) -> list[SampledCurve]:

@@ -204,6 +204,7 @@ class Cascade(MemoryEngine):
                 aicc=aicc(residuals, blocks.n_parameters),
                 parameters=parameters,
                 findings=() if choice is None else structure_findings(choice),
+                model=structure,
                 warnings=tuple(dict.fromkeys(warnings)),
                 details=details,
             ),

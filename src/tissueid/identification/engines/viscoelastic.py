@@ -1,14 +1,16 @@
 """Linear models of tissue with relaxation: Kelvin-Voigt, Maxwell, standard linear solid and Burger (Chen 2010, 2.1).
 
-Output-error fit in the frequency domain, as for the second-order system; offset, initial state and creep under the mean
-load are nuisance parameters.
+Output-error fit in the frequency domain, as for the second-order system; offset, initial state and a straight line of
+drift are nuisance parameters. The line may be creep under the mean load or not come from the input at all: it is no
+part of the model's simulation, so that no score credits it to the input.
 """
 
 from __future__ import annotations
 
 import math
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
-from typing import ClassVar, Literal
+from typing import ClassVar, Literal, Self
 
 import numpy as np
 from pydantic import Field
@@ -19,7 +21,8 @@ from tissueid.identification.base import Array, Curve, Engine, FitReport, LineFi
 from tissueid.identification.correlation import Correlator, dependence_samples
 from tissueid.identification.levenberg_marquardt import Bounds, ErrorPoint, minimise
 from tissueid.identification.model_family import Family
-from tissueid.identification.preparation import complete_windows, prepare
+from tissueid.identification.preparation import complete_windows, finite_runs, prepare
+from tissueid.identification.ramp_stiffness import is_slow, ramp_stiffness
 from tissueid.identification.registry import engine
 from tissueid.identification.second_order import HOLD_DESCRIPTION, HOLD_TITLE, Hold
 from tissueid.identification.second_order_fit import InputRun, SecondOrderFit, fit_second_order, input_runs, sandwich
@@ -29,6 +32,7 @@ from tissueid.identification.viscoelastic_structures import (
     DECAYED,
     ELEMENTS,
     NAMES,
+    PARALLEL,
     STRUCTURES,
     Structure,
     Viscoelastic,
@@ -41,12 +45,24 @@ Choice = Literal["auto", "kelvin-voigt", "maxwell", "standard-linear-solid", "bu
 
 _LEAST_S = 0.125
 """Shortest record, s, as the memory of ``lms``; outputs before it are not fitted."""
+_BLOCKS = 8
+"""Stretches of a ramp and hold over which coloured residuals are taken as correlated."""
+_FASTEST = 3.0
+"""Decays of a free response per sample above which it is not fitted: it is gone after one sample."""
+_FEWEST_HELD = 8
+"""Fewest samples at the start of a record by which the input counts as held."""
+_HELD = 0.1
+"""Largest standard deviation of an input that is held at the start, relative to that of the whole input."""
 _ITERATIONS = 60
 _GAIN_TOLERANCE = 1e-7
-_STARTS = 2
+_STARTS = 3
 """Number of starting points that are refined."""
 _START_TIMES_S = (0.001, 0.003, 0.01, 0.03, 0.1, 0.3)
 _START_SHARES = (0.2, 1.0, 4.0)
+_START_DAMPING = 0.2
+_NO_DAMPING = 1e-6
+"""Parallel damping of the starting points, and where it is not fitted, relative to that of the second-order system."""
+_DAMPING = PARALLEL.index("damping_n_s_per_m")
 _UNDETERMINED = 0.5
 """Relative standard deviation above which a parameter is undetermined."""
 _LONGEST_SHARE = 0.5
@@ -59,7 +75,8 @@ Anderson 2002)."""
 @dataclass(frozen=True, eq=False)
 class ViscoelasticModel(Model):
     """A viscoelastic tissue under a mass, about an operating point. ``sign`` is -1 for an output that falls with a
-    rising input. ``creep_m_per_s`` is the speed under the mean input, 0 for a structure that does not creep.
+    rising input. ``settling_samples`` is the time after which a free response is forgotten; ``memory_samples`` is
+    shorter where the fitted record starts at rest.
     """
 
     system: Viscoelastic
@@ -67,37 +84,78 @@ class ViscoelasticModel(Model):
     input_mean: float
     output_mean: float
     hold: Hold
-    creep_m_per_s: float = 0.0
+    settling_samples: int
 
     def simulate(self, u: Array) -> Array:
-        """Simulate in free run: input (n,), output (n,), in the steady state of the mean input before the first sample.
+        """Simulate in free run: input (n,), output (n,), from the steady state of the first input if that is held.
 
-        A structure that creeps moves at ``creep_m_per_s`` there.
+        Otherwise the run starts from the steady state of the mean input. Creep in that state is left out.
         """
         u = np.asarray(u, dtype=np.float64)
         known = np.isfinite(u)
         if not known.any():
             return np.full(u.size, np.nan)
         bridged = np.interp(np.arange(u.size), np.flatnonzero(known), u[known])  # a jump would act before the gap
-        run = self.system.simulate(bridged - self.input_mean, self.sample_rate_hz, self.hold)
-        padded = np.concatenate([np.ones(self.memory_samples - 1, dtype=np.bool_), known])
-        complete: Mask = complete_windows(padded, self.memory_samples)[self.memory_samples - 1 :]
-        creep = self.creep_m_per_s * np.arange(u.size) / self.sample_rate_hz
-        return np.where(complete, self.output_mean + creep + self.sign * run, np.nan)
+        start = _held_start(bridged, self.sample_rate_hz)
+        start = self.input_mean if start is None else start
+        run = self.system.simulate(bridged - start, self.sample_rate_hz, self.hold)
+        run += self.system.static_compliance * (start - self.input_mean)
+        padded = np.concatenate([np.ones(self.settling_samples - 1, dtype=np.bool_), known])
+        complete: Mask = complete_windows(padded, self.settling_samples)[self.settling_samples - 1 :]
+        return np.where(complete, self.output_mean + self.sign * run, np.nan)
+
+
+def _held_start(u: Array, rate: float) -> float | None:
+    """Return the mean of the first samples of an input (n,) if it is held there; None if it varies as later."""
+    first = u[: max(_FEWEST_HELD, math.ceil(_LEAST_S * rate))]
+    return float(first.mean()) if np.std(first) < _HELD * np.std(u) else None
+
+
+def _held_runs(record: Record, used: Mask) -> list[InputRun]:
+    """Return the runs of slow tests that all start at rest, from that input on and followed by as many zeros.
+
+    Empty if one does not, if the input is noise, or if samples of it were lost.
+    """
+    whole = finite_runs(np.isfinite(record.input))
+    starts = [_held_start(record.input[first:end], record.sample_rate_hz) for first, end in whole]
+    if None in starts or len(whole) != 1 + len(record.joints):
+        return []
+    if not all(is_slow(record.input[first:end]) for first, end in whole):
+        return []
+    runs, _y = input_runs(record, used, 0.0, 0.0)
+    found = []
+    for run in runs:
+        size = run.local.stop if isinstance(run.local, slice) else int(run.local[-1]) + 1
+        values = fft.irfft(run.spectrum, run.length)[:size]
+        length = fft.next_fast_len(2 * size, real=True)
+        start = _held_start(values, record.sample_rate_hz) or 0.0
+        found.append(replace(run, spectrum=fft.rfft(values - start, length), length=length))
+    return found
 
 
 @dataclass(frozen=True, eq=False)
 class _Problem:
-    """Squared error of the free run of a structure; ``y`` (m,) is the output about its mean."""
+    """Squared error of the free run of a structure; ``y`` (m,) is the output about its mean.
+
+    ``held`` marks runs that start at rest, such as a ramp and hold: each has an offset as its only nuisance, and no
+    parallel damping, which noise of the input would bias, as a damper smooths it. Other runs have an unknown initial
+    state and a straight line of drift.
+    """
 
     structure: Structure
     runs: list[InputRun]
     y: Array
     rate: float
     hold: Hold
+    held: bool
+
+    @property
+    def damped(self) -> bool:
+        """Whether the parallel damping is fitted."""
+        return not self.held or self.structure == "kelvin-voigt"
 
     def point(self, theta: Array) -> ErrorPoint:
-        """Evaluate logarithms of the values, with offset, initial states and creep projected out."""
+        """Evaluate logarithms of the values, with offset, initial states and drift projected out."""
         system = Viscoelastic(self.structure, tuple(np.exp(theta)))
         poles = system.poles
         rows = np.empty((theta.size + 1, self.y.size))
@@ -109,9 +167,17 @@ class _Problem:
                 here[row] = fft.irfft(one * run.spectrum, run.length)[run.local]
             here[0] = self.y[run.place] - here[0]
             t = run.time_s
-            free = [np.ones(t.size), t] if system.creeps else []
-            for pole in poles[poles.imag >= 0.0]:
-                decay = np.exp(np.maximum(-700.0, pole.real * t))
+            free = [np.ones(t.size)]
+            if self.held and system.creeps:
+                creep = system.creep_rate * float(run.spectrum[0].real) / run.length
+                here[0] -= creep * t
+                for k, damper in ((1, system.values[1]), (3, system.values[3])):
+                    here[k + 1] -= creep * system.creep_rate * damper * t
+            if not self.held:
+                free.append(t)
+            unknown = (poles.imag >= 0.0) & (poles.real > -_FASTEST * self.rate) & (not self.held)
+            for pole in poles[unknown]:
+                decay = np.exp(np.clip(pole.real * t, -700.0, 0.0))
                 free.append(decay * np.cos(pole.imag * t))
                 free.append(decay * np.sin(pole.imag * t) if pole.imag > 0.0 else decay * pole.real * t)
             q, _ = np.linalg.qr(np.column_stack(free))
@@ -120,6 +186,8 @@ class _Problem:
         energy = float(offset @ offset)
         if energy > 1e-9 * self.y.size:
             rows -= np.outer(rows @ offset / energy, offset)
+        if not self.damped:
+            rows[1 + _DAMPING] = 0.0
         return ErrorPoint(theta, rows[0], rows[1:].T, float(rows[0] @ rows[0]))
 
     def linearised(self, at: ErrorPoint) -> tuple[Array, Array]:
@@ -140,15 +208,16 @@ class _Fitted:
     system: Viscoelastic
     covariance: Array | None
     error: Array
+    damped: bool
 
     def criterion(self, samples: float) -> float:
         """Return AICc for a number of independent samples (Eq. 3.16)."""
-        k = len(self.system.values) + 1
+        k = len(self.system.values) + int(self.damped)
         loss = float(np.mean(self.error**2))
         return samples * math.log(loss) + 2.0 * k + 2.0 * k * (k + 1) / max(1.0, samples - k - 1)
 
 
-def _starts(structure: Structure, linear: SecondOrderFit) -> list[tuple[float, ...]]:
+def _starts(structure: Structure, linear: SecondOrderFit, damping: float) -> list[tuple[float, ...]]:
     """Return starting values around a second-order system, over a grid of relaxation times and stiffness ratios."""
     m, b, k = linear.system.mass, linear.system.damping, linear.system.stiffness
     if structure == "kelvin-voigt":
@@ -156,19 +225,20 @@ def _starts(structure: Structure, linear: SecondOrderFit) -> list[tuple[float, .
     found: list[tuple[float, ...]] = []
     for time in _START_TIMES_S:
         if structure == "maxwell":
-            found.append((m, k, k * time))
+            found.append((m, damping * b, k, k * time))
             continue
         for share in _START_SHARES:
             if structure == "standard-linear-solid":
-                found.append((m, k, share * k, share * k * time))
+                found.append((m, damping * b, k, share * k, share * k * time))
             else:
-                found.append((m, k, 100.0 * k * time, share * k, share * k * time))
+                found.append((m, damping * b, k, 100.0 * k * time, share * k, share * k * time))
     return found
 
 
 def _fit(problem: _Problem, linear: SecondOrderFit) -> _Fitted:
     """Fit one structure from the best of its starting points."""
-    points = [problem.point(np.log(values)) for values in _starts(problem.structure, linear)]
+    damping = _START_DAMPING if problem.damped else _NO_DAMPING
+    points = [problem.point(np.log(values)) for values in _starts(problem.structure, linear, damping)]
     points = sorted((p for p in points if math.isfinite(p.cost)), key=lambda p: p.cost)[:_STARTS]
     ends = [
         minimise(
@@ -183,7 +253,21 @@ def _fit(problem: _Problem, linear: SecondOrderFit) -> _Fitted:
     ]
     best = min(ends, key=lambda end: end.point.cost).point
     system = Viscoelastic(problem.structure, tuple(float(v) for v in np.exp(best.theta)))
-    return _Fitted(system, sandwich(best.slopes, best.error, dependence_samples(best.error, problem.rate)), best.error)
+    block = dependence_samples(best.error, problem.rate)
+    if problem.held and block > 1:  # slow dynamics are alike over much of a ramp and hold
+        block = best.error.size // _BLOCKS
+    covariance = sandwich(best.slopes, best.error, block)
+    return _Fitted(system, covariance, best.error, problem.damped)
+
+
+def _smallest(scores: Mapping[Structure, float]) -> Structure:
+    """Return the structure with the fewest elements whose AICc is within 4 of the lowest."""
+    close = [name for name in scores if scores[name] <= min(scores.values()) + _CLEAR]
+    return min(close, key=lambda name: (len(ELEMENTS[name]), scores[name]))
+
+
+def _criterion_name(structure: Structure) -> str:
+    return f"aicc_{structure.replace('-', '_')}"
 
 
 def independent_samples(error: Array) -> float:
@@ -214,7 +298,8 @@ class ViscoelasticEngine(Engine):
     """Viscoelastic engine.
 
     Assumes a linear tissue under a mass. A relaxation that is slower than the record, or faster than the driven band,
-    is not determined: such values have no standard deviation.
+    is not determined: such values have no standard deviation. Of a slow ramp, it also gives the slope of force against
+    position, for loading and unloading.
     """
 
     name: ClassVar[str] = "viscoelastic"
@@ -246,6 +331,14 @@ class ViscoelasticEngine(Engine):
     )
     hold: Hold = Field("band-limited", title=HOLD_TITLE, description=HOLD_DESCRIPTION)
 
+    def common(self, details: Sequence[Mapping[str, float]]) -> Self:
+        """Return the specification with the structure whose mean AICc over tests is lowest, chosen as for one test."""
+        known = [one for one in details if all(_criterion_name(name) in one for name in STRUCTURES)]
+        if self.structure != "auto" or not known:
+            return self
+        scores = {name: float(np.mean([one[_criterion_name(name)] for one in known])) for name in STRUCTURES}
+        return self.model_copy(update={"structure": _smallest(scores)})
+
     def fit(self, record: Record, fit_part: slice | None = None) -> ViscoelasticModel:
         """Fit one structure, or all and take the smallest one whose AICc is within 4 of the lowest.
 
@@ -261,34 +354,37 @@ class ViscoelasticEngine(Engine):
         linear = fit_second_order(record, used, self.hold)
         runs, y = input_runs(record, used, float(np.mean(record.input[used])), float(np.mean(record.output[used])))
         tried = STRUCTURES if self.structure == "auto" else (self.structure,)
-        fits = [_fit(_Problem(one, runs, linear.sign * y, rate, self.hold), linear) for one in tried]
+        held = _held_runs(record, used)
+        fits = [
+            _fit(_Problem(one, held or runs, linear.sign * y, rate, self.hold, bool(held)), linear) for one in tried
+        ]
         samples = independent_samples(min(fits, key=lambda fit: float(fit.error @ fit.error)).error)
         scores = {fit.system.structure: fit.criterion(samples) for fit in fits}
-        lowest = min(scores.values())
-        close = [fit for fit in fits if scores[fit.system.structure] <= lowest + _CLEAR]
-        best = min(close, key=lambda fit: (len(fit.system.values), scores[fit.system.structure]))
+        chosen = _smallest(scores)
+        best = next(fit for fit in fits if fit.system.structure == chosen)
         memory = min(math.ceil(DECAYED * rate * best.system.slowest_s), max(1, round(_LONGEST_SHARE * used.sum())))
         model = ViscoelasticModel(
-            report=FitReport(self.name, self.options(), int(used.sum()), len(best.system.values) + 1, math.nan),
+            report=FitReport(
+                self.name, self.options(), int(used.sum()), len(best.system.values) + int(best.damped), math.nan
+            ),
             sample_rate_hz=rate,
-            memory_samples=max(1, memory),
+            memory_samples=max(1, memory if not held else min(memory, math.ceil(_LEAST_S * rate))),
             system=best.system,
             sign=linear.sign,
             input_mean=prepared.input_mean,
             output_mean=prepared.output_mean,
             hold=self.hold,
+            settling_samples=max(1, memory),
         )
         residuals = np.where(used, model.residuals(record), np.nan)
         scored = np.isfinite(residuals)
         if int(scored.sum()) < 2:
             raise UnusableInputError(NO_SAMPLE)
-        t = np.arange(len(record))[scored] / rate
-        drift = np.polynomial.polynomial.polyfit(t, residuals[scored], int(best.system.creeps))
-        creep = float(drift[1]) if best.system.creeps else 0.0
-        model = replace(model, output_mean=model.output_mean + float(drift[0]), creep_m_per_s=creep)
+        model = replace(model, output_mean=model.output_mean + float(np.mean(residuals[scored])))
         residuals = np.where(used, model.residuals(record), np.nan)
         k = model.report.n_parameters
-        parameters = _parameters(best, linear)
+        fitted = replace(record, output=np.where(used, record.output, np.nan))
+        parameters = _parameters(best, linear) | ramp_stiffness(fitted)
         return model.with_report(
             vaf_percent=vaf_percent(record.output[scored], record.output[scored] - residuals[scored]),
             aic=aic(residuals, k),
@@ -296,14 +392,14 @@ class ViscoelasticEngine(Engine):
             parameters=parameters,
             warnings=(*prepared.warnings, *_warnings(parameters)),
             findings=_findings(best.system.structure, scores),
-            details={f"aicc_{name.replace('-', '_')}": score for name, score in scores.items()}
-            | {"independent_samples": samples},
+            details={_criterion_name(name): score for name, score in scores.items()} | {"independent_samples": samples},
+            model=best.system.structure,
         )
 
 
 def _parameters(best: _Fitted, linear: SecondOrderFit) -> dict[str, Estimate]:
     """Return the mass, the elements and the times, with standard deviations; the times alone without N and m."""
-    names = ("mass_kg", *ELEMENTS[best.system.structure])
+    names = (*PARALLEL, *ELEMENTS[best.system.structure])
     value = dict(zip(names, best.system.values, strict=True))
 
     def estimate(number: float, **powers: float) -> Estimate:
@@ -315,15 +411,21 @@ def _parameters(best: _Fitted, linear: SecondOrderFit) -> dict[str, Estimate]:
         known = math.isfinite(variance) and 0.0 <= variance < _UNDETERMINED**2
         return Estimate(number, abs(number) * math.sqrt(variance) if known else None)
 
+    if not best.damped:
+        del value["damping_n_s_per_m"]
     found = {name: estimate(linear.sign * number, **{name: 1.0}) for name, number in value.items()}
+    if not best.damped and found["mass_kg"].std is None:  # a ramp and hold has no inertia
+        del found["mass_kg"]
     if not linear.mechanical:
         found = {}
-    for label, spring, damper in (
-        ("relaxation_time_s", "spring_1_n_per_m", "damper_1_n_s_per_m"),
-        ("retardation_time_s", "spring_2_n_per_m", "damper_2_n_s_per_m"),
-        ("retardation_time_s", "stiffness_n_per_m", "damping_n_s_per_m"),
-    ):
-        if spring in value and damper in value:
+    times = {
+        "relaxation_time_s": ("spring_1_n_per_m", "damper_1_n_s_per_m"),
+        "retardation_time_s": ("spring_2_n_per_m", "damper_2_n_s_per_m"),
+    }
+    if best.system.structure == "kelvin-voigt":
+        times = {"retardation_time_s": ("stiffness_n_per_m", "damping_n_s_per_m")}
+    for label, (spring, damper) in times.items():
+        if spring in value:
             found[label] = estimate(value[damper] / value[spring], **{damper: 1.0, spring: -1.0})
     return found
 

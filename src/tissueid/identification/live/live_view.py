@@ -29,6 +29,7 @@ from tissueid.identification.second_order import without_spring
 from tissueid.identification.second_order_fit import SecondOrderFit
 from tissueid.identification.static_nonlinearity import fit_exponential
 from tissueid.identification.validation import vaf_percent
+from tissueid.identification.validation.scores import above_noise
 from tissueid.messages import Listing, Message
 from tissueid.records import Estimate, Record
 
@@ -233,10 +234,9 @@ class _Response:
 
     @property
     def vaf_percent(self) -> float | None:
-        """Variance accounted for; None if the output does not vary."""
+        """Variance accounted for; None if the output does not vary above its noise."""
         predicted, measured = self.pairs
-        share = vaf_percent(measured, predicted)
-        return share if np.isfinite(share) else None
+        return vaf_percent(measured, predicted) if above_noise(measured) else None
 
 
 def _method(identifier: LiveIdentifier) -> Method:

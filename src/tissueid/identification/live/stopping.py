@@ -15,7 +15,7 @@ from tissueid.identification.preparation import prepare
 from tissueid.identification.second_order import Hold
 from tissueid.identification.second_order_fit import SecondOrderFit, fit_second_order
 from tissueid.language import marked
-from tissueid.messages import Listing, Message
+from tissueid.messages import Action, Listing, Message
 from tissueid.option_errors import option_error
 from tissueid.records import Estimate, Record
 
@@ -117,8 +117,9 @@ class StopRule(BaseModel):
                 raise UnusableInputError(
                     Message(
                         "stop_rule.target",
-                        "a target is NAME=SHARE with one of {names}, such as stiffness=0.02, got '{text}'",
+                        "a target is one of {names} with its relative uncertainty, such as {example}, got '{text}'",
                         names=Listing(PARAMETERS),
+                        example=Action("stop_rule.example", "stiffness=0.02", marked("stiffness 2 %")),
                         text=word,
                     )
                 )

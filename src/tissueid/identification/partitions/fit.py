@@ -1,18 +1,20 @@
-"""Fit of a partitioned model, used by the engines ``depth`` and ``direction``."""
+"""Options and fit of a partitioned model, shared by the engines ``depth`` and ``direction``."""
 
 from __future__ import annotations
 
 from dataclasses import replace
-from typing import TYPE_CHECKING, Literal
+from typing import ClassVar, Literal
 
 import numpy as np
 
 from tissueid.errors import UnusableInputError
-from tissueid.identification.base import Array, FitReport, Mask
+from tissueid.identification.base import Array, FitReport, Mask, option
 from tissueid.identification.depth_levels import is_stepped
 from tissueid.identification.depth_profile import DepthProfile
+from tissueid.identification.memory import MemoryEngine
 from tissueid.identification.partitions.cells import (
     UNKNOWN,
+    Breakpoints,
     Cells,
     Partitions,
     low_pass_pole,
@@ -30,9 +32,6 @@ from tissueid.identification.volterra.lag_grid import LagGrid, automatic_grid, l
 from tissueid.language import marked
 from tissueid.messages import Message
 from tissueid.records import Record
-
-if TYPE_CHECKING:
-    from tissueid.identification.engines.partitions import PartitionEngine
 
 Offset = Literal["auto", "common", "mean", "partition"]
 _OFFSETS = (marked("auto"), marked("common"), marked("mean"), marked("partition"))
@@ -56,6 +55,59 @@ _STEPPED = Message(
     "and stiffness",
 )
 _OWN_OFFSETS = Message("partitions.own_offsets", "the input is stepped: every partition has its own offset")
+
+
+class PartitionEngine(MemoryEngine):
+    """Options and fit that both engines share."""
+
+    directional: ClassVar[bool]
+    usual_memory_s: ClassVar[float] = 0.06
+    memory_margin: ClassVar[float] = 1.0
+
+    partitions: int = option(7, marked("Partitions"), marked("Number of depth partitions"), ge=1, le=100)
+    breakpoints: Breakpoints = option(
+        "count", marked("Breakpoints"), marked("Partitions with equal counts of samples, or of equal width")
+    )
+    breakpoints_m: tuple[float, ...] | None = option(
+        None,
+        marked("Given breakpoints"),
+        marked("Increasing positions of the cuts, m; replace the number of partitions"),
+    )
+    filter_hz: float | None = option(
+        None,
+        marked("Low-pass"),
+        marked("Cutoff of the low-pass for the output that selects the partition; no low-pass if not given"),
+        gt=0.0,
+        le=1e6,
+    )
+    downsample: int | None = option(
+        None,
+        marked("Downsampling"),
+        marked("Samples between the lags of the kernels; from the input if not given"),
+        ge=1,
+        le=1000,
+    )
+    offset: Offset = option(
+        "auto",
+        marked("Offset"),
+        marked(
+            "One offset and the force as measured (common, Eq. 5.1), one offset and the force about its mean (mean), "
+            "or a linear model with an offset for each partition (partition); auto uses partition for stepped records"
+        ),
+    )
+    correct: bool = option(
+        True,
+        marked("Bias correction"),
+        marked("Subtract the bias of the estimator, found on a simulated tissue with the estimated parameters"),
+    )
+
+    def fit(self, record: Record, fit_part: slice | None = None) -> PartitionedModel:
+        """Fit the kernels to a record, or to a contiguous part of it.
+
+        Raises:
+            UnusableInputError: nothing varies, or too few samples for the memory and the partitions.
+        """
+        return fit_partitions(self, record, fit_part)
 
 
 def _cut(engine: PartitionEngine, output: Array, rows: Mask, sample_rate_hz: float) -> Partitions:

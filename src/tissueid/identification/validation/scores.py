@@ -27,12 +27,35 @@ _LEAST = 1e-12
 """Lower bound on the unexplained share of the variance in the t statistic."""
 
 
+_LEAST_SHARE = 1e-2
+_LEAST_SHARE_ALIKE = 1e-4
+"""Least variance of a held-out output relative to the fitted one: if it looks like noise, and if it does not."""
+
+
 def vaf_std_percent(measured: Array, error: Array, sample_rate_hz: float) -> float:
     """Return the standard deviation of a VAF (Eq. 3.13), percentage points, over similar records.
 
     ``measured`` and ``error`` have shape (n,) and hold no NaN.
     """
     return 100.0 * ratio_std((error - error.mean()) ** 2, (measured - measured.mean()) ** 2, sample_rate_hz)
+
+
+def above_noise(measured: Array, fitted: Array | None = None) -> bool:
+    """Return whether an output (n,), NaN where it is unknown, varies above its noise, so that it can be scored.
+
+    It does if its variance is not far below that of the ``fitted`` output (m,) or, above a smaller share, if neighbours
+    are more alike than noise is: their mean squared difference is 2 variances for white noise (von Neumann 1941).
+    """
+    known = np.isfinite(measured)
+    variance = float(np.var(measured[known])) if known.sum() > 1 else 0.0
+    if variance == 0.0:
+        return False
+    steps = np.diff(measured)
+    alike = float(np.nanmean(steps**2)) < variance if np.isfinite(steps).any() else False
+    if fitted is None or not np.isfinite(fitted).any():
+        return alike
+    share = variance / max(float(np.nanvar(fitted)), 1e-300)
+    return share > (_LEAST_SHARE_ALIKE if alike else _LEAST_SHARE)
 
 
 def unrelated_p_value(measured: Array, simulated: Array) -> float:

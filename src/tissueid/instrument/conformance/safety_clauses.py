@@ -9,9 +9,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from tissueid.instrument.conformance.clause import NotTestedError, clause, require, violated
-from tissueid.instrument.conformance.device import DeviceUnderTest, Run
+from tissueid.instrument.conformance.device import GENTLE_N, DeviceUnderTest, Run
 from tissueid.instrument.conformance.line import Act
 from tissueid.instrument.conformance.run_clauses import STEP
+from tissueid.instrument.interface import SIGNALS
 from tissueid.language import marked
 from tissueid.messages import Message
 from tissueid.wire import Fault, Flag, MessageType, Result, State
@@ -105,13 +106,18 @@ def _not_finite(device: DeviceUnderTest) -> None:
     device.require_state(State.LOADED)
 
 
-@clause("5.3b", marked("Limits above those of the device, or that contradict each other, are refused"))
+@clause(
+    "5.3b", marked("Limits above those of the device, that contradict each other, or below any reading are refused")
+)
 def _beyond(device: DeviceUnderTest) -> None:
     device.load(_quiet(device, 0.01))
     stroke = device.known.device.stroke_m
     for changed in (
         {"max_force_n": 0.0},
         {"max_force_n": -1.0},
+        {"max_force_n": 5e-324},
+        {"max_temperature_c": -1e308},
+        {"min_position_m": 0.01, "max_position_m": 0.01 + 1e-9},
         {"max_force_n": device.known.max_force_n * 1.01, "min_position_m": 0.0, "max_position_m": stroke},
         {"max_temperature_c": device.known.max_temperature_c + 0.5},
         {"min_position_m": 0.01, "max_position_m": 0.01},
@@ -161,8 +167,9 @@ def _ends(device: DeviceUnderTest) -> None:
 def _force(device: DeviceUnderTest) -> None:
     constant = device.known.device.force_constant_n_per_a
     noise_a = np.abs(device.physical(device.readings(0.2), "current"))
-    if not noise_a.max() > 0.0:
-        raise NotTestedError(Message("conformance.no_noise", "the current reads exactly zero without a command"))
+    step_a = float(device.known.gains[SIGNALS.index("current")])
+    if not noise_a.max() > 2.0 * step_a:
+        raise NotTestedError(Message("conformance.no_noise", "the current reads zero without a command"))
     # A limit within the noise of the sensor: the force need not be real for the check to see it.
     limit = min(0.5 * constant * float(noise_a.max()), device.force_n)
     run = device.play(_quiet(device, 0.5), max_force_n=limit)
@@ -219,6 +226,24 @@ def _lowered(device: DeviceUnderTest) -> None:
     wanted = np.abs(codes[3 : position.size]) * gain - most_v
     lowered = run.flagged(Flag.LIMITED)[3 : position.size]
     require(lowered[wanted > STEP * gain].any(), "flag 64 on lowered samples", "none")
+
+
+@clause("5.4f", marked("Above 2 N the near end of the position converter is a STROKE fault"), drives=True)
+def _end_of_converter(device: DeviceUnderTest) -> None:
+    end, force_n = -32768, 1.05 * GENTLE_N
+    codes = device.codes(-0.9 * device.force_n, round(0.8 * device.rate_hz))
+    device.play(codes)  # off the far end, where a free coil lies
+    reached = False
+    if device.known.max_force_n >= force_n:
+        device.keep_alive(True)
+        device.arm(max_force_n=force_n, min_position_m=0.0, max_position_m=device.known.device.stroke_m)
+        run = device.finish_run(device.start(), 2.0)
+        at_end = np.flatnonzero(run.samples["position"] == end)
+        reached = at_end.size > 0
+    if not reached:
+        raise NotTestedError(Message("conformance.end_not_reached", "the probe does not reach that end"))
+    # A probe that begins there has half a second to leave.
+    _require_fault(run, Fault.STROKE, int(at_end[0]) if at_end[0] > 0 else round(0.5 * device.rate_hz) + 1)
 
 
 @clause(

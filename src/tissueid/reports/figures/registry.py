@@ -9,11 +9,9 @@ from __future__ import annotations
 import importlib
 import math
 import pkgutil
-import warnings
 from collections.abc import Callable
 from dataclasses import dataclass
 from functools import cache
-from importlib.metadata import entry_points
 from typing import Any, Generic, Literal, TypeVar
 
 from matplotlib.figure import Figure
@@ -26,6 +24,7 @@ from tissueid.identification.base import Array, Model
 from tissueid.identification.depth_profile import DepthProfile
 from tissueid.language import _
 from tissueid.messages import translated
+from tissueid.plugins import load_plugins
 from tissueid.records import Record
 from tissueid.reports.blocks import Picture, picture
 from tissueid.reports.plot_renderer import column_figure
@@ -201,8 +200,4 @@ def _load() -> None:
     package = importlib.import_module("tissueid.reports.figures")
     for module in pkgutil.iter_modules(package.__path__):
         importlib.import_module(f"{package.__name__}.{module.name}")
-    for plugin in entry_points(group="tissueid.figures"):
-        try:
-            plugin.load()
-        except Exception as error:  # noqa: BLE001 - a plug-in may fail in any way, and must fail alone
-            warnings.warn(f"the figures {plugin.name!r} ({plugin.value}) were left out: {error}", stacklevel=2)
+    load_plugins("tissueid.figures", "figure", lambda loaded: loaded)

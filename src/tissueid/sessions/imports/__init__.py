@@ -10,16 +10,16 @@ from tissueid.sessions.imports.imported_session import (
     instrument_figures,
 )
 from tissueid.sessions.imports.imported_test import Choices, Imported, Source, import_test, is_record, open_foreign
-from tissueid.units import alternatives
+from tissueid.sessions.imports.stated_units import OFFERED
 
 __all__ = [
     "FORMATS",
+    "OFFERED",
     "ROLES",
     "Choices",
     "Imported",
     "ImportedSession",
     "Source",
-    "alternatives",
     "assembled",
     "check_new_session",
     "export_session",

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 from dataclasses import dataclass
 
@@ -11,24 +12,13 @@ from numpy.typing import NDArray
 from tissueid.errors import UnusableInputError
 from tissueid.language import marked
 from tissueid.messages import Action, Message, Verbatim
-from tissueid.sessions.imports.imported_table import ImportedTable
+from tissueid.sessions.imports.imported_table import NAMED_LIKE, TIME_NAMES, Column, ImportedTable, is_named_like
+from tissueid.sessions.imports.stated_units import OFFERED, offered_units, unit_named, unit_of
 from tissueid.sessions.model import SIGNAL_UNITS, STAND_INS
-from tissueid.units import Unit, alternatives, known_unit, unit_named
+from tissueid.units import Unit
 
 ROLES = (*SIGNAL_UNITS, *STAND_INS.values())
 """Roles of columns: time, a signal of the format, or input and output of another system."""
-
-_TIME_NAMES = frozenset({"time", "t", "x_value", "timestamp", "zeit", "temps", "tempo", "elapsed", "elapsed time"})
-_NAMED_LIKE = {
-    "position": ("pos", "disp", "depth", "weg", "indent", "stroke", "auslenkung", "eindr", "deplacement"),
-    "force": ("force", "kraft", "load", "fz", "newton"),
-    "voltage": ("volt", "spannung"),
-    "current": ("curr", "strom", "amp"),
-    "command": ("command", "cmd", "soll"),
-    "temperature": ("temp",),
-}
-"""Parts of the names of columns that indicate each signal, in English, German and French."""
-_TIME_UNITS = ("s", "ms", "us", "min")
 
 _PLAUSIBLE = {
     "force": (0.02, 200.0),
@@ -51,6 +41,8 @@ class Mapped:
     place: int
     header: str
     unit: Unit
+    is_assumed: bool = False
+    """Whether the file does not state the unit, and nobody chose it."""
 
 
 def parse_map(options: Sequence[str]) -> dict[str, tuple[str, str]]:
@@ -73,7 +65,7 @@ def parse_map(options: Sequence[str]) -> dict[str, tuple[str, str]]:
         if not colon or ")" in unit:  # the colon of MATLAB's x(:,2)
             column, unit = rest, ""
         if unit:
-            _checked(role, unit_named(unit))
+            checked_unit(role, unit)
         found[role] = (column, unit)
     if len(found.keys() - {"time"}) < 2:
         raise UnusableInputError("--map has to name at least two signals, an input and an output")
@@ -95,52 +87,128 @@ def mapped(file: ImportedTable, wanted: dict[str, tuple[str, str]]) -> tuple[lis
             raise UnusableInputError(
                 Message("import.column_twice", "column '{column}' is used for two signals", column=Verbatim(column))
             )
-        if not unit and not chosen_column.unit:
-            raise UnusableInputError(
-                Message(
-                    "import.no_unit",
-                    "column '{column}' does not state its unit: choose it ({action})",
-                    column=Verbatim(chosen_column.header or column),
-                    action=Action("import.unit", f"--map {role}={column}:UNIT", marked("the list Unit")),
-                )
-            )
-        chosen = _checked(role, unit_named(unit or chosen_column.unit))
-        if unit and chosen_column.unit and chosen != known_unit(chosen_column.unit):
-            notices.append(
-                Message(
-                    "import.other_unit",
-                    "{role}: the file says {stated}, and was read in {used}, as requested",
-                    role=role,
-                    stated=Verbatim(chosen_column.unit),
-                    used=chosen.symbol,
-                )
-            )
-        found.append(Mapped(role, place, chosen_column.header or f"column {place + 1}", chosen))
+        header = chosen_column.header or f"column {place + 1}"
+        if unit:
+            chosen, contrary = _chosen(role, header, chosen_column, unit)
+            notices += contrary
+        else:
+            chosen = _stated(role, column, chosen_column)
+        found.append(Mapped(role, place, header, chosen))
     return found, notices
+
+
+def _chosen(role: str, header: str, column: Column, text: str) -> tuple[Unit, list[str]]:
+    """Return the unit that a user chose, and notices where the file states another text.
+
+    Raises:
+        UnusableInputError: the file states another unit, and the choice does not end in "!".
+    """
+    chosen = checked_unit(role, text)
+    expected = SIGNAL_UNITS.get(role, "")
+    stated = "s" if column.dated else column.unit_for(role, expected)
+    known = unit_of(stated, expected) if stated else None
+    if not stated or (known is not None and _size(known) == _size(chosen)):
+        return chosen, []
+    if column.dated or (known is not None and not text.endswith("!") and not _is_weight(known, chosen)):
+        raise UnusableInputError(
+            "import.contradiction",
+            "column '{column}' is in {stated} by its header, not in {used}: choose {stated}, or write {used}! if the "
+            "header is wrong",
+            column=Verbatim(header),
+            stated=Verbatim(stated),
+            used=chosen.symbol,
+        )
+    return chosen, [
+        Message(
+            "import.other_unit",
+            "{role}: the file says {stated}, and was read in {used}, as requested",
+            role=role,
+            stated=Verbatim(stated),
+            used=chosen.symbol,
+        )
+    ]
+
+
+def _stated(role: str, wanted: str, column: Column) -> Unit:
+    """Return the unit that the file states for a role.
+
+    Raises:
+        UnusableInputError: it states none, an unknown one, or one of another quantity.
+    """
+    expected = SIGNAL_UNITS.get(role, "")
+    stated = "s" if column.dated else column.unit_for(role, expected)
+    action = Action("import.unit", f"--map {role}={wanted}:UNIT", marked("the list Unit"))
+    header = Verbatim(column.header or wanted)
+    if not stated:
+        raise UnusableInputError(
+            "import.no_unit",
+            "column '{column}' does not state its unit: choose it ({action})",
+            column=header,
+            action=action,
+        )
+    if unit_of(stated, expected) is None:
+        raise UnusableInputError(
+            "import.unit_not_known",
+            "column '{column}' states the unit '{unit}', which is unknown or has several meanings: choose it "
+            "({action}), such as {units}",
+            column=header,
+            unit=Verbatim(stated),
+            action=action,
+            units=", ".join(OFFERED.get(expected, ("V", "mm", "degC", "1"))),
+        )
+    return checked_unit(role, stated)
+
+
+def _size(unit: Unit) -> tuple[str, float, float, float]:
+    return unit.si, unit.factor, unit.divisor, unit.offset
+
+
+def _is_weight(stated: Unit, chosen: Unit) -> bool:
+    """Return whether a stated mass and a chosen force are the same load, such as kg and kgf."""
+    return (stated.si, chosen.si) == ("kg", "N") and math.isclose(stated.scale, 9.80665 * chosen.scale)
 
 
 def guessed_role(file: ImportedTable, place: int) -> str:
     """Return the probable role of a column by its name or else by its unit; "" if unknown."""
     column = file.columns[place]
-    if place == file.time or column.name.casefold() in _TIME_NAMES:
+    if place == file.time or column.dated or column.name.casefold() in TIME_NAMES:
         return "time"
-    name = column.name.casefold()
-    unit = known_unit(column.unit) if column.unit else None
-    fits = [role for role in _NAMED_LIKE if unit is None or SIGNAL_UNITS[role] == unit.si]
-    named = [role for role in fits if any(part in name for part in _NAMED_LIKE[role])]
+    units = {role: column.unit_for(role, SIGNAL_UNITS[role]) for role in NAMED_LIKE}
+    by_unit = [
+        role
+        for role, stated in units.items()
+        if stated and (unit := unit_of(stated, SIGNAL_UNITS[role])) is not None and unit.si == SIGNAL_UNITS[role]
+    ]
+    unknown = not column.unit or all(unit_of(column.unit, SIGNAL_UNITS[role]) is None for role in NAMED_LIKE)
+    named = [role for role in by_unit or (NAMED_LIKE if unknown else ()) if is_named_like(role, column.name)]
     if named:
         return named[0]
-    return fits[0] if unit is not None and len(fits) == 1 else ""
+    return by_unit[0] if len(by_unit) == 1 else ""
 
 
 def time_column(file: ImportedTable, taken: Sequence[Mapped]) -> Mapped | None:
-    """Return the time column by the rules of the format, or by its name; None if there is none."""
+    """Return the time column by the rules of the format, or by its name; None if there is none.
+
+    Raises:
+        UnusableInputError: it states a unit that is not one of time.
+    """
     places = [file.time] if file.time is not None else []
-    places += [place for place, column in enumerate(file.columns) if column.name.casefold() in _TIME_NAMES]
+    places += [place for place, column in enumerate(file.columns) if column.name.casefold() in TIME_NAMES]
+    dated = [place for place, column in enumerate(file.columns) if column.dated]
+    places += dated if len(dated) == 1 else []
+    refused: UnusableInputError | None = None
     for place in places:
         column = file.columns[place]
-        if all(other.place != place for other in taken) and column.unit in ("", *_TIME_UNITS):
-            return Mapped("time", place, column.header, unit_named(column.unit or "s"))
+        if any(other.place == place for other in taken):
+            continue
+        if not column.dated and not column.unit_for("time", "s"):
+            return Mapped("time", place, column.header, Unit("s", "s"), is_assumed=True)
+        try:
+            return Mapped("time", place, column.header, _stated("time", str(place + 1), column))
+        except UnusableInputError as error:
+            refused = refused or error
+    if refused is not None:
+        raise refused
     return None
 
 
@@ -214,30 +282,28 @@ def doubts(role: str, unit: Unit, values: NDArray[np.float64], *, quiet: bool = 
 def _better(unit: Unit, spread: float, least: float, most: float) -> list[str]:
     """Return the units in which the range would be plausible."""
     fits = []
-    for other in alternatives(unit.si):
+    for other in offered_units(unit.si):
         would = spread * unit.divisor / unit.factor * other.factor / other.divisor
-        if other != unit and least <= would <= most:
+        if other.symbol != unit.symbol and least <= would <= most:
             fits.append(other.symbol)
     return fits
 
 
-def _checked(role: str, unit: Unit) -> Unit:
-    """Return the unit after checking that it fits the quantity of the signal.
+def checked_unit(role: str, text: str) -> Unit:
+    """Return the unit of a text after checking that it fits the quantity of the signal.
 
     Raises:
-        UnusableInputError: it does not.
+        UnusableInputError: it is unknown, or does not fit.
     """
-    expected = SIGNAL_UNITS.get(role)
-    if expected is not None and unit.si != expected:
-        known = ", ".join(other.symbol for other in alternatives(expected))
+    expected = SIGNAL_UNITS.get(role, "")
+    unit = unit_named(text.removesuffix("!"), role, expected)
+    if expected and unit.si != expected:
         raise UnusableInputError(
-            Message(
-                "import.wrong_unit",
-                "{role} is measured in {expected}, not in {unit}; its units are {units}",
-                role=role,
-                expected=expected,
-                unit=unit.symbol,
-                units=known,
-            )
+            "import.wrong_unit",
+            "{role} is measured in {expected}, not in {unit}; its units are {units}",
+            role=role,
+            expected=expected,
+            unit=unit.symbol,
+            units=", ".join(OFFERED[expected]),
         )
     return unit

@@ -2,9 +2,10 @@
 
 from __future__ import annotations
 
+import re
 from collections import Counter
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from itertools import islice, product
 from pathlib import Path
 
@@ -13,25 +14,29 @@ from numpy.typing import NDArray
 
 from tissueid.errors import UnusableInputError
 from tissueid.messages import Message
-from tissueid.sessions.imports.imported_table import ROWS, Column, ImportedTable, Rows
+from tissueid.sessions.imports.imported_table import DECIMAL, ROWS, Column, ImportedTable, Rows
+from tissueid.sessions.imports.stated_units import NO_UNIT, is_a_unit, unit_of
 from tissueid.sessions.imports.text_cells import (
+    GROUPED,
     blocks_of,
     cells_of,
     encoding_of,
     head_of,
     is_missing,
     is_number,
+    is_time,
     lines_of,
     numbers,
+    seconds,
     shown,
 )
-from tissueid.units import known_unit
 from tissueid.untrusted_input import MAX_COLUMNS
 
 _LOOKED_AT = 400
 """Number of lines by which the layout is detected."""
 _DELIMITERS = ("\t", ";", ",", "|", " ")
 _COMMENTS = ("#", "%", "//")
+_BRACKETS = re.compile(r"[(\[{]\s*(.*?)\s*[)\]}]")
 _DECIMAL_COMMAS = {
     "\t": Message("import.decimal_commas", "read with decimal commas and tabs between the columns"),
     ";": Message("import.decimal_commas", "read with decimal commas and semicolons between the columns"),
@@ -43,23 +48,30 @@ _DECIMAL_COMMAS = {
 
 @dataclass(frozen=True)
 class _Layout:
-    """Layout of a file; ``start`` is its first line of data, from 0."""
+    """Layout of a file; ``start`` is its first line of data, from 0.
+
+    ``grouping`` is the sign between thousands. ``is_sure`` is whether the first lines tell it from the decimal sign.
+    """
 
     delimiter: str
     decimal: str
     width: int
     start: int
     columns: tuple[Column, ...]
+    is_sure: bool = True
+    grouping: str = ""
 
 
-def open_csv(path: Path) -> ImportedTable:
+def open_csv(path: Path, decimal: str | None = None) -> ImportedTable:
     """Open a text file of rows, without reading its data yet.
+
+    ``decimal`` is the decimal sign, "." or ",", of a file in which it cannot be told from a sign between thousands.
 
     Raises:
         UnusableInputError: it is not text, or has no rows of two or more cells with numbers.
     """
     encoding = encoding_of(path)
-    layout = _layout(head_of(lines_of(path, encoding), _LOOKED_AT))
+    layout = _layout(head_of(lines_of(path, encoding), _LOOKED_AT), decimal)
 
     def load(places: Sequence[int], rows: Rows) -> tuple[list[NDArray[np.float64]], range]:
         return _load(path, encoding, layout, places, rows)
@@ -77,7 +89,7 @@ def _is_comment(line: str) -> bool:
     return line.lstrip().startswith(_COMMENTS)
 
 
-def _layout(lines: list[str]) -> _Layout:
+def _layout(lines: list[str], decimal_sign: str | None) -> _Layout:
     data_lines = [line for line in lines if line.strip() and not _is_comment(line)]
     best, layout = 0.0, None
     for delimiter, decimal in product(_DELIMITERS, (".", ",")):
@@ -99,7 +111,28 @@ def _layout(lines: list[str]) -> _Layout:
             )
         )
     start = _first_row(lines, delimiter, decimal, width)
-    return _Layout(delimiter, decimal, width, start, _columns(lines[:start], delimiter, width, lines[start:]))
+    rows = [row for line in lines[start:] if len(row := cells_of(line, delimiter)) == width]
+    columns = [
+        replace(column, dated=_is_dated([row[place] for row in rows]))
+        for place, column in enumerate(_columns(lines[:start], delimiter, width, lines[start:]))
+    ]
+    if decimal_sign is not None:
+        return _Layout(
+            delimiter, decimal_sign, width, start, tuple(columns), grouping="," if decimal_sign == "." else "."
+        )
+    is_sure = any(_shows(cell.strip(), decimal) for row in rows for cell in row)
+    return _Layout(delimiter, decimal, width, start, tuple(columns), is_sure)
+
+
+def _shows(cell: str, decimal: str) -> bool:
+    """Return whether a cell shows that this is the decimal sign, and not a sign between thousands."""
+    return decimal in cell and is_number(cell, decimal) and not GROUPED[decimal].fullmatch(cell)
+
+
+def _is_dated(cells: list[str]) -> bool:
+    """Return whether the cells are dates with times, or times of day."""
+    texts = [cell for cell in cells if not is_missing(cell)]
+    return bool(texts) and all(map(is_time, texts))
 
 
 def _score(rows: list[list[str]], decimal: str) -> tuple[float, int]:
@@ -114,7 +147,7 @@ def _score(rows: list[list[str]], decimal: str) -> tuple[float, int]:
     for row in different:
         if row.total() == width:
             found = sum(count for cell, count in row.items() if is_number(cell, decimal))
-            texts = width - found - sum(count for cell, count in row.items() if is_missing(cell))
+            texts = width - found - sum(count for cell, count in row.items() if is_missing(cell) or is_time(cell))
             score += max(0.0, found - 0.9 * texts)
     return score, width
 
@@ -148,13 +181,24 @@ def _columns(above: list[str], delimiter: str, width: int, below: list[str]) -> 
             heads.append(cells)
     if not heads:
         return tuple(Column("") for _ in range(width))
-    units = [cell.strip("()[]") for cell in heads[-1]]
-    if len(heads) > 1 and any(units) and all(not unit or known_unit(unit) for unit in units):
-        return tuple(
-            Column(name, unit.symbol if (unit := known_unit(text)) else Column.headed(name).unit)
-            for name, text in zip(heads[-2], units, strict=True)
-        )
+    units = [_BRACKETS.sub(r"\1", cell) for cell in heads[-1]]
+    if len(heads) > 1 and _are_units(heads[-1]):
+        return tuple(_under(name, unit) for name, unit in zip(heads[-2], units, strict=True))
     return tuple(Column.headed(name) for name in heads[-1])
+
+
+def _are_units(cells: list[str]) -> bool:
+    """Return whether a row under the names states units: each in brackets, or at least half of them known."""
+    texts = [cell for cell in cells if cell and cell not in NO_UNIT]
+    known = sum(is_a_unit(_BRACKETS.sub(r"\1", text)) for text in texts)
+    return bool(texts) and (all(_BRACKETS.fullmatch(text) for text in texts) or 2 * known >= len(texts))
+
+
+def _under(name: str, unit: str) -> Column:
+    """Return a column with the unit of the row under its name; another unit in the name makes it unknown."""
+    headed = Column.headed(name)
+    same = not unit or not headed.unit or unit_of(unit) == unit_of(headed.unit)
+    return Column(name, (unit or headed.unit) if same else f"{headed.unit}, {unit}")
 
 
 # -- reading --------------------------------------------------------------------------------------------------
@@ -197,16 +241,52 @@ def _load(
 
 def _numbers(cells: list[str], block: list[tuple[int, str]], layout: _Layout, place: int) -> NDArray[np.float64]:
     try:
+        if layout.columns[place].dated:
+            return seconds(cells)
+        if layout.grouping:
+            sign = layout.grouping
+            cells = [cell.replace(sign, "") if GROUPED[sign].fullmatch(cell.strip()) else cell for cell in cells]
+        elif not layout.is_sure:
+            _check_grouping(cells, block, layout, place)
         return numbers(cells, layout.decimal)
     except ValueError as error:
         bad = int(error.args[0])
+        if not layout.grouping and any(pattern.fullmatch(cells[bad].strip()) for pattern in GROUPED.values()):
+            raise _thousands(block[bad][0], place, cells[bad]) from error
         raise UnusableInputError(
-            Message(
-                "import.not_a_number",
-                "line {line}, column {column}: {found} is not a number; leave rows out ({rows})",
-                line=block[bad][0],
-                column=place + 1,
-                found=shown(cells[bad]),
-                rows=ROWS,
-            )
+            "import.not_a_number",
+            "line {line}, column {column}: {found} is not a number; leave rows out ({rows})",
+            line=block[bad][0],
+            column=place + 1,
+            found=shown(cells[bad]),
+            rows=ROWS,
         ) from error
+
+
+def _thousands(line: int, place: int, cell: str) -> UnusableInputError:
+    return UnusableInputError(
+        "import.thousands",
+        "line {line}, column {column}: {found} can be a number of thousands or one with decimals: choose its decimal "
+        "sign ({action})",
+        line=line,
+        column=place + 1,
+        found=shown(cell),
+        action=DECIMAL,
+    )
+
+
+def _check_grouping(cells: list[str], block: list[tuple[int, str]], layout: _Layout, place: int) -> None:
+    """Check that the decimal sign of a column cannot be a sign between thousands.
+
+    Raises:
+        UnusableInputError: it can: three digits follow each, as in 1,545. A point is doubted only beside cells without
+            one, because numbers of three decimals all have it.
+    """
+    sign = layout.decimal
+    having = [place for place, cell in enumerate(cells) if sign in cell]
+    if not having or (sign == "." and len(having) == len(cells)):
+        return
+    if any(re.match(r"\s*[+-]?\d{4}", cell) for cell in cells):
+        return
+    if all(GROUPED[sign].fullmatch(cells[each].strip()) for each in having):
+        raise _thousands(block[having[0]][0], place, cells[having[0]])

@@ -17,6 +17,7 @@ from numpy.typing import NDArray
 
 from tissueid.atomic_write import atomic_folder
 from tissueid.errors import UnusableInputError
+from tissueid.formatting import cell_text
 from tissueid.messages import Message
 from tissueid.sessions.imports.export_attributes import ColumnPart, attributes_text
 from tissueid.sessions.model import Session, Test
@@ -24,9 +25,6 @@ from tissueid.sessions.model import Session, Test
 _BLOCK = 65_536
 _LONGEST_VARIABLE = 63
 """Longest name of a MATLAB variable, characters."""
-
-_FORMULA = ("=", "+", "-", "@")
-"""First characters of spreadsheet formulas."""
 
 _Columns = dict[str, NDArray[np.float64]]
 
@@ -108,7 +106,7 @@ def _columns(test: Test, named: Callable[[str, str], str]) -> tuple[_Columns, di
 def _header(signal: str, unit: str) -> str:
     """Return a header such as "force (N)"; an apostrophe prevents that a spreadsheet reads a formula."""
     plain = "".join(mark if mark.isprintable() else "_" for mark in signal).strip() or "_"
-    plain = f"'{plain}" if plain.startswith(_FORMULA) else plain
+    plain = cell_text(plain)
     return plain if unit == "1" else f"{plain} ({unit})"
 
 

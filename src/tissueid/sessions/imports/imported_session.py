@@ -68,6 +68,7 @@ def import_session(
     pseudonym: str | None = None,
     rate_hz: float | None = None,
     resample_hz: float | None = None,
+    decimal: str | None = None,
     progress: Callable[[str, float], None] = lambda *_: None,
 ) -> ImportedSession:
     """Read one test from each source and write them as one session.
@@ -84,7 +85,7 @@ def import_session(
     tests = []
     for done, (source, choice) in enumerate(zip(sources, choices, strict=True)):
         progress(_READING, done / len(sources))
-        tests.append(import_test(source, wanted, choice, rate_hz=rate_hz, resample_hz=resample_hz))
+        tests.append(import_test(source, wanted, choice, rate_hz=rate_hz, resample_hz=resample_hz, decimal=decimal))
     progress(_READING, 1.0)
     session, notices = assembled(tests, dict(figures or {}), pseudonym)
     progress(_WRITING, 0.0)

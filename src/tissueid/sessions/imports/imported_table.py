@@ -14,10 +14,16 @@ from numpy.typing import NDArray
 from tissueid.errors import UnusableInputError
 from tissueid.language import marked
 from tissueid.messages import Action, Message, Verbatim
-from tissueid.units import split_header
+from tissueid.sessions.imports.stated_units import (
+    NO_UNIT,
+    is_a_unit,
+    is_clear_suffix,
+    split_header,
+    split_suffix,
+    unit_of,
+)
 from tissueid.untrusted_input import MAX_SAMPLES
 
-MAX_BYTES = 4_000_000_000
 _MOST_LISTED = 20
 """Most columns that a message lists."""
 _LONGEST_NAME = 60
@@ -25,6 +31,7 @@ _LONGEST_NAME = 60
 ROWS = Action("import.rows", "@FIRST:LAST", marked("the field Rows"))
 RATE = Action("import.rate", "--rate HZ", marked("a sample rate"))
 TIME = Action("import.time", "--map time=COLUMN:UNIT", marked("a column of times"))
+DECIMAL = Action("import.decimal", "--decimal point or --decimal comma", marked("the list Decimal sign"))
 MAP = Action("import.map", "--map ROLE=COLUMN:UNIT", marked("the lists of the columns"))
 
 
@@ -82,10 +89,14 @@ class Rows:
 
 @dataclass(frozen=True)
 class Column:
-    """One column: its ``header`` and the symbol of its ``unit``, "" if the file does not state it."""
+    """One column: its ``header`` and the text of the ``unit`` that the file states, "" if it states none.
+
+    ``dated`` is whether its cells are dates or times of day, which are read in s.
+    """
 
     header: str
     unit: str = ""
+    dated: bool = False
 
     @classmethod
     def headed(cls, header: str) -> Column:
@@ -94,8 +105,42 @@ class Column:
 
     @property
     def name(self) -> str:
-        """The header without its unit."""
-        return split_header(self.header)[0]
+        """The header without its unit, and without a suffix that is one."""
+        name, stated = split_header(self.header)
+        before, suffix = split_suffix(name)
+        return before if not stated and suffix and is_a_unit(suffix) else name
+
+    def unit_for(self, role: str, expected: str) -> str:
+        """Return the text of the unit that the file states for a role with this SI unit; "" if it states none.
+
+        A suffix counts where it cannot be anything else, or where the name before it is one of the role.
+        """
+        if self.unit:
+            return "" if self.unit in NO_UNIT and expected not in ("", "1") else self.unit
+        name, suffix = split_suffix(self.header)
+        if not suffix or not (is_clear_suffix(suffix, expected) or (expected and is_named_like(role, name))):
+            return ""
+        unit = unit_of(suffix, expected)
+        return suffix if unit is not None and (not expected or unit.si == expected) else ""
+
+
+TIME_NAMES = frozenset({"time", "t", "x_value", "timestamp", "zeit", "temps", "tempo", "elapsed", "elapsed time"})
+"""Usual names of a column of times."""
+NAMED_LIKE = {
+    "position": ("pos", "disp", "depth", "weg", "indent", "stroke", "auslenkung", "eindr", "deplacement"),
+    "force": ("force", "kraft", "load", "fz", "newton"),
+    "voltage": ("volt", "spannung"),
+    "current": ("curr", "strom", "amp"),
+    "command": ("command", "cmd", "soll"),
+    "temperature": ("temp",),
+}
+"""Parts of the names of columns that indicate each signal, in English, German and French."""
+
+
+def is_named_like(role: str, name: str) -> bool:
+    """Return whether the name of a column is a usual one for a role."""
+    name = name.casefold()
+    return name in TIME_NAMES if role == "time" else any(part in name for part in NAMED_LIKE.get(role, (role,)))
 
 
 Loader = Callable[[Sequence[int], Rows], tuple[list[NDArray[np.float64]], range]]
@@ -171,28 +216,6 @@ class ImportedTable:
                 columns=Verbatim(self.listed()),
             )
         )
-
-
-def checked_size(path: Path) -> int:
-    """Return the size of a file in bytes after checking that it can be read.
-
-    Raises:
-        UnusableInputError: it is missing, not a file, empty or too large.
-    """
-    if path.is_dir():
-        raise UnusableInputError(Message("file.folder", "is a folder; name a file"))
-    if not path.exists():
-        raise UnusableInputError(Message("file.no_such", "no such file"))
-    if not path.is_file():
-        raise UnusableInputError(Message("file.not_plain", "is not an ordinary file"))
-    size = path.stat().st_size
-    if size == 0:
-        raise UnusableInputError(Message("file.empty", "is empty"))
-    if size > MAX_BYTES:
-        raise UnusableInputError(
-            Message("file.too_large", "has {size} bytes; at most {most} are read", size=size, most=MAX_BYTES)
-        )
-    return size
 
 
 def sha256_of(path: Path) -> str:

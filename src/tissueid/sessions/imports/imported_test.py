@@ -15,14 +15,14 @@ from numpy.typing import NDArray
 
 from tissueid.errors import UnusableInputError
 from tissueid.messages import Message, Verbatim
-from tissueid.sessions.hdf5_members import located
+from tissueid.sessions.file_policy import checked_size, located
 from tissueid.sessions.imports.column_mapping import Mapped, doubts, mapped, time_column
 from tissueid.sessions.imports.csv import open_csv
 from tissueid.sessions.imports.export_attributes import Attributes, attributes_beside
-from tissueid.sessions.imports.imported_table import MAP, RATE, ROWS, TIME, ImportedTable, Rows, checked_size, sha256_of
+from tissueid.sessions.imports.imported_table import MAP, RATE, ROWS, TIME, ImportedTable, Rows, sha256_of
 from tissueid.sessions.imports.lvm import FIRST_LINE, open_lvm
 from tissueid.sessions.imports.mat import HDF5_MARK, MARK, open_mat
-from tissueid.sessions.imports.sample_clock import Clock, clock_of, resampled, steady
+from tissueid.sessions.imports.sample_clock import Clock, check_seconds, clock_of, resampled, steady
 from tissueid.sessions.model import DATE_NOTE, SIGNAL_UNITS, Test
 from tissueid.units import Unit
 
@@ -34,8 +34,8 @@ def is_record(path: Path) -> bool:
     return path.suffix.lower() not in (*_SESSIONS, "")
 
 
-def open_foreign(path: Path) -> ImportedTable:
-    """Open a file of another program: CSV, MAT or LVM.
+def open_foreign(path: Path, decimal: str | None = None) -> ImportedTable:
+    """Open a file of another program: CSV, MAT or LVM. ``decimal`` is the decimal sign of a CSV file (``open_csv``).
 
     Raises:
         UnusableInputError: it is missing, or in none of these formats; the message does not name the file.
@@ -52,7 +52,7 @@ def open_foreign(path: Path) -> ImportedTable:
         raise UnusableInputError(
             Message("import.program", "can contain programs, and is not read: save it as CSV or MAT")
         )
-    return open_csv(path)
+    return open_csv(path, decimal)
 
 
 Origin = Literal["header", "modified"]
@@ -161,16 +161,18 @@ def import_test(
     *,
     rate_hz: float | None = None,
     resample_hz: float | None = None,
+    decimal: str | None = None,
 ) -> Imported:
     """Read one test.
 
-    ``wanted`` is column and unit by role; without it, the attributes file of ``tissueid export`` is used.
+    ``wanted`` is column and unit by role; without it, the attributes file of ``tissueid export`` is used. ``decimal``
+    is the decimal sign of a CSV file, needed only where it could separate thousands.
 
     Raises:
         UnusableInputError: the file, its columns, units or times cannot be used.
     """
     try:
-        return _import_test(source, wanted, choices, rate_hz, resample_hz)
+        return _import_test(source, wanted, choices, rate_hz, resample_hz, decimal)
     except UnusableInputError as error:
         raise UnusableInputError(located(str(source.path), error.message)) from error
     except MemoryError as error:
@@ -187,8 +189,9 @@ def _import_test(
     choices: Choices,
     rate_hz: float | None,
     resample_hz: float | None,
+    decimal: str | None,
 ) -> Imported:
-    file = open_foreign(source.path)
+    file = open_foreign(source.path, decimal)
     attributes = None
     created = ""
     if wanted is None:
@@ -241,7 +244,8 @@ def _import_test(
             )
         )
     values, rows = _loaded(file, source.rows, signals, time)
-    test = _clocked(file, values, signals, time, attributes, rate_hz, resample_hz, notices)
+    test, kept = _clocked(file, values, signals, time, attributes, rate_hz, resample_hz, notices)
+    rows = rows[kept]
     quiet = (choices.kind or (attributes.test.kind if attributes else "")) == "quiet"
     for column in signals if attributes is None else ():
         notices += doubts(column.role, column.unit, test.signals[column.role], quiet=quiet)
@@ -291,13 +295,15 @@ def _clocked(
     rate_hz: float | None,
     resample_hz: float | None,
     notices: list[str],
-) -> Test:
-    """Return a test with samples at a constant rate."""
+) -> tuple[Test, slice]:
+    """Return a test with samples at a constant rate, and the rows that it consists of."""
     stated_hz = attributes.test.sample_rate_hz if attributes else rate_hz
     units = {
         column.role: column.unit.si for column in signals if column.role not in SIGNAL_UNITS and column.unit.si != "1"
     }
     rows = values[0].size
+    if time is not None and time.is_assumed:
+        check_seconds(values[-1])
     if resample_hz is not None:
         if time is None:
             raise UnusableInputError("--resample needs times: --map time=COLUMN:UNIT")
@@ -318,7 +324,7 @@ def _clocked(
         clock = _clock(file, values[-1], stated_hz)
         notices += clock.notices
     arrays = {column.role: clock.laid_out(each) for column, each in zip(signals, values, strict=False)}
-    return Test(number=1, kind="stochastic", signals=arrays, sample_rate_hz=clock.rate_hz, units=units)
+    return Test(number=1, kind="stochastic", signals=arrays, sample_rate_hz=clock.rate_hz, units=units), clock.kept
 
 
 def _clock(file: ImportedTable, times: NDArray[np.float64], stated_hz: float | None) -> Clock:

@@ -5,6 +5,7 @@ Source: "Specification for the LabVIEW Measurement File (.lvm)", National Instru
 
 from __future__ import annotations
 
+import math
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, field
 from itertools import islice
@@ -14,10 +15,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from tissueid.errors import UnusableInputError
-from tissueid.messages import Message
+from tissueid.messages import Message, Verbatim
 from tissueid.sessions.imports.imported_table import Column, ImportedTable, Rows
 from tissueid.sessions.imports.text_cells import blocks_of, encoding_of, lines_of, numbers, shown
-from tissueid.units import known_unit
 from tissueid.untrusted_input import MAX_COLUMNS
 
 FIRST_LINE = "LabVIEW Measurement"
@@ -37,6 +37,10 @@ class _Segment:
     channels: list[str]
     first: int
     rows: int = 0
+    is_spaced: bool = False
+    """Whether the header has a cell for the times of each channel before that of the next."""
+    most_rows: float = math.inf
+    """Number of rows after which times start again, where they are not stored."""
 
 
 @dataclass(frozen=True)
@@ -51,17 +55,32 @@ class _Outline:
         """Return the index in a row of a column of the file."""
         return 2 * place - 1 if self.x_columns == "multi" and place else place
 
-    def figure(self, segment: _Segment, key: str) -> float | None:
-        """Return a number of the first channel in a segment's header; None if it is missing."""
+    def stated(self, segment: _Segment, key: str, channel: int) -> str:
+        """Return the text of one channel, from 0, in a segment's header; "" if it is missing.
+
+        With a column of times for each channel, the header has a cell for each of them as well.
+        """
         values = segment.header.get(key, [])
+        place = channel * (2 if segment.is_spaced else 1)
+        return values[place] if place < len(values) else ""
+
+    def figure(self, segment: _Segment, key: str, channel: int = 0) -> float | None:
+        """Return a number of one channel, from 0, in a segment's header; None if it is missing."""
+        value = self.stated(segment, key, channel)
         try:
-            return float(numbers(values[:1], self.decimal)[0]) if values and values[0].strip() else None
+            return float(numbers([value], self.decimal)[0]) if value else None
         except ValueError as error:
             raise UnusableInputError(
-                Message(
-                    "import.lvm_value", "its header says {key} {value}: not a number", key=key, value=shown(values[0])
-                )
+                Message("import.lvm_value", "its header says {key} {value}: not a number", key=key, value=shown(value))
             ) from error
+
+    def samples(self, segment: _Segment) -> float:
+        """Return the largest number of samples of a channel in a segment's header; 0 if it is missing."""
+        return max((self.figure(segment, "Samples", k) or 0.0 for k in range(len(segment.channels))), default=0.0)
+
+    def clock(self, segment: _Segment, channel: int) -> tuple[float, float | None]:
+        """Return the first time and the step of one channel, s."""
+        return self.figure(segment, "X0", channel) or 0.0, self.figure(segment, "Delta_X", channel)
 
 
 def open_lvm(path: Path) -> ImportedTable:
@@ -82,21 +101,21 @@ def open_lvm(path: Path) -> ImportedTable:
                     row=segment.first,
                 )
             )
-    units = [known_unit(text) for text in first.header.get("Y_Unit_Label", [])]
     stored = outline.x_columns != "no"
-    by_time = all(text in ("", "Time") for text in first.header.get("X_Dimension", ["Time"])[:1])
-    columns = [Column("X_Value", "s" if by_time else "")]
-    for place, name in enumerate(first.channels):
-        stated = units[place] if place < len(units) else None
-        columns.append(Column(name, stated.symbol) if stated else Column.headed(name))
+    dimension = outline.stated(first, "X_Dimension", 0) or "Time"
+    by_time = dimension == "Time"
+    columns = [Column("X_Value", outline.stated(first, "X_Unit_Label", 0) or ("s" if by_time else dimension))]
+    for channel, name in enumerate(first.channels):
+        stated = outline.stated(first, "Y_Unit_Label", channel)
+        columns.append(Column(name, stated) if stated else Column.headed(name))
     step = outline.figure(first, "Delta_X")
     if not stored and step is None:
         raise UnusableInputError(Message("import.lvm_no_time", "has neither times (X_Columns) nor a step (Delta_X)"))
     total = sum(segment.rows for segment in outline.segments)
     notices = []
     for segment in outline.segments:
-        said = outline.figure(segment, "Samples")
-        if said is not None and said != segment.rows:
+        said = outline.samples(segment)
+        if said > segment.rows:
             notices.append(
                 Message(
                     "import.lvm_rows",
@@ -142,14 +161,17 @@ def _rows(path: Path, encoding: str) -> Iterator[_Row]:
     outline = _file_header(lines)
     header: dict[str, list[str]] | None = None
     segment: _Segment | None = None
-    special = False
+    special = in_notes = False
     total = 0
     for number, line in lines:
         if line.startswith(_SPECIAL):
             special = "start" in line.lower() or (special and "end" not in line.lower())
             continue
         cells = [cell.strip() for cell in line.split(outline.separator)]
-        if special or not any(cells):
+        in_notes = cells[0] != "Channels" and (
+            (in_notes and header is None) or (segment is None and cells[0] == "Notes")
+        )
+        if special or in_notes or not any(cells):
             segment = None
         elif cells[0] == "Channels":
             header, segment = {"Channels": cells[1:]} | _header(lines, outline.separator), None
@@ -166,6 +188,8 @@ def _rows(path: Path, encoding: str) -> Iterator[_Row]:
             segment = _segment(outline, header, cells, total)
         else:
             segment = segment or _segment(outline, header, [], total)
+            if total - segment.first >= segment.most_rows:  # a further trigger, without a header
+                segment = _segment(outline, header, [], total)
             total += 1
             yield outline, segment, number, cells
 
@@ -183,7 +207,11 @@ def _segment(outline: _Outline, header: dict[str, list[str]], named: list[str], 
         names += [""] * (count - len(names))
     else:  # further rows under the previous headings
         names = before
-    segment = _Segment(header, names[:count], first)
+    told = [header.get(key, []) for key in ("Samples", "X0", "Delta_X", "X_Dimension", "Y_Unit_Label")]
+    spaced = outline.x_columns == "multi" and any(any(cells[count:]) for cells in told)
+    segment = _Segment(header, names[:count], first, is_spaced=spaced and count > 1)
+    if outline.x_columns == "no":
+        segment.most_rows = outline.samples(segment) or math.inf
     outline.segments.append(segment)
     return segment
 
@@ -247,16 +275,45 @@ def _load(
     blocks: list[list[NDArray[np.float64]]] = []
     lines = islice(_rows(path, encoding), chosen.start, chosen.stop)
     row = chosen.start
+    channels = [place - 1 for place in places if place]
+    checked: _Segment | None = None
     for block in blocks_of(lines, lambda line: _CELL * len(line[3])):
-        blocks.append([_column(block, row, place) for place in places])
+        for outline, segment, _, _ in block:
+            if segment is not checked:
+                _check_clocks(outline, segment, channels)
+                checked = segment
+        blocks.append([_column(block, row, place, channels) for place in places])
         row += len(block)
     return [np.concatenate(parts) for parts in zip(*blocks, strict=True)], chosen
 
 
-def _column(block: list[_Row], row: int, place: int) -> NDArray[np.float64]:
+def _check_clocks(outline: _Outline, segment: _Segment, channels: Sequence[int]) -> None:
+    """Check that channels, from 0, of one table of rows have the same times.
+
+    Raises:
+        UnusableInputError: they have not.
+    """
+    if outline.x_columns == "multi" or (outline.x_columns == "one" and (outline.figure(segment, "Samples") or 0) <= 1):
+        return
+    clocks = {outline.clock(segment, channel): segment.channels[channel] for channel in channels}
+    if len(clocks) > 1:
+        (one, (_, step)), (other, (_, further)) = [(name, clock) for clock, name in clocks.items()][:2]
+        raise UnusableInputError(
+            "import.lvm_clocks",
+            "'{one}' and '{other}' have different times (X0 and Delta_X; steps {step:g} and {further:g} s): import "
+            "channels of one step",
+            one=Verbatim(one),
+            other=Verbatim(other),
+            step=step or 0.0,
+            further=further or 0.0,
+        )
+
+
+def _column(block: list[_Row], row: int, place: int, channels: Sequence[int]) -> NDArray[np.float64]:
     outline = block[0][0]
     if place == 0 and outline.x_columns == "no":
-        return np.array([_time(outline, segment, row + k) for k, (_, segment, _, _) in enumerate(block)])
+        channel = channels[0] if channels else 0
+        return np.array([_time(outline, segment, row + k, channel) for k, (_, segment, _, _) in enumerate(block)])
     at = outline.cell(place)
     column = []
     for _, _, number, cells in block:
@@ -294,10 +351,10 @@ def _column(block: list[_Row], row: int, place: int) -> NDArray[np.float64]:
         ) from error
 
 
-def _time(outline: _Outline, segment: _Segment, row: int) -> float:
-    start, step = outline.figure(segment, "X0"), outline.figure(segment, "Delta_X")
+def _time(outline: _Outline, segment: _Segment, row: int, channel: int) -> float:
+    start, step = outline.clock(segment, channel)
     if step is None:
         raise UnusableInputError(
             Message("import.lvm_no_step", "the header before row {row} has no Delta_X", row=segment.first)
         )
-    return (start or 0.0) + step * (row - segment.first)
+    return start + step * (row - segment.first)

@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+import contextlib
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -10,7 +11,7 @@ from numpy.typing import NDArray
 from tissueid.errors import UnusableInputError
 from tissueid.language import marked
 from tissueid.messages import Action, Message
-from tissueid.sessions.imports.imported_table import RATE, ROWS
+from tissueid.sessions.imports.imported_table import RATE, ROWS, TIME
 from tissueid.untrusted_input import MAX_SAMPLES, RATES_HZ
 
 Array = NDArray[np.float64]
@@ -21,6 +22,12 @@ _MOST_MISSING = 0.5
 _LONGEST_GAP = 2.5
 """Longest gap, in median steps, that resampling interpolates."""
 _REPORTED_JITTER = 0.001
+_LEAST_ROWS = 10
+"""Fewest rows of which one at an end may be left out."""
+_CLOCK_SECONDS = 1e11
+"""Times above it are not in s: they would be after the year 5000, counted from 1970."""
+_SPREADSHEET_DAYS = (20_000.0, 80_000.0)
+"""Dates of spreadsheets from 1954 to 2119, as days."""
 
 
 @dataclass(frozen=True)
@@ -30,6 +37,8 @@ class Clock:
     rate_hz: float
     places: NDArray[np.int64]
     notices: tuple[str, ...] = ()
+    kept: slice = field(default_factory=lambda: slice(None))
+    """The rows that belong to the clock, where a first or last one does not."""
 
     @property
     def samples(self) -> int:
@@ -37,7 +46,8 @@ class Clock:
         return int(self.places[-1]) + 1
 
     def laid_out(self, values: Array) -> Array:
-        """Return the values of the rows, (n,), as samples, (samples,); NaN for missing rows."""
+        """Return the values of all rows, (n,), as samples, (samples,); NaN for missing rows."""
+        values = values[self.kept]
         if self.samples == values.size:
             return values
         result = np.full(self.samples, np.nan)
@@ -51,6 +61,42 @@ def steady(rate_hz: float, rows: int) -> Clock:
 
 
 def clock_of(times: Array, step_s: float | None = None, rate_hz: float | None = None) -> Clock:
+    """Return the clock of ``times``, (n,), s, as ``_clock_of``, without a first or last row that alone is irregular.
+
+    Machines add a row at the moment of the start or the stop.
+
+    Raises:
+        UnusableInputError: times are missing, decreasing or irregular.
+    """
+    try:
+        return _clock_of(times, step_s, rate_hz)
+    except UnusableInputError as error:
+        if error.code not in ("import.irregular", "import.time_stands_still") or times.size < _LEAST_ROWS:
+            raise
+        for kept in (slice(0, -1), slice(1, None), slice(1, -1)):
+            with contextlib.suppress(UnusableInputError):
+                clock = _clock_of(times[kept], step_s, rate_hz)
+                return replace(clock, kept=kept, notices=(*clock.notices, *_left_out(times, kept)))
+        raise
+
+
+def _left_out(times: Array, kept: slice) -> list[Message]:
+    steps = np.diff(times)
+    return [
+        Message(
+            "import.odd_row",
+            "row {row} is left out: its time is {odd:.4g} s from the row beside it, where others are {usual:.4g} s "
+            "apart",
+            row=int(np.arange(times.size)[end]),
+            odd=float(steps[end]),
+            usual=float(np.median(steps)),
+        )
+        for end, is_out in ((0, kept.start == 1), (-1, kept.stop == -1))
+        if is_out
+    ]
+
+
+def _clock_of(times: Array, step_s: float | None = None, rate_hz: float | None = None) -> Clock:
     """Return the clock of ``times``, (n,), s.
 
     ``step_s`` or ``rate_hz``, if the file states it, is used if the times agree. Missing rows leave their samples
@@ -129,6 +175,23 @@ def clock_of(times: Array, step_s: float | None = None, rate_hz: float | None = 
             )
         )
     return Clock(chosen, places, tuple(notices))
+
+
+def check_seconds(times: Array) -> None:
+    """Check that ``times``, (n,), whose unit nobody states, can be in s.
+
+    Raises:
+        UnusableInputError: they are more likely the ms of a computer's clock or the days of a spreadsheet.
+    """
+    first, last = float(times[0]), float(times[-1])
+    low, high = _SPREADSHEET_DAYS
+    if abs(first) > _CLOCK_SECONDS or (low < first < high and last - first < 1.0):
+        raise UnusableInputError(
+            "import.time_unit",
+            "its times start at {first:.10g} and do not state their unit: choose it ({time})",
+            first=first,
+            time=TIME,
+        )
 
 
 def resampled(times: Array, values: list[Array], rate_hz: float) -> tuple[list[Array], list[str]]:

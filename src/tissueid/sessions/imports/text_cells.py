@@ -6,6 +6,7 @@ import codecs
 import csv
 import re
 from collections.abc import Callable, Iterable, Iterator
+from datetime import UTC, datetime
 from pathlib import Path
 from typing import TypeVar
 
@@ -29,8 +30,15 @@ _NUMBER = {
     ".": re.compile(r"[+-]?(\d+\.?\d*|\.\d+)([eEdD][+-]?\d+)?"),
     ",": re.compile(r"[+-]?(\d+(,\d+)?|,\d+)([eEdD][+-]?\d+)?"),
 }
+GROUPED = {
+    ",": re.compile(r"[+-]?[1-9]\d{0,2}(,\d{3})+(\.\d*)?"),
+    ".": re.compile(r"[+-]?[1-9]\d{0,2}(\.\d{3})+(,\d*)?"),
+}
+"""Numbers with a sign between thousands, by that sign."""
+_DATED = re.compile(r"(\d{4}-\d\d-\d\d[T ])?\d{1,2}:\d\d:\d\d([.,]\d+)?(Z|[+-]\d\d:?\d\d)?")
 MISSING = frozenset({"", "nan", "-nan", "na", "n/a", "#n/a", "null", "none", "-", "--", "---", "missing", "1.#qnan"})
 """Cells without a number, in lower case."""
+_BEGIN, _BEGIN_UTC = datetime(2001, 1, 1), datetime(2001, 1, 1, tzinfo=UTC)
 _INFINITE = frozenset({"inf", "-inf", "+inf", "infinity", "-infinity"})
 
 
@@ -104,7 +112,7 @@ def cells_of(line: str, delimiter: str) -> list[str]:
         UnusableInputError: the line cannot be parsed, for example because of a very long quoted cell.
     """
     if delimiter == " ":
-        return line.split()
+        return re.split("[ \t]+", line.strip(" \t"))  # not the spaces that separate thousands
     if '"' not in line:
         return line.split(delimiter)
     try:
@@ -124,6 +132,36 @@ def is_number(cell: str, decimal: str) -> bool:
 def is_missing(cell: str) -> bool:
     """Return whether a cell marks a missing number."""
     return cell.strip().lower() in MISSING
+
+
+def is_time(cell: str) -> bool:
+    """Return whether a cell is a time by ISO 8601, with or without its date."""
+    return ":" in cell and _DATED.fullmatch(cell.strip()) is not None
+
+
+def seconds(cells: list[str]) -> NDArray[np.float64]:
+    """Return times by ISO 8601, with or without their dates, in s from some moment; NaN for missing ones.
+
+    Raises:
+        ValueError: a cell is neither a time nor missing; the argument is its index.
+    """
+    result = np.empty(len(cells))
+    for place, cell in enumerate(cells):
+        if is_missing(cell):
+            result[place] = np.nan
+            continue
+        if not is_time(cell):
+            raise ValueError(place)
+        text = cell.strip().replace(",", ".")
+        date, _, clock = text.replace(" ", "T").rpartition("T")
+        clock = clock if clock[2] == ":" else f"0{clock}"
+        try:
+            moment = datetime.fromisoformat(f"{date or '2001-01-01'}T{clock}")
+        except ValueError:
+            raise ValueError(place) from None
+        since = moment - (_BEGIN if moment.tzinfo is None else _BEGIN_UTC)
+        result[place] = since.days * 86_400 + since.seconds + since.microseconds / 1e6
+    return result
 
 
 def numbers(cells: list[str], decimal: str) -> NDArray[np.float64]:

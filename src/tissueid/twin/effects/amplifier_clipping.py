@@ -8,7 +8,7 @@ from collections.abc import Mapping, Sequence
 import numpy as np
 
 from tissueid.twin import bus
-from tissueid.twin.effect import Effect, FloatArray, Parameter
+from tissueid.twin.effect import ActsOn, Effect, FloatArray, Parameter
 
 PEAK = 0.998
 """Share of the readings that lie below the peak of a signal; the others can be noise."""
@@ -72,6 +72,7 @@ def starts_from(tests: Sequence[Mapping[str, FloatArray]], sample_rate_hz: float
 EFFECT = Effect(
     name="amplifier_clipping",
     stage="drive",
+    acts_on=ActsOn.AMPLIFIER_LIMIT,
     title="Amplifier clips below its rating",
     equation="v = m + w (c + (1 - c) (tanh(x^p) / x^p)^(1/p)), w = u - m, x = |w|/L, r L for L where w < 0; vanishes "
     "with L = inf",

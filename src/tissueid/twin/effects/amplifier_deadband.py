@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 
 from tissueid.twin import bus
-from tissueid.twin.effect import Effect, FloatArray, Parameter
+from tissueid.twin.effect import ActsOn, Effect, FloatArray, Parameter
 
 
 def hook(where: int, b: FloatArray, p: FloatArray, s: FloatArray, dt: float) -> None:
@@ -39,6 +39,7 @@ def hook(where: int, b: FloatArray, p: FloatArray, s: FloatArray, dt: float) -> 
 EFFECT = Effect(
     name="amplifier_deadband",
     stage="drive",
+    acts_on=ActsOn.AMPLIFIER_OUTPUT,
     title="Amplifier dead zone around zero",
     equation="v = u (1 - (1 - g) (k (tanh(x^p) / x^p)^(1/p) + (1 - k) e^(-x^p))), x = |u|/w; vanishes with w = 0",
     signature="voltage missing where the command is small, by up to the width; with k = 1 the voltage is closer to zero"

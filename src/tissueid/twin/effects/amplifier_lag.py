@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 
 from tissueid.twin import bus
-from tissueid.twin.effect import Effect, FloatArray, Parameter
+from tissueid.twin.effect import ActsOn, Effect, FloatArray, Parameter
 
 # State: output, its rate, the output held over this sample, its number, and the coefficients of a step and of a sample.
 OUTPUT, RATE, HELD, SAMPLE, STEP, WHOLE = 0, 1, 2, 3, 4, 8
@@ -60,6 +60,7 @@ def hook(where: int, b: FloatArray, p: FloatArray, s: FloatArray, dt: float) -> 
 EFFECT = Effect(
     name="amplifier_lag",
     stage="drive",
+    acts_on=ActsOn.AMPLIFIER_RESPONSE,
     title="Slow amplifier",
     equation="u = v + T v' + q T^2 v'', from one pole (q = 0) over Butterworth (q = 1/2), its output held sample by "
     "sample (h = 1) or not (h = 0); vanishes with T = 0",

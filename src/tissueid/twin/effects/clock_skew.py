@@ -7,7 +7,7 @@ from dataclasses import replace
 import numpy as np
 
 from tissueid.twin._interpolation import interpolate
-from tissueid.twin.effect import Effect, FloatArray, Parameter, Readings
+from tissueid.twin.effect import ActsOn, Effect, FloatArray, Parameter, Readings
 
 EARLIEST_S = 1e-4
 """Largest lead, s: a position can precede its measurement only by the order in which channels are sampled."""
@@ -24,6 +24,7 @@ def recording(readings: Readings, values: FloatArray) -> Readings:
 EFFECT = Effect(
     name="clock_skew",
     stage="sensing",
+    acts_on=ActsOn.CLOCK,
     title="Position sampled by another clock",
     equation="y(t) = x(t + t0 + r t + d t^2 / 2); vanishes with t0 = r = d = 0",
     signature="position runs ahead of voltage and current, or falls behind, by an interval that grows from the start "

@@ -8,7 +8,7 @@ from numba import njit
 
 from tissueid.twin import bus
 from tissueid.twin._kernel import grown
-from tissueid.twin.effect import Effect, FloatArray, Parameter
+from tissueid.twin.effect import ActsOn, Effect, FloatArray, Parameter
 
 REACH_M = 3e-5
 """Gap at which the adhesion is half as strong as at the surface, m."""
@@ -141,7 +141,7 @@ EFFECT = Effect(
     places=(bus.LIFT_OFF, bus.TISSUE),
     hook=hook,
     switches=True,
-    models_lift_off=True,
+    acts_on=ActsOn.LIFT_OFF,
     on_spring=False,
     in_living_tissue=True,
     remedy="Raise the mean of the command or lower its amplitude so that the probe stays on the surface.",

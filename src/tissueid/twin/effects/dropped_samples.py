@@ -10,7 +10,7 @@ from numba import njit
 from numpy.typing import NDArray
 from scipy.ndimage import uniform_filter1d
 
-from tissueid.twin.effect import Effect, FloatArray, Parameter, Readings
+from tissueid.twin.effect import ActsOn, Effect, FloatArray, Parameter, Readings
 
 IntArray = NDArray[np.int64]
 
@@ -287,6 +287,7 @@ def estimate_from_record(signals: Mapping[str, FloatArray], sample_rate_hz: floa
 EFFECT = Effect(
     name="dropped_samples",
     stage="sensing",
+    acts_on=ActsOn.LINK,
     title="Samples lost without notice",
     equation="y(n) = x(n + sum of lost(k) over slips k with sample(k) <= n); vanishes with every lost(k) = 0",
     signature="after certain samples, voltage, current and position are all early against the command by whole samples,"

@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 
 from tissueid.twin import bus
-from tissueid.twin.effect import Effect, FloatArray, Parameter
+from tissueid.twin.effect import ActsOn, Effect, FloatArray, Parameter
 
 # State: predicted coil current and the currents of the branches' inductances; resistance and inductance of the step's
 # matrix; the matrix, and two work matrices.
@@ -87,6 +87,7 @@ def hook(where: int, b: FloatArray, p: FloatArray, s: FloatArray, dt: float) -> 
 EFFECT = Effect(
     name="eddy_currents",
     stage="coil",
+    acts_on=ActsOn.COIL_CURRENT,
     title="Eddy currents: lossy inductance",
     equation="v = R i + L/(1 + h Le/L) i' + Re (i - j) + kf x', Le j' = Re (i - j), and a branch of 8 s Le and s Re; "
     "vanishes with Le = 0",

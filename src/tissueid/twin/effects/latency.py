@@ -8,7 +8,7 @@ from collections.abc import Mapping, Sequence
 import numpy as np
 
 from tissueid.twin import bus
-from tissueid.twin.effect import Effect, FloatArray, Parameter
+from tissueid.twin.effect import ActsOn, Effect, FloatArray, Parameter
 
 # State: samples seen, the sample period, and the commands of the last samples.
 SEEN, PERIOD, RING = 0, 1, 2
@@ -104,6 +104,7 @@ def starts_from(tests: Sequence[Mapping[str, FloatArray]], sample_rate_hz: float
 EFFECT = Effect(
     name="latency",
     stage="drive",
+    acts_on=ActsOn.HELD_COMMAND,
     title="Extra delay in the drive",
     equation="u(t) = v(t - d); between samples held again (h = 1) or with its own edges (h = 0); vanishes with d = 0",
     signature="voltage, current and position all late by the same time against the command, phase growing in "

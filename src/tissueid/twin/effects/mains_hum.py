@@ -10,7 +10,7 @@ from scipy import fft, optimize
 
 from tissueid.messages import Message
 from tissueid.twin import _estimates
-from tissueid.twin.effect import Effect, FloatArray, Parameter, Readings
+from tissueid.twin.effect import ActsOn, Effect, FloatArray, Parameter, Readings
 
 HARMONICS = (1, 2, 3, 5)
 CHANNELS = (("voltage", "V", 2e-3, 5.0), ("current", "A", 1e-3, 0.5), ("position", "m", 2e-6, 2e-3))
@@ -82,6 +82,7 @@ def _amplitude(part: str, harmonic: int, channel: str) -> Message:
 EFFECT = Effect(
     name="mains_hum",
     stage="environment",
+    acts_on=ActsOn.CHANNELS,
     title="Mains hum on the channels",
     equation="channel + sum over h = 1, 2, 3, 5 of a cos(h w t + phase) + b sin(h w t + phase), w = 2 pi 50 or 60 "
     "Hz; vanishes with every a = b = 0",

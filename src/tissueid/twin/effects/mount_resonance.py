@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 
 from tissueid.twin import bus
-from tissueid.twin.effect import Effect, FloatArray, Parameter
+from tissueid.twin.effect import ActsOn, Effect, FloatArray, Parameter
 
 MODES = 2
 _ACCELERATION = 2 * MODES
@@ -55,6 +55,7 @@ def hook(where: int, b: FloatArray, p: FloatArray, s: FloatArray, dt: float) -> 
 EFFECT = Effect(
     name="mount_resonance",
     stage="mechanics",
+    acts_on=ActsOn.FRAME,
     title="The frame moves",
     equation="M (y_k'' + 2 z w_k y_k' + w_k^2 y_k) = s_k R, k = 1, 2, s_1 = 1; x is read against the frame. Tissue "
     "elsewhere: R = -(coil force - bearing drag), the moving part feels -m y'', the tissue x + y. Tissue on the frame: "

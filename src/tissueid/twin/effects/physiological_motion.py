@@ -231,19 +231,17 @@ _TREMOR = _PULSE + len(HEIGHTS[PULSE])
 _MEAN = _TREMOR + len(HEIGHTS[TREMOR])
 _TURNING = 16
 """State: whether the waves are initialised."""
-_BEFORE = 17
-"""State: the surface in the step before, m."""
 _UNITS = ("Hz", "Hz", "Hz", "rad", "rad", "Hz")
 
 
 def hook(where: int, b: FloatArray, p: FloatArray, s: FloatArray, dt: float) -> None:
     """Move the surface by thirteen waves at the middle of the step; harmonics follow from the fundamental.
 
-    ``s`` holds cosine and sine of each rate and of its change in a step, so that only the first step evaluates them,
-    and the surface before. The pulse, which breathing modulates, is evaluated at every step.
+    ``s`` holds cosine and sine of each rate and of its change in a step, so that only the first step evaluates them.
+    The pulse, which breathing modulates, is evaluated at every step. The velocity is the derivative of the waves and
+    not a difference between steps, which would be an impact where a simulated instrument draws the next test.
     """
-    first_step = s[_TURNING] == 0.0
-    if first_step:
+    if s[_TURNING] == 0.0:
         s[_TURNING] = 1.0
         for rate in range(4):
             hertz = p[rate] if rate < 3 else p[5]
@@ -251,32 +249,36 @@ def hook(where: int, b: FloatArray, p: FloatArray, s: FloatArray, dt: float) -> 
             turn = 2.0 * math.pi * hertz * dt
             s[4 * rate], s[4 * rate + 1] = math.cos(angle), math.sin(angle)
             s[4 * rate + 2], s[4 * rate + 3] = math.cos(turn), math.sin(turn)
-    moved = 0.0
+    moved, moving = 0.0, 0.0
     sway = p[3] * s[0] + p[4] * s[1]
     for kind, first, last in ((0, _BREATHING, _PULSE), (1, _PULSE, _TREMOR)):
-        cosine, sine = s[4 * kind], s[4 * kind + 1]
+        cosine, sine, speed = s[4 * kind], s[4 * kind + 1], p[kind]
         if kind == 1:
             forward, aside = math.cos(sway), math.sin(sway)
             cosine, sine = cosine * forward - sine * aside, sine * forward + cosine * aside
-        real, imaginary = cosine, sine
+            speed += p[0] * (p[4] * s[0] - p[3] * s[1])
+        real, imaginary, order = cosine, sine, 1.0
         for k in range(first, last, 2):
             moved += p[k] * real + p[k + 1] * imaginary
+            moving += order * speed * (p[k + 1] * real - p[k] * imaginary)
             real, imaginary = real * cosine - imaginary * sine, imaginary * cosine + real * sine
+            order += 1.0
     # Lines of tremor: the first two below the middle one, the last two above.
     cosine, sine = s[12], s[13]
-    real, imaginary = s[8], s[9]
+    real, imaginary, speed = s[8], s[9], p[2] - 2.0 * p[5]
     for _ in range(2):
         real, imaginary = real * cosine + imaginary * sine, imaginary * cosine - real * sine
     for k in range(_TREMOR, _MEAN, 2):
         moved += p[k] * real + p[k + 1] * imaginary
+        moving += speed * (p[k + 1] * real - p[k] * imaginary)
         real, imaginary = real * cosine - imaginary * sine, imaginary * cosine + real * sine
+        speed += p[5]
     for rate in range(4):
         cosine, sine, turned, aside = s[4 * rate], s[4 * rate + 1], s[4 * rate + 2], s[4 * rate + 3]
         s[4 * rate] = cosine * turned - sine * aside
         s[4 * rate + 1] = sine * turned + cosine * aside
     b[bus.SURFACE_POSITION] += moved + p[_MEAN]
-    b[bus.SURFACE_VELOCITY] += 0.0 if first_step else (moved - s[_BEFORE]) / dt
-    s[_BEFORE] = moved
+    b[bus.SURFACE_VELOCITY] += 2.0 * math.pi * moving
 
 
 EFFECT = Effect(

@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 
 from tissueid.twin import bus
-from tissueid.twin.effect import Effect, FloatArray, Parameter
+from tissueid.twin.effect import ActsOn, Effect, FloatArray, Parameter
 
 POWER_W = 0.1
 """Power at which work counts as much as time, W, as in a stochastic test."""
@@ -23,6 +23,7 @@ def hook(where: int, b: FloatArray, p: FloatArray, s: FloatArray, dt: float) -> 
 EFFECT = Effect(
     name="preconditioning",
     stage="tissue",
+    acts_on=ActsOn.ELASTIC_FORCE,
     title="Stiffness drifts as the tissue is worked",
     equation="Fe (1 + a s), ds/dt = (1 - s) (1 - h + h |Fe v| / 0.1 W) / T, s = 0 at the start; vanishes with a = 0",
     signature="mean depth and resonance drift over the test, fast at first; error grows or falls with time; nothing on "

@@ -9,7 +9,7 @@ from dataclasses import replace
 import numpy as np
 from scipy import special
 
-from tissueid.twin.effect import Effect, FloatArray, Parameter, Readings
+from tissueid.twin.effect import ActsOn, Effect, FloatArray, Parameter, Readings
 
 COARSE_M = 2e-6
 """Smallest step that is an effect, m; smaller ones belong to the converter and are within the noise."""
@@ -73,6 +73,7 @@ def estimate_from_record(signals: Mapping[str, FloatArray], sample_rate_hz: floa
 EFFECT = Effect(
     name="quantization",
     stage="sensing",
+    acts_on=ActsOn.CONVERTER,
     title="Position in coarse steps",
     equation="y = E[x0 + s round((x - x0) / s + t + n)], n normal with std b, so that y - x = s t + s sum of (-1)^k / "
     "(pi k) exp(-2 (pi k b)^2) sin(2 pi k ((x - x0) / s + t)); vanishes with s = 0",

@@ -7,7 +7,7 @@ from dataclasses import replace
 import numpy as np
 from numba import njit
 
-from tissueid.twin.effect import Effect, FloatArray, Parameter, Readings
+from tissueid.twin.effect import ActsOn, Effect, FloatArray, Parameter, Readings
 
 SHARES = (-0.8, -0.4, 0.0, 0.4, 0.8)
 """Relative widths of the plays whose mean has rounded corners, in units of ``rounding``."""
@@ -36,6 +36,7 @@ def recording(readings: Readings, values: FloatArray) -> Readings:
 EFFECT = Effect(
     name="sensor_backlash",
     stage="sensing",
+    acts_on=ActsOn.SENSOR_PLAY,
     title="Play between probe and position sensor",
     equation="y follows x as far as |x - y| <= w allows; corners rounded by a spread of w; vanishes with w = 0",
     signature="position stays constant after each reversal until the play is taken up, at any speed: loops of constant "

@@ -8,7 +8,7 @@ import numpy as np
 from scipy import linalg, signal
 
 from tissueid.twin._interpolation import interpolate
-from tissueid.twin.effect import Effect, FloatArray, Parameter, Readings
+from tissueid.twin.effect import ActsOn, Effect, FloatArray, Parameter, Readings
 
 
 def recording(readings: Readings, values: FloatArray) -> Readings:
@@ -45,6 +45,7 @@ def recording(readings: Readings, values: FloatArray) -> Readings:
 EFFECT = Effect(
     name="sensor_lag",
     stage="sensing",
+    acts_on=ActsOn.SENSOR_RESPONSE,
     title="Slow position channel",
     equation="q T^2 y'' + T y' + y = x(t - D): q = 0 first order, 1/4 two equal poles, 1/2 Butterworth; D the dead "
     "share of T + D; vanishes with T + D = 0",

@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 
 from tissueid.twin import bus
-from tissueid.twin.effect import Effect, FloatArray, Parameter
+from tissueid.twin.effect import ActsOn, Effect, FloatArray, Parameter
 
 STOPS = 8
 REFERENCE_N = 3.0
@@ -44,6 +44,7 @@ def hook(where: int, b: FloatArray, p: FloatArray, s: FloatArray, dt: float) -> 
 EFFECT = Effect(
     name="tissue_hysteresis",
     stage="tissue",
+    acts_on=ActsOn.ELASTIC_LOOPS,
     title="Rate-independent hysteresis of the tissue",
     equation="F = Fe + Fh (|Fe| / 3 N)^q ((1 - h) mean of z_k + h w), dz_k/dt = v / y_k within |z_k| <= 1, ln y_k "
     "spread evenly to s on either side of ln y, dw/dt = v (1 - w^2 if v w > 0) / y; vanishes with Fh = 0",

@@ -129,7 +129,9 @@ def _smooth(points: list[QPointF]) -> QPainterPath:
 
 _POINT = 24
 """Pixels that a point takes: large enough for a finger."""
-_HINT = marked("Click a point, or use the arrow keys and Return. Esc leaves the site as it is.")
+_HINT = marked(
+    "Click a point or go to it by the arrow keys, then press Return or “Use this site”. Esc leaves the site as it is."
+)
 
 
 class BodyMap(QDialog):
@@ -157,7 +159,7 @@ class BodyMap(QDialog):
             for spot in figure.spots:
                 self._group.addButton(spot)
                 self.spots[spot.spot.site] = spot
-                spot.picked.connect(self._pick)
+                spot.picked.connect(self._use)
                 spot.toggled.connect(self._name)
         grid.setRowStretch(1, 1)
         self.name = QLabel()
@@ -203,10 +205,6 @@ class BodyMap(QDialog):
             return
         super().keyPressEvent(event)
 
-    def _pick(self, site: str) -> None:
-        self.spots[site].setChecked(True)
-        self._use()
-
     def _use(self) -> None:
         if self.site:
             self.chosen.emit(self.site)
@@ -218,9 +216,9 @@ class BodyMap(QDialog):
 
 
 class _Point(QRadioButton):
-    """One site. ``picked`` is sent where it is clicked with the mouse; keys only choose it."""
+    """One site. ``picked`` is sent by a double click; a click and keys only choose it."""
 
-    picked = Signal(str)
+    picked = Signal()
 
     def __init__(self, spot: Spot, parent: QWidget) -> None:
         super().__init__(parent)
@@ -238,12 +236,11 @@ class _Point(QRadioButton):
         """Return whether ``position`` is inside: the whole square can be clicked."""
         return True
 
-    def mouseReleaseEvent(self, event: QMouseEvent) -> None:  # noqa: N802
+    def mouseDoubleClickEvent(self, event: QMouseEvent) -> None:  # noqa: N802
         """Send ``picked``."""
-        inside = self.rect().contains(event.position().toPoint())
-        super().mouseReleaseEvent(event)
-        if inside and event.button() is Qt.MouseButton.LeftButton:
-            self.picked.emit(self.spot.site)
+        if event.button() is Qt.MouseButton.LeftButton:
+            self.setChecked(True)
+            self.picked.emit()
 
     def paintEvent(self, _event: QPaintEvent) -> None:  # noqa: N802
         """A ring; filled where it is chosen, with another round it where it has the focus."""

@@ -4,13 +4,13 @@ from __future__ import annotations
 
 import math
 import threading
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 
-from tissueid.app.views.clinician.sitting import QUANTITIES, together, values_of
+from tissueid.app.views.clinician.sitting import QUANTITIES, repeatability, together, values_of
 from tissueid.errors import TissueIDError, UnusableInputError
-from tissueid.formatting import ANONYMOUS, clean, local_minute
+from tissueid.formatting import ANONYMOUS, clean, fixed, local_minute
 from tissueid.messages import Message, sentences
 from tissueid.records import Estimate
 from tissueid.sessions import Session, Test, read_session, read_session_head
@@ -59,10 +59,14 @@ class Sighting:
 
 @dataclass(frozen=True)
 class Comparison:
-    """Sightings, newest first, the test that is asked about among them. ``left_out`` says what was not read."""
+    """Sightings, newest first, the test that is asked about among them. ``left_out`` says what was not read.
+
+    ``changes`` says by quantity how the values differ from the sitting before at the same site.
+    """
 
     sightings: tuple[Sighting, ...] = ()
     left_out: str = ""
+    changes: Mapping[str, str] = field(default_factory=dict)
 
     @property
     def remark(self) -> str:
@@ -115,7 +119,45 @@ def compare_with(
         words.append(Message("comparison.file_skipped", "1 file was passed over."))
     elif skipped:
         words.append(Message("comparison.files_skipped", "{count} files were passed over.", count=skipped))
-    return Comparison(tuple(shown), sentences(*words) if words else "")
+    return Comparison(tuple(shown), sentences(*words) if words else "", changes(joined))
+
+
+def changes(sightings: Sequence[Sighting]) -> dict[str, str]:
+    """Return by quantity how this sitting differs from the newest one before it at its site, with its instrument.
+
+    A difference counts if it is larger than the repeatability, the root mean square of that of both sittings.
+    ``sightings`` are the newest first.
+    """
+    this = next((one for one in sightings if one.this), None)
+    if this is None:
+        return {}
+    earlier = (one for one in sightings if one.created < this.created and not one.this and one.site == this.site)
+    before = next((one for one in earlier if not one.other_instrument), None)
+    if before is None:
+        return {}
+    date = (local_minute(before.created) or before.created)[:10]
+    said = {}
+    for quantity in QUANTITIES:
+        now, then = this.values.get(quantity), before.values.get(quantity)
+        if now is None or then is None or now.std is None or then.std is None or not then.value:
+            continue
+        limits = repeatability(now.std, this.count), repeatability(then.std, before.count)
+        difference = now.value - then.value
+        percent = 100.0 * difference / abs(then.value)
+        values = {"percent": fixed(abs(percent), 0), "date": date}
+        if abs(difference) <= math.hypot(*limits) / math.sqrt(2.0):
+            said[quantity] = Message(
+                "comparison.same", "As on {date}: {percent} % apart, within the repeatability.", **values
+            )
+        elif difference > 0.0:
+            said[quantity] = Message(
+                "comparison.higher", "{percent} % higher than on {date}, beyond the repeatability.", **values
+            )
+        else:
+            said[quantity] = Message(
+                "comparison.lower", "{percent} % lower than on {date}, beyond the repeatability.", **values
+            )
+    return said
 
 
 def _files_of(folder: Path, pseudonym: str, path: Path, cancelled: threading.Event) -> tuple[list[Path], int]:

@@ -9,8 +9,9 @@ from typing import TYPE_CHECKING
 import numpy as np
 from PySide6.QtCore import Qt
 from PySide6.QtGui import QResizeEvent
-from PySide6.QtWidgets import QFrame, QLabel, QPushButton, QVBoxLayout, QWidget
+from PySide6.QtWidgets import QFrame, QLabel, QVBoxLayout, QWidget
 
+from tissueid.app.build import button, fill, label, styled
 from tissueid.app.plot_canvas import PlotCanvas
 from tissueid.app.small_window import FoldingBox
 from tissueid.app.theme import Theme
@@ -41,26 +42,13 @@ class ComparisonCard(QFrame):
 
     def __init__(self, parent: QWidget | None = None) -> None:
         super().__init__(parent)
-        self.heading = QLabel(_("Compared with the subject's other sites and sittings"))
-        self.heading.setProperty("role", "heading")
+        self.heading = styled(QLabel(_("Compared with the subject's other sites and sittings")), role="heading")
         self.heading.setMinimumWidth(1)
-        self.words = QLabel()
-        self.words.setProperty("role", "field")
-        self.words.setWordWrap(True)
-        self.words.setMinimumWidth(1)
-        self.words.setTextFormat(Qt.TextFormat.PlainText)
-        self.cancel = QPushButton(_("Cancel comparison"))
-        top = FoldingBox(_ONE_ROW)
-        top.setContentsMargins(2, 0, 0, 0)
-        top.addWidget(self.heading)
-        top.addWidget(self.words, 1)
-        top.addWidget(self.cancel)
+        self.words, self.cancel = label("field"), button(_("Cancel comparison"))
+        top = fill(FoldingBox(_ONE_ROW), self.heading, (self.words, 1), self.cancel, margins=(2, 0, 0, 0))
         self.cards: list[PlotCanvas] = []
         self._plots: list[Plot] = []
-        self._layout = layout = QVBoxLayout(self)
-        layout.setContentsMargins(0, 0, 0, 0)
-        layout.setSpacing(3)
-        layout.addLayout(top)
+        self._layout = fill(QVBoxLayout(self), top, spacing=3)
         self._folded = False
         self._theme: Theme | None = None
         self.hide()

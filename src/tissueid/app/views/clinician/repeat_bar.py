@@ -7,8 +7,9 @@ from collections.abc import Sequence
 
 from PySide6.QtCore import Qt, Signal
 from PySide6.QtGui import QResizeEvent
-from PySide6.QtWidgets import QFrame, QGridLayout, QLabel, QPushButton, QVBoxLayout, QWidget
+from PySide6.QtWidgets import QFrame, QGridLayout, QLabel, QVBoxLayout, QWidget
 
+from tissueid.app.build import button, fill, label, styled
 from tissueid.app.small_window import FoldingBox
 from tissueid.app.theme import Theme
 from tissueid.app.views.clinician.sitting import HEADS, NORM, QUANTITIES, VALUE_HEAD, Sitting, Standing
@@ -30,27 +31,18 @@ class SittingSummary(QFrame):
 
     def __init__(self, parent: QWidget | None = None) -> None:
         super().__init__(parent)
-        self.setProperty("role", "card")
+        styled(self, role="card", tip=_(_EXPLAINED))
         self._standing: Standing | None = None
-        self.setToolTip(_(_EXPLAINED))
-        self.heading = QLabel()
-        self.heading.setProperty("role", "headline")
-        self.about = QLabel()
-        self.about.setProperty("role", "muted")
-        self.about.setWordWrap(True)
-        self.about.setMinimumWidth(1)
-        self.about.setTextFormat(Qt.TextFormat.PlainText)
-        self.about.setTextInteractionFlags(Qt.TextInteractionFlag.TextSelectableByMouse)
+        self.heading, self.about = styled(QLabel(), role="headline"), label("muted")
         self._heads: list[QLabel] = []
         grid = QGridLayout()
         grid.setHorizontalSpacing(22)
         grid.setVerticalSpacing(2)
         for column, head in enumerate(HEADS):
-            label = QLabel(_(head))
-            label.setProperty("role", "field")
-            label.setMinimumWidth(1)
-            self._heads.append(label)
-            grid.addWidget(label, 0, column)
+            named = styled(QLabel(_(head)), role="field")
+            named.setMinimumWidth(1)
+            self._heads.append(named)
+            grid.addWidget(named, 0, column)
         self.cells: dict[str, list[QLabel]] = {}
         for row, quantity in enumerate(QUANTITIES, 1):
             cells = [QLabel() for _head in HEADS]
@@ -60,12 +52,7 @@ class SittingSummary(QFrame):
                 grid.addWidget(cell, row, column)
             self.cells[quantity] = cells
         grid.setColumnStretch(len(HEADS), 1)
-        layout = QVBoxLayout(self)
-        layout.setContentsMargins(12, 6, 12, 8)
-        layout.setSpacing(3)
-        layout.addWidget(self.heading)
-        layout.addLayout(grid)
-        layout.addWidget(self.about)
+        fill(QVBoxLayout(self), self.heading, grid, self.about, spacing=3, margins=(12, 6, 12, 8))
         self.hide()
 
     def show_standing(self, standing: Standing | None) -> None:
@@ -131,35 +118,20 @@ class RepeatBar(QWidget):
         self._left = 0
         self.dots = QLabel()
         self.dots.setTextFormat(Qt.TextFormat.RichText)
-        self.repeat = QPushButton(_("Measure again"))
-        self.repeat.setToolTip(
-            translated(
-                Message(
-                    "sitting.repeat_tip",
-                    "The same test once more, into a file of its own. Five are usual: their mean is steadier than one "
-                    "test",
-                )
-            )
+        again = Message(
+            "sitting.repeat_tip",
+            "The same test once more, into a file of its own. Five are usual: their mean is steadier than one test",
         )
-        self.accept = QPushButton(translated(_FINISH_ONE))
-        self.accept.setToolTip(
-            translated(
-                Message(
-                    "sitting.finish_tip",
-                    "Enough was measured here: the mean of the tests that count is the result, and the next test "
-                    "begins a new sitting. No file is changed or deleted",
-                )
-            )
+        finish = Message(
+            "sitting.finish_tip",
+            "Enough was measured here: the mean of the tests that count is the result, and the next test begins a new "
+            "sitting. No file is changed or deleted",
         )
-        self.undo = QPushButton(_("Undo Finish"))
-        self.undo.setToolTip(
-            _("Continue the sitting as if it had not been finished. Possible until the next test starts")
-        )
-        row = FoldingBox(0, self)
-        row.setContentsMargins(0, 0, 0, 0)
-        row.setSpacing(8)
-        for part in (self.dots, self.repeat, self.accept, self.undo):
-            row.addWidget(part)
+        undo = _("Continue the sitting as if it had not been finished. Possible until the next test starts")
+        self.repeat = button(_again(2, NORM), tip=translated(again))
+        self.accept = button(translated(_FINISH_ONE), tip=translated(finish))
+        self.undo = button(_("Undo Finish"), tip=undo)
+        fill(FoldingBox(0, self), self.dots, self.repeat, self.accept, self.undo, spacing=8)
         self.repeat.clicked.connect(self.again)
         self.accept.clicked.connect(self.accepted)
         self.undo.clicked.connect(self.undone)
@@ -171,24 +143,15 @@ class RepeatBar(QWidget):
         if sitting is None:
             return
         self._shown = tuple(repeat.verdict if repeat.counts else "repeat" for repeat in sitting.repeats)
-        self._left = max(0, NORM - sitting.counted)
+        self._left = max(0, sitting.wanted - sitting.counted)
         newest = bool(sitting.repeats) and sitting.repeats[-1].counts
-        self.repeat.setText(
-            translated(
-                Message(
-                    "sitting.measure_again",
-                    "Measure again ({number} of {count})",
-                    number=sitting.counted + 1,
-                    count=NORM,
-                )
-            )
-        )
+        self.repeat.setText(_again(sitting.counted + 1, sitting.wanted))
         self.repeat.setVisible(newest and self._left > 0 and not sitting.accepted and not self.led)
         self.accept.setVisible(sitting.counted > 0 and not sitting.accepted)
         self.accept.setText(_finish(sitting))
         self.undo.setVisible(sitting.accepted)
         said = ", ".join(f"{place} {_(_WORDS[verdict])}" for place, verdict in enumerate(self._shown, 1))
-        done = {"done": sitting.counted, "count": NORM}
+        done = {"done": sitting.counted, "count": sitting.wanted}
         if sitting.accepted:
             count = translated(Message("sitting.repeats_finished", "{done} of {count} repeats, finished", **done))
         else:
@@ -222,6 +185,12 @@ class RepeatBar(QWidget):
         dots = [f'{place}<span style="color:{html.escape(colour)}">●</span>' for place, colour in enumerate(colours, 1)]
         dots += [f'<span style="color:{self._theme.muted}">○</span>'] * self._left
         self.dots.setText(" ".join(dots))
+
+
+def _again(number: int, count: int) -> str:
+    return translated(
+        Message("sitting.measure_again", "Start test again ({number} of {count})", number=number, count=count)
+    )
 
 
 def _finish(sitting: Sitting) -> str:

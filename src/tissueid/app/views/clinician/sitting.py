@@ -31,7 +31,7 @@ NORM = 5
 QUANTITIES = ("mass_kg", "damping_n_s_per_m", "stiffness_n_per_m")
 VERDICTS: dict[str, Verdict] = {"good": "good", "check": "look", "poor": "repeat"}
 """Verdict on a repeat by the level of the verdict that its page shows."""
-HEADS = ("", marked("Mean ± standard deviation"), marked("Relative"), marked("Two tests differ by less than"))
+HEADS = ("", marked("Mean ± standard deviation"), marked("Relative"), marked("Repeatability (95 %)"))
 """Heads of the columns of :meth:`Standing.rows`."""
 VALUE_HEAD = marked("Value ± standard deviation")
 """Head of the second column where it is of one test."""
@@ -91,17 +91,20 @@ def together(values: Sequence[float]) -> Together | None:
     mean, std = float(known.mean()), float(known.std(ddof=1))
     if std < _ROUNDING * abs(mean):
         std = 0.0  # a simulation that plays the same again: its last digits are no deviation
-    return Together(mean, std, _two_tests(int(known.size)) * std, int(known.size))
+    return Together(mean, std, repeatability(std, int(known.size)), int(known.size))
 
 
-def _two_tests(count: int) -> float:
-    """Return how many deviations, estimated from ``count`` tests, 95 % of the differences of two tests stay below.
+def repeatability(std: float, count: int) -> float:
+    """Return what the difference of two tests stays below in 95 % of cases.
 
-    √2 times the quantile of Student's t: 1.96 √2 for many tests, and more for few, whose deviation is hardly known.
+    √2 times the quantile of Student's t times the deviation: 1.96 √2 for many tests, and more for few, whose deviation
+    is hardly known. ``std`` is the deviation of one test among ``count`` tests, or its own by the fit where ``count``
+    is 1.
     """
-    from scipy.special import stdtrit  # takes half a second to import
+    from scipy.special import ndtri, stdtrit  # takes half a second to import
 
-    return float(stdtrit(count - 1, 0.5 * (1.0 + _COVERAGE))) * math.sqrt(2.0)
+    share = 0.5 * (1.0 + _COVERAGE)
+    return float(ndtri(share) if count == 1 else stdtrit(count - 1, share)) * math.sqrt(2.0) * std
 
 
 @dataclass
@@ -112,6 +115,8 @@ class Sitting:
     key: str = field(default_factory=lambda: str(uuid.uuid4()))
     repeats: list[Repeat] = field(default_factory=list)
     result: AcceptedResult | None = None
+    wanted: int = NORM
+    """Number of repeats: the usual one, or that of the protocol of a study."""
 
     @property
     def accepted(self) -> bool:
@@ -120,7 +125,7 @@ class Sitting:
 
     def continues(self, plan: TestPlan) -> bool:
         """Whether a test by this plan is a repeat of those that are here."""
-        return not self.accepted and self.counted < NORM and _without_place(plan) == _without_place(self.plan)
+        return not self.accepted and self.counted < self.wanted and _without_place(plan) == _without_place(self.plan)
 
     def planned(self, plan: TestPlan) -> TestPlan:
         """The plan, marked as the next repeat of this sitting."""

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from PySide6.QtWidgets import QFrame, QProgressBar, QVBoxLayout, QWidget
+from PySide6.QtWidgets import QFrame, QProgressBar, QSizePolicy, QVBoxLayout, QWidget
 
 from tissueid.app.build import button, column, fill, label, row, styled
 from tissueid.app.small_window import FoldingBox
@@ -35,6 +35,7 @@ class StudyCard(QFrame):
     def __init__(self, parent: QWidget | None = None) -> None:
         super().__init__(parent)
         styled(self, role="card")
+        self.setSizePolicy(QSizePolicy.Policy.Preferred, QSizePolicy.Policy.Maximum)
         self.heading = styled(ElidedLabel(), role="heading")
         self.progress_text = label("headline")
         self.site, self.test, self.condition = label("heading"), label(), label()
@@ -54,8 +55,8 @@ class StudyCard(QFrame):
         fill(QVBoxLayout(self), self.heading, body, self.bar, holder, margins=(8,))
         self.hide()
 
-    def show_state(self, state: SittingState) -> None:
-        """Show where a sitting is and what comes next."""
+    def show_state(self, state: SittingState, *, moved: bool) -> None:
+        """Show where a sitting is and what comes next; ``moved`` is whether the probe goes to another site now."""
         step, protocol, total = state.step, state.protocol, state.total
         names = {"study": Verbatim(clean(protocol.name)), "subject": Verbatim(state.subject)}
         self.heading.setText(translated(Message("study.heading", "{study}: {subject}", **names)))
@@ -72,7 +73,11 @@ class StudyCard(QFrame):
                 Verbatim(clean(step.site)),
                 Message("study.repeat", "Test {repeat} of {count} here", repeat=step.repeat, count=step.repeats),
                 Verbatim(condition_words(step.condition)),
-                _("Again: the last test does not count.") if step.attempt > 1 else "",
+                _("Again: the last test does not count.")
+                if step.attempt > 1
+                else _("Move the probe to this site.")
+                if moved
+                else "",
             ]
         shown = self.progress_text, self.site, self.test, self.condition, self.remark
         for part, text in zip(shown, texts, strict=True):

@@ -6,8 +6,9 @@ from collections.abc import Sequence
 
 from PySide6.QtCore import Qt, Signal
 from PySide6.QtGui import QKeySequence, QShortcut
-from PySide6.QtWidgets import QLabel, QListWidget, QListWidgetItem, QPushButton, QVBoxLayout, QWidget
+from PySide6.QtWidgets import QLabel, QListWidget, QListWidgetItem, QVBoxLayout, QWidget
 
+from tissueid.app.build import button
 from tissueid.app.views.gap.diagnosis_result import DiagnosisResult, State
 from tissueid.app.views.gap.displayed_text import STAGE_TITLES, STATE_TITLES, VERDICT_TITLES, as_title
 from tissueid.formatting import clean
@@ -40,9 +41,11 @@ class DiagnosisList(QWidget):
         self.list.setSpacing(2)
         self.list.setHorizontalScrollBarPolicy(Qt.ScrollBarPolicy.ScrollBarAlwaysOff)
         self.list.currentRowChanged.connect(self._tell)
-        self.remove = QPushButton(_("Remove"))
-        self.remove.setAccessibleName(_("Remove the chosen diagnosis from the list"))
-        self.remove.setToolTip(_("Delete does the same; Ctrl+Z brings it back"))
+        self.remove = button(
+            _("Remove"),
+            name=_("Remove the chosen diagnosis from the list"),
+            tip=_("Delete does the same; Ctrl+Z brings it back"),
+        )
         self.remove.clicked.connect(self._remove)
         self._removed: tuple[int, DiagnosisResult] | None = None
         for keys, slot in (
@@ -148,6 +151,7 @@ class DiagnosisList(QWidget):
 def _words(result: DiagnosisResult, state: State) -> list[str]:
     story = result.story
     words = [clean(result.asked.session.name)[:_LONGEST], _(VERDICT_TITLES[story.verdict])]
+    words[0] += f"  ·  {result.when.astimezone():%Y-%m-%d %H:%M}"
     if story.at_fault:
         words[1] += f"  ·  {', '.join(_(STAGE_TITLES[stage]) for stage in story.at_fault)}"
     if story.effect:

@@ -5,8 +5,9 @@ from __future__ import annotations
 from typing import TYPE_CHECKING
 
 from PySide6.QtCore import Signal
-from PySide6.QtWidgets import QFrame, QHBoxLayout, QPushButton, QVBoxLayout, QWidget
+from PySide6.QtWidgets import QFrame, QHBoxLayout, QVBoxLayout, QWidget
 
+from tissueid.app.build import button
 from tissueid.app.theme import Theme
 from tissueid.app.views.gap.bar_table import BarTable
 from tissueid.app.views.gap.displayed_text import as_sentence, as_title
@@ -18,9 +19,12 @@ if TYPE_CHECKING:
 
 _NONE = {
     "no_gap": marked("No further test is needed: the twin explains this recording down to its noise."),
-    "effect": marked("No further test is needed: one cause is clear, or no test would separate the candidates."),
+    "effect": marked("No further test is needed: the cause is clear."),
     "unexplained": marked("No test would separate the candidates: none of them explains the gap."),
 }
+_NONE_SEPARATES = marked(
+    "More than one cause remains possible, and no test of this instrument would separate them: see the tab Which."
+)
 
 
 class NextTestTab(QWidget):
@@ -34,8 +38,10 @@ class NextTestTab(QWidget):
         self.why = plain_label()
         self.put = plain_label()
         self.by_hand = plain_label()
-        self.prepare = QPushButton(_("Prepare this test"))
-        self.prepare.setToolTip(_("Fill in the form of the guided test; nothing moves before you start it there"))
+        self.prepare = button(
+            _("Prepare this test"),
+            tip=_("Fill in the form of the guided test; nothing moves before you start it there"),
+        )
         self.gains = BarTable(_("What each test would be worth"), (_("Test"), _("Expected odds")), 1)
         if (head := self.gains.horizontalHeaderItem(1)) is not None:
             head.setToolTip(
@@ -53,7 +59,9 @@ class NextTestTab(QWidget):
         """Show the proposed test of a diagnosis."""
         step = story.proposal
         self.title.setText(_("Nothing to measure") if step is None else as_title(step.title))
-        self.why.setText(_(_NONE[story.verdict]) if step is None else as_sentence(step.why))
+        clear = story.level == "good" and not any(item.alike for item in story.ranking if item.named)
+        none = _NONE[story.verdict] if clear or story.verdict != "effect" else _NONE_SEPARATES
+        self.why.setText(_(none) if step is None else as_sentence(step.why))
         self.put.setText("" if step is None else as_sentence(step.put))
         self.put.setVisible(bool(self.put.text()))
         self.by_hand.setText("" if step is None else as_sentence(step.by_hand))

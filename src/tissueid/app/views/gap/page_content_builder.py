@@ -25,19 +25,19 @@ from tissueid.gap.diagnosis_plots import UNITS, budget_rows, overlays_of, profil
 from tissueid.gap.disturbances import MARGIN
 from tissueid.gap.error_regions import Profile, Spectrum
 from tissueid.gap.statement import (
+    described,
     effect_title,
-    has_ranking_probability,
     headline_of,
     members_of,
     next_steps_of,
     ordered_candidates,
     percent,
     sentences_of,
-    with_probability,
+    shown_probability,
 )
 from tissueid.gap.twin_export import twin_of
 from tissueid.language import marked
-from tissueid.messages import Listing, Message, sentences
+from tissueid.messages import MISSING, Listing, Message, sentences
 from tissueid.records import Estimate
 from tissueid.sessions import Session
 from tissueid.twin.catalogue import all_effects
@@ -83,7 +83,7 @@ def _titles(names: Sequence[str]) -> str:
 def _offered(found: Diagnosis) -> Iterator[tuple[str, str, bool]]:
     for member in members_of(found):
         for name, share in ((member.effect, member.probability), *member.rivals):
-            yield name, with_probability(name, share), name == member.effect
+            yield name, described(found, name, share), name == member.effect
 
 
 def _stage(found: Diagnosis, stage: Stage) -> StageContent:
@@ -146,12 +146,13 @@ def _profile(name: str, found: Profile) -> ProfileContent:
 
 def _rival(found: Diagnosis, item: Ranked) -> Rival:
     known = all_effects().get(item.effect)
+    probability = shown_probability(found, item.effect, item.probability)
     return Rival(
         effect_title(item.effect),
         item.stage,
         item.effect in found.combination,
-        item.probability,
-        _odds(found, item) if np.isfinite(item.probability) else "",
+        probability,
+        f"{percent(probability)} %" if np.isfinite(probability) else MISSING,
         _closed(found, item),
         _titles(item.indistinguishable),
         "" if known is None else known.signature,
@@ -170,13 +171,6 @@ def _closed(found: Diagnosis, item: Ranked) -> str:
     if item.effect in found.combination and np.isfinite(found.gap.closed):
         return Message("gap.closed_together", "{percent:.0f} % together", percent=100.0 * found.gap.closed)
     return marked("not determined")
-
-
-def _odds(found: Diagnosis, item: Ranked) -> str:
-    share = percent(item.probability)
-    if has_ranking_probability(found, item.effect):
-        return Message("gap.probability_alone", "{share} % alone", share=share)
-    return f"{share} %"
 
 
 def _figures(found: Diagnosis, item: Ranked) -> tuple[Fitted, ...]:

@@ -3,8 +3,9 @@
 from __future__ import annotations
 
 import contextlib
+import itertools
 import os
-from collections.abc import Mapping
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from pathlib import Path
 
 from PySide6.QtCore import QObject, QSettings, Qt, Signal
@@ -16,12 +17,12 @@ from PySide6.QtWidgets import (
     QLabel,
     QLineEdit,
     QProgressBar,
-    QPushButton,
     QToolButton,
     QVBoxLayout,
     QWidget,
 )
 
+from tissueid.app.build import button
 from tissueid.app.small_window import FoldingBox
 from tissueid.app.views.gap.diagnosis_loader import unique_titles
 from tissueid.app.widgets import BigButton
@@ -34,6 +35,7 @@ from tissueid.procedures.gap_plans import DiagnosisPlan, read_test_number
 NOMINAL = marked("Nominal twin")
 _NEWEST = 20
 """Maximum number of listed files of the folder."""
+_MOST_FOLDERS, _MOST_ENTRIES = 200, 5000
 _RECENT = 10
 """Maximum number of listed files from other folders."""
 _LONGEST = 120
@@ -50,10 +52,12 @@ class RequestPanel(QFrame):
     unwanted = Signal()
     changed = Signal()
 
-    def __init__(self, folder: Path, parent: QWidget | None = None) -> None:
+    def __init__(
+        self, folder: Path, others: Callable[[], Sequence[Path]] = tuple, parent: QWidget | None = None
+    ) -> None:
         super().__init__(parent)
         self.setProperty("role", "card")
-        self._folder = folder
+        self._folder, self._others = folder, others
         self.session = _FileChoice(_("Session"), _("Open a session"), _("Sessions (*.h5);;All files (*)"), folder)
         self.twin = _FileChoice(
             _("Baseline twin"), _("Open a twin"), _("Twins (*.toml);;All files (*)"), folder, first=_(NOMINAL)
@@ -61,8 +65,7 @@ class RequestPanel(QFrame):
         self.run = BigButton(_("Run"))
         self.run.setAccessibleName(_("Run the diagnosis"))
         self.run.setToolTip(_("Find out where simulated and recorded differ, and why (half a minute to some minutes)"))
-        self.stop = QPushButton(_("Cancel"))
-        self.stop.setAccessibleName(_("Cancel the diagnosis"))
+        self.stop = button(_("Cancel"), name=_("Cancel the diagnosis"))
         self.fold = QToolButton()
         self.fold.setText(_("Advanced"))
         self.fold.setProperty("role", "fold")
@@ -119,8 +122,9 @@ class RequestPanel(QFrame):
 
     def look(self) -> None:
         """List the newest files of the folder; the selection stays."""
-        self.session.offer(_newest(self._folder, ".h5"))
-        self.twin.offer(_newest(self._folder, ".toml"))
+        folders = dict.fromkeys((self._folder, *self._others()))
+        self.session.offer(_newest(folders, ".h5"))
+        self.twin.offer(_newest(folders, ".toml"))
 
     def take(self, path: Path) -> None:
         """Select a dropped file: a twin by its suffix, else a session."""
@@ -149,6 +153,12 @@ class RequestPanel(QFrame):
             widget.show()
         self.stop.setEnabled(True)
         self.show_progress(None, _("Starting"))
+
+    def show_reason(self, why: str) -> None:
+        """Say why no diagnosis can start; an empty text hides it."""
+        if why or self.bar.isHidden():
+            self.doing.setText(why)
+            self.doing.setVisible(bool(why))
 
     def update_enabled(self, *, busy: bool, testing: bool) -> None:
         """Enable or disable the controls."""
@@ -246,8 +256,7 @@ class _FileChoice(QObject):
         self.choice.setSizeAdjustPolicy(QComboBox.SizeAdjustPolicy.AdjustToMinimumContentsLengthWithIcon)
         self.choice.setMinimumContentsLength(12)
         self.choice.setPlaceholderText(_("No session: open one, or drop its file here"))
-        self.open = QPushButton(_("Open…"))
-        self.open.setAccessibleName(f"{title}…")
+        self.open = button(_("Open…"), name=f"{title}…")
         self.open.clicked.connect(self._ask)
         self.choice.currentIndexChanged.connect(self._tell)
         if first:
@@ -332,15 +341,18 @@ class _FileChoice(QObject):
         self.choose(Path(path))
 
 
-def _newest(folder: Path, suffix: str) -> list[Path]:
-    """Return the newest files with a suffix; none if the folder cannot be read."""
-    dated = []
-    try:
-        with os.scandir(folder) as entries:
-            for entry in entries:
-                if entry.name.endswith(suffix) and not entry.name.startswith("."):
-                    with contextlib.suppress(OSError):  # it has just gone
+def _newest(folders: Iterable[Path], suffix: str) -> list[Path]:
+    """Return the newest files with a suffix in folders and the folders in them, as far as these can be read."""
+    dated: list[tuple[float, Path]] = []
+    waiting = [(folder, True) for folder in folders]
+    for folder, deeper in waiting:
+        with contextlib.suppress(OSError), os.scandir(folder) as entries:
+            for entry in itertools.islice(entries, _MOST_ENTRIES):
+                with contextlib.suppress(OSError):  # it has just gone
+                    if entry.name.startswith("."):
+                        continue
+                    if entry.name.endswith(suffix):
                         dated.append((entry.stat().st_mtime, Path(entry.path)))
-    except OSError:
-        return []
+                    elif deeper and len(waiting) < _MOST_FOLDERS and entry.is_dir(follow_symlinks=False):
+                        waiting.append((Path(entry.path), False))
     return [path for _, path in sorted(dated, reverse=True)][:_NEWEST]

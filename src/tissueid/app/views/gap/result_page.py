@@ -118,10 +118,10 @@ class ResultPage(QScrollArea):
         self._show_state(state)
         self.verticalScrollBar().setValue(0)
 
-    def update_enabled(self, *, busy: bool, testing: bool) -> None:
+    def update_enabled(self, *, busy: bool, testing: bool, working: bool) -> None:
         """Enable or disable the controls."""
         for button in self.buttons:
-            button.setEnabled(not busy)
+            button.setEnabled(not (busy or (working and button in (self.again, self.accept))))
         self.next.prepare.setEnabled(not testing)
 
     def apply_theme(self, theme: Theme) -> None:

@@ -39,10 +39,12 @@ from tissueid.app.views.gap.next_test import prepared_words, session_url
 from tissueid.app.views.gap.request_panel import RequestPanel
 from tissueid.app.views.gap.result_page import ResultPage
 from tissueid.app.widgets import plain_label, show_disabled_reason
+from tissueid.app.window_state import RESEARCH_FOLDERS, load_texts
 from tissueid.app.words import in_words
 from tissueid.errors import CancelledError, UnusableInputError
 from tissueid.language import _, marked
 from tissueid.messages import Message, Verbatim, translated
+from tissueid.procedures.control import Control
 from tissueid.procedures.gap_plans import DiagnosisPlan
 
 _WELCOME = marked(
@@ -66,7 +68,6 @@ class GapView(View):
         self._written: tuple[DiagnosisResult, Path] | None = None
         self._control = JobControl()
         self._running = self._over = False
-        self._next: DiagnosisPlan | None = None
         self._kept_in = default_folder()
         self.background = DiagnosisLoader(context.jobs, self._kept_in, self)
         self._busy = self._testing = False
@@ -76,7 +77,9 @@ class GapView(View):
         self._soon = QTimer(self)
         self._soon.setSingleShot(True)
         self._soon.setInterval(0)
-        self.asking = RequestPanel(context.services.folder)
+        self.asking = RequestPanel(
+            context.services.folder, lambda: [Path(text) for text in load_texts(context.settings, RESEARCH_FOLDERS)]
+        )
         self.history = DiagnosisList()
         self.result = ResultPage()
         self.welcome = plain_label("muted")
@@ -109,9 +112,11 @@ class GapView(View):
         """Enable or disable the controls."""
         self._busy, self._testing = busy, testing
         # While the page only reads, a diagnosis can be asked for all the same.
-        waits = self._running or testing or (busy and not self._only_reading)
+        working = self.context.jobs.working
+        waits = working or testing or (busy and not self.background.running)
         self.asking.update_enabled(busy=waits, testing=testing)
-        self.result.update_enabled(busy=busy, testing=testing)
+        self.asking.show_reason(self.context.jobs.why_no_work if working and not self._running else "")
+        self.result.update_enabled(busy=busy, testing=testing, working=working)
         if not busy:
             self._soon.start()
 
@@ -129,7 +134,7 @@ class GapView(View):
 
     def cancel(self) -> None:
         """Cancel the running diagnosis and start no further work; the window closes."""
-        self._over, self._next = True, None
+        self._over = True
         self._control.cancel()
         self.background.cancel()
 
@@ -141,11 +146,11 @@ class GapView(View):
     # -- a diagnosis ----------------------------------------------------------------------------------------------
 
     def begin(self) -> None:
-        """Diagnose the selected session as soon as background reading ends."""
-        if (self.context.busy and not self._only_reading) or self._testing or self.asking.session.path is None:
+        """Diagnose the selected session."""
+        if not self.asking.run.isEnabled():
             return
         try:
-            self._next = self.asking.asked()
+            asked = self.asking.asked()
         except UnusableInputError as error:
             self.context.say(in_words(error), problem=True)
             return
@@ -153,11 +158,10 @@ class GapView(View):
         self.asking.begin()
         self._looking.start()
         self.asking.stop.setFocus()
-        self.background.cancel()
-        if self.context.busy:
-            self._resettle()
-        else:
-            self._go_on()
+        separate_process = self.context.services.separate_process
+        work = functools.partial(self._diagnose, asked, self._control, separate_process=separate_process)
+        why = _("A diagnosis is running on Gap: cancel it there, or wait.")
+        self.context.jobs.do(work, self._ended, self._failed, why=why, long=True)
 
     def begin_again(self) -> None:
         """Repeat the shown diagnosis."""
@@ -172,26 +176,17 @@ class GapView(View):
             self.asking.stop.setEnabled(False)
             self.asking.show_progress(None, _("Cancelling"))
 
-    @property
-    def _only_reading(self) -> bool:
-        return self.background.running and not self._running
-
     def _go_on(self) -> None:
-        """Start the requested diagnosis, or else background reading."""
-        if self._over or self._testing or self.context.busy:
-            return
-        if self._next is not None:
-            asked, self._next = self._next, None
-            why = _("A diagnosis is running on Gap: cancel it there, or wait.")
-            self.context.jobs.do(functools.partial(self._diagnose, asked), self._ended, self._failed, why=why)
-        elif self.isVisible():
+        """Read what is missing."""
+        if not (self._over or self._testing or self.context.busy) and self.isVisible():
             self.background.load_next(self.asking.session.untitled)
 
-    def _diagnose(self, asked: DiagnosisPlan) -> tuple[DiagnosisResult | None, str]:
+    def _diagnose(
+        self, asked: DiagnosisPlan, control: Control, *, separate_process: bool
+    ) -> tuple[DiagnosisResult | None, str]:
         """Diagnose and store the result; return the result and why it was not stored. Runs in a thread."""
-        separate_process = self.context.services.separate_process
         try:
-            result = run_diagnosis(asked, self._control, separate_process=separate_process)
+            result = run_diagnosis(asked, control, separate_process=separate_process)
         except CancelledError:
             return None, ""
         return result, self._kept(result)
@@ -316,6 +311,7 @@ class GapView(View):
                 accept_into_twin(result, Path(path), trail, effects, separate_process=separate_process),
             ),
             self._accepted,
+            long=True,
         )
 
     def _export(self, path: str) -> None:
@@ -332,10 +328,13 @@ class GapView(View):
         self._written = written
         self.context.show_file(written[1])
 
-    def _keep(self, work: Callable[[DiagnosisResult], object], then: Callable[..., None]) -> None:
+    def _keep(
+        self, work: Callable[[DiagnosisResult], object], then: Callable[..., None], *, long: bool = False
+    ) -> None:
         result = self.history.result
-        if result is not None and not self.context.busy:
-            self.context.jobs.do(functools.partial(work, result), then, self._not_kept)
+        if result is not None and not (self.context.no_work if long else self.context.busy):
+            why = _("A twin is being saved on Gap: wait a moment.") if long else ""
+            self.context.jobs.do(functools.partial(work, result), then, self._not_kept, why=why, long=long)
 
     def _accepted(self, accepted: tuple[Path, str]) -> None:
         path, words = accepted
@@ -411,7 +410,7 @@ class GapView(View):
 
     def _resettle(self) -> None:
         self.update_enabled(busy=self._busy, testing=self._testing)
-        show_disabled_reason(self.waiting(), self.context.jobs.why)
+        show_disabled_reason(self.waiting(), self.context.jobs.why_no_work)
 
 
 def _whole_number(kept: object) -> int:

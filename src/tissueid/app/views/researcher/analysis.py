@@ -51,12 +51,15 @@ from tissueid.app.widgets import ElidedLabel, show_disabled_reason
 from tissueid.app.words import in_words, sentence
 from tissueid.errors import TissueIDError
 from tissueid.language import _, plural
-from tissueid.messages import translated
+from tissueid.messages import Message, Verbatim, translated
 from tissueid.option_errors import validation_reason
+from tissueid.procedures.control import Control, RemainingTime
 
 _STEPS = 1000
 _LOOK_MS = 100
 _TOLD = 3
+_GRACE_S = 60.0
+"""How long the fit at hand may take after a cancellation before the results so far are given up, s."""
 _FORM_WIDTH = 232
 _FORM_HEIGHT = 170
 """Height of the form above the results in a narrow window, pixels."""
@@ -75,8 +78,9 @@ class AnalysisPanel(QWidget):
         self._history = history or AnalysisHistory()
         self._chosen: tuple[SelectedTest, ...] = ()
         self._work: JobControl | None = None
+        self._left = RemainingTime()
         self._doing = ""
-        self._busy = self._testing = False
+        self._busy = self._working = False
         self.form = EngineForm()
         self.run = QPushButton(_("R&un"))
         self.run.setToolTip(_("Fit the engine to every chosen test"))
@@ -181,8 +185,9 @@ class AnalysisPanel(QWidget):
 
     def update_enabled(self, *, busy: bool, testing: bool) -> None:
         """Enable or disable the controls."""
-        self._busy, self._testing = busy, testing
-        self._enable()
+        self._busy = busy
+        self._working = testing or busy or self.context.jobs.working
+        self._rest()
 
     @property
     def waiting(self) -> tuple[QWidget, ...]:
@@ -237,27 +242,22 @@ class AnalysisPanel(QWidget):
 
     def start(self, task: AnalysisTask, folder: Path | None = None) -> None:
         """Start a task, on all sessions in ``folder`` if given."""
-        if self.context.busy or self._testing:
-            return
         moment = datetime.now(UTC).isoformat(timespec="milliseconds")
-
-        def work(control: JobControl) -> Batch:
-            if folder is None:
-                return run(task, control, self._history, moment)
-            return run_folder(folder, task, control, self._history, moment)
-
+        wanted = task, self._history, moment
+        work = functools.partial(run, *wanted) if folder is None else functools.partial(run_folder, folder, *wanted)
         self._begin(work, _("Comparing") if task.kind == "compare" else _("Fitting"), self._done)
 
-    def _begin(self, work: Callable[[JobControl], Batch], doing: str, done: Callable[[Batch], None]) -> None:
-        if self.context.busy or self._testing:
+    def _begin(self, work: Callable[[Control], Batch], doing: str, done: Callable[[Batch], None]) -> None:
+        if self.context.no_work:
             return
         control = JobControl()
         self._work, self._doing = control, doing
+        self._left = RemainingTime()
         self.cancelling.setEnabled(True)
         self._show_working()
         self._looking.start()
         why = _("An analysis is running on Research: cancel it there, or wait.")
-        self.context.jobs.do(functools.partial(work, control), done, self._failed, why=why)
+        self.context.do_work(work, control, done, self._failed, why=why, grace_s=_GRACE_S)
 
     def _task(self, **changes: Any) -> AnalysisTask | None:
         """Return the task of the form; show the error and return None if it is invalid."""
@@ -306,9 +306,10 @@ class AnalysisPanel(QWidget):
 
     def _look(self) -> None:
         if self._work is not None and not self._work.cancelled():
-            step = self._work.step
-            self.bar.setValue(round(_STEPS * (self._work.fraction or 0.0)))
-            self.step.setText(f"{self._doing} {step}" if step else f"{self._doing}.")
+            step, share = self._work.step, self._work.fraction or 0.0
+            self.bar.setValue(round(_STEPS * share))
+            doing = Verbatim(f"{self._doing} {step}" if step else self._doing)
+            self.step.setText(translated(self._left.added_to(Message("research.step", "{step}", step=doing), share)))
 
     def _done(self, batch: Batch) -> None:
         self._end()
@@ -437,7 +438,9 @@ class AnalysisPanel(QWidget):
         if self._work is None:
             count = len(self._chosen)
             self.step.setText(
-                plural("{count} test chosen.", "{count} tests chosen.", count).format(count=count)
+                self.context.jobs.why_no_work
+                if self.context.jobs.working
+                else plural("{count} test chosen.", "{count} tests chosen.", count).format(count=count)
                 if count
                 else _("No test is chosen.")
             )
@@ -450,23 +453,23 @@ class AnalysisPanel(QWidget):
         self.cancelling.setVisible(working)
 
     def _enable(self) -> None:
-        free = not (self._busy or self._testing)
+        free = not self._working
         self.run.setEnabled(free and bool(self._chosen))
         self.compare.setEnabled(free and bool(self._chosen))
         self.folder.setEnabled(free)
         there = bool(self.results.outcomes)
-        if not free and (self.save_table.hasFocus() or self.save_figure.hasFocus()):
+        if self._busy and (self.save_table.hasFocus() or self.save_figure.hasFocus()):
             self.results.setFocus()  # by itself the focus would go on to Clear, and Space would press that
-        self.save_table.setEnabled(free and there)
-        self.save_figure.setEnabled(free and there)
-        self.population.save_figure.setEnabled(free and there)
+        self.save_table.setEnabled(there and not self._busy)
+        self.save_figure.setEnabled(there and not self._busy)
+        self.population.save_figure.setEnabled(there and not self._busy)
         self.clear.setEnabled(there and self._work is None)
         self.undo.setVisible(bool(self._before_removal))
         self.undo.setEnabled(self._work is None)
         self.refit.setVisible(bool(self._without_curves))
         self.refit.setEnabled(free)
         self.past.update_enabled(busy=not free)
-        show_disabled_reason(self.waiting, self.context.jobs.why)
+        show_disabled_reason(self.waiting, self.context.jobs.why_no_work)
 
     def _connect(self) -> None:
         self.run.clicked.connect(self._run)

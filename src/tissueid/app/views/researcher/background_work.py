@@ -3,8 +3,9 @@
 from __future__ import annotations
 
 from PySide6.QtCore import QSize, QTimer
-from PySide6.QtWidgets import QHBoxLayout, QProgressBar, QPushButton, QWidget
+from PySide6.QtWidgets import QHBoxLayout, QProgressBar, QWidget
 
+from tissueid.app.build import button
 from tissueid.app.jobs import JobControl
 from tissueid.app.widgets import ElidedLabel
 from tissueid.language import _
@@ -44,9 +45,7 @@ class ProgressStrip(QWidget):
         self._bar.setRange(0, _STEPS)
         self._bar.setTextVisible(False)
         self._bar.setAccessibleName(_("Progress"))
-        self.stop = QPushButton(_("Cancel"))
-        self.stop.setProperty("role", "small")  # it stands in the corner of a bar of tabs
-        self.stop.setAccessibleName(_("Cancel the running work"))
+        self.stop = button(_("Cancel"), role="small", name=_("Cancel the running work"))
         self.stop.clicked.connect(self.cancel)
         row = QHBoxLayout(self)
         row.setContentsMargins(0, 0, 0, 0)

@@ -1,4 +1,4 @@
-"""Run engines on tests in a worker thread. A failure is recorded and the next test is run."""
+"""Run engines on tests, in a process of their own. A failure is recorded and the next test is run."""
 
 from __future__ import annotations
 
@@ -8,7 +8,6 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 
 from tissueid.analysis import EngineComparison, analyse, specifications
-from tissueid.app.jobs import JobControl
 from tissueid.app.user_files import stamp_of
 from tissueid.app.views.researcher.analysis_task import MOST_TESTS, AnalysisTask, TestRef
 from tissueid.app.views.researcher.comparison_summary import ComparisonSummary, summary_of
@@ -44,7 +43,7 @@ class Batch:
     entry: HistoryEntry | None
 
 
-def run(task: AnalysisTask, control: JobControl, history: AnalysisHistory, moment: str) -> Batch:
+def run(task: AnalysisTask, history: AnalysisHistory, moment: str, control: Control) -> Batch:
     """Run a task and add it to the history; ``moment`` is its start in ISO 8601.
 
     Raises:
@@ -90,7 +89,7 @@ def run(task: AnalysisTask, control: JobControl, history: AnalysisHistory, momen
     return Batch(task, tuple(done), tuple(verdicts), tuple(problems), cancelled, entry)
 
 
-def refit(outcomes: Sequence[EngineOutcome], control: JobControl) -> Batch:
+def refit(outcomes: Sequence[EngineOutcome], control: Control) -> Batch:
     """Refit results that were stored without curves; failures are added to ``problems``."""
     done, problems, cancelled = list[EngineOutcome](), list[str](), False
     read = functools.lru_cache(maxsize=2)(read_session)
@@ -122,7 +121,7 @@ def _task_of(outcome: EngineOutcome) -> AnalysisTask:
     )
 
 
-def run_folder(folder: Path, task: AnalysisTask, control: JobControl, history: AnalysisHistory, moment: str) -> Batch:
+def run_folder(folder: Path, task: AnalysisTask, history: AnalysisHistory, moment: str, control: Control) -> Batch:
     """Run a task on the tests of all sessions in a folder and its subfolders.
 
     Raises:
@@ -139,7 +138,7 @@ def run_folder(folder: Path, task: AnalysisTask, control: JobControl, history: A
     if not tests:
         raise UnusableInputError(Message("research.no_session", "there is no session in {folder}", folder=str(folder)))
     named = task.model_copy(update={"tests": tuple(TestRef.of(test) for test in tests)})
-    found = run(named, control, history, moment)
+    found = run(named, history, moment, control)
     return replace(found, problems=(*problems, *found.problems))
 
 
@@ -261,7 +260,7 @@ def _headline(done: list[EngineOutcome], cancelled: bool) -> str:
     return Message("research.headline", "{names}", names=Listing(tuple(words))) if words else ""
 
 
-def find_tests(folder: Path, control: JobControl) -> tuple[list[SelectedTest], list[str]]:
+def find_tests(folder: Path, control: Control) -> tuple[list[SelectedTest], list[str]]:
     """Return the stochastic tests of all sessions in a folder and its subfolders, and a text for each unusable file.
 
     A session without a stochastic test gives its first one.

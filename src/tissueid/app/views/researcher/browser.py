@@ -12,6 +12,7 @@ from PySide6.QtCore import QByteArray, QItemSelection, QModelIndex, Qt, QTimer, 
 from PySide6.QtGui import QKeySequence, QShortcut
 from PySide6.QtWidgets import QFileDialog, QHBoxLayout, QLabel, QMenu, QPushButton, QVBoxLayout, QWidget
 
+from tissueid.app.build import button
 from tissueid.app.context import AppContext
 from tissueid.app.theme import Theme
 from tissueid.app.views.researcher.background_work import ProgressStrip
@@ -21,7 +22,7 @@ from tissueid.app.views.researcher.session_model import DATE, ITEM, SessionModel
 from tissueid.app.views.researcher.session_search import SessionEntry, SessionSearch, TestEntry
 from tissueid.app.views.researcher.session_tree import SessionFilter, SessionTree
 from tissueid.app.widgets import plain_tip
-from tissueid.app.window_state import load_texts, save_texts
+from tissueid.app.window_state import RESEARCH_FOLDERS, load_texts, save_texts
 from tissueid.formatting import clean, grouped, subject_text
 from tissueid.language import _, plural
 from tissueid.messages import Message, translated
@@ -78,13 +79,13 @@ class FolderButton(QPushButton):
         dialog.open()
 
 
-_FOLDERS, _ASKED, _HEADER = "research/folders", "research/asked", "research/columns"
+_ASKED, _HEADER = "research/asked", "research/columns"
+_WIDTHS = "research/widths"
 _SETTLED_MS = 120
 """A selection that stands so long is what was meant; the arrow keys pass over many."""
 _DRAIN_MS = 80
 _AT_ONCE = 200
 _LONGEST_LABEL = 60
-_WIDTHS = (134, 72, 108, 72, 46, 84, 70, 100, 180)
 
 
 class Browser(QWidget):
@@ -112,10 +113,9 @@ class Browser(QWidget):
         self.tree = SessionTree(self.shown)
         self.count = QLabel()
         self.picked = QLabel()
-        folders = [Path(text) for text in load_texts(context.settings, _FOLDERS)]
+        folders = [Path(text) for text in load_texts(context.settings, RESEARCH_FOLDERS)]
         self.folders = FolderButton(folders or [context.services.folder], self)
-        self.again = QPushButton(_("Search again"))
-        self.again.setToolTip(_("Look for new sessions in the folders (F5)"))
+        self.again = button(_("Search again"), tip=_("Look for new sessions in the folders (F5)"))
         self._restore()
         self._arrange()
         self._drain = self._timer(_DRAIN_MS, self._take_found, single=False)
@@ -197,6 +197,8 @@ class Browser(QWidget):
     def update_enabled(self, *, testing: bool) -> None:
         """Disable the controls during a test."""
         self.setEnabled(not testing)
+        if self._all_wanted:
+            self._tell_count()
 
     def apply_theme(self, theme: Theme) -> None:
         """Apply the colours of a theme."""
@@ -204,9 +206,13 @@ class Browser(QWidget):
 
     def save_state(self) -> None:
         """Save folders, filters and columns."""
-        save_texts(self._context.settings, _FOLDERS, [str(path) for path in self.folders.paths])
+        self._save_folders()
         save_texts(self._context.settings, _ASKED, list(self.bar.asked))
         self._context.settings.setValue(_HEADER, self.tree.header().saveState())
+        save_texts(self._context.settings, _WIDTHS, self.tree.widths())
+
+    def _save_folders(self) -> None:
+        save_texts(self._context.settings, RESEARCH_FOLDERS, [str(path) for path in self.folders.paths])
 
     # -- searching ------------------------------------------------------------------------------------------
 
@@ -268,7 +274,8 @@ class Browser(QWidget):
             words += _(", {count} unreadable").format(count=grouped(bad))
         if shown != len(entries):
             words += _("; {count} shown").format(count=grouped(shown))
-        self.count.setText(words)
+        waits = self._all_wanted and self._context.busy
+        self.count.setText(self._context.unread if waits else words)
         empty = "" if entries or self._search is not None or self._all_wanted else _("No sessions in these folders.")
         if entries and not shown:
             empty = _("Nothing matches.")
@@ -296,12 +303,10 @@ class Browser(QWidget):
     # -- building -------------------------------------------------------------------------------------------
 
     def _restore(self) -> None:
-        header = self.tree.header()
-        for column, width in enumerate(_WIDTHS):
-            header.resizeSection(column, width)
         state = self._context.settings.value(_HEADER)
         if isinstance(state, QByteArray):
-            header.restoreState(state)
+            self.tree.header().restoreState(state)  # order and sorting; widths stand apart, where no room bends them
+        self.tree.restore(load_texts(self._context.settings, _WIDTHS))
         asked = load_texts(self._context.settings, _ASKED)
         if len(asked) == 4:
             self.bar.ask(*asked)
@@ -337,6 +342,7 @@ class Browser(QWidget):
     def _connect(self) -> None:
         self.bar.changed.connect(self._ask)
         self.again.clicked.connect(self.look_again)
+        self.folders.changed.connect(self._save_folders)
         self.folders.changed.connect(self.look_again)
         self.tree.opened.connect(self._open)
         self.tree.selectionModel().selectionChanged.connect(self._select)

@@ -32,7 +32,7 @@ COLUMNS = (
     marked("Verdict"),
     marked("VAF held out (%)"),
     marked("VAF fitted (%)"),
-    marked("Behind the best (points)"),
+    marked("Below the best (points)"),
     "AICc",
     marked("Kind"),
 )
@@ -82,7 +82,7 @@ def _row(one: Standing, recommended: bool) -> tuple[str, ...]:
     how = f"{fixed(behind.points, 2)} ± {fixed(behind.std_points, 2)}"
     return (
         name,
-        _("recommended") if recommended else _("beaten") if one.beaten else _("as good"),
+        _("recommended") if recommended else _("clearly worse") if one.beaten else _("as good"),
         fixed(one.vaf_percent, 2),
         fixed(one.vaf_fitted_percent, 2),
         how,

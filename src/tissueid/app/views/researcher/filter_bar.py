@@ -5,8 +5,9 @@ from __future__ import annotations
 from collections.abc import Iterable
 
 from PySide6.QtCore import Qt, Signal
-from PySide6.QtWidgets import QComboBox, QHBoxLayout, QLineEdit, QPushButton, QVBoxLayout, QWidget
+from PySide6.QtWidgets import QComboBox, QHBoxLayout, QLineEdit, QVBoxLayout, QWidget
 
+from tissueid.app.build import button
 from tissueid.app.views.researcher.session_search import SessionEntry
 from tissueid.app.widgets import plain_tip
 from tissueid.formatting import clean, subject_text
@@ -33,8 +34,7 @@ class FilterBar(QWidget):
         self.words.setClearButtonEnabled(True)
         self.choices = tuple(QComboBox() for _name in _NAMES)
         self.subject, self.site, self.kind = self.choices
-        self.clear = QPushButton(_("Clear"))
-        self.clear.setAccessibleName(_("Clear search and filters"))
+        self.clear = button(_("Clear"), name=_("Clear search and filters"))
         choices = QHBoxLayout()
         choices.setSpacing(6)
         for choice, name, anything in zip(self.choices, _NAMES, _ALL, strict=True):

@@ -29,7 +29,7 @@ _COLUMNS = (
     marked("When"),
     marked("Engine"),
     marked("Tests"),
-    marked("Figures"),
+    marked("Result"),
     marked("Options that differ from the defaults"),
 )
 _ROW = 22

@@ -40,7 +40,7 @@ class KernelPlot(QWidget):
         self.canvas = PlotCanvas()
         self._plots: list[Plot] = []
         self._groups: list[tuple[Plot, ...]] = []
-        self.back = QPushButton(_("Turn back"))
+        self.back = QPushButton(_("Reset view"))
         self.back.setToolTip(_("Look at it as at first (Home)"))
         self.back.clicked.connect(self.canvas.show_everything)
         self.flat, self.raised = QPushButton(_("Image")), QPushButton(_("Surface"))

@@ -28,6 +28,10 @@ _LEAST, _AROUND = 48, 8
 _PANEL = 100
 """Minimum height of a panel, pixels."""
 
+_LOW = 460
+"""Height of the plots with their legend below which the legend has two lines, pixels."""
+_ANY = 16_777_215
+
 
 class Pictures(QWidget):
     """Plots of results. ``show_outcomes`` returns the drawn ones in the order of their colours."""
@@ -42,6 +46,7 @@ class Pictures(QWidget):
         self._theme: Theme | None = None
         self._drawn: list[EngineOutcome] = []
         self._total = 0
+        self._refused = ""
         self._under: Mapping[str, Curve] = {}
         self._for_depth: list[QWidget] = []
         self.plots, self.kernel = PlotCanvas(), KernelPlot()
@@ -51,6 +56,7 @@ class Pictures(QWidget):
         self.legend = QLabel()
         self.legend.setTextFormat(Qt.TextFormat.RichText)
         self.legend.setWordWrap(True)
+        self.legend.setAlignment(Qt.AlignmentFlag.AlignTop)
         self.legend.setMinimumWidth(1)
         self.legend.setAccessibleName(_("Key of the plots"))
         self.choice.currentIndexChanged.connect(self._show)
@@ -76,6 +82,7 @@ class Pictures(QWidget):
         ``total`` counts all fits of the table, which the legend says where only some are drawn.
         """
         there = [outcome for outcome in outcomes if outcome.report is not None]
+        self._refused = "" if there or not outcomes else translated(outcomes[0].refused)
         self._drawn = [outcome for outcome in there if outcome.plots.units == there[0].plots.units][: len(SERIES)]
         self._total = max(total, len(there))
         self.kernel.offer([o for o in there if o.plots.kernels])
@@ -155,7 +162,8 @@ class Pictures(QWidget):
         self._pages.setCurrentWidget(self.plots if panels else self.kernel)
         self.plots.setMinimumHeight(_PANEL * len(panels))
         if panels and not self._drawn:
-            self.plots.say_missing(_("Nothing to show yet: choose tests and run an engine."))
+            refused = _("Refused: {reason}").format(reason=self._refused) if self._refused else ""
+            self.plots.say_missing(refused or _("Nothing to show yet: choose tests and run an engine."))
         elif panels:
             self.plots.show_plots(
                 PictureFigure(name, tuple(self._drawn), *self.keys, self._under).plots(SERIES), key=False
@@ -177,7 +185,8 @@ class Pictures(QWidget):
         below = [self._under[panel].name for panel in panels if panel in self._under][:1]
         # The key says what else is drawn: measurements, and faint curves.
         words = [_(name) for name in below]
-        words += dict.fromkeys(_(c.name) for plots in every for plot in plots for c in plot.curves if c.name)
+        named = (text for plots in every for plot in plots for c in plot.curves for text in (c.name, c.band) if text)
+        words += dict.fromkeys(_(text) for text in named)
         for plots in every:
             without = sum(not plot.parts for plot in plots)
             if 0 < without < len(plots):
@@ -191,9 +200,15 @@ class Pictures(QWidget):
             )
         entries += [f'<span style="color:{theme.muted}">{word}</span>' for word in words]
         self.legend.setText(" &nbsp;&nbsp; ".join(entries))
-        self.legend.setMinimumHeight(0)  # what the text needs must be asked without the former minimum
+        self.legend.setMinimumHeight(0)  # what the text needs must be asked without the former bounds
+        self.legend.setMaximumHeight(_ANY)
         needed = max(0, self.legend.heightForWidth(self.width()))  # -1 without a text
-        self.legend.setMinimumHeight(needed)  # a splitter does not know heights of wrapped texts
+        if self.height() < _LOW:  # the plots need the room more; the tool tip has the rest
+            needed = min(needed, 2 * self.legend.fontMetrics().lineSpacing())
+            self.legend.setToolTip(self.legend.text())
+        else:
+            self.legend.setToolTip("")
+        self.legend.setFixedHeight(needed)  # a splitter does not know heights of wrapped texts
         self.legend.setVisible(bool(entries) and bool(panels))
 
 

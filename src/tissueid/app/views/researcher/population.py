@@ -149,7 +149,10 @@ def population(
         ys.append(y)
         xs.append(x)
         names.append(name)
-    groups, group = _groups([_member(outcome, by) for outcome in kept], most_groups)
+    models = [] if parameter in SCORES else _models(kept)
+    members = [_member(outcome, by) for outcome in kept]
+    members = [" ".join(filter(None, pair)) for pair in zip(members, models, strict=True)] if models else members
+    groups, group = _groups(members, most_groups)
     y_values, x_values = np.array(ys), np.array(xs)
     places: tuple[str, ...] = ()
     if across in (SUBJECT, SITE):
@@ -262,6 +265,12 @@ def _member(outcome: EngineOutcome, by: str) -> str:
         SITE: lambda: clean(first.site),
     }
     return names[by]()[:_LONGEST] or (MISSING if by else "")
+
+
+def _models(outcomes: Sequence[EngineOutcome]) -> list[str]:
+    """Return the model of each fit where one engine has several: their parameters are not comparable; else none."""
+    models = [(outcome.engine, outcome.report.model) for outcome in outcomes if outcome.report is not None]
+    return [model for _engine, model in models] if len(set(models)) > len({engine for engine, _ in models}) else []
 
 
 def _groups(names: Sequence[str], most: int) -> tuple[tuple[str, ...], np.ndarray]:

@@ -10,8 +10,9 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 from PySide6.QtCore import Qt, Signal
-from PySide6.QtWidgets import QComboBox, QGridLayout, QLabel, QPushButton, QVBoxLayout, QWidget
+from PySide6.QtWidgets import QComboBox, QGridLayout, QLabel, QVBoxLayout, QWidget
 
+from tissueid.app.build import button
 from tissueid.app.plot_canvas import PlotCanvas, Point
 from tissueid.app.theme import LIGHT, Theme
 from tissueid.app.views.researcher.engine_outcome import EngineOutcome, variant_of
@@ -29,7 +30,7 @@ from tissueid.app.views.researcher.population import (
 from tissueid.app.views.researcher.result_figures import PopulationFigure
 from tissueid.app.views.researcher.results_table import SERIES
 from tissueid.app.widgets import ElidedLabel
-from tissueid.formatting import axis_label, grouped, label_and_unit, plus_minus, with_unit
+from tissueid.formatting import axis_label, fixed, grouped, label_and_unit, plus_minus, with_unit
 from tissueid.language import _, marked, plural
 from tissueid.messages import Verbatim
 from tissueid.records import Estimate
@@ -73,9 +74,11 @@ class PopulationView(QWidget):
             for key, words in entries.items():
                 choice.addItem(_(words), key)
         self.group.setCurrentIndex(self.group.findData("engine"))
-        self.save_figure = QPushButton(_("Figure…"))
-        self.save_figure.setAccessibleName(_("Save the figure of the population"))
-        self.save_figure.setToolTip(_("Save the figure as PDF, SVG or PNG with 300 dpi"))
+        self.save_figure = button(
+            _("Figure…"),
+            name=_("Save the figure of the population"),
+            tip=_("Save the figure as PDF, SVG or PNG with 300 dpi"),
+        )
         self.card = PlotCanvas(_("Population"))
         self.card.pick, self.card.tip = self._clicked, self._tip
         self.key = QLabel()
@@ -303,6 +306,6 @@ def _overall(found: Population) -> list[str]:
 
 def _figure(parameter: str, estimate: Estimate) -> str:
     if parameter in SCORES:
-        return f"{estimate.value:.2f} %"
+        return f"{fixed(estimate.value, 2)} %"
     unit, scale = shown_si(label_and_unit(parameter)[1])
     return with_unit(plus_minus(estimate, scale), unit)

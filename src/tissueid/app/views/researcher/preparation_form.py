@@ -3,8 +3,9 @@
 from __future__ import annotations
 
 from PySide6.QtCore import Signal
-from PySide6.QtWidgets import QCheckBox, QDoubleSpinBox, QGridLayout, QLabel, QWidget
+from PySide6.QtWidgets import QCheckBox, QGridLayout, QLabel, QWidget
 
+from tissueid.app.number_field import NumberField
 from tissueid.app.views.researcher.analysis_task import Preparation
 from tissueid.language import _
 
@@ -24,7 +25,7 @@ class PreparationForm(QWidget):
             _("Subtract the linear drift"), _("The straight line through the output is subtracted before the fit")
         )
         self.tissue_alone = self._box(
-            _("Tissue alone as well"),
+            _("Also report the tissue alone"),
             _("Mass and damping without the moving part of the instrument, next to those of both together"),
         )
         self.low = self._edge(_("Band from"), _("Lower frequencies are removed from both signals before the fit"))
@@ -68,13 +69,12 @@ class PreparationForm(QWidget):
         box.toggled.connect(self.changed)
         return box
 
-    def _edge(self, label: str, what: str) -> QDoubleSpinBox:
-        edge = QDoubleSpinBox()
+    def _edge(self, label: str, what: str) -> NumberField:
+        edge = NumberField()
         edge.setRange(0.0, _HIGHEST_HZ)
         edge.setDecimals(2)
         edge.setSuffix(" Hz")
         edge.setSpecialValueText(_("no limit"))
-        edge.setKeyboardTracking(False)
         edge.setMinimumWidth(_NARROW)
         edge.setAccessibleName(label)
         edge.setToolTip(what)

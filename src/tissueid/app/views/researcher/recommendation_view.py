@@ -6,7 +6,16 @@ from collections.abc import Sequence
 
 from PySide6.QtCore import QSignalBlocker, Qt
 from PySide6.QtGui import QAction, QFont
-from PySide6.QtWidgets import QComboBox, QMenu, QPlainTextEdit, QSplitter, QTableWidgetItem, QVBoxLayout, QWidget
+from PySide6.QtWidgets import (
+    QComboBox,
+    QHeaderView,
+    QMenu,
+    QPlainTextEdit,
+    QSplitter,
+    QTableWidgetItem,
+    QVBoxLayout,
+    QWidget,
+)
 
 from tissueid.app.build import button, fill, label, row, styled, table
 from tissueid.app.views.researcher.comparison_summary import COLUMNS, ComparisonSummary
@@ -40,6 +49,8 @@ class RecommendationView(QWidget):
         self.words.setReadOnly(True)
         self.words.setTabChangesFocus(True)
         self.standings = table([in_two_lines(_(name)) for name in COLUMNS], _("Engines by how well they do"))
+        self.standings.setWordWrap(True)  # the last column has the reason of a refusal
+        self.standings.horizontalHeader().setSectionResizeMode(len(COLUMNS) - 1, QHeaderView.ResizeMode.Stretch)
         parts = QSplitter(Qt.Orientation.Vertical)
         parts.setChildrenCollapsible(False)
         for place, (part, stretch) in enumerate(((self.words, 2), (self.standings, 3))):
@@ -104,3 +115,4 @@ class RecommendationView(QWidget):
                     item.setTextAlignment(Qt.AlignmentFlag.AlignRight | Qt.AlignmentFlag.AlignVCenter)
                 self.standings.setItem(place, column, item)
             item.setToolTip(text.replace("<", "‹").replace(">", "›"))
+        self.standings.resizeRowsToContents()

@@ -8,7 +8,7 @@ import threading
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, fields
 from pathlib import Path
-from typing import Annotated, Any
+from typing import Annotated, Any, Literal
 
 from pydantic import AwareDatetime, BaseModel, ConfigDict, Field, ValidationError
 
@@ -54,6 +54,9 @@ class AnalysisHistory:
     def __init__(self, path: Path | None = None) -> None:
         self.path = path or default_path()
         self._lock = threading.Lock()
+
+    def __reduce__(self) -> tuple[type[AnalysisHistory], tuple[Path]]:
+        return AnalysisHistory, (self.path,)  # for the process of an analysis
 
     def read(self) -> tuple[list[HistoryEntry], int]:
         """Return the latest entries, newest first, and the number of unreadable lines. A missing file is empty.
@@ -160,6 +163,7 @@ class _Report(_Line):
     warnings: _Words
     findings: _Words
     details: Annotated[dict[Name, _Number], Field(max_length=200)]
+    model: Name | Literal[""] = ""
     messages: _Messages = {}
 
     @classmethod
@@ -227,7 +231,7 @@ class _Result(_Line):
         """Return the result; ``stamp`` is the current one of its file."""
         from tissueid.analysis.curves.results import TITLES, missing_plot
 
-        without = marked("Kept from an earlier start, without its curves: Refit draws them.")
+        without = marked("From an earlier session, without curves; “Refit” computes them.")
         panels = {panel: missing_plot(panel, without) for panel in TITLES}
         units = {str(panel): self.units[panel] for panel in panels if panel in self.units}
         tests: tuple[SelectedTest, ...] = tuple(test.chosen for test in self.tests)

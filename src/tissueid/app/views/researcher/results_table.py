@@ -14,7 +14,7 @@ from PySide6.QtCore import (
     Qt,
     Signal,
 )
-from PySide6.QtGui import QColor, QFont, QKeyEvent, QKeySequence
+from PySide6.QtGui import QColor, QFont, QIcon, QKeyEvent, QKeySequence, QPainter, QPixmap
 from PySide6.QtWidgets import QAbstractItemView, QHeaderView, QTableView, QWidget
 
 from tissueid.app.theme import Theme
@@ -49,6 +49,9 @@ _SORT = Qt.ItemDataRole.UserRole
 _LONGEST = 60
 Index = QModelIndex | QPersistentModelIndex
 _TOP = QModelIndex()
+
+_SIDE = 14
+"""Side of the square in the colour of a curve, pixels."""
 
 
 class ResultsTable(QTableView):
@@ -260,7 +263,7 @@ class _Results(QAbstractTableModel):
             return _tool_tip(outcome) if self._is_text(column) else None
         if role == Qt.ItemDataRole.DecorationRole and column == 0 and self._theme is not None:
             place = self._colours.get(id(outcome))
-            return None if place is None else QColor(getattr(self._theme, SERIES[place % len(SERIES)]))
+            return None if place is None else _square(getattr(self._theme, SERIES[place % len(SERIES)]))
         if role == Qt.ItemDataRole.TextAlignmentRole and not self._is_text(column):
             return Qt.AlignmentFlag.AlignRight | Qt.AlignmentFlag.AlignVCenter
         if role == Qt.ItemDataRole.ForegroundRole and self._theme is not None:
@@ -312,6 +315,18 @@ def in_two_lines(head: str) -> str:
     return "\n".join(min(parted, key=lambda lines: max(map(len, lines)))) if parted else head
 
 
+def _square(colour: str) -> QIcon:
+    """Return a square in a colour with a light edge, which the selection does not tint."""
+    picture = QPixmap(_SIDE, _SIDE)
+    picture.fill(QColor("white"))
+    painter = QPainter(picture)
+    painter.fillRect(1, 1, _SIDE - 2, _SIDE - 2, QColor(colour))
+    painter.end()
+    icon = QIcon(picture)
+    icon.addPixmap(picture, QIcon.Mode.Selected)
+    return icon
+
+
 def _tool_tip(outcome: EngineOutcome) -> str:
     """Return the tool tip of a result: options, findings and warnings, without markup."""
     lines = [outcome.label, *([sentence(translated(outcome.refused))] if outcome.refused else [])]
@@ -339,11 +354,9 @@ def _plain_row(outcome: EngineOutcome, names: Sequence[str]) -> list[str]:
     first, report = outcome.tests[0], outcome.report
     numbers = " ".join(str(test.number) for test in outcome.tests)
     row = [outcome.engine, outcome.test_label, first.pseudonym, first.site, str(first.path), numbers]
-    row = [
-        _harmless(text) for text in [*row, *outcome.signals, plain_text(outcome.options | outcome.preparation.changed)]
-    ]
+    row = [clean(text) for text in [*row, *outcome.signals, plain_text(outcome.options | outcome.preparation.changed)]]
     if report is None:
-        return row + [""] * (5 + 2 * len(names)) + [_harmless(outcome.refused)]
+        return row + [""] * (5 + 2 * len(names)) + [clean(outcome.refused)]
     row += [_bare(report.vaf_percent), _bare(report.vaf_validation_percent), outcome.validated_on]
     row += [_bare(report.aicc), _bare(report.seconds)]
     for name in names:
@@ -354,9 +367,3 @@ def _plain_row(outcome: EngineOutcome, names: Sequence[str]) -> list[str]:
 
 def _bare(value: float | None) -> str:
     return "" if value is None else f"{value:.10g}"
-
-
-def _harmless(text: str) -> str:
-    """Return text that a spreadsheet does not take for a formula."""
-    text = clean(text)
-    return f"'{text}" if text[:1] in ("=", "+", "-", "@") else text

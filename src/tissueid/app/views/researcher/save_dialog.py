@@ -17,12 +17,12 @@ if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
 
-import csv
 import re
 from typing import TYPE_CHECKING, Literal, cast
 
 from tissueid.atomic_write import atomic_file, unused_path
 from tissueid.errors import UnusableInputError
+from tissueid.formatting import csv_text
 from tissueid.messages import Listing, Message
 
 if TYPE_CHECKING:  # matplotlib is imported when the first figure is drawn
@@ -44,8 +44,8 @@ def write_table(path: Path, rows: Sequence[Sequence[str]]) -> Path:
     Raises:
         OSError: the file cannot be written.
     """
-    with atomic_file(path) as partial, partial.open("w", encoding="utf-8", newline="") as file:
-        csv.writer(file).writerows(rows)
+    with atomic_file(path) as partial:
+        partial.write_text(csv_text(rows), encoding="utf-8")
     return path
 
 

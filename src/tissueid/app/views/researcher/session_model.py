@@ -13,7 +13,7 @@ from PySide6.QtGui import QColor
 from tissueid.app.theme import Theme
 from tissueid.app.views.researcher.session_search import VERDICTS, SessionEntry, TestEntry
 from tissueid.app.widgets import plain_tip
-from tissueid.formatting import clean, subject_text
+from tissueid.formatting import clean, fixed, subject_text
 from tissueid.language import _, marked
 from tissueid.messages import MISSING
 
@@ -203,11 +203,11 @@ def _session_row(entry: SessionEntry) -> _Row:
     texts = [
         _date(entry.when),
         subject_text(entry.pseudonym),
-        _joined(test.site for test in entry.tests),
+        _joined(test.site for test in entry.tests) or name,
         _(_VERDICT_WORDS[verdict]),
         str(len(entry.tests)),
         _joined(_(test.kind) for test in entry.tests),
-        f"{seconds:.1f} s",
+        f"{fixed(seconds, 1)} s",
         _joined(_(test.configuration) for test in entry.tests),
         name,
     ]
@@ -224,7 +224,7 @@ def _test_row(entry: SessionEntry, test: TestEntry, session: _Row) -> _Row:
         _(_VERDICT_WORDS[test.verdict]),
         "",
         _(test.kind),
-        f"{test.seconds:.1f} s",
+        f"{fixed(test.seconds, 1)} s",
         _(test.configuration),
         "",
     ]

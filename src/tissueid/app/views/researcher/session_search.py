@@ -17,7 +17,7 @@ from tissueid.formatting import clean
 from tissueid.language import _
 from tissueid.messages import translated
 from tissueid.sessions import TestOutline, read_outline
-from tissueid.sessions.quality import quality_of
+from tissueid.sessions.quality import verdict_of
 
 ENDINGS = (".h5", ".hdf5")
 MOST_FILES = 20_000
@@ -77,7 +77,6 @@ def entry_of(path: Path, stamp: Stamp) -> SessionEntry:
 
 def _test_entry(outline: TestOutline) -> TestEntry:
     test = outline.test
-    quality = quality_of(test)
     return TestEntry(
         test.number,
         test.site[:_LONGEST],
@@ -85,7 +84,7 @@ def _test_entry(outline: TestOutline) -> TestEntry:
         clean(test.kind)[:_LONGEST].replace("_", " "),
         test.status,
         outline.seconds,
-        "" if quality is None else quality.verdict,
+        verdict_of(test) or "",
     )
 
 

@@ -2,11 +2,12 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+import functools
+from collections.abc import Iterator, Sequence
 
-from PySide6.QtCore import QModelIndex, QObject, QPersistentModelIndex, QSortFilterProxyModel, Qt, Signal
+from PySide6.QtCore import QModelIndex, QObject, QPersistentModelIndex, QPoint, QSortFilterProxyModel, Qt, Signal
 from PySide6.QtGui import QKeyEvent, QPainter, QPaintEvent, QResizeEvent
-from PySide6.QtWidgets import QAbstractItemView, QTreeView, QWidget
+from PySide6.QtWidgets import QAbstractItemView, QApplication, QMenu, QTreeView, QWidget
 
 from tissueid.app.views.researcher.session_model import (
     CONFIGURATION,
@@ -80,8 +81,9 @@ class SessionFilter(QSortFilterProxyModel):
 
 _FOLDED = (FILE, CONFIGURATION, KIND, DURATION, TESTS)
 """Columns that are hidden where there is no room, in this order."""
-_UNKNOWN = 90
-"""Pixels for a column that was hidden when its width was asked for."""
+_WIDTHS = (138, 60, 98, 66, 46, 84, 70, 100, 180)
+"""Widths of the columns until a person changes them, pixels."""
+_WIDEST = 2000
 
 
 class SessionTree(QTreeView):
@@ -93,7 +95,8 @@ class SessionTree(QTreeView):
         super().__init__(parent)
         self._shown = shown
         self._empty = ""
-        self._widths: dict[int, int] = {}
+        self._widths = list(_WIDTHS)
+        self._unwanted: set[int] = set()
         self.setModel(shown)
         self.setAccessibleName(_("Sessions and their tests"))
         self.setToolTip(_("Return or a double click opens a session; Shift and Ctrl select several"))
@@ -101,12 +104,17 @@ class SessionTree(QTreeView):
         self.setSelectionBehavior(QAbstractItemView.SelectionBehavior.SelectRows)
         self.setEditTriggers(QAbstractItemView.EditTrigger.NoEditTriggers)
         self.setUniformRowHeights(True)
+        self.setStyleSheet("QTreeView::item { padding: 2px 0px; }")
         self.setSortingEnabled(True)
         self.setExpandsOnDoubleClick(False)
         self.setTabKeyNavigation(False)
         self.setTextElideMode(Qt.TextElideMode.ElideRight)
         self.header().setStretchLastSection(True)
         self.header().setSectionsMovable(True)
+        self.header().setContextMenuPolicy(Qt.ContextMenuPolicy.CustomContextMenu)
+        self.header().customContextMenuRequested.connect(self._offer_columns)
+        self.header().sectionResized.connect(self._take_width)
+        self.header().setToolTip(_("The menu chooses the columns; where there is no room, some are hidden"))
         self.sortByColumn(shown.sortColumn(), shown.sortOrder())
         self.doubleClicked.connect(self.opened)
 
@@ -117,15 +125,53 @@ class SessionTree(QTreeView):
 
     def fold(self) -> None:
         """Hide columns until the others fit; hidden columns are still searched."""
-        header, room = self.header(), self.viewport().width()
-        for column in range(header.count()):  # once: later the last one shown is stretched
-            self._widths.setdefault(column, header.sectionSize(column) or _UNKNOWN)
-        needed = sum(self._widths.values())
-        for column in _FOLDED:
-            hidden = needed > room
-            needed -= self._widths.get(column, 0) if hidden else 0
-            if self.isColumnHidden(column) != hidden:
-                self.setColumnHidden(column, hidden)
+        wanted = [column for column in range(self.header().count()) if column not in self._unwanted]
+        needed, hidden = sum(self._widths[column] for column in wanted), set(self._unwanted)
+        for column in (column for column in _FOLDED if column in wanted):
+            if needed > self.viewport().width():
+                needed -= self._widths[column]
+                hidden.add(column)
+        for column, width in enumerate(self._widths):
+            if self.isColumnHidden(column) != (column in hidden):
+                self.setColumnHidden(column, column in hidden)
+                if column not in hidden:
+                    self.header().resizeSection(column, width)
+
+    def widths(self) -> list[str]:
+        """Return the widths of the columns as texts; those of columns that are not wanted are negative."""
+        return [str(-width if column in self._unwanted else width) for column, width in enumerate(self._widths)]
+
+    def restore(self, widths: Sequence[str]) -> None:
+        """Restore what ``widths`` returned; anything else is ignored."""
+        if len(widths) == len(_WIDTHS) and all(text.removeprefix("-").isdecimal() for text in widths):
+            self._widths = [min(max(abs(int(text)), 20), _WIDEST) for text in widths]
+            self._unwanted = {column for column, text in enumerate(widths) if text.startswith("-")} - {DATE}
+        for column, width in enumerate(self._widths):
+            self.header().resizeSection(column, width)
+        self.fold()
+
+    def _take_width(self, column: int, _before: int, width: int) -> None:
+        # Only what a person drags: the last column is stretched, and takes the room of hidden ones.
+        if QApplication.mouseButtons() & Qt.MouseButton.LeftButton and width:
+            self._widths[column] = width
+
+    def columns_menu(self) -> QMenu:
+        """Return the menu of the header, with an entry for each column that can be hidden."""
+        menu = QMenu(self)
+        menu.setAttribute(Qt.WidgetAttribute.WA_DeleteOnClose)
+        for column in range(1, self.header().count()):
+            title = str(self.model().headerData(column, Qt.Orientation.Horizontal))
+            action = menu.addAction(title, functools.partial(self._want, column))
+            action.setCheckable(True)
+            action.setChecked(column not in self._unwanted)
+        return menu
+
+    def _offer_columns(self, place: QPoint) -> None:
+        self.columns_menu().popup(self.header().mapToGlobal(place))
+
+    def _want(self, column: int) -> None:
+        self._unwanted ^= {column}
+        self.fold()
 
     def keyPressEvent(self, event: QKeyEvent) -> None:  # noqa: N802
         """Open on Return on every platform."""

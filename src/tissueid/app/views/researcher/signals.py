@@ -6,7 +6,6 @@ from collections.abc import Sequence
 
 from PySide6.QtCore import Qt, QTimer, Signal
 from PySide6.QtWidgets import (
-    QDoubleSpinBox,
     QHBoxLayout,
     QLabel,
     QMenu,
@@ -16,7 +15,9 @@ from PySide6.QtWidgets import (
     QWidget,
 )
 
+from tissueid.app.build import button
 from tissueid.app.context import AppContext
+from tissueid.app.number_field import NumberField
 from tissueid.app.small_window import FoldingBox
 from tissueid.app.theme import Theme
 from tissueid.app.views.researcher.background_work import ProgressStrip
@@ -113,11 +114,9 @@ class SignalsPanel(QWidget):
         self._reading: SignalLoading | None = None
         self.loaded: list[LoadedTest] = []
         self.channels = ChannelButton(load_texts(context.settings, _SIGNALS))
-        self.low, self.high = QDoubleSpinBox(), QDoubleSpinBox()
-        self.whole = QPushButton(_("Whole test"))
-        self.whole.setToolTip(_("Show everything again (a double click on a plot does the same)"))
-        self.save = QPushButton(_("Save figure…"))
-        self.save.setToolTip(_("What is shown, as PDF, SVG or PNG with 300 dpi"))
+        self.low, self.high = NumberField(), NumberField()
+        self.whole = button(_("Whole test"), tip=_("Show everything again (a double click on a plot does the same)"))
+        self.save = button(_("Save figure…"), tip=_("What is shown, as PDF, SVG or PNG with 300 dpi"))
         self._saver = SaveDialog(context, self)
         self.about = ElidedLabel()
         self.stack = PlotStack()
@@ -275,7 +274,6 @@ class SignalsPanel(QWidget):
             field.setSuffix(" s")
             field.setDecimals(3)
             field.setSingleStep(_STEP_S)
-            field.setKeyboardTracking(False)
             field.setToolTip(_("Selected time interval: the plots below show it"))
         for label in (self.about, self.empty):
             label.setProperty("role", "muted")

@@ -4,8 +4,8 @@ from __future__ import annotations
 
 from pathlib import Path
 
-from PySide6.QtCore import QByteArray, QTimer
-from PySide6.QtWidgets import QAbstractButton, QSplitter, QTabWidget, QVBoxLayout, QWidget
+from PySide6.QtCore import QByteArray, Qt, QTimer
+from PySide6.QtWidgets import QAbstractButton, QSplitter, QTabWidget, QToolButton, QVBoxLayout, QWidget
 
 from tissueid.app.context import AppContext, View
 from tissueid.app.theme import Theme
@@ -16,7 +16,7 @@ from tissueid.app.views.researcher.export_button import ExportButton
 from tissueid.app.views.researcher.signals import SignalsPanel
 from tissueid.language import _
 
-_SPLIT, _TAB = "research/split", "research/tab"
+_SPLIT, _TAB, _FOLDED = "research/split", "research/tab", "research/list-folded"
 _WIDTHS = (300, 700)
 
 
@@ -41,6 +41,13 @@ class ResearchView(View):
         self.tabs.tabBar().setDrawBase(False)
         self.tabs.tabBar().setAccessibleName(_("Signals and analysis"))
         self.tabs.setCornerWidget(self.strip)
+        self.fold_list = QToolButton()
+        self.fold_list.setProperty("role", "fold")
+        self.fold_list.setCheckable(True)
+        self.fold_list.setAccessibleName(_("Hide the list of sessions"))
+        self.fold_list.setToolTip(_("Hide the list of sessions, for more room; the selection stays"))
+        self.fold_list.toggled.connect(self._fold_list)
+        self.tabs.setCornerWidget(self.fold_list, Qt.Corner.TopLeftCorner)
         self.tabs.addTab(self.signals, _("Signals"))
         self.tabs.addTab(self.analysis, _("Analysis"))
         self.split = QSplitter()
@@ -51,6 +58,8 @@ class ResearchView(View):
         self.split.setStretchFactor(0, 3)
         self.split.setStretchFactor(1, 7)
         self.split.setSizes(list(_WIDTHS))
+        QWidget.setTabOrder(self.export, self.fold_list)
+        QWidget.setTabOrder(self.fold_list, self.tabs.tabBar())
         rows = QVBoxLayout(self)
         rows.setContentsMargins(12, 10, 12, 6)
         rows.setSpacing(4)
@@ -92,7 +101,8 @@ class ResearchView(View):
 
     def buttons(self) -> tuple[QAbstractButton, ...]:
         """Return the buttons that the command palette offers."""
-        return self.browser.again, self.analysis.run, self.analysis.compare, self.analysis.save_table, self.strip.stop
+        of_analysis = self.analysis.run, self.analysis.compare, self.analysis.save_table, self.analysis.save_figure
+        return self.browser.again, self.export, *of_analysis, self.strip.stop
 
     def on_session_saved(self, path: Path) -> None:
         """List a new session."""
@@ -117,6 +127,7 @@ class ResearchView(View):
         self.analysis.save_state()
         self.context.settings.setValue(_SPLIT, self.split.saveState())
         self.context.settings.setValue(_TAB, self.tabs.currentIndex())
+        self.context.settings.setValue(_FOLDED, "yes" if self.fold_list.isChecked() else "no")
 
     def _go_on(self) -> None:
         if self._over or self._testing or self.context.busy or not self.isVisible():
@@ -139,7 +150,13 @@ class ResearchView(View):
         self.signals.show_tests(chosen)
         self.analysis.show_tests(chosen)
 
+    def _fold_list(self, folded: bool) -> None:
+        self.browser.setVisible(not folded)
+        self.fold_list.setArrowType(Qt.ArrowType.RightArrow if folded else Qt.ArrowType.LeftArrow)
+
     def _restore(self) -> None:
+        self.fold_list.setChecked(str(self.context.settings.value(_FOLDED, "no")) == "yes")
+        self._fold_list(self.fold_list.isChecked())
         split = self.context.settings.value(_SPLIT)
         if isinstance(split, QByteArray):
             self.split.restoreState(split)

@@ -1,10 +1,11 @@
-"""The newest sittings and the unfinished tests of the folder of sessions."""
+"""The newest sittings and the unfinished tests of the folder of sessions and of the studies."""
 
 from __future__ import annotations
 
+import contextlib
 import os
 import threading
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, field, replace
 from datetime import datetime
 from pathlib import Path
@@ -15,17 +16,20 @@ from tissueid.formatting import clean, label_and_unit, local_minute, local_time,
 from tissueid.language import _, marked
 from tissueid.messages import MISSING, Message, translated
 from tissueid.procedures.recovery import unfinished_journals
+from tissueid.procedures.study_protocol import PROTOCOL_FILE
 from tissueid.sessions import Outline, read_outline, read_session_head
 from tissueid.sessions.accepted_result import AcceptedResult, is_sitting_key, read_result, result_path, sitting_of
-from tissueid.sessions.quality import Quality, quality_of
+from tissueid.sessions.quality import HEADLINES, Verdict, verdict_of
 from tissueid.units import shown_si
 
 MOST_SHOWN = 30
 MOST_READ = 200
 """Files without a date in their name whose heads are read to learn when they were recorded, newest change first."""
+MOST_STUDIES = 50
+"""Studies whose sittings are listed."""
 LONGEST_TEXT = 80
 NOT_JUDGED = marked("Not judged")
-_LEVELS = {"good": "good", "look": "check", "repeat": "poor"}
+_LEVELS: dict[Verdict, str] = {"good": "good", "look": "check", "repeat": "poor"}
 _LONGEST_PROBLEM = 200
 _DATED, _DATED_LENGTH = "%Y-%m-%d_%H-%M-%S", 19
 """How the window names a session, by local time, and how long that is."""
@@ -36,7 +40,8 @@ class Recent:
     """One sitting as the list shows it, or a session that belongs to none.
 
     ``path`` is the file that is opened: an accepted test, or else the newest. ``level`` is that of a colour;
-    ``verdict`` says why where a file is no session. ``tests`` counts the files of the sitting.
+    ``verdict`` says why where a file is no session. ``tests`` counts the files of the sitting. ``study`` is the name of
+    the folder of its study, and ``accepted`` its accepted result; "" without one.
     """
 
     path: Path
@@ -46,13 +51,25 @@ class Recent:
     verdict: str
     level: str = ""
     tests: int = 1
+    study: str = ""
+    accepted: str = ""
+
+    def matches(self, words: Sequence[str]) -> bool:
+        """Return whether each of some words, in lower case, is in the date, site, subject, study or verdict."""
+        text = " ".join((self.date, self.site, self.subject, self.study, self.verdict)).casefold()
+        return all(word in text for word in words)
+
+
+File = tuple[Path, float, int]
+"""A file as it was read: path, time of change, and size."""
 
 
 @dataclass
-class KnownDates:
-    """When sessions without a date in their name were recorded, by file, time of change and size: read once each."""
+class KnownFiles:
+    """What was read of files, each once: when sessions without a date in their name were recorded, and lines by key."""
 
-    dates: dict[tuple[Path, float, int], float] = field(default_factory=dict)
+    dates: dict[File, float] = field(default_factory=dict)
+    lines: dict[File, tuple[str, Recent]] = field(default_factory=dict)
 
 
 @dataclass(frozen=True)
@@ -65,23 +82,48 @@ class FolderLook:
     problem: str = ""
 
 
-def look_into(folder: Path, cancelled: threading.Event, known: KnownDates | None = None) -> FolderLook:
-    """List the newest sittings of a folder by the time of their tests, and its unfinished tests.
+def look_into(
+    folder: Path,
+    cancelled: threading.Event,
+    known: KnownFiles | None = None,
+    *,
+    studies: Iterable[Path] = (),
+    search: str = "",
+) -> FolderLook:
+    """List the newest sittings of a folder and of studies by the time of their tests, and unfinished tests.
 
-    A folder that is not there yet is empty. Files come from anywhere: one that is no session has a line that says so.
-    Ends soon once ``cancelled`` is set. ``known`` keeps dates from one look to the next.
+    Studies are those below the folder and the given ones; their sessions lie in folders by subject. A folder that is
+    not there yet is empty. Files come from anywhere: one that is no session has a line that says so. Ends soon once
+    ``cancelled`` is set. ``known`` keeps what was read from one look to the next. With ``search`` only sittings that
+    have all its words are listed.
     """
+    known = known or KnownFiles()
     try:
-        files = [(path, path.stat()) for path in folder.glob("*.h5") if path.is_file()]
+        places = dict.fromkeys(folder.glob("*.h5"), "")
         journals = tuple(unfinished_journals(folder))
     except OSError as error:
         return FolderLook(problem=in_words(error))
-    dated = _dated(files, known or KnownDates(), cancelled)
+    for study in list(dict.fromkeys(path.resolve() for path in [*_studies_below(folder), *studies]))[:MOST_STUDIES]:
+        with contextlib.suppress(OSError):
+            places |= dict.fromkeys(study.glob("*/*.h5"), study.name)
+    files = []
+    for path in places:
+        with contextlib.suppress(OSError):
+            if path.is_file():
+                files.append((path, path.stat()))
+    dated = _dated(files, known, cancelled)
     sittings: dict[str, list[Recent]] = {}
-    for recorded, path in dated:
+    words = search.casefold().split()
+    for recorded, (path, *state) in dated:
         if cancelled.is_set():
             break
-        key, line = _line(path, recorded)
+        file = path, *state
+        if file not in known.lines:
+            key, line = _line(path, recorded)
+            known.lines[file] = key, replace(line, study=clean(places[path]))
+        key, line = known.lines[file]
+        if not line.matches(words):
+            continue
         if key not in sittings and len(sittings) == MOST_SHOWN:
             break
         sittings.setdefault(key, []).append(line)
@@ -89,10 +131,10 @@ def look_into(folder: Path, cancelled: threading.Event, known: KnownDates | None
 
 
 def _dated(
-    files: Sequence[tuple[Path, os.stat_result]], known: KnownDates, cancelled: threading.Event
-) -> list[tuple[float, Path]]:
+    files: Sequence[tuple[Path, os.stat_result]], known: KnownFiles, cancelled: threading.Event
+) -> list[tuple[float, File]]:
     """When each file was recorded, newest first: by its name, by its head, or by its change where neither says so."""
-    dated: list[tuple[float, Path]] = []
+    dated: list[tuple[float, File]] = []
     read = 0
     for path, state in sorted(files, key=lambda item: item[1].st_mtime, reverse=True):
         recorded = _by_name(path.name)
@@ -100,8 +142,16 @@ def _dated(
         if recorded is None and key not in known.dates and read < MOST_READ and not cancelled.is_set():
             read += 1
             known.dates[key] = _by_head(path) or state.st_mtime
-        dated.append((recorded if recorded is not None else known.dates.get(key, state.st_mtime), path))
+        dated.append((recorded if recorded is not None else known.dates.get(key, state.st_mtime), key))
     return sorted(dated, reverse=True)
+
+
+def _studies_below(folder: Path) -> list[Path]:
+    try:
+        protocols = [path for depth in ("*", "*/*") for path in sorted(folder.glob(f"{depth}/{PROTOCOL_FILE}"))]
+    except OSError:
+        return []
+    return [path.parent for path in protocols]
 
 
 def _by_name(name: str) -> float | None:
@@ -135,10 +185,9 @@ def _joined(key: str, lines: Sequence[Recent]) -> Recent:
     site = newest.site
     if len(lines) > 1:
         site = _("{site} ({count} tests)").format(site=site, count=len(lines))
-    if result is not None:
-        site = f"{site}: {_said(result)}"
-    shown = counting[0].path
-    return replace(newest, path=shown, site=site, verdict=worst.verdict, level=worst.level, tests=len(lines))
+    said = "" if result is None else _said(result)
+    shown = replace(newest, path=counting[0].path, site=site, verdict=worst.verdict, level=worst.level)
+    return replace(shown, tests=len(lines), accepted=said)
 
 
 def _said(result: AcceptedResult) -> str:
@@ -166,7 +215,9 @@ def _line(path: Path, recorded: float) -> tuple[str, Recent]:
         return str(path), Recent(path, date, clean(path.name)[:LONGEST_TEXT], MISSING, said)
     tests = [item.test for item in outline.tests]
     sites = list(dict.fromkeys(clean(test.site).strip() for test in tests if test.site.strip()))
-    site = _short(", ".join(sites), LONGEST_TEXT) or _("Site not recorded")
+    site = _short(", ".join(sites), LONGEST_TEXT) or (
+        _("Site not recorded") if _by_name(path.name) is not None else clean(path.name)[:LONGEST_TEXT]
+    )
     if len(tests) != 1:
         site = _("{site} ({count} tests)").format(site=site, count=len(tests))
     verdict, level = _verdict(outline)
@@ -184,17 +235,13 @@ def _line(path: Path, recorded: float) -> tuple[str, Recent]:
 def _verdict(outline: Outline) -> tuple[str, str]:
     """What the quality gate said, the worst of it where there are several tests, and the level of its colour."""
     tests = [item.test for item in outline.tests]
-    judged = [quality for test in tests if (quality := quality_of(test)) is not None]
+    judged = [verdict for test in tests if (verdict := verdict_of(test)) is not None]
     if not tests:
         return _("No tests"), ""
     if not judged:
         return _(NOT_JUDGED), ""
-    worst = max(judged, key=_severity)
-    return _(worst.headline), _LEVELS[worst.verdict]
-
-
-def _severity(quality: Quality) -> int:
-    return list(_LEVELS).index(quality.verdict)
+    worst = max(judged, key=list(_LEVELS).index)
+    return _(HEADLINES[worst]), _LEVELS[worst]
 
 
 def _short(text: str, most: int) -> str:

@@ -8,22 +8,23 @@ from PySide6.QtCore import Qt, Signal
 from PySide6.QtGui import QColor, QKeyEvent, QResizeEvent
 from PySide6.QtWidgets import (
     QAbstractItemView,
-    QHBoxLayout,
+    QBoxLayout,
     QHeaderView,
     QLabel,
-    QPushButton,
     QTableWidget,
     QTableWidgetItem,
-    QVBoxLayout,
     QWidget,
 )
 
+from tissueid.app import build
 from tissueid.app.theme import LIGHT, Theme
 from tissueid.app.views.start.recent import Recent
 
 Cell = tuple[str, str]
 """What a cell says, and the level of its colour: good, check, poor, or none."""
 _LEVEL = Qt.ItemDataRole.UserRole
+_LONGEST_ADDRESS = 36
+"""Characters of an address in the list of instruments; the tooltip shows all of it."""
 _LOWEST = 4
 """Rows that are seen at least."""
 
@@ -151,7 +152,16 @@ class Rows(QTableWidget):
 
 def cells(item: Recent) -> tuple[tuple[str, str], ...]:
     """Return the cells of a row for a session."""
-    return (item.date, ""), (item.site, ""), (item.subject, ""), (item.verdict, item.level)
+    subject = "  ·  ".join(filter(None, [item.subject, item.study]))
+    return (item.date, ""), (item.site, ""), (subject, ""), (item.verdict, item.level), (item.accepted, "")
+
+
+def short_address(url: str) -> str:
+    """Return an address without its middle where it is long: the end names a port or a file."""
+    if len(url) <= _LONGEST_ADDRESS:
+        return url
+    kept = _LONGEST_ADDRESS // 3
+    return f"{url[:kept]}…{url[-2 * kept :]}"
 
 
 def brief(health: str) -> str:
@@ -159,34 +169,8 @@ def brief(health: str) -> str:
     return health.partition(";")[0]
 
 
-def heading(text: str) -> QLabel:
-    """A heading."""
-    label = QLabel(text)
-    label.setProperty("role", "heading")
-    return label
-
-
-def words() -> QLabel:
-    """A label for words of files and people: plain, wrapped, and to be copied from."""
-    label = QLabel()
-    label.setWordWrap(True)
-    label.setMinimumWidth(1)
-    label.setTextFormat(Qt.TextFormat.PlainText)
-    label.setTextInteractionFlags(Qt.TextInteractionFlag.TextSelectableByMouse)
-    return label
-
-
-def under_heading(title: str, about: QLabel, table: Rows, *buttons: QPushButton) -> QVBoxLayout:
+def under_heading(title: str, about: QLabel, table: Rows, *buttons: QWidget) -> QBoxLayout:
     """A table under a heading with buttons next to the heading."""
     about.setProperty("role", "muted")
-    top = QHBoxLayout()
-    top.setSpacing(8)
-    top.addWidget(heading(title))
-    top.addWidget(about, 1)
-    for button in buttons:
-        top.addWidget(button)
-    column = QVBoxLayout()
-    column.setSpacing(4)
-    column.addLayout(top)
-    column.addWidget(table, 1)
-    return column
+    top = build.row(build.styled(QLabel(title), role="heading"), (about, 1), *buttons, spacing=8)
+    return build.column(top, (table, 1), spacing=4)

@@ -16,22 +16,25 @@ from PySide6.QtWidgets import (
     QGridLayout,
     QHBoxLayout,
     QLabel,
-    QPushButton,
+    QLineEdit,
     QScrollArea,
     QVBoxLayout,
     QWidget,
 )
 
+from tissueid.app.build import button, fill, label, row, styled
 from tissueid.app.calibration_state import CalibrationState
 from tissueid.app.chooser import TYPED
 from tissueid.app.context import AppContext, View
-from tissueid.app.preferences import LanguageChooser, UnitChooser
+from tissueid.app.preferences import choosers
 from tissueid.app.roles import RoleCard
+from tissueid.app.small_window import FoldingBox
 from tissueid.app.theme import Theme
-from tissueid.app.views.start.recent import FolderLook, KnownDates, look_into
-from tissueid.app.views.start.rows import Rows, brief, cells, heading, under_heading, words
+from tissueid.app.views.start.recent import FolderLook, KnownFiles, look_into
+from tissueid.app.views.start.rows import Rows, brief, cells, short_address, under_heading
 from tissueid.app.views.start.storage_locations import storage_locations
 from tissueid.app.widgets import ElidedLabel
+from tissueid.app.window_state import visited_studies
 from tissueid.app.words import RESEARCH_USE
 from tissueid.audit import Role
 from tissueid.formatting import clean
@@ -49,10 +52,14 @@ WHAT_ROLES_DO: dict[Role, str] = {
     ),
     "technician": marked("Maintain the instrument: identity, health, calibration of coil and sensors."),
 }
-HINT = marked("No instrument? simulated://forearm plays one.")
+HINT = marked("No instrument? Try simulated://forearm.")
 _LEVELS = {"instruments.ready": "good", "instruments.no_answer": "poor"}
 """Levels of a colour by the code of the state of an instrument."""
 _MOST_NAMES = 3
+_TYPING_MS = 250
+_SEARCH_WIDTH = 190
+_TWO_COLUMNS = 960
+"""Width below which the instruments stand below the sessions, pixels."""
 
 
 class StartView(View):
@@ -70,7 +77,7 @@ class StartView(View):
     def __init__(self, context: AppContext, parent: QWidget | None = None) -> None:
         super().__init__(context, parent)
         self._look = FolderLook()
-        self._known = KnownDates()
+        self._known = KnownFiles()
         self._urls: list[str] = []
         self._stale, self._reading = True, False
         self._cancelled = threading.Event()
@@ -81,24 +88,29 @@ class StartView(View):
         self._soon.setInterval(0)
         self._soon.timeout.connect(self._go_on)
         self.cards = {role: RoleCard(role, _(sentence)) for role, sentence in WHAT_ROLES_DO.items()}
-        self.recent = Rows(_("Recent sessions"), (_("Date"), _("Site"), _("Subject"), _("Quality gate")), (1, 3))
-        self.instruments = Rows(_("Instruments"), (_("Instrument"), _("Health"), _("Calibration")), (1, 2))
-        self.about_recent, self.about_instruments = words(), ElidedLabel()
-        self.open = QPushButton(_("Open"))
-        self.open.setAccessibleName(_("Open the selected session"))
-        self.stop_reading = QPushButton(_("Cancel"))
-        self.stop_reading.setAccessibleName(_("Stop reading the folder of sessions"))
-        self.use = QPushButton(_("Use"))
-        self.use.setAccessibleName(_("Use the selected instrument for the next test"))
-        self.seek = QPushButton(_("Fin&d"))
-        self.seek.setAccessibleName(_("Find instruments: ask every port"))
-        self.unfinished = words()
-        self.recover = QPushButton(_("Recover"))
-        self.recover.setAccessibleName(_("Recover all unfinished tests"))
-        self.language = LanguageChooser(context.settings)
-        self.units = UnitChooser(context.settings)
-        self.folder = QPushButton(_("Show folder"))
-        self.folder.setAccessibleName(_("Show the folder of sessions"))
+        columns = _("Date"), _("Site"), _("Subject"), _("Quality"), _("Accepted result")
+        self.recent = Rows(_("Recent sessions"), columns, (1, 2, 3, 4))
+        self.instruments = Rows(_("Instruments"), (_("Instrument"), _("Health"), _("Calibration")), (0, 1, 2))
+        self.search = QLineEdit()
+        self.search.setPlaceholderText(_("Search: subject, site, date"))
+        self.search.setAccessibleName(_("Search sessions by subject, site, study or date"))
+        self.search.setToolTip(_("Such as P01 forearm, or 2026-01-15"))
+        self.search.setClearButtonEnabled(True)
+        self.search.setMinimumWidth(_SEARCH_WIDTH)
+        self._typed = QTimer(self)
+        self._typed.setSingleShot(True)
+        self._typed.setInterval(_TYPING_MS)
+        self._typed.timeout.connect(self._search)
+        self.about_recent, self.about_instruments = label(), ElidedLabel()
+        self.open = button(_("Open"), name=_("Open the selected session"))
+        self.stop_reading = button(_("Cancel"), name=_("Stop reading the folder of sessions"))
+        self.use = button(_("Use"), name=_("Use the selected instrument for the next test"))
+        self.seek = button(_("Fin&d"), name=_("Find instruments: ask every port"))
+        self.unfinished = label()
+        self.recover = button(_("Recover"), name=_("Recover all unfinished tests"))
+        self.choosers = choosers(context.settings)
+        self.language, self.units, self.appearance, self.text_size = self.choosers
+        self.folder = button(_("Show folder"), name=_("Show the folder of sessions"))
         self._arrange()
         self._connect()
         self.set_role(context.role())
@@ -144,16 +156,17 @@ class StartView(View):
             mark = "✓ " if url == chosen else ""
             lines.append(
                 (
-                    (f"{mark}{clean(url)}", ""),
+                    (f"{mark}{short_address(clean(url))}", ""),
                     (brief(clean(translated(health))), level),
                     (clean(calibration), state.level),
                 )
             )
         self._urls = urls
         self.instruments.fill(lines)
-        for row, url in enumerate(urls):
+        for place, url in enumerate(urls):
             health, state = known.get(url, (TYPED, CalibrationState()))
-            self.instruments.explain(row, "\n".join([translated(health), _(state.words), *state.warnings]))
+            lines_of_tip = clean(url), translated(health), _(state.words), *state.warnings
+            self.instruments.explain(place, "\n".join(lines_of_tip))
         self.about_instruments.setText(
             _("The next test is with {url}.").format(url=clean(chosen)) if chosen else _("None is chosen.")
         )
@@ -197,12 +210,14 @@ class StartView(View):
         elif self._stale:
             self._stale, self._reading = False, True
             self._cancelled = threading.Event()
-            work = functools.partial(look_into, self.context.services.folder, self._cancelled, self._known)
+            folder, settings = self.context.services.folder, self.context.settings
+            given = {"studies": visited_studies(settings), "search": self.search.text()}
+            work = functools.partial(look_into, folder, self._cancelled, self._known, **given)
             self.context.jobs.do(work, self._looked, self._looking_failed)
 
     def _looked(self, look: FolderLook) -> None:
         self._reading = False
-        if self._cancelled.is_set() and self._then is not None:
+        if self._cancelled.is_set() and (self._then is not None or self._stale):
             return  # it was cut short for something else
         self._look = look
         self.recent.fill([cells(item) for item in look.sessions])
@@ -225,9 +240,20 @@ class StartView(View):
                     "start.cancelled", "Cancelled: {read} of {count} sessions were read.", read=read, count=look.count
                 )
             )
+        if self.search.text().strip() and not look.sessions:
+            return _("No session matches.")
+        if self.search.text().strip():
+            return ""
         if not look.count:
             return translated(Message("start.no_session", "No session is here yet: the first test makes one."))
         return _("The newest {shown} of {count}.").format(shown=read, count=look.count) if look.count > read else ""
+
+    def _search(self) -> None:
+        """List what matches, now or as soon as nothing else goes on."""
+        self._stale = True
+        if self._reading:
+            self._cancelled.set()
+        self._soon.start()
 
     def _looking_failed(self, words: str) -> None:
         self._reading = False
@@ -282,6 +308,7 @@ class StartView(View):
     def _connect(self) -> None:
         for role, card in self.cards.items():
             card.clicked.connect(functools.partial(self._choose_role, role))
+        self.search.textChanged.connect(self._typed.start)
         self.recent.taken.connect(self._open_row)
         self.recent.itemSelectionChanged.connect(self._enable_choices)
         self.open.clicked.connect(self._open_chosen)
@@ -292,79 +319,60 @@ class StartView(View):
         self.seek.clicked.connect(self._find)
         self.recover.clicked.connect(self._recover)
         self.folder.clicked.connect(self._show_folder)
-        self.language.changed.connect(self.context.say)
 
     def _arrange(self) -> None:
         page = QWidget()
-        rows = QVBoxLayout(page)
-        rows.setContentsMargins(16, 10, 16, 10)
-        rows.setSpacing(8)
-        rows.addWidget(heading(_("Who works?")))
-        cards = QHBoxLayout()
-        cards.setSpacing(10)
-        for card in self.cards.values():
-            cards.addWidget(card, 1)
-        rows.addLayout(cards)
-        rows.addWidget(self._make_strip())
-        columns = QHBoxLayout()
-        columns.setSpacing(16)
-        columns.addLayout(
-            under_heading(_("Recent sessions"), self.about_recent, self.recent, self.stop_reading, self.open), 1
+        beside = self.search, self.stop_reading, self.open
+        sessions = under_heading(_("Recent sessions"), self.about_recent, self.recent, *beside)
+        parts = self.about_instruments, self.instruments, self.use, self.seek
+        columns = fill(
+            FoldingBox(_TWO_COLUMNS), (sessions, 1), (under_heading(_("Instruments"), *parts), 1), spacing=16
         )
-        columns.addLayout(
-            under_heading(_("Instruments"), self.about_instruments, self.instruments, self.use, self.seek), 1
+        cards = row(*((card, 1) for card in self.cards.values()), spacing=10)
+        parts = (
+            styled(QLabel(_("Who is working?")), role="heading"),
+            cards,
+            self._make_strip(),
+            (columns, 1),
+            self._make_foot(),
         )
-        rows.addLayout(columns, 1)
-        rows.addWidget(self._make_foot())
+        fill(QVBoxLayout(page), *parts, spacing=8, margins=(16, 10, 16, 10))
         scroll = QScrollArea()
         scroll.setWidget(page)
         scroll.setWidgetResizable(True)
         scroll.setFrameShape(QFrame.Shape.NoFrame)
         scroll.setHorizontalScrollBarPolicy(Qt.ScrollBarPolicy.ScrollBarAlwaysOff)
         scroll.setFocusPolicy(Qt.FocusPolicy.NoFocus)
-        whole = QVBoxLayout(self)
-        whole.setContentsMargins(0, 0, 0, 0)
-        whole.addWidget(scroll)
-        order = [*self.cards.values(), self.recover, self.recent, self.stop_reading, self.open]
-        order += [self.seek, self.instruments, self.use, self.folder, self.language.choice, self.units.choice]
+        fill(QVBoxLayout(self), scroll)
+        order = [*self.cards.values(), self.recover, self.search, self.stop_reading, self.open, self.recent]
+        order += [self.seek, self.instruments, self.use, self.folder]
+        order += [chooser.choice for chooser in self.choosers]
         for before, after in pairwise(order):
             QWidget.setTabOrder(before, after)
 
     def _make_strip(self) -> QWidget:
-        self._strip = QFrame()
-        self._strip.setProperty("role", "notice")
-        row = QHBoxLayout(self._strip)
-        row.setContentsMargins(12, 6, 8, 6)
-        row.addWidget(self.unfinished, 1)
-        row.addWidget(self.recover)
+        self._strip = styled(QFrame(), role="notice")
+        fill(QHBoxLayout(self._strip), (self.unfinished, 1), self.recover, margins=(12, 6, 8, 6))
         self._strip.hide()
         return self._strip
 
     def _make_foot(self) -> QWidget:
-        foot = QFrame()
-        foot.setProperty("role", "card")
+        foot = styled(QFrame(), role="card")
         grid = QGridLayout(foot)
         grid.setContentsMargins(14, 8, 10, 8)
         grid.setHorizontalSpacing(14)
         grid.setVerticalSpacing(2)
-        said = words()
+        said = label()
         said.setText(f"{_(RESEARCH_USE)} {_('Nothing leaves this computer.')} {_(HINT)}")
         grid.addWidget(said, 0, 0, 1, 4)
         grid.addWidget(self.folder, 0, 4)
         for place, (what, where) in enumerate(storage_locations(self.context.services, self.context.settings)):
-            label, path = QLabel(what), words()
-            label.setProperty("role", "field")
-            path.setProperty("role", "readout")
+            named, path = styled(QLabel(what), role="field"), label("readout")
             path.setText(clean(where))
             path.setToolTip(clean(where))
-            grid.addWidget(label, 1 + place // 2, 2 * (place % 2), Qt.AlignmentFlag.AlignTop)
+            grid.addWidget(named, 1 + place // 2, 2 * (place % 2), Qt.AlignmentFlag.AlignTop)
             grid.addWidget(path, 1 + place // 2, 2 * (place % 2) + 1, 1, 1 + place % 2)
-        choices = QHBoxLayout()
-        choices.setSpacing(24)
-        choices.addWidget(self.language)
-        choices.addWidget(self.units)
-        choices.addStretch(1)
-        grid.addLayout(choices, 3, 2, 1, 3)
+        grid.addLayout(row(*self.choosers, None, spacing=24), 4, 0, 1, 5)
         grid.setColumnStretch(1, 1)
         grid.setColumnStretch(3, 1)
         return foot

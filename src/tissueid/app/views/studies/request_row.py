@@ -2,9 +2,10 @@
 
 from __future__ import annotations
 
+import functools
 from pathlib import Path
 
-from PySide6.QtCore import QSettings, Signal
+from PySide6.QtCore import QSettings, Qt, Signal
 from PySide6.QtWidgets import (
     QCheckBox,
     QComboBox,
@@ -12,6 +13,7 @@ from PySide6.QtWidgets import (
     QFrame,
     QHBoxLayout,
     QLineEdit,
+    QMenu,
     QProgressBar,
     QPushButton,
     QSizePolicy,
@@ -20,17 +22,22 @@ from PySide6.QtWidgets import (
 )
 
 from tissueid.app.small_window import FoldingBox
+from tissueid.app.views.studies.protocol_dialog import OptionsDialog
 from tissueid.app.views.studies.study_data import StudyData
 from tissueid.app.widgets import ElidedLabel, plain_label, plain_tip, show_level
+from tissueid.app.window_state import load_texts, save_texts
 from tissueid.formatting import clean
-from tissueid.identification import engine_label, engine_names, get_engine
+from tissueid.identification import engine_label, engine_names
 from tissueid.language import _
 from tissueid.messages import Message, Verbatim, translated
+from tissueid.procedures.plan_options import parse_options
 from tissueid.procedures.study_plans import StudyPlan
 
 _STEPS = 1000
 _ONE_ROW = 620
 _FOLDER, _ENGINE, _OPTIONS, _HELD_OUT = "study/folder", "study/engine", "study/options", "study/held-out"
+_RECENT = "study/recent"
+_MOST_RECENT = 10
 
 
 class RequestRow(QFrame):
@@ -39,7 +46,7 @@ class RequestRow(QFrame):
     chosen = Signal(object)
     wanted = Signal()
     report_wanted = Signal()
-    template_wanted = Signal()
+    protocol_wanted = Signal()
     sitting_wanted = Signal(str)
     unwanted = Signal()
 
@@ -54,20 +61,24 @@ class RequestRow(QFrame):
         self.engine.setAccessibleName(_("Engine of the study"))
         for name in engine_names():
             self.engine.addItem(engine_label(name), name)
-        self.options = QLineEdit()
+        self.recent = QPushButton(_("Recent"))
+        self.recent.setAccessibleName(_("Recent studies"))
+        self.recent.setMenu(QMenu(self))
+        self.options = QPushButton()
         self.options.setAccessibleName(_("Options of the engine"))
-        self.options.setPlaceholderText(_("Options: NAME=VALUE"))
-        self.held_out = QCheckBox(_("Hold a quarter out"))
+        self._options: tuple[str, ...] = ()
+        self._studies: list[str] = []
+        self.held_out = QCheckBox(_("Score on held-out data"))
         self.held_out.setToolTip(_("Fit three quarters of each test and score the rest; otherwise fit whole tests"))
         self.analyse = QPushButton(_("Analyse"))
         self.analyse.setToolTip(_("Sessions that are new or changed; after a cancellation it continues"))
         self.report = QPushButton(_("Write report"))
         self.report.setToolTip(_("Analyse what has changed, compute all statistics, and open the page"))
         self.protocol = plain_label("muted")
-        self.template = QPushButton(_("New protocol"))
-        self.template.setToolTip(_("Write a protocol.json to begin with; change it in a text editor"))
+        self.template = QPushButton()
+        self.template.setToolTip(_("Sites, repeats, conditions, and what a subject is asked for"))
         self.subject = QLineEdit()
-        self.subject.setPlaceholderText(_("Subject, such as P01"))
+        self.subject.setPlaceholderText(_("Subject, such as P-001"))
         self.subject.setAccessibleName(_("Pseudonym of the subject, never a name"))
         self.subject.setToolTip(self.subject.accessibleName())
         self.measure = QPushButton(_("Measure subject"))
@@ -83,20 +94,20 @@ class RequestRow(QFrame):
         self.open.clicked.connect(self._choose)
         self.analyse.clicked.connect(self.wanted)
         self.report.clicked.connect(self.report_wanted)
-        self.template.clicked.connect(self.template_wanted)
+        self.template.clicked.connect(self.protocol_wanted)
+        self.options.clicked.connect(self._edit_options)
         self.stop.clicked.connect(self.unwanted)
         self.measure.clicked.connect(self._ask_sitting)
         self.subject.returnPressed.connect(self._ask_sitting)
-        self.engine.currentIndexChanged.connect(self._describe_options)
+        self.engine.currentIndexChanged.connect(lambda: self._take_options(()))
         self.engine.setCurrentIndex(self.engine.findData(StudyPlan.model_fields["engine"].default))
-        self._describe_options()
         self.show_study(None)
         self.clear()
 
     @property
     def fields(self) -> list[QWidget]:
         """Widgets in tab order."""
-        first = [self.open, self.engine, self.options, self.held_out, self.analyse, self.report]
+        first = [self.open, self.recent, self.engine, self.options, self.held_out, self.analyse, self.report]
         return [*first, self.template, self.subject, self.measure, self.stop]
 
     def plan(self, folder: Path, *, workers: int | None) -> StudyPlan:
@@ -108,7 +119,7 @@ class RequestRow(QFrame):
         return StudyPlan(
             folder=folder,
             engine=str(self.engine.currentData()),
-            options=tuple(self.options.text().replace(";", " ").split()),
+            options=self._options,
             held_out=self.held_out.isChecked(),
             workers=workers,
         )
@@ -117,7 +128,14 @@ class RequestRow(QFrame):
         """Show the folder and the protocol of a study."""
         self.path = None if data is None else data.folder
         self.folder.setText(_("No study is open.") if data is None else clean(str(data.folder)))
-        for part in (self.template, self.subject, self.measure, self.protocol):
+        if data is not None:
+            self._studies = list(dict.fromkeys([str(data.folder), *self._studies]))[:_MOST_RECENT]
+        self._offer_recent()
+        of_analysis: tuple[QWidget, ...] = (self.engine, self.options, self.held_out, self.analyse, self.report)
+        for part in of_analysis:
+            part.setVisible(data is not None)
+        of_visit: tuple[QWidget, ...] = (self.template, self.subject, self.measure, self.protocol)
+        for part in of_visit:
             part.setVisible(data is not None)
         if data is None:
             return
@@ -132,9 +150,11 @@ class RequestRow(QFrame):
             self.protocol.setText(translated(said))
         else:
             self.protocol.setText(
-                translated(data.protocol_problem) or _("Without a protocol: tests are only analysed.")
+                translated(data.protocol_problem)
+                or _("This study has no protocol: its tests can be analysed; a visit needs a protocol.")
             )
-        self.template.setVisible(data.protocol is None and not data.protocol_problem)
+        self.template.setVisible(not data.protocol_problem)
+        self.template.setText(_("New protocol…") if data.protocol is None else _("Edit protocol…"))
         for part in (self.subject, self.measure):
             part.setVisible(data.protocol is not None)
 
@@ -146,29 +166,38 @@ class RequestRow(QFrame):
         self.bar.setRange(0, 0 if fraction is None else _STEPS)
         self.bar.setValue(0 if fraction is None else round(_STEPS * fraction))
 
+    def show_reason(self, why: str) -> None:
+        """Say why no work on the study can start; an empty text hides it."""
+        self.doing.setText(why)
+        self.doing.setVisible(bool(why))
+
     def clear(self) -> None:
         """Hide the progress."""
         for part in (self.doing, self.bar, self.stop):
             part.hide()
 
-    def update_enabled(self, *, busy: bool) -> None:
-        """Enable what makes sense now; Cancel is always possible."""
-        self.open.setEnabled(not busy)
-        for part in (self.analyse, self.report, self.template, self.measure):
-            part.setEnabled(not busy and self.path is not None)
+    def update_enabled(self, *, busy: bool, working: bool) -> None:
+        """Enable what makes sense now; Cancel is always possible. ``working`` is whether other long work runs."""
+        self.open.setEnabled(not busy and self.bar.isHidden())
+        for part in (self.analyse, self.report, self.template):
+            part.setEnabled(not working and self.path is not None)
+        self.measure.setEnabled(not busy and self.path is not None)
 
     def save(self, settings: QSettings) -> None:
         """Save the choices."""
         settings.setValue(_FOLDER, "" if self.path is None else str(self.path))
         settings.setValue(_ENGINE, self.engine.currentData())
-        settings.setValue(_OPTIONS, self.options.text())
+        save_texts(settings, _OPTIONS, self._options)
+        save_texts(settings, _RECENT, self._studies)
         settings.setValue(_HELD_OUT, "yes" if self.held_out.isChecked() else "no")
 
     def restore(self, settings: QSettings) -> Path | None:
         """Restore the choices; return the folder of the last study, if it is still there."""
         place = self.engine.findData(str(settings.value(_ENGINE, "")))
         self.engine.setCurrentIndex(place if place >= 0 else self.engine.currentIndex())
-        self.options.setText(clean(str(settings.value(_OPTIONS, "")))[:2000])
+        self._take_options(tuple(load_texts(settings, _OPTIONS)))
+        self._studies = load_texts(settings, _RECENT)[:_MOST_RECENT]
+        self._offer_recent()
         self.held_out.setChecked(str(settings.value(_HELD_OUT, "no")) == "yes")
         kept = str(settings.value(_FOLDER, ""))
         return Path(kept) if kept and Path(kept).is_dir() else None
@@ -177,6 +206,7 @@ class RequestRow(QFrame):
         top = QHBoxLayout()
         top.setSpacing(8)
         top.addWidget(self.open)
+        top.addWidget(self.recent)
         top.addWidget(self.folder, 1)
         chosen, led = QWidget(), QWidget()
         how, who = FoldingBox(_ONE_ROW, chosen), FoldingBox(_ONE_ROW, led)
@@ -207,9 +237,25 @@ class RequestRow(QFrame):
         rows.addWidget(led)
         rows.addLayout(going)
 
-    def _describe_options(self) -> None:
-        names = ", ".join(get_engine(str(self.engine.currentData())).model_fields)
-        self.options.setToolTip(plain_tip(_("Of this engine: {names}").format(names=names)))
+    def _take_options(self, options: tuple[str, ...]) -> None:
+        """Take options, as NAME=VALUE, of the engine."""
+        self._options = options
+        changed = _("Options… ({count} changed)").format(count=len(options))
+        self.options.setText(changed if options else _("Options…"))
+        self.options.setToolTip(plain_tip("\n".join(options) or _("All options have their defaults")))
+
+    def _edit_options(self) -> None:
+        dialog = OptionsDialog(str(self.engine.currentData()), parse_options(self._options), self)
+        dialog.setAttribute(Qt.WidgetAttribute.WA_DeleteOnClose)
+        dialog.chosen.connect(self._take_options)
+        dialog.open()
+
+    def _offer_recent(self) -> None:
+        menu = self.recent.menu()
+        menu.clear()
+        for folder in self._studies:
+            menu.addAction(clean(folder).replace("&", "&&"), functools.partial(self.chosen.emit, Path(folder)))
+        self.recent.setVisible(bool(self._studies))
 
     def _choose(self) -> None:
         dialog = QFileDialog(self.window(), _("Open a study"), "" if self.path is None else str(self.path))

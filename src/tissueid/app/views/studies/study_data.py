@@ -9,8 +9,9 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING
 
+from tissueid.app.views.studies.study_figures import TABLE, StudyFigures, figures_of, keep_figures, kept_figures
 from tissueid.errors import UnusableInputError
-from tissueid.formatting import clean
+from tissueid.formatting import clean, principal_first, text_of_cell
 from tissueid.language import marked
 from tissueid.messages import Message, Verbatim
 from tissueid.procedures.session_store import FolderStore
@@ -20,11 +21,8 @@ from tissueid.procedures.study_protocol import PROTOCOL_FILE, Protocol, read_pro
 if TYPE_CHECKING:
     from tissueid.procedures.control import Control
     from tissueid.procedures.study_plans import StudyPlan, StudyReportPlan
-    from tissueid.studies.study_statistics import StudyStatistics
-
-TABLE = "table.csv"
 STD_SUFFIX = "_sd"
-NOT_ANALYSED = marked("not in the table yet: Analyse reads it, or says why it cannot be read")
+NOT_ANALYSED = marked("not analysed yet: press “Analyse”")
 _LARGEST_TABLE = 500_000_000
 _MOST_COLUMNS = 1000
 _LONGEST = 200
@@ -61,6 +59,8 @@ class TestRow:
 class StudyData:
     """A study: its tests in the order of the table, the names of the parameters, and the number of session files.
 
+    ``figures`` are those that were kept, None where they have not been computed of this table.
+
     ``protocol`` is None where there is none, or where it cannot be used: ``protocol_problem`` then says why.
     """
 
@@ -70,6 +70,7 @@ class StudyData:
     sessions: int = 0
     protocol: Protocol | None = None
     protocol_problem: str = ""
+    figures: StudyFigures | None = None
 
     @property
     def tests(self) -> int:
@@ -95,11 +96,9 @@ def load_study(folder: Path) -> StudyData:
     """
     from tissueid.procedures.study_run import read_failures
 
-    if not folder.is_dir():
-        raise UnusableInputError(Message("study.no_folder", "{folder} is not a folder", folder=str(folder)))
     results = folder / RESULTS
-    rows, parameters = _read_table(results / TABLE)
     files = FolderStore(folder).sessions()
+    rows, parameters = _read_table(results / TABLE)
     listed = {row.session for row in rows}
     reasons = read_failures(results / NOT_ANALYSED_FILE, files)
     missing = [_without_test(file, reasons.get(file, NOT_ANALYSED)) for file in sorted(set(files) - listed)]
@@ -109,7 +108,8 @@ def load_study(folder: Path) -> StudyData:
             protocol = read_protocol(folder)
         except UnusableInputError as error:
             problem = error.message
-    return StudyData(folder, (*missing[:_MOST_FAILURES], *rows), parameters, len(files), protocol, problem)
+    figures = kept_figures(folder)
+    return StudyData(folder, (*missing[:_MOST_FAILURES], *rows), parameters, len(files), protocol, problem, figures)
 
 
 def analyse_study(plan: StudyPlan, control: Control) -> StudyData:
@@ -135,11 +135,12 @@ def report_and_load(plan: StudyReportPlan, control: Control) -> tuple[Path, Stud
     from tissueid.procedures.study_report import report_study
 
     found = report_study(plan, control)
+    keep_figures(plan.folder, figures_of(found.statistics))
     return found.page, load_study(plan.folder)
 
 
-def statistics_of(folder: Path, control: Control) -> StudyStatistics:
-    """Return the statistics of the table of a study.
+def compute_figures(folder: Path, control: Control) -> StudyFigures:
+    """Compute and keep the figures of the table of a study.
 
     Raises:
         UnusableInputError: there is no table yet, it cannot be read, or a package is missing.
@@ -160,7 +161,9 @@ def statistics_of(folder: Path, control: Control) -> StudyStatistics:
         raise UnusableInputError(
             Message("study.no_table", "{folder} has no table yet: analyse its sessions first", folder=str(folder))
         ) from error
-    return study_statistics(table, read_curves(folder / RESULTS / CURVES_FILE))
+    found = figures_of(study_statistics(table, read_curves(folder / RESULTS / CURVES_FILE)))
+    keep_figures(folder, found)
+    return found
 
 
 def _read_table(path: Path) -> tuple[list[TestRow], tuple[str, ...]]:
@@ -174,7 +177,7 @@ def _read_table(path: Path) -> tuple[list[TestRow], tuple[str, ...]]:
             head = next(lines, [])
             if len(head) > _MOST_COLUMNS or not {"session", "subject", "site"} <= set(head):
                 raise ValueError("it is not the table of a study")
-            parameters = tuple(name for name in head if f"{name}{STD_SUFFIX}" in head)
+            parameters = tuple(principal_first(name for name in head if f"{name}{STD_SUFFIX}" in head))
             read = _Reader(head, parameters)
             return [read(cells) for cells in lines if len(cells) == len(head)], parameters
     except (OSError, ValueError, csv.Error) as error:
@@ -215,7 +218,7 @@ class _Reader:
 
     def _text(self, cells: Sequence[str], name: str) -> str:
         place = self._at.get(name)
-        return "" if place is None else clean(cells[place])[:_LONGEST]
+        return "" if place is None else clean(text_of_cell(cells[place]))[:_LONGEST]
 
 
 def _without_test(session: str, problem: str) -> TestRow:

@@ -14,12 +14,12 @@ from PySide6.QtWidgets import (
     QLabel,
     QLineEdit,
     QMenu,
-    QPushButton,
     QTableView,
     QVBoxLayout,
     QWidget,
 )
 
+from tissueid.app.build import button
 from tissueid.app.small_window import FoldingBox
 from tissueid.app.theme import Theme
 from tissueid.app.views.studies.study_data import StudyData
@@ -61,8 +61,7 @@ class TestsTab(QWidget):
             choice.setMinimumContentsLength(8)
             choice.addItem(_(everything), "")
             choice.currentIndexChanged.connect(self._filter)
-        self.parameters = QPushButton(_("Parameters"))
-        self.parameters.setToolTip(_("Columns of the table"))
+        self.parameters = button(_("Parameters"), tip=_("Columns of the table"))
         self.parameters.setMenu(QMenu(self))
         self.count = QLabel()
         self.count.setProperty("role", "muted")

@@ -6,35 +6,43 @@ import functools
 from collections.abc import Callable
 from itertools import pairwise
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 from PySide6.QtCore import Qt, QTimer
 from PySide6.QtWidgets import QAbstractButton, QTabWidget, QVBoxLayout, QWidget
 
+from tissueid.app.build import label
 from tissueid.app.context import AppContext, View
 from tissueid.app.jobs import JobControl
 from tissueid.app.theme import Theme
 from tissueid.app.views.studies.figures_tab import FiguresTab
+from tissueid.app.views.studies.protocol_dialog import ProtocolDialog
 from tissueid.app.views.studies.request_row import RequestRow
 from tissueid.app.views.studies.study_data import (
     StudyData,
     analyse_study,
+    compute_figures,
     load_study,
     report_and_load,
-    statistics_of,
 )
+from tissueid.app.views.studies.study_figures import StudyFigures
 from tissueid.app.views.studies.tests_tab import TestsTab
 from tissueid.app.words import in_words
 from tissueid.errors import CancelledError, UnusableInputError
-from tissueid.language import _
+from tissueid.language import _, marked
 from tissueid.messages import Message, translated
 from tissueid.procedures.control import Control
 from tissueid.procedures.study_plans import StudyReportPlan
-from tissueid.procedures.study_sitting import ProtocolPlan, write_protocol
+from tissueid.procedures.study_protocol import Protocol, template
+from tissueid.procedures.study_sitting import save_protocol
 
-if TYPE_CHECKING:
-    from tissueid.studies.study_statistics import StudyStatistics
-
+_WELCOME = marked(
+    "A study is a folder with the sessions of several subjects.\n\n"
+    "1. “Open study…”: choose a new, empty folder, or one with sessions.\n"
+    "2. “New protocol…”: which sites, how many tests at each, with which products, and what a subject is asked for.\n"
+    "3. “Measure subject”: type a pseudonym such as P01; the page Measure leads through the visit.\n"
+    "4. “Analyse” and “Write report”: a table of all tests, statistics and figures."
+)
 _TAB = "study/tab"
 _LOOK_MS = 100
 """Interval at which the progress is shown, ms."""
@@ -68,7 +76,12 @@ class StudiesView(View):
         rows.setContentsMargins(12, 10, 12, 6)
         rows.setSpacing(8)
         rows.addWidget(self.asking)
+        self.welcome = label("muted")
+        self.welcome.setText(_(_WELCOME))
+        self.welcome.setAlignment(Qt.AlignmentFlag.AlignTop)
+        rows.addWidget(self.welcome, 1)
         rows.addWidget(self.tabs, 1)
+        self.tabs.hide()
         order = [*self.asking.fields, self.tabs.tabBar(), *self.tests.fields, *self.figures.fields]
         for before, after in pairwise(order):
             QWidget.setTabOrder(before, after)
@@ -83,7 +96,7 @@ class StudiesView(View):
         self.asking.chosen.connect(self.open_study)
         self.asking.wanted.connect(self.analyse)
         self.asking.report_wanted.connect(self.write_report)
-        self.asking.template_wanted.connect(self.write_template)
+        self.asking.protocol_wanted.connect(self.edit_protocol)
         self.asking.sitting_wanted.connect(self.begin_sitting)
         self.asking.unwanted.connect(self.cancel)
         self.figures.wanted.connect(self.compute_figures)
@@ -94,16 +107,15 @@ class StudiesView(View):
 
     def enter(self) -> None:
         """Open the study of the last start, or read a table again after tests were recorded."""
-        if self.data is None and self._last is not None:
-            last, self._last = self._last, None
-            self.open_study(last)
         self._soon.start()
 
     def update_enabled(self, *, busy: bool, testing: bool) -> None:
         """Enable or disable the controls."""
-        self.asking.update_enabled(busy=busy or testing)
+        self.asking.update_enabled(busy=busy or testing, working=self.context.no_work)
+        if not self._running:
+            self.asking.show_reason(self.context.jobs.why_no_work if self.context.jobs.working else "")
         has_table = self.data is not None and self.data.tests > 0
-        self.figures.update_enabled(busy=busy or testing, has_table=has_table)
+        self.figures.update_enabled(busy=self.context.no_work, has_table=has_table)
         if not busy:
             self._soon.start()
 
@@ -171,12 +183,20 @@ class StudiesView(View):
     def compute_figures(self) -> None:
         """Compute the statistics of the table and offer their figures."""
         if self.data is not None:
-            self._start(functools.partial(statistics_of, self.data.folder), self._computed)
+            self._start(functools.partial(compute_figures, self.data.folder), self._computed)
 
-    def write_template(self) -> None:
-        """Write a protocol to begin with."""
+    def edit_protocol(self) -> None:
+        """Show the protocol, or a proposal for a study without one, to be changed and saved."""
+        if self.data is not None:
+            dialog = ProtocolDialog(self.data.protocol or template(), self)
+            dialog.setAttribute(Qt.WidgetAttribute.WA_DeleteOnClose)
+            dialog.saved.connect(self.save_protocol)
+            dialog.open()
+
+    def save_protocol(self, protocol: Protocol) -> None:
+        """Write the protocol of the study."""
         if self.data is not None and not self.context.busy:
-            work = functools.partial(_templated, self.data.folder)
+            work = functools.partial(_with_protocol, self.data.folder, protocol)
             self.context.jobs.do(work, self._opened, self._failed)
 
     def begin_sitting(self, subject: str) -> None:
@@ -194,21 +214,14 @@ class StudiesView(View):
             return None
 
     def _start(self, work: Callable[[Control], Any], done: Callable[[Any], None]) -> None:
-        if self.context.busy:
+        if self.context.no_work:
             return
-        self._control = control = JobControl()
-        separate = self.context.services.separate_process
-
-        def run() -> Any:
-            from tissueid.procedures.separate_process import run_in_process
-
-            return run_in_process(work, control) if separate else work(control)
-
+        self._control = JobControl()
         self._running, self._done = True, done
         self._looking.start()
         self._show_progress()
         why = _("A study is being analysed on Studies: cancel it there, or wait.")
-        self.context.jobs.do(functools.partial(_outcome, run), self._ended, self._broke, why=why)
+        self.context.do_work(functools.partial(_outcome, work), self._control, self._ended, self._broke, why=why)
 
     def _show_progress(self) -> None:
         if self._running:
@@ -238,16 +251,16 @@ class StudiesView(View):
     def _opened(self, data: StudyData) -> None:
         other = self.data is None or self.data.folder != data.folder
         self.data, self._changed = data, False
+        self.welcome.hide()
+        self.tabs.show()
         self.asking.show_study(data)
         self.tests.show_study(data)
-        if other:
-            self.figures.clear()
-            if data.protocol_problem:
-                self.context.say(translated(data.protocol_problem), problem=True)
+        self.figures.show_figures(data.figures, analysed=data.tests > 0)
+        if other and data.protocol_problem:
+            self.context.say(translated(data.protocol_problem), problem=True)
 
     def _analysed(self, data: StudyData) -> None:
         self._opened(data)
-        self.figures.clear()
         if not data.without_row:
             self.context.say(_("The study is analysed."))
             return
@@ -263,24 +276,29 @@ class StudiesView(View):
         self._analysed(data)
         self.context.show_file(page)
 
-    def _computed(self, found: StudyStatistics) -> None:
-        self.figures.show_statistics(found)
+    def _computed(self, found: StudyFigures) -> None:
+        self.figures.show_figures(found, analysed=True)
         self.tabs.setCurrentWidget(self.figures)
 
     def _read_again(self) -> None:
-        if self._changed and self.data is not None and self.isVisible() and not self.context.busy:
-            self._changed = False
-            self.open_study(self.data.folder)
+        if not self.isVisible():
+            return
+        wanted = self._last if self.data is None else self.data.folder if self._changed else None
+        if wanted is not None and self.context.busy:
+            self.asking.doing.setText(self.context.unread)
+        elif wanted is not None:
+            self._last, self._changed = None, False
+            self.open_study(wanted)
 
 
-def _outcome(run: Callable[[], Any]) -> Any:
+def _outcome(work: Callable[[Control], Any], control: Control) -> Any:
     """Return the result of work, None where it was cancelled."""
     try:
-        return run()
+        return work(control)
     except CancelledError:
         return None
 
 
-def _templated(folder: Path) -> StudyData:
-    write_protocol(ProtocolPlan(folder=folder))
+def _with_protocol(folder: Path, protocol: Protocol) -> StudyData:
+    save_protocol(folder, protocol)
     return load_study(folder)

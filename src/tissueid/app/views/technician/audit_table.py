@@ -3,18 +3,27 @@
 from __future__ import annotations
 
 import functools
-from collections.abc import Callable
-from dataclasses import dataclass
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, field
 from pathlib import Path
 
 from PySide6.QtCore import Qt
-from PySide6.QtWidgets import QComboBox, QFileDialog, QFrame, QHBoxLayout, QLineEdit, QPushButton, QVBoxLayout, QWidget
+from PySide6.QtWidgets import QComboBox, QFileDialog, QFrame, QHBoxLayout, QLineEdit, QVBoxLayout, QWidget
 
+from tissueid.app.build import button
 from tissueid.app.context import AppContext
 from tissueid.app.jobs import PageJob
 from tissueid.app.theme import Theme
 from tissueid.app.views.technician.events import moment
-from tissueid.app.views.technician.log_reading import LogPage, haystack, read_log, shown, write_csv
+from tissueid.app.views.technician.log_reading import (
+    LogPage,
+    about,
+    haystack,
+    people_and_sites,
+    read_log,
+    shown,
+    write_csv,
+)
 from tissueid.app.views.technician.tab import PiecesModel, Tab, mark_level, plain_label, table_of
 from tissueid.app.words import sentence
 from tissueid.audit import ROLES, Line, Verification, verify
@@ -27,18 +36,19 @@ _ALL_ROLES, _ALL_ACTS = marked("All roles"), marked("All acts")
 _ROLE, _SEARCH = "instrument/audit/role", "instrument/audit/search"
 _MOST_ACTS = 60
 _BLIND = marked(
-    "Lines cut off at its end together with the note next to it are seen only against a session or a calibration: "
-    "'tissueid audit verify FILE'."
+    "A log that was cut at its end, together with the note next to it, can be recognised only by comparing it with a "
+    "session or a calibration that was made later."
 )
 
 
 @dataclass(frozen=True)
 class Read:
-    """The log, with what of each line is searched, and the acts that occur."""
+    """The log, with what of each line is searched, the acts that occur, and the names of sessions and tests."""
 
     page: LogPage
     texts: tuple[str, ...]
     acts: tuple[str, ...]
+    names: dict[str, str] = field(default_factory=dict)
 
 
 def read(path: Path, cancelled: Callable[[], object]) -> Read:
@@ -48,9 +58,10 @@ def read(path: Path, cancelled: Callable[[], object]) -> Read:
         UnusableInputError, OSError: it cannot be read.
     """
     page = read_log(path, cancelled)
-    texts = tuple(haystack(line) for line in page.lines)
+    names = people_and_sites(page.lines)
+    texts = tuple(f"{haystack(line)} {about(line, names).casefold()}" for line in page.lines)
     acts = sorted({line.what for line in page.lines if isinstance(line.what, str)})
-    return Read(page, texts, tuple(acts[:_MOST_ACTS]))
+    return Read(page, texts, tuple(acts[:_MOST_ACTS]), names)
 
 
 def check(path: Path, cancelled: Callable[[], object]) -> Verification:
@@ -71,9 +82,11 @@ def check(path: Path, cancelled: Callable[[], object]) -> Verification:
     return verify(path, cancelled=cancelled)
 
 
-def _cell(line: Line, column: int) -> str:
+def _cell(line: Line, column: int, names: Mapping[str, str]) -> str:
     if column == 1:
         return moment(line.time)
+    if column == 5:
+        return about(line, names)
     return shown((line.number, line.time, line.role, line.who, line.what, line.subject, line.old, line.new)[column])
 
 
@@ -100,14 +113,11 @@ class AuditTab(Tab):
         self.search.setAccessibleName(_("Search the audit log"))
         self.search.setClearButtonEnabled(True)
         self.search.setMaxLength(200)
-        self.again = QPushButton(_("Read again"))
-        self.again.setAccessibleName(_("Read the audit log again"))
+        self.again = button(_("Read again"), name=_("Read the audit log again"))
         self.again.clicked.connect(self.load)
-        self.verify = QPushButton(_("Verify"))
-        self.verify.setToolTip(_("Checks every line of the log for changes, from the first to the last"))
+        self.verify = button(_("Verify"), tip=_("Checks every line of the log for changes, from the first to the last"))
         self.verify.clicked.connect(self.begin_verifying)
-        self.export = QPushButton(_("Export CSV…"))
-        self.export.setToolTip(_("Writes the lines that are shown, for a spreadsheet"))
+        self.export = button(_("Export CSV…"), tip=_("Writes the lines that are shown, for a spreadsheet"))
         self.export.clicked.connect(self._choose_csv)
         self.verdict = QFrame()
         self.verdict.setProperty("role", "verdict")
@@ -118,7 +128,7 @@ class AuditTab(Tab):
         self.count = plain_label(role="muted")
         self.model = PiecesModel(
             (_("Line"), _("Time (UTC)"), _("Role"), _("Who"), _("What"), _("About"), _("Old"), _("New")),
-            _cell,
+            lambda line, column: _cell(line, column, self._read.names),
             right=(0,),
         )
         self.list = table_of(self.model, _("Audit log"), (60, 138, 82, 80, 150, 190, 100))
@@ -151,7 +161,7 @@ class AuditTab(Tab):
             self.stale = False
 
     def _loaded(self, found: Read) -> None:
-        self._read = found
+        self._read, self.read = found, True
         kept = self.act.currentText()
         self.act.blockSignals(True)
         self.act.clear()
@@ -229,6 +239,8 @@ class AuditTab(Tab):
         self.again.setEnabled(not busy)
         self.verify.setEnabled(not busy)
         self.export.setEnabled(not busy and bool(self.model.rows))
+        if not self.read:
+            self._show()
 
     def _show(self) -> None:
         role = self.role.currentData()
@@ -249,7 +261,8 @@ class AuditTab(Tab):
         said = _("{shown} of {count} lines, newest first, in {path}.").format(
             shown=grouped(len(found)), count=grouped(len(lines)), path=self.context.services.audit.path
         )
-        self.count.setText(" ".join([clean(said), *(clean(line) for line in self._read.page.remarks)]))
+        remarks = (clean(line) for line in self._read.page.remarks)
+        self.count.setText(" ".join([clean(said), *remarks]) if self.read else self.context.unread)
         self.export.setEnabled(bool(found) and not self.context.busy)
         self._show_full()
 

@@ -9,8 +9,9 @@ from datetime import UTC, datetime
 from pathlib import Path
 
 from PySide6.QtCore import Qt
-from PySide6.QtWidgets import QHBoxLayout, QPushButton, QSplitter, QStackedWidget, QVBoxLayout, QWidget
+from PySide6.QtWidgets import QHBoxLayout, QSplitter, QStackedWidget, QVBoxLayout, QWidget
 
+from tissueid.app.build import button
 from tissueid.app.context import AppContext
 from tissueid.app.jobs import PageJob
 from tissueid.app.theme import Theme
@@ -152,11 +153,9 @@ class CalibrationsTab(Tab):
         super().__init__(context, page_job, parent)
         self._stored: tuple[Stored, ...] = ()
         self._nominal: DeviceDescription | None = None
-        self.calibrate = QPushButton(_("Calibrate…"))
-        self.calibrate.setToolTip(_("Shows the page Measure, where calibrations are made"))
+        self.calibrate = button(_("Calibrate…"), tip=_("Shows the page Measure, where calibrations are made"))
         self.calibrate.clicked.connect(self._go)
-        self.again = QPushButton(_("Read again"))
-        self.again.setAccessibleName(_("Read the folder of calibrations again"))
+        self.again = button(_("Read again"), name=_("Read the folder of calibrations again"))
         self.again.clicked.connect(self.load)
         self.about = plain_label(role="muted")
         self.model = PiecesModel(tuple(_(head) for head in HEADERS), Row.cell, level=lambda row: row.level, marked=4)
@@ -206,13 +205,14 @@ class CalibrationsTab(Tab):
             self.stale = False
 
     def _loaded(self, stored: tuple[Stored, ...]) -> None:
-        self._stored = stored
+        self._stored, self.read = stored, True
         self._show()
 
     def tell_instrument(self, nominal: DeviceDescription | None) -> None:
         """Set the instrument for which the active calibrations are shown."""
-        self._nominal = nominal
-        self._show()
+        if nominal is not self._nominal or not self.read:
+            self._nominal = nominal
+            self._show()
 
     def _go(self) -> None:
         """Show the page of calibrations; start nothing."""
@@ -228,6 +228,8 @@ class CalibrationsTab(Tab):
         """Disable reading and calibrating while a job runs."""
         self.again.setEnabled(not busy)
         self.calibrate.setEnabled(not busy)
+        if not self.read:
+            self._show()
 
     @property
     def selected(self) -> list[Calibration]:
@@ -249,13 +251,17 @@ class CalibrationsTab(Tab):
                 selection.select(
                     self.model.index(number, 0), selection.SelectionFlag.Select | selection.SelectionFlag.Rows
                 )
-        if not rows:
+        if not self.read:
+            self.about.setText(self.context.unread)
+        elif not rows:
             self.about.setText(_("There is no calibration yet: the nominal figures are used."))
         elif self._nominal is None:
-            self.about.setText(_("Read the instrument under Health to see which of them are active."))
+            self.about.setText(_("Check the instrument under Health to see which of them it uses."))
         else:
             self.about.setText(
-                _("Whether it is active for {serial}.").format(serial=clean(self._nominal.serial_number)[:60])
+                _("Column “Active”: whether the instrument {serial} uses it.").format(
+                    serial=clean(self._nominal.serial_number)[:60]
+                )
             )
         self._show_selected()
 

@@ -73,8 +73,8 @@ class Light:
 
 NOT_ASKED = Light(
     "",
-    marked("The instrument has not been asked yet"),
-    (marked("Press “Ask the instrument”. It is opened, listened to for a second and closed; the coil stays free."),),
+    marked("Not checked yet"),
+    (marked("Press “Check the instrument”. It is opened, listened to for a second and closed; the coil stays free."),),
 )
 
 
@@ -95,7 +95,7 @@ def light(checkup: Checkup | None, problem: str, fault: Event | None) -> Light:
     if poor:
         return Light("poor", _("Do not measure with this instrument"), tuple(poor + check))
     if check:
-        return Light("check", _("It can be used, but look at this"), tuple(check))
+        return Light("check", _("Usable, with remarks"), tuple(check))
     temperature = _("the coil is at {temperature} °C").format(temperature=fixed(checkup.temperature_c, 0))
     words = (
         _(
@@ -103,7 +103,7 @@ def light(checkup: Checkup | None, problem: str, fault: Event | None) -> Light:
             " a test or a calibration shows whether the coil pushes correctly."
         ).format(temperature=temperature),
     )
-    return Light("good", _("Nothing speaks against this instrument"), words)
+    return Light("good", _("No problem found"), words)
 
 
 def _concerns(checkup: Checkup) -> tuple[list[str], list[str]]:

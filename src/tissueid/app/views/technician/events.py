@@ -2,12 +2,12 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Collection, Iterable
+from collections.abc import Callable, Collection, Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from datetime import UTC, datetime
 from pathlib import Path
 
-from tissueid.app.views.technician.log_reading import LogPage
+from tissueid.app.views.technician.log_reading import LogPage, about, people_and_sites
 from tissueid.app.words import sentence
 from tissueid.audit import Line
 from tissueid.errors import TissueIDError
@@ -23,7 +23,7 @@ MOST_FILES = 2000
 _LONGEST = 400
 FAULT, BROKEN, STOPPED, RECOVERED, COMPLETED = (
     marked("Fault"),
-    marked("Broken off"),
+    marked("Interrupted"),
     marked("Stopped"),
     marked("Recovered"),
     marked("Completed"),
@@ -113,21 +113,24 @@ def read_events(files: list[Path], log: LogPage, cancelled: Callable[[], object]
         CancelledError: by ``cancelled``.
     """
     by_subject: dict[str, Event] = {}
+    names = people_and_sites(log.lines)
+    in_calibrations = _of_failed_calibrations(log.lines)
     reported = {str(line.subject).partition(" test ")[0] for line in log.lines if line.what in _ENDS_OF_TESTS}
     for number, line in enumerate(log.lines):
         if number % 1000 == 0:
             cancelled()
-        if line.what == "session.broken_off" and line.subject in reported:
-            continue  # its test says so, and whether it was a person
-        if (event := _of_line(line)) is not None:
-            by_subject.setdefault(
-                f"{line.what} {line.number}" if "test " not in event.subject else event.subject, event
-            )
+        if number in in_calibrations or (line.what == "session.broken_off" and line.subject in reported):
+            continue  # its test, or its calibration, says so, and whether it was a person
+        if (event := _of_line(line, names)) is not None:
+            subject = _short(line.subject)
+            by_subject.setdefault(subject if "test " in subject else f"{line.what} {line.number}", event)
     for path in files[:MOST_FILES]:
         cancelled()
         for subject, event in _of_session(path):
             logged = by_subject.get(subject)
-            by_subject[subject] = event if logged is None else replace(logged, path=path, subject=event.subject)
+            if logged is not None:  # the session has the reason as a message, which is translated
+                event = replace(logged, path=path, subject=event.subject, reason=event.reason or logged.reason)
+            by_subject[subject] = event
     remarks = [*log.remarks]
     if len(files) > MOST_FILES:
         remarks.append(
@@ -139,7 +142,24 @@ def read_events(files: list[Path], log: LogPage, cancelled: Callable[[], object]
     return Events(tuple(found), tuple(remarks))
 
 
-def _of_line(line: Line) -> Event | None:
+def _of_failed_calibrations(lines: Sequence[Line]) -> set[int]:
+    """Return the places of the lines, newest first, that are written by a calibration whose failure has its own line.
+
+    They lie between its end and its beginning.
+    """
+    inside: set[int] = set()
+    calibrated: object = None
+    for number, line in enumerate(lines):
+        if line.what in ("calibration.broken_off", "calibration.stopped"):
+            calibrated = line.subject
+        elif line.what == "calibration.begun":
+            calibrated = None
+        elif calibrated is not None:
+            inside.add(number)
+    return inside
+
+
+def _of_line(line: Line, names: Mapping[str, str]) -> Event | None:
     what = line.what if isinstance(line.what, str) else ""
     kind = _LOGGED.get(what)
     new = line.new if isinstance(line.new, dict) else {}
@@ -151,7 +171,7 @@ def _of_line(line: Line) -> Event | None:
         )
     if kind is None:
         return None
-    subject = _short(line.subject)
+    subject = about(line, names)
     codes = _texts(new.get("codes")) or reason_codes(str(reason))
     return Event(moment(line.time), kind, subject, _said(reason), advice(kind, str(reason), codes))
 
@@ -175,7 +195,8 @@ def _of_session(path: Path) -> Iterable[tuple[str, Event]]:
         elif kind is BROKEN and not _BY_A_PERSON.isdisjoint(codes):
             kind = STOPPED
         site = f", {clean(test.site)[:60]}" if test.site else ""
-        subject = _("Test {number}{site}").format(number=test.number, site=site)
+        who = f", {clean(head.subject.pseudonym)[:60]}" if head.subject.pseudonym else ""
+        subject = _("Test {number}{site}").format(number=test.number, site=site) + who
         yield (
             f"{head.session_id} test {test.number}",
             Event(moment(head.created), kind, subject, _said(translated(reason)), advice(kind, reason, codes), path),
@@ -203,7 +224,8 @@ def advice(kind: str, reason: str, codes: Collection[str]) -> str:
         if code in codes:
             return sentence(translated(words))
     _cause, colon, remedy = reason.rpartition(": ")
-    return sentence(clean(remedy)[:_LONGEST]) if colon else _("Measure again; if it happens again, ask the instrument.")
+    usual = _("Measure again; if it happens again, check the instrument.")
+    return sentence(clean(remedy)[:_LONGEST]) if colon else usual
 
 
 def _texts(value: object) -> list[str]:

@@ -6,8 +6,9 @@ import functools
 from collections.abc import Callable
 from pathlib import Path
 
-from PySide6.QtWidgets import QComboBox, QFrame, QHBoxLayout, QLineEdit, QPushButton, QVBoxLayout, QWidget
+from PySide6.QtWidgets import QComboBox, QFrame, QHBoxLayout, QLineEdit, QVBoxLayout, QWidget
 
+from tissueid.app.build import button
 from tissueid.app.context import AppContext
 from tissueid.app.jobs import PageJob
 from tissueid.app.theme import Theme
@@ -18,7 +19,7 @@ from tissueid.app.views.technician.tab import PiecesModel, Tab, mark_level, plai
 from tissueid.formatting import clean, grouped
 from tissueid.language import _, marked
 
-_CONCERNS, _ALL = marked("Needs a look"), marked("All ends of tests")
+_CONCERNS, _ALL = marked("Problems only"), marked("All ends of tests")
 _FILTER, _SEARCH = "instrument/faults/filter", "instrument/faults/search"
 
 
@@ -52,8 +53,7 @@ class FaultsTab(Tab):
         self.search.setAccessibleName(_("Search the events"))
         self.search.setClearButtonEnabled(True)
         self.search.setMaxLength(200)
-        self.again = QPushButton(_("Read again"))
-        self.again.setAccessibleName(_("Read the events again"))
+        self.again = button(_("Read again"), name=_("Read the events again"))
         self.again.clicked.connect(self.load)
         self.count = plain_label(role="muted")
         self.model = PiecesModel(
@@ -61,8 +61,7 @@ class FaultsTab(Tab):
         )
         self.list = table_of(self.model, _("Faults and events"), (140, 120, 260))
         self.list.selectionModel().selectionChanged.connect(self._show_selected)
-        self.open = QPushButton(_("Open session"))
-        self.open.setToolTip(_("Analyses the session of the selected event on the page Measure"))
+        self.open = button(_("Open session"), tip=_("Analyses the session of the selected event on the page Measure"))
         self.open.clicked.connect(self._open)
         self.title = plain_label(role="headline")
         self.reason = plain_label()
@@ -106,7 +105,7 @@ class FaultsTab(Tab):
             self.stale = False
 
     def _loaded(self, events: Events) -> None:
-        self.events = events
+        self.events, self.read = events, True
         self._show()
 
     def update_enabled(self, *, busy: bool) -> None:
@@ -114,6 +113,8 @@ class FaultsTab(Tab):
         self._busy = busy
         self.again.setEnabled(not busy)
         self._settle_open()
+        if not self.read:
+            self._show()
 
     def _settle_open(self) -> None:
         event = self.selected
@@ -137,7 +138,8 @@ class FaultsTab(Tab):
         said = _("{shown} shown; {concerns} of {count} events are something other than a completed test.").format(
             shown=grouped(len(found)), concerns=grouped(total), count=grouped(len(self.events.found))
         )
-        self.count.setText(" ".join([said, *(clean(line) for line in self.events.remarks)]))
+        lines = [said, *(clean(line) for line in self.events.remarks)] if self.read else [self.context.unread]
+        self.count.setText(" ".join(lines))
         self._show_selected()
 
     def _show_selected(self) -> None:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import functools
+from dataclasses import replace
 from datetime import UTC, datetime
 
 import numpy as np
@@ -18,6 +19,7 @@ from tissueid.app.theme import Theme, faint
 from tissueid.app.views.technician.checkup import Background, LastTest, Light, background, light
 from tissueid.app.views.technician.events import moment
 from tissueid.app.views.technician.tab import FactsCard, Tab, mark_level, plain_label, tip
+from tissueid.calibration.active import apply_calibrations
 from tissueid.calibration.file import Calibration
 from tissueid.formatting import clean, figure_text, fixed, grouped, number
 from tissueid.language import _, marked
@@ -87,14 +89,14 @@ class HealthTab(Tab):
 
     def __init__(self, context: AppContext, page_job: PageJob, parent: QWidget | None = None) -> None:
         super().__init__(context, page_job, parent)
-        self.checkup: Checkup | None = None
-        self._problem = ""
+        self._answer: Checkup | None = None
+        self._problem, self._failed_url = "", ""
         self._known = Background(None, ())
         self.lamps = Lamps()
         self.headline = plain_label(role="headline")
         self.reasons = plain_label()
         self.chosen = plain_label(role="muted")
-        self.ask = QPushButton(_("Ask the instrument"))
+        self.ask = QPushButton(_("Check the instrument"))
         self.ask.setToolTip(_("Opens the chosen instrument, listens for a second, closes it; the coil stays free (F5)"))
         self.ask.clicked.connect(self.begin_asking)
         self.identity = FactsCard(_("Instrument"))
@@ -151,9 +153,12 @@ class HealthTab(Tab):
             self.stale = False
 
     def _loaded(self, known: Background) -> None:
-        self._known = known
-        self._show()
-        self._show_trend()
+        self._known, self.read = known, True
+        answer = self._answer
+        if answer is not None and not known.problem:  # its calibration may be another one now
+            device = apply_calibrations(answer.nominal, known.stored, datetime.now(UTC))
+            self._answer = replace(answer, device=device)
+        self.show_chosen()
 
     def begin_asking(self) -> None:
         """Ask the chosen instrument."""
@@ -168,38 +173,46 @@ class HealthTab(Tab):
         self.page_job.start(_("Asking {url}…").format(url=clean(url)[:60]), work, self._answered, self._unanswered)
 
     def _answered(self, checkup: Checkup) -> None:
-        self.checkup, self._problem = checkup, ""
-        self._show()
-        self._show_trend()
+        self._answer, self._problem = checkup, ""
+        self.show_chosen()
 
     def _unanswered(self, words: str) -> None:
         if words:
-            self.checkup, self._problem = None, words
-            self._show()
-            self._show_trend()
+            self._answer, self._problem, self._failed_url = None, words, self.context.instrument()
+            self.show_chosen()
+
+    @property
+    def checkup(self) -> Checkup | None:
+        """The answer of the chosen instrument; None where it was not asked."""
+        answer = self._answer
+        return answer if answer is not None and answer.url == self.context.instrument() else None
 
     # -- showing ------------------------------------------------------------------------------------------
 
     def update_enabled(self, *, busy: bool) -> None:
         """Asking is slow."""
         self.ask.setEnabled(not busy)
-        self._show_chosen()
+        self._name_chosen()
 
-    def _show_chosen(self) -> None:
+    def show_chosen(self) -> None:
+        """Show what is known of the chosen instrument."""
+        self._show()
+        self._show_trend()
+
+    def _name_chosen(self) -> None:
         url = clean(self.context.instrument())[:120]
         words = (
             _("Chosen on the page Measure: {url}").format(url=url)
             if url
             else _("No instrument is chosen on the page Measure.")
         )
-        if self.checkup is not None and self.checkup.url != self.context.instrument():
-            words += _(" – these values are of {url}: read them again.").format(url=clean(self.checkup.url)[:120])
         self.chosen.setText(words)
 
     @property
     def light(self) -> Light:
         """The traffic light of the instrument."""
-        return light(self.checkup, self._problem, self._known.fault)
+        problem = self._problem if self._failed_url == self.context.instrument() else ""
+        return light(self.checkup, problem, self._known.fault)
 
     def _show(self) -> None:
         found = self.light
@@ -213,7 +226,7 @@ class HealthTab(Tab):
         self.verdict.setAccessibleName(" ".join([_(found.headline), *reasons]))
         for widget in (self.verdict, self.headline):
             mark_level(widget, found.level)
-        self._show_chosen()
+        self._name_chosen()
         self.identity.show_facts(_identity(self.checkup))
         self.state.show_facts(_calibration(self.checkup, self._known))
         self.link.show_facts(_link(self.checkup, self._known.last))
@@ -229,7 +242,7 @@ class HealthTab(Tab):
         if not mine:
             self.trend.say_missing(
                 _(
-                    "No calibration{whose} holds a force constant yet. The button under Calibrations leads to one."
+                    "No calibration{whose} holds a force constant yet. “Calibrate…” under Calibrations makes one."
                 ).format(whose=whose)
             )
             return
@@ -260,7 +273,7 @@ def _dated(calibrations: list[Calibration], now: datetime) -> tuple[np.ndarray, 
 
 def _identity(checkup: Checkup | None) -> dict[str, str]:
     if checkup is None:
-        return {_("Model"): _("not asked")}
+        return {_("Model"): _("not checked")}
     device = checkup.device
     clinical, research = checkup.limits["clinical"], checkup.limits["research"]
     return {
@@ -288,7 +301,7 @@ def _calibration(checkup: Checkup | None, known: Background) -> dict[str, str]:
     else:
         facts[_("In the folder")] = _("{count} calibrations").format(count=grouped(len(known.stored)))
     if checkup is None:
-        return {_("State"): _("not asked")} | facts
+        return {_("State"): _("not checked")} | facts
     device = checkup.device
     held = device.calibration
     facts = {_("State"): _(calibration_state(checkup.device).words)} | facts
@@ -306,12 +319,12 @@ def _calibration(checkup: Checkup | None, known: Background) -> dict[str, str]:
 def _link(checkup: Checkup | None, last: LastTest | None) -> dict[str, str]:
     facts: dict[str, str] = {}
     if checkup is None:
-        facts[_("Now")] = _("not asked")
+        facts[_("Now")] = _("not checked")
     else:
         facts[_("Samples")] = _("{samples}, {lost} of them lost").format(
             samples=grouped(checkup.samples), lost=grouped(checkup.lost)
         )
-        facts[_("Coil free reads")] = f"{fixed(1e3 * checkup.resting_a, 1)} mA"
+        facts[_("Current with the coil free")] = f"{fixed(1e3 * checkup.resting_a, 1)} mA"
         facts |= _cable(checkup.link)
     if last is None:
         return facts | {_("Newest test"): _("none in the folder of sessions")}

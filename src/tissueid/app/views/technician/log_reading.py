@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import csv
 from collections import deque
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -13,7 +13,7 @@ from tissueid.atomic_write import atomic_file
 from tissueid.audit import Line
 from tissueid.audit.line import MAX_LINE, fields_of, read_line
 from tissueid.errors import UnusableInputError
-from tissueid.formatting import clean, grouped, plain_text
+from tissueid.formatting import cell_text, clean, grouped, plain_text
 from tissueid.language import _
 from tissueid.messages import Message, translated
 
@@ -21,7 +21,6 @@ MOST_BYTES = 96 * 1024 * 1024
 MOST_LINES = 200_000
 _LOOK = 500
 _LONGEST = 600
-_FORMULA = ("=", "+", "-", "@", "\t", "\r")
 COLUMNS = ("number", "time", "role", "who", "what", "subject", "old", "new", "software", "previous", "hash")
 """Of the file for a spreadsheet."""
 
@@ -71,9 +70,7 @@ def read_log(path: Path, cancelled: Callable[[], object], most_bytes: int = MOST
     remarks = []
     if size > most_bytes or whole > MOST_LINES:
         remarks.append(
-            _("Only the newest {count} lines are shown; 'tissueid audit show' has the others.").format(
-                count=grouped(len(kept))
-            )
+            _("Only the newest {count} lines are shown; the file holds all of them.").format(count=grouped(len(kept)))
         )
     if damaged:
         one = Message("audit.table.piece", "1 incomplete line is not shown: press Verify for details.")
@@ -84,6 +81,29 @@ def read_log(path: Path, cancelled: Callable[[], object], most_bytes: int = MOST
         )
         remarks.append(translated(one if damaged == 1 else several))
     return LogPage(tuple(reversed(kept)), tuple(remarks))
+
+
+def people_and_sites(lines: Sequence[Line]) -> dict[str, str]:
+    """Return pseudonyms by session and sites by test, as ``about`` takes them."""
+    names = {}
+    for line in lines:
+        key = {"session.begun": "pseudonym", "test.begun": "site"}.get(str(line.what))
+        if key is not None and isinstance(line.new, dict) and isinstance(name := line.new.get(key), str):
+            names[str(line.subject)] = name
+    return names
+
+
+def about(line: Line, names: Mapping[str, str]) -> str:
+    """Return what a line is about: test, site and pseudonym where they are known, else its subject."""
+    subject = shown(line.subject)
+    if not subject and isinstance(line.new, dict):  # a test whose recording had not begun
+        known = [line.new.get("site"), line.new.get("pseudonym")]
+    else:
+        session, is_test, number = subject.partition(" test ")
+        known = [names.get(subject) if is_test else None, names.get(session)]
+        if is_test and any(known):
+            known.insert(0, _("Test {number}").format(number=number))
+    return clean(", ".join(str(item) for item in known if item))[:_LONGEST] or subject
 
 
 def shown(value: Any) -> str:
@@ -138,5 +158,4 @@ def write_csv(path: Path, log: Path, lines: Sequence[Line], cancelled: Callable[
 
 
 def _cell(value: Any) -> str:
-    text = "" if value is None else clean(value) if isinstance(value, str) else plain_text(value)
-    return f"'{text}" if text.startswith(_FORMULA) else text
+    return "" if value is None else cell_text(clean(value) if isinstance(value, str) else plain_text(value))

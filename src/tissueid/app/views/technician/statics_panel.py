@@ -35,7 +35,7 @@ class StaticsPanel(QWidget):
         self.headline = plain_label(role="headline")
         self.said = plain_label(role="muted")
         self.model = PiecesModel(
-            (_("Figure"), _("Value"), _("Unit")),
+            (_("Quantity"), _("Value"), _("Unit")),
             lambda row, column: figure_of(*row)[column],
             right=(1,),
         )

@@ -59,7 +59,7 @@ class SweepsPanel(QWidget):
         for card in self.cards.values():
             card.setMinimumHeight(_PLOT_HEIGHT)
         self.model = PiecesModel(
-            (_("Figure"), _("Difference"), _("±2 std"), _("Which is"), _("Before"), _("Now"), _("Unit")),
+            (_("Quantity"), _("Difference"), _("±2 std"), _("Which is"), _("Before"), _("Now"), _("Unit")),
             _cell,
             level=lambda row: "check" if isinstance(row, Difference) and row.verdict == "beyond" else "",
             marked=3,
@@ -73,7 +73,7 @@ class SweepsPanel(QWidget):
         self.tabs.tabBar().setDrawBase(False)
         self.tabs.tabBar().setAccessibleName(_("Sweeps: along the stroke, or figures"))
         self.tabs.addTab(self._make_plots(), _("Along the stroke"))
-        self.tabs.addTab(self.figures, _("Figures"))
+        self.tabs.addTab(self.figures, _("Values"))
         top = QHBoxLayout()
         top.addWidget(self.words, 1)
         top.addWidget(self.against, 0, Qt.AlignmentFlag.AlignTop)

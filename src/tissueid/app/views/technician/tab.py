@@ -137,13 +137,14 @@ def table_of(model: PiecesModel, name: str, widths: Sequence[int]) -> QTableView
 
 
 class Tab(QWidget):
-    """A tab. ``stale`` means that its files are read again when it is shown and no job runs."""
+    """A tab. ``stale``: its files are read again when it is shown and no job runs. ``read``: they were read once."""
 
     def __init__(self, context: AppContext, page_job: PageJob, parent: QWidget | None = None) -> None:
         super().__init__(parent)
         self.context = context
         self.page_job = page_job
         self.stale = True
+        self.read = False
 
     def load(self) -> None:
         """Read what is shown, in a job."""

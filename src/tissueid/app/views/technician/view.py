@@ -6,8 +6,9 @@ from pathlib import Path
 
 from PySide6.QtCore import Qt, QTimer
 from PySide6.QtGui import QKeySequence, QShortcut, QShowEvent
-from PySide6.QtWidgets import QAbstractButton, QHBoxLayout, QLabel, QPushButton, QTabWidget, QVBoxLayout, QWidget
+from PySide6.QtWidgets import QAbstractButton, QHBoxLayout, QLabel, QTabWidget, QVBoxLayout, QWidget
 
+from tissueid.app.build import button
 from tissueid.app.context import AppContext, View
 from tissueid.app.jobs import PageJob
 from tissueid.app.theme import Theme
@@ -16,6 +17,7 @@ from tissueid.app.views.technician.calibrations import CalibrationsTab
 from tissueid.app.views.technician.faults import FaultsTab
 from tissueid.app.views.technician.health import HealthTab
 from tissueid.app.views.technician.tab import Tab
+from tissueid.device import DeviceDescription
 from tissueid.language import _, marked
 
 _TAB = "instrument/tab"
@@ -31,6 +33,7 @@ class InstrumentView(View):
         super().__init__(context, parent)
         self.page_job = PageJob(context.jobs, self)
         self._closing = self._busy = False
+        self._answered: tuple[str, DeviceDescription] | None = None
         self.health = HealthTab(context, self.page_job)
         self.calibrations = CalibrationsTab(context, self.page_job)
         self.faults = FaultsTab(context, self.page_job)
@@ -39,9 +42,7 @@ class InstrumentView(View):
         self.doing = QLabel()
         self.doing.setProperty("role", "muted")
         self.doing.setTextFormat(Qt.TextFormat.PlainText)
-        self.give_up = QPushButton(_("Cancel"))
-        self.give_up.setProperty("role", "small")  # it stands in the corner of a bar of tabs
-        self.give_up.setToolTip(_("Ends what is being read or asked"))
+        self.give_up = button(_("Cancel"), role="small", tip=_("Ends what is being read or asked"))
         self.give_up.clicked.connect(self.page_job.cancel)
         self.tabs = QTabWidget()
         self.tabs.setDocumentMode(True)
@@ -107,6 +108,8 @@ class InstrumentView(View):
         """Mark the tabs as stale: files may have changed."""
         for tab in self.all:
             tab.stale = True
+        self.health.show_chosen()
+        self._judge_chosen()
         self._soon.start()
 
     def showEvent(self, event: QShowEvent) -> None:  # noqa: N802
@@ -129,7 +132,21 @@ class InstrumentView(View):
         self.give_up.setVisible(self.page_job.running)
         checkup = self.health.checkup
         if not self.page_job.running and checkup is not None:
-            self.calibrations.tell_instrument(checkup.nominal)
+            self._answered = checkup.url, checkup.nominal
+        self._judge_chosen()
+
+    def _judge_chosen(self) -> None:
+        """Judge the calibrations for the chosen instrument; for none, where another one answered last."""
+        url, nominal = self._answered or ("", None)
+        self.calibrations.tell_instrument(nominal if url == self.context.instrument() else None)
+
+    def on_instrument_answered(self, url: str, nominal: DeviceDescription) -> None:
+        """Take a calibration that was just made for an answer of its instrument."""
+        self._answered = url, nominal
+        for tab in self.all:
+            tab.stale = True
+        self._judge_chosen()
+        self._soon.start()
 
     def update_enabled(self, *, busy: bool, testing: bool) -> None:
         """Disable what starts a job while another one runs."""
