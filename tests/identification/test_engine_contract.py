@@ -253,6 +253,6 @@ def test_the_engines_that_scripts_rely_on_are_here():
     assert set(EVERY) >= NAMED
 
 
-def test_every_engine_fits_a_plain_record(model: Model):
+def test_every_engine_fits_a_plain_record(model: Model, record: Record):
     assert model.report.vaf_percent > 90.0
-    assert model.report.options == specification(model.report.engine).options()
+    assert model.report.options == specification(model.report.engine).for_record(record, None).options()

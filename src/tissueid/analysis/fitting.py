@@ -227,8 +227,10 @@ def _with_test_values(model: Model, given: Engine, used: Engine, weight_n: float
     A load C3 that differs significantly from the weight of the moving part becomes a finding.
     """
     report, options = model.report, given.options()
-    taken = {f"known_{name}": v for name, v in used.options().items() if isinstance(v, float) and options[name] is None}
-    model = replace(model, report=replace(report, options=options, details=report.details | taken))
+    changed = {name: value for name, value in used.options().items() if value != options[name]}
+    taken = {f"known_{name}": v for name, v in changed.items() if isinstance(v, float) and options[name] is None}
+    as_given = report.options | {name: options[name] for name in changed}
+    model = replace(model, report=replace(report, options=as_given, details=report.details | taken))
     load = report.parameters.get("c3_n")
     if weight_n is None or load is None or load.std is None or abs(load.value - weight_n) <= _DIFFERS * load.std:
         return model

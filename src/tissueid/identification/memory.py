@@ -9,7 +9,7 @@ import numpy as np
 from tissueid.errors import UnusableInputError
 from tissueid.identification.base import Array, Engine, option
 from tissueid.identification.correlation import Correlator, toeplitz_solve
-from tissueid.identification.preparation import memory_in_samples, part_mask, typical_samples
+from tissueid.identification.preparation import memory_in_samples, part_length, part_mask, typical_samples
 from tissueid.identification.second_order import HOLD, Hold
 from tissueid.identification.second_order_fit import hold_of
 from tissueid.language import marked
@@ -91,6 +91,8 @@ def automatic_memory(record: Record, fit_part: slice | None, usual_s: float, mar
     of_tissue = usual == memory_in_samples(usual_s, rate)
     if of_tissue and (record.input_unit, record.output_unit) == ("N", "m"):
         return usual_s
+    if part_length(record, fit_part) < _LEAST_SAMPLES_PER_LAG * _RUNGS[0]:
+        return usual_s if of_tissue else usual / rate
     known = part_mask(len(record), fit_part) & np.isfinite(record.input) & np.isfinite(record.output)
     places = np.flatnonzero(known)
     if places.size < _LEAST_SAMPLES_PER_LAG * _RUNGS[0]:
@@ -99,6 +101,8 @@ def automatic_memory(record: Record, fit_part: slice | None, usual_s: float, mar
     signals = [
         np.where(known[inside], values[inside] - values[known].mean(), 0.0) for values in (record.input, record.output)
     ]
+    if not np.any(np.diff(signals[0])):  # constant: every fit refuses it
+        return usual_s if of_tissue else usual / rate
     needed = margin * _needed_lags(signals[0], signals[1])
     if of_tissue and needed <= _TOO_SHORT * usual:
         return usual_s

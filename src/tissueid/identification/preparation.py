@@ -55,6 +55,11 @@ def part_mask(n: int, part: slice | None) -> Mask:
     return mask
 
 
+def part_length(record: Record, part: slice | None) -> int:
+    """Return the number of samples of a part of a record; of all of it for None."""
+    return len(range(*(part or slice(None)).indices(len(record))))
+
+
 def scored_samples(record: Record, memory_samples: int, part: slice | None = None) -> Mask:
     """Return the mask (n,) of the outputs in ``part`` that a model with this memory can simulate."""
     return (

@@ -22,7 +22,7 @@ from tissueid.errors import UnusableInputError
 from tissueid.identification.base import Array, Mask
 from tissueid.identification.correlation import Correlator, dependence_samples, long_run_covariance
 from tissueid.identification.levenberg_marquardt import Bounds, ErrorPoint, Minimum, minimise
-from tissueid.identification.preparation import finite_runs, scored_samples, typical_samples
+from tissueid.identification.preparation import finite_runs, part_length, scored_samples, typical_samples
 from tissueid.identification.second_order import (
     HOLDS,
     Complex,
@@ -174,10 +174,12 @@ def hold_of(record: Record, fit_part: slice | None) -> Hold:
         record: the data.
         fit_part: contiguous part of it; None for all.
     """
+    if part_length(record, fit_part) < _HOLD_LEAST_SAMPLES:
+        return "band-limited"
     used = scored_samples(record, typical_samples(_CORRELATED_S, record.sample_rate_hz), fit_part)
     used[np.flatnonzero(used)[_HOLD_SAMPLES:]] = False
     x = record.input[used]
-    if x.size < _HOLD_LEAST_SAMPLES or float(np.mean(np.diff(x) ** 2)) < _ROUGH * float(np.var(x)):
+    if x.size < _HOLD_LEAST_SAMPLES or float(np.mean(np.diff(x) ** 2)) <= _ROUGH * float(np.var(x)):
         return "band-limited"
     try:
         limited, held = (100.0 - fit_second_order(record, used, hold).vaf_percent for hold in HOLDS)

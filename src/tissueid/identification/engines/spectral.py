@@ -16,7 +16,14 @@ from tissueid.identification.base import Array, FitReport, Model
 from tissueid.identification.correlation import convolve_at_rest
 from tissueid.identification.memory import MemoryEngine
 from tissueid.identification.model_family import Family
-from tissueid.identification.preparation import Prepared, finite_runs, memory_in_samples, prepare, typical_samples
+from tissueid.identification.preparation import (
+    Prepared,
+    finite_runs,
+    memory_in_samples,
+    part_length,
+    prepare,
+    typical_samples,
+)
 from tissueid.identification.registry import engine
 from tissueid.identification.second_order import Complex
 from tissueid.identification.second_order_fit import SecondOrderFit, fit_second_order
@@ -142,8 +149,8 @@ class Spectral(MemoryEngine):
         typical = typical_samples(_WINDOW_S, rate)
         if typical == round(_WINDOW_S * rate):
             return known.model_copy(update={"window": max(_WINDOW_S, known.memory_s)})
-        part = len(record[fit_part or slice(None)])
-        samples = max(memory_in_samples(known.memory_s, rate), min(typical, part // _SEGMENTS))
+        length = part_length(record, fit_part)
+        samples = max(memory_in_samples(known.memory_s, rate), min(typical, length // _SEGMENTS))
         return known.model_copy(update={"window": samples / rate})
 
     def fit(self, record: Record, fit_part: slice | None = None) -> SpectralModel:
