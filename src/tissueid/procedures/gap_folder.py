@@ -37,6 +37,7 @@ from tissueid.sessions.file_policy import located, session_files, unreadable
 
 _DIAGNOSING = marked("Diagnosing sessions")
 _CREATED, _REASON = "created", "reason"
+_BLOCK_BYTES = 1 << 20
 
 
 @dataclass(frozen=True)
@@ -137,7 +138,10 @@ def _of_file(
     # One process per session is faster than all processes on one session after another.
     try:
         with open_regular(path) as file:
-            key = hashlib.file_digest(file, "sha256").hexdigest()
+            digest = hashlib.sha256()
+            while block := file.read(_BLOCK_BYTES):
+                digest.update(block)
+            key = digest.hexdigest()
     except OSError as error:
         return {_CREATED: "", _REASON: located(str(path), unreadable(error))}
     if (before := _kept_answer(kept, key)) is not None:
