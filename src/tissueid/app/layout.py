@@ -226,12 +226,12 @@ class Layout:
     def focus_page(self) -> None:
         """Put the focus into the shown page: where it was there before, or to its first control."""
         page = self._holders[self.page]
-        last = page.focusWidget()
+        last: QWidget | None = page.focusWidget()
         if last is None or last in self.guarded or not _takes_tab(last):
             last = self.form.site if self.page == MEASURE else page.nextInFocusChain()
-            while last is not page and not (page.isAncestorOf(last) and _takes_tab(last)):
+            while last is not None and last is not page and not (page.isAncestorOf(last) and _takes_tab(last)):
                 last = last.nextInFocusChain()
-        if last is not page:
+        if last is not None and last is not page:
             last.setFocus(Qt.FocusReason.OtherFocusReason)
 
     def add_help(self, panel: HelpPanel) -> None:

@@ -136,7 +136,7 @@ def changes(sightings: Sequence[Sighting]) -> dict[str, str]:
     if before is None:
         return {}
     date = (local_minute(before.created) or before.created)[:10]
-    said = {}
+    said: dict[str, str] = {}
     for quantity in QUANTITIES:
         now, then = this.values.get(quantity), before.values.get(quantity)
         if now is None or then is None or now.std is None or then.std is None or not then.value:

@@ -114,13 +114,12 @@ def look_into(
     dated = _dated(files, known, cancelled)
     sittings: dict[str, list[Recent]] = {}
     words = search.casefold().split()
-    for recorded, (path, *state) in dated:
+    for recorded, file in dated:
         if cancelled.is_set():
             break
-        file = path, *state
         if file not in known.lines:
-            key, line = _line(path, recorded)
-            known.lines[file] = key, replace(line, study=clean(places[path]))
+            key, line = _line(file[0], recorded)
+            known.lines[file] = key, replace(line, study=clean(places[file[0]]))
         key, line = known.lines[file]
         if not line.matches(words):
             continue

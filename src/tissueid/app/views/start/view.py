@@ -211,8 +211,14 @@ class StartView(View):
             self._stale, self._reading = False, True
             self._cancelled = threading.Event()
             folder, settings = self.context.services.folder, self.context.settings
-            given = {"studies": visited_studies(settings), "search": self.search.text()}
-            work = functools.partial(look_into, folder, self._cancelled, self._known, **given)
+            work = functools.partial(
+                look_into,
+                folder,
+                self._cancelled,
+                self._known,
+                studies=visited_studies(settings),
+                search=self.search.text(),
+            )
             self.context.jobs.do(work, self._looked, self._looking_failed)
 
     def _looked(self, look: FolderLook) -> None:
@@ -324,9 +330,9 @@ class StartView(View):
         page = QWidget()
         beside = self.search, self.stop_reading, self.open
         sessions = under_heading(_("Recent sessions"), self.about_recent, self.recent, *beside)
-        parts = self.about_instruments, self.instruments, self.use, self.seek
+        found = self.about_instruments, self.instruments, self.use, self.seek
         columns = fill(
-            FoldingBox(_TWO_COLUMNS), (sessions, 1), (under_heading(_("Instruments"), *parts), 1), spacing=16
+            FoldingBox(_TWO_COLUMNS), (sessions, 1), (under_heading(_("Instruments"), *found), 1), spacing=16
         )
         cards = row(*((card, 1) for card in self.cards.values()), spacing=10)
         parts = (
