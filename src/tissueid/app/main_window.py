@@ -501,6 +501,8 @@ class MainWindow(QMainWindow):
 
     def _change_role(self, before: str, now: Role) -> None:
         self.ui.show_role(now)
+        if not self.ui.notice.holds_problem:
+            self.ui.notice.retract()  # news that another role contradicts
         self.pages.set_role(now)
         save_role(self.settings, now)
         work = functools.partial(record_role, self.context.trail, before, now)

@@ -276,6 +276,7 @@ def test_the_way_to_a_calibration_is_a_technicians_and_begins_nothing(qtbot, pag
     assert view.window_.ui.page == "instrument"
     assert "role Technician" in view.window_.ui.notice.text.text()
     view.window_.ui.role.choice.setCurrentText("Technician")
+    assert view.window_.ui.notice.isHidden()
     qtbot.waitUntil(lambda: idle(view.window_), timeout=WAIT_MS)
     opened = len(bench.opened)
     press(qtbot, view.calibrations.calibrate)

@@ -216,11 +216,10 @@ class CalibrationsTab(Tab):
 
     def _go(self) -> None:
         """Show the page of calibrations; start nothing."""
-        technician = self.context.role() == "technician"
-        if not technician:
-            self.context.say(_(_ROLE), problem=True)
-            return
-        self.context.calibrate(_(_TO_MEASURE))
+        if self.context.role() == "technician":
+            self.context.calibrate(_(_TO_MEASURE))
+        else:
+            self.context.say(_(_ROLE))
 
     # -- showing ------------------------------------------------------------------------------------------
 
