@@ -162,7 +162,7 @@ def test_a_researcher_finds_looks_identifies_compares_and_exports(qtbot, from_st
             qtbot.keyClick(choice, Qt.Key.Key_Down)
         panel.run.setFocus()
         qtbot.keyClick(panel.run, Qt.Key.Key_Space)
-        assert window.jobs
+        assert window.jobs.working
         rest(qtbot, window)
     assert len(panel.results.outcomes) == 2
     # Comparing.

@@ -14,7 +14,6 @@ from tissueid.acquisition.waveform_file import RATES_HZ, SUFFIXES, is_waveform
 from tissueid.app.form_choices import FROM_FILE, MULTISTEP
 from tissueid.app.option_field import OptionField
 from tissueid.errors import UnusableInputError
-from tissueid.identification.live.stopping import PARAMETERS
 from tissueid.language import _, marked
 from tissueid.messages import Message
 from tissueid.procedures.test_plan import LIVE_METHODS
@@ -304,9 +303,14 @@ def _model(kind: str) -> type[BaseModel]:
 
 def _targets(text: str) -> tuple[str, ...]:
     """Return targets as they are typed, such as "stiffness 2 %, mass 3 %", as NAME=SHARE; the rule judges them."""
+    parts = list(filter(None, map(str.strip, _BETWEEN.split(text))))
+    if not parts:
+        return ()
+    from tissueid.identification.live.stopping import PARAMETERS  # takes long to import
+
     names = {_(name).casefold(): name for name in PARAMETERS}
     targets = []
-    for part in filter(None, map(str.strip, _BETWEEN.split(text))):
+    for part in parts:
         found = _TARGET.fullmatch(part)
         if found is None:
             targets.append(part)

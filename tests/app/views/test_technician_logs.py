@@ -286,7 +286,7 @@ def test_a_failed_calibration_is_one_row_and_a_test_is_named_by_site_and_person(
     view = page(FAULTS)
     about = ["SIM-0001", "Test 1, left calf, P-007", "right calf, P-008"]
     assert sorted(column(view.faults.model, 2)) == about
-    assert set(column(view.faults.model, 1)) == {"Broken off"}
+    assert set(column(view.faults.model, 1)) == {"Interrupted"}
     choose(qtbot, view, AUDIT)
     rest(qtbot, view)
     assert set(about) < set(column(view.audit.model, 5))

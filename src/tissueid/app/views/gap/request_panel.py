@@ -296,8 +296,9 @@ class _FileChoice(QObject):
     def choose(self, path: Path) -> None:
         """Select a file from any folder."""
         place = self.choice.findData(str(path))
+        self._remember(path)  # a listed one too: newer files may displace it from the list
         if place < 0:
-            self.add_recent(path)
+            self._titles.pop(path, None)
             place = 1 if self._first else 0
             self.choice.insertItem(place, "", str(path))
             self._show_titles()
@@ -306,6 +307,9 @@ class _FileChoice(QObject):
     def add_recent(self, path: Path) -> None:
         """Add a file from another folder, and mark its title for reading."""
         self._titles.pop(path, None)
+        self._remember(path)
+
+    def _remember(self, path: Path) -> None:
         if path.parent != self._folder:
             self.recent = [path, *(other for other in self.recent if other != path)][:_RECENT]
 

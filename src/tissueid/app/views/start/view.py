@@ -57,9 +57,11 @@ _LEVELS = {"instruments.ready": "good", "instruments.no_answer": "poor"}
 """Levels of a colour by the code of the state of an instrument."""
 _MOST_NAMES = 3
 _TYPING_MS = 250
-_SEARCH_WIDTH = 190
+_SEARCH_WIDTH = 220
 _TWO_COLUMNS = 960
 """Width below which the instruments stand below the sessions, pixels."""
+_ONE_ROW = 640
+"""Width below which the choosers stand in two rows, pixels; wider where they need more."""
 
 
 class StartView(View):
@@ -378,7 +380,8 @@ class StartView(View):
             path.setToolTip(clean(where))
             grid.addWidget(named, 1 + place // 2, 2 * (place % 2), Qt.AlignmentFlag.AlignTop)
             grid.addWidget(path, 1 + place // 2, 2 * (place % 2) + 1, 1, 1 + place % 2)
-        grid.addLayout(row(*self.choosers, None, spacing=24), 4, 0, 1, 5)
+        pairs = [row(*pair, None, spacing=24, margins=(0, 0, 16, 0)) for pair in (self.choosers[:2], self.choosers[2:])]
+        grid.addLayout(fill(FoldingBox(_ONE_ROW), pairs[0], (pairs[1], 1), spacing=8), 4, 0, 1, 5)
         grid.setColumnStretch(1, 1)
         grid.setColumnStretch(3, 1)
         return foot

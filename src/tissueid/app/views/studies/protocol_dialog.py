@@ -15,13 +15,13 @@ from PySide6.QtWidgets import (
     QDialogButtonBox,
     QFormLayout,
     QLineEdit,
-    QSpinBox,
     QTableWidget,
     QTableWidgetItem,
     QWidget,
 )
 
 from tissueid.app.build import button, column, label, row, table
+from tissueid.app.number_field import WholeNumberField
 from tissueid.app.option_field import OptionField
 from tissueid.app.small_window import PageScroll
 from tissueid.app.widgets import show_level
@@ -54,7 +54,7 @@ class ProtocolDialog(QDialog):
         self.name = QLineEdit(protocol.name)
         self.sites = _Rows((_("Site"), _("Tests, if not as usual")), _("Sites"))
         self.sites.fill([(site.site, site.repeats) for site in protocol.sites])
-        self.repeats, self.attempts = QSpinBox(), QSpinBox()
+        self.repeats, self.attempts = WholeNumberField(), WholeNumberField()
         for spin, most, value in ((self.repeats, 100, protocol.repeats), (self.attempts, 20, protocol.attempts)):
             spin.setRange(1, most)
             spin.setValue(value)
