@@ -26,7 +26,7 @@ _MOST_ITEMS = 12
 _LONGEST_TEXT = 1000
 _LONGEST_LABEL = 40
 _DEEPEST = 4
-_FORMULA = re.compile(r"[=+\-@\t\r](?![\d.]+(e[+-]?\d+)?$)", re.IGNORECASE)
+_FORMULA = re.compile(r"[=+@\t\r]|-(?![\d.]+(e[+-]?\d+)?$)", re.IGNORECASE)
 """Beginning of a text that a spreadsheet takes for a formula; a signed number is none."""
 _DIGEST = re.compile(r"[0-9a-f]{40,128}")
 _DIGITS = 16

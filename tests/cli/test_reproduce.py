@@ -55,7 +55,7 @@ def test_a_quick_reproduction(tmp_path: Path) -> None:
     figures = reproduced(out, *NUMBERS)
     assert [one["number"] for one in figures] == list(NUMBERS)
     page = " ".join(checked((out / "report.html").read_text()).text.split())
-    assert REMARKS["5.4"] in page
+    assert REMARKS["3.4"] in page
     assert "| VAF, nonparametric | 75.79 % |" in (out / "reproduction.md").read_text()
     scores = {row["what"]: row["here"] for one in figures for row in one["rows"]}
     assert float(scores["VAF, nonparametric"].split()[0]) == pytest.approx(75.0, abs=5.0)

@@ -253,7 +253,7 @@ def test_another_distribution_than_even_is_judged_by_itself(capsys, tmp_path):
         (["--target", "0.1"], "--target needs --multistep"),
         (["--live-method", "rls"], "--live-method needs --live"),
         (["--live", "--live-method", "magic"], "'magic' is not one of"),
-        (["--stop-when", "stiffness"], "NAME=SHARE"),
+        (["--stop-when", "stiffness"], "such as 'stiffness=0.02'"),
         (["--stop-when", "colour=0.1"], "colour"),
         (["--stop-when", "stiffness=2"], "between 0 and 0.5"),
         (["--stimulus-file", "FOLDER/none.json"], "no such file"),

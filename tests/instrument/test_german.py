@@ -94,7 +94,7 @@ def test_a_lost_link_with_its_watchdog_is_german():
             instrument.poll(0.05)
     assert in_words(caught.value) == (
         "Loopback schwieg 1 s lang. Prüfen Sie Kabel und Strom, und verbinden Sie neu. Der Watchdog des Geräts gibt "
-        "die Spule innerhalb von 0.5 s frei."
+        "die Spule innerhalb von 0,5 s frei."
     )
 
 

@@ -35,7 +35,7 @@ def test_the_same_scores_and_recommendation(session_file: Path, tmp_path: Path):
     command = json.loads(answer.read_text(encoding="utf-8"))
     control = JobControl()
     task = AnalysisTask(kind="compare", engines=ENGINES, tests=(TestRef(path=str(session_file), number=1),))
-    window = run(task, control, AnalysisHistory(tmp_path / "history.jsonl"), "2026-01-01T00:00:00Z")
+    window = run(task, AnalysisHistory(tmp_path / "history.jsonl"), "2026-01-01T00:00:00Z", control)
     assert window.problems == ()
     assert len(window.outcomes) == len(command["engines"])
     for ours, theirs in zip(window.outcomes, command["engines"], strict=True):
@@ -59,7 +59,7 @@ def test_the_same_fit_with_the_same_options(session_file: Path, tmp_path: Path):
         options={"degree": 3, "memory": 0.05},
         tests=(TestRef(path=str(session_file), number=1),),
     )
-    window = run(task, JobControl(), AnalysisHistory(tmp_path / "history.jsonl"), "2026-01-01T00:00:00Z")
+    window = run(task, AnalysisHistory(tmp_path / "history.jsonl"), "2026-01-01T00:00:00Z", JobControl())
     (outcome,) = window.outcomes
     assert outcome.report is not None
     shown = outcome.report.as_dict()

@@ -31,6 +31,7 @@ from tissueid.errors import TissueIDError, UnusableInputError
 from tissueid.language import _
 from tissueid.messages import Message, translated
 from tissueid.procedures.calibration_plans import DynamicSweepPlan, Kind, StaticCalibrationPlan
+from tissueid.procedures.instrument_access import opening_after
 from tissueid.procedures.test_plan import NO_INSTRUMENT
 
 
@@ -89,7 +90,7 @@ class CalibrationController(QObject):
         self._prompts = prompts = OperatorPrompts(stop, self._live)
         self._page.expect(kind)
         services = self._context.services
-        services = replace(services, opener=stop.opening_when_watched(services.opener))
+        services = replace(services, opener=opening_after(stop.wait_until_watched, services.opener))
         work = functools.partial(calibrate, plan, prompts, self._context.trail, services)
         why = _("A calibration is running on Measure: stop it there, or wait.")
         self._context.jobs.do(work, self._ended, self._failed, why=why)

@@ -5,7 +5,6 @@ from __future__ import annotations
 import threading
 import time
 from collections.abc import Callable
-from typing import TypeVar
 
 from tissueid.errors import CancelledError, UnattendedError
 from tissueid.messages import Message
@@ -13,7 +12,6 @@ from tissueid.messages import Message
 PATIENCE_S = 1.0
 """Longest time between two heartbeats of the window while the coil can be energised, s."""
 
-_Opened = TypeVar("_Opened")
 
 BY_BUTTON = Message("stop.button", "stopped in the window")
 BY_CLOSING = Message("stop.window_closed", "the window was closed")
@@ -68,19 +66,15 @@ class EmergencyStop:
         """Whether the window is watched: it has recorded a heartbeat."""
         return self._watching.is_set()
 
-    def opening_when_watched(self, opener: Callable[[str], _Opened]) -> Callable[[str], _Opened]:
-        """Return an opener of instruments that first waits until the window is watched.
+    def wait_until_watched(self) -> None:
+        """Wait until the window is watched, as a procedure does before it opens the instrument.
 
-        It raises CancelledError where the stop is triggered meanwhile.
+        Raises:
+            CancelledError: the stop was triggered meanwhile.
         """
-
-        def opened(url: str) -> _Opened:
-            while not self._watching.wait(_LOOK_S):
-                self.check()
+        while not self._watching.wait(_LOOK_S):
             self.check()
-            return opener(url)
-
-        return opened
+        self.check()
 
     def is_set(self) -> bool:
         """Return whether to stop."""

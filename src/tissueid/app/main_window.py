@@ -49,6 +49,7 @@ from tissueid.language import ENGLISH, _, current_language, set_language
 from tissueid.messages import code_of, translated
 from tissueid.procedures.audit_notes import NOT_LOGGED, record_role
 from tissueid.procedures.control import BY_KEY
+from tissueid.procedures.instrument_access import opening_after
 from tissueid.procedures.test_plan import TestPlan
 from tissueid.sessions import Session, Test
 from tissueid.sessions.quality import quality_of
@@ -209,7 +210,7 @@ class MainWindow(QMainWindow):
             plan,
             self._running,
             self.context.trail,
-            opener=stop.opening_when_watched(self.services.opener),
+            opener=opening_after(stop.wait_until_watched, self.services.opener),
             calibrate=self.services.calibrate,
             pace=self.services.wait or stop.wait,
             separate_process=self.services.separate_process,
@@ -223,7 +224,7 @@ class MainWindow(QMainWindow):
 
         ``draw`` shows its state 30 times a second until :meth:`end_energised`. The watchdog is armed, and ``said`` is
         shown, once the window keeps up: new plots, first drawing and imports of the first test take seconds. Open the
-        instrument by ``opening_when_watched`` of the stop, so that no coil is energised before.
+        instrument ``opening_after`` the stop's ``wait_until_watched``, so that no coil is energised before.
         """
         self._draw, self._stop = draw, self.services.stop()
         self._steady, self._frame_at, self._said_when_watched = 0, math.inf, said

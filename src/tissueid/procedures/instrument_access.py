@@ -24,6 +24,16 @@ def audit_trail(role: Role = "researcher") -> AuditTrail:
     return AuditTrail(user_log(), active_role(role))
 
 
+def opening_after(ready: Callable[[], None], opener: Callable[[str], Instrument]) -> Callable[[str], Instrument]:
+    """Return an opener of instruments that calls ``ready`` first, which waits or raises."""
+
+    def opened(url: str) -> Instrument:
+        ready()
+        return opener(url)
+
+    return opened
+
+
 @dataclass(frozen=True)
 class InstrumentAccess:
     """How instruments are opened, found and calibrated, and the audit log of what is done; tests replace them.
