@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass
 from functools import cache
 from pathlib import Path
 from typing import Any
@@ -11,15 +12,259 @@ from jinja2 import Environment, PackageLoader, StrictUndefined, Template
 from markupsafe import Markup
 
 from tissueid.analysis import Analysis
+from tissueid.analysis.curves.diagnostics import Prediction, held_out_prediction
+from tissueid.analysis.curves.validation import correlation_plots, prediction_plots, scatter_plots
+from tissueid.analysis.readings.device_readings import STEP_KIND, recorded_readings
 from tissueid.atomic_write import atomic_file
 from tissueid.device import SIMULATED_LINE
 from tissueid.errors import UnusableInputError
 from tissueid.formatting import clean
+from tissueid.identification import engine_label, report_engines
+from tissueid.identification.engines.wiener import WienerModel
 from tissueid.language import _, current_language, marked
-from tissueid.messages import Message, translated
-from tissueid.reports.page import test_page
-from tissueid.reports.tables import Comparison, comparison_table, readable_date, settings_tables
-from tissueid.sessions import Session
+from tissueid.messages import Message, Verbatim, translated
+from tissueid.reports import captions
+from tissueid.reports.blocks import FigureGroup, Picture, absent, picture
+from tissueid.reports.configured import captions_for_configuration, spring_line, surface_of
+from tissueid.reports.figures.registry import Group, all_figures, figures_of
+from tissueid.reports.material import Material
+from tissueid.reports.plot_renderer import column_figure, row_figure
+from tissueid.reports.record_pictures import distributions_picture, power_picture, signals_picture
+from tissueid.reports.tables import (
+    Comparison,
+    Table,
+    comparison_table,
+    parameter_table,
+    readable_date,
+    score_table,
+    settings_tables,
+)
+from tissueid.reports.verdict import KeyNumber, Verdict, judge, key_numbers, linear_engine, visited
+from tissueid.sessions import Session, Test
+from tissueid.sessions.quality import Quality, quality_of
+
+
+@dataclass(frozen=True)
+class TestPage:
+    """All that the page shows of one test."""
+
+    __test__ = False  # not a test case, whatever pytest thinks of the name
+
+    number: int
+    key: str
+    site: str
+    kind: str
+    configuration: str
+    verdict: Verdict
+    key_numbers: tuple[KeyNumber, ...]
+    visited: str
+    quality: Quality | None
+    groups: tuple[FigureGroup, ...]
+    parameters: Table | None
+    scores: Table
+    warnings: tuple[str, ...]
+    readings: Table | None = None
+
+
+def test_page(
+    session: Session, number: int, analyses: Mapping[str, Analysis], *, full: bool, refused: Mapping[str, str]
+) -> TestPage:
+    """Draw and word everything about one test; a short page leaves the finer figures out.
+
+    ``refused`` are engines that could not use the test, and why: what they would have drawn says so.
+    """
+    test = session.test(number)
+    material = Material(session, test, analyses, tuple(_predictions(session, test, analyses)), refused)
+    key = f"test{number}"
+    groups = _full_groups(material, key) if full else _short_groups(material, key)
+    readings, read_group = _readings(material, key)
+    quality = quality_of(test)
+    return TestPage(
+        number=number,
+        key=key,
+        site=test.site,
+        kind=_(test.kind.replace("_", " ")),
+        configuration=_(test.configuration),
+        verdict=_translated_verdict(judge(test, analyses)),
+        key_numbers=key_numbers(analyses),
+        visited=" ".join(
+            filter(None, [translated(visited(analyses, surface_of(test))), spring_line(analyses.values())])
+        ),
+        quality=quality,
+        groups=(*groups, *read_group),
+        readings=readings,
+        parameters=parameter_table(analyses),
+        scores=score_table(analyses),
+        warnings=(
+            *_warnings(analyses),
+            *(
+                translated(
+                    Message(
+                        "report.could_not_use",
+                        "{engine} could not use it: {why}",
+                        engine=Verbatim(engine_label(name)),
+                        why=why,
+                    )
+                )
+                for name, why in refused.items()
+            ),
+        ),
+    )
+
+
+def _translated_verdict(verdict: Verdict) -> Verdict:
+    """Return a verdict in the language of the page."""
+    return Verdict(verdict.level, _(verdict.headline), tuple(translated(reason) for reason in verdict.reasons))
+
+
+def _warnings(analyses: Mapping[str, Analysis]) -> Iterator[str]:
+    """What the engines warn of; what several say alike stands once, after all their names."""
+    said: dict[str, list[str]] = {}
+    for name, analysis in analyses.items():
+        for text in dict.fromkeys(analysis.model.report.warnings):
+            said.setdefault(text, []).append(engine_label(name))
+    for text, names in said.items():
+        yield f"{', '.join(names)}: {translated(text)}"
+
+
+def _predictions(session: Session, test: Test, analyses: Mapping[str, Analysis]) -> list[Prediction]:
+    """The linear engine that leads the report, and after it the Wiener cascade."""
+    linear = linear_engine(analyses)
+    chosen = [name for name, a in analyses.items() if name == linear or isinstance(a.model, WienerModel)]
+    found = []
+    for name in chosen[:4]:
+        analysis = analyses[name]
+        own = analysis.held_out_record.input is analysis.record.input
+        found.append(held_out_prediction(engine_label(name), analysis, test.preload_s if own else 0.0))
+    return found
+
+
+def _full_groups(material: Material, key: str) -> tuple[FigureGroup, ...]:
+    return (
+        _group(
+            material,
+            f"{key}-recorded",
+            _("What was recorded"),
+            _signals(material, key),
+            _power(material, key),
+            *_of_engines(material, key, "record"),
+            _distributions(material, key),
+        ),
+        _group(material, f"{key}-linear", _("Linear description"), *_of_engines(material, key, "linear")),
+        _group(material, f"{key}-nonlinear", _("Nonlinear description"), *_of_engines(material, key, "nonlinear")),
+        _group(
+            material,
+            f"{key}-unseen",
+            _("Against unseen data"),
+            _prediction(material, key),
+            _scatter(material, key),
+            _residuals(material, key),
+        ),
+    )
+
+
+def _readings(material: Material, key: str) -> tuple[Table | None, tuple[FigureGroup, ...]]:
+    """Return the readings of a step test for comparison with other probes, and their figures; nothing for others."""
+    if material.test.kind != STEP_KIND:
+        return None, ()
+    from tissueid.reports.readings import recorded_group
+
+    try:
+        found = recorded_readings(material.test)
+    except UnusableInputError:
+        return None, ()
+    table, pictures = recorded_group(found, f"{key}-readings")
+    return table, (_group(material, f"{key}-readings", table.caption, *pictures),)
+
+
+def _short_groups(material: Material, key: str) -> tuple[FigureGroup, ...]:
+    groups: tuple[Group, ...] = ("record", "linear", "nonlinear")
+    drawn = [one for group in groups for one in _of_engines(material, key, group, short=True)]
+    return (_group(material, f"{key}-figures", "Figures", _signals(material, key), *drawn, _prediction(material, key)),)
+
+
+def _group(material: Material, key: str, heading: str, *pictures: Picture) -> FigureGroup:
+    return FigureGroup(key, heading, tuple(one.block for one in captions_for_configuration(material.test, pictures)))
+
+
+def _of_engines(material: Material, key: str, group: Group, *, short: bool = False) -> Iterator[Picture]:
+    """The figures of a group that the models have, and the standard ones for which an engine is lacking."""
+    standard = report_engines()
+    places: list[tuple[int, Picture]] = []
+    for subject in material.subjects:
+        suffix = "" if subject.name in standard else f" ({subject.label})"
+        places += [
+            (one.place, one.picture(subject, key, suffix=suffix))
+            for one in figures_of(subject)
+            if one.group == group and (one.short or not short) and (one.standard or subject.name not in standard)
+        ]
+    for one in all_figures():
+        there = any(isinstance(a.model, one.model) for a in material.analyses.values())
+        if one.group == group and one.standard and not there and (one.short or not short):
+            why = material.refused.get(one.standard)
+            engine = Verbatim(engine_label(one.standard))
+            reason = Message("report.engine_not_run", "the {engine} engine was not run on this test", engine=engine)
+            if why:
+                reason = Message(
+                    "report.engine_failed", "the {engine} engine could not use it: {why}", engine=engine, why=why
+                )
+            places.append((one.place, absent(f"{key}-{one.key}", _(one.heading), translated(reason), wide=one.wide)))
+    for _place, drawn in sorted(places, key=lambda item: item[0]):
+        yield drawn
+
+
+# -- recorded -------------------------------------------------------------------------------------------------
+
+
+def _signals(material: Material, key: str) -> Picture:
+    return signals_picture(material.test, material.held_out_s, key)
+
+
+def _power(material: Material, key: str) -> Picture:
+    return power_picture(material.test, material.spectra, key)
+
+
+def _distributions(material: Material, key: str) -> Picture:
+    analysis = material.any
+    if analysis is None:
+        return absent(
+            f"{key}-distributions", _("Distributions of input and output"), _("no engine was run on this test")
+        )
+    return distributions_picture(analysis.record, key)
+
+
+# -- validated ------------------------------------------------------------------------------------------------
+
+
+def _prediction(material: Material, key: str) -> Picture:
+    return picture(
+        f"{key}-prediction",
+        _("Measured and predicted"),
+        _("Measured output as dots with the simulations of the models as lines, and the residuals below."),
+        lambda: (
+            column_figure(prediction_plots(material.predictions), 4.2, wide=True, heights=(2.2, 1.0), over=True),
+            captions.prediction(material.analyses),
+        ),
+    )
+
+
+def _scatter(material: Material, key: str) -> Picture:
+    return picture(
+        f"{key}-scatter",
+        _("Measured against predicted"),
+        _("Clouds of measured against predicted output for each model, with the diagonal of perfect agreement."),
+        lambda: (row_figure(scatter_plots(material.predictions), 3.3), captions.scatter(material.predictions)),
+    )
+
+
+def _residuals(material: Material, key: str) -> Picture:
+    return picture(
+        f"{key}-residuals",
+        _("What the models leave over"),
+        _("Left: autocorrelation of the residuals. Right: their correlation with the input. Both with 95 % bands."),
+        lambda: (row_figure(correlation_plots(material.predictions), 3.0), _(captions.RESIDUALS)),
+    )
+
 
 RESEARCH_LINE = marked("Research use only. Not a medical device; not for diagnosis or treatment.")
 NOTHING_ANALYSED = Message("report.nothing_analysed", "there is nothing to report: no test was analysed")
