@@ -201,23 +201,19 @@ class Configuration(_Specification):
         """
         if name not in CONFIGURATIONS:
             raise UnusableInputError(
-                Message(
-                    "configuration.unknown",
-                    "the configuration must be one of {known}, not '{name}'",
-                    known=joined(map(Verbatim, CONFIGURATIONS)),
-                    name=Verbatim(name),
-                )
+                "configuration.unknown",
+                "the configuration must be one of {known}, not '{name}'",
+                known=joined(map(Verbatim, CONFIGURATIONS)),
+                name=Verbatim(name),
             )
         if probe is None:
             probe = next(known.name for known in PROBES.values() if known.configuration == name)
         if probe not in PROBES:
             raise UnusableInputError(
-                Message(
-                    "configuration.unknown_probe",
-                    "the probe '{name}' is unknown; available: {known}",
-                    name=Verbatim(probe),
-                    known=joined(map(Verbatim, PROBES)),
-                )
+                "configuration.unknown_probe",
+                "the probe '{name}' is unknown; available: {known}",
+                name=Verbatim(probe),
+                known=joined(map(Verbatim, PROBES)),
             )
         try:
             return cls.model_validate(
@@ -228,14 +224,10 @@ class Configuration(_Specification):
                 raise UnusableInputError(validation_reason(error)) from error
             if (field := str(error.errors()[0]["loc"][0])) in _CALLED:
                 raise UnusableInputError(
-                    Message("configuration.value", "{what}: {why}", what=_CALLED[field], why=validation_reason(error))
+                    "configuration.value", "{what}: {why}", what=_CALLED[field], why=validation_reason(error)
                 ) from error
             raise UnusableInputError(
-                Message(
-                    "configuration.spring_value",
-                    "the external spring, in N/m: {why}",
-                    why=validation_reason(error),
-                )
+                "configuration.spring_value", "the external spring, in N/m: {why}", why=validation_reason(error)
             ) from error
 
     @property
@@ -280,12 +272,10 @@ def orientation(text: str) -> float:
         return float(text)
     except ValueError:
         raise UnusableInputError(
-            Message(
-                "configuration.direction",
-                "the orientation must be an angle in degrees, or one of {known}, got '{text}'",
-                known=joined(map(Verbatim, DIRECTIONS)),
-                text=Verbatim(text),
-            )
+            "configuration.direction",
+            "the orientation must be an angle in degrees, or one of {known}, got '{text}'",
+            known=joined(map(Verbatim, DIRECTIONS)),
+            text=Verbatim(text),
         ) from None
 
 

@@ -7,7 +7,7 @@ import sys
 from collections.abc import Mapping
 
 from tissueid.errors import UnusableInputError
-from tissueid.messages import Message, Verbatim
+from tissueid.messages import Verbatim
 
 EXTRAS: Mapping[str, str] = {
     "PySide6": "app",
@@ -41,11 +41,9 @@ def missing_package(name: str) -> UnusableInputError:
         name: one of ``EXTRAS``.
     """
     return UnusableInputError(
-        Message(
-            "extra.missing",
-            "this needs {package}, which is not installed: {python} -m pip install 'tissueid[{extra}]'",
-            package=Verbatim(name),
-            python=Verbatim(sys.executable),
-            extra=Verbatim(EXTRAS[name]),
-        )
+        "extra.missing",
+        "this needs {package}, which is not installed: {python} -m pip install 'tissueid[{extra}]'",
+        package=Verbatim(name),
+        python=Verbatim(sys.executable),
+        extra=Verbatim(EXTRAS[name]),
     )

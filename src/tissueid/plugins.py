@@ -15,7 +15,7 @@ from importlib.metadata import entry_points
 from typing import Any, Generic, TypeVar
 
 from tissueid.errors import UnusableInputError
-from tissueid.messages import Listing, Message, Verbatim
+from tissueid.messages import Listing, Verbatim
 
 T = TypeVar("T")
 
@@ -68,13 +68,11 @@ class Registry(Generic[T]):
         names = self.names()
         if name not in self._members:
             raise UnusableInputError(
-                Message(
-                    "registry.unknown_name",
-                    "there is no {what} '{name}': choose one of {names}",
-                    what=self._what,
-                    name=Verbatim(name),
-                    names=Listing(tuple(map(Verbatim, names))),
-                )
+                "registry.unknown_name",
+                "there is no {what} '{name}': choose one of {names}",
+                what=self._what,
+                name=Verbatim(name),
+                names=Listing(tuple(map(Verbatim, names))),
             )
         return self._members[name]
 

@@ -9,7 +9,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from tissueid.errors import UnusableInputError
-from tissueid.messages import Message
 
 _LARGEST = 1e30
 """Largest plausible magnitude of a signal; its inverse is the smallest. Squares beyond it would overflow."""
@@ -44,40 +43,34 @@ class Record:
             values = np.ascontiguousarray(getattr(self, name), dtype=np.float64)
             if values.ndim != 1:
                 raise UnusableInputError(
-                    Message(
-                        "record.dimensions",
-                        "the {signal} of a record must have one dimension, not {count}",
-                        signal=name,
-                        count=values.ndim,
-                    )
+                    "record.dimensions",
+                    "the {signal} of a record must have one dimension, not {count}",
+                    signal=name,
+                    count=values.ndim,
                 )
             if np.isinf(values).any():
                 values = np.where(np.isinf(values), np.nan, values)
             largest = float(np.max(np.abs(values), initial=0.0, where=np.isfinite(values)))
             if largest > _LARGEST or 0.0 < largest < 1.0 / _LARGEST:
                 raise UnusableInputError(
-                    Message(
-                        "record.magnitude",
-                        "the {signal} of a record goes to {largest:.3g}: no instrument measures that, check the units",
-                        signal=name,
-                        largest=largest,
-                    )
+                    "record.magnitude",
+                    "the {signal} of a record goes to {largest:.3g}: no instrument measures that, check the units",
+                    signal=name,
+                    largest=largest,
                 )
             object.__setattr__(self, name, values)
         if self.input.size != self.output.size:
             raise UnusableInputError(
-                Message(
-                    "record.lengths",
-                    "input and output differ in length: {input} and {output} samples",
-                    input=self.input.size,
-                    output=self.output.size,
-                )
+                "record.lengths",
+                "input and output differ in length: {input} and {output} samples",
+                input=self.input.size,
+                output=self.output.size,
             )
         if self.input.size == 0:
-            raise UnusableInputError(Message("record.empty", "the record is empty"))
+            raise UnusableInputError("record.empty", "the record is empty")
         if not (np.isfinite(self.sample_rate_hz) and self.sample_rate_hz > 0):
             raise UnusableInputError(
-                Message("record.rate", "the sample rate must be positive, not {rate:g}", rate=self.sample_rate_hz)
+                "record.rate", "the sample rate must be positive, not {rate:g}", rate=self.sample_rate_hz
             )
 
     def __len__(self) -> int:
@@ -115,21 +108,19 @@ def joined(records: Sequence[Record]) -> Record:
         UnusableInputError: there are no records, or they differ in sample rate, signals or units.
     """
     if not records:
-        raise UnusableInputError(Message("record.none", "there are no records to join"))
+        raise UnusableInputError("record.none", "there are no records to join")
     first = records[0]
     for other in records[1:]:
         if not np.isclose(other.sample_rate_hz, first.sample_rate_hz, rtol=1e-6, atol=0.0):
             raise UnusableInputError(
-                Message(
-                    "record.rates_differ",
-                    "records of {first:g} and {other:g} Hz cannot be fitted together: resample",
-                    first=first.sample_rate_hz,
-                    other=other.sample_rate_hz,
-                )
+                "record.rates_differ",
+                "records of {first:g} and {other:g} Hz cannot be fitted together: resample",
+                first=first.sample_rate_hz,
+                other=other.sample_rate_hz,
             )
         if _signals(other) != _signals(first):
             raise UnusableInputError(
-                Message("record.signals_differ", "records of different signals or units cannot be fitted together")
+                "record.signals_differ", "records of different signals or units cannot be fitted together"
             )
     gap = np.array([np.nan])
     inputs = [part for record in records for part in (gap, record.input)][1:]

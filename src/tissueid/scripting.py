@@ -12,7 +12,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal
 
 from tissueid.errors import UnusableInputError
-from tissueid.messages import Message, Verbatim
+from tissueid.messages import Verbatim
 from tissueid.records import Record
 from tissueid.sessions import Session, read_session
 
@@ -293,7 +293,7 @@ def calibrate(
     if kind == "sweep":
         return run_sweep(DynamicSweepPlan(**values), Control(), audit_trail("technician"))
     raise UnusableInputError(
-        Message("scripting.calibration_kind", "the kind must be static or sweep, got '{kind}'", kind=Verbatim(kind))
+        "scripting.calibration_kind", "the kind must be static or sweep, got '{kind}'", kind=Verbatim(kind)
     )
 
 

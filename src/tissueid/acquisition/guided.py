@@ -118,12 +118,10 @@ def check_test(test: GuidedTest, device: DeviceDescription) -> NDArray[np.float6
     opening, kind = test.opening, test.stimulus
     if opening.sample_rate_hz != device.sample_rate_hz:
         raise UnusableInputError(
-            Message(
-                "test.sample_rate",
-                "the stimulus has a sample rate of {stimulus:g} Hz, the instrument one of {instrument:g} Hz",
-                stimulus=opening.sample_rate_hz,
-                instrument=device.sample_rate_hz,
-            )
+            "test.sample_rate",
+            "the stimulus has a sample rate of {stimulus:g} Hz, the instrument one of {instrument:g} Hz",
+            stimulus=opening.sample_rate_hz,
+            instrument=device.sample_rate_hz,
         )
     command = _command(opening.values, opening.unit, device, test.limits)
     if isinstance(kind, FeedbackKind):
@@ -142,13 +140,11 @@ def _command(values: Array, unit: Unit, device: DeviceDescription, limits: Limit
     peak = float(np.max(np.abs(values), initial=0.0))
     if unit == "N" and peak > limits.max_force_n:
         raise LimitError(
-            Message(
-                "test.stimulus_force",
-                "the stimulus reaches {force:.1f} N; the limit is {limit:.4g} N: reduce the force range ({options})",
-                force=peak,
-                limit=limits.max_force_n,
-                options=Action("test.force_range", "--max-force, --min-force", marked("Lowest force, Highest force")),
-            )
+            "test.stimulus_force",
+            "the stimulus reaches {force:.1f} N; the limit is {limit:.4g} N: reduce the force range ({options})",
+            force=peak,
+            limit=limits.max_force_n,
+            options=Action("test.force_range", "--max-force, --min-force", marked("Lowest force, Highest force")),
         )
     command = to_voltage(values, device, unit)
     check_stimulus(command, device, limits)

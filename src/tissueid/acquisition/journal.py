@@ -19,7 +19,7 @@ from typing import IO
 from tissueid.acquisition.journal_entries import MAGIC, Damage, Entry, encode_entry, encode_json, read_entries
 from tissueid.atomic_write import create_private, sync_folder, write_all
 from tissueid.errors import TissueIDError
-from tissueid.messages import Action, Message
+from tissueid.messages import Action
 from tissueid.sessions.file_policy import RECOVER_PLACE, journal_path
 
 __all__ = [
@@ -84,18 +84,14 @@ class Journal:
             self._file: IO[bytes] = os.fdopen(create_private(path), "wb", buffering=0)
         except FileExistsError as error:
             raise JournalError(
-                Message(
-                    "journal.exists",
-                    "{path} is left from an unfinished session: use {action} first",
-                    path=str(path),
-                    action=RECOVER,
-                )
+                "journal.exists",
+                "{path} is left from an unfinished session: use {action} first",
+                path=str(path),
+                action=RECOVER,
             ) from error
         except OSError as error:
             raise JournalError(
-                Message(
-                    "file.not_writable", "cannot write {path}: {reason}", path=str(path), reason=str(error.strerror)
-                )
+                "file.not_writable", "cannot write {path}: {reason}", path=str(path), reason=str(error.strerror)
             ) from error
         try:
             lock(self._file)
@@ -104,12 +100,10 @@ class Journal:
             self._file.close()
             _remove(path)
             raise JournalError(
-                Message(
-                    "journal.not_begun",
-                    "cannot write {path}: {reason}. Nothing was started",
-                    path=str(path),
-                    reason=str(error.strerror),
-                )
+                "journal.not_begun",
+                "cannot write {path}: {reason}. Nothing was started",
+                path=str(path),
+                reason=str(error.strerror),
             ) from error
         self._queue: queue.SimpleQueue[bytes | _Flush] = queue.SimpleQueue()
         self._error: BaseException | None = None
@@ -129,13 +123,11 @@ class Journal:
         self.check()
         if self._appended_bytes - self._written_bytes > self._max_waiting:
             raise JournalError(
-                Message(
-                    "journal.disk_slow",
-                    "the disk is too slow to record into {path}. The written part is kept; when the disk responds "
-                    "again, {action} makes the session from it",
-                    path=str(self.path),
-                    action=RECOVER,
-                )
+                "journal.disk_slow",
+                "the disk is too slow to record into {path}. The written part is kept; when the disk responds "
+                "again, {action} makes the session from it",
+                path=str(self.path),
+                action=RECOVER,
             )
         return self.append_unchecked(entry)
 
@@ -159,25 +151,21 @@ class Journal:
         """
         if isinstance(self._error, FileNotFoundError):
             raise JournalError(
-                Message(
-                    "journal.moved",
-                    "{path} was removed or moved while it was written; if it still exists, {action} makes the session "
-                    "from it",
-                    path=str(self.path),
-                    action=RECOVER,
-                )
+                "journal.moved",
+                "{path} was removed or moved while it was written; if it still exists, {action} makes the session "
+                "from it",
+                path=str(self.path),
+                action=RECOVER,
             ) from self._error
         if self._error is not None:
             reason = getattr(self._error, "strerror", None) or str(self._error) or type(self._error).__name__
             raise JournalError(
-                Message(
-                    "journal.failed",
-                    "cannot write {path}: {reason}. The recording so far is kept in it; when the cause is removed, "
-                    "{action} makes the session from it",
-                    path=str(self.path),
-                    reason=reason,
-                    action=RECOVER,
-                )
+                "journal.failed",
+                "cannot write {path}: {reason}. The recording so far is kept in it; when the cause is removed, "
+                "{action} makes the session from it",
+                path=str(self.path),
+                reason=reason,
+                action=RECOVER,
             ) from self._error
 
     def sync(self) -> None:
@@ -214,26 +202,22 @@ class Journal:
             if not self._thread.is_alive() and not request.done.is_set():
                 self.check()
                 raise JournalError(
-                    Message(
-                        "journal.thread_ended",
-                        "the writing of {path} ended unexpectedly. The recording so far is kept in it; {action} makes "
-                        "the session from it",
-                        path=str(self.path),
-                        action=RECOVER,
-                    )
+                    "journal.thread_ended",
+                    "the writing of {path} ended unexpectedly. The recording so far is kept in it; {action} makes "
+                    "the session from it",
+                    path=str(self.path),
+                    action=RECOVER,
                 )
             if time.monotonic() >= until:
                 raise self._timeout_error()
 
     def _timeout_error(self) -> JournalError:
         return JournalError(
-            Message(
-                "journal.no_answer",
-                "the disk of {path} does not respond. The written part is kept; when the disk responds again, {action} "
-                "makes the session from it",
-                path=str(self.path),
-                action=RECOVER,
-            )
+            "journal.no_answer",
+            "the disk of {path} does not respond. The written part is kept; when the disk responds again, {action} "
+            "makes the session from it",
+            path=str(self.path),
+            action=RECOVER,
         )
 
     def _write_all(self) -> None:
@@ -338,5 +322,5 @@ def lock(file: IO[bytes]) -> None:
         fcntl.flock(file, fcntl.LOCK_EX | fcntl.LOCK_NB)
     except OSError as error:
         raise JournalError(
-            Message("journal.running", "{path} is being written by a test that still runs", path=str(file.name))
+            "journal.running", "{path} is being written by a test that still runs", path=str(file.name)
         ) from error

@@ -19,7 +19,6 @@ from pydantic import AfterValidator, BaseModel, ConfigDict, Field, JsonValue, Va
 from tissueid.device import DeviceDescription
 from tissueid.errors import UnusableInputError
 from tissueid.instrument import SAMPLE
-from tissueid.messages import Message
 from tissueid.sessions import MAX_TESTS
 
 MAGIC = b"TIDJ\x01\r\n\x00"
@@ -90,9 +89,7 @@ def read_entries(path: Path, damage: Damage | None = None) -> Iterator[tuple[Ent
         place = len(MAGIC)
         if not MAGIC.startswith(magic):
             if _entry_at(file, place, end) is None:
-                raise UnusableInputError(
-                    Message("journal.not_one", "{path} is not a journal of this software", path=str(path))
-                )
+                raise UnusableInputError("journal.not_one", "{path} is not a journal of this software", path=str(path))
             damage.add(place)
         budget = MAX_CHECKED
         while place < end:

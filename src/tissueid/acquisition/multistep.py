@@ -101,20 +101,16 @@ def check_multistep(test: MultistepTest, device: DeviceDescription) -> None:
     """
     if not test.configuration.has_depth:
         raise UnusableInputError(
-            Message(
-                "multistep.no_depth",
-                "a multistep test needs a depth, which the configuration {configuration} does not have",
-                configuration=test.configuration.name,
-            )
+            "multistep.no_depth",
+            "a multistep test needs a depth, which the configuration {configuration} does not have",
+            configuration=test.configuration.name,
         )
     if test.design.depth_max_m > device.stroke_m:
         raise UnusableInputError(
-            Message(
-                "multistep.depth",
-                "a depth of {depth:g} mm exceeds the stroke of {stroke:g} mm",
-                depth=1e3 * test.design.depth_max_m,
-                stroke=1e3 * device.stroke_m,
-            )
+            "multistep.depth",
+            "a depth of {depth:g} mm exceeds the stroke of {stroke:g} mm",
+            depth=1e3 * test.design.depth_max_m,
+            stroke=1e3 * device.stroke_m,
         )
     ends = np.array([test.design.force_min_n, test.design.force_max_n])
     check_test(test.guided_test(test.design.with_quantiles(ends, test.seed), {}), device)
@@ -222,11 +218,9 @@ def fit_best_model(records: Iterable[Record], engines: Iterable[str] = _ENGINES)
             break
     if best is None:
         raise UnusableInputError(
-            Message(
-                "multistep.no_fit",
-                "no model could be fitted to the tests so far: {reason}",
-                reason=refused.message if refused is not None else "",
-            )
+            "multistep.no_fit",
+            "no model could be fitted to the tests so far: {reason}",
+            reason=refused.message if refused is not None else "",
         )
     return FittedModel(best[1], get_engine(best[1]).from_options({"hold": "zero-order"}).fit(joined(whole)), best[0])
 

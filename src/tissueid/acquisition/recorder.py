@@ -97,13 +97,11 @@ class SessionRecorder:
         sync_s: float = SYNC_S,
     ) -> None:
         if path.is_dir():
-            raise SessionFormatError(
-                Message("session.is_folder", "{path} is a folder; name a session file", path=str(path))
-            )
+            raise SessionFormatError("session.is_folder", "{path} is a folder; name a session file", path=str(path))
         if path.exists():
             raise SessionExistsError(path)
         if not path.parent.is_dir():
-            raise SessionFormatError(Message("file.no_folder", "there is no folder {folder}", folder=str(path.parent)))
+            raise SessionFormatError("file.no_folder", "there is no folder {folder}", folder=str(path.parent))
         self.path = path
         self.session_id = str(uuid.uuid4())
         self.trail = trail
@@ -164,11 +162,9 @@ class SessionRecorder:
         self._journal.check()
         if (self.samples_appended + samples) * _NUMBERS_PER_SAMPLE > MAX_NUMBERS:
             raise SessionFormatError(
-                Message(
-                    "session.too_large",
-                    "{path} would become too large to be read: continue in another session file",
-                    path=str(self.path),
-                )
+                "session.too_large",
+                "{path} would become too large to be read: continue in another session file",
+                path=str(self.path),
             )
         self._check_disk_space(samples)
         if self.trail is not None:
@@ -350,14 +346,12 @@ class SessionRecorder:
         free = self._explain_disk_failure(lambda: shutil.disk_usage(self.path.parent).free)
         if free < wanted:
             raise JournalError(
-                Message(
-                    "disk.full",
-                    "{folder} has {free:.0f} MB free, and {wanted:.0f} MB are needed: free some space, or choose a "
-                    "session file on another disk",
-                    folder=str(self.path.parent),
-                    free=free / 1e6,
-                    wanted=wanted / 1e6,
-                )
+                "disk.full",
+                "{folder} has {free:.0f} MB free, and {wanted:.0f} MB are needed: free some space, or choose a "
+                "session file on another disk",
+                folder=str(self.path.parent),
+                free=free / 1e6,
+                wanted=wanted / 1e6,
             )
 
     def _explain_disk_failure(self, work: Callable[[], _Result]) -> _Result:

@@ -94,12 +94,10 @@ class OpenTest:
         if samples is not None:
             if not 0 < samples <= self.run.samples:
                 raise UnusableInputError(
-                    Message(
-                        "recovery.wrong_length",
-                        "the journal has a test of {planned} samples that played {played}",
-                        planned=self.run.samples,
-                        played=samples,
-                    )
+                    "recovery.wrong_length",
+                    "the journal has a test of {planned} samples that played {played}",
+                    planned=self.run.samples,
+                    played=samples,
                 )
             self.run = Run(self.run.first_index, samples)
         self.status, self.notes, self.ended = status, notes, True
@@ -277,10 +275,10 @@ def _sitting(entries: _Entries, damage: Damage) -> tuple[Session, int]:
         tests += 1
         samples += test.length
     if sitting is None:
-        raise _CutOffError(Message("recovery.cut_off", "the journal ends before anything was recorded"))
+        raise _CutOffError("recovery.cut_off", "the journal ends before anything was recorded")
     if samples * (len(SIGNALS) + 2) > MAX_NUMBERS:
         raise UnusableInputError(
-            Message("recovery.too_large", "the journal has {samples} samples: too many for a session", samples=samples)
+            "recovery.too_large", "the journal has {samples} samples: too many for a session", samples=samples
         )
     session = Session(
         instrument=sitting.device,
@@ -337,13 +335,11 @@ def write_journal_session(path: Path, journal: Path, samples: int) -> None:
         raise  # the session could not be written; the journal is intact
     except UnusableInputError as error:
         raise JournalError(
-            Message(
-                "recovery.incomplete",
-                "{path} is incomplete: {reason}. It is kept; {action} makes a session of what can be read",
-                path=str(journal),
-                reason=error.message,
-                action=RECOVER,
-            )
+            "recovery.incomplete",
+            "{path} is incomplete: {reason}. It is kept; {action} makes a session of what can be read",
+            path=str(journal),
+            reason=error.message,
+            action=RECOVER,
         ) from error
 
 
@@ -364,15 +360,13 @@ def _complete_entries(journal: Path, samples: int, damage: Damage) -> Iterator[t
     # An interrupt between writing and counting an entry can leave more samples than counted.
     if damage.places or received < samples:
         raise JournalError(
-            Message(
-                "recovery.damaged",
-                "{path} was damaged on the disk: {received} of {samples} samples can be read. It is kept; {action} "
-                "makes a session of what can be read",
-                path=str(journal),
-                received=received,
-                samples=samples,
-                action=RECOVER,
-            )
+            "recovery.damaged",
+            "{path} was damaged on the disk: {received} of {samples} samples can be read. It is kept; {action} "
+            "makes a session of what can be read",
+            path=str(journal),
+            received=received,
+            samples=samples,
+            action=RECOVER,
         )
 
 
@@ -401,12 +395,8 @@ def recover(
     target = out or journal.with_name(journal.name.removesuffix(".journal"))
     if not journal.is_file():
         if path.exists():
-            raise UnusableInputError(
-                Message("recovery.no_journal", "nothing to recover: {path} has no journal", path=str(path))
-            )
-        raise UnusableInputError(
-            Message("recovery.no_file", "nothing to recover: there is no {path}", path=str(journal))
-        )
+            raise UnusableInputError("recovery.no_journal", "nothing to recover: {path} has no journal", path=str(path))
+        raise UnusableInputError("recovery.no_file", "nothing to recover: there is no {path}", path=str(journal))
     damage = Damage()
     with journal.open("rb") as held:
         lock(held)
@@ -414,9 +404,7 @@ def recover(
     if empty:
         journal.unlink()
         raise UnusableInputError(
-            Message(
-                "recovery.empty", "{path} was empty: nothing had been recorded. It has been removed", path=str(journal)
-            )
+            "recovery.empty", "{path} was empty: nothing had been recorded. It has been removed", path=str(journal)
         )
     with journal.open("rb") as held:
         lock(held)
@@ -425,23 +413,21 @@ def recover(
         except UnusableInputError as error:
             if damage.places:
                 raise UnusableInputError(
-                    Message(
-                        "recovery.unreadable",
-                        "{path} is damaged, and no session can be made from it: {reason}",
-                        path=str(journal),
-                        reason=error.message,
-                    )
+                    "recovery.unreadable",
+                    "{path} is damaged, and no session can be made from it: {reason}",
+                    path=str(journal),
+                    reason=error.message,
                 ) from error
             if isinstance(error, _CutOffError):
                 raise UnusableInputError(
-                    Message("recovery.delete", "{reason}; delete {path}", reason=error.message, path=str(journal))
+                    "recovery.delete", "{reason}; delete {path}", reason=error.message, path=str(journal)
                 ) from error
             raise
         if not (written := not target.exists()):
             # The host crashed between the rename and the removal of the journal.
             if read_session_head(target).session_id != session.session_id:
                 raise UnusableInputError(
-                    Message("recovery.other_session", "{path} is another session; move it away first", path=str(target))
+                    "recovery.other_session", "{path} is another session; move it away first", path=str(target)
                 )
         elif not tests:
             if damage.left_out:

@@ -15,7 +15,6 @@ from tissueid.device import DeviceDescription
 from tissueid.errors import UnusableInputError
 from tissueid.instrument import Instrument, Run
 from tissueid.instrument.force_profile import recorded_force
-from tissueid.messages import Message
 from tissueid.stimuli.base import GUIDED, Array, Stimulus, preload_values, to_voltage
 from tissueid.stimuli.feedback import BLOCK, FeedbackKind
 from tissueid.untrusted_input import MAX_TEXT
@@ -82,13 +81,11 @@ def validated(kind: FeedbackKind, block: Array) -> Array:
     whole = block.shape == (BLOCK,)
     if not whole or not np.all((block >= kind.force_min_n - _ROUNDING_N) & (block <= kind.force_max_n + _ROUNDING_N)):
         raise UnusableInputError(
-            Message(
-                "stimulus.out_of_range",
-                "the stimulus '{name}' left its range of {low:g} to {high:g} N and cannot be played",
-                name=kind.name,
-                low=kind.force_min_n,
-                high=kind.force_max_n,
-            )
+            "stimulus.out_of_range",
+            "the stimulus '{name}' left its range of {low:g} to {high:g} N and cannot be played",
+            name=kind.name,
+            low=kind.force_min_n,
+            high=kind.force_max_n,
         )
     return block
 

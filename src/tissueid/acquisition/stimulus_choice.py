@@ -39,10 +39,8 @@ def save_stimulus(path: Path, stimulus: Stimulus | FeedbackKind) -> None:
     check_new(path)
     if isinstance(stimulus, Stimulus) and isinstance(parse_description(stimulus.description)[0], Waveform):
         raise UnusableInputError(
-            Message(
-                "stimulus.waveform_saved",
-                "a saved stimulus holds no samples, so that a waveform cannot be saved as one: keep its own file",
-            )
+            "stimulus.waveform_saved",
+            "a saved stimulus holds no samples, so that a waveform cannot be saved as one: keep its own file",
         )
     text = json.dumps(_content(stimulus), indent=2, allow_nan=False) + "\n"
     try:
@@ -50,7 +48,7 @@ def save_stimulus(path: Path, stimulus: Stimulus | FeedbackKind) -> None:
             partial.write_text(text, encoding="utf-8")
     except OSError as error:
         raise UnusableInputError(
-            Message("file.not_writable", "cannot write {path}: {reason}", path=str(path), reason=str(error.strerror))
+            "file.not_writable", "cannot write {path}: {reason}", path=str(path), reason=str(error.strerror)
         ) from error
 
 
@@ -61,13 +59,13 @@ def check_new(path: Path) -> None:
         UnusableInputError: the file exists, or its folder does not.
     """
     if path.is_dir():
-        raise UnusableInputError(Message("file.is_folder", "{path} is a folder; name a file", path=str(path)))
+        raise UnusableInputError("file.is_folder", "{path} is a folder; name a file", path=str(path))
     if path.exists():
         raise UnusableInputError(
-            Message("stimulus.exists", "{path} exists already; a saved stimulus is never overwritten", path=str(path))
+            "stimulus.exists", "{path} exists already; a saved stimulus is never overwritten", path=str(path)
         )
     if not path.parent.is_dir():
-        raise UnusableInputError(Message("file.no_folder", "there is no folder {folder}", folder=str(path.parent)))
+        raise UnusableInputError("file.no_folder", "there is no folder {folder}", folder=str(path.parent))
 
 
 def load_stimulus(path: Path) -> Stimulus | FeedbackKind:
@@ -79,19 +77,15 @@ def load_stimulus(path: Path) -> Stimulus | FeedbackKind:
     content = _read(path)
     description = content.get("description")
     if not isinstance(description, dict):
-        raise UnusableInputError(
-            Message("stimulus.no_description", "{path} holds no description of a stimulus", path=str(path))
-        )
+        raise UnusableInputError("stimulus.no_description", "{path} holds no description of a stimulus", path=str(path))
     specification, preload_s = parse_description(description)
     if isinstance(specification, FeedbackKind):
         if preload_s is not None:
             raise UnusableInputError(
-                Message(
-                    "stimulus.own_preload",
-                    "{path}: '{name}' takes its preload from the test, not from a file",
-                    path=str(path),
-                    name=specification.name,
-                )
+                "stimulus.own_preload",
+                "{path}: '{name}' takes its preload from the test, not from a file",
+                path=str(path),
+                name=specification.name,
             )
         return specification
     built = build_from_specification(specification, preload_s)
@@ -143,20 +137,18 @@ def _read(path: Path) -> dict[str, Any]:
         content = json_value(data)
     except ValueError as error:
         raise UnusableInputError(
-            Message("stimulus.damaged", "{path} is damaged, or not a saved stimulus", path=str(path))
+            "stimulus.damaged", "{path} is damaged, or not a saved stimulus", path=str(path)
         ) from error
     if not isinstance(content, dict) or content.get("format") != FORMAT:
-        raise UnusableInputError(Message("stimulus.not_one", "{path} is not a saved stimulus", path=str(path)))
+        raise UnusableInputError("stimulus.not_one", "{path} is not a saved stimulus", path=str(path))
     version = content.get("format_version")
     if not isinstance(version, str) or version.split(".")[0] != FORMAT_VERSION.split(".")[0]:
         raise UnusableInputError(
-            Message(
-                "stimulus.version",
-                "{path} has format version '{version}', but this software reads {known}: install a newer TissueID",
-                path=str(path),
-                version=str(version)[:20],
-                known=FORMAT_VERSION,
-            )
+            "stimulus.version",
+            "{path} has format version '{version}', but this software reads {known}: install a newer TissueID",
+            path=str(path),
+            version=str(version)[:20],
+            known=FORMAT_VERSION,
         )
     return content
 
@@ -170,18 +162,16 @@ def _verify(path: Path, content: Mapping[str, Any], built: Stimulus) -> None:
     saved = (content.get("samples"), content.get("sample_rate_hz"), content.get("unit"))
     if saved != (len(built), built.sample_rate_hz, built.unit):
         raise UnusableInputError(
-            Message("stimulus.figures", "{path}: length, rate or unit contradict its description", path=str(path))
+            "stimulus.figures", "{path}: length, rate or unit contradict its description", path=str(path)
         )
     if content.get("sha256") != checksum(built):
         by = str(content.get("software", "another version"))[:40]
         raise UnusableInputError(
-            Message(
-                "stimulus.differs",
-                "{path}: the stimulus built from the description differs from the one that {software} saved: another "
-                "version or another processor computes it differently; design the stimulus again",
-                path=str(path),
-                software=by,
-            )
+            "stimulus.differs",
+            "{path}: the stimulus built from the description differs from the one that {software} saved: another "
+            "version or another processor computes it differently; design the stimulus again",
+            path=str(path),
+            software=by,
         )
 
 
@@ -233,7 +223,7 @@ def playable(
         return specification
     if not isinstance(specification, OpenLoopKind):
         raise UnusableInputError(
-            Message("stimulus.not_playable", "the stimulus '{name}' cannot be played", name=specification.name)
+            "stimulus.not_playable", "the stimulus '{name}' cannot be played", name=specification.name
         )
     specification.check_size()
     return with_preload(build(specification), PRELOAD_S)
@@ -263,11 +253,9 @@ class FileChoice:
             return load_waveform(self.path, sample_rate_hz, file_rate_hz=self.file_rate_hz, scale=scale, offset=offset)
         if self.file_rate_hz is not None:
             raise UnusableInputError(
-                Message(
-                    "stimulus.file_rate",
-                    "{path} is a saved stimulus and has its sample rate: leave out --file-rate",
-                    path=str(self.path),
-                )
+                "stimulus.file_rate",
+                "{path} is a saved stimulus and has its sample rate: leave out --file-rate",
+                path=str(self.path),
             )
         loaded = load_stimulus(self.path)
         if self.scale is None and self.offset is None:

@@ -222,26 +222,22 @@ def place_in_air(instrument: Instrument, cancelled: Callable[[], bool] = never_s
     orientation = orientation_of(samples["acceleration_x"], samples["acceleration_y"])
     if orientation.measured and abs(orientation.along_m_s2) > LEVEL_M_S2:
         raise UnusableInputError(
-            Message(
-                "placing.not_level",
-                "in free air the probe would slide to an end of its stroke: lay the instrument level; it points "
-                "{tilt:.0f}° from straight down",
-                tilt=orientation.tilt_deg,
-            )
+            "placing.not_level",
+            "in free air the probe would slide to an end of its stroke: lay the instrument level; it points "
+            "{tilt:.0f}° from straight down",
+            tilt=orientation.tilt_deg,
         )
     position = samples["position"][np.isfinite(samples["position"])]
     if not position.size:
         raise UnusableInputError(
-            Message("placing.no_position", "the instrument sends no probe position; check the connection and try again")
+            "placing.no_position", "the instrument sends no probe position; check the connection and try again"
         )
     at = float(np.median(position))
     if not _STROKE_MARGIN_M < at < instrument.device.stroke_m - _STROKE_MARGIN_M:
         raise UnusableInputError(
-            Message(
-                "placing.at_end_in_air",
-                "the probe is at the end of its stroke ({place:.1f} mm): push it to the middle and try again",
-                place=at * 1e3,
-            )
+            "placing.at_end_in_air",
+            "the probe is at the end of its stroke ({place:.1f} mm): push it to the middle and try again",
+            place=at * 1e3,
         )
     return Placement(at, orientation)
 
@@ -293,11 +289,9 @@ def place(
     surface = float(late[1].mean() - CONTACT_FORCES_N[1] * slope)
     if not _STROKE_MARGIN_M < surface < device.stroke_m - _STROKE_MARGIN_M:
         raise UnusableInputError(
-            Message(
-                "placing.at_end",
-                "the probe is at the end of its stroke ({place:.1f} mm): place it on the tissue and try again",
-                place=surface * 1e3,
-            )
+            "placing.at_end",
+            "the probe is at the end of its stroke ({place:.1f} mm): place it on the tissue and try again",
+            place=surface * 1e3,
         )
     # Creep of the tissue appears as a slope; the residual is hand motion.
     time = np.arange(late.shape[1])
@@ -305,9 +299,7 @@ def place(
     shaking = (late - creep[0][:, None] - creep[1][:, None] * time).std(axis=1)
     if float(shaking.max()) > _STILL_M:
         raise UnusableInputError(
-            Message(
-                "placing.not_still", "the probe is not held still: hold the reference surface firmly and place it again"
-            )
+            "placing.not_still", "the probe is not held still: hold the reference surface firmly and place it again"
         )
     return Placement(surface, orientation)
 

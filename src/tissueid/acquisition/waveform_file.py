@@ -71,14 +71,12 @@ def check_file_option(name: str, option: str, value: float) -> None:
     low, high = bounds.get(name, RATES_HZ)
     if not low <= value <= high:
         raise UnusableInputError(
-            Message(
-                "plan.file_option_bounds",
-                "{option} must be between {low:g} and {high:g}, got {value:g}",
-                option=Verbatim(option),
-                low=low,
-                high=high,
-                value=value,
-            )
+            "plan.file_option_bounds",
+            "{option} must be between {low:g} and {high:g}, got {value:g}",
+            option=Verbatim(option),
+            low=low,
+            high=high,
+            value=value,
         )
 
 
@@ -133,10 +131,10 @@ def read_at_most(path: Path, most_bytes: int, too_large: Message) -> bytes:
         with open_regular(path) as file:
             data = file.read(most_bytes + 1)
     except FileNotFoundError as error:
-        raise UnusableInputError(Message("file.missing", "{path}: no such file", path=str(path))) from error
+        raise UnusableInputError("file.missing", "{path}: no such file", path=str(path)) from error
     except OSError as error:
         raise UnusableInputError(
-            Message("file.not_readable", "cannot read {path}: {reason}", path=str(path), reason=str(error.strerror))
+            "file.not_readable", "cannot read {path}: {reason}", path=str(path), reason=str(error.strerror)
         ) from error
     if len(data) > most_bytes:
         raise UnusableInputError(too_large)
@@ -150,17 +148,15 @@ def _columns(path: Path, data: bytes) -> _Columns:
         if not np.isfinite(values).all():
             row = int(np.flatnonzero(~np.isfinite(values))[0]) + 1
             raise UnusableInputError(
-                Message("waveform.not_finite", "{path}: sample {row} is not a finite number", path=str(path), row=row)
+                "waveform.not_finite", "{path}: sample {row} is not a finite number", path=str(path), row=row
             )
         if float(np.max(np.abs(values), initial=0.0)) > _LARGEST:
             raise UnusableInputError(
-                Message(
-                    "waveform.magnitude",
-                    "{path}: sample {row} exceeds {most:g}: check its unit",
-                    path=str(path),
-                    row=int(np.argmax(np.abs(values) > _LARGEST)) + 1,
-                    most=_LARGEST,
-                )
+                "waveform.magnitude",
+                "{path}: sample {row} exceeds {most:g}: check its unit",
+                path=str(path),
+                row=int(np.argmax(np.abs(values) > _LARGEST)) + 1,
+                most=_LARGEST,
             )
     return found
 
@@ -168,21 +164,19 @@ def _columns(path: Path, data: bytes) -> _Columns:
 def _check_count(path: Path, count: int) -> None:
     if count > MAX_SAMPLES:
         raise UnusableInputError(
-            Message(
-                "waveform.samples",
-                "{path} has {samples:.3g} samples; the maximum is {limit:.3g}: shorten it or lower its sample rate",
-                path=str(path),
-                samples=count,
-                limit=MAX_SAMPLES,
-            )
+            "waveform.samples",
+            "{path} has {samples:.3g} samples; the maximum is {limit:.3g}: shorten it or lower its sample rate",
+            path=str(path),
+            samples=count,
+            limit=MAX_SAMPLES,
         )
     if count < 2:
-        raise UnusableInputError(Message("waveform.short", "{path} has fewer than two samples", path=str(path)))
+        raise UnusableInputError("waveform.short", "{path} has fewer than two samples", path=str(path))
 
 
 def _of_npy(path: Path, data: bytes) -> _Columns:
     """Return the columns of a .npy file. Its header is checked before its samples are touched; objects are refused."""
-    damaged = UnusableInputError(Message("waveform.npy", "{path} is damaged, or not a .npy file", path=str(path)))
+    damaged = UnusableInputError("waveform.npy", "{path} is damaged, or not a .npy file", path=str(path))
     start = {1: 10, 2: 12}.get(data[6] if len(data) > 6 else 0, 0)
     end = start + int.from_bytes(data[8:start], "little")
     if not data.startswith(_NPY) or not start or not start <= end <= min(len(data), _LONGEST_NPY_HEADER):
@@ -194,22 +188,17 @@ def _of_npy(path: Path, data: bytes) -> _Columns:
         raise damaged
     if described is None:
         raise UnusableInputError(
-            Message(
-                "waveform.npy_type", "{path} holds values of another type: it must hold real numbers", path=str(path)
-            )
+            "waveform.npy_type", "{path} holds values of another type: it must hold real numbers", path=str(path)
         )
     dtype = np.dtype(described)
     shape = tuple(int(size) for size in shaped.replace(",", " ").split())
     width = 1 if len(shape) == 1 else shape[1] if len(shape) == 2 else 0
     if width not in (1, 2):
         raise UnusableInputError(
-            Message(
-                "waveform.npy_shape",
-                "{path} holds an array of the shape ({shape}); it must be (samples,), or (samples, 2) with time and "
-                "value",
-                path=str(path),
-                shape=Verbatim(shaped[:_LONGEST_SHOWN]),
-            )
+            "waveform.npy_shape",
+            "{path} holds an array of the shape ({shape}); it must be (samples,), or (samples, 2) with time and value",
+            path=str(path),
+            shape=Verbatim(shaped[:_LONGEST_SHOWN]),
         )
     _check_count(path, shape[0])
     if len(data) - end < shape[0] * width * dtype.itemsize:
@@ -224,14 +213,14 @@ def _of_text(path: Path, data: bytes) -> _Columns:
     try:
         text = data.decode("utf-8-sig")
     except UnicodeDecodeError as error:
-        raise UnusableInputError(Message("waveform.not_text", "{path} is not text", path=str(path))) from error
+        raise UnusableInputError("waveform.not_text", "{path} is not text", path=str(path)) from error
     lines = [
         (number, line.strip())
         for number, line in enumerate(text.splitlines(), 1)
         if line.strip() and not line.lstrip().startswith("#")
     ]
     if not lines:
-        raise UnusableInputError(Message("waveform.short", "{path} has fewer than two samples", path=str(path)))
+        raise UnusableInputError("waveform.short", "{path} has fewer than two samples", path=str(path))
     delimiter = _delimiter("".join(line for _number_of, line in lines[:2]))
     unit: Unit = "N"
     most = 2
@@ -250,26 +239,21 @@ def _of_text(path: Path, data: bytes) -> _Columns:
         cells = _cells(line, delimiter)
         if len(cells) != width or not 1 <= width <= most:
             raise UnusableInputError(
-                Message(
-                    "waveform.columns",
-                    "{path}, line {line}: {found} columns; a waveform has one column of values, or two of time and "
-                    "value",
-                    path=str(path),
-                    line=number,
-                    found=len(cells),
-                )
+                "waveform.columns",
+                "{path}, line {line}: {found} columns; a waveform has one column of values, or two of time and value",
+                path=str(path),
+                line=number,
+                found=len(cells),
             )
         for column, cell in enumerate(cells[:2]):
             value = _number(cell, delimiter)
             if value is None or not math.isfinite(value):
                 raise UnusableInputError(
-                    Message(
-                        "waveform.cell",
-                        "{path}, line {line}: {cell} is not a finite number",
-                        path=str(path),
-                        line=number,
-                        cell=Verbatim(repr(cell.strip()[:_LONGEST_SHOWN])),
-                    )
+                    "waveform.cell",
+                    "{path}, line {line}: {cell} is not a finite number",
+                    path=str(path),
+                    line=number,
+                    cell=Verbatim(repr(cell.strip()[:_LONGEST_SHOWN])),
                 )
             table[row, column] = value
     if width == 1:
@@ -333,30 +317,26 @@ def _rate(path: Path, columns: _Columns, given_hz: float | None) -> float | None
     if times is not None:
         if given_hz is not None:
             raise UnusableInputError(
-                Message("waveform.two_rates", "{path} has times of its own: leave out --file-rate", path=str(path))
+                "waveform.two_rates", "{path} has times of its own: leave out --file-rate", path=str(path)
             )
         step = float(times[-1] - times[0]) / (times.size - 1)
         away = np.abs(times - times[0] - step * np.arange(times.size))
         if not step > 0.0 or float(away.max()) > _UNEVEN * step:
             raise UnusableInputError(
-                Message(
-                    "waveform.times",
-                    "{path}: the times do not rise evenly, first at sample {row}: resample it",
-                    path=str(path),
-                    row=int(np.argmax(away > _UNEVEN * max(step, 0.0))) + 1,
-                )
+                "waveform.times",
+                "{path}: the times do not rise evenly, first at sample {row}: resample it",
+                path=str(path),
+                row=int(np.argmax(away > _UNEVEN * max(step, 0.0))) + 1,
             )
         rate = 1.0 / step
     if rate is not None and not RATES_HZ[0] <= rate <= RATES_HZ[1]:
         raise UnusableInputError(
-            Message(
-                "waveform.rate",
-                "{path}: the sample rate must be {low:g} to {high:g} Hz, got {rate:g} Hz",
-                path=str(path),
-                low=RATES_HZ[0],
-                high=RATES_HZ[1],
-                rate=rate,
-            )
+            "waveform.rate",
+            "{path}: the sample rate must be {low:g} to {high:g} Hz, got {rate:g} Hz",
+            path=str(path),
+            low=RATES_HZ[0],
+            high=RATES_HZ[1],
+            rate=rate,
         )
     return rate
 

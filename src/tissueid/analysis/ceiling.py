@@ -57,7 +57,7 @@ def known_ceiling(session: Session, parts: Split) -> Ceiling | None:
             records.append(test.record(*names))
     if len(records) < 2:
         raise UnusableInputError(
-            Message("ceiling.no_repeat", "no other repeat can be used: {left_out}", left_out=Listing(tuple(left_out)))
+            "ceiling.no_repeat", "no other repeat can be used: {left_out}", left_out=Listing(tuple(left_out))
         )
     return replace(ceiling(records, None if parts.validated is not None else part), left_out=tuple(left_out))
 

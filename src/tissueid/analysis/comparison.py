@@ -69,30 +69,22 @@ def specifications(
     chosen = engine_names() if names is None else tuple(names)
     if not chosen:
         raise UnusableInputError(
-            Message(
-                "compare.no_engine",
-                "no engine is given: choose from {names}",
-                names=joined(map(Verbatim, engine_names())),
-            )
+            "compare.no_engine", "no engine is given: choose from {names}", names=joined(map(Verbatim, engine_names()))
         )
     engines = {name: get_engine(name) for name in chosen}
     if len(engines) < len(chosen):
-        raise UnusableInputError(Message("compare.repeated_engine", "an engine is given twice"))
+        raise UnusableInputError("compare.repeated_engine", "an engine is given twice")
     for name in own or {}:
         if name not in engines:
             raise UnusableInputError(
-                Message(
-                    "compare.options_of_other_engine",
-                    "options are given for '{name}', which is not among the engines to compare",
-                    name=Verbatim(name),
-                )
+                "compare.options_of_other_engine",
+                "options are given for '{name}', which is not among the engines to compare",
+                name=Verbatim(name),
             )
     for option in shared or {}:
         if not any(option in engine.model_fields for engine in engines.values()):
             raise UnusableInputError(
-                Message(
-                    "compare.no_such_option", "none of these engines has an option '{option}'", option=Verbatim(option)
-                )
+                "compare.no_such_option", "none of these engines has an option '{option}'", option=Verbatim(option)
             )
     return tuple(
         engine.from_options(

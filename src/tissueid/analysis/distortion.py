@@ -29,10 +29,8 @@ def distortion_of(record: Record, described: Mapping[str, Any]) -> Distortion:
         return distortion(record)
     if known.lines == "full":
         raise UnusableInputError(
-            Message(
-                "distortion.all_lines_driven",
-                "the multisine drove every line, and distortion shows only on lines that are not driven",
-            )
+            "distortion.all_lines_driven",
+            "the multisine drove every line, and distortion shows only on lines that are not driven",
         )
     return distortion(record, known.period, known.driven_lines().tolist(), known.settling_s)
 

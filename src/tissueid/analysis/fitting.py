@@ -320,10 +320,5 @@ def _engine_errors(engine: Engine) -> Iterator[None]:
             raise
         said = f"{type(error).__name__}: {error}".splitlines()[0]
         raise UnusableInputError(
-            Message(
-                "engine.failed",
-                "the engine {name}, of another package, failed: {problem}",
-                name=engine.name,
-                problem=said,
-            )
+            "engine.failed", "the engine {name}, of another package, failed: {problem}", name=engine.name, problem=said
         ) from error

@@ -131,13 +131,13 @@ def overlay(
     option, values = sweep
     if option and not any(option in type(fit.engine).model_fields for fit in fits):
         raise UnusableInputError(
-            Message("compare.no_such_option", "none of these engines has an option '{option}'", option=Verbatim(option))
+            "compare.no_such_option", "none of these engines has an option '{option}'", option=Verbatim(option)
         )
     known = {fit.label for fit in fits}
     for source in sources:
         if unknown := [label for label in source.fits if label not in known]:
             raise UnusableInputError(
-                Message("overlay.unknown_fit", "there is no fit '{name}' among the fits", name=Verbatim(unknown[0]))
+                "overlay.unknown_fit", "there is no fit '{name}' among the fits", name=Verbatim(unknown[0])
             )
     entries: list[OverlayEntry] = []
     refused: list[str] = []

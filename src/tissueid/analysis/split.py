@@ -127,7 +127,7 @@ def split(
     """
     if input_name == output_name:
         raise UnusableInputError(
-            Message("split.same_signal", "input and output are the same signal, '{signal}'", signal=input_name)
+            "split.same_signal", "input and output are the same signal, '{signal}'", signal=input_name
         )
     first = session.test(test)
     tests = [first, *map(session.test, also)]
@@ -135,15 +135,13 @@ def split(
     for number in numbers:
         if numbers.count(number) > 1:
             raise UnusableInputError(
-                Message("split.repeated_test", "test {number} is given twice among the tests to fit", number=number)
+                "split.repeated_test", "test {number} is given twice among the tests to fit", number=number
             )
     if validate in numbers:
         raise UnusableInputError(
-            Message(
-                "split.validates_fitted_test",
-                "test {number} is fitted, so it cannot be held out: validate on another test, or on none",
-                number=validate,
-            )
+            "split.validates_fitted_test",
+            "test {number} is fitted, so it cannot be held out: validate on another test, or on none",
+            number=validate,
         )
     spring = _common_spring(tests if validate is None else [*tests, session.test(validate)])
     if (input_name, output_name) != ("force", "position"):
@@ -200,37 +198,29 @@ def _common_spring(tests: Sequence[Test]) -> float:
     for test, spring in zip(tests, springs, strict=True):
         if test.configuration != tests[0].configuration:
             raise UnusableInputError(
-                Message(
-                    "split.different_configurations",
-                    "tests {first} and {second} have different configurations, {one} and {other}: analyse them one by "
-                    "one",
-                    first=tests[0].number,
-                    second=test.number,
-                    one=tests[0].configuration,
-                    other=test.configuration,
-                )
+                "split.different_configurations",
+                "tests {first} and {second} have different configurations, {one} and {other}: analyse them one by one",
+                first=tests[0].number,
+                second=test.number,
+                one=tests[0].configuration,
+                other=test.configuration,
             )
         if spring != springs[0]:
             raise UnusableInputError(
-                Message(
-                    "split.different_springs",
-                    "tests {first} and {second} had external springs of {one:g} and {other:g} N/m: analyse them one by "
-                    "one",
-                    first=tests[0].number,
-                    second=test.number,
-                    one=springs[0],
-                    other=spring,
-                )
+                "split.different_springs",
+                "tests {first} and {second} had external springs of {one:g} and {other:g} N/m: analyse them one by one",
+                first=tests[0].number,
+                second=test.number,
+                one=springs[0],
+                other=spring,
             )
         if placement(test.notes) != placement(tests[0].notes):
             raise UnusableInputError(
-                Message(
-                    "split.different_placements",
-                    "tests {first} and {second} differ in coupling, orientation, initial length or normal preload: "
-                    "analyse them one by one",
-                    first=tests[0].number,
-                    second=test.number,
-                )
+                "split.different_placements",
+                "tests {first} and {second} differ in coupling, orientation, initial length or normal preload: "
+                "analyse them one by one",
+                first=tests[0].number,
+                second=test.number,
             )
     return springs[0]
 

@@ -71,7 +71,7 @@ class StimulusDesign:
             UnusableInputError: the values do not vary, or are too few.
         """
         if self.played.size < 3:
-            raise UnusableInputError(Message("design.too_short", "the stimulus is too short for an autocorrelation"))
+            raise UnusableInputError("design.too_short", "the stimulus is too short for an autocorrelation")
         return autocorrelation(self.played, min(self.lags, self.played.size - 2))
 
     @property

@@ -32,7 +32,6 @@ from tissueid.configuration import CONFIGURATIONS
 from tissueid.errors import TissueIDError, UnusableInputError
 from tissueid.formatting import clean, number
 from tissueid.language import _, marked
-from tissueid.messages import Message
 from tissueid.procedures.import_export import ImportPlan
 from tissueid.sessions import KINDS
 from tissueid.sessions.file_policy import located
@@ -357,7 +356,7 @@ def _whole(field: QLineEdit) -> int | None:
     if not text:
         return None
     if not text.removeprefix("-").isdecimal() or len(text) > 12:
-        raise UnusableInputError(Message("import.row", "a row is a whole number, not {text}", text=clean(text)[:20]))
+        raise UnusableInputError("import.row", "a row is a whole number, not {text}", text=clean(text)[:20])
     return int(text)
 
 
@@ -369,5 +368,5 @@ def _rate(field: QLineEdit) -> float | None:
         return float(text)
     except ValueError:
         raise UnusableInputError(
-            Message("import.rate", "the sample rate is a number above 0, not {text}", text=clean(text)[:20])
+            "import.rate", "the sample rate is a number above 0, not {text}", text=clean(text)[:20]
         ) from None

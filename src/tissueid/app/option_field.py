@@ -19,7 +19,6 @@ from tissueid.app.number_field import NumberField, WholeNumberField
 from tissueid.errors import UnusableInputError
 from tissueid.formatting import label_and_unit
 from tissueid.language import _, decimal, marked
-from tissueid.messages import Message
 from tissueid.units import display_unit
 
 _DECIMALS = 15
@@ -239,11 +238,7 @@ class OptionField(QWidget):
                 return [float(f"{float(part) / self._scale:.12g}") for part in text.split(",") if part.strip()]
             except ValueError:
                 raise UnusableInputError(
-                    Message(
-                        "form.numbers",
-                        "{label}: give numbers, separated by commas, such as 1, 2.5, 4",
-                        label=self.label,
-                    )
+                    "form.numbers", "{label}: give numbers, separated by commas, such as 1, 2.5, 4", label=self.label
                 ) from None
         try:
             return json.loads(text)

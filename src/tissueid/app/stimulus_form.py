@@ -15,7 +15,6 @@ from tissueid.app.form_choices import FROM_FILE, MULTISTEP
 from tissueid.app.option_field import OptionField
 from tissueid.errors import UnusableInputError
 from tissueid.language import _, marked
-from tissueid.messages import Message
 from tissueid.procedures.test_plan import LIVE_METHODS
 from tissueid.stimuli import StimulusKind, get_stimulus, stimulus_names
 from tissueid.stimuli.kinds.noise import Noise
@@ -200,7 +199,7 @@ class StimulusForm(QWidget):
         if self.chosen == FROM_FILE:
             saved = self.file.text().strip()
             if not saved:
-                raise UnusableInputError(Message("plan.no_stimulus_file", "choose the file of the stimulus"))
+                raise UnusableInputError("plan.no_stimulus_file", "choose the file of the stimulus")
             played = dict(self.options())
             return values | {
                 "stimulus_file": Path(saved),

@@ -26,7 +26,7 @@ def check_save_path(path: Path) -> None:
     """
     if path.name and path.suffix.lower() != SUFFIX and not path.is_dir():
         raise UnusableInputError(
-            Message("save_path.suffix", "the name of a session ends in .h5, {name} does not", name=path.name)
+            "save_path.suffix", "the name of a session ends in .h5, {name} does not", name=path.name
         )
     check_session_path(path)
 

@@ -130,14 +130,12 @@ class AuditLog:
                     sync_folder(self.path.parent)
         except OSError as error:
             raise AuditError(
-                Message(
-                    "audit.unwritable",
-                    "cannot write the audit log {path}: {why}. Nothing begins that cannot be logged: repair that, or "
-                    "name another file with {variable}",
-                    path=str(self.path),
-                    why=error.strerror or str(error),
-                    variable=ENVIRONMENT,
-                )
+                "audit.unwritable",
+                "cannot write the audit log {path}: {why}. Nothing begins that cannot be logged: repair that, or "
+                "name another file with {variable}",
+                path=str(self.path),
+                why=error.strerror or str(error),
+                variable=ENVIRONMENT,
             ) from error
         return head
 
@@ -218,26 +216,22 @@ def _end_of(descriptor: int, path: Path) -> _End:
         line = read_line(whole[-1]) if whole else None
         if line is None:
             raise AuditError(
-                Message(
-                    "audit.last_line_damaged",
-                    "the last line of the audit log {path} is damaged or of other software; details: {verify}. Move "
-                    "the file, and a new log begins",
-                    path=str(path),
-                    verify=_VERIFY,
-                )
+                "audit.last_line_damaged",
+                "the last line of the audit log {path} is damaged or of other software; details: {verify}. Move "
+                "the file, and a new log begins",
+                path=str(path),
+                verify=_VERIFY,
             )
     number = 1 if line is None else line.number + 1
     if (complete := read_line(leftover)) is not None and complete.number == number:
         return _End(complete, size, closed=False)
     if not all(is_torn(piece.removesuffix(CANCEL), number) for piece in leftover.split(b"\n")):
         raise AuditError(
-            Message(
-                "audit.end_damaged",
-                "the end of the audit log {path} is damaged, or it is another file; details: {verify}. Move the file, "
-                "and a new log begins",
-                path=str(path),
-                verify=_VERIFY,
-            )
+            "audit.end_damaged",
+            "the end of the audit log {path} is damaged, or it is another file; details: {verify}. Move the file, "
+            "and a new log begins",
+            path=str(path),
+            verify=_VERIFY,
         )
     return _End(line, size, leftover)
 

@@ -35,13 +35,11 @@ def active_role(default: Role) -> Role:
             return role
     if named:
         raise UnusableInputError(
-            Message(
-                "audit.role",
-                "{variable} must be {roles}, not '{value}'",
-                variable=ROLE_ENVIRONMENT,
-                roles=joined(ROLES, last=marked(" or ")),
-                value=Verbatim(named),
-            )
+            "audit.role",
+            "{variable} must be {roles}, not '{value}'",
+            variable=ROLE_ENVIRONMENT,
+            roles=joined(ROLES, last=marked(" or ")),
+            value=Verbatim(named),
         )
     return default
 

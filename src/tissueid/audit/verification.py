@@ -83,11 +83,9 @@ def check_head(text: str) -> tuple[int | None, str]:
     match = _HEAD.fullmatch(text.strip())
     if match is None:
         raise UnusableInputError(
-            Message(
-                "audit.head",
-                "a head of the audit log is NUMBER:HASH with 64 hexadecimal digits, not {text}",
-                text=repr(text[:80]),
-            )
+            "audit.head",
+            "a head of the audit log is NUMBER:HASH with 64 hexadecimal digits, not {text}",
+            text=repr(text[:80]),
         )
     return None if match[1] is None else int(match[1]), match[2]
 
@@ -154,9 +152,7 @@ def _hashes_of(logs: Sequence[Path], cancelled: Callable[[], object]) -> set[str
     for path in logs:
         walk = _Walk(path, cancelled)
         if (broken := walk.broken()) is not None:
-            raise UnusableInputError(
-                Message("audit.earlier_damaged", "{path}: {why}", path=str(path), why=broken.words)
-            )
+            raise UnusableInputError("audit.earlier_damaged", "{path}: {why}", path=str(path), why=broken.words)
         hashes |= walk.hashes
     return hashes
 
@@ -389,13 +385,11 @@ def _raw_lines(path: Path) -> Iterator[bytes]:
         left = os.fstat(file.fileno()).st_size
         if left > MAX_BYTES:
             raise UnusableInputError(
-                Message(
-                    "audit.too_large",
-                    "{path} has {size:.0f} MB; at most {most:.0f} MB are read",
-                    path=str(path),
-                    size=left / 1e6,
-                    most=MAX_BYTES / 1e6,
-                )
+                "audit.too_large",
+                "{path} has {size:.0f} MB; at most {most:.0f} MB are read",
+                path=str(path),
+                size=left / 1e6,
+                most=MAX_BYTES / 1e6,
             )
         while raw := file.readline(min(MAX_LINE, left)):
             left -= len(raw)

@@ -49,9 +49,7 @@ class Spring:
             UnusableInputError: the stiffness or its uncertainty is out of range.
         """
         if not (10.0 <= self.stiffness_n_per_m <= 1e5 and 0.0 <= self.relative_std < 0.5):
-            raise UnusableInputError(
-                Message("calibration.spring", "a spring has 10 to 100000 N/m, known to better than 50 %")
-            )
+            raise UnusableInputError("calibration.spring", "a spring has 10 to 100000 N/m, known to better than 50 %")
 
 
 def electrical_findings(levels: Levels, rest: NDArray[np.void], device: DeviceDescription) -> Findings:
@@ -116,14 +114,12 @@ def resistance_of(line: Line, device: DeviceDescription) -> Estimate:
     conductance = line.slope
     if conductance.value * device.coil_resistance_ohm < -0.1:
         raise UnusableInputError(
-            Message(
-                "calibration.inverted",
-                "the current reading falls with the voltage: one of the two channels is inverted; check its wiring",
-            )
+            "calibration.inverted",
+            "the current reading falls with the voltage: one of the two channels is inverted; check its wiring",
         )
     if conductance.value * device.coil_resistance_ohm < 0.1:
         raise UnusableInputError(
-            Message("calibration.no_current", "no current flows through the coil: check that it is connected")
+            "calibration.no_current", "no current flows through the coil: check that it is connected"
         )
     return Estimate(1.0 / conductance.value, (conductance.std or 0.0) / conductance.value**2)
 
@@ -234,7 +230,7 @@ def force_by_weights(
     """
     if abs(along) < 0.5:
         raise UnusableInputError(
-            Message("calibration.not_upright", "known weights need a vertical stroke: place the instrument upright")
+            "calibration.not_upright", "known weights need a vertical stroke: place the instrument upright"
         )
     lines = [spring_line(one, zero_a) for one in series]
     slope = float(np.mean([line.slope.value for line in lines]))

@@ -210,9 +210,7 @@ def compare_sweeps(first: Calibration, second: Calibration) -> Comparison:
         UnusableInputError: one of them is not a sweep.
     """
     if {first.kind, second.kind} != {"sweep"}:
-        raise UnusableInputError(
-            Message("drift.not_sweeps", "only sweeps can be compared along the stroke: choose two sweeps")
-        )
+        raise UnusableInputError("drift.not_sweeps", "only sweeps can be compared along the stroke: choose two sweeps")
     before, now = sorted((first, second), key=lambda item: item.made)
     found = tuple(
         _difference(name, before, now)
@@ -404,9 +402,7 @@ def trend(calibrations: Sequence[Calibration], name: str) -> Trend:
         item for item in calibrations if name in item.quantities and abs(item.quantities[name].value) < _MAX_VALUE
     ]
     if not containing:
-        raise UnusableInputError(
-            Message("trend.no_quantity", "no calibration contains {quantity}", quantity=label_of(name))
-        )
+        raise UnusableInputError("trend.no_quantity", "no calibration contains {quantity}", quantity=label_of(name))
     containing.sort(key=lambda item: item.made)
     value = np.array([item.quantities[name].value for item in containing])
     stds = [item.quantities[name].std for item in containing]

@@ -132,15 +132,13 @@ def read_calibration(path: Path) -> Calibration:
         UnusableInputError: the file is missing, too large, not TOML, or not a calibration; names the invalid field.
     """
     if path.exists() and not path.is_file():
-        raise UnusableInputError(Message("calibration.not_a_file", "{path} is not a file", path=str(path)))
+        raise UnusableInputError("calibration.not_a_file", "{path} is not a file", path=str(path))
     try:
         with path.open("rb") as file:
             data = file.read(MAX_BYTES + 1)
     except OSError as error:
         raise UnusableInputError(
-            Message(
-                "calibration.unreadable", "cannot read {path}: {reason}", path=str(path), reason=str(error.strerror)
-            )
+            "calibration.unreadable", "cannot read {path}: {reason}", path=str(path), reason=str(error.strerror)
         ) from error
     content = _parsed(path, data)
     if content.get("format") != FORMAT:
@@ -153,25 +151,21 @@ def read_calibration(path: Path) -> Calibration:
         first = error.errors(include_url=False, include_input=False)[0]
         where = ".".join(str(part) for part in first["loc"] if part not in ("float", "tuple", "[key]")) or "content"
         raise UnusableInputError(
-            Message(
-                "calibration.field",
-                "{path}: field '{field}' cannot be used: {reason}",
-                path=str(path),
-                field=where[:100],
-                reason=validation_reason(error),
-            )
+            "calibration.field",
+            "{path}: field '{field}' cannot be used: {reason}",
+            path=str(path),
+            field=where[:100],
+            reason=validation_reason(error),
         ) from error
 
 
 def _parsed(path: Path, data: bytes) -> dict[str, object]:
     if len(data) > MAX_BYTES:
         raise UnusableInputError(
-            Message(
-                "calibration.too_large",
-                "{path} is too large for a calibration: the limit is {limit} KiB",
-                path=str(path),
-                limit=MAX_BYTES // 1024,
-            )
+            "calibration.too_large",
+            "{path} is too large for a calibration: the limit is {limit} KiB",
+            path=str(path),
+            limit=MAX_BYTES // 1024,
         )
     try:
         return toml_table(data)
@@ -183,7 +177,7 @@ def _parsed(path: Path, data: bytes) -> dict[str, object]:
 
 def _not_a_calibration(path: Path, why: str) -> UnusableInputError:
     return UnusableInputError(
-        Message("calibration.not_one", "{path} is not a calibration: {reason}", path=str(path), reason=why)
+        "calibration.not_one", "{path} is not a calibration: {reason}", path=str(path), reason=why
     )
 
 
@@ -194,9 +188,9 @@ def check_writable(path: Path) -> None:
         UnusableInputError: ``path`` is a folder, its folder is missing, or another kind of file exists there.
     """
     if path.is_dir():
-        raise UnusableInputError(Message("file.is_folder", "{path} is a folder; name a file", path=str(path)))
+        raise UnusableInputError("file.is_folder", "{path} is a folder; name a file", path=str(path))
     if not path.parent.is_dir():
-        raise UnusableInputError(Message("file.no_folder", "there is no folder {folder}", folder=str(path.parent)))
+        raise UnusableInputError("file.no_folder", "there is no folder {folder}", folder=str(path.parent))
     if path.exists():
         try:
             with path.open("rb") as file:
@@ -205,11 +199,9 @@ def check_writable(path: Path) -> None:
             content = {}
         if content.get("format") != FORMAT:
             raise UnusableInputError(
-                Message(
-                    "calibration.other_file",
-                    "{path} exists and is not a calibration: it is not overwritten. Name another file",
-                    path=str(path),
-                )
+                "calibration.other_file",
+                "{path} exists and is not a calibration: it is not overwritten. Name another file",
+                path=str(path),
             )
 
 
@@ -229,7 +221,7 @@ def write_calibration(path: Path, calibration: Calibration, *, new: bool = False
         raise
     except OSError as error:
         raise UnusableInputError(
-            Message("file.not_written", "cannot write {path}: {reason}", path=str(path), reason=str(error.strerror))
+            "file.not_written", "cannot write {path}: {reason}", path=str(path), reason=str(error.strerror)
         ) from error
 
 

@@ -10,7 +10,6 @@ from numpy.typing import ArrayLike
 
 from tissueid.calibration.file import Quantity
 from tissueid.errors import UnusableInputError
-from tissueid.messages import Message
 from tissueid.records import Estimate
 
 
@@ -35,9 +34,7 @@ class Findings:
             UnusableInputError: no step has measured it.
         """
         if name not in self.quantities:
-            raise UnusableInputError(
-                Message("calibration.no_quantity", "the calibration does not contain {name}", name=name)
-            )
+            raise UnusableInputError("calibration.no_quantity", "the calibration does not contain {name}", name=name)
         return self.quantities[name].value
 
     def __add__(self, other: Findings) -> Findings:

@@ -21,7 +21,6 @@ from scipy import optimize
 from tissueid.calibration.spline_basis import Array, SplineBasis, solution_covariance, solve_least_squares
 from tissueid.calibration.sweep_test import SweepTest
 from tissueid.errors import UnusableInputError
-from tissueid.messages import Message
 from tissueid.records import Estimate
 
 ANTI_ALIAS_HZ = 2000.0
@@ -199,7 +198,7 @@ def _regression_part(test: SweepTest, basis: SplineBasis) -> _RegressionPart:
     rows = np.flatnonzero(whole)
     if rows.size < _MIN_ROWS:
         raise UnusableInputError(
-            Message("sweep.many_lost", "too many samples of a test were lost: check the cable and repeat the sweep")
+            "sweep.many_lost", "too many samples of a test were lost: check the cable and repeat the sweep"
         )
     return _RegressionPart(rows.astype(np.float64), test.current[rows], drive[rows], velocity[rows], acceleration[rows])
 
@@ -253,12 +252,10 @@ def _resistance_from_response(answer: Array) -> float:
     conductance = float(answer[:-1].sum())
     if not conductance > _MIN_CONDUCTANCE:
         raise UnusableInputError(
-            Message(
-                "sweep.conductance",
-                "the current changes by {current:.2g} A per volt: check that the coil is connected and the current "
-                "channel is not inverted",
-                current=conductance,
-            )
+            "sweep.conductance",
+            "the current changes by {current:.2g} A per volt: check that the coil is connected and the current "
+            "channel is not inverted",
+            current=conductance,
         )
     return 1.0 / conductance
 

@@ -13,7 +13,6 @@ from tissueid.calibration.force_balance import BalanceFit
 from tissueid.calibration.spline_basis import Array, SplineBasis
 from tissueid.calibration.spring_points import SpringPoint
 from tissueid.errors import UnusableInputError
-from tissueid.messages import Message
 from tissueid.records import Estimate
 
 LINEAR_SHARE = 0.05
@@ -100,16 +99,14 @@ def linear_region(profile: ForceConstant, points: Sequence[SpringPoint], stroke_
     middle = (fine >= 0.25 * stroke_m - _EDGE_M) & (fine <= 0.75 * stroke_m + _EDGE_M)
     if first > 0.25 * stroke_m + 1e-3 or last < 0.75 * stroke_m - 1e-3:
         raise UnusableInputError(
-            Message(
-                "sweep.too_short",
-                "the sweep is usable only from {first:.1f} to {last:.1f} mm: it must cover the middle half of the "
-                "stroke, "
-                "{low:.0f} to {high:.0f} mm",
-                first=1e3 * first,
-                last=1e3 * last,
-                low=250.0 * stroke_m,
-                high=750.0 * stroke_m,
-            )
+            "sweep.too_short",
+            "the sweep is usable only from {first:.1f} to {last:.1f} mm: it must cover the middle half of the "
+            "stroke, "
+            "{low:.0f} to {high:.0f} mm",
+            first=1e3 * first,
+            last=1e3 * last,
+            low=250.0 * stroke_m,
+            high=750.0 * stroke_m,
         )
     values = profile.basis.values(fine)  # (fine, p)
     found = _edges(values @ profile.coefficients, fine, middle)
@@ -128,13 +125,11 @@ def _measured(points: Sequence[SpringPoint], stroke_m: float) -> tuple[float, fl
     centre = int(np.argmin(np.abs(places - 0.5 * stroke_m)))
     if not sound[centre]:
         raise UnusableInputError(
-            Message(
-                "sweep.nonlinear",
-                "in the middle of the stroke a linear model explains only {percent:.0f} % of the motion: check that "
-                "the "
-                "spring is fixed at both ends and moves freely",
-                percent=ordered[centre].vaf_percent,
-            )
+            "sweep.nonlinear",
+            "in the middle of the stroke a linear model explains only {percent:.0f} % of the motion: check that "
+            "the "
+            "spring is fixed at both ends and moves freely",
+            percent=ordered[centre].vaf_percent,
         )
     bad = np.flatnonzero(~sound)
     below, above = bad[bad < centre], bad[bad > centre]

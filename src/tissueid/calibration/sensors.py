@@ -60,10 +60,8 @@ def position_line(truth_m: NDArray[np.float64], rests: Sequence[NDArray[np.void]
     line = straight_line(truth_m, readings, noise)
     if abs(line.slope.value) < _MIN_GAIN:
         raise UnusableInputError(
-            Message(
-                "calibration.position_stuck",
-                "the position sensor reads the same at every position: check the sensor and the fixture",
-            )
+            "calibration.position_stuck",
+            "the position sensor reads the same at every position: check the sensor and the fixture",
         )
     return line
 

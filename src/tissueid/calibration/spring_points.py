@@ -17,7 +17,6 @@ from tissueid.identification.engines.lms import Lms
 from tissueid.identification.second_order import SecondOrder
 from tissueid.identification.second_order_fit import SecondOrderFit
 from tissueid.instrument import Instrument, Limits, join_blocks
-from tissueid.messages import Message
 from tissueid.records import Estimate, Record
 from tissueid.stimuli import Stimulus
 from tissueid.stimuli.kinds.noise import Noise
@@ -75,9 +74,7 @@ def held_record(held: Array, position: Array, sample_rate_hz: float, unit: str) 
     held_from = np.append(means[1:], np.nan)  # a record stores the value held from each reading on
     known = np.flatnonzero(np.isfinite(held_from) & np.isfinite(last))
     if not known.size:
-        raise UnusableInputError(
-            Message("sweep.all_lost", "all samples were lost: check the cable and repeat the sweep")
-        )
+        raise UnusableInputError("sweep.all_lost", "all samples were lost: check the cable and repeat the sweep")
     whole = slice(int(known[0]), int(known[-1]) + 1)  # drop the ends, which lack a neighbour
     return Record(held_from[whole], last[whole], sample_rate_hz / every, "held", "position", unit, "m")
 
@@ -174,10 +171,8 @@ def gentle_test_model(
     model = run_while_polling(instrument, lambda: Lms(memory=MEMORY_S, hold="zero-order").fit(record), cancelled)
     if not model.second_order.vaf_percent >= 100.0 * _MIN_VAF:
         raise UnusableInputError(
-            Message(
-                "sweep.no_response",
-                "the probe does not follow the coil: check that the spring is fixed to the probe and moves freely",
-            )
+            "sweep.no_response",
+            "the probe does not follow the coil: check that the spring is fixed to the probe and moves freely",
         )
     return float(np.nanmean(position)), model.second_order
 

@@ -127,29 +127,25 @@ class StaticPlan:
         for step in self.steps:
             if step not in STEPS:
                 raise UnusableInputError(
-                    Message(
-                        "calibration.step", "there is no step '{step}': choose from {steps}", step=step, steps=steps
-                    )
+                    "calibration.step", "there is no step '{step}': choose from {steps}", step=step, steps=steps
                 )
         if not self.steps:
-            raise UnusableInputError(Message("calibration.no_step", "choose at least one step of {steps}", steps=steps))
+            raise UnusableInputError("calibration.no_step", "choose at least one step of {steps}", steps=steps)
         if not 1 <= self.repeats <= 100:
-            raise UnusableInputError(Message("calibration.repeats", "the number of repeats must be 1 to 100"))
+            raise UnusableInputError("calibration.repeats", "the number of repeats must be 1 to 100")
         self.spring.check()
         if any(not 0.001 <= mass <= 0.3 for mass in self.weights_kg) or len(self.weights_kg) > 20:
-            raise UnusableInputError(Message("calibration.weights", "give at most 20 weights of 1 to 300 g"))
+            raise UnusableInputError("calibration.weights", "give at most 20 weights of 1 to 300 g")
         if self.gauges_m and (len(set(self.gauges_m)) < 3 or len(self.gauges_m) > 50):
-            raise UnusableInputError(Message("calibration.gauges", "give gauge blocks of 3 to 50 different heights"))
+            raise UnusableInputError("calibration.gauges", "give gauge blocks of 3 to 50 different heights")
         if not all(0.0 <= height <= _MAX_GAUGE_M for height in self.gauges_m):
             raise UnusableInputError(
-                Message(
-                    "calibration.gauge_height",
-                    "the height of a gauge block must be 0 to {limit:g} mm",
-                    limit=1e3 * _MAX_GAUGE_M,
-                )
+                "calibration.gauge_height",
+                "the height of a gauge block must be 0 to {limit:g} mm",
+                limit=1e3 * _MAX_GAUGE_M,
             )
         if self.ambient_c is not None and not -10.0 <= self.ambient_c <= 50.0:
-            raise UnusableInputError(Message("calibration.ambient", "the room temperature must be -10 to 50 °C"))
+            raise UnusableInputError("calibration.ambient", "the room temperature must be -10 to 50 °C")
 
 
 class Procedure:
@@ -256,11 +252,9 @@ class Procedure:
         ask = self._ask
         if ask is None:
             raise UnusableInputError(
-                Message(
-                    "calibration.no_person",
-                    "this instrument has no motorised stage, and no person is present to put the spring under the "
-                    "probe: run the command in a terminal, or give --in-place if the spring is already there",
-                )
+                "calibration.no_person",
+                "this instrument has no motorised stage, and no person is present to put the spring under the "
+                "probe: run the command in a terminal, or give --in-place if the spring is already there",
             )
         run_while_polling(self._instrument, lambda: ask(words), self._cancelled)
 
@@ -281,14 +275,12 @@ class Procedure:
         stands = mean(rest_samples(self._instrument, 0.1, cancelled=self._cancelled), "position")
         if not _MIN_CLEARANCE_M < stands < stroke - _MIN_CLEARANCE_M:
             raise UnusableInputError(
-                Message(
-                    "calibration.spring_place",
-                    "the probe stands at {position}: put the spring so that it stands between {low:g} and {high:g} mm, "
-                    "best in mid-stroke",
-                    position=Quantity(1e3 * stands, "mm", 1),
-                    low=1e3 * _MIN_CLEARANCE_M,
-                    high=1e3 * (stroke - _MIN_CLEARANCE_M),
-                )
+                "calibration.spring_place",
+                "the probe stands at {position}: put the spring so that it stands between {low:g} and {high:g} mm, "
+                "best in mid-stroke",
+                position=Quantity(1e3 * stands, "mm", 1),
+                low=1e3 * _MIN_CLEARANCE_M,
+                high=1e3 * (stroke - _MIN_CLEARANCE_M),
             )
 
     def _rest(self, step: Message) -> NDArray[np.void]:
@@ -372,11 +364,9 @@ class Procedure:
             )
         except LimitError as error:
             raise LimitError(
-                Message(
-                    "calibration.range_limit",
-                    "{problem}, in free air. Remove what is in the way of the probe, or leave this step out by --steps",
-                    problem=error.message,
-                )
+                "calibration.range_limit",
+                "{problem}, in free air. Remove what is in the way of the probe, or leave this step out by --steps",
+                problem=error.message,
             ) from error
 
     def _offset(

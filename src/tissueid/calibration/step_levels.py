@@ -55,15 +55,13 @@ def straight_line(x: NDArray[np.float64], y: NDArray[np.float64], noise: float =
         UnusableInputError: fewer than three points, or all at one x.
     """
     if x.size < 3 or float(np.ptp(x)) == 0.0:
-        raise UnusableInputError(
-            Message("line.points", "a line needs at least three points that are not all at one position")
-        )
+        raise UnusableInputError("line.points", "a line needs at least three points that are not all at one position")
     slope, intercept, *_ = stats.theilslopes(y, x)
     away = np.abs(y - intercept - slope * x)
     scale = max(noise, _NORMAL * float(np.median(away)), 1e-12 * float(np.abs(y).max()))
     outliers = away > OUTLIER_RATIO * scale
     if np.ptp(x[~outliers]) == 0.0 or np.count_nonzero(~outliers) < 3:
-        raise UnusableInputError(Message("line.none", "the points do not lie on a line"))
+        raise UnusableInputError("line.none", "the points do not lie on a line")
     line = stats.linregress(x[~outliers], y[~outliers])
     return Line(
         slope=Estimate(float(line.slope), float(line.stderr)),
@@ -146,10 +144,8 @@ def hold_levels(
         chosen = samples[settled & received & (level == number)]
         if chosen.size < _MIN_SAMPLES:
             raise UnusableInputError(
-                Message(
-                    "calibration.samples_lost.voltage",
-                    "samples were lost while a steady voltage was applied: check the cable and repeat the calibration",
-                )
+                "calibration.samples_lost.voltage",
+                "samples were lost while a steady voltage was applied: check the cable and repeat the calibration",
             )
         for row, name in enumerate(_AVERAGED):
             means[row, number] = chosen[name].mean()
@@ -212,10 +208,8 @@ def rest_samples(
     received = samples[np.all([np.isfinite(samples[name]) for name in _MEASURED], axis=0)]
     if received.size < wanted / 2:
         raise UnusableInputError(
-            Message(
-                "calibration.samples_lost.rest",
-                "samples were lost while the instrument was at rest: check the cable and repeat the calibration",
-            )
+            "calibration.samples_lost.rest",
+            "samples were lost while the instrument was at rest: check the cable and repeat the calibration",
         )
     return received
 

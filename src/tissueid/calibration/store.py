@@ -13,7 +13,6 @@ import platformdirs
 from tissueid.atomic_write import unused_path
 from tissueid.calibration.file import Calibration, read_calibration
 from tissueid.errors import UnusableInputError
-from tissueid.messages import Message
 
 VARIABLE = "TISSUEID_CALIBRATIONS"
 """Environment variable that names a calibration folder other than the user's own."""
@@ -49,7 +48,7 @@ def calibration_folder(given: Path | None = None) -> Path | None:
     if chosen is not None:
         if not chosen.is_dir():
             raise UnusableInputError(
-                Message("calibration.no_folder", "there is no calibration folder {folder}", folder=str(chosen))
+                "calibration.no_folder", "there is no calibration folder {folder}", folder=str(chosen)
             )
         return chosen
     own = user_calibration_folder()
@@ -72,12 +71,10 @@ def create_calibration_folder(given: Path | None = None) -> Path:
         folder.mkdir(mode=0o700, parents=True, exist_ok=True)
     except OSError as error:
         raise UnusableInputError(
-            Message(
-                "file.no_new_folder",
-                "cannot create the folder {folder}: {reason}",
-                folder=str(folder),
-                reason=str(error.strerror),
-            )
+            "file.no_new_folder",
+            "cannot create the folder {folder}: {reason}",
+            folder=str(folder),
+            reason=str(error.strerror),
         ) from error
     return folder
 
@@ -114,22 +111,18 @@ def stored_calibrations(folder: Path | None) -> tuple[Stored, ...]:
         files = sorted(path for path in folder.iterdir() if path.suffix == ".toml" and not path.name.startswith("."))
     except OSError as error:
         raise UnusableInputError(
-            Message(
-                "file.folder_unreadable",
-                "cannot read the folder {folder}: {reason}",
-                folder=str(folder),
-                reason=str(error.strerror),
-            )
+            "file.folder_unreadable",
+            "cannot read the folder {folder}: {reason}",
+            folder=str(folder),
+            reason=str(error.strerror),
         ) from error
     if len(files) > _MAX_FILES:
         raise UnusableInputError(
-            Message(
-                "calibration.too_many",
-                "{folder} contains {count} calibrations; the limit is {limit}: move old ones to another folder",
-                folder=str(folder),
-                count=len(files),
-                limit=_MAX_FILES,
-            )
+            "calibration.too_many",
+            "{folder} contains {count} calibrations; the limit is {limit}: move old ones to another folder",
+            folder=str(folder),
+            count=len(files),
+            limit=_MAX_FILES,
         )
     found = [_stored(path) for path in files]
     return tuple(sorted(found, key=lambda item: (item.made, item.path.name), reverse=True))

@@ -92,11 +92,9 @@ def cross_stroke(
         if len(found) == len(crossings):
             return found
     raise UnusableInputError(
-        Message(
-            "calibration.stuck",
-            "the probe does not move from end to end with {force:g} N: check that nothing is under it and nothing rubs",
-            force=MAX_FREE_FORCE_N,
-        )
+        "calibration.stuck",
+        "the probe does not move from end to end with {force:g} N: check that nothing is under it and nothing rubs",
+        force=MAX_FREE_FORCE_N,
     )
 
 

@@ -70,27 +70,21 @@ class SweepPlan:
     def __post_init__(self) -> None:
         if not 0.0 <= self.from_m < self.to_m <= 0.1:
             raise UnusableInputError(
-                Message(
-                    "sweep.range", "a sweep must end at a larger position than it starts, both on the stroke, in mm"
-                )
+                "sweep.range", "a sweep must end at a larger position than it starts, both on the stroke, in mm"
             )
         if not 0.5e-3 <= self.step_m <= 5.0e-3:
-            raise UnusableInputError(Message("sweep.step", "the step of a sweep must be 0.5 to 5 mm"))
+            raise UnusableInputError("sweep.step", "the step of a sweep must be 0.5 to 5 mm")
         if (self.to_m - self.from_m) / self.step_m > _MAX_POSITIONS:
             raise UnusableInputError(
-                Message(
-                    "sweep.positions",
-                    "a sweep may have at most {limit} positions: widen the step",
-                    limit=_MAX_POSITIONS,
-                )
+                "sweep.positions", "a sweep may have at most {limit} positions: widen the step", limit=_MAX_POSITIONS
             )
         if not 1.0 <= self.seconds <= 20.0:
-            raise UnusableInputError(Message("sweep.seconds", "each test of a sweep must last 1 to 20 s"))
+            raise UnusableInputError("sweep.seconds", "each test of a sweep must last 1 to 20 s")
         if not 1 <= self.repeats <= 100:
-            raise UnusableInputError(Message("sweep.repeats", "the number of repeats of a sweep must be 1 to 100"))
+            raise UnusableInputError("sweep.repeats", "the number of repeats of a sweep must be 1 to 100")
         if not MIN_SWING_M <= self.swing_m <= 5.0e-3:
             raise UnusableInputError(
-                Message("sweep.swing", "the swing of a sweep must be {least:g} to 5 mm", least=1e3 * MIN_SWING_M)
+                "sweep.swing", "the swing of a sweep must be {least:g} to 5 mm", least=1e3 * MIN_SWING_M
             )
 
     @property
@@ -271,11 +265,9 @@ class Sweep:
         """
         if self._bring is None:
             raise UnusableInputError(
-                Message(
-                    "sweep.no_person",
-                    "this instrument has no motorised stage, so a person has to move the calibration spring from "
-                    "position to position: run the command in a terminal, where it says when and where to",
-                )
+                "sweep.no_person",
+                "this instrument has no motorised stage, so a person has to move the calibration spring from "
+                "position to position: run the command in a terminal, where it says when and where to",
             )
         self._bring(place_m)
 
@@ -315,7 +307,5 @@ def sweep_tests(session: Session) -> list[SweepTest]:
     """
     found = [SweepTest.of_session(test) for test in session.tests if test.kind == KIND and test.status == "completed"]
     if not found:
-        raise UnusableInputError(
-            Message("sweep.no_test", "the session contains no completed test on the calibration spring")
-        )
+        raise UnusableInputError("sweep.no_test", "the session contains no completed test on the calibration spring")
     return found

@@ -121,22 +121,17 @@ def analyse_sweep(
     _check(device)
     if len(rates := sorted({test.sample_rate_hz for test in tests})) > 1:
         raise UnusableInputError(
-            Message(
-                "sweep.rates",
-                "the tests were recorded at different sample rates, {lowest:g} to {highest:g} Hz: a sweep needs one "
-                "rate",
-                lowest=rates[0],
-                highest=rates[-1],
-            )
+            "sweep.rates",
+            "the tests were recorded at different sample rates, {lowest:g} to {highest:g} Hz: a sweep needs one rate",
+            lowest=rates[0],
+            highest=rates[-1],
         )
     try:
         return _analysed(tests, device, spring, electrical_std, remarks)
     except np.linalg.LinAlgError as error:
         raise UnusableInputError(
-            Message(
-                "sweep.undetermined",
-                "the tests do not determine the coil: check that the spring moves freely, and repeat the sweep",
-            )
+            "sweep.undetermined",
+            "the tests do not determine the coil: check that the spring moves freely, and repeat the sweep",
         ) from error
 
 
@@ -152,14 +147,12 @@ def _analysed(
     places = _places(tests)
     if len(places) < MIN_POSITIONS:
         raise UnusableInputError(
-            Message(
-                "sweep.too_few",
-                "a sweep needs at least {least} positions, but {count} could be measured: read the notes on the "
-                "others, "
-                "and repeat the sweep",
-                least=MIN_POSITIONS,
-                count=len(places),
-            )
+            "sweep.too_few",
+            "a sweep needs at least {least} positions, but {count} could be measured: read the notes on the "
+            "others, "
+            "and repeat the sweep",
+            least=MIN_POSITIONS,
+            count=len(places),
         )
     spacing = max(MIN_SPACING_M, float(np.median(np.diff(places))))
     basis = SplineBasis.covering([test.position for test in tests], spacing)
@@ -206,24 +199,20 @@ def _check(device: DeviceDescription) -> None:
         text = getattr(device, name)
         if not (0 < len(text) <= 200 and text.isprintable()):
             raise UnusableInputError(
-                Message(
-                    "sweep.device_name",
-                    "the {name} of the instrument is '{text}': it must be a line of 1 to 200 characters",
-                    name=_NAMES[name],
-                    text=text[:40],
-                )
+                "sweep.device_name",
+                "the {name} of the instrument is '{text}': it must be a line of 1 to 200 characters",
+                name=_NAMES[name],
+                text=text[:40],
             )
     for what in (device, _nominal(device)):
         for name in _POSITIVE:
             value = getattr(what, name)
             if not (np.isfinite(value) and value > 0.0):
                 raise UnusableInputError(
-                    Message(
-                        "sweep.device_figure",
-                        "by the description of the instrument its {name} is {value:g}, which is impossible",
-                        name=name,
-                        value=value,
-                    )
+                    "sweep.device_figure",
+                    "by the description of the instrument its {name} is {value:g}, which is impossible",
+                    name=name,
+                    value=value,
                 )
 
 

@@ -15,7 +15,6 @@ from tissueid.calibration.force_constant_profile import ForceConstant
 from tissueid.calibration.labels import stored_text
 from tissueid.calibration.sweep_analysis import SweepResult, quantities_of
 from tissueid.errors import UnusableInputError
-from tissueid.messages import Message
 from tissueid.option_errors import validation_reason
 from tissueid.records import Estimate
 
@@ -73,12 +72,10 @@ def as_calibration(
         first = error.errors(include_url=False, include_input=False)[0]
         where = ".".join(str(part) for part in first["loc"][:2])
         raise UnusableInputError(
-            Message(
-                "sweep.not_stored",
-                "the sweep cannot be stored: field '{field}': {reason}",
-                field=where[:80],
-                reason=validation_reason(error),
-            )
+            "sweep.not_stored",
+            "the sweep cannot be stored: field '{field}': {reason}",
+            field=where[:80],
+            reason=validation_reason(error),
         ) from error
 
 

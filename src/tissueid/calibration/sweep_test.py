@@ -46,51 +46,43 @@ class SweepTest:
     def __post_init__(self) -> None:
         if not MIN_RATE_HZ <= self.sample_rate_hz <= MAX_RATE_HZ:
             raise UnusableInputError(
-                Message(
-                    "sweep.sample_rate",
-                    "the sample rate of a sweep must be {lowest:g} to {highest:g} Hz, not {rate:g} Hz",
-                    lowest=MIN_RATE_HZ,
-                    highest=MAX_RATE_HZ,
-                    rate=self.sample_rate_hz,
-                )
+                "sweep.sample_rate",
+                "the sample rate of a sweep must be {lowest:g} to {highest:g} Hz, not {rate:g} Hz",
+                lowest=MIN_RATE_HZ,
+                highest=MAX_RATE_HZ,
+                rate=self.sample_rate_hz,
             )
         for name, largest in _MAX_READING.items():
             values = np.asarray(getattr(self, name), dtype=np.float64)
             values = np.where(np.isinf(values), np.nan, values)
             if values.shape != (self.position.size,):
-                raise UnusableInputError(
-                    Message("sweep.lengths", "voltage, current and position of a test differ in length")
-                )
+                raise UnusableInputError("sweep.lengths", "voltage, current and position of a test differ in length")
             size = float(np.max(np.abs(values), initial=0.0, where=np.isfinite(values)))
             if size > largest:
                 raise UnusableInputError(
-                    Message(
-                        "sweep.too_large",
-                        "the {channel} reaches {value:.3g}, which no instrument measures: check the units",
-                        channel=CHANNELS[name],
-                        value=size,
-                    )
+                    "sweep.too_large",
+                    "the {channel} reaches {value:.3g}, which no instrument measures: check the units",
+                    channel=CHANNELS[name],
+                    value=size,
                 )
             object.__setattr__(self, name, values)
         if not MIN_SECONDS <= self.position.size / self.sample_rate_hz <= MAX_SECONDS:
             raise UnusableInputError(
-                Message(
-                    "sweep.length",
-                    "a test of a sweep must last {least:g} to {most:g} s, not {seconds:.3g} s",
-                    least=MIN_SECONDS,
-                    most=MAX_SECONDS,
-                    seconds=self.position.size / self.sample_rate_hz,
-                )
+                "sweep.length",
+                "a test of a sweep must last {least:g} to {most:g} s, not {seconds:.3g} s",
+                least=MIN_SECONDS,
+                most=MAX_SECONDS,
+                seconds=self.position.size / self.sample_rate_hz,
             )
         received = np.isfinite(self.voltage + self.current + self.position)
         if np.mean(received) < 0.5:
             raise UnusableInputError(
-                Message("sweep.lost", "most samples of a test were lost: check the cable and repeat the sweep")
+                "sweep.lost", "most samples of a test were lost: check the cable and repeat the sweep"
             )
         for name in _MAX_READING:
             if not np.ptp(getattr(self, name)[received]) > 0.0:
                 raise UnusableInputError(
-                    Message("sweep.constant", "the {channel} does not change during a test", channel=CHANNELS[name])
+                    "sweep.constant", "the {channel} does not change during a test", channel=CHANNELS[name]
                 )
 
     @classmethod
@@ -133,4 +125,4 @@ class SweepTest:
 
 
 def _of_test(test: Test, why: str) -> UnusableInputError:
-    return UnusableInputError(Message("sweep.test", "test {number}: {reason}", number=test.number, reason=why))
+    return UnusableInputError("sweep.test", "test {number}: {reason}", number=test.number, reason=why)

@@ -17,7 +17,6 @@ from tissueid.calibration.labels import headline_of
 from tissueid.calibration.store import calibration_folder, is_in_calibration_folder
 from tissueid.cli.output import ConsoleControl, at_terminal, check_json, console, progress_bars
 from tissueid.errors import UnusableInputError
-from tissueid.messages import Message
 from tissueid.procedures.calibration_files import CalibrationResult
 from tissueid.procedures.calibration_plans import CalibrationPlan
 from tissueid.procedures.output_files import check_different
@@ -128,16 +127,12 @@ def check_result(result: CalibrationResult, out: Path | None) -> None:
     kind, path = result.calibration.kind, str(result.path)
     if out in (None, result.path):
         raise UnusableInputError(
-            Message(
-                "calibration.failed_kept", "the {kind} calibration failed; it is saved in {path}", kind=kind, path=path
-            )
+            "calibration.failed_kept", "the {kind} calibration failed; it is saved in {path}", kind=kind, path=path
         )
     raise UnusableInputError(
-        Message(
-            "calibration.failed_beside",
-            "the {kind} calibration failed; it is saved in {path}; {passed}, which passed, is unchanged",
-            kind=kind,
-            path=path,
-            passed=str(out),
-        )
+        "calibration.failed_beside",
+        "the {kind} calibration failed; it is saved in {path}; {passed}, which passed, is unchanged",
+        kind=kind,
+        path=path,
+        passed=str(out),
     )

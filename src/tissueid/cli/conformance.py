@@ -9,7 +9,6 @@ import typer
 
 from tissueid.cli.output import at_terminal, check_json, console_control, human_output, message_json, table, write_json
 from tissueid.errors import UnusableInputError
-from tissueid.messages import Message
 from tissueid.procedures.conformance import Conformance, ConformancePlan, run_conformance
 from tissueid.procedures.instrument_access import audit_trail
 from tissueid.procedures.output_files import check_different
@@ -26,7 +25,7 @@ def print_conformance(plan: ConformancePlan, json_file: Path | None) -> None:
     check_json(json_file)
     if plan.attended and not at_terminal():
         raise UnusableInputError(
-            Message("conformance.no_terminal", "--attended needs a person at a terminal, and there is no terminal")
+            "conformance.no_terminal", "--attended needs a person at a terminal, and there is no terminal"
         )
     with console_control() as control:
         found = run_conformance(plan, control, audit_trail("technician"))

@@ -90,29 +90,20 @@ def accept_named(
         UnusableInputError: an effect does not exist, needs signals that were not recorded, or is not in the records.
     """
     if twice := [name for place, name in enumerate(names) if name in names[:place]]:
-        raise UnusableInputError(Message("accept.twice", "the effect {effect} is named twice", effect=twice[0]))
+        raise UnusableInputError("accept.twice", "the effect {effect} is named twice", effect=twice[0])
     count = len(names) + (0 if before is None else len(before.effects))
     if count > MOST_NAMED:
         raise UnusableInputError(
-            Message(
-                "accept.too_many",
-                "a twin holds at most {most} effects, not {count}",
-                most=MOST_NAMED,
-                count=count,
-            )
+            "accept.too_many", "a twin holds at most {most} effects, not {count}", most=MOST_NAMED, count=count
         )
     session = read_session(path)
     dataset, known = against_twin(prepare(session, fit, check), before)
     for name in names:
         if name in known:
-            raise UnusableInputError(Message("accept.known", "the twin has the effect {effect} already", effect=name))
+            raise UnusableInputError("accept.known", "the twin has the effect {effect} already", effect=name)
         if not applicable(dataset, effect(name)):
             raise UnusableInputError(
-                Message(
-                    "accept.signals",
-                    "these records cannot show the effect {effect}: it needs other signals",
-                    effect=name,
-                )
+                "accept.signals", "these records cannot show the effect {effect}: it needs other signals", effect=name
             )
     search = Search(dataset, people, names, progress, cancelled)
     baseline = best = search.baseline(known)
@@ -121,11 +112,7 @@ def accept_named(
         tried = Search(dataset, people, [name], progress, cancelled).add_to([best])
         if not tried:
             raise UnusableInputError(
-                Message(
-                    "accept.no_trace",
-                    "these records hold no trace of the effect {effect}",
-                    effect=name,
-                )
+                "accept.no_trace", "these records hold no trace of the effect {effect}", effect=name
             )
         best = tried[0]
     return twin_file_of(

@@ -232,7 +232,7 @@ def largest_held_out_error(found: Diagnosis, channel: str) -> tuple[DatasetTest,
             moved = float(np.std(test.signals[channel][start : start + size][inside]))
             tried.append((worth, moved, test, start, min(start + size, error.size)))
     if not tried:
-        raise UnusableInputError(Message("report.all_fitted", "every sample was fitted"))
+        raise UnusableInputError("report.all_fitted", "every sample was fitted")
     least = _MOVES * float(np.quantile([item[1] for item in tried], 0.75))
     return max((item for item in tried if item[1] >= least), key=lambda item: item[0])[2:]
 

@@ -12,7 +12,6 @@ from numpy.typing import NDArray
 from tissueid.device import DeviceDescription
 from tissueid.errors import UnusableInputError
 from tissueid.gap.equivalent_oscillator import PEAK_V, Equivalent, equivalent
-from tissueid.messages import Message
 from tissueid.sessions import Test
 
 FloatArray = NDArray[np.float64]
@@ -76,25 +75,23 @@ def excitation_of(test: Test, device: DeviceDescription) -> ExcitedTest:
         if name in test.signals and (name == "position" or np.isfinite(test.signals[name]).any())
     }
     if "position" not in signals:
-        raise UnusableInputError(Message("gap.no_position", "it has no position"))
+        raise UnusableInputError("gap.no_position", "it has no position")
     _check_received("position", signals["position"])
     travel = float(np.nanmax(signals["position"]) - np.nanmin(signals["position"]))
     if travel > _MOST_STROKES * device.stroke_m:
         raise UnusableInputError(
-            Message(
-                "gap.travel",
-                "its position covers {travel_m:.3g} m, and the stroke is {stroke_m:.3g} m: is it in metres?",
-                travel_m=travel,
-                stroke_m=device.stroke_m,
-            )
+            "gap.travel",
+            "its position covers {travel_m:.3g} m, and the stroke is {stroke_m:.3g} m: is it in metres?",
+            travel_m=travel,
+            stroke_m=device.stroke_m,
         )
     if travel == 0.0 and test.kind != "quiet":
-        raise UnusableInputError(Message("gap.constant_position", "its position never changes"))
+        raise UnusableInputError("gap.constant_position", "its position never changes")
     command = test.signals.get("command")
     amplifier = all(np.isfinite(value) and value > 0.0 for value in (device.amplifier_gain, device.amplifier_limit_v))
     if test.kind == "spring" and not device.calibration_spring_n_per_m > 0.0:
         raise UnusableInputError(
-            Message("gap.unknown_spring", "the session does not hold the stiffness of its calibration spring")
+            "gap.unknown_spring", "the session does not hold the stiffness of its calibration spring"
         )
     if command is not None and amplifier and np.isfinite(command).all():
         return ExcitedTest(test, "command", np.ascontiguousarray(command, np.float64), signals)
@@ -105,27 +102,21 @@ def excitation_of(test: Test, device: DeviceDescription) -> ExcitedTest:
         most = device.amplifier_limit_v / device.coil_resistance_ohm * device.force_constant_n_per_a
         if amplifier and float(np.nanmax(np.abs(force), initial=0.0)) > _MOST_FORCES * most:
             raise UnusableInputError(
-                Message(
-                    "gap.force_unit",
-                    "its force reaches {force_n:.3g} N, and the coil can give {most_n:.3g} N: is it in N?",
-                    force_n=float(np.nanmax(np.abs(force))),
-                    most_n=most,
-                )
+                "gap.force_unit",
+                "its force reaches {force_n:.3g} N, and the coil can give {most_n:.3g} N: is it in N?",
+                force_n=float(np.nanmax(np.abs(force))),
+                most_n=most,
             )
         signals["current"] = force / device.force_constant_n_per_a
     if "current" in signals and np.isfinite(signals["current"]).mean() >= _LEAST_RECEIVED:
         return ExcitedTest(test, "current", interpolated(signals["current"]), signals)
     if command is not None and not amplifier:
         raise UnusableInputError(
-            Message("gap.unknown_amplifier", "the session holds neither gain nor limit of the amplifier of its command")
+            "gap.unknown_amplifier", "the session holds neither gain nor limit of the amplifier of its command"
         )
     if command is not None:
-        raise UnusableInputError(
-            Message("gap.command_gaps", "its command has gaps, so that the test cannot be simulated")
-        )
-    raise UnusableInputError(
-        Message("gap.no_excitation", "it has no command, voltage, current or force that drives it")
-    )
+        raise UnusableInputError("gap.command_gaps", "its command has gaps, so that the test cannot be simulated")
+    raise UnusableInputError("gap.no_excitation", "it has no command, voltage, current or force that drives it")
 
 
 def input_output_names(test: Test) -> tuple[str, str]:
@@ -137,13 +128,13 @@ def input_output_names(test: Test) -> tuple[str, str]:
     output = next((name for name in _OUTPUTS if name in test.signals), None)
     given = next((name for name in _INPUTS if name in test.signals), None)
     if output is None:
-        raise UnusableInputError(Message("gap.no_output", "it has no position or output"))
+        raise UnusableInputError("gap.no_output", "it has no position or output")
     if given is None:
-        raise UnusableInputError(Message("gap.no_input", "it has no input, force, current or voltage that drives it"))
+        raise UnusableInputError("gap.no_input", "it has no input, force, current or voltage that drives it")
     _check_received(output, test.signals[output])
     _check_received(given, test.signals[given])
     if not float(np.nanstd(test.signals[given])) > 0.0 or not float(np.nanstd(test.signals[output])) > 0.0:
-        raise UnusableInputError(Message("gap.constant_signal", "its input or output never changes"))
+        raise UnusableInputError("gap.constant_signal", "its input or output never changes")
     return given, output
 
 
@@ -183,10 +174,8 @@ def _check_received(name: str, values: FloatArray) -> None:
     received = float(np.isfinite(values).mean())
     if received < _LEAST_RECEIVED:
         raise UnusableInputError(
-            Message(
-                "gap.missing_samples",
-                "{percent:.0f} % of its {channel} is missing",
-                percent=100.0 * (1.0 - received),
-                channel=name,
-            )
+            "gap.missing_samples",
+            "{percent:.0f} % of its {channel} is missing",
+            percent=100.0 * (1.0 - received),
+            channel=name,
         )

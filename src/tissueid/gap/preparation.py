@@ -66,20 +66,16 @@ def prepare(session: Session, fit: Sequence[int] = (), check: Sequence[int] = ()
     for number in (*fit, *check):
         if number not in numbers:
             raise UnusableInputError(
-                Message(
-                    "gap.no_such_test",
-                    "the session has no test {number}; it has {others}",
-                    number=number,
-                    others=", ".join(map(str, sorted(numbers))),
-                )
+                "gap.no_such_test",
+                "the session has no test {number}; it has {others}",
+                number=number,
+                others=", ".join(map(str, sorted(numbers))),
             )
     remarks: list[Message] = []
     chosen = [test for test in session.tests if not fit or test.number in (*fit, *check)]
     if check and all(test.number in check and test.number not in fit for test in chosen):
         raise UnusableInputError(
-            Message(
-                "gap.nothing_to_fit", "every test is held out and none is left to be fitted: name one to fit as well"
-            )
+            "gap.nothing_to_fit", "every test is held out and none is left to be fitted: name one to fit as well"
         )
     if known_instrument(session.instrument):
         tests = _usable(chosen, remarks, lambda test: excitation_of(test, session.instrument))
@@ -166,11 +162,9 @@ def _usable(tests: Sequence[Test], remarks: list[Message], take: Callable[[Test]
         try:
             if test.samples < max((SHORTEST_S + 2.0 * test.preload_s) * test.sample_rate_hz, LEAST_SAMPLES):
                 raise UnusableInputError(
-                    Message(
-                        "gap.too_short",
-                        "{seconds:.2g} s are too short for a diagnosis",
-                        seconds=test.samples / test.sample_rate_hz,
-                    )
+                    "gap.too_short",
+                    "{seconds:.2g} s are too short for a diagnosis",
+                    seconds=test.samples / test.sample_rate_hz,
                 )
             found.append(take(test))
         except UnusableInputError as error:
@@ -181,7 +175,7 @@ def _usable(tests: Sequence[Test], remarks: list[Message], take: Callable[[Test]
             )
     if not found:
         reason = remarks[0] if remarks else Message("gap.no_tests", "it holds no tests")
-        raise UnusableInputError(Message("gap.not_usable", "the session cannot be diagnosed: {reason}", reason=reason))
+        raise UnusableInputError("gap.not_usable", "the session cannot be diagnosed: {reason}", reason=reason)
     return found
 
 

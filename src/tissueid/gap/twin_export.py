@@ -16,7 +16,7 @@ from tissueid.gap.fitting import Fit
 from tissueid.gap.parameters import INSTRUMENT_COORDINATES, LOGARITHMIC_TISSUE, TISSUE_COORDINATES, WITHIN_STDS
 from tissueid.gap.scoring import Candidate, errors
 from tissueid.instrument.twin_file import Source, TwinFile, content_of
-from tissueid.messages import Message, Verbatim
+from tissueid.messages import Verbatim
 from tissueid.twin.effect import Effect
 from tissueid.twin.named_twin import NamedTwin
 
@@ -46,7 +46,7 @@ def twin_of(candidate: Candidate, name: str, version: int = 1) -> NamedTwin:
     dataset = parameters.dataset
     if dataset.equivalent is not None:
         raise UnusableInputError(
-            Message("gap.no_twin", "an input-output record holds no instrument: a twin cannot be made of it")
+            "gap.no_twin", "an input-output record holds no instrument: a twin cannot be made of it"
         )
     test = next((item for item in dataset.tests if item.fixture == "tissue"), dataset.tests[0])
     instrument, tissue = parameters.instrument(theta), parameters.tissue_of(theta, test)
@@ -165,13 +165,11 @@ def check_same_instrument(device: DeviceDescription, twin: TwinFile) -> None:
     serial, theirs = _serial_number(device), twin.source.serial_number
     if serial and theirs and serial != theirs:
         raise UnusableInputError(
-            Message(
-                "gap.other_serial",
-                "the twin {twin} is of another instrument: serial number {theirs}, that of the session is {ours}",
-                twin=twin.name,
-                theirs=Verbatim(theirs),
-                ours=Verbatim(serial),
-            )
+            "gap.other_serial",
+            "the twin {twin} is of another instrument: serial number {theirs}, that of the session is {ours}",
+            twin=twin.name,
+            theirs=Verbatim(theirs),
+            ours=Verbatim(serial),
         )
     for ours, name in INSTRUMENT_COORDINATES.items():
         value, nominal = twin.instrument[ours], getattr(device, name)
@@ -191,16 +189,14 @@ def _reach(device: DeviceDescription) -> float:
 
 def _other_instrument(twin: TwinFile, name: str, value: float, least: float, most: float) -> UnusableInputError:
     return UnusableInputError(
-        Message(
-            "gap.other_instrument",
-            "the twin {twin} is of another instrument: its {name} is {value:.4g}, that of the session {least:.4g} to "
-            "{most:.4g}",
-            twin=twin.name,
-            name=Verbatim(name),
-            value=value,
-            least=least,
-            most=most,
-        )
+        "gap.other_instrument",
+        "the twin {twin} is of another instrument: its {name} is {value:.4g}, that of the session {least:.4g} to "
+        "{most:.4g}",
+        twin=twin.name,
+        name=Verbatim(name),
+        value=value,
+        least=least,
+        most=most,
     )
 
 
@@ -228,7 +224,7 @@ def with_prior_twin(dataset: Dataset, twin: NamedTwin) -> Dataset:
     """
     if dataset.equivalent is not None:
         raise UnusableInputError(
-            Message("gap.twin_without_instrument", "a twin needs an instrument, and an input-output record holds none")
+            "gap.twin_without_instrument", "a twin needs an instrument, and an input-output record holds none"
         )
     priors: dict[str, Prior] = {}
     for ours, theirs in INSTRUMENT_COORDINATES.items():

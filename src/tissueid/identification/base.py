@@ -209,12 +209,10 @@ class Model(ABC):
         """
         if not math.isclose(record.sample_rate_hz, self.sample_rate_hz, rel_tol=1e-6):
             raise UnusableInputError(
-                Message(
-                    "engine.other_sample_rate",
-                    "the model was fitted at {fitted:g} Hz and cannot be run at {given:g} Hz: resample the record",
-                    fitted=self.sample_rate_hz,
-                    given=record.sample_rate_hz,
-                )
+                "engine.other_sample_rate",
+                "the model was fitted at {fitted:g} Hz and cannot be run at {given:g} Hz: resample the record",
+                fitted=self.sample_rate_hz,
+                given=record.sample_rate_hz,
             )
 
 
@@ -420,7 +418,5 @@ def check_horizon(horizon: int) -> None:
     """
     if horizon < 1:
         raise UnusableInputError(
-            Message(
-                "engine.horizon", "the prediction horizon must be at least one sample, got {horizon}", horizon=horizon
-            )
+            "engine.horizon", "the prediction horizon must be at least one sample, got {horizon}", horizon=horizon
         )

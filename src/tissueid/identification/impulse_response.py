@@ -257,14 +257,12 @@ def segment_average(prepared: Prepared, segment: float, most_condition: float, t
             rejected += 1
     if len(kernels) < 2:
         raise UnusableInputError(
-            Message(
-                "lms.too_few_segments",
-                "{accepted} of {all} segments have a condition number below {limit:g}, and two are needed: take "
-                "shorter segments, or a higher limit",
-                accepted=len(kernels),
-                all=len(kernels) + rejected,
-                limit=most_condition,
-            )
+            "lms.too_few_segments",
+            "{accepted} of {all} segments have a condition number below {limit:g}, and two are needed: take "
+            "shorter segments, or a higher limit",
+            accepted=len(kernels),
+            all=len(kernels) + rejected,
+            limit=most_condition,
         )
     found = np.array(kernels)
     std = np.std(found, axis=0, ddof=1) * np.sqrt(2.0 / len(kernels))

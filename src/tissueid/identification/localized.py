@@ -15,7 +15,6 @@ from tissueid.identification.partitions.parameters import LocalParameters
 from tissueid.identification.preparation import complete_windows
 from tissueid.identification.second_order import Hold
 from tissueid.identification.second_order_fit import SecondOrderFit, fit_second_order
-from tissueid.messages import Message
 from tissueid.records import Record
 
 _SAME_DEPTH = 0.02
@@ -123,13 +122,11 @@ def fit_levels(
         )
     if len(found) < 2:
         raise UnusableInputError(
-            Message(
-                "localized.too_few_levels",
-                "{found} of {levels} levels are longer than two memories and vary enough: stay longer at each level, "
-                "or shorten the memory",
-                found=len(found),
-                levels=len(levels),
-            )
+            "localized.too_few_levels",
+            "{found} of {levels} levels are longer than two memories and vary enough: stay longer at each level, "
+            "or shorten the memory",
+            found=len(found),
+            levels=len(levels),
         )
     return tuple(found), len(levels) - len(found)
 
@@ -166,9 +163,7 @@ def curves_through(found: tuple[LevelFit, ...]) -> Curves:
         else:
             groups.append([one])
     if len(groups) < 2:
-        raise UnusableInputError(
-            Message("localized.one_depth", "all levels are at one depth: use larger steps of force")
-        )
+        raise UnusableInputError("localized.one_depth", "all levels are at one depth: use larger steps of force")
     sign = found[0].fit.sign
     position, force, *logs = (np.array([_mean_of(group, index) for group in groups]) for index in range(5))
     force = sign * force

@@ -42,16 +42,14 @@ def part_mask(n: int, part: slice | None) -> Mask:
     if part is not None:
         if part.step not in (None, 1):
             raise UnusableInputError(
-                Message(
-                    "record.not_contiguous",
-                    "a part of a record must be contiguous, not every {step} samples",
-                    step=part.step,
-                )
+                "record.not_contiguous",
+                "a part of a record must be contiguous, not every {step} samples",
+                step=part.step,
             )
         mask[:] = False
         mask[part] = True
     if not mask.any():
-        raise UnusableInputError(Message("record.empty_part", "the chosen part of the record has no samples"))
+        raise UnusableInputError("record.empty_part", "the chosen part of the record has no samples")
     return mask
 
 
@@ -110,12 +108,10 @@ def band_filtered(record: Record, low_hz: float | None, high_hz: float | None) -
         return record
     if not (np.all(np.diff(edges) > 0.0) and edges[0] > 0.0 and edges[-1] < nyquist):
         raise UnusableInputError(
-            Message(
-                "record.band",
-                "the edges of the band must rise and lie between 0 and {nyquist:g} Hz, got {edges}",
-                nyquist=nyquist,
-                edges=", ".join(f"{edge:g}" for edge in edges),
-            )
+            "record.band",
+            "the edges of the band must rise and lie between 0 and {nyquist:g} Hz, got {edges}",
+            nyquist=nyquist,
+            edges=", ".join(f"{edge:g}" for edge in edges),
         )
     kind = "bandpass" if len(edges) == 2 else "highpass" if high_hz is None else "lowpass"
     sections = signal.butter(_FILTER_ORDER, edges if len(edges) == 2 else edges[0], kind, fs=2 * nyquist, output="sos")
@@ -132,7 +128,7 @@ def band_filtered(record: Record, low_hz: float | None, high_hz: float | None) -
         filtered[name] = passed
     if not np.any(np.isfinite(filtered["input"])):
         raise UnusableInputError(
-            Message("record.band_too_short", "no uninterrupted part of the record is long enough for the band filter")
+            "record.band_too_short", "no uninterrupted part of the record is long enough for the band filter"
         )
     return replace(record, input=filtered["input"], output=filtered["output"])
 
@@ -187,12 +183,10 @@ def checked_samples(u: Array, y: Array) -> tuple[Array, Array]:
     u, y = np.asarray(u, dtype=np.float64), np.asarray(y, dtype=np.float64)
     if u.ndim != 1 or u.shape != y.shape:
         raise UnusableInputError(
-            Message(
-                "online.lengths",
-                "inputs and outputs must have the same length, got {inputs} and {outputs}",
-                inputs=int(u.size),
-                outputs=int(y.size),
-            )
+            "online.lengths",
+            "inputs and outputs must have the same length, got {inputs} and {outputs}",
+            inputs=int(u.size),
+            outputs=int(y.size),
         )
     return u, y
 
@@ -220,23 +214,19 @@ def prepare(record: Record, fit_part: slice | None, memory: float, n_parameters:
     length = part.stop - part.start
     if lags > length:
         raise UnusableInputError(
-            Message(
-                "record.shorter_than_memory",
-                "the memory of {memory:g} s is longer than the {seconds:g} s of record to fit",
-                memory=memory,
-                seconds=length / record.sample_rate_hz,
-            )
+            "record.shorter_than_memory",
+            "the memory of {memory:g} s is longer than the {seconds:g} s of record to fit",
+            memory=memory,
+            seconds=length / record.sample_rate_hz,
         )
     used = scored_samples(record, lags, fit_part)
     count = int(used.sum())
     if count < parameters:
         raise UnusableInputError(
-            Message(
-                "record.too_few_samples",
-                "{count} usable samples are too few for {parameters} parameters: record longer, or shorten the memory",
-                count=count,
-                parameters=parameters,
-            )
+            "record.too_few_samples",
+            "{count} usable samples are too few for {parameters} parameters: record longer, or shorten the memory",
+            count=count,
+            parameters=parameters,
         )
     warnings: list[str] = []
     if count < SAMPLES_PER_PARAMETER * parameters:
@@ -278,10 +268,8 @@ def _mean(values: Array, name: str) -> float:
     """Return the mean of the received values (n,). Raise if there are none, or if they do not vary."""
     received = values[np.isfinite(values)]
     if received.size == 0:
-        raise UnusableInputError(Message("record.no_sample", "{signal} has no received sample", signal=name))
+        raise UnusableInputError("record.no_sample", "{signal} has no received sample", signal=name)
     low, high = float(received.min()), float(received.max())
     if high - low <= 1e-12 * max(abs(low), abs(high)):
-        raise UnusableInputError(
-            Message("record.constant", "{signal} is constant: there is nothing to identify", signal=name)
-        )
+        raise UnusableInputError("record.constant", "{signal} is constant: there is nothing to identify", signal=name)
     return float(received.mean())

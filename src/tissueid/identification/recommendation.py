@@ -22,7 +22,7 @@ from tissueid.identification.candidates import Candidate, Difference, Standing, 
 from tissueid.identification.model_family import Family
 from tissueid.identification.validation import vaf_percent
 from tissueid.language import marked
-from tissueid.messages import Message, stored
+from tissueid.messages import stored
 from tissueid.records import Record
 
 LEVEL = 0.05
@@ -130,10 +130,8 @@ def recommend(
     scored = [c for c in candidates if math.isfinite(_score(c, held_out))]
     if not scored:
         raise UnusableInputError(
-            Message(
-                "recommendation.nothing_held_out",
-                "no engine could be scored on held-out samples: hold out more of the record",
-            )
+            "recommendation.nothing_held_out",
+            "no engine could be scored on held-out samples: hold out more of the record",
         )
     leads = {(a, b): _lead(a, b, held_out) for a in scored for b in scored}
     leader = max(scored, key=lambda c: (sum(leads[c, other].points > 0.0 for other in scored), _score(c, held_out)))
@@ -171,7 +169,7 @@ def sufficient(trials: Sequence[tuple[float, Array]], held_out: Record) -> float
     scored = [(value, error) for value, error in trials if math.isfinite(_vaf(error, held_out))]
     if not scored:
         raise UnusableInputError(
-            Message("recommendation.no_value", "no value of the option could be scored on held-out samples")
+            "recommendation.no_value", "no value of the option could be scored on held-out samples"
         )
     _, best = max(scored, key=lambda trial: _vaf(trial[1], held_out))
     rate = held_out.sample_rate_hz

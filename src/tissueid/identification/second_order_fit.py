@@ -474,10 +474,8 @@ class _Correlations:
         gain = explained[place, best] / energy[best] if energy[best] > 0.0 else 0.0
         if gain == 0.0 or not np.isfinite(gain):
             raise UnusableInputError(
-                Message(
-                    "second_order.no_response",
-                    "the output does not respond to the input: no second-order system can be fitted",
-                )
+                "second_order.no_response",
+                "the output does not respond to the input: no second-order system can be fitted",
             )
         unit, scale = systems[int(best)], 1.0 / abs(float(gain))
         system = SecondOrder(unit.mass * scale, unit.damping * scale, unit.stiffness * scale)

@@ -88,9 +88,7 @@ class CardInstrument(HostPlayedInstrument):
             problem = implausible_property(asdict(device))
         if not isinstance(device, DeviceDescription) or problem is not None:
             raise InstrumentError(
-                Message(
-                    "card.property", "the driver of {name} reports an impossible value: {why}", name=name, why=problem
-                )
+                "card.property", "the driver of {name} reports an impossible value: {why}", name=name, why=problem
             )
         super().__init__(device, winding=True)
         self._card = card
@@ -161,13 +159,11 @@ class CardInstrument(HostPlayedInstrument):
         if readings.shape != (BLOCK, len(READ)) or not np.isfinite(readings).all():
             self.release()
             raise InstrumentError(
-                Message(
-                    "card.readings",
-                    "the driver of {name} must return finite readings of shape {wanted}, got {got}",
-                    name=self._name,
-                    wanted=str((BLOCK, len(READ))),
-                    got=str(readings.shape) if readings.shape != (BLOCK, len(READ)) else "NaN",
-                )
+                "card.readings",
+                "the driver of {name} must return finite readings of shape {wanted}, got {got}",
+                name=self._name,
+                wanted=str((BLOCK, len(READ))),
+                got=str(readings.shape) if readings.shape != (BLOCK, len(READ)) else "NaN",
             )
         if enabled.any() and (seconds := self._clock() - begin) > SILENT_S:
             self.release()
@@ -227,13 +223,11 @@ def open_card(url: str) -> CardInstrument | None:
         raise
     except (Exception, SystemExit) as error:
         raise InstrumentError(
-            Message(
-                "card.not_opened",
-                "cannot open {url}: the driver {driver} failed: {kind}: {why}",
-                url=Verbatim(name),
-                driver=Verbatim(driver.value),
-                kind=Verbatim(type(error).__name__),
-                why=Verbatim(clean(str(error))[:_SHOWN]),
-            )
+            "card.not_opened",
+            "cannot open {url}: the driver {driver} failed: {kind}: {why}",
+            url=Verbatim(name),
+            driver=Verbatim(driver.value),
+            kind=Verbatim(type(error).__name__),
+            why=Verbatim(clean(str(error))[:_SHOWN]),
         ) from error
     return CardInstrument(card, name)

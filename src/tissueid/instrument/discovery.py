@@ -67,11 +67,9 @@ def open_instrument(url: str) -> Instrument:
         return _simulation(url)
     if not url.strip():
         raise UnusableInputError(
-            Message(
-                "discovery.no_address",
-                "the address of the instrument is empty: {choose}",
-                choose=Action("instrument.list", "tissueid devices", marked("choose one in the list of instruments")),
-            )
+            "discovery.no_address",
+            "the address of the instrument is empty: {choose}",
+            choose=Action("instrument.list", "tissueid devices", marked("choose one in the list of instruments")),
         )
     return open_card(url) or SerialInstrument(SerialLink(url))
 
@@ -92,16 +90,14 @@ def _simulation(url: str) -> Instrument:
         query = parse_qs(parts.query, keep_blank_values=True)
     except ValueError as error:
         raise UnusableInputError(
-            Message("simulation.address", "{address} is not an address: write simulated://TISSUE?seed=N", address=shown)
+            "simulation.address", "{address} is not an address: write simulated://TISSUE?seed=N", address=shown
         ) from error
     if unknown := set(query) - {"seed", "subject", "variation"}:
         raise UnusableInputError(
-            Message(
-                "simulation.parameter",
-                "{address} has the unknown parameter {names}; known: seed, subject, variation",
-                address=shown,
-                names=clean(", ".join(sorted(unknown)))[:_SHOWN],
-            )
+            "simulation.parameter",
+            "{address} has the unknown parameter {names}; known: seed, subject, variation",
+            address=shown,
+            names=clean(", ".join(sorted(unknown)))[:_SHOWN],
         )
     seed, subject = _whole_number(query, "seed", shown), _whole_number(query, "subject", shown)
     variation = _variation(query, shown)
@@ -110,14 +106,12 @@ def _simulation(url: str) -> Instrument:
         return SimulatedInstrument(read_twin(Path(file)), seed=seed, subject=subject, variation=variation)
     if parts.path.strip("/") or parts.fragment:
         raise UnusableInputError(
-            Message(
-                "simulation.path",
-                "{address} is neither a tissue nor a twin: write simulated://TISSUE ({known}), or "
-                "simulated:///PATH/NAME{suffix}",
-                address=shown,
-                known=joined(map(Verbatim, TISSUES)),
-                suffix=SUFFIX,
-            )
+            "simulation.path",
+            "{address} is neither a tissue nor a twin: write simulated://TISSUE ({known}), or "
+            "simulated:///PATH/NAME{suffix}",
+            address=shown,
+            known=joined(map(Verbatim, TISSUES)),
+            suffix=SUFFIX,
         )
     return SimulatedInstrument(parts.netloc or DEFAULT_TISSUE, seed=seed, subject=subject, variation=variation)
 
@@ -133,13 +127,11 @@ def _whole_number(query: dict[str, list[str]], name: str, shown: str) -> int | N
         return None
     if not (given.isascii() and given.isdigit() and len(given) <= _SEED_DIGITS):
         raise UnusableInputError(
-            Message(
-                "simulation.seed",
-                "the {name} in {address} must be a whole number of at most {digits} digits",
-                name=Verbatim(name),
-                address=shown,
-                digits=_SEED_DIGITS,
-            )
+            "simulation.seed",
+            "the {name} in {address} must be a whole number of at most {digits} digits",
+            name=Verbatim(name),
+            address=shown,
+            digits=_SEED_DIGITS,
         )
     return int(given)
 
@@ -159,12 +151,10 @@ def _variation(query: dict[str, list[str]], shown: str) -> float | None:
         size = -1.0
     if not 0.0 <= size <= _LARGEST_VARIATION:
         raise UnusableInputError(
-            Message(
-                "simulation.variation",
-                "the variation in {address} must be a number from 0 to {most:g}",
-                address=shown,
-                most=_LARGEST_VARIATION,
-            )
+            "simulation.variation",
+            "the variation in {address} must be a number from 0 to {most:g}",
+            address=shown,
+            most=_LARGEST_VARIATION,
         )
     return size
 

@@ -453,11 +453,9 @@ class SerialInstrument:
             self._monitor.stop_due = True
             self._monitor.fail(
                 InstrumentError(
-                    Message(
-                        "instrument.overdue",
-                        "the test did not end within {seconds:.1f} s as it should: connect again, and measure again",
-                        seconds=self._overdue_s,
-                    )
+                    "instrument.overdue",
+                    "the test did not end within {seconds:.1f} s as it should: connect again, and measure again",
+                    seconds=self._overdue_s,
                 )
             )
         if checked and self._monitor.error is None:

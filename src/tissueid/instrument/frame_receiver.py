@@ -129,13 +129,11 @@ class FrameReceiver:
         if self._streaming and frame.version != wire.PROTOCOL_VERSION:
             self._monitor.fail(
                 ProtocolVersionError(
-                    Message(
-                        "link.version_changed",
-                        "the instrument changed to protocol {version} during operation; this software speaks {own}. "
-                        "Connect again",
-                        version=frame.version,
-                        own=wire.PROTOCOL_VERSION,
-                    )
+                    "link.version_changed",
+                    "the instrument changed to protocol {version} during operation; this software speaks {own}. "
+                    "Connect again",
+                    version=frame.version,
+                    own=wire.PROTOCOL_VERSION,
                 )
             )
         elif frame.type == MessageType.DATA:

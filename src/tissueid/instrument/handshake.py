@@ -60,9 +60,7 @@ class Handshake:
         """
         codes = np.rint((np.asarray(command_v) - self.offsets[0]) / self.gains[0])
         if not np.all(np.abs(codes) <= 32767):
-            raise LimitError(
-                Message("limit.converter", "the stimulus exceeds the range of the instrument's output converter")
-            )
+            raise LimitError("limit.converter", "the stimulus exceeds the range of the instrument's output converter")
         data: NDArray[np.int16] = codes.astype("<i2")
         return data
 
@@ -184,25 +182,21 @@ def parse_hello(payload: bytes, port: str) -> Handshake:
             fields |= wire.unpack(wire.HELLO_ACK_FILTER, rest, tail=True)[0]
     except wire.PayloadError as error:
         raise InstrumentError(
-            Message("handshake.damaged", "the handshake of {port} is damaged: {why}", port=port, why=str(error))
+            "handshake.damaged", "the handshake of {port} is damaged: {why}", port=port, why=str(error)
         ) from error
     channels = np.frombuffer(table, wire.CHANNEL)
     names = tuple(wire.text(channel) for channel in channels["name"])
     if names != SIGNALS:
         shown = joined([*names[:_SHOWN_CHANNELS], *(["..."] if len(names) > _SHOWN_CHANNELS else [])])
-        raise InstrumentError(
-            Message("handshake.channels", "{port} has unknown channels: {names}", port=port, names=shown)
-        )
+        raise InstrumentError("handshake.channels", "{port} has unknown channels: {names}", port=port, names=shown)
     gains, offsets = channels["gain"].astype(np.float64), channels["offset"].astype(np.float64)
     spans = {signal: _CODES * float(gain) for signal, gain in zip(SIGNALS, gains, strict=True)}
     if (problem := _problem(fields, spans, offsets)) is not None:
         raise InstrumentError(
-            Message(
-                "handshake.impossible",
-                "{port} reports an impossible value: {problem}. Update its firmware",
-                port=port,
-                problem=problem,
-            )
+            "handshake.impossible",
+            "{port} reports an impossible value: {problem}. Update its firmware",
+            port=port,
+            problem=problem,
         )
     properties = {key: fields[key] for key in DeviceDescription.__dataclass_fields__ if key in fields}
     properties |= {key: wire.text(fields[key]) for key in ("model", "serial_number", "firmware_version")}

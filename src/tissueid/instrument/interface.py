@@ -12,7 +12,6 @@ from numpy.typing import NDArray
 from tissueid.device import DeviceDescription
 from tissueid.errors import InstrumentError
 from tissueid.instrument.limits import Limits
-from tissueid.messages import Message
 from tissueid.wire import Flag
 
 
@@ -30,12 +29,10 @@ class Correction:
     def __post_init__(self) -> None:
         if not (0.5 < self.gain < 2.0 and np.isfinite(self.offset)):
             raise InstrumentError(
-                Message(
-                    "calibration.implausible_correction",
-                    "a channel cannot have a gain of {gain:g} and an offset of {offset:g}",
-                    gain=self.gain,
-                    offset=self.offset,
-                )
+                "calibration.implausible_correction",
+                "a channel cannot have a gain of {gain:g} and an offset of {offset:g}",
+                gain=self.gain,
+                offset=self.offset,
             )
 
 
@@ -62,9 +59,7 @@ def check_corrections(corrections: Corrections, channels: Sequence[str]) -> dict
     """
     for name in corrections:
         if name not in channels or name == "command":
-            raise InstrumentError(
-                Message("calibration.unknown_channel", "there is no channel {name} to correct", name=name)
-            )
+            raise InstrumentError("calibration.unknown_channel", "there is no channel {name} to correct", name=name)
     return dict(corrections)
 
 
@@ -75,39 +70,33 @@ def checked_descriptions(nominal: DeviceDescription, device: DeviceDescription) 
 
 def calibration_while_running() -> InstrumentError:
     """Return the error for a calibration applied while a test is armed or running."""
-    return InstrumentError(
-        Message("instrument.calibration_in_test", "a calibration can be applied between two tests only")
-    )
+    return InstrumentError("instrument.calibration_in_test", "a calibration can be applied between two tests only")
 
 
 def nothing_loaded() -> InstrumentError:
     """Return the error for set-points announced before a stimulus is loaded."""
-    return InstrumentError(
-        Message("instrument.nothing_loaded", "load the stimulus that comes before the set-points first")
-    )
+    return InstrumentError("instrument.nothing_loaded", "load the stimulus that comes before the set-points first")
 
 
 def not_armed() -> InstrumentError:
     """Return the error for a start without a loaded and armed stimulus."""
-    return InstrumentError(Message("instrument.not_armed", "load and arm the stimulus before starting"))
+    return InstrumentError("instrument.not_armed", "load and arm the stimulus before starting")
 
 
 def unexpected_set_points(first: int, end: int) -> InstrumentError:
     """Return the error for set-points that were not announced."""
     return InstrumentError(
-        Message(
-            "instrument.unexpected_set_points",
-            "set-points {first} to {end} were not announced: call follow and arm first",
-            first=first,
-            end=end,
-        )
+        "instrument.unexpected_set_points",
+        "set-points {first} to {end} were not announced: call follow and arm first",
+        first=first,
+        end=end,
     )
 
 
 def stage_while_running() -> InstrumentError:
     """Return the error for a stage movement while a test is armed or running."""
     return InstrumentError(
-        Message("instrument.stage_in_test", "the stage moves only while the coil is free: end the test first")
+        "instrument.stage_in_test", "the stage moves only while the coil is free: end the test first"
     )
 
 

@@ -12,7 +12,6 @@ from numpy.typing import NDArray
 
 from tissueid.device import DeviceDescription
 from tissueid.errors import LimitError
-from tissueid.messages import Message
 
 FORCE_MARGIN = 1.05
 """Ratio of the measured force that stops a test to its limit, so that noise does not stop a test at the limit."""
@@ -54,12 +53,10 @@ class Limits:
             gentle = name == "min_position_m" and self.max_force_n <= GENTLE_FORCE_N
             if not np.isfinite(value) or not (value >= -BEYOND_STROKE_M if gentle else value > 0):
                 raise LimitError(
-                    Message(
-                        "limit.not_positive",
-                        "the limit {name} must be a positive number, not {value:g}",
-                        name=name,
-                        value=value,
-                    )
+                    "limit.not_positive",
+                    "the limit {name} must be a positive number, not {value:g}",
+                    name=name,
+                    value=value,
                 )
         if self.max_force_n < LEAST_FORCE_N:
             raise LimitError(
@@ -70,7 +67,7 @@ class Limits:
                 value=self.max_force_n,
             )
         if self.min_position_m >= self.max_position_m:
-            raise LimitError(Message("limit.positions_reversed", "the lower position limit is above the upper one"))
+            raise LimitError("limit.positions_reversed", "the lower position limit is above the upper one")
 
 
 RESEARCH = Limits()
@@ -91,12 +88,10 @@ def check_stimulus(
     seconds = (command_v.size + following) / device.sample_rate_hz
     if seconds > limits.max_seconds:
         raise LimitError(
-            Message(
-                "limit.stimulus_time",
-                "the stimulus lasts {seconds:.1f} s in all, preload included; the limit is {limit:g} s",
-                seconds=seconds,
-                limit=limits.max_seconds,
-            )
+            "limit.stimulus_time",
+            "the stimulus lasts {seconds:.1f} s in all, preload included; the limit is {limit:g} s",
+            seconds=seconds,
+            limit=limits.max_seconds,
         )
     check_command(command_v, device, limits)
 
@@ -111,26 +106,22 @@ def check_command(command_v: NDArray[np.float64], device: DeviceDescription, lim
         LimitError: the voltage or force exceeds its limit.
     """
     if command_v.ndim != 1 or command_v.size == 0 or not np.all(np.isfinite(command_v)):
-        raise LimitError(Message("limit.command", "the stimulus must be a sequence of finite voltages"))
+        raise LimitError("limit.command", "the stimulus must be a sequence of finite voltages")
     volts = float(np.abs(command_v).max()) * device.amplifier_gain
     if volts > device.amplifier_limit_v:
         raise LimitError(
-            Message(
-                "limit.voltage",
-                "the stimulus needs {voltage:.1f} V; the amplifier gives {limit:g} V",
-                voltage=volts,
-                limit=device.amplifier_limit_v,
-            )
+            "limit.voltage",
+            "the stimulus needs {voltage:.1f} V; the amplifier gives {limit:g} V",
+            voltage=volts,
+            limit=device.amplifier_limit_v,
         )
     newtons = volts * device.force_constant_n_per_a / device.coil_resistance_ohm
     if newtons > limits.max_force_n:
         raise LimitError(
-            Message(
-                "limit.stimulus_force",
-                "the stimulus reaches {force:.1f} N; the limit is {limit:g} N",
-                force=newtons,
-                limit=limits.max_force_n,
-            )
+            "limit.stimulus_force",
+            "the stimulus reaches {force:.1f} N; the limit is {limit:g} N",
+            force=newtons,
+            limit=limits.max_force_n,
         )
 
 
@@ -144,24 +135,20 @@ def check_limits(limits: Limits, device: DeviceDescription) -> None:
     furthest = device.stroke_m + (BEYOND_STROKE_M if limits.max_force_n <= GENTLE_FORCE_N else 0.0)
     if limits.max_position_m > furthest:
         raise LimitError(
-            Message(
-                "limit.beyond_stroke",
-                "the limit max_position_m, {position:.1f} mm, is beyond the stroke of {stroke:g} mm",
-                position=1e3 * limits.max_position_m,
-                stroke=1e3 * device.stroke_m,
-            )
+            "limit.beyond_stroke",
+            "the limit max_position_m, {position:.1f} mm, is beyond the stroke of {stroke:g} mm",
+            position=1e3 * limits.max_position_m,
+            stroke=1e3 * device.stroke_m,
         )
 
 
 def coil_too_hot(temperature_c: float, limits: Limits) -> LimitError:
     """Return the error for a coil above its temperature limit."""
     return LimitError(
-        Message(
-            "limit.temperature",
-            "the coil is at {temperature:.0f} °C; the limit is {limit:g} °C: let it cool",
-            temperature=temperature_c,
-            limit=limits.max_temperature_c,
-        )
+        "limit.temperature",
+        "the coil is at {temperature:.0f} °C; the limit is {limit:g} °C: let it cool",
+        temperature=temperature_c,
+        limit=limits.max_temperature_c,
     )
 
 
@@ -183,23 +170,17 @@ def check_samples(
     force = float(np.abs(received("current")).max(initial=-np.inf)) * device.force_constant_n_per_a
     if force > limits.max_force_n * FORCE_MARGIN:
         raise LimitError(
-            Message(
-                "limit.force",
-                "the force reached {force:.1f} N; the limit is {limit:g} N",
-                force=force,
-                limit=limits.max_force_n,
-            )
+            "limit.force",
+            "the force reached {force:.1f} N; the limit is {limit:g} N",
+            force=force,
+            limit=limits.max_force_n,
         )
     positions = received("position")
     deep, shallow = float(positions.max(initial=-np.inf)), float(positions.min(initial=np.inf))
     if deep > limits.max_position_m or shallow < limits.min_position_m:
         position = deep if deep > limits.max_position_m else shallow
         raise LimitError(
-            Message(
-                "limit.position",
-                "the probe reached the end of its stroke, at {position:.1f} mm",
-                position=1e3 * position,
-            )
+            "limit.position", "the probe reached the end of its stroke, at {position:.1f} mm", position=1e3 * position
         )
     if (temperature := float(received("temperature").max(initial=-np.inf))) > limits.max_temperature_c:
         raise coil_too_hot(temperature, limits)
@@ -207,10 +188,8 @@ def check_samples(
         seconds = (int(samples["index"][-1]) - first_index) / device.sample_rate_hz
         if seconds > limits.max_seconds + 1.0:
             raise LimitError(
-                Message(
-                    "limit.time",
-                    "the test ran for {seconds:.1f} s; the limit is {limit:g} s",
-                    seconds=seconds,
-                    limit=limits.max_seconds,
-                )
+                "limit.time",
+                "the test ran for {seconds:.1f} s; the limit is {limit:g} s",
+                seconds=seconds,
+                limit=limits.max_seconds,
             )

@@ -11,7 +11,6 @@ from tissueid.device import DeviceDescription
 from tissueid.errors import InstrumentError, UnusableInputError
 from tissueid.instrument.interface import SAMPLE, SIGNALS, Correction, Gap, Observer, Run, not_armed
 from tissueid.instrument.limits import Limits
-from tissueid.messages import Message
 from tissueid.wire import Flag
 
 BLOCK = 20
@@ -37,9 +36,7 @@ class ReplayInstrument:
         self.setpoint_margin_s: float | None = None
         usable = {name: signals[name] for name in SIGNALS if name in signals}
         if not usable:
-            raise UnusableInputError(
-                Message("replay.no_signal", "the recording has no signal that an instrument delivers")
-            )
+            raise UnusableInputError("replay.no_signal", "the recording has no signal that an instrument delivers")
         length = next(iter(usable.values())).size
         self._samples = np.zeros(length, SAMPLE)
         self._samples["index"] = np.arange(length)
@@ -56,7 +53,7 @@ class ReplayInstrument:
         Raises:
             InstrumentError: always.
         """
-        raise InstrumentError(Message("replay.calibration", "a replay keeps the calibration of its recording"))
+        raise InstrumentError("replay.calibration", "a replay keeps the calibration of its recording")
 
     def load(self, command_v: NDArray[np.float64]) -> None:
         """Set the number of samples to play: those of the stimulus, at most those of the recording."""
@@ -69,7 +66,7 @@ class ReplayInstrument:
             InstrumentError: always.
         """
         raise InstrumentError(
-            Message("replay.feedback", "a replay plays a recording: it takes no stimulus that is made while it runs")
+            "replay.feedback", "a replay plays a recording: it takes no stimulus that is made while it runs"
         )
 
     def send(self, offset: int, command_v: NDArray[np.float64]) -> None:
@@ -78,7 +75,7 @@ class ReplayInstrument:
         Raises:
             InstrumentError: always.
         """
-        raise InstrumentError(Message("replay.set_points", "a replay plays a recording: it takes no set-points"))
+        raise InstrumentError("replay.set_points", "a replay plays a recording: it takes no set-points")
 
     def finish(self) -> int:
         """End the replay and return the number of samples delivered."""

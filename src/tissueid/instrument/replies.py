@@ -122,20 +122,15 @@ def refusal(kind: MessageType, result: int, detail: int) -> TissueIDError:
         )
     if result == Result.UNKNOWN and kind in (MessageType.FOLLOW, MessageType.SETPOINTS):
         return InstrumentError(
-            Message("firmware.no_feedback", "the instrument's firmware is too old for feedback stimuli: update it")
+            "firmware.no_feedback", "the instrument's firmware is too old for feedback stimuli: update it"
         )
     if result == Result.UNKNOWN and kind is MessageType.FINISH:
         return InstrumentError(
-            Message("firmware.no_finish", "the instrument's firmware is too old to end a test early: update it")
+            "firmware.no_finish", "the instrument's firmware is too old to end a test early: update it"
         )
     if result not in _REFUSALS:
         return InstrumentError(
-            Message(
-                "refused.other",
-                "the instrument refused {request}: it answered {result}",
-                result=result,
-                request=request,
-            )
+            "refused.other", "the instrument refused {request}: it answered {result}", result=result, request=request
         )
     message = Message(_REFUSALS[result].code, _REFUSALS[result].template, request=request)
     return LimitError(message) if result == Result.BEYOND_LIMITS else InstrumentError(message)

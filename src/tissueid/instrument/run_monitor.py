@@ -195,12 +195,10 @@ class RunMonitor:
         missing = run.end_index - max(run.first_index, self._received_to)
         self.fail(
             InstrumentError(
-                Message(
-                    "instrument.end_unseen",
-                    "the last {missing} samples of the test never arrived, and it is unknown whether they were played: "
-                    "check the cable, then measure again",
-                    missing=missing,
-                )
+                "instrument.end_unseen",
+                "the last {missing} samples of the test never arrived, and it is unknown whether they were played: "
+                "check the cable, then measure again",
+                missing=missing,
             )
         )
 

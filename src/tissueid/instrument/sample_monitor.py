@@ -189,12 +189,10 @@ class SampleMonitor:
         sensor = float(readings.mean())
         if not PLAUSIBLE_C[0] <= sensor <= PLAUSIBLE_C[1]:
             raise InstrumentError(
-                Message(
-                    "sensor.wrong_temperature",
-                    "the temperature sensor of the coil gives no usable reading ({temperature:.0f} °C): "
-                    "check its plug and cable",
-                    temperature=sensor,
-                )
+                "sensor.wrong_temperature",
+                "the temperature sensor of the coil gives no usable reading ({temperature:.0f} °C): "
+                "check its plug and cable",
+                temperature=sensor,
             )
         if (hottest := max(sensor, np.nan_to_num(self.winding_c, nan=sensor))) > limits.max_temperature_c:
             raise coil_too_hot(hottest, limits)
@@ -236,12 +234,10 @@ class SampleMonitor:
             raise InstrumentError(_NO_TEMPERATURE)
         if self.winding_c > limits.max_temperature_c:
             raise LimitError(
-                Message(
-                    "limit.winding_temperature",
-                    "the coil is at {temperature:.0f} °C by its current; the limit is {limit:g} °C: let it cool",
-                    temperature=self.winding_c,
-                    limit=limits.max_temperature_c,
-                )
+                "limit.winding_temperature",
+                "the coil is at {temperature:.0f} °C by its current; the limit is {limit:g} °C: let it cool",
+                temperature=self.winding_c,
+                limit=limits.max_temperature_c,
             )
         if run is not None:
             inside = samples["index"] >= run.first_index

@@ -17,7 +17,7 @@ from tissueid.instrument.host_played import BLOCK, HostPlayedInstrument
 from tissueid.instrument.interface import stage_while_running
 from tissueid.instrument.tissues import COMPRESSING_N, COMPRESSING_S, TISSUES, Effects, SimulatedTissue
 from tissueid.instrument.twin_file import TwinFile, device_of
-from tissueid.messages import Message, Verbatim, joined
+from tissueid.messages import Verbatim, joined
 from tissueid.twin.catalogue import effect
 from tissueid.twin.chain_parameters import Instrument
 from tissueid.twin.player import Player
@@ -68,15 +68,13 @@ class SimulatedInstrument(HostPlayedInstrument):
     ) -> None:
         if isinstance(tissue, str) and tissue not in TISSUES:
             raise UnusableInputError(
-                Message(
-                    "simulation.unknown_tissue",
-                    "no simulated tissue {name}; available: {known}",
-                    name=Verbatim(clean(tissue)[:_SHOWN]),
-                    known=joined(map(Verbatim, TISSUES)),
-                )
+                "simulation.unknown_tissue",
+                "no simulated tissue {name}; available: {known}",
+                name=Verbatim(clean(tissue)[:_SHOWN]),
+                known=joined(map(Verbatim, TISSUES)),
             )
         if isinstance(tissue, TwinFile) and (subject is not None or variation is not None):
-            raise UnusableInputError(Message("simulation.twin_varies", "a twin has no subject and no variation"))
+            raise UnusableInputError("simulation.twin_varies", "a twin has no subject and no variation")
         self._random = np.random.default_rng(seed)
         self._varying: SimulatedTissue | None = None
         self._compressing = variation is not None
@@ -171,12 +169,10 @@ class SimulatedInstrument(HostPlayedInstrument):
         stroke = self.device.stroke_m
         if position_m is not None and not 0.0 <= position_m <= stroke:
             raise InstrumentError(
-                Message(
-                    "instrument.stage_range",
-                    "the stage cannot move to {position:g} mm: positions are 0 to {stroke:g} mm",
-                    position=1e3 * position_m,
-                    stroke=1e3 * stroke,
-                )
+                "instrument.stage_range",
+                "the stage cannot move to {position:g} mm: positions are 0 to {stroke:g} mm",
+                position=1e3 * position_m,
+                stroke=1e3 * stroke,
             )
         self._placed_m = _OUT_OF_REACH_M if position_m is None else position_m
         self._pressed = 0

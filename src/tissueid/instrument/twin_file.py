@@ -210,12 +210,10 @@ def content_of(twin: NamedTwin, source: Source, created: str, software: str) -> 
     """
     if len(twin.acting) > MOST_NAMED:
         raise UnusableInputError(
-            Message(
-                "twin.too_many_effects",
-                "a twin can have at most {most} effects, not {count}",
-                most=MOST_NAMED,
-                count=len(twin.acting),
-            )
+            "twin.too_many_effects",
+            "a twin can have at most {most} effects, not {count}",
+            most=MOST_NAMED,
+            count=len(twin.acting),
         )
     effects = tuple(
         EffectPart(
@@ -254,33 +252,27 @@ def read_twin(path: Path) -> TwinFile:
         UnusableInputError: the file cannot be read, is too large, is not a twin, or has an invalid field.
     """
     if path.exists() and not path.is_file():
-        raise UnusableInputError(Message("twin.no_file", "{path} is not a file", path=str(path)))
+        raise UnusableInputError("twin.no_file", "{path} is not a file", path=str(path))
     try:
         with path.open("rb") as file:
             data = file.read(MOST_BYTES + 1)
     except (OSError, ValueError) as error:
         reason = getattr(error, "strerror", None) or str(error)
-        raise UnusableInputError(
-            Message("twin.unreadable", "cannot read {path}: {why}", path=str(path), why=reason)
-        ) from error
+        raise UnusableInputError("twin.unreadable", "cannot read {path}: {why}", path=str(path), why=reason) from error
     if len(data) > MOST_BYTES:
         raise UnusableInputError(
-            Message(
-                "twin.too_large",
-                "{path} is too large for a twin: at most {most} KiB",
-                path=str(path),
-                most=MOST_BYTES // 1024,
-            )
+            "twin.too_large",
+            "{path} is too large for a twin: at most {most} KiB",
+            path=str(path),
+            most=MOST_BYTES // 1024,
         )
     try:
         content = toml_table(data)
     except ValueError as error:
-        raise UnusableInputError(
-            Message("twin.no_toml", "{path} is not a twin: it is not TOML", path=str(path))
-        ) from error
+        raise UnusableInputError("twin.no_toml", "{path} is not a twin: it is not TOML", path=str(path)) from error
     if content.get("format") != FORMAT:
         raise UnusableInputError(
-            Message("twin.format", "{path} is not a twin: its format is not {format}", path=str(path), format=FORMAT)
+            "twin.format", "{path} is not a twin: its format is not {format}", path=str(path), format=FORMAT
         )
     try:
         return TwinFile.model_validate(content)
@@ -288,13 +280,11 @@ def read_twin(path: Path) -> TwinFile:
         first = error.errors(include_url=False, include_input=False)[0]
         where = ".".join(str(part) for part in first["loc"]) or "content"
         raise UnusableInputError(
-            Message(
-                "twin.field",
-                "{path}: the field {field} is invalid: {why}",
-                path=str(path),
-                field=where[:100],
-                why=validation_reason(error),
-            )
+            "twin.field",
+            "{path}: the field {field} is invalid: {why}",
+            path=str(path),
+            field=where[:100],
+            why=validation_reason(error),
         ) from error
 
 
@@ -306,12 +296,10 @@ def check_twin_name(name: str) -> None:
     """
     if re.fullmatch(_NAME, name) is None:
         raise UnusableInputError(
-            Message(
-                "twin.name",
-                "the name of a twin (that of its file, unless another is given) must begin with a letter or digit and "
-                "have only letters of the English alphabet, digits, blanks, dots, dashes and underscores, not {name}",
-                name=Verbatim(f"“{clean(name)[:40]}”"),
-            )
+            "twin.name",
+            "the name of a twin (that of its file, unless another is given) must begin with a letter or digit and "
+            "have only letters of the English alphabet, digits, blanks, dots, dashes and underscores, not {name}",
+            name=Verbatim(f"“{clean(name)[:40]}”"),
         )
 
 
@@ -322,28 +310,19 @@ def check_twin_writable(path: Path) -> None:
         UnusableInputError: a folder, a missing folder, another suffix, or an existing file that is not a twin.
     """
     if path.is_dir():
-        raise UnusableInputError(Message("twin.folder", "{path} is a folder; name a file", path=str(path)))
+        raise UnusableInputError("twin.folder", "{path} is a folder; name a file", path=str(path))
     if path.suffix != SUFFIX:
         raise UnusableInputError(
-            Message(
-                "twin.suffix",
-                "the name of a twin file must end in {suffix}: {name}",
-                suffix=SUFFIX,
-                name=path.name,
-            )
+            "twin.suffix", "the name of a twin file must end in {suffix}: {name}", suffix=SUFFIX, name=path.name
         )
     if not path.parent.is_dir():
-        raise UnusableInputError(Message("file.no_folder", "there is no folder {folder}", folder=str(path.parent)))
+        raise UnusableInputError("file.no_folder", "there is no folder {folder}", folder=str(path.parent))
     if path.exists():
         try:
             read_twin(path)
         except UnusableInputError:
             raise UnusableInputError(
-                Message(
-                    "twin.exists",
-                    "{path} exists already and is not a twin; it is not overwritten",
-                    path=str(path),
-                )
+                "twin.exists", "{path} exists already and is not a twin; it is not overwritten", path=str(path)
             ) from None
 
 
@@ -359,7 +338,7 @@ def write_twin(path: Path, content: TwinFile) -> None:
             partial.write_text(tomli_w.dumps(content.model_dump(mode="python", exclude_none=True)), encoding="utf-8")
     except OSError as error:
         raise UnusableInputError(
-            Message("file.unwritable", "cannot write {path}: {why}", path=str(path), why=str(error.strerror))
+            "file.unwritable", "cannot write {path}: {why}", path=str(path), why=str(error.strerror)
         ) from error
 
 

@@ -9,7 +9,6 @@ from tissueid.errors import UnusableInputError
 from tissueid.gap import executor
 from tissueid.gap.accepting import NamedEffects, accept_named
 from tissueid.instrument.twin_file import TwinFile, check_twin_name, check_twin_writable, read_twin, write_twin
-from tissueid.messages import Message
 from tissueid.procedures.audit_notes import audit_note
 from tissueid.procedures.control import Control
 from tissueid.procedures.diagnosis import SearchDisplay
@@ -48,7 +47,7 @@ def accept_effects(
     if named is not None and set(plan.effects or named.effects) == set(named.effects):
         content = named.twin_called(name)
     elif not plan.effects:
-        raise UnusableInputError(Message("gap.accept_none", "There is nothing to accept: no effect is chosen."))
+        raise UnusableInputError("gap.accept_none", "There is nothing to accept: no effect is chosen.")
     else:
         fitted = functools.partial(_fitted, plan, name, baseline)
         content = run_in_process(fitted, control) if separate_process else fitted(control)

@@ -102,7 +102,7 @@ def _head_of(path: Path) -> str:
         conditions = toml_table(raw).get("conditions", {})
     except ValueError as error:
         raise UnusableInputError(
-            Message("audit.no_calibration", "{path} is not a calibration of this software", path=str(path))
+            "audit.no_calibration", "{path} is not a calibration of this software", path=str(path)
         ) from error
     return str(conditions.get(HEAD_ATTRIBUTE, "")) if isinstance(conditions, dict) else ""
 
@@ -119,17 +119,13 @@ def _readable(path: Path) -> Iterator[None]:
     except FileNotFoundError as error:
         if (newest := read_newest(path)) is not None:
             raise UnusableInputError(
-                Message(
-                    "audit.log_removed",
-                    "the audit log {path} was removed or moved; its newest line had number {number}",
-                    path=str(path),
-                    number=newest[0],
-                )
+                "audit.log_removed",
+                "the audit log {path} was removed or moved; its newest line had number {number}",
+                path=str(path),
+                number=newest[0],
             ) from error
         raise UnusableInputError(
-            Message(
-                "audit.no_log",
-                "there is no audit log {path}: nothing has been logged yet, or the log was moved",
-                path=str(path),
-            )
+            "audit.no_log",
+            "there is no audit log {path}: nothing has been logged yet, or the log was moved",
+            path=str(path),
         ) from error

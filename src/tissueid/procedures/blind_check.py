@@ -110,7 +110,7 @@ def run_blind_check(
     check_output(plan.page, HTML)
     if plan.resume and plan.keep is None:
         raise UnusableInputError(
-            Message("blind.no_folder", "--resume needs the folder of the interrupted check: add --keep DIR")
+            "blind.no_folder", "--resume needs the folder of the interrupted check: add --keep DIR"
         )
     if plan.against_twin and (plan.laboratory is LaboratoryName.SECOND or plan.take_out):
         raise _not_with("--against-twin", "--take-out" if plan.take_out else "--laboratory second")
@@ -127,12 +127,10 @@ def run_blind_check(
 
 def _not_with(kind: str, option: str) -> UnusableInputError:
     return UnusableInputError(
-        Message(
-            "blind.skin_alone",
-            "{kind} cannot be combined with {option}: omit one of the two",
-            kind=Verbatim(kind),
-            option=option,
-        )
+        "blind.skin_alone",
+        "{kind} cannot be combined with {option}: omit one of the two",
+        kind=Verbatim(kind),
+        option=option,
     )
 
 
@@ -175,24 +173,20 @@ def _begin(plan: BlindCheckPlan, folder: Path) -> CheckInProgress:
     ):
         if asked is not None and asked != held:
             raise UnusableInputError(
-                Message(
-                    "blind.other_option",
-                    "the check in {folder} was begun with {option} {held:g}, not {asked:g}",
-                    folder=str(folder),
-                    option=name,
-                    held=held,
-                    asked=asked,
-                )
+                "blind.other_option",
+                "the check in {folder} was begun with {option} {held:g}, not {asked:g}",
+                folder=str(folder),
+                option=name,
+                held=held,
+                asked=asked,
             )
     if plan.laboratory is not None and plan.laboratory != begun.laboratory:
         raise UnusableInputError(
-            Message(
-                "blind.other_laboratory",
-                "the check in {folder} was begun with --laboratory {held}, not {asked}",
-                folder=str(folder),
-                held=begun.laboratory,
-                asked=plan.laboratory.value,
-            )
+            "blind.other_laboratory",
+            "the check in {folder} was begun with --laboratory {held}, not {asked}",
+            folder=str(folder),
+            held=begun.laboratory,
+            asked=plan.laboratory.value,
         )
     for option, asked_for, has in (
         ("--skin", plan.skin, begun.skin),
@@ -200,12 +194,10 @@ def _begin(plan: BlindCheckPlan, folder: Path) -> CheckInProgress:
     ):
         if asked_for and not has:
             raise UnusableInputError(
-                Message(
-                    "blind.not_begun_so",
-                    "the check in {folder} was begun without {option}: omit it",
-                    folder=str(folder),
-                    option=Verbatim(option),
-                )
+                "blind.not_begun_so",
+                "the check in {folder} was begun without {option}: omit it",
+                folder=str(folder),
+                option=Verbatim(option),
             )
     if plan.take_out and begun.skin:
         raise _not_with("--skin", "--take-out")
@@ -217,9 +209,7 @@ def _check_seal(folder: Path, begun: CheckInProgress) -> None:
     from tissueid.gap.scenarios import seal
 
     if seal(folder) != begun.seal:
-        raise UnusableInputError(
-            Message("blind.altered", "the labels were altered while sealed: the check is not scored")
-        )
+        raise UnusableInputError("blind.altered", "the labels were altered while sealed: the check is not scored")
 
 
 def _checked(
@@ -239,11 +229,9 @@ def _checked(
         labels = unseal(folder)
         if labels.keys() != set(names):
             raise UnusableInputError(
-                Message(
-                    "blind.other_labels",
-                    "the scenarios in {folder} do not match its labels: the check is not scored",
-                    folder=str(folder),
-                )
+                "blind.other_labels",
+                "the scenarios in {folder} do not match its labels: the check is not scored",
+                folder=str(folder),
             )
         cases = with_labels(found, labels)
         again: list[Answered] = []
@@ -311,12 +299,12 @@ def record_scenarios(
         done = run(*command, capture_output=True, text=True, timeout=MOST_SECONDS, check=False)
     except (OSError, subprocess.TimeoutExpired) as error:
         raise UnusableInputError(
-            Message("blind.no_laboratory", "the simulated laboratory cannot be run: {why}", why=Verbatim(error))
+            "blind.no_laboratory", "the simulated laboratory cannot be run: {why}", why=Verbatim(error)
         ) from error
     if done.returncode != 0:
         last = (done.stderr.strip().splitlines() or ["no reason given"])[-1]
         raise UnusableInputError(
-            Message("blind.laboratory_failed", "the simulated laboratory failed: {why}", why=Verbatim(last))
+            "blind.laboratory_failed", "the simulated laboratory failed: {why}", why=Verbatim(last)
         )
 
 

@@ -14,7 +14,6 @@ from tissueid.calibration.labels import notes_of
 from tissueid.calibration.store import create_calibration_folder, free_name
 from tissueid.device import DeviceDescription
 from tissueid.errors import UnusableInputError
-from tissueid.messages import Message
 from tissueid.procedures.audit_notes import audit_note
 from tissueid.procedures.calibration_plans import CalibrationPlan
 from tissueid.procedures.control import Control
@@ -61,11 +60,9 @@ def check_files(plan: CalibrationPlan) -> None:
         check_writable(plan.out)
         if plan.out.exists() and not plan.overwrite:
             raise UnusableInputError(
-                Message(
-                    "calibration.exists",
-                    "{path} already contains a calibration: choose another file name, or replace it by --overwrite",
-                    path=str(plan.out),
-                )
+                "calibration.exists",
+                "{path} already contains a calibration: choose another file name, or replace it by --overwrite",
+                path=str(plan.out),
             )
     check_output(plan.report, HTML)
     if not plan.overwrite:

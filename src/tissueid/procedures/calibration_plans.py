@@ -8,7 +8,6 @@ from typing import TYPE_CHECKING, Annotated, ClassVar, Literal
 from pydantic import Field
 
 from tissueid.errors import UnusableInputError
-from tissueid.messages import Message
 from tissueid.procedures.plan_options import Option, Plan
 
 if TYPE_CHECKING:
@@ -114,10 +113,8 @@ class StaticCalibrationPlan(CalibrationPlan):
 
         if self.in_place and (self.weights_kg or self.gauges_m or self.orientations > 1):
             raise UnusableInputError(
-                Message(
-                    "calibration.in_place",
-                    "--in-place runs without a person: leave out --weight, --gauge and --orientations",
-                )
+                "calibration.in_place",
+                "--in-place runs without a person: leave out --weight, --gauge and --orientations",
             )
         return StaticPlan(
             steps=self.steps or STEPS,
@@ -187,10 +184,6 @@ class DynamicSweepPlan(CalibrationPlan):
         spring.check()
         if not 0.0 <= self.spring_kg <= _MOST_SPRING_KG:
             raise UnusableInputError(
-                Message(
-                    "sweep.spring_mass",
-                    "the mass of the spring must be 0 to {limit:g} g",
-                    limit=1e3 * _MOST_SPRING_KG,
-                )
+                "sweep.spring_mass", "the mass of the spring must be 0 to {limit:g} g", limit=1e3 * _MOST_SPRING_KG
             )
         return spring

@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 from tissueid.errors import UnusableInputError
 from tissueid.language import marked
-from tissueid.messages import Message, Verbatim
+from tissueid.messages import Verbatim
 from tissueid.procedures.cluster import ClusterPlan, plan_executor
 from tissueid.procedures.control import Control, CountedProgress
 from tissueid.procedures.identification import FitPlan
@@ -174,12 +174,10 @@ def _by_engine(options: Sequence[str]) -> dict[str, dict[str, Any]]:
         engine, dot, option = name.partition(".")
         if not dot or not option:
             raise UnusableInputError(
-                Message(
-                    "option.pair",
-                    "an option must be {form}, got {text}",
-                    form="ENGINE.NAME=VALUE",
-                    text=Verbatim(repr(name)),
-                )
+                "option.pair",
+                "an option must be {form}, got {text}",
+                form="ENGINE.NAME=VALUE",
+                text=Verbatim(repr(name)),
             )
         found.setdefault(engine, {})[option] = value
     return found
@@ -195,7 +193,7 @@ def check_figures(folder: Path | None) -> None:
         return
     if folder.exists() and not folder.is_dir():
         raise UnusableInputError(
-            Message("file.not_a_folder", "{path} is a file; name a folder for the figures", path=str(folder))
+            "file.not_a_folder", "{path} is a file; name a folder for the figures", path=str(folder)
         )
     _check_writable(folder if folder.is_dir() else folder.parent)
 
@@ -207,9 +205,7 @@ def _check_writable(folder: Path | None) -> None:
         UnusableInputError: the folder exists and is not writable.
     """
     if folder is not None and folder.is_dir() and not os.access(folder, os.W_OK):
-        raise UnusableInputError(
-            Message("file.folder_unwritable", "the folder {folder} is not writable", folder=str(folder))
-        )
+        raise UnusableInputError("file.folder_unwritable", "the folder {folder} is not writable", folder=str(folder))
 
 
 def _draw(compared: ComparedTests, page: Path | None, figures: Path | None, control: Control) -> tuple[Path, ...]:

@@ -130,22 +130,18 @@ def run_conformance(
 
     if plan.attached is None:
         raise UnusableInputError(
-            Message(
-                "conformance.unconfirmed",
-                "nothing was sent: the test moves the coil. Attach a coil dummy or leave the coil free, no person near "
-                "it, and confirm with {option} coil-dummy or {option} free-coil",
-                option=Verbatim("--confirm"),
-            )
+            "conformance.unconfirmed",
+            "nothing was sent: the test moves the coil. Attach a coil dummy or leave the coil free, no person near "
+            "it, and confirm with {option} coil-dummy or {option} free-coil",
+            option=Verbatim("--confirm"),
         )
     for identity in plan.clauses:
         if identity not in CLAUSES:
             raise UnusableInputError(
-                Message(
-                    "conformance.unknown_clause",
-                    "there is no clause {name}; there are: {known}",
-                    name=Verbatim(repr(identity)),
-                    known=Verbatim(", ".join(item.id for item in in_order())),
-                )
+                "conformance.unknown_clause",
+                "there is no clause {name}; there are: {known}",
+                name=Verbatim(repr(identity)),
+                known=Verbatim(", ".join(item.id for item in in_order())),
             )
     check_output(plan.out, HTML)
 

@@ -118,17 +118,15 @@ def _check_target(out: Path) -> None:
         UnusableInputError: the folder contains other results.
     """
     if out.exists() and not out.is_dir():
-        raise UnusableInputError(Message("demo.no_folder", "{path} is not a folder", path=str(out)))
+        raise UnusableInputError("demo.no_folder", "{path} is not a folder", path=str(out))
     private_folder(out)
     if not any((out / name).exists() for name in OUTPUTS):
         return
     if stored_values(out / OUTPUTS[1]).get("made_by") != "tissueid demo":
         raise UnusableInputError(
-            Message(
-                "demo.other_results",
-                "{folder} contains results that are not of a demo; choose another folder",
-                folder=str(out),
-            )
+            "demo.other_results",
+            "{folder} contains results that are not of a demo; choose another folder",
+            folder=str(out),
         )
 
 

@@ -123,14 +123,12 @@ def run_benchmark(benchmark: FieldBenchmark, path: Path, control: Control) -> Re
     record = found.test.record()
     if len(record) != benchmark.samples:
         raise UnusableInputError(
-            Message(
-                "reproduce.other_record",
-                "{path} has {count} samples, but the record {name} has {expected}: name the file of the benchmark",
-                path=str(path),
-                count=len(record),
-                name=benchmark.number,
-                expected=benchmark.samples,
-            )
+            "reproduce.other_record",
+            "{path} has {count} samples, but the record {name} has {expected}: name the file of the benchmark",
+            path=str(path),
+            count=len(record),
+            name=benchmark.number,
+            expected=benchmark.samples,
         )
     begin = time.perf_counter()
     rows = []

@@ -27,7 +27,7 @@ from tissueid.gap.twin_export import against_twin
 from tissueid.gap.workers import SerialExecutor
 from tissueid.instrument.twin_file import TwinFile, read_twin
 from tissueid.language import marked
-from tissueid.messages import Message, Verbatim
+from tissueid.messages import Verbatim
 from tissueid.procedures.cluster import plan_executor
 from tissueid.procedures.control import Control, CountedProgress
 from tissueid.procedures.gap_plans import FolderPlan, WatchPlan
@@ -69,13 +69,11 @@ def watch_folder(plan: WatchPlan, control: Control) -> WatchedFolder:
     entries = [_entry(path, answer) for path, answer in answers.items()]
     if all(entry.answer is None for entry in entries):
         raise UnusableInputError(
-            Message(
-                "gap.nothing_watched",
-                "no session of {folder} can be compared with the twin; {file}: {reason}",
-                folder=str(plan.folder),
-                file=Verbatim(entries[0].file),
-                reason=entries[0].reason,
-            )
+            "gap.nothing_watched",
+            "no session of {folder} can be compared with the twin; {file}: {reason}",
+            folder=str(plan.folder),
+            file=Verbatim(entries[0].file),
+            reason=entries[0].reason,
         )
     watched = WatchedFolder(plan, twin, GapHistory.of(entries))
     if plan.report is not None:

@@ -9,7 +9,7 @@ from typing import Annotated
 from pydantic import Field
 
 from tissueid.errors import UnusableInputError
-from tissueid.messages import Message, Verbatim
+from tissueid.messages import Verbatim
 from tissueid.procedures.cluster import ClusterPlan
 from tissueid.procedures.plan_options import Option, Plan
 
@@ -24,12 +24,10 @@ def read_test_number(option: str, text: str) -> int:
         return int(text)
     except ValueError:
         raise UnusableInputError(
-            Message(
-                "gap.test_numbers",
-                "{option} must be test numbers separated by commas, got {text}",
-                option=option,
-                text=Verbatim(repr(text[:40])),
-            )
+            "gap.test_numbers",
+            "{option} must be test numbers separated by commas, got {text}",
+            option=option,
+            text=Verbatim(repr(text[:40])),
         ) from None
 
 

@@ -7,7 +7,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
 from tissueid.errors import UnusableInputError
-from tissueid.messages import Message, Verbatim, joined
+from tissueid.messages import Verbatim, joined
 from tissueid.procedures.control import Control
 from tissueid.procedures.plan_options import Option, Plan, parse_options
 
@@ -108,18 +108,12 @@ def run_identification(plan: IdentificationPlan, control: Control) -> Identified
 
     if plan.engine is None:
         raise UnusableInputError(
-            Message(
-                "identify.no_engine",
-                "--engine is required: one of {names}",
-                names=joined(map(Verbatim, engine_names())),
-            )
+            "identify.no_engine", "--engine is required: one of {names}", names=joined(map(Verbatim, engine_names()))
         )
     options = parse_options(plan.options)
     if plan.memory_s is not None:
         if "memory" in options:
-            raise UnusableInputError(
-                Message("identify.memory_twice", "the memory is given twice, by --memory and by --option")
-            )
+            raise UnusableInputError("identify.memory_twice", "the memory is given twice, by --memory and by --option")
         options["memory"] = plan.memory_s
     session = read_session(plan.session)
     control.check()

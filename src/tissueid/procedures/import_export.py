@@ -110,46 +110,38 @@ class ImportPlan(Plan):
             for word in words:
                 if word not in known:
                     raise UnusableInputError(
-                        Message(
-                            "import.unknown",
-                            "'{word}' is not known: choose one of {known}",
-                            word=Verbatim(word),
-                            known=Verbatim(", ".join(known)),
-                        )
+                        "import.unknown",
+                        "'{word}' is not known: choose one of {known}",
+                        word=Verbatim(word),
+                        known=Verbatim(", ".join(known)),
                     )
         check_subject(self.subject or "", confirmed=self.pseudonym_confirmed)
         for text in (*self.sites, *self.instrument, self.subject or ""):
             if not text.isprintable():
                 shown = "".join(mark if mark.isprintable() else "�" for mark in text)
                 raise UnusableInputError(
-                    Message(
-                        "import.not_printable",
-                        "'{text}' contains characters that cannot be printed",
-                        text=Verbatim(shown),
-                    )
+                    "import.not_printable", "'{text}' contains characters that cannot be printed", text=Verbatim(shown)
                 )
         for seconds in self.preloads_s:
             if not 0.0 <= seconds < math.inf:
                 raise UnusableInputError(
-                    Message("import.preload", "the preload must be 0 s or more, got {seconds:g}", seconds=seconds)
+                    "import.preload", "the preload must be 0 s or more, got {seconds:g}", seconds=seconds
                 )
         for metres in self.surfaces_m:
             if not math.isfinite(metres):
                 raise UnusableInputError(
-                    Message("import.surface", "the surface must be a position in m, got {metres:g}", metres=metres)
+                    "import.surface", "the surface must be a position in m, got {metres:g}", metres=metres
                 )
         rates_hz = {marked("the sample rate"): self.rate_hz, marked("the rate of resampling"): self.resample_hz}
         for what, rate_hz in rates_hz.items():
             if rate_hz is not None and not _RATES_HZ[0] <= rate_hz <= _RATES_HZ[1]:
                 raise UnusableInputError(
-                    Message(
-                        "import.rate_range",
-                        "{what} must be between {least:g} and {most:g} Hz, got {rate:g} Hz",
-                        what=what,
-                        least=_RATES_HZ[0],
-                        most=_RATES_HZ[1],
-                        rate=rate_hz,
-                    )
+                    "import.rate_range",
+                    "{what} must be between {least:g} and {most:g} Hz, got {rate:g} Hz",
+                    what=what,
+                    least=_RATES_HZ[0],
+                    most=_RATES_HZ[1],
+                    rate=rate_hz,
                 )
         columns = (
             self._each("--kind", self.kinds),
@@ -164,13 +156,11 @@ class ImportPlan(Plan):
         tests = len(self.files)
         if len(values) not in (0, 1, tests):
             raise UnusableInputError(
-                Message(
-                    "import.count",
-                    "{option} is given {count} times: give it once, or once for each of the {tests} tests",
-                    option=Verbatim(option),
-                    count=len(values),
-                    tests=tests,
-                )
+                "import.count",
+                "{option} is given {count} times: give it once, or once for each of the {tests} tests",
+                option=Verbatim(option),
+                count=len(values),
+                tests=tests,
             )
         return [None] * tests if not values else [values[k if len(values) > 1 else 0] for k in range(tests)]
 

@@ -9,7 +9,6 @@ from typing import TYPE_CHECKING, Any
 
 from tissueid.atomic_write import atomic_file, open_regular
 from tissueid.errors import UnusableInputError
-from tissueid.messages import Message
 from tissueid.untrusted_input import json_value
 
 if TYPE_CHECKING:
@@ -34,20 +33,18 @@ def check_output(target: Path | None, begins: tuple[str | bytes, ...]) -> None:
     if target is None or str(target) == "-":
         return
     if target.is_dir():
-        raise UnusableInputError(Message("file.is_folder", "{path} is a folder; name a file", path=str(target)))
+        raise UnusableInputError("file.is_folder", "{path} is a folder; name a file", path=str(target))
     if not target.parent.is_dir():
-        raise UnusableInputError(Message("file.no_folder", "there is no folder {folder}", folder=str(target.parent)))
+        raise UnusableInputError("file.no_folder", "there is no folder {folder}", folder=str(target.parent))
     if target.exists():
         with open_regular(target) as file:
             head = file.read(512).lstrip()
         known = tuple(text.encode() if isinstance(text, str) else text for text in begins)
         if head and not head.startswith(known):
             raise UnusableInputError(
-                Message(
-                    "file.other_content",
-                    "{path} already exists and has other content; it is not overwritten",
-                    path=str(target),
-                )
+                "file.other_content",
+                "{path} already exists and has other content; it is not overwritten",
+                path=str(target),
             )
 
 
@@ -65,11 +62,9 @@ def check_report(target: Path | None, session: Session) -> None:
         if session.session_id and session.session_id.encode() in file.read(_LARGEST_REPORT):
             return
     raise UnusableInputError(
-        Message(
-            "file.other_report",
-            "{path} already exists and is not a report of this session: choose another file name",
-            path=str(target),
-        )
+        "file.other_report",
+        "{path} already exists and is not a report of this session: choose another file name",
+        path=str(target),
     )
 
 
@@ -81,9 +76,7 @@ def check_new(target: Path | None) -> None:
     """
     if target is not None and target.is_file() and target.stat().st_size > 0:
         raise UnusableInputError(
-            Message(
-                "file.exists", "{path} already exists: choose another file name, or move the file", path=str(target)
-            )
+            "file.exists", "{path} already exists: choose another file name, or move the file", path=str(target)
         )
 
 
@@ -106,7 +99,7 @@ def check_different(*targets: Path | None) -> None:
     named = [target.resolve() for target in targets if target is not None and str(target) != "-"]
     if twice := [target for number, target in enumerate(named) if target in named[:number]]:
         raise UnusableInputError(
-            Message("file.twice", "{path} is named for two outputs: each needs its own file", path=str(twice[0]))
+            "file.twice", "{path} is named for two outputs: each needs its own file", path=str(twice[0])
         )
 
 
@@ -144,5 +137,5 @@ def write_text(target: Path, text: str) -> None:
 def unwritable(target: Path, error: OSError) -> UnusableInputError:
     """Return the error of a file that cannot be written."""
     return UnusableInputError(
-        Message("file.unwritable", "cannot write {path}: {why}", path=str(target), why=str(error.strerror or error))
+        "file.unwritable", "cannot write {path}: {why}", path=str(target), why=str(error.strerror or error)
     )

@@ -192,15 +192,13 @@ def named_fits(engines: Sequence[str] | None, fits: Sequence[str]) -> list[Named
     labels = [fit.label for fit in found]
     if twice := [label for label in labels if labels.count(label) > 1]:
         raise UnusableInputError(
-            Message("overlay.fit_twice", "two fits are called '{name}': give each a LABEL=", name=Verbatim(twice[0]))
+            "overlay.fit_twice", "two fits are called '{name}': give each a LABEL=", name=Verbatim(twice[0])
         )
     if not found:
         raise UnusableInputError(
-            Message(
-                "overlay.no_fit",
-                "--engines or --fit is required, with engines among {names}",
-                names=joined(map(Verbatim, engine_names())),
-            )
+            "overlay.no_fit",
+            "--engines or --fit is required, with engines among {names}",
+            names=joined(map(Verbatim, engine_names())),
         )
     return found
 
@@ -244,9 +242,7 @@ def read_sources(texts: Sequence[str], *, every: bool = False) -> list[TestSourc
                 site = (session.test(numbers[0]).site or path.stem)[:_LONGEST_LABEL]
                 found.append(TestSource(label or site, session, numbers, fits))
         if len(found) > _MOST_SOURCES:
-            raise UnusableInputError(
-                Message("overlay.too_many", "more than {most} tests are given", most=_MOST_SOURCES)
-            )
+            raise UnusableInputError("overlay.too_many", "more than {most} tests are given", most=_MOST_SOURCES)
     return found
 
 
@@ -269,12 +265,10 @@ def _source_parts(text: str) -> tuple[str, Path, str, tuple[str, ...]]:
     matched = _SOURCE.fullmatch(rest)
     if matched is None:
         raise UnusableInputError(
-            Message(
-                "overlay.source",
-                "a source must be {form}, got {text}",
-                form="[LABEL=]SESSION[:TESTS][@FITS]",
-                text=Verbatim(repr(text)),
-            )
+            "overlay.source",
+            "a source must be {form}, got {text}",
+            form="[LABEL=]SESSION[:TESTS][@FITS]",
+            text=Verbatim(repr(text)),
         )
     if Path(rest).exists():
         return label.strip(), Path(rest), "", ()
@@ -304,9 +298,7 @@ def _sweep(text: str | None) -> tuple[str, tuple[float, ...]]:
     given = values if isinstance(values, list) else [values]
     if not given or not all(isinstance(value, int | float) and not isinstance(value, bool) for value in given):
         raise UnusableInputError(
-            Message(
-                "overlay.sweep", "a sweep must be {form}, got {text}", form="NAME=V,V,...", text=Verbatim(repr(text))
-            )
+            "overlay.sweep", "a sweep must be {form}, got {text}", form="NAME=V,V,...", text=Verbatim(repr(text))
         )
     return name, tuple(value for value in given)
 
@@ -325,11 +317,7 @@ def sweep_columns(path: Path) -> dict[str, np.ndarray]:
     columns = calibration.tables.get("sweep", {})
     if calibration.kind != "sweep" or not columns.get("position_m"):
         raise UnusableInputError(
-            Message(
-                "report.not_a_sweep",
-                "this is not a dynamic sweep but a calibration of kind {kind}",
-                kind=calibration.kind,
-            )
+            "report.not_a_sweep", "this is not a dynamic sweep but a calibration of kind {kind}", kind=calibration.kind
         )
     return {name: np.array(values) for name, values in columns.items()}
 

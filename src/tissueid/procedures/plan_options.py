@@ -20,7 +20,7 @@ from pydantic import BaseModel, ConfigDict, ValidationError
 from pydantic.fields import FieldInfo
 
 from tissueid.errors import UnusableInputError
-from tissueid.messages import Message, Verbatim
+from tissueid.messages import Verbatim
 from tissueid.option_errors import option_error
 
 
@@ -105,7 +105,7 @@ def name_and_value(text: str) -> tuple[str, Any]:
     name, equals, value = text.partition("=")
     if not equals or not name:
         raise UnusableInputError(
-            Message("option.pair", "an option must be {form}, got {text}", form="NAME=VALUE", text=Verbatim(repr(text)))
+            "option.pair", "an option must be {form}, got {text}", form="NAME=VALUE", text=Verbatim(repr(text))
         )
     for reading in (value, f"[{value}]") if "," in value else (value,):
         with contextlib.suppress(ValueError):

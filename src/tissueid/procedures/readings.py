@@ -10,7 +10,6 @@ from pydantic import Field
 
 from tissueid.errors import UnusableInputError
 from tissueid.language import marked
-from tissueid.messages import Message
 from tissueid.procedures.control import Control
 from tissueid.procedures.output_files import HTML, check_output, check_report, unwritable
 from tissueid.procedures.plan_options import Option, Plan, parse_options
@@ -79,9 +78,7 @@ def run_readings(plan: ReadingsPlan, control: Control) -> SessionReadings:
     options = parse_options(plan.options)
     if plan.memory_s is not None:
         if "memory" in options:
-            raise UnusableInputError(
-                Message("identify.memory_twice", "the memory is given twice, by --memory and by --option")
-            )
+            raise UnusableInputError("identify.memory_twice", "the memory is given twice, by --memory and by --option")
         options["memory"] = plan.memory_s
     engine = get_engine(plan.engine).from_options(options)
     session = read_session(plan.session)

@@ -98,15 +98,13 @@ def run_reproduction(plan: ReproductionPlan, control: Control) -> tuple[Reproduc
     for number in plan.numbers:
         if number.casefold() not in known:
             raise UnusableInputError(
-                Message(
-                    "reproduce.unknown",
-                    "there is no recipe for {number}; there are: {numbers}",
-                    number=Verbatim(number),
-                    numbers=", ".join(figure.number for figure in FIGURES),
-                )
+                "reproduce.unknown",
+                "there is no recipe for {number}; there are: {numbers}",
+                number=Verbatim(number),
+                numbers=", ".join(figure.number for figure in FIGURES),
             )
     if plan.out is None:
-        raise UnusableInputError(Message("reproduce.no_folder", "--out is required: a folder for the figures"))
+        raise UnusableInputError("reproduce.no_folder", "--out is required: a folder for the figures")
     records = ((SILVERBOX, plan.silverbox), (WIENER_HAMMERSTEIN, plan.wiener_hammerstein))
     scored = [(benchmark, path) for benchmark, path in records if path is not None]
     chosen = [known[number.casefold()] for number in plan.numbers] or ([] if scored else list(FIGURES))
@@ -161,7 +159,7 @@ def _check_folder(out: Path) -> None:
         UnusableInputError: it is a file, or holds other results.
     """
     if out.exists() and not out.is_dir():
-        raise UnusableInputError(Message("demo.no_folder", "{path} is not a folder", path=str(out)))
+        raise UnusableInputError("demo.no_folder", "{path} is not a folder", path=str(out))
     try:
         private_folder(out)
     except OSError as error:
@@ -170,11 +168,7 @@ def _check_folder(out: Path) -> None:
         return
     if stored_values(out / _RESULTS).get("made_by") != _MADE_BY:
         raise UnusableInputError(
-            Message(
-                "reproduce.other_results",
-                "{folder} contains other results; choose another folder",
-                folder=str(out),
-            )
+            "reproduce.other_results", "{folder} contains other results; choose another folder", folder=str(out)
         )
 
 

@@ -6,7 +6,6 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
 from tissueid.errors import UnusableInputError
-from tissueid.messages import Message
 from tissueid.procedures.plan_options import Option, Plan
 
 if TYPE_CHECKING:  # takes long to import
@@ -46,7 +45,7 @@ def saved_twins(plan: TwinFolderPlan) -> dict[Path, TwinFile]:
     from tissueid.instrument.twin_list import SUFFIX
 
     if not plan.folder.is_dir():
-        raise UnusableInputError(Message("file.no_folder", "there is no folder {folder}", folder=str(plan.folder)))
+        raise UnusableInputError("file.no_folder", "there is no folder {folder}", folder=str(plan.folder))
     found = {}
     for path in sorted(plan.folder.glob(f"*{SUFFIX}")):
         try:

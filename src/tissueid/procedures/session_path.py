@@ -7,7 +7,6 @@ from pathlib import Path
 
 from tissueid.atomic_write import check_creatable
 from tissueid.errors import UnusableInputError
-from tissueid.messages import Message
 
 _SHOWN = 40
 """Characters of a name that a message repeats."""
@@ -24,7 +23,7 @@ def check_session_path(path: Path) -> None:
     from tissueid.acquisition.journal import RECOVER, journal_path
 
     if not path.name:
-        raise UnusableInputError(Message("save_path.empty", "enter the file of the session"))
+        raise UnusableInputError("save_path.empty", "enter the file of the session")
     unwritable = _creation_error(path)
     if unwritable is not None and unwritable.errno == errno.ENAMETOOLONG:
         raise UnusableInputError(
@@ -34,40 +33,32 @@ def check_session_path(path: Path) -> None:
             more=_TEMPORARY,
         ) from unwritable
     if path.is_dir():
-        raise UnusableInputError(Message("save_path.folder", "{path} is a folder; name a session file", path=str(path)))
+        raise UnusableInputError("save_path.folder", "{path} is a folder; name a session file", path=str(path))
     if not path.parent.is_dir():
         raise UnusableInputError(
-            Message(
-                "save_path.no_folder",
-                "there is no folder {folder}: make it, or choose another one",
-                folder=str(path.parent),
-            )
+            "save_path.no_folder",
+            "there is no folder {folder}: make it, or choose another one",
+            folder=str(path.parent),
         )
     if path.exists():
         raise UnusableInputError(
-            Message(
-                "save_path.exists",
-                "{path} is there already; files are never overwritten: choose another name",
-                path=str(path),
-            )
+            "save_path.exists",
+            "{path} is there already; files are never overwritten: choose another name",
+            path=str(path),
         )
     if journal_path(path).exists():
         raise UnusableInputError(
-            Message(
-                "save_path.unfinished",
-                "an unfinished test is left at {path}: recover it ({action}), or choose another name",
-                path=str(path),
-                action=RECOVER,
-            )
+            "save_path.unfinished",
+            "an unfinished test is left at {path}: recover it ({action}), or choose another name",
+            path=str(path),
+            action=RECOVER,
         )
     if unwritable is not None:
         raise UnusableInputError(
-            Message(
-                "save_path.not_writable",
-                "the folder {folder} cannot be written to ({problem}): choose another one",
-                folder=str(path.parent),
-                problem=unwritable.strerror or str(unwritable),
-            )
+            "save_path.not_writable",
+            "the folder {folder} cannot be written to ({problem}): choose another one",
+            folder=str(path.parent),
+            problem=unwritable.strerror or str(unwritable),
         ) from unwritable
 
 

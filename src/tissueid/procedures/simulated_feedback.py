@@ -15,7 +15,7 @@ from tissueid.formatting import fixed, grouped
 from tissueid.instrument import Limits, open_instrument
 from tissueid.instrument.discovery import IN_PROCESS
 from tissueid.language import marked
-from tissueid.messages import Message, Verbatim
+from tissueid.messages import Verbatim
 from tissueid.procedures.control import Control
 from tissueid.procedures.depth_coverage import out_of_reach
 from tissueid.reports.feedback_run import feedback_run
@@ -66,13 +66,10 @@ def play_on_tissue(kind: FeedbackKind, url: str, limits: Limits, control: Contro
     """
     if not url.startswith(IN_PROCESS):
         raise UnusableInputError(
-            Message(
-                "stimulus.feedback_on_instrument",
-                "a feedback stimulus is designed on {tissue}; "
-                "'tissueid test --stimulus {kind}' plays it on an instrument",
-                tissue=Verbatim(f"{IN_PROCESS}TISSUE"),
-                kind=Verbatim(kind.name),
-            )
+            "stimulus.feedback_on_instrument",
+            "a feedback stimulus is designed on {tissue}; 'tissueid test --stimulus {kind}' plays it on an instrument",
+            tissue=Verbatim(f"{IN_PROCESS}TISSUE"),
+            kind=Verbatim(kind.name),
         )
     instrument = open_instrument(url)
     guided = GuidedTest(kind, url, limits=limits)

@@ -10,7 +10,6 @@ from tissueid.calibration.static import calibrate_static
 from tissueid.device import DeviceDescription
 from tissueid.errors import UnusableInputError
 from tissueid.instrument import Instrument, open_instrument
-from tissueid.messages import Message
 from tissueid.procedures.audit_notes import audit_failure
 from tissueid.procedures.calibration_files import CalibrationResult, calibration_path, check_files, keep
 from tissueid.procedures.calibration_plans import StaticCalibrationPlan
@@ -41,10 +40,8 @@ def run_static_calibration(
     check_files(plan)
     if not control.attended and (plan.weights_kg or plan.orientations > 1):
         raise UnusableInputError(
-            Message(
-                "calibration.no_terminal",
-                "--weight and --orientations need a person at a terminal, and there is no terminal",
-            )
+            "calibration.no_terminal",
+            "--weight and --orientations need a person at a terminal, and there is no terminal",
         )
     instrument = (opener or open_instrument)(plan.device or "")
     try:

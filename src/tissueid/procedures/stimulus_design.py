@@ -135,10 +135,7 @@ class StimulusPlan(Plan):
         _ = self.profile
         if "-" in (str(self.csv), str(self.plot)):
             raise UnusableInputError(
-                Message(
-                    "stimulus.standard_output",
-                    "only JSON can go to standard output; name a file for samples and plots",
-                )
+                "stimulus.standard_output", "only JSON can go to standard output; name a file for samples and plots"
             )
         check_different(*self.outputs)
         check_output(self.csv, (CSV_HEAD,))
@@ -155,15 +152,13 @@ class StimulusPlan(Plan):
         for name, (option, value) in from_file.items():
             if not self.from_file:
                 raise UnusableInputError(
-                    Message(
-                        "stimulus.file_options",
-                        "{option} is for a stimulus from a file: name the file",
-                        option=Verbatim(option),
-                    )
+                    "stimulus.file_options",
+                    "{option} is for a stimulus from a file: name the file",
+                    option=Verbatim(option),
                 )
             check_file_option(name, option, value)
         if self.lists and (self.options or self.given or any(self.outputs)):
-            raise UnusableInputError(Message("stimulus.no_name", "name a stimulus; 'tissueid stimulus' lists all"))
+            raise UnusableInputError("stimulus.no_name", "name a stimulus; 'tissueid stimulus' lists all")
 
     @property
     def from_file(self) -> bool:
@@ -191,7 +186,7 @@ class StimulusPlan(Plan):
             choice = FileChoice(path=Path(what), scale=self.scale, offset=self.offset, file_rate_hz=self.file_rate_hz)
             return choice.stimulus(sample_rate_hz)
         if all(any(getattr(self, field) is not None for field in ends) for ends in _RANGES):
-            raise UnusableInputError(Message("stimulus.two_ranges", "give the range either as force or as voltage"))
+            raise UnusableInputError("stimulus.two_ranges", "give the range either as force or as voltage")
         return specified(get_stimulus(what), list(self.options), self.given)
 
 
@@ -228,11 +223,7 @@ def run_stimulus(plan: StimulusPlan, control: Control) -> DesignedStimulus:
         stimulus, search = design_stimulus(chosen, control)
     else:
         raise UnusableInputError(
-            Message(
-                "stimulus.not_usable",
-                "the stimulus '{name}' can be neither built nor generated",
-                name=Verbatim(plan.what),
-            )
+            "stimulus.not_usable", "the stimulus '{name}' can be neither built nor generated", name=Verbatim(plan.what)
         )
     design = _checked(plan, stimulus, device, search)
     if plan.plot is not None:
@@ -273,11 +264,9 @@ def _tried(plan: StimulusPlan, kind: FeedbackKind, control: Control) -> Feedback
 
     if plan.csv is not None:
         raise UnusableInputError(
-            Message(
-                "stimulus.no_samples",
-                "the feedback stimulus {name} has no samples before its test: leave out --csv",
-                name=Verbatim(kind.name),
-            )
+            "stimulus.no_samples",
+            "the feedback stimulus {name} has no samples before its test: leave out --csv",
+            name=Verbatim(kind.name),
         )
     trial = try_on_tissue(kind, plan.device, plan.profile, control)
     if plan.plot is not None:

@@ -15,7 +15,6 @@ from tissueid.extras import check_packages
 from tissueid.gap.workers import executor
 from tissueid.instrument import Instrument, SimulatedInstrument
 from tissueid.language import marked
-from tissueid.messages import Message
 from tissueid.procedures.control import Control, CountedProgress
 from tissueid.procedures.output_files import json_text, stored_values, write_text
 from tissueid.procedures.plan_options import Option, Plan
@@ -169,19 +168,15 @@ def _take_folder(plan: PopulationPlan) -> None:
         found = stored_values(plan.out / _MARK)
         if found.get("made_by") != _MADE_BY:
             raise UnusableInputError(
-                Message(
-                    "study.folder_used",
-                    "{folder} exists and is neither empty nor the folder of an earlier 'study demo'",
-                    folder=str(plan.out),
-                )
+                "study.folder_used",
+                "{folder} exists and is neither empty nor the folder of an earlier 'study demo'",
+                folder=str(plan.out),
             )
         if found != mark:
             raise UnusableInputError(
-                Message(
-                    "study.other_population",
-                    "{folder} holds a simulated population with other options; give the same ones, or another folder",
-                    folder=str(plan.out),
-                )
+                "study.other_population",
+                "{folder} holds a simulated population with other options; give the same ones, or another folder",
+                folder=str(plan.out),
             )
         return
     private_folder(plan.out)

@@ -293,12 +293,10 @@ def check_pseudonym(text: str) -> str:
     folder = _PSEUDONYM.fullmatch(pseudonym) and not pseudonym.endswith(".") and pseudonym.lower() not in _OTHER_FOLDERS
     if not folder or reads_like_name(pseudonym):
         raise UnusableInputError(
-            Message(
-                "protocol.pseudonym",
-                "the subject must be a pseudonym such as P-001, never a name: up to 40 letters, digits, spaces, '-', "
-                "'_' and '.', got '{text}'",
-                text=Verbatim(clean(text)[:MAX_TEXT]),
-            )
+            "protocol.pseudonym",
+            "the subject must be a pseudonym such as P-001, never a name: up to 40 letters, digits, spaces, '-', "
+            "'_' and '.', got '{text}'",
+            text=Verbatim(clean(text)[:MAX_TEXT]),
         )
     return pseudonym
 
@@ -312,17 +310,15 @@ def read_protocol(folder: Path) -> Protocol:
     path = folder / PROTOCOL_FILE
     if not path.is_file():
         raise UnusableInputError(
-            Message(
-                "protocol.none",
-                "{folder} has no {file}: {template} writes one to begin with",
-                folder=str(folder),
-                file=PROTOCOL_FILE,
-                template=Action(
-                    "study.protocol",
-                    f"tissueid study protocol {folder}",
-                    marked("New protocol on the page Studies"),
-                ),
-            )
+            "protocol.none",
+            "{folder} has no {file}: {template} writes one to begin with",
+            folder=str(folder),
+            file=PROTOCOL_FILE,
+            template=Action(
+                "study.protocol",
+                f"tissueid study protocol {folder}",
+                marked("New protocol on the page Studies"),
+            ),
         )
     from tissueid.acquisition.waveform_file import read_at_most  # it imports scipy
 
@@ -331,12 +327,10 @@ def read_protocol(folder: Path) -> Protocol:
         found = json_value(read_at_most(path, _LARGEST_PROTOCOL, too_large))
     except ValueError as error:
         raise UnusableInputError(
-            Message(
-                "protocol.not_json",
-                "{path} is not JSON: {reason}",
-                path=str(path),
-                reason=Verbatim(str(error).splitlines()[0]),
-            )
+            "protocol.not_json",
+            "{path} is not JSON: {reason}",
+            path=str(path),
+            reason=Verbatim(str(error).splitlines()[0]),
         ) from error
     protocol = parse_protocol(found, str(path))
     check_tests(protocol, str(path))
@@ -354,7 +348,7 @@ def parse_protocol(found: Any, what: str) -> Protocol:
         UnusableInputError: a value is missing or not valid.
     """
     if not isinstance(found, dict):
-        raise UnusableInputError(Message("protocol.no_object", "{path} must hold a JSON object", path=what))
+        raise UnusableInputError("protocol.no_object", "{path} must hold a JSON object", path=what)
     try:
         return Protocol(**found)
     except ValidationError as error:
@@ -374,9 +368,7 @@ def check_tests(protocol: Protocol, what: str) -> None:
         try:
             protocol.plan(step, "simulated://forearm", Path("test.h5")).check()
         except UnusableInputError as error:
-            raise UnusableInputError(
-                Message("protocol.refused", "{path}: {reason}", path=what, reason=error.message)
-            ) from error
+            raise UnusableInputError("protocol.refused", "{path}: {reason}", path=what, reason=error.message) from error
 
 
 def template() -> Protocol:

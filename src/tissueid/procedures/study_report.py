@@ -10,7 +10,7 @@ from tissueid.errors import UnusableInputError
 from tissueid.extras import check_packages
 from tissueid.formatting import clean
 from tissueid.language import marked
-from tissueid.messages import MISSING, Message, Verbatim, joined
+from tissueid.messages import MISSING, Verbatim, joined
 from tissueid.procedures.control import Control
 from tissueid.procedures.output_files import HTML, PDF, check_different, check_output, unwritable, write_text
 from tissueid.procedures.study_plans import RESULTS, StudyReportPlan
@@ -103,21 +103,17 @@ def _check_names(plan: StudyReportPlan, table: pd.DataFrame) -> None:
     for name in (*plan.factors, *plan.regressors):
         if name not in table:
             raise UnusableInputError(
-                Message(
-                    "study.unknown_column",
-                    "there is no column '{name}'; columns with values of subjects: {known}",
-                    name=Verbatim(clean(name)[:MAX_TEXT]),
-                    known=joined(map(Verbatim, subject_columns(table))) or MISSING,
-                )
+                "study.unknown_column",
+                "there is no column '{name}'; columns with values of subjects: {known}",
+                name=Verbatim(clean(name)[:MAX_TEXT]),
+                known=joined(map(Verbatim, subject_columns(table))) or MISSING,
             )
     known = sorted({str(name) for name in table["condition"].dropna() if name})
     for condition in filter(None, (plan.before, plan.after)):
         if condition not in known:
             raise UnusableInputError(
-                Message(
-                    "study.unknown_condition",
-                    "no test has the condition '{name}'; conditions: {known}",
-                    name=Verbatim(clean(condition)[:MAX_TEXT]),
-                    known=joined(map(Verbatim, known)) or MISSING,
-                )
+                "study.unknown_condition",
+                "no test has the condition '{name}'; conditions: {known}",
+                name=Verbatim(clean(condition)[:MAX_TEXT]),
+                known=joined(map(Verbatim, known)) or MISSING,
             )

@@ -26,7 +26,7 @@ from tissueid.errors import TissueIDError, UnusableInputError
 from tissueid.extras import check_packages
 from tissueid.formatting import csv_text, text_of_cell
 from tissueid.language import marked
-from tissueid.messages import Message, Verbatim
+from tissueid.messages import Verbatim
 from tissueid.procedures.cluster import plan_executor
 from tissueid.procedures.control import Control, CountedProgress
 from tissueid.procedures.output_files import unwritable, write_text
@@ -126,7 +126,7 @@ def run_study(plan: StudyPlan, control: Control) -> StudyRun:
     keys = store.sessions()
     if not keys:
         where = plan.sessions or str(plan.folder)
-        raise UnusableInputError(Message("study.no_sessions", "there are no session files in {folder}", folder=where))
+        raise UnusableInputError("study.no_sessions", "there are no session files in {folder}", folder=where)
     subjects = read_subjects(path) if (path := plan.folder / SUBJECTS_FILE).is_file() else None
     results = plan.folder / RESULTS
     for folder in (plan.folder, results):
@@ -142,13 +142,11 @@ def run_study(plan: StudyPlan, control: Control) -> StudyRun:
     if not rows:
         name, reason = next(iter(failures.items()))
         raise UnusableInputError(
-            Message(
-                "study.nothing",
-                "no test of {folder} could be analysed; {file}: {reason}",
-                folder=str(plan.folder),
-                file=Verbatim(name),
-                reason=Verbatim(reason),
-            )
+            "study.nothing",
+            "no test of {folder} could be analysed; {file}: {reason}",
+            folder=str(plan.folder),
+            file=Verbatim(name),
+            reason=Verbatim(reason),
         )
     table = study_table(rows, subjects)
     curves = curves_table(

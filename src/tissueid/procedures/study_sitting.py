@@ -190,12 +190,10 @@ def prepare_subject(plan: SittingRunPlan, protocol: Protocol, control: Control) 
     for site, _file in photographs:
         if site not in known:
             raise UnusableInputError(
-                Message(
-                    "sitting.site",
-                    "the protocol has no site '{site}'; it has {known}",
-                    site=Verbatim(site),
-                    known=joined(map(Verbatim, known), between="; "),
-                )
+                "sitting.site",
+                "the protocol has no site '{site}'; it has {known}",
+                site=Verbatim(site),
+                known=joined(map(Verbatim, known), between="; "),
             )
     subject = check_pseudonym(plan.subject)
     if pairs:
@@ -232,12 +230,10 @@ def run_sitting(
 
     if not plan.url.startswith(IN_PROCESS):
         raise UnusableInputError(
-            Message(
-                "sitting.simulated",
-                "this command measures on a simulator only, such as simulated://forearm, got '{url}': on a person the "
-                "window leads through the sitting, because the probe has to be moved between tests",
-                url=Verbatim(clean(plan.url)),
-            )
+            "sitting.simulated",
+            "this command measures on a simulator only, such as simulated://forearm, got '{url}': on a person the "
+            "window leads through the sitting, because the probe has to be moved between tests",
+            url=Verbatim(clean(plan.url)),
         )
     state = open_sitting(plan.folder, plan.subject)
     for name, reason in state.problems.items():
@@ -299,12 +295,10 @@ def _pair(text: str, option: str) -> tuple[str, str]:
     name, equals, value = text.partition("=")
     if not equals or not name.strip():
         raise UnusableInputError(
-            Message(
-                "sitting.pair",
-                "{option} must be {form}, got '{text}'",
-                option=Verbatim(option),
-                form=Verbatim("NAME=VALUE"),
-                text=Verbatim(clean(text)),
-            )
+            "sitting.pair",
+            "{option} must be {form}, got '{text}'",
+            option=Verbatim(option),
+            form=Verbatim("NAME=VALUE"),
+            text=Verbatim(clean(text)),
         )
     return name.strip(), value

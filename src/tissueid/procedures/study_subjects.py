@@ -64,12 +64,10 @@ def demographic_value(name: str, text: str) -> str:
     """
     if name not in DEMOGRAPHIC_FIELDS:
         raise UnusableInputError(
-            Message(
-                "subjects.unknown",
-                "'{name}' is no demographic value; known: {known}",
-                name=Verbatim(clean(name)[:_LONGEST]),
-                known=joined(map(Verbatim, DEMOGRAPHIC_FIELDS)),
-            )
+            "subjects.unknown",
+            "'{name}' is no demographic value; known: {known}",
+            name=Verbatim(clean(name)[:_LONGEST]),
+            known=joined(map(Verbatim, DEMOGRAPHIC_FIELDS)),
         )
     field, value = DEMOGRAPHIC_FIELDS[name], text.strip()
     if not value:
@@ -78,22 +76,18 @@ def demographic_value(name: str, text: str) -> str:
         return _number(name, field.bounds, value)
     if field.choices and value not in field.choices:
         raise UnusableInputError(
-            Message(
-                "subjects.choice",
-                "{name} must be one of {known}, got '{value}'",
-                name=Verbatim(name),
-                known=joined(map(Verbatim, field.choices)),
-                value=Verbatim(clean(value)[:_LONGEST]),
-            )
+            "subjects.choice",
+            "{name} must be one of {known}, got '{value}'",
+            name=Verbatim(name),
+            known=joined(map(Verbatim, field.choices)),
+            value=Verbatim(clean(value)[:_LONGEST]),
         )
     if not value.isprintable() or len(value) > _LONGEST or "@" in value or value[0] in "=+-":
         raise UnusableInputError(
-            Message(
-                "subjects.text",
-                "{name} must be one line of at most {most} characters, without '@' and not a formula",
-                name=Verbatim(name),
-                most=_LONGEST,
-            )
+            "subjects.text",
+            "{name} must be one line of at most {most} characters, without '@' and not a formula",
+            name=Verbatim(name),
+            most=_LONGEST,
         )
     return value
 
@@ -109,22 +103,18 @@ def read_demographics(folder: Path) -> dict[str, dict[str, str]]:
         return {}
     try:
         if path.stat().st_size > _LARGEST_FILE:
-            raise UnusableInputError(Message("study.subjects_size", "{path} is too large", path=str(path)))
+            raise UnusableInputError("study.subjects_size", "{path} is too large", path=str(path))
         rows = list(csv.DictReader(io.StringIO(path.read_text(encoding="utf-8-sig"), newline="")))
     except (OSError, ValueError, csv.Error) as error:
         why = Verbatim(str(error).splitlines()[0])
         raise UnusableInputError(
-            Message("study.subjects_unreadable", "{path} cannot be read: {reason}", path=str(path), reason=why)
+            "study.subjects_unreadable", "{path} cannot be read: {reason}", path=str(path), reason=why
         ) from error
     if any(_SUBJECT not in row for row in rows):
-        raise UnusableInputError(
-            Message("study.subjects_column", "{path} must have a column 'subject'", path=str(path))
-        )
+        raise UnusableInputError("study.subjects_column", "{path} must have a column 'subject'", path=str(path))
     found = {row[_SUBJECT]: {name: value or "" for name, value in row.items() if name} for row in rows}
     if len(found) < len(rows) or not all(found):
-        raise UnusableInputError(
-            Message("study.subjects_twice", "in {path} each row must name another subject", path=str(path))
-        )
+        raise UnusableInputError("study.subjects_twice", "in {path} each row must name another subject", path=str(path))
     return found
 
 
@@ -175,12 +165,10 @@ def add_photograph(folder: Path, subject: str, site: str, source: Path) -> Path:
         suffix, bare = _bare_picture(data)
     except ValueError as error:
         raise UnusableInputError(
-            Message(
-                "photograph.kind",
-                "{path} is not a JPEG or PNG picture, is damaged, or has more than {most:g} megapixels",
-                path=str(source),
-                most=_MOST_PIXELS / 1e6,
-            )
+            "photograph.kind",
+            "{path} is not a JPEG or PNG picture, is damaged, or has more than {most:g} megapixels",
+            path=str(source),
+            most=_MOST_PIXELS / 1e6,
         ) from error
     place = "".join(c if c.isalnum() else "-" for c in site).strip("-")[:60] or "site"
     target = folder / PHOTOGRAPHS / f"{subject} {place}{suffix}"
@@ -201,14 +189,12 @@ def _number(name: str, bounds: tuple[float, float], text: str) -> str:
         value = float("nan")
     if not bounds[0] <= value <= bounds[1]:
         raise UnusableInputError(
-            Message(
-                "subjects.range",
-                "{name} must be a number from {least:g} to {most:g}, got '{value}'",
-                name=Verbatim(name),
-                least=bounds[0],
-                most=bounds[1],
-                value=Verbatim(clean(text)[:_LONGEST]),
-            )
+            "subjects.range",
+            "{name} must be a number from {least:g} to {most:g}, got '{value}'",
+            name=Verbatim(name),
+            least=bounds[0],
+            most=bounds[1],
+            value=Verbatim(clean(text)[:_LONGEST]),
         )
     return f"{value:.10g}"
 

@@ -77,11 +77,9 @@ def run_sweep(
     plan.sweep()
     plan.spring(DeviceDescription())  # checks the options before anything moves
     if (plan.device is None) == (plan.kept is None):
-        raise UnusableInputError(Message("sweep.device_or_kept", "give either --device, or --kept for a saved sweep"))
+        raise UnusableInputError("sweep.device_or_kept", "give either --device, or --kept for a saved sweep")
     if plan.kept is not None and plan.session is not None:
-        raise UnusableInputError(
-            Message("sweep.session_and_kept", "--session saves a new recording: leave it out with --kept")
-        )
+        raise UnusableInputError("sweep.session_and_kept", "--session saves a new recording: leave it out with --kept")
     check_files(plan)
     begin = time.perf_counter()
     logged: AbstractContextManager[None] = nullcontext()
@@ -134,12 +132,10 @@ def _date_of(session: Session) -> datetime:
         made = made.replace(tzinfo=UTC) if made.tzinfo is None else made.astimezone(UTC)
     except (ValueError, OverflowError) as error:
         raise UnusableInputError(
-            Message("sweep.date", "the date of the session is not valid: '{date}'", date=Verbatim(session.created[:40]))
+            "sweep.date", "the date of the session is not valid: '{date}'", date=Verbatim(session.created[:40])
         ) from error
     if made.year < _FIRST_YEAR:
-        raise UnusableInputError(
-            Message("sweep.year", "the date of the session is not plausible: {year}", year=made.year)
-        )
+        raise UnusableInputError("sweep.year", "the date of the session is not plausible: {year}", year=made.year)
     return made
 
 

@@ -61,11 +61,9 @@ def depth_range(text: str) -> tuple[float, float]:
         depths = 0.0, 0.0
     if not colon or not depths[0] < depths[1]:
         raise UnusableInputError(
-            Message(
-                "plan.depth_range",
-                "a range of depth must be LEAST:GREATEST in mm below the surface, such as 1:4, got '{text}'",
-                text=Verbatim(text),
-            )
+            "plan.depth_range",
+            "a range of depth must be LEAST:GREATEST in mm below the surface, such as 1:4, got '{text}'",
+            text=Verbatim(text),
         )
     return depths
 
@@ -239,39 +237,32 @@ class TestPlan(Plan):
         if not self.url:
             raise UnusableInputError(NO_INSTRUMENT)
         if not self.site.strip():
-            raise UnusableInputError(Message("plan.no_site", "fill in the site: where on the body, or which material"))
+            raise UnusableInputError("plan.no_site", "fill in the site: where on the body, or which material")
         for what, text in ((marked("the site"), self.site), (marked("the subject"), self.subject)):
             if not text.strip() or len(text) > MAX_TEXT or not text.isprintable():
                 raise UnusableInputError(
-                    Message(
-                        "plan.text",
-                        "{what} must be one line of 1 to {most} printable characters",
-                        what=what,
-                        most=MAX_TEXT,
-                    )
+                    "plan.text", "{what} must be one line of 1 to {most} printable characters", what=what, most=MAX_TEXT
                 )
         check_subject(self.subject, confirmed=self.pseudonym_confirmed)
         if len(self.condition) > MAX_TEXT or not self.condition.isprintable():
             raise UnusableInputError(
-                Message("plan.condition", "the condition must be one line of at most {most} characters", most=MAX_TEXT)
+                "plan.condition", "the condition must be one line of at most {most} characters", most=MAX_TEXT
             )
         if self.minutes_since_application is not None and not self.condition:
-            raise UnusableInputError(Message("plan.minutes", "--minutes-since needs --condition"))
+            raise UnusableInputError("plan.minutes", "--minutes-since needs --condition")
         low, high = self.min_force_n, self.max_force_n
         if low is not None and high is not None and low >= high:
             raise UnusableInputError(
-                Message(
-                    "plan.force_range",
-                    "the lowest force ({low:g} N) must be below the highest ({high:g} N)",
-                    low=low,
-                    high=high,
-                )
+                "plan.force_range",
+                "the lowest force ({low:g} N) must be below the highest ({high:g} N)",
+                low=low,
+                high=high,
             )
         self._check_depths()
         if self.live_method is not None and not self.live:
-            raise UnusableInputError(Message("plan.live_method", "--live-method needs --live"))
+            raise UnusableInputError("plan.live_method", "--live-method needs --live")
         if self.rest_s > 0.0 and self.repeats == 1:
-            raise UnusableInputError(Message("plan.rest", "the rest is the pause between repeats: it needs --repeats"))
+            raise UnusableInputError("plan.rest", "the rest is the pause between repeats: it needs --repeats")
         self._check_kind()
         self._check_file()
         self.stop_rule()
@@ -280,7 +271,7 @@ class TestPlan(Plan):
             self.depth_design(_ANY_RATE_HZ)
             return
         if self.target is not None:
-            raise UnusableInputError(Message("plan.target", "--target needs --multistep"))
+            raise UnusableInputError("plan.target", "--target needs --multistep")
         if self.stimulus_file is None:
             self.specification(_ANY_RATE_HZ)
         elif self._own_stimulus or any(getattr(self, name) is not None for name in _SPECIFIED.values()):
@@ -292,22 +283,18 @@ class TestPlan(Plan):
             return
         if not configuration.has_depth:
             raise UnusableInputError(
-                Message(
-                    "plan.no_depth",
-                    "a range of depth needs a depth: the configuration {name} has none",
-                    name=Verbatim(configuration.name),
-                )
+                "plan.no_depth",
+                "a range of depth needs a depth: the configuration {name} has none",
+                name=Verbatim(configuration.name),
             )
         least_m, most_m = self.depth_range_m
         if not most_m - least_m >= LEAST_DEPTH_RANGE_M:
             raise UnusableInputError(
-                Message(
-                    "plan.narrow_depth",
-                    "a range of depth must be at least {width:g} mm wide, got {least:g} to {most:g} mm",
-                    width=1e3 * LEAST_DEPTH_RANGE_M,
-                    least=1e3 * least_m,
-                    most=1e3 * most_m,
-                )
+                "plan.narrow_depth",
+                "a range of depth must be at least {width:g} mm wide, got {least:g} to {most:g} mm",
+                width=1e3 * LEAST_DEPTH_RANGE_M,
+                least=1e3 * least_m,
+                most=1e3 * most_m,
             )
 
     def _check_file(self) -> None:
@@ -317,11 +304,9 @@ class TestPlan(Plan):
         for name, (option, value) in given.items():
             if self.stimulus_file is None:
                 raise UnusableInputError(
-                    Message(
-                        "plan.file_options",
-                        "{option} needs --stimulus-file: other stimuli have a range of force",
-                        option=Verbatim(option),
-                    )
+                    "plan.file_options",
+                    "{option} needs --stimulus-file: other stimuli have a range of force",
+                    option=Verbatim(option),
                 )
             check_file_option(name, option, value)
 
@@ -330,32 +315,28 @@ class TestPlan(Plan):
 
         if self.kind is not None and self.kind not in FIXTURES:
             raise UnusableInputError(
-                Message(
-                    "plan.kind",
-                    "the kind must be one of {known} (tests without tissue), got '{name}'",
-                    known=Verbatim(", ".join(FIXTURES)),
-                    name=Verbatim(self.kind),
-                )
+                "plan.kind",
+                "the kind must be one of {known} (tests without tissue), got '{name}'",
+                known=Verbatim(", ".join(FIXTURES)),
+                name=Verbatim(self.kind),
             )
         if self.kind is not None and self.multistep is not None:
-            raise UnusableInputError(Message("plan.multistep_tissue", "--multistep needs tissue: leave out --kind"))
+            raise UnusableInputError("plan.multistep_tissue", "--multistep needs tissue: leave out --kind")
 
     def _check_multistep(self) -> None:
         if self.stop_when:
             raise UnusableInputError(
-                Message("plan.no_stop_rule", "a test in steps designs its stimuli itself: it takes no stop rule")
+                "plan.no_stop_rule", "a test in steps designs its stimuli itself: it takes no stop rule"
             )
         if self._own_stimulus or self.stimulus_file is not None or self.repeats > 1 or self.live:
             raise UnusableInputError(
-                Message(
-                    "plan.multistep_options",
-                    "--multistep designs its own stimuli: the only stimulus options that it accepts are --depth-range, "
-                    "--min-force, --max-force, --seconds, --seed and --target",
-                )
+                "plan.multistep_options",
+                "--multistep designs its own stimuli: the only stimulus options that it accepts are --depth-range, "
+                "--min-force, --max-force, --seconds, --seed and --target",
             )
         if self.depth_range_m is None:
             raise UnusableInputError(
-                Message("plan.multistep_depth", "--multistep needs --depth-range MM:MM below the surface, such as 1:4")
+                "plan.multistep_depth", "--multistep needs --depth-range MM:MM below the surface, such as 1:4"
             )
 
     @property
@@ -505,12 +486,10 @@ def limits_of(name: str) -> Limits:
 
     if name not in PROFILES:
         raise UnusableInputError(
-            Message(
-                "plan.limits",
-                "the limits must be one of {known}, got '{name}'",
-                known=Verbatim(", ".join(PROFILES)),
-                name=Verbatim(name),
-            )
+            "plan.limits",
+            "the limits must be one of {known}, got '{name}'",
+            known=Verbatim(", ".join(PROFILES)),
+            name=Verbatim(name),
         )
     return PROFILES[name]
 
@@ -518,11 +497,9 @@ def limits_of(name: str) -> Limits:
 def saved_stimulus_options(path: Path) -> UnusableInputError:
     """Return the error for options that are given together with a saved stimulus."""
     return UnusableInputError(
-        Message(
-            "plan.saved_stimulus",
-            "{path} is a saved stimulus and contains its options: leave out other stimulus options",
-            path=Verbatim(path),
-        )
+        "plan.saved_stimulus",
+        "{path} is a saved stimulus and contains its options: leave out other stimulus options",
+        path=Verbatim(path),
     )
 
 
@@ -545,40 +522,30 @@ def specified(
     """
     if not kind.listed:
         raise UnusableInputError(
-            Message(
-                "plan.from_file",
-                "the stimulus '{name}' comes from a file: give that file",
-                name=Verbatim(kind.name),
-            )
+            "plan.from_file", "the stimulus '{name}' comes from a file: give that file", name=Verbatim(kind.name)
         )
     chosen = dict(options)
     if len(chosen) < len(options):
         names = [name for name, _ in options]
         raise UnusableInputError(
-            Message(
-                "plan.option_twice",
-                "the option {name} of the stimulus is given twice",
-                name=Verbatim(next(name for name in names if names.count(name) > 1)),
-            )
+            "plan.option_twice",
+            "the option {name} of the stimulus is given twice",
+            name=Verbatim(next(name for name in names if names.count(name) > 1)),
         )
     for field, (name, value) in given.items():
         if field not in kind.model_fields:
             raise UnusableInputError(
-                Message(
-                    "plan.no_option",
-                    "the stimulus {kind} has no option {name}; 'tissueid stimulus {kind} --options' lists its options",
-                    kind=Verbatim(kind.name),
-                    name=Verbatim(name),
-                )
+                "plan.no_option",
+                "the stimulus {kind} has no option {name}; 'tissueid stimulus {kind} --options' lists its options",
+                kind=Verbatim(kind.name),
+                name=Verbatim(name),
             )
         if field in chosen:
             raise UnusableInputError(
-                Message(
-                    "plan.option_both",
-                    "{field} is given twice, by {name} and by --option",
-                    field=Verbatim(field),
-                    name=Verbatim(name),
-                )
+                "plan.option_both",
+                "{field} is given twice, by {name} and by --option",
+                field=Verbatim(field),
+                name=Verbatim(name),
             )
         chosen[field] = value
     for field, default in (usual or {}).items():

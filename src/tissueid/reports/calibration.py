@@ -48,11 +48,7 @@ def sweep_report(calibration: Calibration) -> StimulusReport:
     """
     if calibration.kind != "sweep":
         raise UnusableInputError(
-            Message(
-                "report.not_a_sweep",
-                "this is not a dynamic sweep but a calibration of kind {kind}",
-                kind=calibration.kind,
-            )
+            "report.not_a_sweep", "this is not a dynamic sweep but a calibration of kind {kind}", kind=calibration.kind
         )
     for name, columns in _NEEDED.items():
         missing = [column for column in columns if not calibration.tables.get(name, {}).get(column)]
@@ -93,9 +89,7 @@ def sweep_report(calibration: Calibration) -> StimulusReport:
 
 
 def _incomplete(what: str) -> UnusableInputError:
-    return UnusableInputError(
-        Message("report.sweep_incomplete", "the calibration lacks {what}: repeat the sweep", what=what)
-    )
+    return UnusableInputError("report.sweep_incomplete", "the calibration lacks {what}: repeat the sweep", what=what)
 
 
 def _region(calibration: Calibration) -> Region:

@@ -13,7 +13,7 @@ from tissueid.calibration.labels import headline_of, label_of, notes_of, problem
 from tissueid.errors import UnusableInputError
 from tissueid.formatting import number
 from tissueid.language import _, marked
-from tissueid.messages import Message, translated
+from tissueid.messages import translated
 from tissueid.reports.panel_sheet import Panel
 from tissueid.reports.plot_renderer import draw_plot, draw_row, key_over
 from tissueid.reports.stimulus_report import StimulusReport
@@ -36,9 +36,7 @@ def static_report(calibration: Calibration) -> StimulusReport:
     """
     if calibration.kind != "static":
         raise UnusableInputError(
-            Message(
-                "report.not_static", "this is not a static calibration but one of kind {kind}", kind=calibration.kind
-            )
+            "report.not_static", "this is not a static calibration but one of kind {kind}", kind=calibration.kind
         )
     return StimulusReport(
         title=_("Static calibration of {model}, {serial}").format(

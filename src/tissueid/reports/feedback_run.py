@@ -31,7 +31,7 @@ def feedback_run(test: Test, label: str) -> FeedbackRun:
         report = json.loads(str(test.notes[REPORT_NOTE]))
     except (KeyError, ValueError) as error:
         raise UnusableInputError(
-            Message("report.no_feedback", "test {number} has no report of a feedback stimulus", number=test.number)
+            "report.no_feedback", "test {number} has no report of a feedback stimulus", number=test.number
         ) from error
     record = test.record()
     return run_from_report(report, record.input, record.output - test.surface_position_m, test.sample_rate_hz, label)

@@ -294,7 +294,7 @@ def draw_surface(figure: FigureBase, found: Diagnosis) -> None:
     """
     surface = found.where.regions.surface
     if surface is None:
-        raise UnusableInputError(Message("report.no_surface", "too little of depth and velocity was visited"))
+        raise UnusableInputError("report.no_surface", "too little of depth and velocity was visited")
     values = Surface(
         1e3 * surface.depth_m, 1e3 * surface.velocity_m_s, surface.residual, marked("Residual"), TIMES_NOISE
     )

@@ -8,7 +8,6 @@ from dataclasses import dataclass
 from matplotlib.figure import Figure, FigureBase
 
 from tissueid.errors import UnusableInputError
-from tissueid.messages import Message
 from tissueid.reports.blocks import Picture, picture
 from tissueid.reports.style import FULL_WIDTH, HALF_WIDTH, drawing, new_figure
 
@@ -65,7 +64,7 @@ def draw_sheet(title: str, panels: Sequence[Panel]) -> Figure:
     """
     rows = list(_rows([panel for panel in panels if panel.picture().figure is not None]))
     if not rows:
-        raise UnusableInputError(Message("report.nothing_to_draw", "there is nothing to draw"))
+        raise UnusableInputError("report.nothing_to_draw", "there is nothing to draw")
     heights = [max(panel.height for panel in row) for row in rows]
     figure = new_figure(FULL_WIDTH, sum(heights) + _TITLE_HEIGHT)
     figure.suptitle(title, x=0.01, ha="left", fontsize=11.0)

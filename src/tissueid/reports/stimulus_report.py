@@ -14,7 +14,7 @@ from tissueid.atomic_write import atomic_file
 from tissueid.errors import UnusableInputError
 from tissueid.formatting import fixed, grouped
 from tissueid.language import _, marked
-from tissueid.messages import Message, translated
+from tissueid.messages import translated
 from tissueid.reports.blocks import FigureGroup
 from tissueid.reports.feedback_panels import feedback_panels
 from tissueid.reports.html import RESEARCH_LINE, template, write_text_atomically
@@ -91,12 +91,10 @@ def output_suffix(path: Path) -> str:
     form = path.suffix.lower()
     if form not in FORMS:
         raise UnusableInputError(
-            Message(
-                "report.unknown_form",
-                "the file name of a plot must end in {forms}, got {name}",
-                forms=", ".join(FORMS),
-                name=path.name,
-            )
+            "report.unknown_form",
+            "the file name of a plot must end in {forms}, got {name}",
+            forms=", ".join(FORMS),
+            name=path.name,
         )
     return form
 

@@ -12,7 +12,6 @@ from pydantic import BaseModel, ConfigDict, Field, TypeAdapter, ValidationError
 from tissueid import __version__
 from tissueid.atomic_write import atomic_file
 from tissueid.errors import UnusableInputError
-from tissueid.messages import Message
 from tissueid.option_errors import validation_reason
 from tissueid.sessions.model import Test
 
@@ -118,17 +117,15 @@ def read_result(path: Path) -> AcceptedResult:
         OSError: it cannot be read.
     """
     if not path.is_file():
-        raise UnusableInputError(Message("result.not_a_file", "{path} is not a file", path=str(path)))
+        raise UnusableInputError("result.not_a_file", "{path} is not a file", path=str(path))
     with path.open("rb") as file:
         content = file.read(LARGEST_BYTES + 1)
     if len(content) > LARGEST_BYTES:
         raise UnusableInputError(
-            Message(
-                "result.too_large",
-                "{path} is larger than {most} KB: it is not the result of a sitting",
-                path=str(path),
-                most=LARGEST_BYTES // 1024,
-            )
+            "result.too_large",
+            "{path} is larger than {most} KB: it is not the result of a sitting",
+            path=str(path),
+            most=LARGEST_BYTES // 1024,
         )
     try:
         return AcceptedResult.model_validate_json(content)
@@ -136,13 +133,11 @@ def read_result(path: Path) -> AcceptedResult:
         first = error.errors(include_url=False, include_input=False)[0]
         where = ".".join(str(part) for part in first["loc"])[:100] or "content"
         raise UnusableInputError(
-            Message(
-                "result.invalid",
-                "{path}: '{field}' cannot be used: {reason}",
-                path=str(path),
-                field=where,
-                reason=validation_reason(error),
-            )
+            "result.invalid",
+            "{path}: '{field}' cannot be used: {reason}",
+            path=str(path),
+            field=where,
+            reason=validation_reason(error),
         ) from error
 
 
@@ -159,11 +154,9 @@ def result_of(folder: Path, test: Test) -> AcceptedResult | None:
     found = read_result(result_path(folder, key))
     if found.sitting != key:
         raise UnusableInputError(
-            Message(
-                "result.other_sitting",
-                "{path} is the result of another sitting and is not used: move it to another folder",
-                path=str(result_path(folder, key)),
-            )
+            "result.other_sitting",
+            "{path} is the result of another sitting and is not used: move it to another folder",
+            path=str(result_path(folder, key)),
         )
     return found
 

@@ -57,7 +57,7 @@ def hdf5_vectors(path: Path) -> Iterator[dict[str, Place]]:
     """
     with _opened(path) as file:
         if file.attrs.get("format") in ("tissueid-session", b"tissueid-session"):
-            raise UnusableInputError(Message("import.is_session", "is a session already: it needs no import"))
+            raise UnusableInputError("import.is_session", "is a session already: it needs no import")
         most, items = allowed_unpacked_bytes(path.stat().st_size), iter(range(MAX_COLUMNS))
         yield {name: (where, shape, part) for name, where, shape, part in _vectors(file, "", 0, items, most)}
 
@@ -91,11 +91,9 @@ def _vectors(
         elif isinstance(item, h5py.Dataset) and _is_plain(item):
             if item.size * item.dtype.itemsize > most:
                 raise UnusableInputError(
-                    Message(
-                        "import.mat_variable",
-                        "{name} is larger than can be read from a file of its size",
-                        name=Verbatim(name),
-                    )
+                    "import.mat_variable",
+                    "{name} is larger than can be read from a file of its size",
+                    name=Verbatim(name),
                 )
             check_dataset(name, item)
             shape = tuple(reversed(item.shape))

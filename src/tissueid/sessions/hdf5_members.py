@@ -52,22 +52,20 @@ def _check(file: BinaryIO, place: int) -> None:
     size = int.from_bytes(head[len(_MARK) :], "little")
     if size > MAX_HEAP_BYTES:
         raise SessionFormatError(
-            Message(
-                "session.heap",
-                "its texts take {size} bytes in one piece; at most {most} are read",
-                size=size,
-                most=MAX_HEAP_BYTES,
-            )
+            "session.heap",
+            "its texts take {size} bytes in one piece; at most {most} are read",
+            size=size,
+            most=MAX_HEAP_BYTES,
         )
     body = file.read(max(0, size - _HEAD))
     if len(head) < _HEAD or len(body) < size - _HEAD:
-        raise SessionFormatError(Message("session.heap_truncated", "is damaged: the file ends within its texts"))
+        raise SessionFormatError("session.heap_truncated", "is damaged: the file ends within its texts")
     at = 0
     while len(body) - at >= _OBJECT.size:
         index, _, _, length = _OBJECT.unpack_from(body, at)
         at += _OBJECT.size + length + -length % 8 if index else max(1, length) if length else len(body) + 1
         if at > len(body):
-            raise SessionFormatError(Message("session.heap_overlap", "is damaged: its texts overlap"))
+            raise SessionFormatError("session.heap_overlap", "is damaged: its texts overlap")
 
 
 _READABLE = (h5py.h5t.INTEGER, h5py.h5t.FLOAT, h5py.h5t.STRING, h5py.h5t.ENUM)
@@ -144,12 +142,7 @@ def datasets(group: h5py.Group) -> Iterator[tuple[str, h5py.Dataset]]:
     """
     if len(group) > MAX_MEMBERS:
         raise SessionFormatError(
-            Message(
-                "session.too_many_signals",
-                "{count} signals; at most {most} are read",
-                count=len(group),
-                most=MAX_MEMBERS,
-            )
+            "session.too_many_signals", "{count} signals; at most {most} are read", count=len(group), most=MAX_MEMBERS
         )
     for name in group:
         item = _own(group, name)
@@ -166,18 +159,16 @@ def check_dataset(name: str, dataset: h5py.Dataset) -> None:
         SessionFormatError: it is not.
     """
     if dataset.external is not None or dataset.is_virtual:
-        raise SessionFormatError(Message("session.points_outside", "{name} points outside the file", name=name[:60]))
+        raise SessionFormatError("session.points_outside", "{name} points outside the file", name=name[:60])
     if dataset.chunks is not None:
         chunk = math.prod(dataset.chunks) * dataset.dtype.itemsize
         if chunk > MAX_CHUNK_BYTES:
             raise SessionFormatError(
-                Message(
-                    "session.chunks",
-                    "{name} is stored in chunks of {size} bytes; at most {most} are read",
-                    name=name[:60],
-                    size=chunk,
-                    most=MAX_CHUNK_BYTES,
-                )
+                "session.chunks",
+                "{name} is stored in chunks of {size} bytes; at most {most} are read",
+                name=name[:60],
+                size=chunk,
+                most=MAX_CHUNK_BYTES,
             )
 
 
@@ -188,17 +179,17 @@ def subgroup(parent: h5py.Group, name: str) -> h5py.Group:
         SessionFormatError: there is none, or it is stored outside the file.
     """
     if name not in parent:
-        raise SessionFormatError(Message("session.no_group", "the group {name} is missing", name=name))
+        raise SessionFormatError("session.no_group", "the group {name} is missing", name=name)
     item = _own(parent, name)
     if not isinstance(item, h5py.Group):
-        raise SessionFormatError(Message("session.not_a_group", "{name} is not a group", name=name))
+        raise SessionFormatError("session.not_a_group", "{name} is not a group", name=name)
     return item
 
 
 def _own(parent: h5py.Group, name: str) -> Any:
     """Return a member of this file; links are not followed."""
     if not isinstance(parent.get(name, getlink=True), h5py.HardLink):
-        raise SessionFormatError(Message("session.link", "{name} is a link", name=name[:60]))
+        raise SessionFormatError("session.link", "{name} is a link", name=name[:60])
     return parent[name]
 
 
@@ -210,12 +201,10 @@ def plain_attributes(attributes: h5py.AttributeManager) -> dict[str, str | float
     """
     if len(attributes) > MAX_MEMBERS:
         raise SessionFormatError(
-            Message(
-                "session.too_many_attributes",
-                "{count} attributes; at most {most} are read",
-                count=len(attributes),
-                most=MAX_MEMBERS,
-            )
+            "session.too_many_attributes",
+            "{count} attributes; at most {most} are read",
+            count=len(attributes),
+            most=MAX_MEMBERS,
         )
     found: dict[str, str | float] = {}
     length = 0
@@ -225,11 +214,9 @@ def plain_attributes(attributes: h5py.AttributeManager) -> dict[str, str | float
             length += len(value) if isinstance(value, str) else 0
         if length > _MOST_CHARACTERS:
             raise SessionFormatError(
-                Message(
-                    "session.attributes_too_long",
-                    "attributes of more than {most} characters in one place",
-                    most=_MOST_CHARACTERS,
-                )
+                "session.attributes_too_long",
+                "attributes of more than {most} characters in one place",
+                most=_MOST_CHARACTERS,
             )
     return found
 
@@ -247,12 +234,10 @@ def _attribute(attributes: h5py.AttributeManager, name: str) -> str | float | No
     several = isinstance(kind, h5py.h5t.TypeStringID) and kind.is_variable_str() and stored.shape
     if stored.get_storage_size() > MAX_TEXT or (several and math.prod(several) > _MOST_TEXTS):
         raise SessionFormatError(
-            Message(
-                "session.attribute_too_large",
-                "the attribute {name} is too large: at most {most} bytes are read",
-                name=name[:60],
-                most=MAX_TEXT,
-            )
+            "session.attribute_too_large",
+            "the attribute {name} is too large: at most {most} bytes are read",
+            name=name[:60],
+            most=MAX_TEXT,
         )
     value = attributes[name]
     if isinstance(value, bytes):
@@ -275,7 +260,7 @@ def text_of(attributes: h5py.AttributeManager, name: str, default: str | None = 
         return default
     value = _attribute(attributes, name)
     if not isinstance(value, str):
-        raise SessionFormatError(Message("session.attribute_not_text", "the attribute {name} is not text", name=name))
+        raise SessionFormatError("session.attribute_not_text", "the attribute {name} is not text", name=name)
     return value
 
 
@@ -289,9 +274,7 @@ def number_of(attributes: h5py.AttributeManager, name: str, default: float | Non
         return default
     value = _attribute(attributes, name)
     if not isinstance(value, float):
-        raise SessionFormatError(
-            Message("session.attribute_not_a_number", "the attribute {name} is not a number", name=name)
-        )
+        raise SessionFormatError("session.attribute_not_a_number", "the attribute {name} is not a number", name=name)
     return value
 
 

@@ -14,7 +14,6 @@ import numpy as np
 from tissueid.device import DeviceDescription
 from tissueid.errors import SessionFormatError
 from tissueid.formatting import ANONYMOUS
-from tissueid.messages import Message
 from tissueid.sessions.file_policy import located
 from tissueid.sessions.hdf5_members import (
     datasets,
@@ -82,9 +81,7 @@ def read_test(path: Path, number: int) -> Test:
         tests = subgroup(file, "tests")
         name = next((name for name in tests if name.isascii() and name.isdigit() and int(name) == number), None)
         if name is None:
-            raise SessionFormatError(
-                Message("session.no_test_number", "the session has no test {number}", number=number)
-            )
+            raise SessionFormatError("session.no_test_number", "the session has no test {number}", number=number)
         return read_numbered(name, subgroup(tests, name))
 
 
@@ -104,12 +101,10 @@ def _check_numbers(file: h5py.File, numbers: int) -> None:
     most = allowed_numbers(file.id.get_filesize())
     if numbers > most:
         raise SessionFormatError(
-            Message(
-                "session.too_many_numbers",
-                "the tests hold {numbers} numbers; at most {most} are read from a file of this size",
-                numbers=numbers,
-                most=most,
-            )
+            "session.too_many_numbers",
+            "the tests hold {numbers} numbers; at most {most} are read from a file of this size",
+            numbers=numbers,
+            most=most,
         )
 
 
@@ -117,28 +112,24 @@ def _tests(file: h5py.File) -> h5py.Group:
     tests = subgroup(file, "tests")
     if len(tests) > MAX_TESTS:
         raise SessionFormatError(
-            Message(
-                "session.too_many_tests", "{count} tests; at most {most} are read", count=len(tests), most=MAX_TESTS
-            )
+            "session.too_many_tests", "{count} tests; at most {most} are read", count=len(tests), most=MAX_TESTS
         )
     places = {h5py.h5o.get_info(subgroup(tests, name).id).addr for name in tests}
     if len(places) < len(tests):
-        raise SessionFormatError(Message("session.same_test", "one test has several numbers"))
+        raise SessionFormatError("session.same_test", "one test has several numbers")
     return tests
 
 
 def _read_head(file: h5py.File) -> Session:
     if text_of(file.attrs, "format", "") != FORMAT:
-        raise SessionFormatError(Message("session.not_one", "not a TissueID session (no format attribute)"))
+        raise SessionFormatError("session.not_one", "not a TissueID session (no format attribute)")
     version = text_of(file.attrs, "format_version", "")
     if version.split(".")[0] != FORMAT_VERSION.split(".")[0]:
         raise SessionFormatError(
-            Message(
-                "session.version",
-                "format version '{version}'; this software reads {known}",
-                version=version,
-                known=FORMAT_VERSION,
-            )
+            "session.version",
+            "format version '{version}'; this software reads {known}",
+            version=version,
+            known=FORMAT_VERSION,
         )
     return Session(
         instrument=_read_instrument(subgroup(file, "instrument")),
@@ -173,9 +164,7 @@ def _read_subject(file: h5py.File) -> Subject:
 def _outline(name: str, group: h5py.Group) -> TestOutline:
     sizes = {signal: dataset.size for signal, dataset in datasets(subgroup(group, "signals"))}
     if len(set(sizes.values())) != 1:
-        raise SessionFormatError(
-            Message("session.lengths", "tests/{test}: its signals have different lengths", test=name)
-        )
+        raise SessionFormatError("session.lengths", "tests/{test}: its signals have different lengths", test=name)
     return TestOutline(read_numbered(name, group, signals=False), next(iter(sizes.values())), tuple(sizes))
 
 
@@ -186,28 +175,24 @@ def read_numbered(name: str, group: h5py.Group, *, signals: bool = True) -> Test
         SessionFormatError: the test is not in accordance with the format.
     """
     if not (name.isascii() and name.isdigit()):
-        raise SessionFormatError(Message("session.test_name", "tests/{test}: tests are numbered", test=name))
+        raise SessionFormatError("session.test_name", "tests/{test}: tests are numbered", test=name)
     attributes = group.attrs
     try:
         for required in _REQUIRED_TEST:
             if required not in attributes:
-                raise SessionFormatError(
-                    Message("session.attribute_missing", "the attribute {name} is missing", name=required)
-                )
+                raise SessionFormatError("session.attribute_missing", "the attribute {name} is missing", name=required)
         rate = number_of(attributes, "sample_rate_hz")
         if not RATES_HZ[0] <= rate <= RATES_HZ[1]:
             raise SessionFormatError(
-                Message(
-                    "session.sample_rate",
-                    "a sample rate of {rate:g} Hz; {low:g} to {high:g} Hz are read",
-                    rate=rate,
-                    low=RATES_HZ[0],
-                    high=RATES_HZ[1],
-                )
+                "session.sample_rate",
+                "a sample rate of {rate:g} Hz; {low:g} to {high:g} Hz are read",
+                rate=rate,
+                low=RATES_HZ[0],
+                high=RATES_HZ[1],
             )
         preload = max(0.0, number_of(attributes, "preload_s", 0.0))
         if math.isinf(preload):
-            raise SessionFormatError(Message("session.preload", "a preload of infinite length"))
+            raise SessionFormatError("session.preload", "a preload of infinite length")
         repeat = text_of(attributes, "repeat_of", "")
         status = text_of(attributes, "status", "completed")
         known = {"kind", "configuration", "site", "sample_rate_hz", "preload_s", "surface_position_m"}
@@ -237,33 +222,24 @@ def _read_signals(group: h5py.Group) -> dict[str, np.ndarray]:
     length: int | None = None
     for name, dataset in datasets(group):
         if dataset.ndim != 1 or dataset.dtype.kind not in "fiu":
-            raise SessionFormatError(
-                Message("session.signal_type", "signals/{signal} is not a row of numbers", signal=name)
-            )
+            raise SessionFormatError("session.signal_type", "signals/{signal} is not a row of numbers", signal=name)
         if not 0 < dataset.size <= MAX_SAMPLES:
             raise SessionFormatError(
-                Message(
-                    "session.signal_size",
-                    "signals/{signal} has {samples} samples",
-                    signal=name,
-                    samples=int(dataset.size),
-                )
+                "session.signal_size", "signals/{signal} has {samples} samples", signal=name, samples=int(dataset.size)
             )
         if length is not None and dataset.size != length:
             raise SessionFormatError(
-                Message(
-                    "session.signal_length",
-                    "signals/{signal} has {samples} samples where others have {others}",
-                    signal=name,
-                    samples=int(dataset.size),
-                    others=length,
-                )
+                "session.signal_length",
+                "signals/{signal} has {samples} samples where others have {others}",
+                signal=name,
+                samples=int(dataset.size),
+                others=length,
             )
         length = dataset.size
         with np.errstate(invalid="ignore"):  # damaged files can contain any float, also signalling NaN
             signals[name] = dataset[:].astype(np.float64)
     if len(set(signals) - {"time"}) < 2:
-        raise SessionFormatError(Message("session.few_signals", "a test needs at least one input and one output"))
+        raise SessionFormatError("session.few_signals", "a test needs at least one input and one output")
     return signals
 
 

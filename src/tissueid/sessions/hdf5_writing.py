@@ -15,7 +15,6 @@ import numpy as np
 
 from tissueid.atomic_write import atomic_file
 from tissueid.errors import SessionExistsError, SessionFormatError
-from tissueid.messages import Message
 from tissueid.sessions.hdf5_members import opened, subgroup
 from tissueid.sessions.hdf5_reading import FORMAT, FORMAT_VERSION, read_all_but_tests, read_numbered
 from tissueid.sessions.model import SIGNAL_NAMES, Session, Test
@@ -38,7 +37,7 @@ def write_session(path: Path, session: Session, *, tests: Iterable[Test] | None 
     if path.exists():
         raise SessionExistsError(path)
     if not path.parent.is_dir():
-        raise SessionFormatError(Message("file.no_folder", "there is no folder {folder}", folder=str(path.parent)))
+        raise SessionFormatError("file.no_folder", "there is no folder {folder}", folder=str(path.parent))
     try:
         with atomic_file(path, synced=True, new=True) as partial:
             _verify(partial, session.session_id, _write_into(partial, path, session, tests))
@@ -127,16 +126,14 @@ def _verify(path: Path, session_id: str, digests: _Digests) -> None:
         stored = read_all_but_tests(file)
         tests = subgroup(file, "tests")
         if stored.session_id != session_id or len(tests) != len(digests):
-            raise SessionFormatError(Message("session.differs", "the session reads back differently"))
+            raise SessionFormatError("session.differs", "the session reads back differently")
         for number, written in digests.items():
             test = read_numbered(name := f"{number:04d}", subgroup(tests, name))
             for signal, digest in written.items():
                 if signal not in test.signals or _digest(test.signals[signal]) != digest:
                     raise SessionFormatError(
-                        Message(
-                            "session.test_differs",
-                            "test {number}, {signal} reads back differently",
-                            number=number,
-                            signal=signal,
-                        )
+                        "session.test_differs",
+                        "test {number}, {signal} reads back differently",
+                        number=number,
+                        signal=signal,
                     )

@@ -164,18 +164,16 @@ class Test:
         for name in (input_name, output_name):
             if name not in self.signals or name == "time":
                 raise UnusableInputError(
-                    Message(
-                        "session.no_signal",
-                        "test {number} has no signal '{signal}'; it has: {signals}",
-                        number=self.number,
-                        signal=name,
-                        signals=Listing(tuple(sorted(set(self.signals) - {"time"}))),
-                    )
+                    "session.no_signal",
+                    "test {number} has no signal '{signal}'; it has: {signals}",
+                    number=self.number,
+                    signal=name,
+                    signals=Listing(tuple(sorted(set(self.signals) - {"time"}))),
                 )
         first = 0 if preload else round(self.preload_s * self.sample_rate_hz)
         if first >= self.samples:
             raise UnusableInputError(
-                Message("session.only_preload", "test {number} ends within its preload", number=self.number)
+                "session.only_preload", "test {number} ends within its preload", number=self.number
             )
         return Record(
             self.signals[input_name][first:],
@@ -212,19 +210,17 @@ class Session:
             UnusableInputError: there is no such test.
         """
         if not self.tests:
-            raise UnusableInputError(Message("session.empty", "the session holds no tests"))
+            raise UnusableInputError("session.empty", "the session holds no tests")
         if number is None:
             return next((test for test in self.tests if test.kind == "stochastic"), self.tests[0])
         for test in self.tests:
             if test.number == number:
                 return test
         raise UnusableInputError(
-            Message(
-                "session.no_test",
-                "the session has no test {number}; it has {numbers}",
-                number=number,
-                numbers=", ".join(str(test.number) for test in self.tests),
-            )
+            "session.no_test",
+            "the session has no test {number}; it has {numbers}",
+            number=number,
+            numbers=", ".join(str(test.number) for test in self.tests),
         )
 
 

@@ -138,11 +138,9 @@ class ReaderProcess:
             )
         except OSError as error:
             raise UnusableInputError(
-                Message(
-                    "reader.not_started",
-                    "the reading process cannot be started: {reason}",
-                    reason=str(error.strerror or error),
-                )
+                "reader.not_started",
+                "the reading process cannot be started: {reason}",
+                reason=str(error.strerror or error),
             ) from error
         return self._process
 
@@ -238,7 +236,7 @@ def _served(
         return "done", error.with_traceback(None)
     except MemoryError:
         return "done", SessionFormatError(
-            Message("session.memory", "{path} is damaged: it would take too much memory", path=str(path))
+            "session.memory", "{path} is damaged: it would take too much memory", path=str(path)
         )
     except Exception:  # noqa: BLE001 - a defect of the software, reported by the parent
         return "defect", traceback.format_exc()

@@ -109,14 +109,12 @@ def check_range_order(what: str, least: float, greatest: float, unit: str) -> No
     """
     if least >= greatest:
         raise UnusableInputError(
-            Message(
-                "stimulus.range",
-                "the least {what} ({least:g} {unit}) must be below the greatest ({greatest:g} {unit})",
-                what=what,
-                least=least,
-                greatest=greatest,
-                unit=unit,
-            )
+            "stimulus.range",
+            "the least {what} ({least:g} {unit}) must be below the greatest ({greatest:g} {unit})",
+            what=what,
+            least=least,
+            greatest=greatest,
+            unit=unit,
         )
 
 
@@ -145,14 +143,12 @@ class OpenLoopKind(StimulusKind):
         samples = self.planned_samples()
         if samples is not None and samples > MAX_SAMPLES:
             raise UnusableInputError(
-                Message(
-                    "stimulus.samples",
-                    "the stimulus {name} would have {samples:.3g} samples; the maximum is {limit:.3g}: lower "
-                    "its length or its sample rate",
-                    name=self.name,
-                    samples=samples,
-                    limit=MAX_SAMPLES,
-                )
+                "stimulus.samples",
+                "the stimulus {name} would have {samples:.3g} samples; the maximum is {limit:.3g}: lower "
+                "its length or its sample rate",
+                name=self.name,
+                samples=samples,
+                limit=MAX_SAMPLES,
             )
 
 
@@ -170,22 +166,18 @@ class Ranged(OpenLoopKind):
     def _check_range(self) -> Self:
         if (self.voltage_min_v is None) != (self.voltage_max_v is None):
             raise UnusableInputError(
-                Message(
-                    "stimulus.voltage_ends", "a voltage range needs both limits: give voltage_min_v and voltage_max_v"
-                )
+                "stimulus.voltage_ends", "a voltage range needs both limits: give voltage_min_v and voltage_max_v"
             )
         low, high, unit = self.span
         check_range_order("force" if unit == "N" else "voltage", low, high, unit)
         if high - low < MIN_SPAN:
             raise UnusableInputError(
-                Message(
-                    "stimulus.narrow",
-                    "the range from {low:g} to {high:g} {unit} is narrower than {least:g} {unit}: widen it",
-                    low=low,
-                    high=high,
-                    least=MIN_SPAN,
-                    unit=unit,
-                )
+                "stimulus.narrow",
+                "the range from {low:g} to {high:g} {unit} is narrower than {least:g} {unit}: widen it",
+                low=low,
+                high=high,
+                least=MIN_SPAN,
+                unit=unit,
             )
         return self
 
@@ -242,12 +234,10 @@ def build_from_specification(specification: StimulusKind, preload_s: float | Non
     """
     if not isinstance(specification, OpenLoopKind):
         raise UnusableInputError(
-            Message(
-                "stimulus.feedback",
-                "the stimulus '{name}' cannot be rebuilt, because it was generated during the test: "
-                "use the recorded command",
-                name=specification.name,
-            )
+            "stimulus.feedback",
+            "the stimulus '{name}' cannot be rebuilt, because it was generated during the test: "
+            "use the recorded command",
+            name=specification.name,
         )
     specification.check_size()
     built = specification.build()
@@ -263,32 +253,25 @@ def parse_description(description: object) -> tuple[StimulusKind, float | None]:
         UnusableInputError: unknown kind, invalid options, or invalid preload length.
     """
     if not isinstance(description, Mapping) or not all(isinstance(name, str) for name in description):
-        raise UnusableInputError(
-            Message("stimulus.description", "the description of the stimulus is not a table of options")
-        )
+        raise UnusableInputError("stimulus.description", "the description of the stimulus is not a table of options")
     fields = dict(description)
     kind = fields.pop("type", None)
     if kind == GUIDED:
         preload_s, inner = fields.get("preload_s"), fields.get("stimulus")
         if not isinstance(preload_s, int | float) or not isinstance(inner, Mapping) or inner.get("type") == GUIDED:
             raise UnusableInputError(
-                Message(
-                    "stimulus.preload_description",
-                    "the description of the stimulus with its preload is not valid",
-                )
+                "stimulus.preload_description", "the description of the stimulus with its preload is not valid"
             )
         if not RISE_S <= preload_s <= MAX_PRELOAD_S:
             raise UnusableInputError(
-                Message(
-                    "stimulus.preload_length",
-                    "the preload must last from its rise of {rise:g} s up to {limit:g} s",
-                    rise=RISE_S,
-                    limit=MAX_PRELOAD_S,
-                )
+                "stimulus.preload_length",
+                "the preload must last from its rise of {rise:g} s up to {limit:g} s",
+                rise=RISE_S,
+                limit=MAX_PRELOAD_S,
             )
         return parse_description(inner)[0], float(preload_s)
     if not isinstance(kind, str):
-        raise UnusableInputError(Message("stimulus.no_type", "the description of the stimulus has no type"))
+        raise UnusableInputError("stimulus.no_type", "the description of the stimulus has no type")
     return get_stimulus(kind[:100]).from_options(fields), None
 
 
@@ -336,21 +319,17 @@ def preload_values(load: float, preload_s: float, sample_rate_hz: float) -> Arra
     """
     if not preload_s >= RISE_S:
         raise UnusableInputError(
-            Message(
-                "stimulus.preload_short",
-                "the preload must last at least its rise of {rise:g} s, not {seconds:g} s",
-                rise=RISE_S,
-                seconds=preload_s,
-            )
+            "stimulus.preload_short",
+            "the preload must last at least its rise of {rise:g} s, not {seconds:g} s",
+            rise=RISE_S,
+            seconds=preload_s,
         )
     if preload_s * sample_rate_hz > MAX_SAMPLES:
         raise UnusableInputError(
-            Message(
-                "stimulus.preload_samples",
-                "the preload would have {samples:.3g} samples; the maximum is {limit:.3g}: shorten it",
-                samples=preload_s * sample_rate_hz,
-                limit=MAX_SAMPLES,
-            )
+            "stimulus.preload_samples",
+            "the preload would have {samples:.3g} samples; the maximum is {limit:.3g}: shorten it",
+            samples=preload_s * sample_rate_hz,
+            limit=MAX_SAMPLES,
         )
     rise = np.minimum(np.arange(round(preload_s * sample_rate_hz)) / (RISE_S * sample_rate_hz), 1.0)
     return load * 0.5 * (1.0 - np.cos(np.pi * rise))
@@ -374,13 +353,11 @@ def to_voltage(values: Array, device: DeviceDescription, unit: Unit = "N") -> Ar
         else:
             advice = Message("stimulus.lower_voltage", "lower the voltage range (--max-volts) to that")
         raise LimitError(
-            Message(
-                "stimulus.amplifier",
-                "the stimulus asks for {peak:.3g} V and the amplifier gives {limit:g} V: {advice}",
-                peak=peak,
-                limit=device.amplifier_limit_v,
-                advice=advice,
-            )
+            "stimulus.amplifier",
+            "the stimulus asks for {peak:.3g} V and the amplifier gives {limit:g} V: {advice}",
+            peak=peak,
+            limit=device.amplifier_limit_v,
+            advice=advice,
         )
     return voltage
 

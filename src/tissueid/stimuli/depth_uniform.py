@@ -18,7 +18,6 @@ from pydantic import BaseModel, ConfigDict, Field, ValidationError, model_valida
 
 from tissueid.errors import UnusableInputError
 from tissueid.language import marked
-from tissueid.messages import Message
 from tissueid.option_errors import option_error
 from tissueid.stimuli.base import Array, check_range_order, with_preload
 from tissueid.stimuli.distributions import kolmogorov_distance
@@ -131,7 +130,7 @@ def distance_from_uniform(depth: Array, low: float, high: float) -> float:
     """
     received = depth[np.isfinite(depth)]
     if not received.size:
-        raise UnusableInputError(Message("depth.lost", "no sample of the depth was received: repeat the test"))
+        raise UnusableInputError("depth.lost", "no sample of the depth was received: repeat the test")
     return kolmogorov_distance(received, np.linspace(low, high, received.size))
 
 
@@ -205,11 +204,8 @@ def _static_curve(simulate: Simulation, design: DepthDesign) -> _Curve:
     depths = np.array([simulate(np.full(n, force))[-1] for force in forces])
     if not np.isfinite(depths).all() or not depths[-1] > depths[0]:
         raise UnusableInputError(
-            Message(
-                "depth.no_response",
-                "in the fitted model depth does not grow with force, so no stimulus can be designed: record "
-                "another test",
-            )
+            "depth.no_response",
+            "in the fitted model depth does not grow with force, so no stimulus can be designed: record another test",
         )
     return _Curve(forces, np.maximum.accumulate(depths))
 
@@ -227,17 +223,15 @@ def _reachable(curve: _Curve, design: DepthDesign, edge: float) -> tuple[float, 
     least, most = max(design.depth_min_m, ends[0]), min(design.depth_max_m, ends[1])
     if not least < most:
         raise UnusableInputError(
-            Message(
-                "depth.out_of_reach",
-                "depths from {depth_min_m:.2f} to {depth_max_m:.2f} mm are out of reach: forces from {low:g} "
-                "to {high:g} N reach {lowest:.2f} to {highest:.2f} mm here",
-                depth_min_m=1000.0 * design.depth_min_m,
-                depth_max_m=1000.0 * design.depth_max_m,
-                low=low,
-                high=high,
-                lowest=1000.0 * ends[0],
-                highest=1000.0 * ends[1],
-            )
+            "depth.out_of_reach",
+            "depths from {depth_min_m:.2f} to {depth_max_m:.2f} mm are out of reach: forces from {low:g} "
+            "to {high:g} N reach {lowest:.2f} to {highest:.2f} mm here",
+            depth_min_m=1000.0 * design.depth_min_m,
+            depth_max_m=1000.0 * design.depth_max_m,
+            low=low,
+            high=high,
+            lowest=1000.0 * ends[0],
+            highest=1000.0 * ends[1],
         )
     return least, most
 
@@ -257,10 +251,8 @@ def _bounded(forces: Array, design: DepthDesign) -> Array:
     rising = np.maximum.accumulate(np.clip(forces, design.force_min_n, design.force_max_n))
     if not rising[-1] > rising[0]:
         raise UnusableInputError(
-            Message(
-                "depth.one_force",
-                "the fitted model gives the same force at every depth, so no stimulus can be designed: "
-                "record a test over more depth",
-            )
+            "depth.one_force",
+            "the fitted model gives the same force at every depth, so no stimulus can be designed: "
+            "record a test over more depth",
         )
     return np.asarray(rising, dtype=np.float64)

@@ -19,7 +19,6 @@ import scipy
 from numpy.typing import NDArray
 
 from tissueid.errors import UnusableInputError
-from tissueid.messages import Message
 from tissueid.plugins import Registry
 
 Array = NDArray[np.float64]
@@ -62,9 +61,7 @@ class Distribution(ABC):
             UnusableInputError: n is below 2.
         """
         if n < 2:
-            raise UnusableInputError(
-                Message("distribution.samples", "a distribution needs at least 2 samples, not {n}", n=n)
-            )
+            raise UnusableInputError("distribution.samples", "a distribution needs at least 2 samples, not {n}", n=n)
         raw = self.quantile(np.linspace(0.0, 1.0, n))
         levels = 2.0 * (raw - raw[0]) / (raw[-1] - raw[0]) - 1.0
         return np.asarray(np.clip(levels, -1.0, 1.0), dtype=np.float64)
@@ -117,9 +114,7 @@ class Uniform(Distribution):
     def levels(self, n: int) -> Array:
         """Return evenly spaced amplitudes (n,) from -1 to 1."""
         if n < 2:
-            raise UnusableInputError(
-                Message("distribution.samples", "a distribution needs at least 2 samples, not {n}", n=n)
-            )
+            raise UnusableInputError("distribution.samples", "a distribution needs at least 2 samples, not {n}", n=n)
         return np.linspace(-1.0, 1.0, n)
 
 
@@ -222,46 +217,36 @@ class Quantiles(Distribution):
     def __post_init__(self) -> None:
         if len(self.values) < 2:
             raise UnusableInputError(
-                Message("quantiles.few", "quantiles need at least 2 values, not {values}", values=len(self.values))
+                "quantiles.few", "quantiles need at least 2 values, not {values}", values=len(self.values)
             )
         if any(b < a for a, b in pairwise(self.values)):
-            raise UnusableInputError(Message("quantiles.fall", "the values of quantiles must not decrease: sort them"))
+            raise UnusableInputError("quantiles.fall", "the values of quantiles must not decrease: sort them")
         if not self.values[-1] > self.values[0]:
             raise UnusableInputError(
-                Message(
-                    "quantiles.equal",
-                    "all values of the quantiles are {values:g}: give at least two",
-                    values=self.values[0],
-                )
+                "quantiles.equal",
+                "all values of the quantiles are {values:g}: give at least two",
+                values=self.values[0],
             )
         if not _MIN_SPAN <= self.values[-1] - self.values[0] <= _MAX_SPAN:
             raise UnusableInputError(
-                Message(
-                    "quantiles.scale",
-                    "the quantiles from {low:g} to {high:g} cannot be scaled to a range: give values closer to 1",
-                    low=self.values[0],
-                    high=self.values[-1],
-                )
+                "quantiles.scale",
+                "the quantiles from {low:g} to {high:g} cannot be scaled to a range: give values closer to 1",
+                low=self.values[0],
+                high=self.values[-1],
             )
         if not self.probabilities:
             return
         if len(self.probabilities) != len(self.values):
             raise UnusableInputError(
-                Message(
-                    "quantiles.lengths",
-                    "quantiles need a probability for each value: {values} values, {probabilities} probabilities",
-                    values=len(self.values),
-                    probabilities=len(self.probabilities),
-                )
+                "quantiles.lengths",
+                "quantiles need a probability for each value: {values} values, {probabilities} probabilities",
+                values=len(self.values),
+                probabilities=len(self.probabilities),
             )
         if self.probabilities[0] != 0.0 or self.probabilities[-1] != 1.0:
-            raise UnusableInputError(
-                Message("quantiles.ends", "the probabilities of quantiles must begin at 0 and end at 1")
-            )
+            raise UnusableInputError("quantiles.ends", "the probabilities of quantiles must begin at 0 and end at 1")
         if any(b <= a for a, b in pairwise(self.probabilities)):
-            raise UnusableInputError(
-                Message("quantiles.rise", "the probabilities of quantiles must be strictly rising")
-            )
+            raise UnusableInputError("quantiles.rise", "the probabilities of quantiles must be strictly rising")
 
     def quantile(self, probability: Array) -> Array:
         """Return amplitudes (k,) at probabilities (k,), in the unit of the values."""

@@ -17,7 +17,6 @@ from numpy.typing import NDArray
 from scipy import fft
 
 from tissueid.errors import UnusableInputError
-from tissueid.messages import Message
 from tissueid.stimuli import _interchange as kernel
 from tissueid.stimuli.spectra import Spectrum
 from tissueid.stimuli.surrogate import lag_surrogate, spectral_surrogate, start_at_mean
@@ -90,15 +89,13 @@ def _normalised(values: Array, lags: int) -> Array:
     """Return values (n,) with zero mean and unit energy, or raise where the autocorrelation is undefined."""
     if lags >= values.size:
         raise UnusableInputError(
-            Message(
-                "interchange.short",
-                "{size} samples have no autocorrelation at {lags} lags: use a longer stimulus",
-                size=values.size,
-                lags=lags,
-            )
+            "interchange.short",
+            "{size} samples have no autocorrelation at {lags} lags: use a longer stimulus",
+            size=values.size,
+            lags=lags,
         )
     if np.ptp(values) == 0.0:
-        raise UnusableInputError(Message("interchange.constant", "all samples are equal: there is no autocorrelation"))
+        raise UnusableInputError("interchange.constant", "all samples are equal: there is no autocorrelation")
     about = values - np.mean(values)
     return np.asarray(about / np.sqrt(about @ about), dtype=np.float64)
 
@@ -147,7 +144,7 @@ def interchange(
     """
     if target.size < 2 or abs(target[0] - 1.0) > 1e-9:
         raise UnusableInputError(
-            Message("interchange.target", "a target autocorrelation must be 1 at lag 0 and have at least lag 1")
+            "interchange.target", "a target autocorrelation must be 1 at lag 0 and have at least lag 1"
         )
     search = _Search(np.asarray(start, dtype=np.float64), np.asarray(target, dtype=np.float64), seed)
     while search.error > tolerance and search.tried < max_trials:

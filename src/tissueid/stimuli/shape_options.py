@@ -10,7 +10,6 @@ from pydantic import Field, model_validator
 
 from tissueid.errors import UnusableInputError
 from tissueid.language import marked
-from tissueid.messages import Message
 from tissueid.stimuli import spectra
 from tissueid.stimuli.base import Array, Ranged, Stimulus, crest_factor
 from tissueid.stimuli.distributions import Distribution, distribution_names, get_distribution
@@ -93,23 +92,19 @@ class Shaped(Ranged):
         for table, (option, choice) in _TABLES.items():
             if getattr(self, table) and getattr(self, option) != choice:
                 raise UnusableInputError(
-                    Message(
-                        "shape.table",
-                        "{table} need {option} '{choice}': set it or omit {table}",
-                        table=table,
-                        option=option,
-                        choice=choice,
-                    )
+                    "shape.table",
+                    "{table} need {option} '{choice}': set it or omit {table}",
+                    table=table,
+                    option=option,
+                    choice=choice,
                 )
         if self.samples < 16:
             raise UnusableInputError(
-                Message(
-                    "shape.short",
-                    "{seconds:g} s at {sample_rate:g} Hz is too short for {name}",
-                    seconds=self.seconds,
-                    sample_rate=self.sample_rate,
-                    name=self.name,
-                )
+                "shape.short",
+                "{seconds:g} s at {sample_rate:g} Hz is too short for {name}",
+                seconds=self.seconds,
+                sample_rate=self.sample_rate,
+                name=self.name,
             )
         self.check_size()
         self.build_distribution()
@@ -125,13 +120,11 @@ class Shaped(Ranged):
             total = float(np.sum(self.build_spectrum().power(self.samples, self.sample_rate)[1:]))
         if not np.finfo(np.float64).tiny <= total < np.inf:
             raise UnusableInputError(
-                Message(
-                    "shape.no_power",
-                    "the spectrum has no power at multiples of {samples:.3g} Hz, the resolution of {seconds:g} "
-                    "s: use a wider spectrum or a longer stimulus",
-                    samples=self.sample_rate / self.samples,
-                    seconds=self.seconds,
-                )
+                "shape.no_power",
+                "the spectrum has no power at multiples of {samples:.3g} Hz, the resolution of {seconds:g} "
+                "s: use a wider spectrum or a longer stimulus",
+                samples=self.sample_rate / self.samples,
+                seconds=self.seconds,
             )
 
     @property

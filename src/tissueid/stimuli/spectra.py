@@ -70,14 +70,12 @@ class Spectrum(ABC):
 def _below_nyquist(what: str, frequency_hz: float, sample_rate_hz: float) -> None:
     if frequency_hz >= 0.5 * sample_rate_hz:
         raise UnusableInputError(
-            Message(
-                "spectrum.nyquist",
-                "{what} of {frequency_hz:g} Hz needs a sample rate above {needed:g} Hz, not {sample_rate_hz:g} Hz",
-                what=what,
-                frequency_hz=frequency_hz,
-                needed=2 * frequency_hz,
-                sample_rate_hz=sample_rate_hz,
-            )
+            "spectrum.nyquist",
+            "{what} of {frequency_hz:g} Hz needs a sample rate above {needed:g} Hz, not {sample_rate_hz:g} Hz",
+            what=what,
+            frequency_hz=frequency_hz,
+            needed=2 * frequency_hz,
+            sample_rate_hz=sample_rate_hz,
         )
 
 
@@ -114,15 +112,13 @@ def check_settling(cutoff_hz: float, sample_rate_hz: float, grid_cycles: float =
             )
         )
         raise UnusableInputError(
-            Message(
-                "spectrum.low_cutoff",
-                "a cutoff of {cutoff_hz:g} Hz is too low at a sample rate of {sample_rate_hz:g} Hz: {reason}; "
-                "the minimum is about {least:.3g} Hz",
-                cutoff_hz=cutoff_hz,
-                sample_rate_hz=sample_rate_hz,
-                reason=reason,
-                least=1.005 * least,
-            )
+            "spectrum.low_cutoff",
+            "a cutoff of {cutoff_hz:g} Hz is too low at a sample rate of {sample_rate_hz:g} Hz: {reason}; "
+            "the minimum is about {least:.3g} Hz",
+            cutoff_hz=cutoff_hz,
+            sample_rate_hz=sample_rate_hz,
+            reason=reason,
+            least=1.005 * least,
         )
 
 
@@ -213,14 +209,12 @@ class ExponentialDecay(Spectrum):
         samples = self.time_constant_s * sample_rate_hz
         if not 1e-3 <= samples <= MAX_SAMPLES:
             raise UnusableInputError(
-                Message(
-                    "spectrum.time_constant",
-                    "the time constant must be between 0.001 and {limit:.3g} samples, not {samples:.3g} "
-                    "({time_constant_s:g} s); below that use the white spectrum",
-                    time_constant_s=self.time_constant_s,
-                    samples=samples,
-                    limit=MAX_SAMPLES,
-                )
+                "spectrum.time_constant",
+                "the time constant must be between 0.001 and {limit:.3g} samples, not {samples:.3g} "
+                "({time_constant_s:g} s); below that use the white spectrum",
+                time_constant_s=self.time_constant_s,
+                samples=samples,
+                limit=MAX_SAMPLES,
             )
 
     def autocorrelation(self, lags: int, sample_rate_hz: float) -> Array:
@@ -247,14 +241,12 @@ class SecondOrder(Spectrum):
         least = sample_rate_hz / (2.0 * np.pi * self.damping * MAX_SAMPLES)
         if self.natural_hz < least:
             raise UnusableInputError(
-                Message(
-                    "spectrum.slow",
-                    "an oscillation of {natural_hz:g} Hz with a damping of {damping:g} decays more slowly than "
-                    "the longest stimulus; at this damping the minimum is about {least:.3g} Hz",
-                    natural_hz=self.natural_hz,
-                    damping=self.damping,
-                    least=1.005 * least,
-                )
+                "spectrum.slow",
+                "an oscillation of {natural_hz:g} Hz with a damping of {damping:g} decays more slowly than "
+                "the longest stimulus; at this damping the minimum is about {least:.3g} Hz",
+                natural_hz=self.natural_hz,
+                damping=self.damping,
+                least=1.005 * least,
             )
 
     def autocorrelation(self, lags: int, sample_rate_hz: float) -> Array:
@@ -284,44 +276,35 @@ class PowerTable(Spectrum):
     def __post_init__(self) -> None:
         if len(self.frequencies_hz) != len(self.densities) or len(self.densities) < 2:
             raise UnusableInputError(
-                Message(
-                    "spectrum.table_lengths",
-                    "a power spectrum needs at least 2 frequencies and a density for each: {frequencies_hz} "
-                    "frequencies, {densities} densities",
-                    frequencies_hz=len(self.frequencies_hz),
-                    densities=len(self.densities),
-                )
+                "spectrum.table_lengths",
+                "a power spectrum needs at least 2 frequencies and a density for each: {frequencies_hz} "
+                "frequencies, {densities} densities",
+                frequencies_hz=len(self.frequencies_hz),
+                densities=len(self.densities),
             )
         if self.frequencies_hz[0] < 0.0 or any(b <= a for a, b in pairwise(self.frequencies_hz)):
             raise UnusableInputError(
-                Message(
-                    "spectrum.table_rise",
-                    "the frequencies of a power spectrum must be nonnegative and strictly rising",
-                )
+                "spectrum.table_rise", "the frequencies of a power spectrum must be nonnegative and strictly rising"
             )
         if min(self.densities) < 0.0:
             at = self.frequencies_hz[int(np.argmin(self.densities))]
             raise UnusableInputError(
-                Message(
-                    "spectrum.negative",
-                    "the power density at {at:g} Hz is {densities:g}: it cannot be negative",
-                    at=at,
-                    densities=min(self.densities),
-                )
+                "spectrum.negative",
+                "the power density at {at:g} Hz is {densities:g}: it cannot be negative",
+                at=at,
+                densities=min(self.densities),
             )
         if max(self.densities) == 0.0:
-            raise UnusableInputError(Message("spectrum.zero", "the power spectrum has no power at any frequency"))
+            raise UnusableInputError("spectrum.zero", "the power spectrum has no power at any frequency")
         f, s = np.array(self.frequencies_hz), np.array(self.densities)
         with np.errstate(all="ignore"):
             total, slopes = float(np.trapezoid(s, f)), np.diff(s) / np.diff(f)
         if not (_TINY <= total < np.inf and np.all(np.isfinite(slopes))):
             raise UnusableInputError(
-                Message(
-                    "spectrum.scale",
-                    "the power spectrum has a total power of {total:g} or is too steep: give densities closer "
-                    "to 1 and frequencies further apart",
-                    total=total,
-                )
+                "spectrum.scale",
+                "the power spectrum has a total power of {total:g} or is too steep: give densities closer "
+                "to 1 and frequencies further apart",
+                total=total,
             )
 
     def check(self, sample_rate_hz: float) -> None:
@@ -330,14 +313,12 @@ class PowerTable(Spectrum):
         highest = float(f[min(int(np.flatnonzero(s)[-1]) + 1, f.size - 1)])
         if highest > 0.5 * sample_rate_hz:
             raise UnusableInputError(
-                Message(
-                    "spectrum.table_rate",
-                    "a power spectrum up to {highest:g} Hz needs a sample rate of at least {needed:g} Hz, not "
-                    "{sample_rate_hz:g} Hz",
-                    highest=highest,
-                    needed=2 * highest,
-                    sample_rate_hz=sample_rate_hz,
-                )
+                "spectrum.table_rate",
+                "a power spectrum up to {highest:g} Hz needs a sample rate of at least {needed:g} Hz, not "
+                "{sample_rate_hz:g} Hz",
+                highest=highest,
+                needed=2 * highest,
+                sample_rate_hz=sample_rate_hz,
             )
 
     def autocorrelation(self, lags: int, sample_rate_hz: float) -> Array:
@@ -370,38 +351,28 @@ class AutocorrelationTable(Spectrum):
     def __post_init__(self) -> None:
         if len(self.lags_s) != len(self.correlations) or len(self.lags_s) < 2:
             raise UnusableInputError(
-                Message(
-                    "autocorrelation.lengths",
-                    "an autocorrelation needs at least 2 lags and a value for each: {lags_s} lags, "
-                    "{correlations} values",
-                    lags_s=len(self.lags_s),
-                    correlations=len(self.correlations),
-                )
+                "autocorrelation.lengths",
+                "an autocorrelation needs at least 2 lags and a value for each: {lags_s} lags, {correlations} values",
+                lags_s=len(self.lags_s),
+                correlations=len(self.correlations),
             )
         if self.lags_s[0] != 0.0 or any(b <= a for a, b in pairwise(self.lags_s)):
             raise UnusableInputError(
-                Message(
-                    "autocorrelation.rise",
-                    "the lags of an autocorrelation must begin at 0 and be strictly rising",
-                )
+                "autocorrelation.rise", "the lags of an autocorrelation must begin at 0 and be strictly rising"
             )
         if abs(self.correlations[0] - 1.0) > 1e-9:
             raise UnusableInputError(
-                Message(
-                    "autocorrelation.lag_zero",
-                    "an autocorrelation is 1 at lag 0, not {correlations:g}: divide the values by it",
-                    correlations=self.correlations[0],
-                )
+                "autocorrelation.lag_zero",
+                "an autocorrelation is 1 at lag 0, not {correlations:g}: divide the values by it",
+                correlations=self.correlations[0],
             )
         largest = int(np.argmax(np.abs(self.correlations[1:]))) + 1
         if abs(self.correlations[largest]) > 1.0:
             raise UnusableInputError(
-                Message(
-                    "autocorrelation.range",
-                    "an autocorrelation must lie between -1 and 1, but is {value:g} at {largest:g} s",
-                    largest=self.lags_s[largest],
-                    value=self.correlations[largest],
-                )
+                "autocorrelation.range",
+                "an autocorrelation must lie between -1 and 1, but is {value:g} at {largest:g} s",
+                largest=self.lags_s[largest],
+                value=self.correlations[largest],
             )
 
     def check(self, sample_rate_hz: float) -> None:
@@ -409,13 +380,11 @@ class AutocorrelationTable(Spectrum):
         samples = self.lags_s[-1] * sample_rate_hz
         if samples > MAX_SAMPLES:
             raise UnusableInputError(
-                Message(
-                    "autocorrelation.long",
-                    "the autocorrelation table extends to {samples:.3g} samples; the maximum is {limit:.3g}: "
-                    "give its lags in seconds",
-                    samples=samples,
-                    limit=MAX_SAMPLES,
-                )
+                "autocorrelation.long",
+                "the autocorrelation table extends to {samples:.3g} samples; the maximum is {limit:.3g}: "
+                "give its lags in seconds",
+                samples=samples,
+                limit=MAX_SAMPLES,
             )
         reach = self._reach(sample_rate_hz)
         n = max(8192, 1 << int(np.ceil(np.log2(4.0 * reach + 4.0))))
@@ -426,13 +395,11 @@ class AutocorrelationTable(Spectrum):
         if error > ROUNDING_ERROR:
             lowest = int(np.argmin(density))
             raise UnusableInputError(
-                Message(
-                    "autocorrelation.impossible",
-                    "no signal has this autocorrelation: its spectrum would be negative, at {frequency:.4g} Hz by "
-                    "{power:.2g} times the mean power",
-                    frequency=lowest * sample_rate_hz / n,
-                    power=-density[lowest],
-                )
+                "autocorrelation.impossible",
+                "no signal has this autocorrelation: its spectrum would be negative, at {frequency:.4g} Hz by "
+                "{power:.2g} times the mean power",
+                frequency=lowest * sample_rate_hz / n,
+                power=-density[lowest],
             )
 
     def autocorrelation(self, lags: int, sample_rate_hz: float) -> Array:

@@ -143,7 +143,7 @@ def assess_stimulus(
     """
     values = np.asarray(played.values, dtype=np.float64)
     if values.size == 0 or not np.isfinite(values).all():
-        raise UnusableInputError(Message("stimulus.not_finite", "a stimulus must have at least one sample, all finite"))
+        raise UnusableInputError("stimulus.not_finite", "a stimulus must have at least one sample, all finite")
     volts = values * (device.voltage_for_force(1.0) if played.unit == "N" else 1.0)  # (n,) command
     current = volts * (device.amplifier_gain / device.coil_resistance_ohm)
     force = current * device.force_constant_n_per_a

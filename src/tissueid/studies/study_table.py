@@ -13,7 +13,7 @@ from tissueid.atomic_write import atomic_file
 from tissueid.errors import UnusableInputError
 from tissueid.formatting import cell_text, clean, label_and_unit
 from tissueid.language import marked
-from tissueid.messages import MISSING, Listing, Message, Verbatim, joined
+from tissueid.messages import MISSING, Listing, Verbatim, joined
 
 KEYS = (
     "session",
@@ -193,21 +193,17 @@ def read_subjects(path: Path) -> pd.DataFrame:
     """
     try:
         if path.stat().st_size > _LARGEST_SUBJECTS:
-            raise UnusableInputError(Message("study.subjects_size", "{path} is too large", path=str(path)))
+            raise UnusableInputError("study.subjects_size", "{path} is too large", path=str(path))
         found = pd.read_csv(path, dtype={"subject": str}, nrows=1_000_000)
     except (OSError, ValueError, pd.errors.ParserError) as error:
         why = Verbatim(str(error).splitlines()[0])
         raise UnusableInputError(
-            Message("study.subjects_unreadable", "{path} cannot be read: {reason}", path=str(path), reason=why)
+            "study.subjects_unreadable", "{path} cannot be read: {reason}", path=str(path), reason=why
         ) from error
     if "subject" not in found or len(found.columns) > _MOST_COLUMNS:
-        raise UnusableInputError(
-            Message("study.subjects_column", "{path} must have a column 'subject'", path=str(path))
-        )
+        raise UnusableInputError("study.subjects_column", "{path} must have a column 'subject'", path=str(path))
     if found["subject"].isna().any() or found["subject"].duplicated().any():
-        raise UnusableInputError(
-            Message("study.subjects_twice", "in {path} each row must name another subject", path=str(path))
-        )
+        raise UnusableInputError("study.subjects_twice", "in {path} each row must name another subject", path=str(path))
     return found
 
 

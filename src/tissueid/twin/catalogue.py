@@ -7,7 +7,7 @@ import pkgutil
 from functools import lru_cache
 
 from tissueid.errors import UnusableInputError
-from tissueid.messages import Message, Verbatim
+from tissueid.messages import Verbatim
 from tissueid.plugins import load_plugins
 from tissueid.twin import effects
 from tissueid.twin.effect import STAGES, Effect
@@ -46,11 +46,9 @@ def effect(name: str) -> Effect:
     known = all_effects()
     if name not in known:
         raise UnusableInputError(
-            Message(
-                "effect.unknown",
-                "there is no effect {name}: choose one of {known}",
-                name=Verbatim(name),
-                known=", ".join(known),
-            )
+            "effect.unknown",
+            "there is no effect {name}: choose one of {known}",
+            name=Verbatim(name),
+            known=", ".join(known),
         )
     return known[name]

@@ -47,7 +47,7 @@ def line_plots(found: Residuals) -> tuple[Plot, Plot]:
         UnusableInputError: the calibration does not contain the readings.
     """
     if found.reading is None:
-        raise UnusableInputError(Message("report.no_readings", "the calibration holds no readings of this line"))
+        raise UnusableInputError("report.no_readings", "the calibration holds no readings of this line")
     x_scale, (y_unit, y_scale) = display_unit(found.x_unit)[1], display_unit(found.y_unit)
     ends = [int(np.argmin(found.x)), int(np.argmax(found.x))]
     line = Curve(x_scale * found.x[ends], y_scale * (found.reading - found.y)[ends], "", "muted", width=0.8)

@@ -65,7 +65,7 @@ def _centred(values: Array, lags: int) -> Array:
     """
     known = np.isfinite(values)
     if values.size < 2 * lags or not known.any() or not float(np.ptp(values[known])) > 0.0:
-        raise UnusableInputError(Message("plot.no_correlation", "the test is too short or constant for correlations"))
+        raise UnusableInputError("plot.no_correlation", "the test is too short or constant for correlations")
     return np.where(known, values - values[known].mean(), 0.0)
 
 

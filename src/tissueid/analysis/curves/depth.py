@@ -89,7 +89,7 @@ def _point(analysis: Analysis, quantity: str) -> Curve:
     known = all(name in found for _axis, name, _scale in QUANTITIES.values())
     if (record.output_unit, record.input_unit) != ("m", "N") or not known:
         raise UnusableInputError(
-            Message("research.no_second_order", "this engine estimates no mass, damping and stiffness from this record")
+            "research.no_second_order", "this engine estimates no mass, damping and stiffness from this record"
         )
     _axis, name, scale = QUANTITIES[quantity]
     where: Array = np.array([1e3 * float(np.nanmean(record.output))])
@@ -111,9 +111,7 @@ def profile_plots(
     """
     known = {name: p for name, p in profiles.items() if np.isfinite(p.stiffness).any() or np.isfinite(p.mass).any()}
     if not known:
-        raise UnusableInputError(
-            Message("report.no_profile", "mass, damping and stiffness could not be estimated at any depth")
-        )
+        raise UnusableInputError("report.no_profile", "mass, damping and stiffness could not be estimated at any depth")
     x, origin = depth_axis(surface_position_m)
     series = _series(known)
     made = []

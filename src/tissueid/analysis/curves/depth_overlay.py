@@ -178,7 +178,7 @@ def _by_depth(found: Overlay) -> dict[tuple[str, str], DepthProfile]:
             )
     if not made:
         raise UnusableInputError(
-            Message("overlay.one_depth", "no series has parameters at several depths: give several tests one label")
+            "overlay.one_depth", "no series has parameters at several depths: give several tests one label"
         )
     return made
 

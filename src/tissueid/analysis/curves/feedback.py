@@ -112,7 +112,7 @@ def _depths(run: FeedbackRun) -> Plot:
     bins = np.concatenate([before, bins, after])
     seen = np.clip(run.depth[np.isfinite(run.depth)], bins[0], bins[-1])
     if not seen.size:
-        raise UnusableInputError(Message("report.no_depths", "no depth was received"))
+        raise UnusableInputError("report.no_depths", "no depth was received")
     found = histogram(1e3 * seen, 1e3 * bins, COLOURS["position"])
     wanted = np.diff(run.desired_distribution(bins)) / (1e3 * np.diff(bins))
     desired = Curve(*outline(1e3 * bins, wanted), "", "text", "dashed", width=0.85)
@@ -129,7 +129,7 @@ def profiles_of(runs: Sequence[FeedbackRun]) -> dict[str, DepthProfile]:
     """
     profiles = {run.label: run.profile for run in runs if run.profile is not None}
     if not profiles:
-        raise UnusableInputError(Message("report.no_loop_parameters", "the feedback loop identified no parameters"))
+        raise UnusableInputError("report.no_loop_parameters", "the feedback loop identified no parameters")
     return profiles
 
 

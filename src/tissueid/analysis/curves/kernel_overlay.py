@@ -87,7 +87,7 @@ def second_kernels(found: Overlay) -> list[Plot]:
         assert surface is not None
         surfaces.append((entry, replace(surface, name="")))
     if not surfaces:
-        raise UnusableInputError(Message("overlay.no_second_kernel", "no fit has a second-order kernel"))
+        raise UnusableInputError("overlay.no_second_kernel", "no fit has a second-order kernel")
     tops: dict[str, float] = {}
     for entry, surface in surfaces:
         tops[entry.fit.label] = max(tops.get(entry.fit.label, 0.0), float(np.abs(surface.values).max()))

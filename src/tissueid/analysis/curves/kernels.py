@@ -11,7 +11,6 @@ from tissueid.identification.base import Model
 from tissueid.identification.partitions.model import PartitionedModel
 from tissueid.identification.volterra.model import VolterraModel
 from tissueid.language import marked
-from tissueid.messages import Message
 from tissueid.records import Record
 from tissueid.units import display_unit
 
@@ -31,14 +30,10 @@ def second_order_kernel(model: VolterraModel, record: Record) -> Plot:
     kernel = model.kernel2
     if kernel is None:
         raise UnusableInputError(
-            Message(
-                "report.no_second_kernel",
-                "a model of order {order} has no second-order kernel",
-                order=model.order,
-            )
+            "report.no_second_kernel", "a model of order {order} has no second-order kernel", order=model.order
         )
     if kernel.shape[0] < 3:
-        raise UnusableInputError(Message("report.few_lags", "the second-order kernel has fewer than three lags"))
+        raise UnusableInputError("report.few_lags", "the second-order kernel has fewer than three lags")
     unit, scale = kernel_unit(record, 2)
     title, lag_ms = marked("Second-order kernel"), 1e3 * model.lag_s
     surface = Surface(lag_ms, lag_ms, scale * kernel, title, unit)
@@ -52,7 +47,7 @@ def kernels_by_depth(model: PartitionedModel, record: Record) -> Plot:
         UnusableInputError: there are fewer than two partitions or three lags.
     """
     if model.partitions.depths < 2 or model.lag_s.size < 3:
-        raise UnusableInputError(Message("report.no_image", "an image needs at least two partitions and three lags"))
+        raise UnusableInputError("report.no_image", "an image needs at least two partitions and three lags")
     unit, scale = kernel_unit(record)
     title, name = marked("Kernels against depth"), marked("Kernel")
     return _over_depth(title, name, unit, LAG, 1e3 * model.lag_s, scale * model.operating_kernels, model, record)

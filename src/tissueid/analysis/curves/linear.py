@@ -135,7 +135,7 @@ def _probed(model: Model, record: Record) -> tuple[Array, Array]:
     """
     known = record.input[np.isfinite(record.input)]
     if known.size < 2:
-        raise UnusableInputError(Message("research.no_input", "no input was received"))
+        raise UnusableInputError("research.no_input", "no input was received")
     lags = min(model.memory_samples, known.size)
     rest = np.full(3 * lags, float(np.mean(known)))
     pulse, height = rest.copy(), _PULSE * float(np.std(known))
@@ -143,7 +143,7 @@ def _probed(model: Model, record: Record) -> tuple[Array, Array]:
     answer = (model.simulate(pulse) - model.simulate(rest))[lags - 1 : 2 * lags]
     if not np.isfinite(answer).all() or height == 0.0 or not np.any(answer):
         raise UnusableInputError(
-            Message("research.no_pulse_response", "the model does not answer a small pulse about the mean input")
+            "research.no_pulse_response", "the model does not answer a small pulse about the mean input"
         )
     return np.arange(-1, lags) / model.sample_rate_hz, answer * model.sample_rate_hz / height
 
@@ -164,7 +164,7 @@ def spectra_of(analysis: Analysis) -> Spectra:
     except UnusableInputError:
         model = None
     if not isinstance(model, SpectralModel):
-        raise UnusableInputError(Message("research.short_record", "the record is too short for spectra"))
+        raise UnusableInputError("research.short_record", "the record is too short for spectra")
     return model.spectra
 
 

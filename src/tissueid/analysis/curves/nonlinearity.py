@@ -16,7 +16,6 @@ from tissueid.identification.engines.hammerstein import HammersteinModel
 from tissueid.identification.engines.wiener import WienerModel
 from tissueid.identification.static_nonlinearity import StaticNonlinearity
 from tissueid.language import marked
-from tissueid.messages import Message
 from tissueid.records import Record
 from tissueid.units import display_unit
 
@@ -105,10 +104,8 @@ def linear_output(model: WienerModel, record: Record, part: slice | None = None)
     known = np.isfinite(z) & np.isfinite(measured)
     if known.sum() < 2:
         raise UnusableInputError(
-            Message(
-                "report.wiener_not_run",
-                "the Wiener model cannot be simulated: no sample has an uninterrupted input over the memory",
-            )
+            "report.wiener_not_run",
+            "the Wiener model cannot be simulated: no sample has an uninterrupted input over the memory",
         )
     return z[known], measured[known]
 
@@ -140,10 +137,7 @@ def nonlinearity_plot(analysis: Analysis) -> Plot:
         y = model.inner(x) + model.offset
     else:
         raise UnusableInputError(
-            Message(
-                "research.no_nonlinearity",
-                "only engines with a static nonlinearity have this curve: Wiener, Hammerstein",
-            )
+            "research.no_nonlinearity", "only engines with a static nonlinearity have this curve: Wiener, Hammerstein"
         )
     (in_unit, into), (out_unit, out) = display_unit(record.input_unit), display_unit(record.output_unit)
     low, high = (None, None) if half is None else (out * (y - half), out * (y + half))
@@ -168,7 +162,7 @@ def central_span(values: Array) -> Array:
     """
     known = values[np.isfinite(values)]
     if known.size < 2:
-        raise UnusableInputError(Message("research.no_cascade_sample", "no sample lies in the range of the cascade"))
+        raise UnusableInputError("research.no_cascade_sample", "no sample lies in the range of the cascade")
     low, high = np.quantile(known, (0.005, 0.995))
     return np.linspace(float(low), float(high), _FINE)
 

@@ -76,7 +76,7 @@ def response_by_depth(model: AlsModel, record: Record, fitted_output: Array) -> 
     """
     if model.depth_position.size < 2:
         raise UnusableInputError(
-            Message("report.no_depth_levels", "responses by depth need a fit with two depth levels or more")
+            "report.no_depth_levels", "responses by depth need a fit with two depth levels or more"
         )
     unit, scale = kernel_unit(record)
     out_scale = display_unit(record.output_unit)[1]
@@ -106,7 +106,7 @@ def _course(model: OnlineModel) -> tuple[Array, Array]:
         UnusableInputError: the model stored fewer than three responses.
     """
     if model.trajectory.shape[0] < 3:
-        raise UnusableInputError(Message("report.record_too_short", "the record is too short for a response over time"))
+        raise UnusableInputError("report.record_too_short", "the record is too short for a response over time")
     return model.trajectory, model.trajectory_s
 
 

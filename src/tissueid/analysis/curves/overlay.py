@@ -90,7 +90,7 @@ def response_overlay(found: Overlay) -> tuple[Plot, Plot, Plot]:
             into.append(replace(curve, name=name, colour=colour, kind=kind, low=None, high=None))
         said.add(label)
     if not impulses:
-        raise UnusableInputError(Message("overlay.no_response", "no fit has an impulse response"))
+        raise UnusableInputError("overlay.no_response", "no fit has an impulse response")
     record = found.entries[0].analysis.record
     magnitude, phase = response_axes(record)
     return (
@@ -199,7 +199,7 @@ def score_overlay(found: Overlay) -> Plot:
     """
     entries = [entry for entry in found.entries if entry.swept is None]
     if not entries:
-        raise UnusableInputError(Message("overlay.all_swept", "every fit is swept"))
+        raise UnusableInputError("overlay.all_swept", "every fit is swept")
     labels = list(dict.fromkeys(found.label(entry) for entry in entries))
     places = np.array([float(len(labels) - labels.index(found.label(entry))) for entry in entries])
     reports = [entry.analysis.model.report for entry in entries]
@@ -233,7 +233,7 @@ def sweep_overlay(found: Overlay) -> tuple[Plot, Plot]:
         if entry.swept is not None:
             rows.setdefault((entry.source, entry.fit.label), []).append(entry)
     if not rows:
-        raise UnusableInputError(Message("overlay.no_sweep", "no option was swept"))
+        raise UnusableInputError("overlay.no_sweep", "no option was swept")
     upper, lower = list[Curve](), list[Curve]()
     for place, ((source, fit), entries) in enumerate(rows.items()):
         x = np.array([_swept_value(found, entry) for entry in entries])

@@ -12,7 +12,6 @@ from tissueid.analysis.curves.plot import Array, Axis, Curve, Plot, thin
 from tissueid.analysis.curves.units import signal_axis
 from tissueid.errors import UnusableInputError
 from tissueid.language import marked
-from tissueid.messages import Message
 from tissueid.units import display_unit
 
 _COLUMNS = 3000
@@ -34,7 +33,7 @@ def output_plots(analysis: Analysis) -> tuple[Plot, Plot]:
     record, (unit, scale) = analysis.held_out_record, display_unit(found.output_unit)
     scheduled = analysis.model.simulate_scheduled(record)
     if not np.isfinite(found.residual).any():
-        raise UnusableInputError(Message("research.no_held_out", "no held-out sample was both received and simulated"))
+        raise UnusableInputError("research.no_held_out", "no held-out sample was both received and simulated")
     measured = Curve(*_thin(found.time_s, scale * found.measured), marked("broad and pale: measured"), "measured")
     outputs, residuals = [found.predicted], [found.residual]
     if scheduled is not None:
@@ -74,7 +73,7 @@ def unseen_motion(analyses: Mapping[str, Analysis], engines: tuple[str, ...]) ->
     """
     name = next((name for name in engines if name in analyses), None)
     if name is None:
-        raise UnusableInputError(Message("report.no_free_run", "no model could be run on motion that it had not seen"))
+        raise UnusableInputError("report.no_free_run", "no model could be run on motion that it had not seen")
     found = held_out_prediction(name, analyses[name])
     part = readable_stretch(found, _UNSEEN_S)
     time_s, scale = found.time_s[part] - found.time_s[part][0], display_unit(found.output_unit)[1]

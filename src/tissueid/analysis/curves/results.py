@@ -31,7 +31,6 @@ from tissueid.errors import UnusableInputError
 from tissueid.identification.engines.spectral import Spectra
 from tissueid.identification.validation.residual_tests import ResidualTest, residual_tests
 from tissueid.language import marked
-from tissueid.messages import Message
 from tissueid.records import Record
 from tissueid.units import display_unit
 
@@ -160,9 +159,7 @@ def _correlations(analysis: Analysis) -> tuple[Plot, Plot]:
 def _test(panel: Panel, test: ResidualTest) -> Plot:
     known = np.isfinite(test.correlation)
     if not known.any():
-        raise UnusableInputError(
-            Message("research.held_out_short", "too few samples are held out to test the residual")
-        )
+        raise UnusableInputError("research.held_out_short", "too few samples are held out to test the residual")
     band = test.band[known]
     curve = Curve(1e3 * test.lag_s[known], test.correlation[known], colour="model", low=-band, high=band)
     return Plot(TITLES[panel], LAG, Axis(), (curve,))

@@ -121,7 +121,7 @@ def recording_plots(test: Test, held_out_s: tuple[float, float] | None = None) -
     load = [name for name in ("force", "current") if has_samples(test, name)][:1]
     panels = [names for names in (drive, load, ["position"] if has_samples(test, "position") else []) if names]
     if not panels:
-        raise UnusableInputError(Message("report.no_signals", "no voltage, current, force or position was received"))
+        raise UnusableInputError("report.no_signals", "no voltage, current, force or position was received")
     seconds = test.samples / test.sample_rate_hz
     spans, marks = _times(test, seconds, held_out_s)
     time_s, plots = np.arange(test.samples) / test.sample_rate_hz, []
@@ -178,7 +178,7 @@ def recording_spectra(test: Test) -> Plot:
             curves.append(density_curve(values, test.sample_rate_hz, SIGNAL_UNITS[name], key, COLOURS[name], kind))
     if not any(curves):
         raise UnusableInputError(
-            Message("report.no_power_spectrum", "the test is too short, or has too many gaps, for a power spectrum")
+            "report.no_power_spectrum", "the test is too short, or has too many gaps, for a power spectrum"
         )
     return Plot("", FREQUENCY, Axis(POWER_DENSITY, log=True), tuple(curve for curve in curves if curve))
 
@@ -200,9 +200,7 @@ def _distribution(values: Array, name: str, si_unit: str) -> Plot:
     values = display_unit(si_unit)[1] * values[np.isfinite(values)]
     spread = float(np.std(values)) if values.size else 0.0
     if values.size < _LEAST_SAMPLES or not spread > 1e-9 * float(np.max(np.abs(values))):
-        raise UnusableInputError(
-            Message("report.no_variation", "the {name} has too few samples, or is constant", name=name)
-        )
+        raise UnusableInputError("report.no_variation", "the {name} has too few samples, or is constant", name=name)
     grid = np.linspace(values.min(), values.max(), 200)
     gaussian = np.exp(-0.5 * ((grid - values.mean()) / spread) ** 2) / (spread * np.sqrt(2.0 * np.pi))
     bars = histogram(values, int(np.clip(np.sqrt(values.size), *_BINS)), COLOURS.get(name, "muted"))

@@ -122,7 +122,7 @@ def _first(analyses: Analyses, kind: type[M]) -> tuple[M, Analysis] | None:
 
 def _voltage(test: Test) -> Plot:
     if not has_samples(test, "voltage"):
-        raise UnusableInputError(Message("report.no_voltage", "no voltage was recorded"))
+        raise UnusableInputError("report.no_voltage", "no voltage was recorded")
     plot = recording_plots(test)[0]
     return replace(plot, title=marked("Voltage"), parts=tuple(_thinned(part) for part in plot.parts))
 
@@ -145,14 +145,14 @@ def _coherence(analyses: Analyses) -> Plot:
 def _impulse(analyses: Analyses) -> Plot:
     found = _first(analyses, LmsModel)
     if found is None:
-        raise UnusableInputError(Message("report.no_impulse_response", "no impulse response could be estimated"))
+        raise UnusableInputError("report.no_impulse_response", "no impulse response could be estimated")
     return impulse_response(found[0], found[1].record)
 
 
 def _nonlinearity(analyses: Analyses) -> Plot:
     found = _first(analyses, WienerModel)
     if found is None:
-        raise UnusableInputError(Message("report.no_nonlinearity", "no static nonlinearity could be estimated"))
+        raise UnusableInputError("report.no_nonlinearity", "no static nonlinearity could be estimated")
     model, analysis = found
     plot = wiener_nonlinearity(model, analysis.record, analysis.fit_part)
     return replace(plot, x=replace(plot.x, label=marked("Force after the linear stage")))

@@ -64,9 +64,7 @@ def amplitude_plots(values: Array, unit: str, intended: Array | None = None) -> 
         UnusableInputError: the values do not vary.
     """
     if not float(np.ptp(values)) > 0.0:
-        raise UnusableInputError(
-            Message("report.constant_stimulus", "the stimulus is constant and has no distribution")
-        )
+        raise UnusableInputError("report.constant_stimulus", "the stimulus is constant and has no distribution")
     both = values if intended is None else np.concatenate([values, intended])
     axis, colour = _signal(unit)
     bins = np.linspace(both.min(), both.max(), int(np.clip(np.sqrt(values.size), *_BINS)) + 1)
@@ -110,7 +108,7 @@ def power_plot(
     played = density_curve(values, sample_rate_hz, unit, _PLAYED, colour, width=0.85)
     if played is None or not float(np.ptp(values)) > 0.0:
         raise UnusableInputError(
-            Message("report.no_stimulus_spectrum", "the stimulus is constant or too short for a power spectrum")
+            "report.no_stimulus_spectrum", "the stimulus is constant or too short for a power spectrum"
         )
     parts, floor = [played], float(played.y.min())
     if target is not None:
@@ -158,7 +156,7 @@ def swaps_plot(search: InterchangeResult | None) -> Plot:
         UnusableInputError: nothing was swapped.
     """
     if search is None or search.history.shape[0] < 2:
-        raise UnusableInputError(Message("report.no_swaps", "no swap was needed: the initial sequence met the target"))
+        raise UnusableInputError("report.no_swaps", "no swap was needed: the initial sequence met the target")
     swaps, error = search.history[:, 1], search.history[:, 2]
     limits = (0.5 * min(float(error.min()), search.tolerance), 2.0 * float(error.max()))
     return Plot(
@@ -180,7 +178,7 @@ def line_plot(multisine: Multisine, stimulus: Stimulus) -> Plot:
     """
     period = multisine.period
     if len(stimulus) < period:
-        raise UnusableInputError(Message("report.short_period", "the stimulus is shorter than one period"))
+        raise UnusableInputError("report.short_period", "the stimulus is shorter than one period")
     one = stimulus.values[-period:]
     amplitude = 2.0 / period * np.abs(np.fft.rfft(one - one.mean()))
     driven, detection = multisine.driven_lines(), multisine.detection_lines()

@@ -21,7 +21,6 @@ from tissueid.errors import UnusableInputError
 from tissueid.identification.validation.prediction import PredictionCurve
 from tissueid.identification.validation.residual_tests import ResidualTest, TestName
 from tissueid.language import marked
-from tissueid.messages import Message
 from tissueid.units import display_unit
 
 ROLES = ("measured", "model", "good", "check")
@@ -122,7 +121,7 @@ def cloud_plot(
     scale = display_unit(si_unit)[1]
     known = np.isfinite(modelled) & np.isfinite(measured)
     if known.sum() < 2:
-        raise UnusableInputError(Message("report.nothing_held_out", "no held-out sample can be compared"))
+        raise UnusableInputError("report.nothing_held_out", "no held-out sample can be compared")
     across, along = scale * modelled[known], scale * measured[known]
     both = np.array([np.minimum(across, along).min(), np.maximum(across, along).max()])
     low, high = both.tolist() if ends is None else (scale * ends[0], scale * ends[1])
@@ -234,16 +233,14 @@ def comparable(predictions: Sequence[Prediction]) -> Prediction:
         UnusableInputError: there is no prediction, or one has too few samples that were received and simulated.
     """
     if not predictions:
-        raise UnusableInputError(Message("report.not_validated", "no engine was validated on this test"))
+        raise UnusableInputError("report.not_validated", "no engine was validated on this test")
     for prediction in predictions:
         residual = prediction.residual[np.isfinite(prediction.residual)]
         if residual.size < _LEAST_SAMPLES or not float(np.ptp(residual)) > 0.0:
             raise UnusableInputError(
-                Message(
-                    "report.held_out_too_short",
-                    "the held-out part has too few samples to judge {engine}",
-                    engine=prediction.label,
-                )
+                "report.held_out_too_short",
+                "the held-out part has too few samples to judge {engine}",
+                engine=prediction.label,
             )
     return predictions[0]
 

@@ -37,7 +37,7 @@ def third_order_slices(model: VolterraModel, record: Record) -> list[Plot]:
     unit, scale = kernel_unit(record, 3)
     lag_ms = 1e3 * model.lag_s
     if lag_ms.size < 3:
-        raise UnusableInputError(Message("report.few_lags_third", "the third-order kernel has fewer than three lags"))
+        raise UnusableInputError("report.few_lags_third", "the third-order kernel has fewer than three lags")
     strength = np.cumsum(np.abs(kernel).sum(axis=(0, 1)))
     shown = np.unique(np.searchsorted(strength, _SLICES_AT * strength[-1]))
     top = scale * float(np.abs(kernel[:, :, shown]).max())
@@ -110,7 +110,7 @@ def contribution_plots(model: VolterraModel, record: Record, part: slice) -> lis
     measured = record.output[part]
     known = measured[np.isfinite(measured)]
     if not known.size:
-        raise UnusableInputError(Message("report.no_output", "no output was received in the fitted part"))
+        raise UnusableInputError("report.no_output", "no output was received in the fitted part")
     ends = float(known.min()), float(known.max())
     return [
         cloud_plot(modelled[part], measured, record.output_unit, label, ROLES[place % len(ROLES)], ends=ends)
@@ -150,7 +150,7 @@ def spacing_plot(model: VolterraModel, u: Array, si_unit: str) -> Plot:
             halves.append(Curve(np.array([0.5 * rate]), np.zeros(1), "", "muted", "position", width=0.7))
     if not curves:
         raise UnusableInputError(
-            Message("report.no_spectrum", "the fitted part is too short, or has too many gaps, for a power spectrum")
+            "report.no_spectrum", "the fitted part is too short, or has too many gaps, for a power spectrum"
         )
     top = max(float(curve.y.max()) for curve in curves)
     y = Axis(POWER_DENSITY, f"{display_unit(si_unit)[0]}²/Hz", log=True, limits=(10.0**-_DECADES * top, 3.0 * top))

@@ -207,7 +207,7 @@ def recorded_release(force: Array, position: Array, course: StepCourse) -> Relea
     t = np.arange(end - begin) / rate
     y = position[begin:end]
     if not np.isfinite(y).all():
-        raise UnusableInputError(Message("readings.release_gap", "samples are missing after the release"))
+        raise UnusableInputError("readings.release_gap", "samples are missing after the release")
     scale = float(np.ptp(y)) or 1.0
     rest = position[max(begin, course.cycles[-1].end - y.size // 4) : course.cycles[-1].end]
     y = (y - float(np.nanmean(rest))) / scale
@@ -281,23 +281,23 @@ def _last_release(share: Array, course: StepCourse) -> tuple[float, float, int, 
     """
     rate, last = course.sample_rate_hz, course.cycles[-1]
     if math.isnan(last.release):
-        raise UnusableInputError(Message("readings.no_release", "the test ends before the force is released"))
+        raise UnusableInputError("readings.no_release", "the test ends before the force is released")
     smooth = np.convolve(np.nan_to_num(share), np.full(5, 0.2), "same")
     away = int(np.flatnonzero(smooth[: last.end] > 0.25)[-1])
     settled = np.flatnonzero(smooth[away : last.end] < 0.05)
     if not settled.size or settled[0] > SHARPEST_S * rate:
         raise UnusableInputError(
-            Message("readings.slow_return", "the force returns too slowly for a free decay of the position")
+            "readings.slow_return", "the force returns too slowly for a free decay of the position"
         )
     begin = int(away + settled[0])
     end = min(last.end - round(0.5 * SHARPEST_S * rate), begin + round(_SETTLED_S * rate))
     if end - begin < round(2.0 * SHARPEST_S * rate):
-        raise UnusableInputError(Message("readings.short_release", "the test ends too soon after the release"))
+        raise UnusableInputError("readings.short_release", "the test ends too soon after the release")
     width = round(SHARPEST_S * rate)
     first = max(0, away - width)
     level = float(np.median(smooth[max(0, first - width) : first + 1]))
     if level < 0.25:
-        raise UnusableInputError(Message("readings.no_release", "the test ends before the force is released"))
+        raise UnusableInputError("readings.no_release", "the test ends before the force is released")
     edge = smooth[first : begin + 1] / level
     k = int(np.flatnonzero(edge > 0.5)[-1])
     middle = k + (edge[k] - 0.5) / (edge[k] - edge[k + 1])

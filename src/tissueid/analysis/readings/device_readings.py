@@ -119,7 +119,7 @@ def recorded_readings(test: Test) -> RecordedReadings:
     """
     record = test.record()
     if (record.input_unit, record.output_unit) != ("N", "m"):
-        raise UnusableInputError(Message("readings.no_mechanics", "readings need a force in N and a position in m"))
+        raise UnusableInputError("readings.no_mechanics", "readings need a force in N and a position in m")
     course = find_steps(record.input, record.sample_rate_hz)
     points = recorded_points(record.output, course)
     release, reason = None, ""
@@ -226,7 +226,7 @@ def _standard_step(analysis: Analysis) -> Array:
     fitted = fitted[np.isfinite(fitted)]
     low, high = (float(np.quantile(fitted, share)) for share in (_STANDARD_SHARE, 1.0 - _STANDARD_SHARE))
     if high <= low:
-        raise UnusableInputError(Message("readings.constant_force", "the force of the fitted test does not vary"))
+        raise UnusableInputError("readings.constant_force", "the force of the fitted test does not vary")
     rate = analysis.record.sample_rate_hz
     values = StepHold(cycles=1, seconds=3.0 * _STANDARD_S, sample_rate=rate, force_min_n=0.0, force_max_n=1.0).build()
     return low + (high - low) * values.values

@@ -97,7 +97,7 @@ def model_readings(
     """
     model, record = analysis.model, analysis.record
     if (record.input_unit, record.output_unit) != ("N", "m"):
-        raise UnusableInputError(Message("readings.no_mechanics", "readings need a force in N and a position in m"))
+        raise UnusableInputError("readings.no_mechanics", "readings need a force in N and a position in m")
     model.check_rate(replace(record, sample_rate_hz=course.sample_rate_hz))
     response = _simulated(model, force, course)
     points = read_points(response, course)
@@ -143,7 +143,7 @@ def _simulated(model: Model, force: Array, course: StepCourse) -> Array:
     filled = np.interp(np.arange(force.size), np.flatnonzero(known), force[known])
     response = model.simulate(np.concatenate([np.full(lead, course.low_n), filled]))[lead:]
     if not np.isfinite(response).all():
-        raise UnusableInputError(Message("readings.no_simulation", "the model cannot be simulated for this step"))
+        raise UnusableInputError("readings.no_simulation", "the model cannot be simulated for this step")
     return np.asarray(response, dtype=np.float64)
 
 
@@ -287,7 +287,7 @@ def _parametric_draws(
     """
     curves, covariance = model.known.curves, model.known.covariance
     if not np.isfinite(covariance).all():
-        raise UnusableInputError(Message("readings.no_covariance", "the fit did not converge"))
+        raise UnusableInputError("readings.no_covariance", "the fit did not converge")
     rng = np.random.Generator(np.random.PCG64(seed))
     rows = []
     for done, theta in enumerate(rng.multivariate_normal(curves.theta, covariance, draws, method="svd")):

@@ -8,7 +8,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from tissueid.errors import UnusableInputError
-from tissueid.messages import Message
 
 Array = NDArray[np.float64]
 
@@ -87,11 +86,9 @@ def find_steps(force: Array, sample_rate_hz: float) -> StepCourse:
 
 def _no_step() -> UnusableInputError:
     return UnusableInputError(
-        Message(
-            "readings.no_step",
-            "the force of this test is not a step that is held: record one with the stimulus {stimulus}",
-            stimulus="step_hold",
-        )
+        "readings.no_step",
+        "the force of this test is not a step that is held: record one with the stimulus {stimulus}",
+        stimulus="step_hold",
     )
 
 
@@ -103,7 +100,7 @@ def _filled(force: Array) -> Array:
     """
     known = np.isfinite(force)
     if np.mean(known) < 0.5:
-        raise UnusableInputError(Message("readings.no_samples", "fewer than half of the samples were received"))
+        raise UnusableInputError("readings.no_samples", "fewer than half of the samples were received")
     return np.interp(np.arange(force.size), np.flatnonzero(known), force[known])
 
 

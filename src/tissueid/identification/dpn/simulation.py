@@ -19,7 +19,6 @@ from tissueid.identification.base import Array
 from tissueid.identification.dpn import kernel
 from tissueid.identification.preparation import finite_runs
 from tissueid.identification.second_order import Hold
-from tissueid.messages import Message
 
 STEP_RADIANS = 0.25
 """Largest phase of the fastest local dynamics per step, rad.
@@ -140,17 +139,15 @@ def tabulate_curves(position: Array, mass: Array, damping: Array, force: Array) 
     """
     if position.size < 2 or not np.all(np.diff(position) > 0.0):
         raise UnusableInputError(
-            Message("dpn.bad_positions", "curves against depth need at least two points, at increasing positions")
+            "dpn.bad_positions", "curves against depth need at least two points, at increasing positions"
         )
     if not np.all(np.diff(force) > 0.0):
         raise UnusableInputError(
-            Message(
-                "dpn.falling_force", "the force must increase with the position: remove the points where it does not"
-            )
+            "dpn.falling_force", "the force must increase with the position: remove the points where it does not"
         )
     if not (np.all(mass > 0.0) and np.all(damping >= 0.0)):
         raise UnusableInputError(
-            Message("dpn.bad_mass", "mass must be positive and damping not negative at every point of a curve")
+            "dpn.bad_mass", "mass must be positive and damping not negative at every point of a curve"
         )
     grid = np.linspace(position[0], position[-1], _ROWS)
     m, b, f = (
@@ -180,18 +177,16 @@ def simulate_dpn(
     u = np.asarray(u, dtype=np.float64)
     received = np.isfinite(u)
     if not received.any():
-        raise UnusableInputError(Message("dpn.no_input", "the input has no received sample to simulate from"))
+        raise UnusableInputError("dpn.no_input", "the input has no received sample to simulate from")
     steps = curves.steps(sample_rate_hz)
     if steps > MOST_STEPS:
         raise UnusableInputError(
-            Message(
-                "dpn.too_stiff",
-                (
-                    "the fitted mass is so small for its damping that a simulation needs {steps} steps per "
-                    "sample, which is too many: use fewer functions or a longer record"
-                ),
-                steps=steps,
-            )
+            "dpn.too_stiff",
+            (
+                "the fitted mass is so small for its damping that a simulation needs {steps} steps per "
+                "sample, which is too many: use fewer functions or a longer record"
+            ),
+            steps=steps,
         )
     start = np.array([curves.rest(float(u[received].mean()) if rest_input is None else rest_input), 0.0])
     position, speed = np.full(u.size, np.nan), np.full(u.size, np.nan)

@@ -290,11 +290,9 @@ class Als(OnlineEngine):
         bound = 2.0 / (prepared.memory_samples * power)
         if self.change_factor is not None and self.change_factor >= bound:
             raise UnusableInputError(
-                Message(
-                    "als.unstable_factor",
-                    "unstable ALS step: the change factor {factor:g} is above 2 / (lags x input power) = "
-                    "{bound:.3g}; use a tenth of that, or the normalised step",
-                    factor=self.change_factor,
-                    bound=bound,
-                )
+                "als.unstable_factor",
+                "unstable ALS step: the change factor {factor:g} is above 2 / (lags x input power) = "
+                "{bound:.3g}; use a tenth of that, or the normalised step",
+                factor=self.change_factor,
+                bound=bound,
             )

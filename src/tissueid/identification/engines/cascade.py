@@ -133,13 +133,11 @@ class Cascade(MemoryEngine):
             wanted = tuple(structure for structure in wanted if structure not in ("hammerstein", "nln"))
             if not wanted:
                 raise UnusableInputError(
-                    Message(
-                        "hammerstein.few_levels",
-                        "an input of {levels} different values does not determine a curve of {coefficients} "
-                        "coefficients: lower the degree, or use lms",
-                        levels=levels,
-                        coefficients=curve + 2,
-                    )
+                    "hammerstein.few_levels",
+                    "an input of {levels} different values does not determine a curve of {coefficients} "
+                    "coefficients: lower the degree, or use lms",
+                    levels=levels,
+                    coefficients=curve + 2,
                 )
             if self.structure == "auto":
                 warnings.append(

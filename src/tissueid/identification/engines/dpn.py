@@ -186,7 +186,7 @@ class Dpn(Engine):
         data = DpnData(record, prepared.part, self.hold)
         if data.samples.size < _LEAST_PARAMETERS:
             raise UnusableInputError(
-                Message("dpn.no_stretch", "the record has no stretch without gaps that is long enough to simulate")
+                "dpn.no_stretch", "the record has no stretch without gaps that is long enough to simulate"
             )
         start, late = _constant_curves(prepared, self.hold)
         degrees, free, off = self._series()
@@ -194,9 +194,7 @@ class Dpn(Engine):
         selected = select_degrees(data, start, degrees, free, most, self.spare_degree)
         if selected is None:
             raise UnusableInputError(
-                Message(
-                    "dpn.diverged_at_once", "not even constant mass, damping and stiffness can be simulated: use lms"
-                )
+                "dpn.diverged_at_once", "not even constant mass, damping and stiffness can be simulated: use lms"
             )
         fitted, found = selected
         known = EstimatedCurves(
@@ -311,12 +309,10 @@ def _constant_curves(prepared: Prepared, hold: Hold) -> tuple[LogCurves, tuple[s
     linear = fit_second_order(record, prepared.used, hold)
     if linear.sign < 0.0:
         raise UnusableInputError(
-            Message(
-                "dpn.falling",
-                "the output ({output}) falls as the input ({input}) rises: reverse the sign of one of them",
-                output=record.output_name,
-                input=record.input_name,
-            )
+            "dpn.falling",
+            "the output ({output}) falls as the input ({input}) rises: reverse the sign of one of them",
+            output=record.output_name,
+            input=record.input_name,
         )
     output = record.output[prepared.part]
     received = output[np.isfinite(output)]

@@ -197,13 +197,11 @@ class Hammerstein(MemoryEngine):
         levels = input_levels(prepared)
         if levels < curve:
             raise UnusableInputError(
-                Message(
-                    "hammerstein.few_levels",
-                    "an input of {levels} different values does not determine a curve of {coefficients} "
-                    "coefficients: lower the degree, or use lms",
-                    levels=levels,
-                    coefficients=curve,
-                )
+                "hammerstein.few_levels",
+                "an input of {levels} different values does not determine a curve of {coefficients} "
+                "coefficients: lower the degree, or use lms",
+                levels=levels,
+                coefficients=curve,
             )
         data = cascade_data(prepared, lags, spacing)
         passes = hammerstein_passes(data, self.nonlinearity, self.degree, self.iterations)

@@ -165,12 +165,10 @@ class Spectral(MemoryEngine):
         length = memory_in_samples(self.window or _WINDOW_S, record.sample_rate_hz)
         if length < lags:
             raise UnusableInputError(
-                Message(
-                    "spectral.window_shorter_than_memory",
-                    "the window, {window:g} s, is shorter than the memory, {memory:g} s",
-                    window=self.window,
-                    memory=self.memory_s,
-                )
+                "spectral.window_shorter_than_memory",
+                "the window, {window:g} s, is shorter than the memory, {memory:g} s",
+                window=self.window,
+                memory=self.memory_s,
             )
         spectra = self.spectra(prepared)
         trusted = (spectra.coherence > spectra.coherence_floor) & (
@@ -219,13 +217,11 @@ class Spectral(MemoryEngine):
         starts = prepared.part.start + segment_starts(record.valid[prepared.part], length, stride)
         if starts.size < 2:
             raise UnusableInputError(
-                Message(
-                    "spectral.too_few_segments",
-                    "{count} segments of {window:g} s without a gap are too few: coherence needs at least two. Shorten "
-                    "the window",
-                    count=starts.size,
-                    window=self.window,
-                )
+                "spectral.too_few_segments",
+                "{count} segments of {window:g} s without a gap are too few: coherence needs at least two. Shorten "
+                "the window",
+                count=starts.size,
+                window=self.window,
             )
         taper = signal.get_window(self.taper, length)
         index = starts[:, None] + np.arange(length)

@@ -180,12 +180,10 @@ class Volterra(MemoryEngine):
         inside = record.input[first.part] - first.input_mean
         if memory_in_samples(self.memory_s, rate) > inside.size:
             raise UnusableInputError(
-                Message(
-                    "record.shorter_than_memory",
-                    "the memory of {memory:g} s is longer than the {seconds:g} s of record to fit",
-                    memory=self.memory_s,
-                    seconds=inside.size / rate,
-                )
+                "record.shorter_than_memory",
+                "the memory of {memory:g} s is longer than the {seconds:g} s of record to fit",
+                memory=self.memory_s,
+                seconds=inside.size / rate,
             )
         cut: tuple[str, ...] = ()
         if self.downsample is None:
@@ -197,13 +195,11 @@ class Volterra(MemoryEngine):
         rows = self._rows(prepared, grid)
         if rows < least:
             raise UnusableInputError(
-                Message(
-                    "volterra.too_few_rows",
-                    "{rows} downsampled rows are too few for {parameters} parameters: fit every sample, record "
-                    "longer, or shorten the memory",
-                    rows=rows,
-                    parameters=least,
-                )
+                "volterra.too_few_rows",
+                "{rows} downsampled rows are too few for {parameters} parameters: fit every sample, record "
+                "longer, or shorten the memory",
+                rows=rows,
+                parameters=least,
             )
         return grid, prepared, cut
 
@@ -231,12 +227,10 @@ class Volterra(MemoryEngine):
         coefficients = coefficient_count(grid.lags, self.order)
         if coefficients > _MOST_COEFFICIENTS:
             raise UnusableInputError(
-                Message(
-                    "volterra.too_many_coefficients",
-                    "{coefficients} coefficients are too many for the method exact: shorten the memory, downsample, "
-                    "or use the method regularised",
-                    coefficients=coefficients,
-                )
+                "volterra.too_many_coefficients",
+                "{coefficients} coefficients are too many for the method exact: shorten the memory, downsample, "
+                "or use the method regularised",
+                coefficients=coefficients,
             )
         step = self._step(grid)
         return factor_stimulus(x[::step], prepared.used[::step], grid.lags, grid.spacing // step, self.order)
@@ -261,9 +255,7 @@ class Volterra(MemoryEngine):
             stimulus = self._factored(x, prepared, grid)
         elif not stimulus.matches(x[::step], prepared.used[::step], grid.lags, grid.spacing // step, self.order):
             raise UnusableInputError(
-                Message(
-                    "volterra.other_stimulus", "the factored stimulus belongs to another input, part or set of options"
-                )
+                "volterra.other_stimulus", "the factored stimulus belongs to another input, part or set of options"
             )
         return exact_least_squares(stimulus, y[::step], rate / step)
 

@@ -30,7 +30,7 @@ from tissueid.identification.second_order_fit import SecondOrderFit
 from tissueid.identification.static_nonlinearity import fit_exponential
 from tissueid.identification.validation import vaf_percent
 from tissueid.identification.validation.scores import above_noise
-from tissueid.messages import Listing, Message
+from tissueid.messages import Listing
 from tissueid.records import Estimate, Record
 
 Method = Literal["sliding", "rls", "als"]
@@ -173,12 +173,10 @@ def start_identifier(
     if method == "als":
         return Als(memory=memory).start(sample_rate_hz)
     raise UnusableInputError(
-        Message(
-            "online.unknown_method",
-            "there is no live method '{method}': choose one of {methods}",
-            method=method,
-            methods=Listing(METHODS),
-        )
+        "online.unknown_method",
+        "there is no live method '{method}': choose one of {methods}",
+        method=method,
+        methods=Listing(METHODS),
     )
 
 
@@ -291,12 +289,10 @@ def _by_frequency(response: _Response) -> tuple[LiveBode, LiveSpectra]:
     segment = min(_LONGEST_SEGMENT_S, len(record) / rate / _SEGMENTS)
     if round(segment * rate) < lags:
         raise UnusableInputError(
-            Message(
-                "online.short_for_coherence",
-                "coherence needs {segments:g} memories of {memory:g} s: wait for more data",
-                segments=_SEGMENTS,
-                memory=lags / rate,
-            )
+            "online.short_for_coherence",
+            "coherence needs {segments:g} memories of {memory:g} s: wait for more data",
+            segments=_SEGMENTS,
+            memory=lags / rate,
         )
     spectra = Spectral(window=segment).spectra(response.prepared)
     shown = (spectra.frequency_hz > 0.0) & (spectra.input_psd > _EXCITED * np.max(spectra.input_psd[1:]))

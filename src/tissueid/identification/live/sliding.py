@@ -17,7 +17,6 @@ from tissueid.identification.engines.lms import Lms, LmsModel
 from tissueid.identification.impulse_response import EXTRA_MEMORY_S, RIDGE, factor_input, with_extra_memory
 from tissueid.identification.lagged_gram import LaggedRegressors
 from tissueid.identification.preparation import Prepared, checked_samples, memory_in_samples, prepare, typical_samples
-from tissueid.messages import Message
 from tissueid.records import Record
 
 
@@ -142,16 +141,14 @@ class SlidingLms:
     ) -> None:
         if not (math.isfinite(sample_rate_hz) and sample_rate_hz > 0.0):
             raise UnusableInputError(
-                Message("record.sample_rate", "the sample rate must be positive, got {rate:g} Hz", rate=sample_rate_hz)
+                "record.sample_rate", "the sample rate must be positive, got {rate:g} Hz", rate=sample_rate_hz
             )
         if window_s is not None and not window_s >= 2.0 * options.memory_s:
             raise UnusableInputError(
-                Message(
-                    "online.short_window",
-                    "a window of {window:g} s is shorter than two memories of {memory:g} s: lengthen it",
-                    window=window_s,
-                    memory=options.memory_s,
-                )
+                "online.short_window",
+                "a window of {window:g} s is shorter than two memories of {memory:g} s: lengthen it",
+                window=window_s,
+                memory=options.memory_s,
             )
         self.options = options
         self.sample_rate_hz = sample_rate_hz

@@ -115,18 +115,14 @@ class StopRule(BaseModel):
             name = name.strip()
             if not equals or name not in PARAMETERS:
                 raise UnusableInputError(
-                    Message(
-                        "stop_rule.target",
-                        "a target is one of {names} with its relative uncertainty, such as {example}, got '{text}'",
-                        names=Listing(PARAMETERS),
-                        example=Action("stop_rule.example", "stiffness=0.02", marked("stiffness 2 %")),
-                        text=word,
-                    )
+                    "stop_rule.target",
+                    "a target is one of {names} with its relative uncertainty, such as {example}, got '{text}'",
+                    names=Listing(PARAMETERS),
+                    example=Action("stop_rule.example", "stiffness=0.02", marked("stiffness 2 %")),
+                    text=word,
                 )
             if name in targets:
-                raise UnusableInputError(
-                    Message("stop_rule.repeated", "the target of the {name} is given twice", name=name)
-                )
+                raise UnusableInputError("stop_rule.repeated", "the target of the {name} is given twice", name=name)
             targets[name] = _share(name, share)
         try:
             return cls.model_validate({"targets": targets})
@@ -169,12 +165,9 @@ def _share(name: str, text: str) -> float:
         share = math.nan
     if not 0.0 < share <= 0.5:
         raise UnusableInputError(
-            Message(
-                "stop_rule.share",
-                "the target of the {name} is a share of its value between 0 and 0.5, such as 0.02 for 2 %, got "
-                "'{text}'",
-                name=name,
-                text=text,
-            )
+            "stop_rule.share",
+            "the target of the {name} is a share of its value between 0 and 0.5, such as 0.02 for 2 %, got '{text}'",
+            name=name,
+            text=text,
         )
     return share

@@ -18,7 +18,6 @@ from tissueid.identification.correlation import convolve_at_rest
 from tissueid.identification.memory import MemoryEngine
 from tissueid.identification.preparation import Prepared, checked_samples, memory_in_samples, prepare, typical_samples
 from tissueid.identification.second_order_fit import SecondOrderFit
-from tissueid.messages import Message
 from tissueid.records import Record
 
 RECENT_S = 10.0
@@ -296,7 +295,7 @@ def lags_of(engine: OnlineEngine, sample_rate_hz: float) -> int:
     """
     if not (math.isfinite(sample_rate_hz) and sample_rate_hz > 0.0):
         raise UnusableInputError(
-            Message("record.sample_rate", "the sample rate must be positive, got {rate:g} Hz", rate=sample_rate_hz)
+            "record.sample_rate", "the sample rate must be positive, got {rate:g} Hz", rate=sample_rate_hz
         )
     if engine.memory is None:
         return typical_samples(engine.usual_memory_s, sample_rate_hz)

@@ -19,7 +19,6 @@ from tissueid.errors import UnusableInputError
 from tissueid.identification.base import Array
 from tissueid.identification.preparation import finite_runs
 from tissueid.language import marked
-from tissueid.messages import Message
 
 Cells = NDArray[np.int64]
 Breakpoints = Literal["count", "width"]
@@ -109,13 +108,11 @@ def place_breakpoints(output: Array, count: int, method: Breakpoints, given: Seq
         points = np.quantile(seen, np.linspace(0.0, 1.0, count + 1))
     if not np.all(np.diff(points) > 0.0):
         raise UnusableInputError(
-            Message(
-                "partitions.bad_breakpoints",
-                "the breakpoints must rise and lie within the motion, from {low:.6g} to {high:.6g}: {advice}",
-                low=low,
-                high=high,
-                advice=marked("give others") if given is not None else marked("take fewer partitions"),
-            )
+            "partitions.bad_breakpoints",
+            "the breakpoints must rise and lie within the motion, from {low:.6g} to {high:.6g}: {advice}",
+            low=low,
+            high=high,
+            advice=marked("give others") if given is not None else marked("take fewer partitions"),
         )
     return np.asarray(points, dtype=np.float64)
 

@@ -132,7 +132,7 @@ def fit_partitions(engine: PartitionEngine, record: Record, fit_part: slice | No
     rows = prepare(record, fit_part, grid.memory_samples / rate, 1).used
     if not rows.any():
         raise UnusableInputError(
-            Message("partitions.no_sample", "no usable sample: the record is full of gaps, or the memory is too long")
+            "partitions.no_sample", "no usable sample: the record is full of gaps, or the memory is too long"
         )
     partitions = _cut(engine, record.output, rows, rate)
     stepped = is_stepped(record.input, rows, grid.memory_samples)
@@ -187,13 +187,11 @@ def _usable(prepared: Prepared, cells: Cells, grid: LagGrid, n_parameters: int, 
     used = prepared.used & (known if at_output else complete_windows(known, grid.memory_samples))
     if int(used.sum()) < n_parameters:
         raise UnusableInputError(
-            Message(
-                "partitions.too_few_samples",
-                "{count} usable samples are too few for {parameters} parameters: record longer, take fewer "
-                "partitions, or shorten the memory",
-                count=int(used.sum()),
-                parameters=n_parameters,
-            )
+            "partitions.too_few_samples",
+            "{count} usable samples are too few for {parameters} parameters: record longer, take fewer "
+            "partitions, or shorten the memory",
+            count=int(used.sum()),
+            parameters=n_parameters,
         )
     return used
 
@@ -203,15 +201,13 @@ def _check_support(partitions: Partitions, cells: Cells, used: Mask, grid: LagGr
     least = int(np.argmin(support))
     if support[least] <= grid.lags:
         raise UnusableInputError(
-            Message(
-                "partitions.too_few_in_one",
-                "partition {number} of {partitions} has {count} samples, too few for its {parameters} parameters: "
-                "take fewer partitions, cut them by equal count, or record longer",
-                number=least + 1,
-                partitions=partitions.count,
-                count=int(support[least]),
-                parameters=grid.lags,
-            )
+            "partitions.too_few_in_one",
+            "partition {number} of {partitions} has {count} samples, too few for its {parameters} parameters: "
+            "take fewer partitions, cut them by equal count, or record longer",
+            number=least + 1,
+            partitions=partitions.count,
+            count=int(support[least]),
+            parameters=grid.lags,
         )
 
 

@@ -20,7 +20,6 @@ from tissueid.identification.least_squares import Factor, factor
 from tissueid.identification.partitions.cells import Cells
 from tissueid.identification.volterra.lag_grid import LagGrid
 from tissueid.identification.volterra.prior import residual_dependence
-from tissueid.messages import Message
 
 _SHORTEST_BLOCK = 12
 _QUARTERS = 4
@@ -128,15 +127,13 @@ def solve_at_output(
         mine = used & (cells == cell)
         if int(mine.sum()) <= grid.lags:
             raise UnusableInputError(
-                Message(
-                    "partitions.too_few_in_one",
-                    "partition {number} of {partitions} has {count} samples, too few for its {parameters} "
-                    "parameters: take fewer partitions, cut them by equal count, or record longer",
-                    number=cell + 1,
-                    partitions=count,
-                    count=int(mine.sum()),
-                    parameters=grid.lags + 1,
-                )
+                "partitions.too_few_in_one",
+                "partition {number} of {partitions} has {count} samples, too few for its {parameters} "
+                "parameters: take fewer partitions, cut them by equal count, or record longer",
+                number=cell + 1,
+                partitions=count,
+                count=int(mine.sum()),
+                parameters=grid.lags + 1,
             )
         regressors = _Rows(lagged[mine[used]], mine)
         solved = factor(regressors.explicit.T @ regressors.explicit, regressors)

@@ -12,7 +12,6 @@ from tissueid.errors import UnusableInputError
 from tissueid.identification.base import Array, Mask
 from tissueid.identification.correlation import lagged_products
 from tissueid.identification.preparation import complete_windows
-from tissueid.messages import Message
 
 _LARGEST_ORDER = 60
 _ROWS_PER_ORDER = 20
@@ -91,21 +90,17 @@ def fit_autoregression(signal: Array, max_order: int | None = None) -> Autoregre
         largest -= 1
     if not _has_enough_rows(known, largest):
         raise UnusableInputError(
-            Message(
-                "noise_model.too_few_residuals",
-                "{count} residuals have too few without gaps for a noise model of order {order}: record longer, or "
-                "lower the order",
-                count=int(count),
-                order=largest,
-            )
+            "noise_model.too_few_residuals",
+            "{count} residuals have too few without gaps for a noise model of order {order}: record longer, or "
+            "lower the order",
+            count=int(count),
+            order=largest,
         )
     rows = complete_windows(known, largest + 1)
     mean = float(np.mean(signal[known]))
     centred = np.where(known, signal - mean, 0.0)
     if float(np.max(np.abs(centred))) <= 1e-12 * max(abs(mean), 1e-300):
-        raise UnusableInputError(
-            Message("noise_model.constant", "the residual does not vary: there is no noise to describe")
-        )
+        raise UnusableInputError("noise_model.constant", "the residual does not vary: there is no noise to describe")
     order = _best_order(lagged_products(centred, rows, largest + 1), int(rows.sum()))
     rows = complete_windows(known, order + 1)
     used = int(rows.sum())

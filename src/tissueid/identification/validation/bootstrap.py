@@ -88,7 +88,7 @@ def bootstrap(
     """
     if n < 2 or not 0.0 < level_percent < 100.0:
         raise UnusableInputError(
-            Message("bootstrap.arguments", "a bootstrap needs at least two draws and a level between 0 and 100 %")
+            "bootstrap.arguments", "a bootstrap needs at least two draws and a level between 0 and 100 %"
         )
     model = engine.fit(record, fit_part)
     estimate = np.atleast_1d(np.asarray(statistic(model), dtype=np.float64))
@@ -113,9 +113,7 @@ def bootstrap(
             refused += 1
             if refused > max(1.0, _MOST_REFUSED * n):
                 raise UnusableInputError(
-                    Message(
-                        "bootstrap.refused", "too many drawn records cannot be fitted ({reason})", reason=error.message
-                    )
+                    "bootstrap.refused", "too many drawn records cannot be fitted ({reason})", reason=error.message
                 ) from error
         if progress is not None:
             progress(done + 1, n)
@@ -162,23 +160,19 @@ class _Source:
                 self.block = max(self.block, min(self.memory, self.count // _USUAL_BLOCKS))
         if self.count < _FEWEST_BLOCKS * self.block:
             raise UnusableInputError(
-                Message(
-                    "bootstrap.few_blocks",
-                    "{count} residuals are fewer than {fewest} blocks of {samples} samples: record longer, or use "
-                    "shorter blocks",
-                    count=int(self.count),
-                    fewest=_FEWEST_BLOCKS,
-                    samples=self.block,
-                )
+                "bootstrap.few_blocks",
+                "{count} residuals are fewer than {fewest} blocks of {samples} samples: record longer, or use "
+                "shorter blocks",
+                count=int(self.count),
+                fewest=_FEWEST_BLOCKS,
+                samples=self.block,
             )
         self.ends = np.flatnonzero(complete_windows(np.isfinite(residual), self.block))
         if self.ends.size == 0:
             raise UnusableInputError(
-                Message(
-                    "bootstrap.gaps",
-                    "there are no {samples} successive samples without a gap: use shorter blocks",
-                    samples=self.block,
-                )
+                "bootstrap.gaps",
+                "there are no {samples} successive samples without a gap: use shorter blocks",
+                samples=self.block,
             )
 
     @property

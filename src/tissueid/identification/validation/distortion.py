@@ -93,9 +93,9 @@ def distortion(
     """
     realisations = [records] if isinstance(records, Record) else list(records)
     if not realisations:
-        raise UnusableInputError(Message("distortion.no_record", "no record is given"))
+        raise UnusableInputError("distortion.no_record", "no record is given")
     if any(r.sample_rate_hz != realisations[0].sample_rate_hz for r in realisations):
-        raise UnusableInputError(Message("distortion.sample_rates", "the realisations have different sample rates"))
+        raise UnusableInputError("distortion.sample_rates", "the realisations have different sample rates")
     samples = find_period(realisations[0].input) if period is None else period
     cut = [cut_periods(record, samples, settling) for record in realisations]
     power = np.mean([np.abs(one.input.mean(axis=0)) ** 2 for one in cut], axis=0)  # (lines,)
@@ -107,15 +107,13 @@ def _checked(driven: Sequence[int], power: Array) -> Lines:
     lines = np.unique(np.asarray(driven, dtype=np.int_))
     if lines.size < 2 or lines[0] < 1 or lines[-1] >= power.size or np.any(lines % 2 == 0):
         raise UnusableInputError(
-            Message(
-                "distortion.driven_lines",
-                "driven lines must be at least two odd numbers from 1 to {largest}",
-                largest=int(power.size) - 1,
-            )
+            "distortion.driven_lines",
+            "driven lines must be at least two odd numbers from 1 to {largest}",
+            largest=int(power.size) - 1,
         )
     if np.any(power[lines] <= 0.0):
         raise UnusableInputError(
-            Message("distortion.line_without_input", "a line that is declared as driven has no input power")
+            "distortion.line_without_input", "a line that is declared as driven has no input power"
         )
     return lines
 

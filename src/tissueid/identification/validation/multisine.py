@@ -11,7 +11,6 @@ from scipy import fft
 from tissueid.errors import UnusableInputError
 from tissueid.identification.base import Array
 from tissueid.identification.second_order import Complex
-from tissueid.messages import Message
 from tissueid.records import Record
 
 Lines = NDArray[np.int_]
@@ -60,7 +59,7 @@ def find_period(u: Array) -> int:
     """
     known = np.isfinite(u)
     if not known.any() or np.ptp(u[known]) == 0.0:
-        raise UnusableInputError(Message("multisine.constant", "the input does not vary: it has no period"))
+        raise UnusableInputError("multisine.constant", "the input does not vary: it has no period")
     x = np.where(known, u - np.mean(u[known]), 0.0)
     n = x.size
     size = fft.next_fast_len(2 * n, real=True)
@@ -75,10 +74,7 @@ def find_period(u: Array) -> int:
     best = float(np.max(alike[first:], initial=0.0))
     if best < _PERIODIC_CORRELATION:
         raise UnusableInputError(
-            Message(
-                "multisine.no_period",
-                "the input is not periodic: at least two periods of a periodic stimulus are needed",
-            )
+            "multisine.no_period", "the input is not periodic: at least two periods of a periodic stimulus are needed"
         )
     rising = np.flatnonzero(alike[first:] >= best - _EQUAL_CORRELATION) + first
     run = rising[: int(np.argmax(np.append(np.diff(rising) > 1, True))) + 1]  # only the first such peak
@@ -102,12 +98,10 @@ def cut_periods(record: Record, period: int, settling: float) -> Periods:
     whole = np.array([bool(record.valid[first + k * period :][:period].all()) for k in range(count)])
     if not whole.any():
         raise UnusableInputError(
-            Message(
-                "multisine.short",
-                "no whole period of {samples} samples remains after {settling:g} s of settling: record longer",
-                samples=period,
-                settling=settling,
-            )
+            "multisine.short",
+            "no whole period of {samples} samples remains after {settling:g} s of settling: record longer",
+            samples=period,
+            settling=settling,
         )
     u = _without_drift(record.input[first:].reshape(count, period)[whole], np.flatnonzero(whole))
     y = _without_drift(record.output[first:].reshape(count, period)[whole], np.flatnonzero(whole))
@@ -150,11 +144,9 @@ def find_driven(power: Array) -> Lines:
     near = 2 * _NEIGHBOUR_LINES + 1
     if odd.size < near or even.size < near:
         raise UnusableInputError(
-            Message(
-                "multisine.short_period",
-                "a period of fewer than {samples} samples has too few lines to separate",
-                samples=4 * near,
-            )
+            "multisine.short_period",
+            "a period of fewer than {samples} samples has too few lines to separate",
+            samples=4 * near,
         )
     strongest = np.lib.stride_tricks.sliding_window_view(np.pad(power[odd], _NEIGHBOUR_LINES), near).max(axis=1)
     quiet = np.median(
@@ -165,11 +157,8 @@ def find_driven(power: Array) -> Lines:
     driven &= power[odd] > _DRIVEN_RANGE * float(np.max(power[1:]))
     if driven.sum() < 2:
         raise UnusableInputError(
-            Message(
-                "multisine.not_odd",
-                "the odd lines of the input do not stand out from the even ones: an odd random-phase multisine is "
-                "needed",
-            )
+            "multisine.not_odd",
+            "the odd lines of the input do not stand out from the even ones: an odd random-phase multisine is needed",
         )
     return _strongest_group(odd[driven], power)
 

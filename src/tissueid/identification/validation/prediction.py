@@ -19,7 +19,6 @@ from tissueid.identification.preparation import complete_windows, scored_samples
 from tissueid.identification.validation import vaf_percent
 from tissueid.identification.validation.autoregression import Autoregression, fit_autoregression
 from tissueid.identification.validation.scores import NO_SAMPLE, vaf_std_percent
-from tissueid.messages import Message
 from tissueid.records import Record
 
 
@@ -85,7 +84,7 @@ def prediction_curve(
     """
     steps = _doubling(model.memory_samples) if horizons is None else np.asarray(horizons, dtype=np.int_)
     if steps.size == 0:
-        raise UnusableInputError(Message("prediction.no_horizon", "no prediction horizon is given"))
+        raise UnusableInputError("prediction.no_horizon", "no prediction horizon is given")
     check_horizon(int(steps.min()))
     model.check_rate(record)
     simulated = model.simulate(record.input)

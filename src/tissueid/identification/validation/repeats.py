@@ -82,13 +82,11 @@ def ceiling(records: Sequence[Record], part: slice | None = None, memory: float 
             samples.
     """
     if len(records) < 2:
-        raise UnusableInputError(
-            Message("ceiling.too_few_repeats", "a noise floor needs at least two repeats of one command")
-        )
+        raise UnusableInputError("ceiling.too_few_repeats", "a noise floor needs at least two repeats of one command")
     rate = records[0].sample_rate_hz
     if any(not np.isclose(record.sample_rate_hz, rate, rtol=1e-6, atol=0.0) for record in records):
         raise UnusableInputError(
-            Message("ceiling.sample_rates", "repeats with different sample rates cannot be compared: resample them")
+            "ceiling.sample_rates", "repeats with different sample rates cannot be compared: resample them"
         )
     lags = memory_in_samples(memory, rate)
     block = max(2, min(round(_BLOCK_S * rate), len(records[0]) // 4))
@@ -194,7 +192,7 @@ def _shifts(first: Array, other: Array, most: int, block: int) -> Lags:
         found.append(last)
     if not alike:
         raise UnusableInputError(
-            Message("ceiling.different_inputs", "the inputs of the repeats differ: choose tests of one command")
+            "ceiling.different_inputs", "the inputs of the repeats differ: choose tests of one command"
         )
     return np.array(found, dtype=np.int_)
 

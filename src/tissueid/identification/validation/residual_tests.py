@@ -162,18 +162,16 @@ def residual_tests(
     model.check_rate(record)
     simulated = model.simulate_scheduled(record) if scheduled else model.simulate(record.input)
     if simulated is None:
-        raise UnusableInputError(Message("residuals.no_schedule", "this model has no schedule: test its free run"))
+        raise UnusableInputError("residuals.no_schedule", "this model has no schedule: test its free run")
     memory = model.memory_samples
     used = scored_samples(record, memory, part) & np.isfinite(simulated)
     count = int(used.sum())
     if count < 4 * min(memory, _MOST_LAGS) + 2 * memory:
         raise UnusableInputError(
-            Message(
-                "residuals.too_few",
-                "{count} residuals are too few to test a memory of {samples} samples: use a longer part",
-                count=count,
-                samples=memory,
-            )
+            "residuals.too_few",
+            "{count} residuals are too few to test a memory of {samples} samples: use a longer part",
+            count=count,
+            samples=memory,
         )
     residual = np.where(used, record.output - simulated, np.nan)
     x = record.input - float(np.mean(record.input[used]))

@@ -94,18 +94,14 @@ def regression_kernels(
     """
     if order not in (1, 2, 3):
         raise UnusableInputError(
-            Message(
-                "volterra.dual_order", "kernel regression is for kernels of order 1, 2 or 3, got {order}", order=order
-            )
+            "volterra.dual_order", "kernel regression is for kernels of order 1, 2 or 3, got {order}", order=order
         )
     rows = np.flatnonzero(used)
     if rows.size < 10:
         raise UnusableInputError(
-            Message(
-                "volterra.too_few_rows_for_kernels",
-                "{rows} rows are too few for kernels: record longer, or shorten the memory",
-                rows=int(rows.size),
-            )
+            "volterra.too_few_rows_for_kernels",
+            "{rows} rows are too few for kernels: record longer, or shorten the memory",
+            rows=int(rows.size),
         )
     covariance = OutputCovariance(lags, order)
     chosen = _choose(covariance, x, y, rows, lags, spacing, search_rows)

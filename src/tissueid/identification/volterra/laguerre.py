@@ -106,26 +106,18 @@ def laguerre_kernels(
     """
     if order not in MOST_FUNCTIONS:
         raise UnusableInputError(
-            Message(
-                "laguerre.order", "a Laguerre expansion is for kernels of order 1, 2 or 3, got {order}", order=order
-            )
+            "laguerre.order", "a Laguerre expansion is for kernels of order 1, 2 or 3, got {order}", order=order
         )
     if pole is not None and not 0.0 <= pole < 1.0:
         raise UnusableInputError(
-            Message(
-                "laguerre.pole",
-                "the pole of Laguerre functions must be at least 0 and below 1, got {pole:g}",
-                pole=pole,
-            )
+            "laguerre.pole", "the pole of Laguerre functions must be at least 0 and below 1, got {pole:g}", pole=pole
         )
     if functions is not None and not 1 <= functions <= lags:
         raise UnusableInputError(
-            Message(
-                "laguerre.too_many_functions",
-                "{lags} lags do not determine {functions} Laguerre functions: take 1 to {lags}",
-                lags=lags,
-                functions=functions,
-            )
+            "laguerre.too_many_functions",
+            "{lags} lags do not determine {functions} Laguerre functions: take 1 to {lags}",
+            lags=lags,
+            functions=functions,
         )
     rows = np.flatnonzero(used)
     most = min(lags, MOST_FUNCTIONS[order]) if functions is None else functions
@@ -133,12 +125,10 @@ def laguerre_kernels(
         most -= 1
     if rows.size < max(_count(most, order), 2 * _STRETCHES):
         raise UnusableInputError(
-            Message(
-                "laguerre.too_few_rows",
-                "{rows} rows are too few for {coefficients} coefficients: record longer, or take fewer functions",
-                rows=int(rows.size),
-                coefficients=_count(most, order),
-            )
+            "laguerre.too_few_rows",
+            "{rows} rows are too few for {coefficients} coefficients: record longer, or take fewer functions",
+            rows=int(rows.size),
+            coefficients=_count(most, order),
         )
     trial = _Trial(np.where(np.isfinite(x), x, 0.0), y[rows] - y[rows].mean(), rows, lags, spacing, order)
     counts = range(1, most + 1) if functions is None else [functions]

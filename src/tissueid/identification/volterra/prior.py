@@ -23,7 +23,6 @@ from tissueid.identification.base import Array
 from tissueid.identification.correlation import Correlator
 from tissueid.identification.volterra.kernel_covariance import FIRST, FirstOrderCovariance, SecondOrderCovariance
 from tissueid.identification.volterra.regressors import NormalEquations
-from tissueid.messages import Message
 
 ROUGH = 0.25
 """Spatial frequency, cycles per lag, above which :func:`roughness` counts: half the Nyquist frequency of the lags."""
@@ -112,21 +111,16 @@ def regularised(
     """
     if equations.order not in (1, 2):
         raise UnusableInputError(
-            Message(
-                "volterra.prior_order",
-                "regularised normal equations are for kernels of order 1 or 2, got {order}",
-                order=equations.order,
-            )
+            "volterra.prior_order",
+            "regularised normal equations are for kernels of order 1 or 2, got {order}",
+            order=equations.order,
         )
     if equations.rows / dependence < 10.0:
         raise UnusableInputError(
-            Message(
-                "volterra.dependent_rows",
-                "{rows} rows that depend on each other over {samples:.0f} samples are too few for kernels: record "
-                "longer",
-                rows=equations.rows,
-                samples=dependence,
-            )
+            "volterra.dependent_rows",
+            "{rows} rows that depend on each other over {samples:.0f} samples are too few for kernels: record longer",
+            rows=equations.rows,
+            samples=dependence,
         )
     evidence = _Evidence(equations, max(1.0, dependence))
     begin = evidence.initial() if start is None else evidence.hyper_of(start)

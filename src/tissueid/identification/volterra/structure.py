@@ -148,16 +148,14 @@ def _check(kernel1: Array, kernel2: Array) -> None:
     lags = kernel1.size
     if kernel1.ndim != 1 or kernel2.shape != (lags, lags):
         raise UnusableInputError(
-            Message(
-                "volterra.kernel_shapes",
-                "kernels of shapes {first} and {second} do not match: the second must be (L, L)",
-                first=str(kernel1.shape),
-                second=str(kernel2.shape),
-            )
+            "volterra.kernel_shapes",
+            "kernels of shapes {first} and {second} do not match: the second must be (L, L)",
+            first=str(kernel1.shape),
+            second=str(kernel2.shape),
         )
     if not (np.all(np.isfinite(kernel1)) and np.all(np.isfinite(kernel2))):
         raise UnusableInputError(
-            Message("volterra.kernel_not_finite", "a kernel has a value that is not finite: fit it to a longer record")
+            "volterra.kernel_not_finite", "a kernel has a value that is not finite: fit it to a longer record"
         )
 
 

@@ -22,7 +22,6 @@ from tissueid.identification.correlation import ROWS_AT_ONCE, Correlator, convol
 from tissueid.identification.impulse_response import ImpulseResponses
 from tissueid.identification.preparation import finite_runs
 from tissueid.identification.static_nonlinearity import Form, StaticNonlinearity, fit_nonlinearity
-from tissueid.messages import Message
 
 _SIGNIFICANT_STD = 3.0
 """Significance threshold of a kernel's sum, in standard deviations; a smaller sum is not used as a divisor."""
@@ -184,9 +183,7 @@ def hunter_korenberg(stage: LinearStage, form: Form, degree: int, passes: int) -
         done = min([way for way in (done, other) if way], key=_best_rss, default=[])
     if not done:
         raise UnusableInputError(
-            Message(
-                "wiener.no_gain", "the linear stage has no steady-state gain for its normalisation: use lms or spectral"
-            )
+            "wiener.no_gain", "the linear stage has no steady-state gain for its normalisation: use lms or spectral"
         )
     return done
 

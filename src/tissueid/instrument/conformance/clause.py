@@ -7,7 +7,7 @@ from dataclasses import dataclass, field
 from typing import Any, Literal
 
 from tissueid.errors import TissueIDError
-from tissueid.messages import Message, Verbatim
+from tissueid.messages import Verbatim
 
 Check = Callable[[Any], None]
 Outcome = Literal["passed", "failed", "not tested"]
@@ -66,12 +66,7 @@ def clause(identity: str, title: str, *, drives: bool = False, person: bool = Fa
 def violated(expected: str, got: object) -> ViolationError:
     """Return the error of a device that did something else."""
     return ViolationError(
-        Message(
-            "conformance.expected",
-            "expected {expected}, got {got}",
-            expected=Verbatim(expected),
-            got=Verbatim(str(got)),
-        )
+        "conformance.expected", "expected {expected}, got {got}", expected=Verbatim(expected), got=Verbatim(str(got))
     )
 
 

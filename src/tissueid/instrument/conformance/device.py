@@ -15,7 +15,6 @@ from tissueid.instrument.conformance.clause import NotTestedError, require
 from tissueid.instrument.conformance.exchange import Exchange
 from tissueid.instrument.conformance.line import Act, Attendant, Line, Unattended
 from tissueid.instrument.handshake import Handshake, parse_hello
-from tissueid.messages import Message
 from tissueid.wire import Flag, MessageType, Result, State
 
 GENTLE_N = 2.0
@@ -103,7 +102,7 @@ class DeviceUnderTest(Exchange):
             NotTestedError: the device has not completed one.
         """
         if self.handshake is None:
-            raise NotTestedError(Message("conformance.no_handshake", "the handshake failed"))
+            raise NotTestedError("conformance.no_handshake", "the handshake failed")
         return self.handshake
 
     @property
@@ -124,7 +123,7 @@ class DeviceUnderTest(Exchange):
         """
         if abs(force_n) > self.force_n * 1.05:
             raise NotTestedError(
-                Message("conformance.more_force", "needs a confirmed force of {force:.2f} N", force=abs(force_n))
+                "conformance.more_force", "needs a confirmed force of {force:.2f} N", force=abs(force_n)
             )
         device = self.known.device
         volts = force_n * device.coil_resistance_ohm / (device.force_constant_n_per_a * device.amplifier_gain)

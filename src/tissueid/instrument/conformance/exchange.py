@@ -13,7 +13,6 @@ from numpy.typing import NDArray
 from tissueid import wire
 from tissueid.instrument.conformance.clause import ViolationError, require, violated
 from tissueid.instrument.conformance.line import Line
-from tissueid.messages import Message
 from tissueid.wire import MessageType, Result, State
 
 ANSWER_S = 0.3
@@ -78,14 +77,14 @@ class Exchange:
             self._check()
             now = self.line.clock()
             if now > self._deadline:
-                raise ViolationError(Message("conformance.too_long", "the clause took too long"))
+                raise ViolationError("conformance.too_long", "the clause took too long")
             if self._heartbeat_at is not None and now >= self._heartbeat_at:
                 self.send(MessageType.HEARTBEAT)
                 self._heartbeat_at = now + _HEARTBEAT_S
             data = self.line.read(max(0.0, min(_SLICE_S, end - now)))
             self._bytes += len(data)
             if self._bytes > _MOST_BYTES:
-                raise ViolationError(Message("conformance.floods", "the device sends without end"))
+                raise ViolationError("conformance.floods", "the device sends without end")
             for frame in self._decoder.feed(data):
                 self._keep(frame)
                 found.append(frame)

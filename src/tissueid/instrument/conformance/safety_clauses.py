@@ -14,7 +14,6 @@ from tissueid.instrument.conformance.line import Act
 from tissueid.instrument.conformance.run_clauses import STEP
 from tissueid.instrument.interface import SIGNALS
 from tissueid.language import marked
-from tissueid.messages import Message
 from tissueid.wire import Fault, Flag, MessageType, Result, State
 
 _LATER_S = 0.1
@@ -169,7 +168,7 @@ def _force(device: DeviceUnderTest) -> None:
     noise_a = np.abs(device.physical(device.readings(0.2), "current"))
     step_a = float(device.known.gains[SIGNALS.index("current")])
     if not noise_a.max() > 2.0 * step_a:
-        raise NotTestedError(Message("conformance.no_noise", "the current reads zero without a command"))
+        raise NotTestedError("conformance.no_noise", "the current reads zero without a command")
     # A limit within the noise of the sensor: the force need not be real for the check to see it.
     limit = min(0.5 * constant * float(noise_a.max()), device.force_n)
     run = device.play(_quiet(device, 0.5), max_force_n=limit)
@@ -241,7 +240,7 @@ def _end_of_converter(device: DeviceUnderTest) -> None:
         at_end = np.flatnonzero(run.samples["position"] == end)
         reached = at_end.size > 0
     if not reached:
-        raise NotTestedError(Message("conformance.end_not_reached", "the probe does not reach that end"))
+        raise NotTestedError("conformance.end_not_reached", "the probe does not reach that end")
     # A probe that begins there has half a second to leave.
     _require_fault(run, Fault.STROKE, int(at_end[0]) if at_end[0] > 0 else round(0.5 * device.rate_hz) + 1)
 
@@ -308,13 +307,11 @@ def _calculated(device: DeviceUnderTest) -> None:
     current = _SHARE * device.force_n / body.force_constant_n_per_a
     heat_w = body.coil_resistance_ohm * current**2
     if heat_w < 0.5:
-        raise NotTestedError(
-            Message("conformance.too_little_heat", "needs a larger confirmed force: {heat:.2f} W", heat=heat_w)
-        )
+        raise NotTestedError("conformance.too_little_heat", "needs a larger confirmed force: {heat:.2f} W", heat=heat_w)
     sensor = float(np.median(device.physical(device.readings(), "temperature")))
     limit = max(sensor, 28.0) + 1.0
     if limit > min(device.known.max_temperature_c, device.confirmed.max_temperature_c):
-        raise NotTestedError(Message("conformance.hot", "the coil is too warm: {degrees:.0f} degC", degrees=sensor))
+        raise NotTestedError("conformance.hot", "the coil is too warm: {degrees:.0f} degC", degrees=sensor)
     # From the surroundings of 28 degC on; the device may begin warmer, and is then earlier.
     seconds = 16.5 * body.coil_resistance_ohm / 12.0 / (heat_w - 0.12)
     codes = device.codes(_SHARE * device.force_n, round(1.3 * seconds * device.rate_hz))
@@ -348,7 +345,7 @@ def _position_sensor(device: DeviceUnderTest) -> None:
 def _open_coil(device: DeviceUnderTest) -> None:
     volts = device.known.device.voltage_for_force(device.force_n)
     if _SHARE * volts < 2.2:
-        raise NotTestedError(Message("conformance.few_volts", "needs 2 V: a larger confirmed force"))
+        raise NotTestedError("conformance.few_volts", "needs 2 V: a larger confirmed force")
     first = device.begin_run(device.codes(_SHARE * device.force_n, round(20.0 * device.rate_hz)))
     device.pump(0.2)
     seconds = device.act(Act.DISCONNECT_COIL)

@@ -11,7 +11,6 @@ from tissueid.errors import UnusableInputError
 from tissueid.formatting import fixed
 from tissueid.identification.engines.dpn import DpnModel
 from tissueid.language import _, marked
-from tissueid.messages import Message
 from tissueid.reports.depth_panels import draw_over_samples
 from tissueid.reports.figures.registry import Drawn, Subject, figure
 from tissueid.reports.plot_renderer import column_figure
@@ -72,10 +71,8 @@ def _visited(subject: Subject[DpnModel]) -> tuple[Array, float]:
     """
     if not is_mechanical(subject.record):
         raise UnusableInputError(
-            Message(
-                "report.not_mechanical",
-                "mass, damping and stiffness need a force as the input and a position as the output",
-            )
+            "report.not_mechanical",
+            "mass, damping and stiffness need a force as the input and a position as the output",
         )
     low, high = subject.model.known.central()
     origin = subject.surface_position_m if np.isfinite(subject.surface_position_m) else 0.0

@@ -14,7 +14,7 @@ from tissueid.identification.base import Model
 from tissueid.identification.validation.prediction import fit_noise, prediction_curve
 from tissueid.identification.validation.residual_tests import ResidualTest, residual_tests
 from tissueid.language import _, marked
-from tissueid.messages import Message, translated
+from tissueid.messages import translated
 from tissueid.reports import captions
 from tissueid.reports.depth_panels import depth_panels
 from tissueid.reports.figures.registry import Drawn, Subject, figure
@@ -47,7 +47,7 @@ def depth_profile(subject: Subject[Model]) -> Drawn:
     """Draw mass, damping and stiffness against depth of one engine (Chen 2010, Figs. 5.9 to 5.11)."""
     profile = subject.profile
     if profile is None:
-        raise UnusableInputError(Message("report.no_depth", "this model has no parameters against depth"))
+        raise UnusableInputError("report.no_depth", "this model has no parameters against depth")
     text = _(
         "What a small test at each depth would measure, with 95 % bars; below, the number of samples at each depth. "
         "Tissue should stiffen with depth, and damp more; the mass is mostly the instrument’s and should be constant."

@@ -85,7 +85,7 @@ def mapped(file: ImportedTable, wanted: dict[str, tuple[str, str]]) -> tuple[lis
         chosen_column = file.columns[place]
         if any(other.place == place for other in found):
             raise UnusableInputError(
-                Message("import.column_twice", "column '{column}' is used for two signals", column=Verbatim(column))
+                "import.column_twice", "column '{column}' is used for two signals", column=Verbatim(column)
             )
         header = chosen_column.header or f"column {place + 1}"
         if unit:
@@ -221,12 +221,10 @@ def doubts(role: str, unit: Unit, values: NDArray[np.float64], *, quiet: bool = 
     finite = values[np.isfinite(values)]
     if finite.size == 0:
         raise UnusableInputError(
-            Message(
-                "import.no_numbers",
-                "{role}: none of its {samples} samples is a number",
-                role=role,
-                samples=int(values.size),
-            )
+            "import.no_numbers",
+            "{role}: none of its {samples} samples is a number",
+            role=role,
+            samples=int(values.size),
         )
     notices: list[str] = []
     infinite = int(np.isinf(values).sum())

@@ -98,17 +98,12 @@ def _layout(lines: list[str], decimal_sign: str | None) -> _Layout:
             best, layout = score, (delimiter, decimal, width)
     if layout is None:
         raise UnusableInputError(
-            Message("import.no_columns", "holds no rows of two or more columns with numbers in its first lines")
+            "import.no_columns", "holds no rows of two or more columns with numbers in its first lines"
         )
     delimiter, decimal, width = layout
     if width > MAX_COLUMNS:
         raise UnusableInputError(
-            Message(
-                "import.too_many_columns",
-                "has {columns} columns; at most {most} are read",
-                columns=width,
-                most=MAX_COLUMNS,
-            )
+            "import.too_many_columns", "has {columns} columns; at most {most} are read", columns=width, most=MAX_COLUMNS
         )
     start = _first_row(lines, delimiter, decimal, width)
     rows = [row for line in lines[start:] if len(row := cells_of(line, delimiter)) == width]
@@ -165,7 +160,7 @@ def _first_row(lines: list[str], delimiter: str, decimal: str, width: int) -> in
         if any(found) and all(f or is_missing(cells[p]) for f, p in zip(found, numeric, strict=True)):
             return number
     raise UnusableInputError(
-        Message("import.no_numeric_row", "the first lines hold no row of numbers: it is not a table of data")
+        "import.no_numeric_row", "the first lines hold no row of numbers: it is not a table of data"
     )
 
 
@@ -224,14 +219,12 @@ def _load(
             row = cells_of(line, layout.delimiter)
             if len(row) != layout.width:
                 raise UnusableInputError(
-                    Message(
-                        "import.cells",
-                        "line {line} has {cells} cells where others have {others}; leave rows out ({rows})",
-                        line=number,
-                        cells=len(row),
-                        others=layout.width,
-                        rows=ROWS,
-                    )
+                    "import.cells",
+                    "line {line} has {cells} cells where others have {others}; leave rows out ({rows})",
+                    line=number,
+                    cells=len(row),
+                    others=layout.width,
+                    rows=ROWS,
                 )
             for column, place in zip(cells, places, strict=True):
                 column.append(row[place])

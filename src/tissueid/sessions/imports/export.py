@@ -18,7 +18,6 @@ from numpy.typing import NDArray
 from tissueid.atomic_write import atomic_folder
 from tissueid.errors import UnusableInputError
 from tissueid.formatting import cell_text
-from tissueid.messages import Message
 from tissueid.sessions.imports.export_attributes import ColumnPart, attributes_text
 from tissueid.sessions.model import Session, Test
 
@@ -43,17 +42,12 @@ def export_session(
     """
     if kind not in FORMATS:
         raise UnusableInputError(
-            Message(
-                "export.format",
-                "there is no format '{kind}'; there are {formats}",
-                kind=kind,
-                formats=", ".join(FORMATS),
-            )
+            "export.format", "there is no format '{kind}'; there are {formats}", kind=kind, formats=", ".join(FORMATS)
         )
     if kind == "parquet":
         _pyarrow()
     if not session.tests:
-        raise UnusableInputError(Message("session.empty", "the session holds no tests"))
+        raise UnusableInputError("session.empty", "the session holds no tests")
     written = []
     with atomic_folder(_new_folder(folder)) as partial:
         for done, test in enumerate(session.tests):
@@ -75,14 +69,12 @@ def _new_folder(folder: Path) -> Path:
     folder = Path(os.path.abspath(folder))  # noqa: PTH100 - resolve() would follow a link and replace its target
     if folder.is_symlink() or (folder.exists() and (not folder.is_dir() or any(folder.iterdir()))):
         raise UnusableInputError(
-            Message(
-                "export.folder_exists",
-                "{folder} exists already; exports go into a new or an empty folder",
-                folder=str(folder),
-            )
+            "export.folder_exists",
+            "{folder} exists already; exports go into a new or an empty folder",
+            folder=str(folder),
         )
     if not folder.parent.is_dir():
-        raise UnusableInputError(Message("file.no_folder", "there is no folder {folder}", folder=str(folder.parent)))
+        raise UnusableInputError("file.no_folder", "there is no folder {folder}", folder=str(folder.parent))
     return folder
 
 
@@ -154,11 +146,9 @@ def _pyarrow() -> ModuleType:
         return importlib.import_module("pyarrow.parquet")
     except ImportError as error:
         raise UnusableInputError(
-            Message(
-                "export.no_pyarrow",
-                "Parquet needs pyarrow, which is not installed: {python} -m pip install 'tissueid[parquet]'",
-                python=Path(sys.executable).name,
-            )
+            "export.no_pyarrow",
+            "Parquet needs pyarrow, which is not installed: {python} -m pip install 'tissueid[parquet]'",
+            python=Path(sys.executable).name,
         ) from error
 
 

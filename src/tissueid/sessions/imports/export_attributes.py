@@ -12,7 +12,6 @@ from pydantic import AfterValidator, BaseModel, ConfigDict, Field, JsonValue, Va
 
 from tissueid.device import DeviceDescription
 from tissueid.errors import UnusableInputError
-from tissueid.messages import Message
 from tissueid.option_errors import validation_reason
 from tissueid.sessions.model import STATUSES, Session, Subject, Test
 from tissueid.untrusted_input import RATES_HZ, json_value
@@ -117,12 +116,10 @@ class Attributes(_Part):
                 good = isinstance(stored, int | float) and not isinstance(stored, bool) and not abs(stored) > _MOST
             if not good:
                 raise UnusableInputError(
-                    Message(
-                        "import.instrument_value",
-                        "its attributes say instrument {name}: {value}",
-                        name=field.name,
-                        value=f"{stored!r:.60}",
-                    )
+                    "import.instrument_value",
+                    "its attributes say instrument {name}: {value}",
+                    name=field.name,
+                    value=f"{stored!r:.60}",
                 )
             values[field.name] = stored if not isinstance(stored, int) else float(stored)  # type: ignore[assignment]
         return DeviceDescription(**values)  # type: ignore[arg-type]
@@ -189,12 +186,10 @@ def attributes_beside(path: Path) -> Attributes | None:
         return None
     if file_path.stat().st_size > _MOST_BYTES:
         raise UnusableInputError(
-            Message(
-                "import.attributes_too_large",
-                "its attributes file {file} has more than {most} bytes",
-                file=file_path.name,
-                most=_MOST_BYTES,
-            )
+            "import.attributes_too_large",
+            "its attributes file {file} has more than {most} bytes",
+            file=file_path.name,
+            most=_MOST_BYTES,
         )
     try:
         value = json_value(file_path.read_bytes())
@@ -207,13 +202,11 @@ def attributes_beside(path: Path) -> Attributes | None:
     except ValidationError as error:
         where = ".".join(str(step) for step in error.errors()[0]["loc"])
         raise UnusableInputError(
-            Message(
-                "import.attributes_invalid",
-                "its attributes file {file} is invalid at {field}: {reason}",
-                file=file_path.name,
-                field=where,
-                reason=validation_reason(error),
-            )
+            "import.attributes_invalid",
+            "its attributes file {file} is invalid at {field}: {reason}",
+            file=file_path.name,
+            field=where,
+            reason=validation_reason(error),
         ) from error
 
 

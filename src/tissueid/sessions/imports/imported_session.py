@@ -55,7 +55,7 @@ def check_new_session(out: Path) -> None:
     if out.exists():
         raise SessionExistsError(out)
     if not out.parent.is_dir():
-        raise UnusableInputError(Message("file.no_folder", "there is no folder {folder}", folder=str(out.parent)))
+        raise UnusableInputError("file.no_folder", "there is no folder {folder}", folder=str(out.parent))
 
 
 def import_session(
@@ -134,22 +134,15 @@ def assembled(
     """
     if len(imported) > MAX_TESTS:
         raise UnusableInputError(
-            Message(
-                "import.too_many_tests",
-                "{count} tests; a session has at most {most}",
-                count=len(imported),
-                most=MAX_TESTS,
-            )
+            "import.too_many_tests", "{count} tests; a session has at most {most}", count=len(imported), most=MAX_TESTS
         )
     total = sum(item.test.samples * (len(item.test.signals) + 1) for item in imported)
     if total > MAX_NUMBERS:
         raise UnusableInputError(
-            Message(
-                "import.too_many_numbers",
-                "the tests hold {numbers} numbers; a session has at most {most}",
-                numbers=total,
-                most=MAX_NUMBERS,
-            )
+            "import.too_many_numbers",
+            "the tests hold {numbers} numbers; a session has at most {most}",
+            numbers=total,
+            most=MAX_NUMBERS,
         )
     exported = [item.attributes for item in imported if item.attributes is not None]
     for one in exported[1:]:

@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 
 from tissueid.errors import UnusableInputError
 from tissueid.language import marked
-from tissueid.messages import Action, Message, Verbatim
+from tissueid.messages import Action, Verbatim
 from tissueid.sessions.imports.stated_units import (
     NO_UNIT,
     is_a_unit,
@@ -53,15 +53,11 @@ class Rows:
             end = default if value is None else value + total if value < 0 else value
             if not 0 <= end <= total:
                 raise UnusableInputError(
-                    Message(
-                        "import.row_beyond", "row {row} is beyond the {rows} rows of the file", row=value, rows=total
-                    )
+                    "import.row_beyond", "row {row} is beyond the {rows} rows of the file", row=value, rows=total
                 )
             ends.append(end)
         if ends[1] <= ends[0]:
-            raise UnusableInputError(
-                Message("import.no_rows", "rows {rows} of {total} are empty", rows=str(self), total=total)
-            )
+            raise UnusableInputError("import.no_rows", "rows {rows} of {total} are empty", rows=str(self), total=total)
         return range(*ends)
 
     def of_a_test(self, total: int) -> range:
@@ -73,13 +69,11 @@ class Rows:
         chosen = self.within(total)
         if len(chosen) > MAX_SAMPLES:
             raise UnusableInputError(
-                Message(
-                    "import.too_many_rows",
-                    "has {count} rows; at most {most} make a test: select some ({rows})",
-                    count=len(chosen),
-                    most=MAX_SAMPLES,
-                    rows=ROWS,
-                )
+                "import.too_many_rows",
+                "has {count} rows; at most {most} make a test: select some ({rows})",
+                count=len(chosen),
+                most=MAX_SAMPLES,
+                rows=ROWS,
             )
         return chosen
 
@@ -187,12 +181,10 @@ class ImportedTable:
             if len(places) > 1:
                 numbers = ", ".join(str(place + 1) for place in places)
                 raise UnusableInputError(
-                    Message(
-                        "import.column_ambiguous",
-                        "'{column}' is the name of columns {numbers}: choose one by its number",
-                        column=Verbatim(wanted),
-                        numbers=numbers,
-                    )
+                    "import.column_ambiguous",
+                    "'{column}' is the name of columns {numbers}: choose one by its number",
+                    column=Verbatim(wanted),
+                    numbers=numbers,
                 )
             if places:
                 return places[0]
@@ -200,21 +192,17 @@ class ImportedTable:
             number = int(wanted)
             if not 1 <= number <= len(self.columns):
                 raise UnusableInputError(
-                    Message(
-                        "import.no_column_number",
-                        "there is no column {number}; columns are numbered from 1 to {count}",
-                        number=number,
-                        count=len(self.columns),
-                    )
+                    "import.no_column_number",
+                    "there is no column {number}; columns are numbered from 1 to {count}",
+                    number=number,
+                    count=len(self.columns),
                 )
             return number - 1
         raise UnusableInputError(
-            Message(
-                "import.no_column",
-                "there is no column '{column}'; the columns are: {columns}",
-                column=Verbatim(wanted),
-                columns=Verbatim(self.listed()),
-            )
+            "import.no_column",
+            "there is no column '{column}'; the columns are: {columns}",
+            column=Verbatim(wanted),
+            columns=Verbatim(self.listed()),
         )
 
 

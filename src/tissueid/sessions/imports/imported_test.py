@@ -49,9 +49,7 @@ def open_foreign(path: Path, decimal: str | None = None) -> ImportedTable:
     if path.suffix.lower() == ".lvm" or head.removeprefix(b"\xef\xbb\xbf").startswith(FIRST_LINE.encode()):
         return open_lvm(path)
     if path.suffix.lower() in (".pkl", ".pickle", ".npy", ".npz", ".joblib"):
-        raise UnusableInputError(
-            Message("import.program", "can contain programs, and is not read: save it as CSV or MAT")
-        )
+        raise UnusableInputError("import.program", "can contain programs, and is not read: save it as CSV or MAT")
     return open_csv(path, decimal)
 
 
@@ -177,9 +175,7 @@ def import_test(
         raise UnusableInputError(located(str(source.path), error.message)) from error
     except MemoryError as error:
         raise UnusableInputError(
-            Message(
-                "import.memory", "{path}: not enough memory; select rows ({rows})", path=str(source.path), rows=ROWS
-            )
+            "import.memory", "{path}: not enough memory; select rows ({rows})", path=str(source.path), rows=ROWS
         ) from error
 
 
@@ -198,20 +194,14 @@ def _import_test(
         attributes = attributes_beside(source.path)
         if attributes is None:
             raise UnusableInputError(
-                Message(
-                    "import.no_map",
-                    "choose what its columns are ({action}); the columns are: {columns}",
-                    action=MAP,
-                    columns=file.listed(),
-                )
+                "import.no_map",
+                "choose what its columns are ({action}); the columns are: {columns}",
+                action=MAP,
+                columns=file.listed(),
             )
         if rate_hz is not None:
             raise UnusableInputError(
-                Message(
-                    "import.rate_stated",
-                    "its attributes file states the rate; a rate needs columns ({action})",
-                    action=MAP,
-                )
+                "import.rate_stated", "its attributes file states the rate; a rate needs columns ({action})", action=MAP
             )
         columns = _exported_columns(file, attributes)
         notices: list[str] = []
@@ -221,12 +211,7 @@ def _import_test(
     signals = [column for column in columns if column.role != "time"]
     if time is not None and rate_hz is not None:
         raise UnusableInputError(
-            Message(
-                "import.rate_and_time",
-                "a rate replaces the times: choose either {rate} or {time}",
-                rate=RATE,
-                time=TIME,
-            )
+            "import.rate_and_time", "a rate replaces the times: choose either {rate} or {time}", rate=RATE, time=TIME
         )
     if time is None and rate_hz is None and (time := time_column(file, columns)) is not None and wanted is not None:
         notices.append(
@@ -239,9 +224,7 @@ def _import_test(
         )
     if time is None and rate_hz is None and attributes is None:
         raise UnusableInputError(
-            Message(
-                "import.no_time", "has no column that is clearly time: choose {time} or {rate}", time=TIME, rate=RATE
-            )
+            "import.no_time", "has no column that is clearly time: choose {time} or {rate}", time=TIME, rate=RATE
         )
     values, rows = _loaded(file, source.rows, signals, time)
     test, kept = _clocked(file, values, signals, time, attributes, rate_hz, resample_hz, notices)
@@ -312,13 +295,11 @@ def _clocked(
         clock = steady(resample_hz, values[0].size)
     elif time is None or (rows == 1 and stated_hz is not None):
         if stated_hz is None:
-            raise UnusableInputError(
-                Message("import.no_rate", "has neither times nor a rate: choose {rate}", rate=RATE)
-            )
+            raise UnusableInputError("import.no_rate", "has neither times nor a rate: choose {rate}", rate=RATE)
         clock = steady(stated_hz, rows)
     elif rows == 1:
         raise UnusableInputError(
-            Message("import.one_row", "one row gives no sample rate: select more rows, or choose {rate}", rate=RATE)
+            "import.one_row", "one row gives no sample rate: select more rows, or choose {rate}", rate=RATE
         )
     else:
         clock = _clock(file, values[-1], stated_hz)
@@ -335,13 +316,11 @@ def _clock(file: ImportedTable, times: NDArray[np.float64], stated_hz: float | N
             raise
         starts = ", ".join(str(first) for first in file.segments[:12])
         raise UnusableInputError(
-            Message(
-                "import.segments",
-                "{reason} (it has {count} segments, which start at rows {rows})",
-                reason=error.message,
-                count=len(file.segments),
-                rows=starts,
-            )
+            "import.segments",
+            "{reason} (it has {count} segments, which start at rows {rows})",
+            reason=error.message,
+            count=len(file.segments),
+            rows=starts,
         ) from error
 
 
@@ -352,17 +331,15 @@ def _exported_columns(file: ImportedTable, attributes: Attributes) -> list[Mappe
         place = file.place(part.column)
         if part.unit != SIGNAL_UNITS.get(name, part.unit):
             raise UnusableInputError(
-                Message(
-                    "import.not_si",
-                    "its attributes file says {signal} in {unit}: exports are in SI",
-                    signal=name,
-                    unit=part.unit,
-                )
+                "import.not_si",
+                "its attributes file says {signal} in {unit}: exports are in SI",
+                signal=name,
+                unit=part.unit,
             )
         unit = replace(_SI, symbol=part.unit, si=part.unit)
         found.append(Mapped(name, place, part.column, unit))
     if len([column for column in found if column.role != "time"]) < 2:
-        raise UnusableInputError(Message("import.few_signals", "its attributes file names fewer than two signals"))
+        raise UnusableInputError("import.few_signals", "its attributes file names fewer than two signals")
     return found
 
 

@@ -71,7 +71,7 @@ class _Outline:
             return float(numbers([value], self.decimal)[0]) if value else None
         except ValueError as error:
             raise UnusableInputError(
-                Message("import.lvm_value", "its header says {key} {value}: not a number", key=key, value=shown(value))
+                "import.lvm_value", "its header says {key} {value}: not a number", key=key, value=shown(value)
             ) from error
 
     def samples(self, segment: _Segment) -> float:
@@ -95,11 +95,9 @@ def open_lvm(path: Path) -> ImportedTable:
     for segment in outline.segments[1:]:
         if segment.channels != first.channels:
             raise UnusableInputError(
-                Message(
-                    "import.lvm_channels",
-                    "its segments have different channels from row {row} on; export them one by one",
-                    row=segment.first,
-                )
+                "import.lvm_channels",
+                "its segments have different channels from row {row} on; export them one by one",
+                row=segment.first,
             )
     stored = outline.x_columns != "no"
     dimension = outline.stated(first, "X_Dimension", 0) or "Time"
@@ -110,7 +108,7 @@ def open_lvm(path: Path) -> ImportedTable:
         columns.append(Column(name, stated) if stated else Column.headed(name))
     step = outline.figure(first, "Delta_X")
     if not stored and step is None:
-        raise UnusableInputError(Message("import.lvm_no_time", "has neither times (X_Columns) nor a step (Delta_X)"))
+        raise UnusableInputError("import.lvm_no_time", "has neither times (X_Columns) nor a step (Delta_X)")
     total = sum(segment.rows for segment in outline.segments)
     notices = []
     for segment in outline.segments:
@@ -147,7 +145,7 @@ def _outline(path: Path, encoding: str) -> _Outline:
     for outline, segment, _, _ in _rows(path, encoding):  # noqa: B007
         segment.rows += 1
     if not outline.segments:
-        raise UnusableInputError(Message("import.lvm_empty", "holds no rows"))
+        raise UnusableInputError("import.lvm_empty", "holds no rows")
     return outline
 
 
@@ -177,12 +175,10 @@ def _rows(path: Path, encoding: str) -> Iterator[_Row]:
             header, segment = {"Channels": cells[1:]} | _header(lines, outline.separator), None
         elif header is None:
             raise UnusableInputError(
-                Message(
-                    "import.lvm_header",
-                    "line {line}: expected the header of a segment, not {found}",
-                    line=number,
-                    found=shown(line),
-                )
+                "import.lvm_header",
+                "line {line}: expected the header of a segment, not {found}",
+                line=number,
+                found=shown(line),
             )
         elif cells[0] == "X_Value":
             segment = _segment(outline, header, cells, total)
@@ -197,9 +193,7 @@ def _rows(path: Path, encoding: str) -> Iterator[_Row]:
 def _segment(outline: _Outline, header: dict[str, list[str]], named: list[str], first: int) -> _Segment:
     stated = header["Channels"][0] if header["Channels"] else ""
     if not (stated.isascii() and stated.isdigit() and len(stated) <= 9 and 0 < int(stated) <= MAX_COLUMNS):
-        raise UnusableInputError(
-            Message("import.lvm_channel_count", "a header announces {found} channels", found=shown(stated))
-        )
+        raise UnusableInputError("import.lvm_channel_count", "a header announces {found} channels", found=shown(stated))
     count = int(stated)
     before = outline.segments[-1].channels if outline.segments else [""] * count
     if named:
@@ -220,11 +214,9 @@ def _file_header(lines: Iterator[tuple[int, str]]) -> _Outline:
     head = next(lines, (1, ""))[1]
     if not head.startswith(FIRST_LINE):
         raise UnusableInputError(
-            Message(
-                "import.lvm_not_one",
-                "it is not an LVM file: its first line does not begin with '{found}'",
-                found=FIRST_LINE,
-            )
+            "import.lvm_not_one",
+            "it is not an LVM file: its first line does not begin with '{found}'",
+            found=FIRST_LINE,
         )
     after = head[len(FIRST_LINE) :][:1]
     stated = _header(lines, after if after in _SEPARATORS.values() else "")
@@ -236,20 +228,14 @@ def _file_header(lines: Iterator[tuple[int, str]]) -> _Outline:
     decimal = one("Decimal_Separator", ".") if separator != "," else "."
     if decimal not in (".", ","):
         raise UnusableInputError(
-            Message(
-                "import.lvm_decimal",
-                "its header says Decimal_Separator {found}: neither a point nor a comma",
-                found=shown(decimal),
-            )
+            "import.lvm_decimal",
+            "its header says Decimal_Separator {found}: neither a point nor a comma",
+            found=shown(decimal),
         )
     x_columns = one("X_Columns", "One").lower()
     if x_columns not in ("no", "one", "multi"):
         raise UnusableInputError(
-            Message(
-                "import.lvm_x_columns",
-                "its header says X_Columns {found}: not No, One or Multi",
-                found=shown(x_columns),
-            )
+            "import.lvm_x_columns", "its header says X_Columns {found}: not No, One or Multi", found=shown(x_columns)
         )
     return _Outline(separator, decimal, x_columns)
 
@@ -264,7 +250,7 @@ def _header(lines: Iterator[tuple[int, str]], separator: str) -> dict[str, list[
         key, *values = (cell.strip() for cell in line.split(between))
         stated[key] = values
     raise UnusableInputError(
-        Message("import.lvm_truncated", "has a header without {found}: truncated, or not an LVM file", found=_END)
+        "import.lvm_truncated", "has a header without {found}: truncated, or not an LVM file", found=_END
     )
 
 
@@ -319,21 +305,17 @@ def _column(block: list[_Row], row: int, place: int, channels: Sequence[int]) ->
     for _, _, number, cells in block:
         if len(cells) <= at:
             raise UnusableInputError(
-                Message(
-                    "import.lvm_cells",
-                    "line {line} has {cells} cells; column {column} is missing",
-                    line=number,
-                    cells=len(cells),
-                    column=place + 1,
-                )
+                "import.lvm_cells",
+                "line {line} has {cells} cells; column {column} is missing",
+                line=number,
+                cells=len(cells),
+                column=place + 1,
             )
         if outline.x_columns == "multi" and place and cells[at - 1] != cells[0]:
             raise UnusableInputError(
-                Message(
-                    "import.lvm_own_times",
-                    "line {line}: the channels have different times; export them one by one",
-                    line=number,
-                )
+                "import.lvm_own_times",
+                "line {line}: the channels have different times; export them one by one",
+                line=number,
             )
         column.append(cells[at])
     try:
@@ -341,20 +323,16 @@ def _column(block: list[_Row], row: int, place: int, channels: Sequence[int]) ->
     except ValueError as error:
         bad = int(error.args[0])
         raise UnusableInputError(
-            Message(
-                "import.lvm_not_a_number",
-                "line {line}, column {column}: {found} is not a number",
-                line=block[bad][2],
-                column=place + 1,
-                found=shown(column[bad]),
-            )
+            "import.lvm_not_a_number",
+            "line {line}, column {column}: {found} is not a number",
+            line=block[bad][2],
+            column=place + 1,
+            found=shown(column[bad]),
         ) from error
 
 
 def _time(outline: _Outline, segment: _Segment, row: int, channel: int) -> float:
     start, step = outline.clock(segment, channel)
     if step is None:
-        raise UnusableInputError(
-            Message("import.lvm_no_step", "the header before row {row} has no Delta_X", row=segment.first)
-        )
+        raise UnusableInputError("import.lvm_no_step", "the header before row {row} has no Delta_X", row=segment.first)
     return start + step * (row - segment.first)

@@ -50,11 +50,9 @@ def variables(path: Path) -> Iterator[Variable]:
     """
     if path.stat().st_size > LARGEST:
         raise UnusableInputError(
-            Message(
-                "import.mat_size",
-                "has more than {most} bytes; save only the needed variables, or save it as version 7.3",
-                most=LARGEST,
-            )
+            "import.mat_size",
+            "has more than {most} bytes; save only the needed variables, or save it as version 7.3",
+            most=LARGEST,
         )
     data = memoryview(path.read_bytes())
     if len(data) < 20:
@@ -120,10 +118,8 @@ class _Level5:
         self.budget -= size
         if self.budget < 0:
             raise UnusableInputError(
-                Message(
-                    "import.mat_unpacked",
-                    "holds more than can be read from a file of its size; save fewer variables in MATLAB",
-                )
+                "import.mat_unpacked",
+                "holds more than can be read from a file of its size; save fewer variables in MATLAB",
             )
 
     def _matrix(self, data: memoryview, before: str, depth: int) -> Iterator[Variable]:
@@ -234,7 +230,7 @@ def _open_classic(path: Path) -> ImportedTable:
     vectors: dict[str, NDArray[np.generic]] = {}
     for name, values in variables(path):
         if len(vectors) > MAX_COLUMNS:
-            raise UnusableInputError(Message("import.mat_vectors", "holds more than {most} vectors", most=MAX_COLUMNS))
+            raise UnusableInputError("import.mat_vectors", "holds more than {most} vectors", most=MAX_COLUMNS)
         if holds_vectors(values.shape):
             for column, part in vector_parts(name, values.shape):
                 vectors[column] = values[part]
@@ -281,7 +277,7 @@ def _file(lengths: dict[str, int], read: Callable[[str, slice], NDArray[np.gener
         if len({lengths[name] for name in chosen}) > 1:
             sizes = ", ".join(f"{name} {lengths[name]}" for name in chosen)
             raise UnusableInputError(
-                Message("import.lengths", "its variables have different lengths: {variables}", variables=sizes)
+                "import.lengths", "its variables have different lengths: {variables}", variables=sizes
             )
         taken = rows.within(lengths[chosen[0]])
         part = slice(taken.start, taken.stop)

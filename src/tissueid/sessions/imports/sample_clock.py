@@ -112,24 +112,18 @@ def _clock_of(times: Array, step_s: float | None = None, rate_hz: float | None =
         raise _irregular(steps)
     if whole.sum() + 1 > MAX_SAMPLES:
         raise UnusableInputError(
-            Message(
-                "import.gaps",
-                "the times have gaps of more samples than a test can have: select rows ({rows})",
-                rows=ROWS,
-            )
+            "import.gaps", "the times have gaps of more samples than a test can have: select rows ({rows})", rows=ROWS
         )
     places = np.concatenate([[0], np.cumsum(whole)]).astype(np.int64)
     since = times - times[0]
     rate = float(places[-1]) / float(since[-1])
     if not RATES_HZ[0] <= rate <= RATES_HZ[1]:
         raise UnusableInputError(
-            Message(
-                "import.sample_rate",
-                "the times have a rate of {rate:.4g} Hz; {low:g} to {high:g} Hz can be read",
-                rate=rate,
-                low=RATES_HZ[0],
-                high=RATES_HZ[1],
-            )
+            "import.sample_rate",
+            "the times have a rate of {rate:.4g} Hz; {low:g} to {high:g} Hz can be read",
+            rate=rate,
+            low=RATES_HZ[0],
+            high=RATES_HZ[1],
         )
     off = _furthest(since, places, rate)
     if off > _JITTER:
@@ -137,13 +131,11 @@ def _clock_of(times: Array, step_s: float | None = None, rate_hz: float | None =
     missing = int(places[-1]) + 1 - times.size
     if missing > _MOST_MISSING * (places[-1] + 1):
         raise UnusableInputError(
-            Message(
-                "import.missing",
-                "the times leave out {missing} of {samples} samples: select rows without the gaps ({rows})",
-                missing=missing,
-                samples=int(places[-1]) + 1,
-                rows=ROWS,
-            )
+            "import.missing",
+            "the times leave out {missing} of {samples} samples: select rows without the gaps ({rows})",
+            missing=missing,
+            samples=int(places[-1]) + 1,
+            rows=ROWS,
         )
     notices = []
     if missing:
@@ -167,12 +159,10 @@ def _clock_of(times: Array, step_s: float | None = None, rate_hz: float | None =
     chosen = next((r for r in _round_ones(rate, step_s, rate_hz) if _furthest(since, places, r) <= slack), rate)
     if rate_hz is not None and chosen != rate_hz:
         raise UnusableInputError(
-            Message(
-                "import.rate_differs",
-                "its times have a rate of {rate:.9g} Hz where it states {stated:.9g} Hz",
-                rate=rate,
-                stated=rate_hz,
-            )
+            "import.rate_differs",
+            "its times have a rate of {rate:.9g} Hz where it states {stated:.9g} Hz",
+            rate=rate,
+            stated=rate_hz,
         )
     return Clock(chosen, places, tuple(notices))
 
@@ -207,13 +197,11 @@ def resampled(times: Array, values: list[Array], rate_hz: float) -> tuple[list[A
     size = float(np.floor(span * rate_hz * (1 + 1e-12))) + 1.0
     if not 2.0 <= size <= MAX_SAMPLES:
         raise UnusableInputError(
-            Message(
-                "import.resampled_size",
-                "at {rate:g} Hz there would be {samples:.10g} samples; a test has 2 to {most}",
-                rate=rate_hz,
-                samples=size,
-                most=MAX_SAMPLES,
-            )
+            "import.resampled_size",
+            "at {rate:g} Hz there would be {samples:.10g} samples; a test has 2 to {most}",
+            rate=rate_hz,
+            samples=size,
+            most=MAX_SAMPLES,
         )
     count = int(size)
     grid = times[0] + np.arange(count) / rate_hz
@@ -252,50 +240,42 @@ def _increasing(times: Array) -> Array:
     if not np.isfinite(times).all():
         row = int(np.flatnonzero(~np.isfinite(times))[0])
         raise UnusableInputError(
-            Message(
-                "import.time_missing",
-                "the time of row {row} is missing: leave it out ({rows}), or choose {rate}",
-                row=row,
-                rows=ROWS,
-                rate=RATE,
-            )
+            "import.time_missing",
+            "the time of row {row} is missing: leave it out ({rows}), or choose {rate}",
+            row=row,
+            rows=ROWS,
+            rate=RATE,
         )
     steps = np.diff(times)
     if steps.min() <= 0:
         row = int(np.flatnonzero(steps <= 0)[0]) + 1
         if steps[row - 1] == 0:
             raise UnusableInputError(
-                Message(
-                    "import.time_stands_still",
-                    "time stands still at row {row}: select rows ({rows}), or choose {rate} in place of the times",
-                    row=row,
-                    rows=ROWS,
-                    rate=RATE,
-                )
-            )
-        raise UnusableInputError(
-            Message(
-                "import.time_runs_backwards",
-                "time runs backwards at row {row}: select rows ({rows}), or choose {rate} in place of the times",
+                "import.time_stands_still",
+                "time stands still at row {row}: select rows ({rows}), or choose {rate} in place of the times",
                 row=row,
                 rows=ROWS,
                 rate=RATE,
             )
+        raise UnusableInputError(
+            "import.time_runs_backwards",
+            "time runs backwards at row {row}: select rows ({rows}), or choose {rate} in place of the times",
+            row=row,
+            rows=ROWS,
+            rate=RATE,
         )
     return steps
 
 
 def _irregular(steps: Array) -> UnusableInputError:
     return UnusableInputError(
-        Message(
-            "import.irregular",
-            "the times are irregular, with steps from {least:.4g} to {most:.4g} s: choose {resample}, or {rate} in "
-            "place of the times",
-            least=float(steps.min()),
-            most=float(steps.max()),
-            resample=Action("import.resample", "--resample HZ", marked("interpolation (on the command line)")),
-            rate=RATE,
-        )
+        "import.irregular",
+        "the times are irregular, with steps from {least:.4g} to {most:.4g} s: choose {resample}, or {rate} in "
+        "place of the times",
+        least=float(steps.min()),
+        most=float(steps.max()),
+        resample=Action("import.resample", "--resample HZ", marked("interpolation (on the command line)")),
+        rate=RATE,
     )
 
 

@@ -14,7 +14,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from tissueid.errors import UnusableInputError
-from tissueid.messages import Message
 from tissueid.untrusted_input import MAX_LINE
 
 _HEAD = 1 << 16
@@ -53,11 +52,9 @@ def encoding_of(path: Path) -> str:
     if head.startswith((codecs.BOM_UTF16_LE, codecs.BOM_UTF16_BE)):
         return "utf-16"
     if head.startswith(b"PK\x03\x04"):
-        raise UnusableInputError(Message("import.spreadsheet", "is a spreadsheet or an archive; save the sheet as CSV"))
+        raise UnusableInputError("import.spreadsheet", "is a spreadsheet or an archive; save the sheet as CSV")
     if _CONTROL.search(head):
-        raise UnusableInputError(
-            Message("import.not_text", "is not text, and not a MAT file: CSV, MAT and LVM can be read")
-        )
+        raise UnusableInputError("import.not_text", "is not text, and not a MAT file: CSV, MAT and LVM can be read")
     try:
         codecs.getincrementaldecoder("utf-8")().decode(head)
     except UnicodeDecodeError:
@@ -74,9 +71,7 @@ def lines_of(path: Path, encoding: str) -> Iterator[str]:
     with path.open(encoding=encoding, errors="replace") as file:
         while line := file.readline(MAX_LINE + 1):
             if len(line) > MAX_LINE:
-                raise UnusableInputError(
-                    Message("import.long_line", "has a line of more than {most} characters", most=MAX_LINE)
-                )
+                raise UnusableInputError("import.long_line", "has a line of more than {most} characters", most=MAX_LINE)
             yield line.rstrip("\r\n")
 
 
@@ -119,7 +114,7 @@ def cells_of(line: str, delimiter: str) -> list[str]:
         return next(csv.reader([line], delimiter=delimiter, skipinitialspace=True))
     except csv.Error as error:
         raise UnusableInputError(
-            Message("import.bad_line", "has a line that cannot be read: {error}", error=str(error))
+            "import.bad_line", "has a line that cannot be read: {error}", error=str(error)
         ) from error
 
 

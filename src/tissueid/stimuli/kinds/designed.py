@@ -20,7 +20,6 @@ from scipy import fft, optimize
 
 from tissueid.errors import UnusableInputError
 from tissueid.language import marked
-from tissueid.messages import Message
 from tissueid.records import Estimate
 from tissueid.stimuli.base import Array, OpenLoopKind, Stimulus, stimulus
 from tissueid.stimuli.kinds.noise import Noise
@@ -110,17 +109,15 @@ def predicted_precision(tissue: LocalTissue, cutoff_hz: float, force_noise_n_per
         and np.all(predicted.distortion < _MAX_VARIANCE)
     ):
         raise UnusableInputError(
-            Message(
-                "design.unanswerable",
-                "no test can be designed for {mass_kg:g} kg, {damping_n_s_per_m:g} N·s/m and "
-                "{stiffness_n_per_m:g} N/m with force noise of {force_noise_n_per_root_hz:g} N/√Hz and a "
-                "cutoff of {cutoff_hz:g} Hz: the three cannot be separated; check these values",
-                mass_kg=tissue.mass_kg,
-                damping_n_s_per_m=tissue.damping_n_s_per_m,
-                stiffness_n_per_m=tissue.stiffness_n_per_m,
-                force_noise_n_per_root_hz=force_noise_n_per_root_hz,
-                cutoff_hz=cutoff_hz,
-            )
+            "design.unanswerable",
+            "no test can be designed for {mass_kg:g} kg, {damping_n_s_per_m:g} N·s/m and "
+            "{stiffness_n_per_m:g} N/m with force noise of {force_noise_n_per_root_hz:g} N/√Hz and a "
+            "cutoff of {cutoff_hz:g} Hz: the three cannot be separated; check these values",
+            mass_kg=tissue.mass_kg,
+            damping_n_s_per_m=tissue.damping_n_s_per_m,
+            stiffness_n_per_m=tissue.stiffness_n_per_m,
+            force_noise_n_per_root_hz=force_noise_n_per_root_hz,
+            cutoff_hz=cutoff_hz,
         )
     return predicted
 
@@ -237,14 +234,11 @@ class Designed(OpenLoopKind):
     def _consistent(self) -> Self:
         if not self.force_min_n < self.load_n < self.force_max_n:
             raise UnusableInputError(
-                Message(
-                    "designed.load",
-                    "the load must be between the force limits, {force_min_n:g} and {force_max_n:g} N, not "
-                    "{load_n:g} N",
-                    load_n=self.load_n,
-                    force_min_n=self.force_min_n,
-                    force_max_n=self.force_max_n,
-                )
+                "designed.load",
+                "the load must be between the force limits, {force_min_n:g} and {force_max_n:g} N, not {load_n:g} N",
+                load_n=self.load_n,
+                force_min_n=self.force_min_n,
+                force_max_n=self.force_max_n,
             )
         Butterworth(self.cutoff_hz).check(self.sample_rate)
         self._noise()

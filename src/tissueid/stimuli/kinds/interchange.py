@@ -45,27 +45,23 @@ class Interchange(Shaped):
     def _check_reachable(self) -> Self:
         if self.lags > self.samples // 2:
             raise UnusableInputError(
-                Message(
-                    "interchange.lags",
-                    "{lags} lags need at least {needed} samples, not {samples}: use fewer lags or a longer stimulus",
-                    lags=self.lags,
-                    needed=2 * self.lags,
-                    samples=self.samples,
-                )
+                "interchange.lags",
+                "{lags} lags need at least {needed} samples, not {samples}: use fewer lags or a longer stimulus",
+                lags=self.lags,
+                needed=2 * self.lags,
+                samples=self.samples,
             )
         levels = self.build_distribution().levels(self.samples)
         bound = error_bound(levels, self.build_spectrum().autocorrelation(self.lags, self.sample_rate))
         if bound.error > self.tolerance:
             raise UnusableInputError(
-                Message(
-                    "interchange.unreachable",
-                    "no {distribution} signal has this autocorrelation: {reason}; the minimum error is "
-                    "{error:.2g}, above the tolerance of {tolerance:g}",
-                    distribution=self.distribution,
-                    reason=bound.reason,
-                    error=bound.error,
-                    tolerance=self.tolerance,
-                )
+                "interchange.unreachable",
+                "no {distribution} signal has this autocorrelation: {reason}; the minimum error is "
+                "{error:.2g}, above the tolerance of {tolerance:g}",
+                distribution=self.distribution,
+                reason=bound.reason,
+                error=bound.error,
+                tolerance=self.tolerance,
             )
         return self
 
@@ -96,17 +92,15 @@ class Interchange(Shaped):
                     "interchange.binary", " (the minimum for a two-valued signal is about {error:.1g})", error=error
                 )
             raise UnusableInputError(
-                Message(
-                    "interchange.not_reached",
-                    "after {tried} swaps the autocorrelation error over {lags} lags is {error:.2g}, above the "
-                    "tolerance of {tolerance:g}{hint}: raise max_trials or tolerance, use fewer lags or a "
-                    "longer stimulus",
-                    tried=designed.tried,
-                    lags=designed.lags,
-                    error=designed.error,
-                    tolerance=self.tolerance,
-                    hint=hint,
-                )
+                "interchange.not_reached",
+                "after {tried} swaps the autocorrelation error over {lags} lags is {error:.2g}, above the "
+                "tolerance of {tolerance:g}{hint}: raise max_trials or tolerance, use fewer lags or a "
+                "longer stimulus",
+                tried=designed.tried,
+                lags=designed.lags,
+                error=designed.error,
+                tolerance=self.tolerance,
+                hint=hint,
             )
         return self.as_stimulus(designed.values)
 

@@ -170,12 +170,9 @@ class Multisine(Ranged):
         self._check_spectrum()
         if self.lines != "odd_random" and self.group is not None:
             raise UnusableInputError(
-                Message(
-                    "multisine.group",
-                    "detection lines (group) need odd random lines, not {lines}: set lines to odd_random, "
-                    "or omit group",
-                    lines=self.lines,
-                )
+                "multisine.group",
+                "detection lines (group) need odd random lines, not {lines}: set lines to odd_random, or omit group",
+                lines=self.lines,
             )
         self._check_lines()
         return self
@@ -277,58 +274,48 @@ class Multisine(Ranged):
         whole = max(1, round(exact))
         if self.period_samples is None and abs(exact - whole) > _WHOLE_TOLERANCE * whole:
             raise UnusableInputError(
-                Message(
-                    "multisine.period_fraction",
-                    "a period of {period_s:g} s is {exact:.6g} samples at {sample_rate:g} Hz, not a whole "
-                    "number: use {whole:.9g} s",
-                    period_s=self.period_s,
-                    exact=exact,
-                    sample_rate=self.sample_rate,
-                    whole=whole / self.sample_rate,
-                )
+                "multisine.period_fraction",
+                "a period of {period_s:g} s is {exact:.6g} samples at {sample_rate:g} Hz, not a whole "
+                "number: use {whole:.9g} s",
+                period_s=self.period_s,
+                exact=exact,
+                sample_rate=self.sample_rate,
+                whole=whole / self.sample_rate,
             )
         if self.period_samples is not None and "period_s" in self.model_fields_set and whole != self.period_samples:
             raise UnusableInputError(
-                Message(
-                    "multisine.period_twice",
-                    "a period of {period_s:g} s has {exact:.6g} samples, not {period_samples}: give one of the two",
-                    period_s=self.period_s,
-                    exact=exact,
-                    period_samples=self.period_samples,
-                )
+                "multisine.period_twice",
+                "a period of {period_s:g} s has {exact:.6g} samples, not {period_samples}: give one of the two",
+                period_s=self.period_s,
+                exact=exact,
+                period_samples=self.period_samples,
             )
         if not 8 <= self.period <= _MAX_PERIOD:
             raise UnusableInputError(
-                Message(
-                    "multisine.period",
-                    "a period must have 8 to {limit} samples, not {period}",
-                    limit=_MAX_PERIOD,
-                    period=self.period,
-                )
+                "multisine.period",
+                "a period must have 8 to {limit} samples, not {period}",
+                limit=_MAX_PERIOD,
+                period=self.period,
             )
         seconds = self.settling_s + self.periods * self.period / self.sample_rate
         if seconds > _MAX_SECONDS:
             raise UnusableInputError(
-                Message(
-                    "multisine.length",
-                    "{periods} periods and their run-in last {seconds:g} s: a stimulus may last {limit:g} s",
-                    periods=self.periods,
-                    seconds=seconds,
-                    limit=_MAX_SECONDS,
-                )
+                "multisine.length",
+                "{periods} periods and their run-in last {seconds:g} s: a stimulus may last {limit:g} s",
+                periods=self.periods,
+                seconds=seconds,
+                limit=_MAX_SECONDS,
             )
 
     def _check_band(self) -> None:
         if self.highest_hz >= 0.5 * self.sample_rate:
             raise UnusableInputError(
-                Message(
-                    "multisine.nyquist",
-                    "a highest frequency of {highest_hz:g} Hz needs a sample rate above {needed:g} Hz, not "
-                    "{sample_rate:g} Hz",
-                    highest_hz=self.highest_hz,
-                    needed=2 * self.highest_hz,
-                    sample_rate=self.sample_rate,
-                )
+                "multisine.nyquist",
+                "a highest frequency of {highest_hz:g} Hz needs a sample rate above {needed:g} Hz, not "
+                "{sample_rate:g} Hz",
+                highest_hz=self.highest_hz,
+                needed=2 * self.highest_hz,
+                sample_rate=self.sample_rate,
             )
         notch_name = marked("a notch")
         bands = [
@@ -338,32 +325,26 @@ class Multisine(Ranged):
         for what, low, high in bands:
             if not 0.0 <= low < high:
                 raise UnusableInputError(
-                    Message(
-                        "multisine.band",
-                        "{what} must go from a lower to a higher frequency, not from {low:g} to {high:g} Hz",
-                        what=what,
-                        low=low,
-                        high=high,
-                    )
+                    "multisine.band",
+                    "{what} must go from a lower to a higher frequency, not from {low:g} to {high:g} Hz",
+                    what=what,
+                    low=low,
+                    high=high,
                 )
 
     def _check_spectrum(self) -> None:
         if (self.spectrum == "table") != bool(self.table):
             raise UnusableInputError(
-                Message(
-                    "multisine.table_spectrum",
-                    "a table of amplitudes needs the spectrum 'table', and the spectrum 'table' needs a table",
-                )
+                "multisine.table_spectrum",
+                "a table of amplitudes needs the spectrum 'table', and the spectrum 'table' needs a table",
             )
         if not self.table:
             return
         hz, size = np.array(self.table).T
         if np.any(np.diff(hz) <= 0.0) or np.any(hz < 0.0) or np.any(size < 0.0) or not np.any(size > 0.0):
             raise UnusableInputError(
-                Message(
-                    "multisine.table",
-                    "a table of amplitudes needs rising frequencies and nonnegative amplitudes that are not all zero",
-                )
+                "multisine.table",
+                "a table of amplitudes needs rising frequencies and nonnegative amplitudes that are not all zero",
             )
 
     def _check_lines(self) -> None:
@@ -379,38 +360,32 @@ class Multisine(Ranged):
         if candidates.size < 2:
             left = marked(" after the notches") if self.notches else ""
             raise UnusableInputError(
-                Message(
-                    "multisine.lines",
-                    "a multisine needs at least two lines; {band} has {count} {which}{left}: widen the band or "
-                    "use a longer period",
-                    band=band,
-                    count=candidates.size or marked("no"),
-                    which=which,
-                    left=left,
-                )
+                "multisine.lines",
+                "a multisine needs at least two lines; {band} has {count} {which}{left}: widen the band or "
+                "use a longer period",
+                band=band,
+                count=candidates.size or marked("no"),
+                which=which,
+                left=left,
             )
         with np.errstate(over="ignore", under="ignore"):
             power = float(np.sum(self._relative(self._frequency(candidates)) ** 2))
         if not np.finfo(np.float64).tiny <= power < np.inf:
             raise UnusableInputError(
-                Message(
-                    "multisine.power",
-                    "the total power of the lines is {power:g} and cannot be scaled: give amplitudes closer to "
-                    "1 or a higher cutoff",
-                    power=power,
-                )
+                "multisine.power",
+                "the total power of the lines is {power:g} and cannot be scaled: give amplitudes closer to "
+                "1 or a higher cutoff",
+                power=power,
             )
         group = self.group or _DEFAULT_GROUP
         if self.lines == "odd_random" and candidates.size < max(group, 3):
             raise UnusableInputError(
-                Message(
-                    "multisine.detection",
-                    "{band} has {size} odd lines, too few for a detection line in each group of {group}: widen "
-                    "the band, or use a longer period or a smaller group",
-                    band=band,
-                    size=candidates.size,
-                    group=group,
-                )
+                "multisine.detection",
+                "{band} has {size} odd lines, too few for a detection line in each group of {group}: widen "
+                "the band, or use a longer period or a smaller group",
+                band=band,
+                size=candidates.size,
+                group=group,
             )
 
 

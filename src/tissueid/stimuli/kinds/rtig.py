@@ -11,7 +11,6 @@ from pydantic import Field, model_validator
 
 from tissueid.errors import UnusableInputError
 from tissueid.language import marked
-from tissueid.messages import Message
 from tissueid.stimuli.base import MAX_SAMPLES, Array, stimulus
 from tissueid.stimuli.feedback import BLOCK, FeedbackKind
 from tissueid.stimuli.rtig.histogram import DepthHistogram
@@ -108,60 +107,49 @@ class Rtig(FeedbackKind):
     def _consistent(self) -> Self:
         if self.depth_max_m - self.depth_min_m < _MIN_RANGE_M:
             raise UnusableInputError(
-                Message(
-                    "rtig.range",
-                    "the greatest depth ({depth_max_m:g} mm) must exceed the least depth ({depth_min_m:g} mm) "
-                    "by at least {least:g} mm",
-                    depth_max_m=1000.0 * self.depth_max_m,
-                    least=1000.0 * _MIN_RANGE_M,
-                    depth_min_m=1000.0 * self.depth_min_m,
-                )
+                "rtig.range",
+                "the greatest depth ({depth_max_m:g} mm) must exceed the least depth ({depth_min_m:g} mm) "
+                "by at least {least:g} mm",
+                depth_max_m=1000.0 * self.depth_max_m,
+                least=1000.0 * _MIN_RANGE_M,
+                depth_min_m=1000.0 * self.depth_min_m,
             )
         if self.cutoff_hz >= 0.5 * self.sample_rate:
             raise UnusableInputError(
-                Message(
-                    "rtig.nyquist",
-                    "a cutoff of {cutoff_hz:g} Hz needs a sample rate above {needed:g} Hz, not {sample_rate:g} Hz",
-                    cutoff_hz=self.cutoff_hz,
-                    needed=2 * self.cutoff_hz,
-                    sample_rate=self.sample_rate,
-                )
+                "rtig.nyquist",
+                "a cutoff of {cutoff_hz:g} Hz needs a sample rate above {needed:g} Hz, not {sample_rate:g} Hz",
+                cutoff_hz=self.cutoff_hz,
+                needed=2 * self.cutoff_hz,
+                sample_rate=self.sample_rate,
             )
         check_settling(self.cutoff_hz, self.sample_rate)
         samples = round(self.seconds * self.sample_rate)
         if samples > MAX_SAMPLES:
             raise UnusableInputError(
-                Message(
-                    "rtig.samples",
-                    "the test would have {samples:.3g} samples; the maximum is {limit:.3g}: shorten it",
-                    samples=samples,
-                    limit=MAX_SAMPLES,
-                )
+                "rtig.samples",
+                "the test would have {samples:.3g} samples; the maximum is {limit:.3g}: shorten it",
+                samples=samples,
+                limit=MAX_SAMPLES,
             )
         if samples < BLOCK:
             raise UnusableInputError(
-                Message(
-                    "rtig.short",
-                    "{seconds:g} s at {sample_rate:g} Hz is less than one block of {block} samples: lengthen the test",
-                    seconds=self.seconds,
-                    sample_rate=self.sample_rate,
-                    block=BLOCK,
-                )
+                "rtig.short",
+                "{seconds:g} s at {sample_rate:g} Hz is less than one block of {block} samples: lengthen the test",
+                seconds=self.seconds,
+                sample_rate=self.sample_rate,
+                block=BLOCK,
             )
         if self.distribution == "table" and not (len(self.table) > 1 and min(self.table) >= 0.0 < max(self.table)):
             raise UnusableInputError(
-                Message("rtig.table", "a table of the desired distribution needs at least two entries, none negative")
+                "rtig.table", "a table of the desired distribution needs at least two entries, none negative"
             )
         if self.table and not math.isfinite(sum(self.table)):
             raise UnusableInputError(
-                Message(
-                    "rtig.table_sum",
-                    "the sum of the table of the desired distribution is not finite: give smaller numbers",
-                )
+                "rtig.table_sum", "the sum of the table of the desired distribution is not finite: give smaller numbers"
             )
         if self.table and self.distribution != "table":
             raise UnusableInputError(
-                Message("rtig.table_distribution", "a table of the desired distribution needs distribution 'table'")
+                "rtig.table_distribution", "a table of the desired distribution needs distribution 'table'"
             )
         return self
 

@@ -9,7 +9,6 @@ from pydantic import Field, model_validator
 
 from tissueid.errors import UnusableInputError
 from tissueid.language import marked
-from tissueid.messages import Message
 from tissueid.stimuli.base import Array, Ranged, Stimulus, crest_factor, stimulus
 
 SECONDS = 4.5
@@ -36,11 +35,7 @@ class SlowRamp(Ranged):
     def _check_length(self) -> SlowRamp:
         if round(self.seconds * self.sample_rate) < _MIN_SAMPLES:
             raise UnusableInputError(
-                Message(
-                    "slow_ramp.short",
-                    "a ramp needs at least {least} samples: lengthen it",
-                    least=_MIN_SAMPLES,
-                )
+                "slow_ramp.short", "a ramp needs at least {least} samples: lengthen it", least=_MIN_SAMPLES
             )
         return self
 

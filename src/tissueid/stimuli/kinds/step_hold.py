@@ -9,7 +9,6 @@ from pydantic import Field, model_validator
 
 from tissueid.errors import UnusableInputError
 from tissueid.language import marked
-from tissueid.messages import Message
 from tissueid.stimuli.base import Array, Ranged, Stimulus, crest_factor, stimulus
 
 SECONDS, RISE_S = 4.0, 0.01
@@ -50,18 +49,13 @@ class StepHold(Ranged):
         hold_s = self.seconds / len(self.levels)
         if self.rise_s > hold_s:
             raise UnusableInputError(
-                Message(
-                    "step_hold.rise",
-                    "a rise of {rise_s:g} s does not fit into a hold of {hold_s:g} s: increase seconds or "
-                    "shorten rise_s",
-                    rise_s=self.rise_s,
-                    hold_s=hold_s,
-                )
+                "step_hold.rise",
+                "a rise of {rise_s:g} s does not fit into a hold of {hold_s:g} s: increase seconds or shorten rise_s",
+                rise_s=self.rise_s,
+                hold_s=hold_s,
             )
         if hold_s * self.sample_rate < 1.0:
-            raise UnusableInputError(
-                Message("step_hold.short", "each hold needs at least one sample: increase seconds")
-            )
+            raise UnusableInputError("step_hold.short", "each hold needs at least one sample: increase seconds")
         return self
 
     def planned_samples(self) -> int:

@@ -9,7 +9,6 @@ from pydantic import Field, model_validator
 
 from tissueid.errors import UnusableInputError
 from tissueid.language import marked
-from tissueid.messages import Message
 from tissueid.stimuli.base import Array, OpenLoopKind, Stimulus, check_range_order, crest_factor, stimulus
 from tissueid.stimuli.kinds.noise import Noise
 from tissueid.stimuli.shape_options import DistributionName
@@ -55,23 +54,19 @@ class SteppedNoise(OpenLoopKind):
         check_range_order("force", self.force_min_n, self.force_max_n, "N")
         if not self.force_max_n - self.force_min_n > 2.0 * self.amplitude_n:
             raise UnusableInputError(
-                Message(
-                    "stepped_noise.amplitude",
-                    "an amplitude of {amplitude:g} N leaves no room for steps between {low:g} and {high:g} N: lower "
-                    "the amplitude or widen the range",
-                    amplitude=self.amplitude_n,
-                    low=self.force_min_n,
-                    high=self.force_max_n,
-                )
+                "stepped_noise.amplitude",
+                "an amplitude of {amplitude:g} N leaves no room for steps between {low:g} and {high:g} N: lower "
+                "the amplitude or widen the range",
+                amplitude=self.amplitude_n,
+                low=self.force_min_n,
+                high=self.force_max_n,
             )
         if self.rise_s > 0.5 * self.level_s:
             raise UnusableInputError(
-                Message(
-                    "stepped_noise.rise",
-                    "a rise of {rise_s:g} s takes more than half of the {level_s:g} s at each mean force: shorten it",
-                    rise_s=self.rise_s,
-                    level_s=self.level_s,
-                )
+                "stepped_noise.rise",
+                "a rise of {rise_s:g} s takes more than half of the {level_s:g} s at each mean force: shorten it",
+                rise_s=self.rise_s,
+                level_s=self.level_s,
             )
         self.check_size()
         self._noise()  # refuses a cutoff, order or distribution that it cannot make

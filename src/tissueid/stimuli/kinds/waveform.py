@@ -10,7 +10,6 @@ from pydantic import Field, model_validator
 
 from tissueid.errors import UnusableInputError
 from tissueid.language import marked
-from tissueid.messages import Message
 from tissueid.stimuli.base import (
     GUIDED,
     MAX_SAMPLES,
@@ -64,12 +63,10 @@ class Waveform(OpenLoopKind):
             UnusableInputError: always.
         """
         raise UnusableInputError(
-            Message(
-                "stimulus.waveform_samples",
-                "the samples of the waveform {file} are not in its description: read that file, or use the recorded "
-                "command",
-                file=self.file,
-            )
+            "stimulus.waveform_samples",
+            "the samples of the waveform {file} are not in its description: read that file, or use the recorded "
+            "command",
+            file=self.file,
         )
 
     def from_samples(self, values: Array) -> Stimulus:
@@ -103,16 +100,13 @@ class Scaled(OpenLoopKind):
     def _check_inner(self) -> Self:
         if self.stimulus.get("type") in (GUIDED, self.name):
             raise UnusableInputError(
-                Message("scaled.nested", "a scaled stimulus cannot contain a preload or another scaled stimulus")
+                "scaled.nested", "a scaled stimulus cannot contain a preload or another scaled stimulus"
             )
         if not isinstance(self.inner, OpenLoopKind):
             raise UnusableInputError(
-                Message(
-                    "scaled.feedback",
-                    "the stimulus '{name}' is generated during the test and cannot be scaled: change its range of "
-                    "force",
-                    name=self.inner.name,
-                )
+                "scaled.feedback",
+                "the stimulus '{name}' is generated during the test and cannot be scaled: change its range of force",
+                name=self.inner.name,
             )
         return self
 

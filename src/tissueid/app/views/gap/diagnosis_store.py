@@ -24,7 +24,6 @@ from tissueid.device import DeviceDescription
 from tissueid.errors import UnusableInputError
 from tissueid.instrument.twin_file import TwinFile
 from tissueid.language import ENGLISH
-from tissueid.messages import Message
 from tissueid.procedures.gap_plans import DiagnosisPlan
 from tissueid.untrusted_input import MAX_TESTS, json_value
 
@@ -132,7 +131,7 @@ def keep(result: DiagnosisResult, folder: Path) -> None:
         _parsed(text.encode(), result.key)
     except (ValueError, RecursionError) as error:
         raise UnusableInputError(
-            Message("gap.diagnosis_not_kept", "This diagnosis cannot be kept for the next start.")
+            "gap.diagnosis_not_kept", "This diagnosis cannot be kept for the next start."
         ) from error
     private_folder(folder)
     write_private(folder / f"{result.key}{_SUFFIX}", text)

@@ -136,7 +136,7 @@ def run_folder(folder: Path, task: AnalysisTask, history: AnalysisHistory, momen
     if not tests and problems:
         raise UnusableInputError(problems[0])
     if not tests:
-        raise UnusableInputError(Message("research.no_session", "there is no session in {folder}", folder=str(folder)))
+        raise UnusableInputError("research.no_session", "there is no session in {folder}", folder=str(folder))
     named = task.model_copy(update={"tests": tuple(TestRef.of(test) for test in tests)})
     found = run(named, history, moment, control)
     return replace(found, problems=(*problems, *found.problems))
@@ -278,12 +278,10 @@ def find_tests(folder: Path, control: Control) -> tuple[list[SelectedTest], list
                 paths.append(path)
     except OSError as error:
         raise UnusableInputError(
-            Message(
-                "research.folder_unreadable",
-                "{folder} cannot be searched: {reason}",
-                folder=str(folder),
-                reason=error.strerror or "",
-            )
+            "research.folder_unreadable",
+            "{folder} cannot be searched: {reason}",
+            folder=str(folder),
+            reason=error.strerror or "",
         ) from error
     tests: list[SelectedTest] = []
     problems: list[str] = []

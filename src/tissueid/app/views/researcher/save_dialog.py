@@ -23,7 +23,7 @@ from typing import TYPE_CHECKING, Literal, cast
 from tissueid.atomic_write import atomic_file, unused_path
 from tissueid.errors import UnusableInputError
 from tissueid.formatting import csv_text
-from tissueid.messages import Listing, Message
+from tissueid.messages import Listing
 
 if TYPE_CHECKING:  # matplotlib is imported when the first figure is drawn
     from matplotlib.figure import Figure
@@ -61,12 +61,10 @@ def write_figure(path: Path, draw: Callable[[], Figure]) -> Path:
     ending = path.suffix.lower()
     if ending not in FIGURES:
         raise UnusableInputError(
-            Message(
-                "research.figure_kind",
-                "{name}: a figure can be saved as {kinds}",
-                name=path.name,
-                kinds=Listing(tuple(FIGURES)),
-            )
+            "research.figure_kind",
+            "{name}: a figure can be saved as {kinds}",
+            name=path.name,
+            kinds=Listing(tuple(FIGURES)),
         )
     figure = drawing(draw)()
     with atomic_file(path) as partial:

@@ -13,7 +13,7 @@ from tissueid.app.views.studies.study_figures import TABLE, StudyFigures, figure
 from tissueid.errors import UnusableInputError
 from tissueid.formatting import clean, principal_first, text_of_cell
 from tissueid.language import marked
-from tissueid.messages import Message, Verbatim
+from tissueid.messages import Verbatim
 from tissueid.procedures.session_store import FolderStore
 from tissueid.procedures.study_plans import CURVES_FILE, NOT_ANALYSED_FILE, RESULTS
 from tissueid.procedures.study_protocol import PROTOCOL_FILE, Protocol, read_protocol, sitting_steps
@@ -159,7 +159,7 @@ def compute_figures(folder: Path, control: Control) -> StudyFigures:
         table = pd.read_parquet(path)
     except (OSError, ValueError) as error:
         raise UnusableInputError(
-            Message("study.no_table", "{folder} has no table yet: analyse its sessions first", folder=str(folder))
+            "study.no_table", "{folder} has no table yet: analyse its sessions first", folder=str(folder)
         ) from error
     found = figures_of(study_statistics(table, read_curves(folder / RESULTS / CURVES_FILE)))
     keep_figures(folder, found)
@@ -182,12 +182,10 @@ def _read_table(path: Path) -> tuple[list[TestRow], tuple[str, ...]]:
             return [read(cells) for cells in lines if len(cells) == len(head)], parameters
     except (OSError, ValueError, csv.Error) as error:
         raise UnusableInputError(
-            Message(
-                "study.table_unreadable",
-                "{path} cannot be read: {reason}",
-                path=str(path),
-                reason=Verbatim(str(error).splitlines()[0]),
-            )
+            "study.table_unreadable",
+            "{path} cannot be read: {reason}",
+            path=str(path),
+            reason=Verbatim(str(error).splitlines()[0]),
         ) from error
 
 

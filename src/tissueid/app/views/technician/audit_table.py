@@ -73,11 +73,9 @@ def check(path: Path, cancelled: Callable[[], object]) -> Verification:
     """
     if not path.is_file():
         raise UnusableInputError(
-            Message(
-                "audit.missing",
-                "there is no audit log {path}: nothing has been logged yet, or it was moved",
-                path=str(path),
-            )
+            "audit.missing",
+            "there is no audit log {path}: nothing has been logged yet, or it was moved",
+            path=str(path),
         )
     return verify(path, cancelled=cancelled)
 

@@ -46,11 +46,7 @@ def read_log(path: Path, cancelled: Callable[[], object], most_bytes: int = MOST
         )
     if not path.is_file():
         raise UnusableInputError(
-            Message(
-                "audit.not_a_file",
-                "the audit log {path} is not a file: name another with TISSUEID_AUDIT",
-                path=str(path),
-            )
+            "audit.not_a_file", "the audit log {path} is not a file: name another with TISSUEID_AUDIT", path=str(path)
         )
     size = path.stat().st_size
     kept: deque[Line] = deque(maxlen=MOST_LINES)
@@ -130,11 +126,11 @@ def write_csv(path: Path, log: Path, lines: Sequence[Line], cancelled: Callable[
     """
     if path.exists() and log.exists() and path.samefile(log):
         raise UnusableInputError(
-            Message("audit.export_itself", "{path} is the audit log itself: name another file", path=str(path))
+            "audit.export_itself", "{path} is the audit log itself: name another file", path=str(path)
         )
     if path.is_dir() or not path.parent.is_dir():
         raise UnusableInputError(
-            Message("audit.export_folder", "{path} is no file in an existing folder: name one", path=str(path))
+            "audit.export_folder", "{path} is no file in an existing folder: name one", path=str(path)
         )
     try:
         with atomic_file(path) as partial, partial.open("w", encoding="utf-8", newline="") as file:
@@ -147,12 +143,10 @@ def write_csv(path: Path, log: Path, lines: Sequence[Line], cancelled: Callable[
                 table.writerow([_cell(fields[name]) for name in COLUMNS])
     except OSError as error:
         raise UnusableInputError(
-            Message(
-                "audit.export_failed",
-                "cannot write {path}: {problem}",
-                path=str(path),
-                problem=error.strerror or str(error),
-            )
+            "audit.export_failed",
+            "cannot write {path}: {problem}",
+            path=str(path),
+            problem=error.strerror or str(error),
         ) from error
     return len(lines)
 
