@@ -173,7 +173,7 @@ def test_start_and_measure_are_german_and_the_choice_is_kept(open_window):
     assert page.cards["technician"].accessibleName().startswith("Technik: Das Gerät warten")
     assert not shown & set(WHAT_ROLES_DO.values())
     heads = [page.recent.horizontalHeaderItem(column).text() for column in range(4)]
-    assert heads == ["Datum", "Messort", "Person", "Qualitätsprüfung"]
+    assert heads == ["Datum", "Messort", "Person", "Qualität"]
     assert window.panels.help.reader.toPlainText().startswith("Start\n")
     assert "Medizinprodukt" in window.panels.help.reader.toPlainText()
 
@@ -189,6 +189,8 @@ def test_start_and_measure_are_german_and_the_choice_is_kept(open_window):
     ui = window.ui
     assert ui.stop.text() == "STOPP – Spule freigeben"
     assert ui.guidance.instruction.text().startswith("Setzen Sie die Sonde auf die Haut")
+    assert ui.form.summary.text() == "4 s, bis 10,5 N"
+    ui.form.fold.setChecked(True)
     assert ui.form.summary.text() == "Rauschen, Gauß: 0,5–10,5 N, 4 s, Startwert 1"
     assert ui.safety.keys.text() == "Kein Test läuft"
     assert [button.text() for button in ui.rail.buttons.values()] == [

@@ -129,7 +129,7 @@ def test_from_a_session_to_verdict_stage_and_effect(qtbot, diagnosed):
     assert "Dry friction" in result.evidence.text()
     item = page.history.list.item(0).text()
     assert item.splitlines() == [
-        "friction.h5",
+        f"friction.h5  ·  {page.history.result.when.astimezone():%Y-%m-%d %H:%M}",
         f"{VERDICT_TITLES['effect']}  ·  {STAGE_TITLES['mechanics']}",
         FRICTION.title,
     ]
@@ -362,10 +362,13 @@ def test_a_dropped_file_is_chosen_and_found_again_at_the_next_start(open_window,
     other.write_bytes(friction.read_bytes())
     window = open_window(first_page="gap")
     page = page_of(window)
-    qtbot.waitUntil(lambda: idle(window), timeout=WAIT_MS)
+    qtbot.waitUntil(lambda: idle(window) and not page.asking.session.untitled, timeout=WAIT_MS)
     window.files.take([other])
     assert page.asking.session.path == other
-    assert page.asking.session.choice.currentText() == "<b>other.h5"
+    named = page.asking.session.choice
+    alike = named.itemText(named.findData(str(friction)))  # both have the same title, so the file name tells them apart
+    assert alike.endswith(", test 1 (stochastic), friction.h5")
+    assert named.currentText() == alike.replace("friction.h5", "<b>other.h5")
     page.asking.check.setText("2")
     window.close()
     again = page_of(open_window(first_page="gap"))
