@@ -99,7 +99,7 @@ def _take_all(application: QApplication) -> None:
     window = MainWindow(services)
     window.resize(*SIZE)
     window.show()
-    idle = functools.partial(wait_until, lambda: not window.jobs, "work to end")
+    idle = functools.partial(wait_until, lambda: window.jobs.idle, "work to end")
     process_events_for(300)
     idle()
     if sys.argv[1:] != ["studies"]:
@@ -146,7 +146,7 @@ def take_measure(window: MainWindow, pace: PausableWait, idle: Callable[[], None
     wait_until(pace.held.is_set, "the test to come to where it is held")
     take(window, "window-during")
     pace.go_on.set()
-    wait_until(lambda: window.findings is not None and not window.jobs, "what was found in the test")
+    wait_until(lambda: window.findings is not None and window.jobs.idle, "what was found in the test")
     idle()
     take(window, "window")
 
@@ -274,7 +274,7 @@ def take_gap(window: MainWindow, sessions: Path, idle: Callable[[], None]) -> No
     assert isinstance(page, GapView)
     page.asking.take(sessions / "2026-01-12_bearing.h5")
     page.asking.run.click()
-    wait_until(lambda: bool(window.jobs), "the diagnosis to begin")
+    wait_until(lambda: window.jobs.working, "the diagnosis to begin")
     idle()
     for number, name in enumerate(("where", "which")):
         page.result.tabs.setCurrentIndex(number)

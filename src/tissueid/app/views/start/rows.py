@@ -101,11 +101,11 @@ class Rows(QTableWidget):
             f" border-radius: 6px; selection-background-color: {theme.accent};"
             f" selection-color: {theme.accent_text}; outline: none; }}"
             f"QTableView:focus {{ border: 1px solid {theme.accent}; }}"
-            f"QTableView::item {{ padding: 4px 6px; }}"
+            f"QTableView::item {{ padding: 4px 0px; }}"
             f"QTableView::item:selected {{ background: {theme.accent}; color: {theme.accent_text}; }}"
             f"QHeaderView {{ background: {theme.panel}; }}"
             f"QHeaderView::section {{ background: {theme.panel}; color: {theme.muted}; border: none;"
-            f" border-bottom: 1px solid {theme.line}; padding: 3px 8px; }}"
+            f" border-bottom: 1px solid {theme.line}; padding: 3px 4px; }}"
         )
         self._colour()
 
