@@ -10,3 +10,6 @@ RIG = _SHARED / "blind"
 """Sessions of an independent rig, ``rig-001.h5`` and on."""
 
 REAL = _SHARED / "real"
+
+CASES = _SHARED / "cases"
+"""Small records, each in a folder with what is right for it."""
