@@ -39,13 +39,18 @@ def record_of(force: np.ndarray, position: np.ndarray, rate: float = RATE) -> Re
 
 
 def held(
-    seed: int, stiffness: float = 400.0, spring: float = 200.0, time_s: float = 1.0, seconds: float = 20.0
+    seed: int,
+    stiffness: float = 400.0,
+    spring: float = 200.0,
+    time_s: float = 1.0,
+    seconds: float = 20.0,
+    ramp_s: float = 1.0,
 ) -> Test:
-    """A ramp of 2 mm in 1 s and a hold of a standard linear solid (cases 01 and 03)."""
+    """A ramp of 2 mm and a hold of a standard linear solid (cases 01 and 03)."""
     rng = np.random.default_rng(seed)
     n = round(seconds * RATE)
     t = np.arange(n) / RATE
-    x = 2e-3 * np.clip(t - 1.0, 0.0, 1.0)
+    x = 2e-3 * np.clip((t - 1.0) / ramp_s, 0.0, 1.0)
     decay = np.exp(-1.0 / (RATE * time_s))
     branch = signal.lfilter([spring * time_s * (1.0 - decay)], [1.0, -decay], np.diff(x, prepend=0.0) * RATE)
     force = stiffness * x + branch + 0.002 * rng.standard_normal(n)
@@ -75,6 +80,13 @@ def test_a_ramp_and_hold_is_scored_where_it_varies():
     every_quarter = split(session).other_quarters
     assert len(every_quarter) == 3
     assert all(quarter.scorable for quarter in every_quarter)
+
+
+def test_a_slow_relaxation_is_no_mass():
+    report = analyse(session_of(held(4, time_s=4.0, seconds=30.0, ramp_s=2.0)), "viscoelastic").model.report
+    assert report.model == "standard-linear-solid"
+    assert "mass_kg" not in report.reportable_parameters
+    assert report.parameters["relaxation_time_s"].value == pytest.approx(4.0, rel=0.04)
 
 
 def test_a_hold_alone_gives_no_score():

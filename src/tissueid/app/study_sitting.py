@@ -91,6 +91,7 @@ class StudySitting(QObject):
         self._ui.start.setEnabled(not self._context.busy)
         self._context.show_idle()
         self._ui.gate.repeats.led = False
+        self._ui.form.subject.setReadOnly(False)
         self._ui.form.save_in(self._folder_before)
         self._ui.form.fill({"pseudonym": "", "site": "", "condition": "", "minutes_since_application": None})
 
@@ -124,6 +125,7 @@ class StudySitting(QObject):
         self.state = state
         self._context.go(MEASURE)
         self._ui.gate.repeats.led = True
+        self._ui.form.subject.setReadOnly(True)  # a test of another subject would be stored in this one's folder
         self._ui.form.subject_chosen.emit(state.subject)
         self._ui.form.save_in(state.sessions)
         self._offer(None)

@@ -98,6 +98,7 @@ def test_nothing_starts_when_a_sitting_is_complete(qtbot, open_window, bench, st
     begin(qtbot, window, folder)
     run_test(qtbot, window, ui.start)
     assert window.study.complete
+    assert ui.form.subject.isReadOnly()
     assert not ui.start.isEnabled()
     assert ui.start.toolTip()
     opened = len(bench.opened)
@@ -107,6 +108,7 @@ def test_nothing_starts_when_a_sitting_is_complete(qtbot, open_window, bench, st
     press(qtbot, ui.study_card.leave)
     qtbot.waitUntil(ui.start.isEnabled, timeout=WAIT_MS)
     assert not ui.start.toolTip()
+    assert not ui.form.subject.isReadOnly()
 
 
 def test_the_result_of_another_subject_leaves_the_screen_when_a_sitting_begins(qtbot, open_window, bench, study):

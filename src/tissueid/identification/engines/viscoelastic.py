@@ -238,7 +238,10 @@ def _starts(structure: Structure, linear: SecondOrderFit, damping: float) -> lis
 def _fit(problem: _Problem, linear: SecondOrderFit) -> _Fitted:
     """Fit one structure from the best of its starting points."""
     damping = _START_DAMPING if problem.damped else _NO_DAMPING
-    points = [problem.point(np.log(values)) for values in _starts(problem.structure, linear, damping)]
+    values = _starts(problem.structure, linear, damping)
+    if problem.held:  # a mass that moves at once: that of a second-order fit stands for the relaxation
+        values = [(linear.system.stiffness / (math.pi * problem.rate) ** 2, *others) for _mass, *others in values]
+    points = [problem.point(np.log(start)) for start in values]
     points = sorted((p for p in points if math.isfinite(p.cost)), key=lambda p: p.cost)[:_STARTS]
     ends = [
         minimise(
