@@ -91,7 +91,7 @@ class Sitting:
         self.path = folder / "s.h5"
         if guided:
             self.instrument = connect()
-            self.firmware = self.instrument._link.firmware
+            self.firmware = self.instrument.link.firmware
             self.go = self.run
         else:
             self.go = self.feed
@@ -117,7 +117,7 @@ class Sitting:
         except JournalError as error:
             self.error = error
             self.released = not self.firmware.energised
-            self.ended_s = self.instrument._link.now
+            self.ended_s = self.instrument.link.now
 
     def feed(self, batches: int = 2) -> None:
         """As ``run``, without an instrument: only the calls of the recorder."""
@@ -141,13 +141,13 @@ class Sitting:
 
         def look(data: bytes) -> bytes:
             if disk.failed_s < math.inf and not self.firmware.energised:
-                self.free_s = min(self.free_s, self.instrument._link.now)
+                self.free_s = min(self.free_s, self.instrument.link.now)
             return data
 
-        self.instrument._link.to_host = look
+        self.instrument.link.to_host = look
 
     def coil_on_at(self) -> float:
-        return self.instrument._link.now if self.firmware.energised else math.inf
+        return self.instrument.link.now if self.firmware.energised else math.inf
 
     def keep_in_step(self) -> None:
         """Wait for the thread that writes: what fails, fails at the same sample."""

@@ -53,7 +53,7 @@ class PatientLink(LoopbackLink):
 
 
 def rig(seed: int = 1, *, stage: bool = True, errors: dict[str, ChannelError] | None = None, **bench: object):
-    """A driver on the bench; its link is ``instrument._link``."""
+    """A driver on the bench; its link is ``instrument.link``."""
     made = Bench(
         "calibration-spring",
         seed=seed,
@@ -69,8 +69,8 @@ class Person:
 
     def __init__(self, instrument: SerialInstrument) -> None:
         self.asked: list[str] = []
-        self._link = instrument._link
-        self._bench = instrument._link.firmware.bench
+        self._link = instrument.link
+        self._bench = instrument.link.firmware.bench
         self._weight_n = self._bench.parameters.gravity_force_n
 
     def __call__(self, words: str) -> None:

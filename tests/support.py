@@ -88,7 +88,7 @@ class LoopbackLink:
 def connect(
     preset: str = "left-posterior-forearm", seed: int = 1, identity: Identity | None = None
 ) -> SerialInstrument:
-    """A driver on a simulated firmware; its link is ``instrument._link``."""
+    """A driver on a simulated firmware; its link is ``instrument.link``."""
     link = LoopbackLink(Firmware(Bench(preset, seed=seed), identity, seed=seed))
     return SerialInstrument(link, clock=link.clock)
 
@@ -118,7 +118,7 @@ def halfway(instrument: SerialInstrument, mishap: Callable[[LoopbackLink], None]
 
     def progress(item: Progress) -> None:
         if item.fraction > 0.5 and pending:
-            pending.pop()(instrument._link)
+            pending.pop()(instrument.link)
 
     return progress
 

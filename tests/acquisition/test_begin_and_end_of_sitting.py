@@ -115,7 +115,7 @@ def test_another_failure_is_not_hidden_by_that_of_the_disk(tmp_path, monkeypatch
 
     def unplug(progress):
         if progress.fraction > 0.5:
-            sitting.instrument._link.plugged = False
+            sitting.instrument.link.plugged = False
             disk.fails_at = disk.calls + 1
 
     recorder = SessionRecorder(sitting.path, sitting.instrument.device)
@@ -152,7 +152,7 @@ def test_a_full_disk_is_reported_before_the_coil_is_energised(tmp_path, monkeypa
             guided(),
             recorder,
             surface_m=0.01,
-            progress=lambda _: energised.append(instrument._link.firmware.energised),
+            progress=lambda _: energised.append(instrument.link.firmware.energised),
         )
     check_one_line(raised.value)
     assert energised == []

@@ -70,7 +70,7 @@ def test_it_is_completed_and_as_long_as_what_was_played(make, stimulus, tmp_path
 
 def test_a_fault_at_the_moment_of_the_end_is_no_completed_test(tmp_path):
     instrument = connect()
-    link, firmware = instrument._link, instrument._link.firmware
+    link, firmware = instrument.link, instrument.link.firmware
     recorder = SessionRecorder(tmp_path / "s.h5", instrument.device)
     after = After(1.0)
 

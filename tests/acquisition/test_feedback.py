@@ -111,7 +111,7 @@ def test_the_source_gets_whole_blocks_in_order_and_none_that_is_not_due(tmp_path
 def test_lost_samples_reach_the_source_as_nan_and_are_told(tmp_path):
     instrument = connect()
     reads = iter(range(100_000))
-    instrument._link.to_host = lambda data: b"" if next(reads) % 60 == 59 else data
+    instrument.link.to_host = lambda data: b"" if next(reads) % 60 == 59 else data
     test = run(instrument, a_test(lead=4), tmp_path / "s.h5")
     lost = int(np.isnan(test.signals["position"]).sum())
     assert lost > 0
@@ -162,7 +162,7 @@ def test_a_source_that_leaves_its_range_frees_the_coil(tmp_path):
     recorder = SessionRecorder(tmp_path / "s.h5", instrument.device)
     with pytest.raises(UnusableInputError, check=coded("stimulus.out_of_range", name="runaway", low=0.0, high=10.0)):
         run_guided_test(instrument, GuidedTest(Runaway(), "x"), recorder, surface_m=SURFACE)
-    assert not instrument._link.firmware.energised
+    assert not instrument.link.firmware.energised
     test = recorder.finish().test()
     assert test.status == "aborted"
     assert test.samples > PRELOAD + 10 * BLOCK
@@ -183,8 +183,8 @@ def test_a_mishap_in_mid_feedback_frees_the_coil_and_keeps_the_recorded_part(tmp
     recorder = SessionRecorder(tmp_path / "s.h5", instrument.device)
     with pytest.raises(error):
         run_guided_test(instrument, a_test(3.0), recorder, surface_m=SURFACE, progress=halfway(instrument, mishap))
-    instrument._link.run_for(1.0)
-    assert not instrument._link.firmware.energised
+    instrument.link.run_for(1.0)
+    assert not instrument.link.firmware.energised
     instrument.close()
     test = recorder.finish().test()
     assert test.status == "aborted"
@@ -206,7 +206,7 @@ def test_a_host_that_stops_sending_is_held_and_then_released(tmp_path):
     with pytest.raises(FirmwareFaultError) as raised:
         run_guided_test(instrument, a_test(3.0), recorder, surface_m=SURFACE)
     assert raised.value.faults == Fault.STARVED
-    assert not instrument._link.firmware.energised
+    assert not instrument.link.firmware.energised
     test = recorder.finish().test()
     newtons = test.signals["command"] / instrument.device.voltage_for_force(1.0)
     np.testing.assert_allclose(newtons[PRELOAD + 2000 + 150 : PRELOAD + 2900], 4.0, atol=0.01)
@@ -227,13 +227,13 @@ def test_cancelling_keeps_what_was_recorded(tmp_path):
             progress=seen.append,
             cancelled=lambda: bool(seen) and seen[-1].fraction > 0.5,
         )
-    assert not instrument._link.firmware.energised
+    assert not instrument.link.firmware.energised
     assert recorder.finish().test().status == "aborted"
 
 
 def test_what_was_held_in_lost_samples_is_counted(tmp_path):
     instrument = connect()
-    link = instrument._link
+    link = instrument.link
     begun = []
 
     def cut(data):
@@ -273,7 +273,7 @@ def test_a_defect_in_mid_feedback_frees_the_coil_and_closes_the_recording(tmp_pa
 
     with pytest.raises(ZeroDivisionError):
         run_guided_test(instrument, a_test(2.0), recorder, surface_m=SURFACE, progress=progress)
-    assert not instrument._link.firmware.energised
+    assert not instrument.link.firmware.energised
     test = recorder.finish().test()
     assert test.status == "aborted"
     assert says(test.reason, "test.defect", kind="ZeroDivisionError", error="a plug-in")

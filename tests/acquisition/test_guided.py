@@ -78,7 +78,7 @@ def test_cancelling_keeps_what_was_recorded(tmp_path):
             progress=seen.append,
             cancelled=lambda: bool(seen) and seen[-1].fraction > 0.5,
         )
-    assert not instrument._link.firmware.energised
+    assert not instrument.link.firmware.energised
     test = recorder.finish().test()
     assert test.status == "aborted"
     assert 3000 < test.samples < 7000
@@ -91,8 +91,8 @@ def test_a_mishap_in_mid_test_keeps_the_recorded_part(tmp_path, mishap, error):
     recorder = SessionRecorder(tmp_path / "s.h5", instrument.device)
     with pytest.raises(error):
         run_guided_test(instrument, guided(3.0), recorder, surface_m=0.01, progress=halfway(instrument, mishap))
-    instrument._link.run_for(1.0)
-    assert not instrument._link.firmware.energised
+    instrument.link.run_for(1.0)
+    assert not instrument.link.firmware.energised
     instrument.close()
     test = recorder.finish().test()
     assert test.status == "aborted"
@@ -120,7 +120,7 @@ def test_gaps_are_stored_in_the_session(tmp_path):
     instrument = connect()
     recorder = SessionRecorder(tmp_path / "s.h5", instrument.device)
     reads = iter(range(100_000))
-    instrument._link.to_host = lambda data: b"" if next(reads) % 60 == 59 else data
+    instrument.link.to_host = lambda data: b"" if next(reads) % 60 == 59 else data
     run_guided_test(instrument, guided(), recorder, surface_m=0.01)
     test = recorder.finish().test()
     lost = int(np.isnan(test.signals["force"]).sum())
@@ -158,6 +158,6 @@ def test_a_probe_in_the_air_is_noticed():
 def test_lost_samples_while_placing_are_reported():
     instrument = connect()
     reads = iter(range(100_000))
-    instrument._link.to_host = lambda data: b"" if next(reads) % 40 == 39 else data
+    instrument.link.to_host = lambda data: b"" if next(reads) % 40 == 39 else data
     with pytest.raises(UnusableInputError, check=coded("placing.samples_lost")):
         find_surface(instrument)

@@ -133,7 +133,7 @@ def test_cancelled_between_two_tests_it_keeps_what_was_recorded(tmp_path):
             cancelled=between,
         )
     assert [test.status for test in recorder.finish().tests] == ["completed"]
-    assert not instrument._link.firmware.energised
+    assert not instrument.link.firmware.energised
 
 
 def test_unplugged_between_two_tests_it_keeps_what_was_recorded(tmp_path):
@@ -141,7 +141,7 @@ def test_unplugged_between_two_tests_it_keeps_what_was_recorded(tmp_path):
     recorder = SessionRecorder(tmp_path / "s.h5", instrument.device)
 
     def progress(_label, shown):
-        instrument._link.plugged = shown.phase.value != "release"
+        instrument.link.plugged = shown.phase.value != "release"
 
     with pytest.raises(LinkLostError):
         run_multistep(instrument, a_test(seconds=1.0), recorder, surface_m=0.01, progress=progress)

@@ -128,7 +128,7 @@ def test_a_probe_that_stays_at_the_near_end_is_released(monkeypatch, side):
     blocks = []
     with pytest.raises(error, check=check):
         blocks.extend(instrument.poll(0.05) for _ in range(400))
-    assert not instrument._link.firmware.energised
+    assert not instrument.link.firmware.energised
     assert 0 <= last_energised(np.concatenate(blocks)) - (run.first_index + LIFT_S * RATE) <= 60
 
 
@@ -142,7 +142,7 @@ def test_once_lifted_the_near_limit_counts_at_once(monkeypatch, side):
     blocks = []
     with pytest.raises(error, check=check):
         blocks.extend(instrument.poll(0.05) for _ in range(400))
-    assert not instrument._link.firmware.energised
+    assert not instrument.link.firmware.energised
     samples = np.concatenate(blocks)
     lifted = (samples["index"] >= run.first_index) & (samples["position"] > CLINICAL.min_position_m)
     back = lifted.argmax() + (samples["position"][lifted.argmax() :] < CLINICAL.min_position_m).argmax()
@@ -151,7 +151,7 @@ def test_once_lifted_the_near_limit_counts_at_once(monkeypatch, side):
 
 def test_in_free_air_nothing_is_pressed_and_the_probe_is_where_it_lies(tmp_path):
     instrument = held(90.0, tissue=FREE_AIR)
-    instrument._link.firmware.bench.plant.state[POSITION] = 0.016
+    instrument.link.firmware.bench.plant.state[POSITION] = 0.016
     placement = place_in_air(instrument)
     assert placement.surface_m == pytest.approx(0.016, abs=1e-4)
     assert placement.orientation.tilt_deg == pytest.approx(90.0, abs=1.0)

@@ -64,9 +64,9 @@ def test_a_smaller_coil_warms_by_its_own_size():
 def test_rest_lasts_by_the_clock_of_the_instrument_and_can_be_cancelled():
     instrument = connect()
     assert temperature_c(instrument) == pytest.approx(23.0, abs=1.0)
-    before, seen = instrument._link.now, []
+    before, seen = instrument.link.now, []
     rest(instrument, 2.0, progress=seen.append)
-    assert instrument._link.now - before == pytest.approx(2.0, abs=0.1)
+    assert instrument.link.now - before == pytest.approx(2.0, abs=0.1)
     assert seen[-1] == 1.0
     with pytest.raises(CancelledError, check=coded("test.cancelled_between")):
         rest(instrument, 2.0, cancelled=lambda: True)

@@ -51,7 +51,7 @@ def test_how_a_test_ended_is_logged_without_names_of_files(tmp_path):
     recorder = SessionRecorder(tmp_path / "jane.h5", instrument.device, trail=AuditTrail(log, "clinician"))
 
     def press(progress):
-        instrument._link.firmware.bench.button = progress.fraction > 0.5
+        instrument.link.firmware.bench.button = progress.fraction > 0.5
 
     with pytest.raises(FirmwareFaultError, check=holding("fault.button")):
         run_guided_test(instrument, guided(), recorder, surface_m=0.01, progress=press)
@@ -156,7 +156,7 @@ def test_a_log_that_fails_during_a_test_does_not_break_it_off(tmp_path, monkeypa
     run_guided_test(instrument, guided(), recorder, surface_m=0.01, progress=fail)
     with pytest.raises(AuditError, check=coded("audit.unwritable", why=FULL)):
         run_guided_test(instrument, guided(), recorder, surface_m=0.01)
-    assert not instrument._link.firmware.energised
+    assert not instrument.link.firmware.energised
     session = recorder.finish()
     assert [test.status for test in session.tests] == ["completed"]
     assert FULL in recorder.trail.problem

@@ -213,7 +213,7 @@ def test_a_window_that_hangs_ends_a_calibration(qtbot, technicians, clock, calib
     qtbot.waitUntil(lambda: idle(window), timeout=WAIT_MS)
     assert reads(window.ui.notice.text.text(), "stop.no_answer")
     assert list(calibrations.iterdir()) == []
-    assert not instrument._link.firmware.energised
+    assert not instrument.link.firmware.energised
 
 
 @pytest.mark.soak

@@ -269,7 +269,7 @@ def test_the_button_on_the_instrument(qtbot, open_window, tmp_path):
 
     def opener(_url):
         instrument = connect()
-        link = instrument._link
+        link = instrument.link
         links.append(link)
 
         def press_later(data):
@@ -293,7 +293,7 @@ def test_the_button_on_the_instrument(qtbot, open_window, tmp_path):
 def test_a_process_that_dies_in_mid_test_leaves_the_coil_to_the_watchdog():
     """A crash of the window's thread takes the thread that measures with it: nothing of this program is left."""
     instrument = connect()
-    link = instrument._link
+    link = instrument.link
     instrument.load(np.full(20_000, 1.0))
     instrument.arm(CLINICAL)
     instrument.start()

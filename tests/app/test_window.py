@@ -176,7 +176,7 @@ def test_an_instrument_that_disappears_gives_words_and_leaves_the_window_alive(q
         if url.startswith("simulated"):
             return SimulatedInstrument("forearm")
         instrument = connect()
-        link = instrument._link
+        link = instrument.link
         links.append(link)
 
         def unplug_later(data):

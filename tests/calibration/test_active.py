@@ -162,7 +162,7 @@ def test_under_a_calibration_force_is_measured_right(tmp_path):
     assert in_force.warnings == (NO_REGION,)
     assert codes(in_force.warnings) == ["calibration.no_region"]
 
-    bench = instrument._link.firmware.bench
+    bench = instrument.link.firmware.bench
     assert instrument.move_stage(0.016)
     volts = np.repeat([0.0, 10.0, 0.0], 1200)
     blocks = []

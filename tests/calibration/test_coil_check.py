@@ -46,7 +46,7 @@ def test_an_open_coil_is_said():
 
 def test_lost_samples_are_said():
     instrument = connect()
-    link = instrument._link
+    link = instrument.link
     link.to_host = lambda data: b"" if link.now > 0.5 and link.now < 0.85 else data
     with pytest.raises(UnusableInputError, check=coded("calibration.samples_lost.voltage")):
         check_coil(instrument)

@@ -142,7 +142,7 @@ def test_the_spring_must_stand_where_it_has_room():
 
 def test_a_thermometer_that_does_not_follow_heat_fails_it():
     instrument = rig()
-    instrument._link.firmware.bench.stuck = {"temperature"}
+    instrument.link.firmware.bench.stuck = {"temperature"}
     result = calibrate_static(instrument, StaticPlan(steps=("temperature",)))
     assert result.calibration.verdict == "failed"
     stuck = message(problems_of(result.calibration), "calibration.thermometer_stuck")
@@ -151,7 +151,7 @@ def test_a_thermometer_that_does_not_follow_heat_fails_it():
 
 def test_a_supply_that_changes_meanwhile_fails_it():
     instrument = rig()
-    bench = instrument._link.firmware.bench
+    bench = instrument.link.firmware.bench
 
     def sag(label, fraction):
         if label.code == "calibration.step.rest_again":
@@ -181,7 +181,7 @@ def test_a_repeat_that_fails_fails_all():
 
 def test_cancelling_frees_the_coil():
     instrument = rig()
-    firmware = instrument._link.firmware
+    firmware = instrument.link.firmware
     seen = []
 
     def note(label, fraction):
@@ -189,7 +189,7 @@ def test_cancelling_frees_the_coil():
 
     with pytest.raises(CancelledError):
         calibrate_static(instrument, StaticPlan(), progress=note, cancelled=lambda: any(seen))
-    instrument._link.run_for(0.2)
+    instrument.link.run_for(0.2)
     assert any(seen)
     assert not firmware.energised
 
@@ -213,11 +213,11 @@ def test_what_was_sampled_before_the_stage_moved_is_not_taken(monkeypatch):
 
     def slow(place):
         done = move(place)
-        instrument._link.run_for(0.5)  # read on at the new place
+        instrument.link.run_for(0.5)  # read on at the new place
         return done
 
     def busy(place):
-        instrument._link.run_for(1.0)
+        instrument.link.run_for(1.0)
         return slow(place)
 
     monkeypatch.setattr(instrument, "move_stage", busy)

@@ -49,7 +49,7 @@ class Rehearsed:
 
     def __init__(self, folder: Path, plan: SweepPlan, scenario: Scenario = SPRING, **options: object) -> None:
         self.instrument = connect_scenario(scenario)
-        self.bench = self.instrument._link.firmware.bench
+        self.bench = self.instrument.link.firmware.bench
         self.path = folder / "sweep.h5"
         self.recorder = SessionRecorder(self.path, self.instrument.device)
         self.sweep = Sweep(self.instrument, plan, self.recorder, **options)
@@ -162,7 +162,7 @@ def test_a_person_moves_the_spring_where_there_is_no_stage(tmp_path):
 
 def test_a_person_is_waited_for_until_the_probe_stands_still_at_the_place(tmp_path):
     instrument = connect_scenario(SPRING)
-    link, said = instrument._link, []
+    link, said = instrument.link, []
 
     def tell(standing):
         said.append(standing.in_place)
@@ -177,7 +177,7 @@ def test_a_person_is_waited_for_until_the_probe_stands_still_at_the_place(tmp_pa
 def test_a_person_may_give_up(tmp_path):
     instrument = connect_scenario(SPRING)
     with pytest.raises(CancelledError, check=coded("cancelled.coil_free")):
-        wait_for_position(instrument, 0.030, cancelled=lambda: instrument._link.now > 1.0)
+        wait_for_position(instrument, 0.030, cancelled=lambda: instrument.link.now > 1.0)
 
 
 def test_a_cancelled_sweep_keeps_what_was_measured(tmp_path):

@@ -81,7 +81,7 @@ def test_it_runs_unattended_and_leaves_calibration_report_session_and_answer(dev
     assert "or less to 24.0" in told
     assert shows(told, "calibration.headline", kind="Dynamic sweep", verdict=message_of("calibration.verdict.passed"))
     assert read_calibration(again).quantities == made.quantities
-    assert device[-1]._link.firmware.bench.tissue.surface_m == pytest.approx(0.0154, abs=0.3e-3)  # and its sag
+    assert device[-1].link.firmware.bench.tissue.surface_m == pytest.approx(0.0154, abs=0.3e-3)  # and its sag
     assert main(["calibrate", "show", str(again), "--report", str(tmp_path / "shown.html")]) == 0
     assert "Dynamic sweep of" in (tmp_path / "shown.html").read_text(encoding="utf-8")
 
@@ -92,7 +92,7 @@ def test_without_a_stage_a_person_on_a_terminal_moves_the_spring(device, tmp_pat
 
     def there(instrument, place_m, tell, cancelled):
         asked.append(place_m)
-        instrument._link.firmware.bench.place_fixture(place_m - 0.6e-3)
+        instrument.link.firmware.bench.place_fixture(place_m - 0.6e-3)
         tell(ProbePosition(place_m - 1.4e-3, False))
 
     monkeypatch.setattr("tissueid.procedures.sweep.wait_for_position", there)
@@ -164,7 +164,7 @@ def test_after_a_failure_the_stage_is_back_in_mid_stroke(device, tmp_path, monke
 
     monkeypatch.setattr(Sweep, "_measure", second)
     assert "fell off" in complaint(capsys, "--device", "spring", "--out", tmp_path / "sweep.toml", *SHORT)
-    assert device[-1]._link.firmware.bench.tissue.surface_m == pytest.approx(0.0154, abs=0.3e-3)
+    assert device[-1].link.firmware.bench.tissue.surface_m == pytest.approx(0.0154, abs=0.3e-3)
 
 
 @pytest.mark.parametrize(

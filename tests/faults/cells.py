@@ -301,7 +301,7 @@ class _Sitting:
 
 def rest(instrument: Instrument, seconds: float) -> None:
     """The host keeps reading, and plays nothing."""
-    link = instrument._link  # type: ignore[attr-defined]
+    link = instrument.link  # type: ignore[attr-defined]
     end = link.now + seconds
     while link.now < end:
         instrument.poll(0.05)

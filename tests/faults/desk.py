@@ -181,7 +181,7 @@ class WatchedInstrument(SerialInstrument):
     def poll(self, timeout_s: float) -> NDArray[np.void]:
         samples = super().poll(timeout_s)
         if samples.size:
-            self._link.progress()
+            self.link.progress()
         return samples
 
 

@@ -255,9 +255,9 @@ def test_a_run_at_another_rate_loses_nothing_and_takes_the_same_time(rate):
     volts = 12.0 + 4.0 * np.sin(2 * np.pi * 20 * time)
     with connect_scenario(Scenario(preset="linear-demo", sample_rate_hz=rate)) as instrument:
         assert instrument.device.sample_rate_hz == rate
-        began = instrument._link.now
+        began = instrument.link.now
         samples = played(instrument, volts)
-        assert instrument._link.now - began < 1.3
+        assert instrument.link.now - began < 1.3
         assert samples.size == volts.size
         assert not np.isnan(samples["position"]).any()
         assert instrument.gaps == []

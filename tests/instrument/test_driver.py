@@ -73,7 +73,7 @@ def test_the_coil_is_free_after_a_run():
     play(instrument, hold(10.0, 0.2))
     for _ in range(20):
         instrument.poll(0.05)
-    assert not instrument._link.firmware.energised
+    assert not instrument.link.firmware.energised
     last = instrument.poll(0.05)
     assert not np.any(last["flags"] & Flag.ENERGISED)
     assert np.all(np.abs(last["voltage"]) < 0.05)
@@ -89,7 +89,7 @@ def test_a_second_test_can_follow_at_once():
 def test_requests_survive_a_lossy_link_and_act_once(loss):
     instrument = connect()
     rng = random.Random(3)
-    link = instrument._link
+    link = instrument.link
     link.to_device = lambda data: b"" if rng.random() < loss else data
     instrument.load(hold(5.0, 2.0))
     instrument.arm(RESEARCH)
@@ -105,7 +105,7 @@ def test_a_new_host_finds_a_device_that_still_streams_for_a_dead_one():
     dead.load(hold(10.0, 2.0))
     dead.arm(CLINICAL)
     dead.start()
-    link = dead._link
+    link = dead.link
     link.run_for(0.3)
     instrument = SerialInstrument(link, clock=link.clock)
     assert not link.firmware.energised
@@ -119,20 +119,20 @@ def test_a_repeated_start_does_not_start_again():
     instrument.load(hold(5.0))
     instrument.arm(CLINICAL)
     instrument.start()
-    firmware = instrument._link.firmware
+    firmware = instrument.link.firmware
     instrument.poll(0.3)
     cursor = firmware._player.cursor
     payload = wire.pack(wire.START, token=instrument._token)
     start = wire.encode_frame(
         wire.Frame(wire.MessageType.START, instrument._channel.next_number() - 1, payload=payload)
     )
-    firmware.receive(start, instrument._link.now)
+    firmware.receive(start, instrument.link.now)
     assert firmware._player.cursor == cursor
 
 
 def test_lost_samples_are_nan_and_logged():
     instrument = connect()
-    link = instrument._link
+    link = instrument.link
     instrument.load(hold(5.0, 0.5))
     instrument.arm(CLINICAL)
     run = instrument.start()
@@ -151,7 +151,7 @@ def test_lost_samples_are_nan_and_logged():
 
 def test_duplicated_frames_are_taken_once():
     instrument = connect()
-    instrument._link.to_host = lambda data: data + data
+    instrument.link.to_host = lambda data: data + data
     _, samples = play(instrument, hold(5.0, 0.3))
     assert samples.size == 600
     assert not np.isnan(samples["position"]).any()
@@ -160,7 +160,7 @@ def test_duplicated_frames_are_taken_once():
 def test_a_stop_whose_message_was_lost_is_noticed():
     instrument = connect()
     running(instrument)
-    link = instrument._link
+    link = instrument.link
 
     def without_status(data):
         frames = wire.FrameDecoder().feed(data)
@@ -178,7 +178,7 @@ def test_a_stop_whose_message_was_lost_is_noticed():
 def test_a_stop_without_a_request_is_not_a_completed_test():
     instrument = connect()
     running(instrument)
-    instrument._link.firmware._release(forget=False)
+    instrument.link.firmware._release(forget=False)
     with pytest.raises(FirmwareFaultError, check=coded("instrument.stopped")):
         for _ in range(20):
             instrument.poll(0.05)
@@ -198,7 +198,7 @@ def test_a_firmware_that_does_not_share_a_version_obeys_nothing():
 
 def test_silence_is_a_lost_link():
     instrument = connect()
-    instrument._link.to_host = lambda data: b""
+    instrument.link.to_host = lambda data: b""
     with pytest.raises(LinkLostError, check=holding("link.silent", seconds=1.0)):
         while True:
             instrument.poll(0.05)
@@ -270,7 +270,7 @@ def test_the_firmware_refuses_a_stimulus_beyond_the_limits(monkeypatch):
     instrument._handshake = replace(instrument._handshake, max_force_n=1000.0)
     with pytest.raises(LimitError, check=coded("refused.beyond_limits", request="ARM")):
         instrument.arm(Limits(max_force_n=16.0))
-    assert not instrument._link.firmware.energised
+    assert not instrument.link.firmware.energised
 
 
 @pytest.mark.parametrize(
@@ -285,7 +285,7 @@ def test_the_firmware_releases_on_its_own(monkeypatch, limits, fault):
     instrument = connect()
     with pytest.raises(FirmwareFaultError, check=coded("instrument.released", why=describe_faults(fault))):
         play(instrument, hold(30.0, 3.0), limits)
-    firmware = instrument._link.firmware
+    firmware = instrument.link.firmware
     assert firmware.faults == fault
     assert not firmware.energised
 
@@ -296,7 +296,7 @@ def test_the_firmware_trips_on_force_within_one_sample(monkeypatch):
     monkeypatch.setattr("firmware_sim.limits.FORCE_MARGIN", 1.0)
     instrument.load(hold(20.0))
     instrument.arm(Limits(max_force_n=5.05))
-    firmware = instrument._link.firmware
+    firmware = instrument.link.firmware
     firmware._armed = replace(firmware._armed, max_force_n=3.0)
     run = instrument.start()
     blocks = []
@@ -324,7 +324,7 @@ def test_the_host_releases_on_its_own(monkeypatch, limits, check):
     monkeypatch.setattr("tissueid.instrument.driver.check_stimulus", lambda *_: None)
     instrument = connect()
     instrument.load(hold(30.0, 3.0))
-    firmware = instrument._link.firmware
+    firmware = instrument.link.firmware
     instrument.arm(RESEARCH)
     instrument._monitor.limits = limits
     run = instrument.start()
@@ -338,7 +338,7 @@ def test_the_watchdog_latches_and_needs_re_arming():
     instrument.load(hold(10.0, 5.0))
     instrument.arm(CLINICAL)
     instrument.start()
-    link, firmware = instrument._link, instrument._link.firmware
+    link, firmware = instrument.link, instrument.link.firmware
     link.run_for(WATCHDOG_S - 0.05)
     assert firmware.energised
     link.run_for(0.1)
@@ -360,8 +360,8 @@ def test_an_armed_device_does_not_wait_for_a_dead_host():
     instrument = connect()
     instrument.load(hold(10.0))
     instrument.arm(CLINICAL)
-    instrument._link.run_for(1.0)
-    assert instrument._link.firmware.state is State.FAULT
+    instrument.link.run_for(1.0)
+    assert instrument.link.firmware.state is State.FAULT
 
 
 # -- everything that can go wrong, in every state ---------------------------------------------------------------------
@@ -383,15 +383,15 @@ def running(instrument):
 
 
 def unplug(instrument):
-    instrument._link.plugged = False
+    instrument.link.plugged = False
 
 
 def reset(instrument):
-    instrument._link.firmware.reboot()
+    instrument.link.firmware.reboot()
 
 
 def stall(instrument):
-    instrument._link.firmware.stall(instrument._link.now + 3.0)
+    instrument.link.firmware.stall(instrument.link.now + 3.0)
 
 
 def change_version(instrument):
@@ -399,7 +399,7 @@ def change_version(instrument):
         frames = wire.FrameDecoder().feed(data)
         return b"".join(wire.encode_frame(replace(frame, version=9)) for frame in frames)
 
-    instrument._link.to_host = to_version_9
+    instrument.link.to_host = to_version_9
 
 
 def go_on(instrument):
@@ -426,7 +426,7 @@ def test_mishaps_in_every_state(state, mishap, error, check):
     mishap(instrument)
     with pytest.raises(error, check=check):
         go_on(instrument)
-    link = instrument._link
+    link = instrument.link
     link.run_for(1.0)
     assert not link.firmware.energised, "the coil must be free"
     instrument.release()
@@ -437,7 +437,7 @@ def test_mishaps_in_every_state(state, mishap, error, check):
 def test_what_arrived_before_a_mishap_is_delivered_first():
     instrument = connect()
     running(instrument)
-    link = instrument._link
+    link = instrument.link
     link.tick()
     link.tick()
     on_the_way = [link.firmware.transmit(link.now)]
@@ -453,11 +453,11 @@ def test_what_arrived_before_a_mishap_is_delivered_first():
 def test_the_button_ends_a_run():
     instrument = connect()
     running(instrument)
-    instrument._link.firmware.bench.button = True
+    instrument.link.firmware.bench.button = True
     with pytest.raises(FirmwareFaultError, check=holding("fault.button")):
         while True:
             instrument.poll(0.05)
-    assert not instrument._link.firmware.energised
+    assert not instrument.link.firmware.energised
 
 
 # -- a hostile device -------------------------------------------------------------------------------------------------
@@ -465,7 +465,7 @@ def test_the_button_ends_a_run():
 
 def test_absurd_frames_do_no_harm():
     instrument = connect()
-    link = instrument._link
+    link = instrument.link
     junk = [
         wire.Frame(0x83, payload=b"half a sample"),
         wire.Frame(0x83, sample_index=2**63, payload=bytes(16)),

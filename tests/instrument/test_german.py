@@ -88,7 +88,7 @@ def test_a_lost_link_with_its_watchdog_is_german():
     from support import connect
 
     instrument = connect()
-    instrument._link.to_host = lambda data: b""
+    instrument.link.to_host = lambda data: b""
     with pytest.raises(LinkLostError) as caught:
         while True:
             instrument.poll(0.05)

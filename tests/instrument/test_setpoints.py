@@ -143,7 +143,7 @@ def test_a_computer_that_is_too_slow_releases_the_coil(opened):
     instrument.release()
     samples = np.concatenate([instrument.poll(0.05) for _ in range(5)]) if opened is in_process else None
     assert samples is None or not flagged(samples, Flag.ENERGISED).any()
-    assert opened is in_process or instrument._link.firmware.faults == Fault.STARVED
+    assert opened is in_process or instrument.link.firmware.faults == Fault.STARVED
     assert instrument.held_samples in range(980, 1001)
 
 
@@ -290,7 +290,7 @@ def test_the_firmware_refuses_what_the_host_let_through(monkeypatch):
     with pytest.raises(LimitError, check=coded("refused.beyond_limits", request="SETPOINTS")):
         for _ in range(3):
             instrument.poll(0.05)
-    firmware = instrument._link.firmware
+    firmware = instrument.link.firmware
     assert not firmware.energised
     assert firmware.faults == Fault.NONE
 
@@ -299,8 +299,8 @@ def test_lost_blocks_are_sent_again_in_time():
     instrument = connect("linear-demo")
     run = begin(instrument)
     rng = random.Random(5)
-    instrument._link.to_device = lambda data: b"" if rng.random() < 0.3 else data
-    instrument._link.to_host = lambda data: b"" if rng.random() < 0.1 else data
+    instrument.link.to_device = lambda data: b"" if rng.random() < 0.3 else data
+    instrument.link.to_host = lambda data: b"" if rng.random() < 0.1 else data
     samples = play(instrument, run, wave(), lead=6)
     received = np.isfinite(samples["command"][: run.samples])
     expected = softly(np.concatenate((np.full(PRELOAD, 10.0), wave())), loaded=PRELOAD)
@@ -311,8 +311,8 @@ def test_lost_blocks_are_sent_again_in_time():
 
 def test_repeated_frames_do_no_harm():
     instrument = connect("linear-demo")
-    instrument._link.to_device = lambda data: data * 3
-    instrument._link.to_host = lambda data: data * 2
+    instrument.link.to_device = lambda data: data * 3
+    instrument.link.to_host = lambda data: data * 2
     run = begin(instrument)
     samples = play(instrument, run, wave())
     np.testing.assert_allclose(samples["command"][PRELOAD : run.samples], wave(), atol=STEP_V)
@@ -323,7 +323,7 @@ def test_samples_that_were_held_are_counted_even_where_they_were_lost():
     instrument = connect("linear-demo")
     run = begin(instrument, hold_v=4.0)
     frames = iter(range(100_000))
-    instrument._link.to_host = lambda data: b"" if 15 < next(frames) < 25 else data
+    instrument.link.to_host = lambda data: b"" if 15 < next(frames) < 25 else data
     samples = play(instrument, run, wave(), lead=10, skip=(4, 5))
     assert flagged(samples, Flag.HELD).sum() < 110
     assert instrument.held_samples == 110
@@ -352,11 +352,9 @@ def without(kinds):
         return b"".join(wire.encode_frame(f) for f in short)
 
     instrument = connect("linear-demo")
-    obey = instrument._link.firmware._obey
-    instrument._link.firmware._obey = lambda frame, now: (
-        (Result.UNKNOWN, 0) if frame.type in kinds else obey(frame, now)
-    )
-    instrument._link.to_host = old_status
+    obey = instrument.link.firmware._obey
+    instrument.link.firmware._obey = lambda frame, now: (Result.UNKNOWN, 0) if frame.type in kinds else obey(frame, now)
+    instrument.link.to_host = old_status
     return instrument
 
 
@@ -388,7 +386,7 @@ def test_an_unplugged_cable_in_the_middle_frees_the_coil():
     begin(instrument)
     instrument.send(PRELOAD, wave(200))
     instrument.poll(0.3)
-    link = instrument._link
+    link = instrument.link
     link.plugged = False
     with pytest.raises(InstrumentError, check=holding("link.broken", port="loopback")):
         for _ in range(20):
@@ -404,7 +402,7 @@ def test_a_release_in_the_middle_leaves_nothing_behind():
     instrument.send(PRELOAD, wave(200))
     instrument.poll(0.1)
     instrument.release()
-    assert not instrument._link.firmware.energised
+    assert not instrument.link.firmware.energised
     for _ in range(20):
         instrument.poll(0.05)
     run = begin(instrument)

@@ -211,7 +211,7 @@ def test_a_run_that_fails_leaves_nothing_behind_for_a_collection(tmp_path, how):
         instrument = connect()
         opened.append(weakref.ref(instrument))
         if how == "tripped":
-            instrument._link.firmware.bench.stuck.add("position")
+            instrument.link.firmware.bench.stuck.add("position")
         return instrument
 
     most_n = 14.0 if how == "refused" else 6.0

@@ -17,7 +17,7 @@ WIDE = Limits(max_force_n=14.9, max_temperature_c=84.0, max_seconds=60.0)
 
 
 def rig(bench: Bench | None = None, *, watchdog_s: float = WATCHDOG_S) -> SerialInstrument:
-    """A driver on a simulated firmware; its link is ``instrument._link``."""
+    """A driver on a simulated firmware; its link is ``instrument.link``."""
     link = LoopbackLink(Firmware(bench or Bench(seed=1)))
     instrument = SerialInstrument(link, clock=link.clock)
     link.firmware.watchdog_s = watchdog_s  # which a handshake may not say
@@ -58,7 +58,7 @@ def shaken(seconds: float, mean_v: float = 12.0, seed: int = 3) -> np.ndarray:
 
 def run_until_it_ends(instrument, command, limits=WIDE, upset=None, after=1500):
     """Play until something ends it: the samples, the sample at which ``upset`` happened, and the error."""
-    bench = instrument._link.firmware.bench
+    bench = instrument.link.firmware.bench
     instrument.load(command)
     instrument.arm(limits)
     run = instrument.start()
@@ -67,7 +67,7 @@ def run_until_it_ends(instrument, command, limits=WIDE, upset=None, after=1500):
         while not blocks or blocks[-1]["index"][-1] < run.first_index + command.size + 400:
             if upset is not None and onset is None and blocks and blocks[-1]["index"][-1] - run.first_index > after:
                 upset(bench)
-                onset = instrument._link.firmware.sample_index
+                onset = instrument.link.firmware.sample_index
             if (samples := instrument.poll(0.05)).size:
                 blocks.append(samples)
     samples = np.concatenate(blocks)
@@ -81,4 +81,4 @@ def last_energised(samples: np.ndarray) -> int:
 
 def true_winding_c(instrument: SerialInstrument) -> float:
     """Return the true temperature of the winding, whatever its sensor reads."""
-    return float(instrument._link.firmware.bench.plant.state[TEMPERATURE])
+    return float(instrument.link.firmware.bench.plant.state[TEMPERATURE])

@@ -132,7 +132,7 @@ def test_the_firmware_alone_frees_the_coil(monkeypatch, case):
     without_host(monkeypatch)
     instrument = rig(case.bench())
     samples, onset, error = run_until_it_ends(instrument, case.command, case.limits, case.upset)
-    firmware = instrument._link.firmware
+    firmware = instrument.link.firmware
     assert isinstance(error, FirmwareFaultError)
     assert firmware.faults == case.fault
     assert not firmware.energised
@@ -146,7 +146,7 @@ def test_the_host_alone_frees_the_coil(monkeypatch, case):
     without_firmware(monkeypatch)
     instrument = rig(case.bench(), watchdog_s=1e9)
     samples, onset, error = run_until_it_ends(instrument, case.command, case.limits, case.upset)
-    firmware = instrument._link.firmware
+    firmware = instrument.link.firmware
     assert isinstance(error, case.host_error)
     assert firmware.faults == Fault.NONE
     assert not firmware.energised
@@ -159,7 +159,7 @@ def test_the_host_alone_frees_the_coil(monkeypatch, case):
 def test_after_a_fault_the_program_goes_on_without_touching_the_device(case):
     instrument = rig(case.bench())
     run_until_it_ends(instrument, case.command, case.limits, case.upset)
-    link = instrument._link
+    link = instrument.link
     instrument.close()
     link.closed = False
     bench = link.firmware.bench
@@ -187,7 +187,7 @@ def test_the_firmware_alone_goes_by_the_temperature_sensor(monkeypatch):
     monkeypatch.setattr("firmware_sim.thermal.WindingModel.advance", lambda *_: None)
     instrument = rig()
     samples, _, error = run_until_it_ends(instrument, HOT, WARM)
-    assert instrument._link.firmware.faults == Fault.OVER_TEMPERATURE
+    assert instrument.link.firmware.faults == Fault.OVER_TEMPERATURE
     assert says(error.message, "instrument.released", why=describe_faults(Fault.OVER_TEMPERATURE))
     hot = int(samples["index"][int(np.argmax(samples["temperature"] > 60.0))])
     assert last_energised(samples) == hot
@@ -213,9 +213,9 @@ def full_voltage(bench):
 def test_the_firmware_alone_stops_before_the_winding_is_too_hot_though_its_sensor_is_dead(monkeypatch):
     without_host(monkeypatch)
     instrument = rig()
-    command = full_voltage(instrument._link.firmware.bench)
+    command = full_voltage(instrument.link.firmware.bench)
     samples, _, error = run_until_it_ends(instrument, command, replace(WIDE, max_temperature_c=80.0))
-    assert instrument._link.firmware.faults == Fault.OVER_TEMPERATURE
+    assert instrument.link.firmware.faults == Fault.OVER_TEMPERATURE
     assert error.faults == Fault.OVER_TEMPERATURE
     assert np.ptp(samples["temperature"]) == 0.0, "the sensor saw nothing"
     assert 45.0 < true_winding_c(instrument) < 78.0
@@ -224,7 +224,7 @@ def test_the_firmware_alone_stops_before_the_winding_is_too_hot_though_its_senso
 def test_the_host_alone_stops_before_the_winding_is_too_hot_though_its_sensor_is_dead(monkeypatch):
     without_firmware(monkeypatch)
     instrument = rig(watchdog_s=1e9)
-    command = full_voltage(instrument._link.firmware.bench)
+    command = full_voltage(instrument.link.firmware.bench)
     _, _, error = run_until_it_ends(instrument, command, replace(WIDE, max_temperature_c=80.0))
     assert isinstance(error, LimitError)
     temperature = pytest.approx(80.1, abs=0.1)  # the first block of samples beyond the limit; one heats by 0.15 °C
@@ -240,7 +240,7 @@ def test_the_firmware_alone_ends_a_test_that_is_too_long(monkeypatch):
     instrument = rig()
     instrument.load(volts(8.0, 1.0))
     instrument.arm(WIDE)
-    firmware = instrument._link.firmware
+    firmware = instrument.link.firmware
     firmware._armed = replace(firmware._armed, max_samples=1000)
     run = instrument.start()
     samples = []
@@ -259,7 +259,7 @@ def test_the_firmware_alone_refuses_what_is_too_long_or_too_strong(monkeypatch):
     for limits in (replace(WIDE, max_seconds=0.9), replace(WIDE, max_force_n=4.7)):
         with pytest.raises(LimitError, check=coded("refused.beyond_limits")):
             instrument.arm(limits)
-    assert instrument._link.firmware.state is State.LOADED
+    assert instrument.link.firmware.state is State.LOADED
 
 
 def test_the_host_alone_ends_a_test_that_is_too_long(monkeypatch):
@@ -272,7 +272,7 @@ def test_the_host_alone_ends_a_test_that_is_too_long(monkeypatch):
     with pytest.raises(LimitError, check=coded("limit.time", seconds=pytest.approx(1.5, abs=0.02), limit=0.5)):
         while True:
             instrument.poll(0.05)
-    assert not instrument._link.firmware.energised
+    assert not instrument.link.firmware.energised
 
 
 def test_the_host_alone_refuses_what_is_too_long_or_too_strong(monkeypatch):
@@ -283,7 +283,7 @@ def test_the_host_alone_refuses_what_is_too_long_or_too_strong(monkeypatch):
         instrument.arm(replace(WIDE, max_seconds=0.9))
     with pytest.raises(LimitError, check=coded("limit.stimulus_force", force=5.0, limit=4.7)):
         instrument.arm(replace(WIDE, max_force_n=4.7))
-    assert instrument._link.firmware.state is State.LOADED
+    assert instrument.link.firmware.state is State.LOADED
 
 
 def test_the_firmware_alone_frees_the_coil_when_the_host_is_gone():
@@ -291,7 +291,7 @@ def test_the_firmware_alone_frees_the_coil_when_the_host_is_gone():
     instrument.load(volts(8.0, 5.0))
     instrument.arm(WIDE)
     instrument.start()
-    link = instrument._link
+    link = instrument.link
     before = link.now
     while link.firmware.energised:
         link.tick()
@@ -304,7 +304,7 @@ def test_the_host_alone_notices_a_firmware_that_hangs():
     instrument.load(volts(8.0, 5.0))
     instrument.arm(WIDE)
     instrument.start()
-    link = instrument._link
+    link = instrument.link
     instrument.poll(0.3)
     link.firmware.stall(1e9)
     before = link.now

@@ -19,8 +19,8 @@ def running(instrument):
     instrument.start()
     for _ in range(10):
         instrument.poll(0.05)
-    assert instrument._link.firmware.energised
-    return instrument._link
+    assert instrument.link.firmware.energised
+    return instrument.link
 
 
 def press(link):
@@ -94,9 +94,9 @@ def test_the_button_takes_the_arming_back():
     instrument = rig()
     instrument.load(volts(10.0, 1.0))
     instrument.arm(WIDE)
-    firmware = instrument._link.firmware
+    firmware = instrument.link.firmware
     assert firmware.state is State.ARMED
-    press(instrument._link)
+    press(instrument.link)
     assert firmware.state is State.FAULT
     assert firmware.faults == Fault.BUTTON
     with pytest.raises(FirmwareFaultError, check=coded("instrument.released", why=describe_faults(Fault.BUTTON))):
@@ -111,11 +111,11 @@ def test_the_button_takes_the_arming_back():
 def test_nothing_moves_while_the_button_is_held_down(do):
     instrument = rig()
     instrument.load(volts(10.0, 1.0))
-    bench = instrument._link.firmware.bench
+    bench = instrument.link.firmware.bench
     bench.button = True
     with pytest.raises(FirmwareFaultError, check=coded("refused.fault", why=describe_faults(Fault.BUTTON))):
         do(instrument)
-    assert instrument._link.firmware.state is State.LOADED
+    assert instrument.link.firmware.state is State.LOADED
     bench.button = False
     do(instrument)
 
@@ -124,7 +124,7 @@ def test_start_is_refused_while_the_button_is_held_down():
     instrument = rig()
     instrument.load(volts(10.0, 1.0))
     instrument.arm(WIDE)
-    link = instrument._link
+    link = instrument.link
     link.firmware.bench.button = True
     payload = wire.pack(wire.START, token=instrument._token)
     link.firmware.receive(wire.encode_frame(wire.Frame(MessageType.START, 60_000, payload=payload)), link.now)
@@ -141,7 +141,7 @@ def test_a_brown_out_frees_the_coil_and_latches(state):
     if state == "running":
         instrument.start()
         instrument.poll(0.3)
-    link = instrument._link
+    link = instrument.link
     link.firmware.brown_out()
     assert not link.firmware.energised
     assert link.firmware.state is State.FAULT
@@ -166,7 +166,7 @@ def test_a_supply_that_sags_is_noticed_before_the_next_sample_and_latches(state)
     if state == "running":
         instrument.start()
         instrument.poll(0.3)
-    firmware, now = instrument._link.firmware, instrument._link.now
+    firmware, now = instrument.link.firmware, instrument.link.now
     firmware.bench.supply_share = 0.41
     firmware.advance(5, now)
     assert firmware.faults == Fault.NONE
@@ -177,7 +177,7 @@ def test_a_supply_that_sags_is_noticed_before_the_next_sample_and_latches(state)
     assert not firmware._samples["flags"][-1] & Flag.ENERGISED
     instrument._monitor.error = None
     instrument.clear_faults()
-    firmware.advance(1, instrument._link.now)
+    firmware.advance(1, instrument.link.now)
     assert firmware.faults == Fault.BROWN_OUT, "as long as the supply sags"
     firmware.bench.supply_share = 1.0
     instrument.clear_faults()
@@ -196,7 +196,7 @@ def another_version(link):
 @pytest.mark.parametrize("state", ["armed", "running"])
 def test_a_host_of_another_version_frees_the_coil(state):
     instrument = rig()
-    link = instrument._link
+    link = instrument.link
     instrument.load(volts(10.0, 5.0))
     instrument.arm(WIDE)
     if state == "running":
@@ -246,6 +246,6 @@ def test_a_reset_leaves_the_coil_free_and_discards_the_arming():
 
 def test_a_press_is_recorded_with_the_samples():
     instrument = rig()
-    instrument._link.firmware.bench.button = True
+    instrument.link.firmware.bench.button = True
     seen = np.concatenate([instrument.poll(0.05) for _ in range(4)])
     assert np.all(seen["flags"][-20:] & Flag.BUTTON)

@@ -83,7 +83,7 @@ def test_a_coil_that_is_let_go_falls_no_faster_than_by_its_weight_braked():
     instrument.load(volts(-10.0, 3.0))
     instrument.arm(WIDE.__class__(max_force_n=14.0, min_position_m=1e-6))
     instrument.start()
-    link = instrument._link
+    link = instrument.link
     link.run_for(0.3)
     link.firmware.brown_out()
     trace = [link.firmware.bench.plant.state[2] for _ in range(40) if link.tick() is None]
@@ -143,7 +143,7 @@ def test_the_end_of_the_stroke_is_a_fault_where_the_probe_may_push_harder():
     limits = Limits(max_force_n=2.1, max_position_m=0.0317)
     _, _, error = run_until_it_ends(instrument, volts(7.9, 1.5), limits)
     assert isinstance(error, LimitError | FirmwareFaultError)
-    assert instrument._link.firmware.faults == Fault.STROKE
+    assert instrument.link.firmware.faults == Fault.STROKE
 
 
 def turned_over_at_the_near_end():
@@ -156,7 +156,7 @@ def test_the_firmware_alone_gives_the_probe_half_a_second_to_come_off_the_near_e
     instrument = turned_over_at_the_near_end()
     samples, _, error = run_until_it_ends(instrument, np.full(6000, 1.0), CLINICAL)  # 0.25 N: less than its weight
     assert isinstance(error, FirmwareFaultError)
-    assert instrument._link.firmware.faults == Fault.STROKE
+    assert instrument.link.firmware.faults == Fault.STROKE
     assert samples["position"][:1001].max() < CLINICAL.min_position_m
     assert last_energised(samples) - samples["index"][0] == 0.5 * RATE, "the first sample at which the limit counts"
 
@@ -166,7 +166,7 @@ def test_the_firmware_alone_counts_the_near_limit_at_once_where_the_probe_has_be
     instrument = turned_over_at_the_near_end()
     command = np.concatenate([np.full(400, 8.0), np.full(3000, -2.0)])  # up, and back before half a second is over
     samples, _, _ = run_until_it_ends(instrument, command, CLINICAL)
-    assert instrument._link.firmware.faults == Fault.STROKE
+    assert instrument.link.firmware.faults == Fault.STROKE
     inside = samples["position"] >= CLINICAL.min_position_m
     back = int(np.flatnonzero(inside)[-1]) + 1
     assert back < 0.5 * RATE
@@ -202,11 +202,11 @@ def test_the_firmware_alone_keeps_the_stage_still_while_a_test_is_armed():
     instrument = rig()
     instrument.load(volts(4.0, 0.3))
     instrument.arm(CLINICAL)
-    before = instrument._link.firmware.bench.tissue
+    before = instrument.link.firmware.bench.tissue
     instrument._monitor.limits = None
     with pytest.raises(InstrumentError, check=coded("refused.state", request="STAGE")):
         instrument.move_stage(0.01)
-    assert instrument._link.firmware.bench.tissue is before
+    assert instrument.link.firmware.bench.tissue is before
 
 
 @both
@@ -221,16 +221,16 @@ def test_the_stage_does_not_go_beyond_the_stroke(opened, position_m):
 @pytest.mark.parametrize("fault", [Fault.BUTTON, Fault.BROWN_OUT, Fault.WATCHDOG])
 def test_the_stage_stays_where_it_is_while_a_fault_is_latched(fault):
     instrument = rig()
-    firmware = instrument._link.firmware
+    firmware = instrument.link.firmware
     before = firmware.bench.tissue
     firmware._trip(fault)
     instrument._monitor.error = None
     with pytest.raises(FirmwareFaultError):
         instrument.move_stage(0.01)
     request = wire.encode_frame(wire.Frame(MessageType.STAGE, 50_000, payload=wire.pack(wire.STAGE, position_m=0.01)))
-    firmware.transmit(instrument._link.now)
-    firmware.receive(request, instrument._link.now)
-    (answer,) = wire.FrameDecoder().feed(firmware.transmit(instrument._link.now))
+    firmware.transmit(instrument.link.now)
+    firmware.receive(request, instrument.link.now)
+    (answer,) = wire.FrameDecoder().feed(firmware.transmit(instrument.link.now))
     result, _ = wire.unpack(wire.ACK, answer.payload)
     assert (result["result"], result["detail"]) == (Result.FAULT_LATCHED, fault)
     assert firmware.bench.tissue is before
@@ -250,7 +250,7 @@ def test_a_device_without_a_stage_says_so():
 
 def test_a_stage_that_takes_its_time_is_waited_for():
     instrument = rig()
-    link = instrument._link
+    link = instrument.link
     held = itertools.count()
 
     def on_its_way(data):

@@ -95,7 +95,7 @@ def test_no_false_alarm_over_a_link_that_loses_frames():
 
     instrument = rig()
     chance = random.Random(2)
-    instrument._link.to_host = lambda data: b"" if chance.random() < 0.2 else data
+    instrument.link.to_host = lambda data: b"" if chance.random() < 0.2 else data
     instrument.load(shaken(2.0))
     instrument.arm(WIDE)
     run = instrument.start()
@@ -191,11 +191,11 @@ def test_faults_of_the_sensor_cable_and_the_coil_cable_are_distinguished():
         instrument.arm(WIDE)
         instrument.start()
         instrument.poll(0.5)
-        upset(instrument._link.firmware.bench)
+        upset(instrument.link.firmware.bench)
         with pytest.raises(InstrumentError):
             while True:
                 instrument.poll(0.05)
-        assert instrument._link.firmware.faults == fault
+        assert instrument.link.firmware.faults == fault
 
 
 def test_what_is_too_weak_to_be_judged_is_not_judged():

@@ -49,13 +49,13 @@ def running(instrument=None, level=8.0, limits=WIDE):
     instrument.start()
     for _ in range(3):
         instrument.poll(0.05)
-    assert instrument._link.firmware.energised
+    assert instrument.link.firmware.energised
     return instrument
 
 
 def seconds_until_free(instrument):
     """From now on, while the host continues to poll."""
-    link, began = instrument._link, instrument._link.now
+    link, began = instrument.link, instrument.link.now
     while link.firmware.energised and link.now - began < 5.0:
         try:
             instrument.poll(0.05)
@@ -66,7 +66,7 @@ def seconds_until_free(instrument):
 
 def test_a_stop_that_is_lost_leaves_the_coil_to_the_watchdog():
     instrument = running()
-    link, began = instrument._link, instrument._link.now
+    link, began = instrument.link, instrument.link.now
     link.to_device = without(MessageType.STOP)
     instrument.release()
     seconds_until_free(instrument)
@@ -80,7 +80,7 @@ def test_a_stop_that_is_lost_leaves_the_coil_to_the_watchdog():
 
 def test_a_stop_that_is_lost_but_for_its_last_repeat_does_no_harm():
     instrument = running()
-    link, began = instrument._link, instrument._link.now
+    link, began = instrument.link, instrument.link.now
     link.to_device = lambda data: b"" if link.now - began < 0.25 else data
     instrument.release()
     assert link.firmware.faults == Fault.NONE
@@ -95,7 +95,7 @@ def test_a_stop_that_is_lost_but_for_its_last_repeat_does_no_harm():
 def test_whatever_is_lost_after_a_release_the_coil_is_free_in_time():
     for seed in range(50):
         instrument = running()
-        link, chance = instrument._link, random.Random(seed)
+        link, chance = instrument.link, random.Random(seed)
         link.to_device = lambda data, chance=chance: b"" if chance.random() < 0.3 else data
         link.to_host = lambda data, chance=chance: b"" if chance.random() < 0.3 else data
         began = link.now
@@ -110,7 +110,7 @@ def test_a_coil_that_is_on_though_nothing_runs_is_released_again():
     for lost in (MessageType.DATA, MessageType.STATUS):  # the other one shows it
         instrument = running()
         instrument.release()
-        link = instrument._link
+        link = instrument.link
         link.run_for(0.2)
         instrument.poll(0.05)
         link.to_host = without(lost)
@@ -121,7 +121,7 @@ def test_a_coil_that_is_on_though_nothing_runs_is_released_again():
 
 def test_the_soft_release_of_a_run_is_no_reason_to_stop_it():
     instrument = rig()
-    link, sent = instrument._link, []
+    link, sent = instrument.link, []
     link.to_device = lambda data: sent.append(data) or data
     instrument.load(volts(8.0, 0.6))
     instrument.arm(WIDE)
@@ -140,7 +140,7 @@ def test_samples_are_judged_while_an_answer_is_waited_for(monkeypatch, kind):
     without_firmware(monkeypatch)
     bench = Bench(seed=1, parameters=SHORTED, nominal=PlantParameters())
     instrument = rig(bench, watchdog_s=1e9)
-    link, firmware = instrument._link, instrument._link.firmware
+    link, firmware = instrument.link, instrument.link.firmware
     instrument.load(volts(19.5, 6.0))
     instrument.arm(WEAK)
     if kind == MessageType.START:
@@ -167,7 +167,7 @@ def test_samples_are_judged_while_an_answer_is_waited_for(monkeypatch, kind):
 
 def test_an_unanswered_start_is_followed_by_a_release():
     instrument = rig()
-    link = instrument._link
+    link = instrument.link
     instrument.load(volts(8.0, 5.0))
     instrument.arm(WIDE)
     link.to_host = answers_lost(MessageType.START)
@@ -177,7 +177,7 @@ def test_an_unanswered_start_is_followed_by_a_release():
 
 
 def test_a_host_that_connects_while_the_coil_is_on_does_not_keep_it_on():
-    link = running()._link
+    link = running().link
     link.to_device = without(MessageType.RELEASE, MessageType.CLEAR_FAULTS)
     with pytest.raises(LinkLostError, check=coded("link.no_answer", request="CLEAR_FAULTS")):
         type(running())(link, clock=link.clock)

@@ -87,7 +87,7 @@ def test_either_side_alone_keeps_either_device_below_its_limit_though_the_sensor
 ):
     (without_host if side == "firmware" else without_firmware)(monkeypatch)
     instrument = with_a_dead_sensor(device, room_c, 0.5 if side == "firmware" else 1e9)
-    firmware = instrument._link.firmware
+    firmware = instrument.link.firmware
     # As hard as the device permits, and with half of that heat.
     force_n = min(firmware.identity.max_force_n, instrument.device.force_constant_n_per_a * 48.0 / COILS[device][0])
     level = share * min(48.0, instrument.device.voltage_for_force(force_n))
@@ -152,7 +152,7 @@ def test_a_warm_sensor_is_believed_and_a_cool_one_is_not(side):
 
 def test_the_firmware_forgets_no_heat_when_it_is_stopped_or_its_faults_are_cleared():
     instrument = rig()
-    firmware = instrument._link.firmware
+    firmware = instrument.link.firmware
     firmware.bench.stuck.add("temperature")
     instrument.load(volts(40.0, 3.0))
     warm = []
@@ -169,7 +169,7 @@ def test_the_firmware_forgets_no_heat_when_it_is_stopped_or_its_faults_are_clear
     assert warm[1] > true_winding_c(instrument)
     firmware.reboot()
     firmware.bench.stuck.clear()
-    instrument._link.run_for(1.0)
+    instrument.link.run_for(1.0)
     sensor_c = CHANNELS[4].decode(firmware.bench.block(np.zeros(20), energised=False).codes[:, 4]).mean()
     assert firmware._guard.winding.temperature_c > sensor_c
 
@@ -180,7 +180,7 @@ def by_temperature(error):
 
 def test_the_host_forgets_no_heat_from_test_to_test():
     instrument = rig()
-    instrument._link.firmware.bench.stuck.add("temperature")
+    instrument.link.firmware.bench.stuck.add("temperature")
     with pytest.raises((LimitError, FirmwareFaultError), check=by_temperature):
         for _ in range(10):
             instrument.load(volts(40.0, 1.5))
@@ -224,7 +224,7 @@ def reporting(instrument, code):
             out += wire.encode_frame(wire.Frame(*fields))
         return out
 
-    instrument._link.to_host = tamper
+    instrument.link.to_host = tamper
 
 
 @pytest.mark.parametrize(("code", "reading"), [(-32768, -25.0), (32767, 225.0), (15_000, 157.0)])
@@ -253,8 +253,8 @@ def test_the_host_releases_when_the_temperature_sensor_falls_off():
     with pytest.raises(InstrumentError, check=coded("sensor.no_temperature")):
         for _ in range(10):
             instrument.poll(0.05)
-    assert not instrument._link.firmware.energised
-    assert instrument._link.firmware.faults == Fault.NONE
+    assert not instrument.link.firmware.energised
+    assert instrument.link.firmware.faults == Fault.NONE
 
 
 def test_a_handshake_with_nan_scales_is_refused():

@@ -28,7 +28,7 @@ def claims() -> Iterator[Claim]:
         instrument = rig(seed, coil="finite")
         found = calibrate_static(instrument, StaticPlan(ambient_c=TRUTH.ambient_degc)).calibration
         runs.append(found)
-        seconds.append(instrument._link.now)
+        seconds.append(instrument.link.now)
     passed = sum(found.verdict == "passed" for found in runs)
     yield Claim(
         f"{SEEDS} runs passed; duration of one run on the instrument's clock",

@@ -87,7 +87,7 @@ def _run(scenario: dict[str, object], plan: SweepPlan, seed: int) -> _Run:
         session = recorder.finish()
     begin = time.perf_counter()
     result = analyse_sweep(sweep_tests(session), session.instrument)
-    link = instrument._link
+    link = instrument.link
     return _Run(result, link.firmware.bench, link.now, time.perf_counter() - begin)
 
 

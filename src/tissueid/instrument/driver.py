@@ -96,7 +96,7 @@ class SerialInstrument:
         self._stream = SampleStream()
         self.gaps = self._stream.gaps
         self.observer: Observer | None = None
-        self._link = link
+        self.link = link
         self._clock = clock
         self._monitor = RunMonitor(self._stream, _weakly(self._ask_status), _weakly(self._run_ended))
         self._channel = RequestChannel(link, clock, _weakly(self._pump), self._monitor.take_error)
@@ -336,7 +336,7 @@ class SerialInstrument:
                 self._channel.request(MessageType.STREAM, wire.pack(wire.STREAM, on=0), tries=self._last_tries())
             except TissueIDError as error:
                 log.info("the stream was not ended: %s", error)
-        self._link.close()
+        self.link.close()
 
     def __enter__(self) -> SerialInstrument:
         return self
@@ -428,12 +428,12 @@ class SerialInstrument:
                         )
                     ) from error
             if self._receiver.hello is not None:
-                return parse_hello(self._receiver.hello, self._link.name)
+                return parse_hello(self._receiver.hello, self.link.name)
         raise LinkLostError(
             Message(
                 "link.no_instrument",
                 "no instrument answers on {port}; check the cable and the power, and that no other program uses it",
-                port=self._link.name,
+                port=self.link.name,
             )
         )
 
@@ -446,7 +446,7 @@ class SerialInstrument:
         releases the coil.
         """
         try:
-            checked = self._receiver.take(self._link.read(timeout_s))
+            checked = self._receiver.take(self.link.read(timeout_s))
         except LinkLostError as error:
             raise self._with_watchdog(error) from error
         if self._monitor.run is not None and self._clock() > self._overdue_at:
@@ -502,7 +502,7 @@ class SerialInstrument:
                     Message(
                         "link.no_samples",
                         "no samples arrive from {port}: check the cable, and connect again",
-                        port=self._link.name,
+                        port=self.link.name,
                     )
                 )
             self._pump(_PUMP_S)

@@ -75,7 +75,7 @@ def test_a_cable_is_told_by_frames_and_round_trip_and_the_coil_stays_free(qtbot,
     assert facts["Round trip"].endswith(" ms")
     assert facts["Requests repeated"] == "0"
     assert facts["Samples"].endswith(", 0 of them lost")
-    link = opened[0]._link
+    link = opened[0].link
     assert link.closed
     assert not link.firmware.energised
 
@@ -84,7 +84,7 @@ def test_damage_on_the_cable_is_a_reason_in_words(qtbot, page):
     def opener(url):
         instrument = connect(seed=3)
         count = iter(range(10**9))
-        instrument._link.to_host = lambda data: data if next(count) % 7 else bytes(byte ^ 0x10 for byte in data)
+        instrument.link.to_host = lambda data: data if next(count) % 7 else bytes(byte ^ 0x10 for byte in data)
         return instrument
 
     view = page(opener=opener)
