@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 import re
 import shlex
 
@@ -12,6 +13,7 @@ from typer.main import get_command
 from tissueid.cli.command_reference import all_commands
 from tissueid.cli.commands import app
 from tissueid.identification import engine_names
+from tools.measured_pages import FOLDER, as_page
 
 DOCUMENTS = [
     *sorted(ROOT.glob("*.md")),
@@ -67,6 +69,12 @@ def test_the_navigation_of_the_site_names_pages_that_exist():
     assert len(trees) == 4
     assert len(entries) == len(set(entries)) > 50
     assert set(entries) - pages == generated
+
+
+@pytest.mark.parametrize("data", sorted(FOLDER.glob("*.json")), ids=lambda path: path.stem)
+def test_a_page_of_measured_figures_is_that_of_its_data(data):
+    made = as_page(json.loads(data.read_text(encoding="utf-8")), data.name)
+    assert data.with_suffix(".md").read_text(encoding="utf-8") == made
 
 
 def test_every_row_of_the_thesis_says_where_it_is():
