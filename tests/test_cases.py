@@ -101,6 +101,11 @@ def test_02_a_drift_is_not_due_to_the_force(structure: str, tmp_path: Path) -> N
     assert answered(tmp_path, "identify", tmp_path / "session.h5", *engine)["vaf_validation_percent"] < 1.0
 
 
+def test_02_depth_is_not_credited_with_a_drift(tmp_path: Path) -> None:
+    imported(tmp_path, case(2) / "unrelated.csv", *FORCE, *POSITION)
+    assert answered(tmp_path, "identify", tmp_path / "session.h5", "--engine", "depth")["predicts_nothing"]
+
+
 @pytest.mark.soak
 @pytest.mark.timeout(600)
 def test_02_no_model_describes_a_drift(tmp_path: Path) -> None:

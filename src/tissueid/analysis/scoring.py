@@ -87,10 +87,9 @@ def scored(analyses: Sequence[Analysis], parts: Split) -> list[Scored]:
         residual = np.where(fitted[k], parts.record.output - own, np.nan)
         error = np.where(held_out[k], unseen.output - other, np.nan)
         scheduled = analysis.model.simulate_scheduled(parts.held_out_record)
-        measured = unseen.output[held_out[k]]
         model = analysis.model.with_validation(
             vaf_percent(unseen.output, unseen.output - error),
-            unrelated_p_value(measured, other[held_out[k]]),
+            unrelated_p_value(analysis.model, unseen, other, held_out[k]),
             None if scheduled is None else vaf_percent(np.where(held_out[k], unseen.output, np.nan), scheduled),
         ).with_report(
             vaf_percent=vaf_percent(parts.record.output, parts.record.output - residual),

@@ -14,7 +14,7 @@ import numpy as np
 from scipy.special import stdtr
 
 from tissueid.errors import UnusableInputError
-from tissueid.identification.base import Array, Mask, Model
+from tissueid.identification.base import SIGNIFICANT, Array, Mask, Model
 from tissueid.identification.correlation import Correlator, dependence_samples, long_run_covariance
 from tissueid.identification.preparation import scored_samples
 from tissueid.messages import Message
@@ -26,6 +26,10 @@ _FEWEST = 8
 _LEAST = 1e-12
 """Lower bound on the unexplained share of the variance in the t statistic."""
 
+_FEW_INDEPENDENT = 30.0
+"""Effective sample size below which the t test is confirmed by shifted inputs: a trend has too few of its own."""
+_SHIFTS = 39
+"""Number of shifted inputs: the smallest p-value that they can give is 1 / 40."""
 
 _LEAST_SHARE = 1e-2
 _LEAST_SHARE_ALIKE = 1e-4
@@ -58,27 +62,47 @@ def above_noise(measured: Array, fitted: Array | None = None) -> bool:
     return share > (_LEAST_SHARE_ALIKE if alike else _LEAST_SHARE)
 
 
-def unrelated_p_value(measured: Array, simulated: Array) -> float:
-    """Return the one-sided p-value of a simulation against independent simulations; 1 for no fit.
+def _related(measured: Array, simulated: Array) -> tuple[float, float]:
+    """Return one-sided p-value and effective sample size of a simulation against independent ones; 1 for no fit.
 
     Both have shape (n,) and no NaN. Their correlation is tested by Student's t with the effective sample size that
     follows from both autocorrelations (Bartlett 1935).
     """
     n = measured.size
     if n < _FEWEST:
-        return 1.0
+        return 1.0, 0.0
     y, modelled = measured - measured.mean(), simulated - simulated.mean()
     lags = n // 4
     powers = [Correlator(values, lags).auto() for values in (y, modelled)]
     if not (powers[0][0] > 0.0 and powers[1][0] > 0.0):
-        return 1.0
+        return 1.0, 0.0
     related = (powers[0] / powers[0][0]) * (powers[1] / powers[1][0])  # (lags,)
     independent = n / max(1.0, 1.0 + 2.0 * float(related[1:].sum()))
     correlation = float(y @ modelled) / np.sqrt(float(y @ y) * float(modelled @ modelled))
     if independent <= 2.0 or correlation <= 0.0:
-        return 1.0
+        return 1.0, independent
     freedom = independent - 2.0
-    return float(stdtr(freedom, -correlation * np.sqrt(freedom / max(1.0 - correlation**2, _LEAST))))
+    p_value = float(stdtr(freedom, -correlation * np.sqrt(freedom / max(1.0 - correlation**2, _LEAST))))
+    return p_value, independent
+
+
+def unrelated_p_value(model: Model, record: Record, simulated: Array, used: Mask) -> float:
+    """Return the p-value of a free run (n,) on the samples of a mask (n,) against simulations unrelated to the output.
+
+    Their correlation is tested with its effective sample size. Where that is small, as for a drift, the same model is
+    also run with the input shifted in time, by 39 lags of at least a tenth of the record, and the larger of the two
+    p-values is returned: what the model describes as well with another input does not come from the input.
+    """
+    used = used & np.isfinite(simulated) & np.isfinite(record.output)
+    measured = record.output[used]
+    p_value, independent = _related(measured, simulated[used])
+    if p_value > SIGNIFICANT or independent > _FEW_INDEPENDENT:
+        return p_value
+    least, n = vaf_percent(measured, simulated[used]), record.input.size
+    lags = np.random.default_rng(_SHIFTS).integers(n // 10, n - n // 10, _SHIFTS)
+    shifted = (model.simulate(np.roll(record.input, lag))[used] for lag in lags)
+    as_good = sum(vaf_percent(measured, run) >= least for run in shifted)
+    return max(p_value, (1 + as_good) / (1 + _SHIFTS))
 
 
 def ratio_std(power: Array, whole: Array, sample_rate_hz: float) -> float:
@@ -190,9 +214,7 @@ def validated(model: AnyModel, record: Record, part: slice | None = None) -> Any
     used = scored_samples(record, model.memory_samples, part)
     simulated = model.simulate(record.input)
     held_out = score(record, simulated, used)
-    scored = used & np.isfinite(simulated)
-    measured = record.output[scored]
-    p_value = unrelated_p_value(measured, simulated[scored])
+    p_value = unrelated_p_value(model, record, simulated, used)
     scheduled = model.simulate_scheduled(record)
     return model.with_validation(
         held_out.vaf_percent, p_value, None if scheduled is None else score(record, scheduled, used).vaf_percent
