@@ -11,7 +11,7 @@ from pydantic import Field
 from tissueid.cli.plan_command import plan_command
 from tissueid.errors import CANCELLED, CancelledError, UnusableInputError
 from tissueid.procedures.control import Control
-from tissueid.procedures.plan_options import Option, Plan
+from tissueid.plan_options import Option, Plan
 
 
 class Walk(Plan):
