@@ -10,8 +10,8 @@ from pydantic import Field
 
 from tissueid.cli.plan_command import plan_command
 from tissueid.errors import CANCELLED, CancelledError, UnusableInputError
-from tissueid.procedures.control import Control
 from tissueid.plan_options import Option, Plan
+from tissueid.procedures.control import Control
 
 
 class Walk(Plan):

@@ -11,7 +11,7 @@ from typing import Annotated, Any, Union, get_args, get_origin
 import typer
 from pydantic.fields import FieldInfo
 
-from tissueid.procedures.plan_options import Option, Plan, bounds_of, option_of
+from tissueid.plan_options import Option, Plan, bounds_of, option_of
 
 
 def plan_command(command: Callable[..., None]) -> Callable[..., None]:

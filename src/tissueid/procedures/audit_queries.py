@@ -14,7 +14,7 @@ from tissueid.audit import HEAD_ATTRIBUTE, Verification, default_path, last_line
 from tissueid.audit.newest_head import read_newest
 from tissueid.errors import UnusableInputError
 from tissueid.messages import Message
-from tissueid.procedures.plan_options import Option, Plan
+from tissueid.plan_options import Option, Plan
 from tissueid.untrusted_input import toml_table
 
 if TYPE_CHECKING:

@@ -17,9 +17,9 @@ from tissueid.child_process import run
 from tissueid.errors import CancelledError, UnusableInputError
 from tissueid.language import marked
 from tissueid.messages import Message, Verbatim
+from tissueid.plan_options import Option, Plan
 from tissueid.procedures.control import Control, RemainingTime, counted
 from tissueid.procedures.output_files import HTML, check_output, unwritable
-from tissueid.procedures.plan_options import Option, Plan
 
 if TYPE_CHECKING:  # each takes long to import
     from tissueid.gap.answer_store import CheckInProgress

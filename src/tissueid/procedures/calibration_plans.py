@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Annotated, ClassVar, Literal
 from pydantic import Field
 
 from tissueid.errors import UnusableInputError
-from tissueid.procedures.plan_options import Option, Plan
+from tissueid.plan_options import Option, Plan
 
 if TYPE_CHECKING:
     from tissueid.calibration.static_procedure import StaticPlan

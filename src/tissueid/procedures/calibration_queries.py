@@ -7,8 +7,8 @@ from datetime import UTC, datetime
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
+from tissueid.plan_options import Option, Plan
 from tissueid.procedures.output_files import HTML, check_new, check_output
-from tissueid.procedures.plan_options import Option, Plan
 
 if TYPE_CHECKING:  # each takes long to import
     from tissueid.calibration.file import Calibration

@@ -19,7 +19,7 @@ from pydantic import Field
 from tissueid.errors import CancelledError, UnusableInputError
 from tissueid.extras import check_packages
 from tissueid.messages import Verbatim
-from tissueid.procedures.plan_options import Option, Plan
+from tissueid.plan_options import Option, Plan
 
 if TYPE_CHECKING:
     from tissueid.gap.workers import Executor

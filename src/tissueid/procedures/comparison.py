@@ -12,11 +12,11 @@ from typing import TYPE_CHECKING, Annotated, Any
 from tissueid.errors import UnusableInputError
 from tissueid.language import marked
 from tissueid.messages import Verbatim
+from tissueid.plan_options import Option, parse_options
 from tissueid.procedures.cluster import ClusterPlan, plan_executor
 from tissueid.procedures.control import Control, CountedProgress
 from tissueid.procedures.identification import FitPlan
 from tissueid.procedures.output_files import HTML, check_output, check_report, unwritable
-from tissueid.procedures.plan_options import Option, parse_options
 
 if TYPE_CHECKING:  # each takes long to import
     from tissueid.analysis import Analysis, EngineComparison, Split

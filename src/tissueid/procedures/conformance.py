@@ -11,9 +11,9 @@ from pydantic import Field
 
 from tissueid.errors import UnusableInputError
 from tissueid.messages import Message, Verbatim
+from tissueid.plan_options import Option, Plan
 from tissueid.procedures.control import Control, counted
 from tissueid.procedures.output_files import HTML, check_output
-from tissueid.procedures.plan_options import Option, Plan
 
 if TYPE_CHECKING:  # each takes long to import
     from tissueid.audit import AuditTrail

@@ -20,10 +20,10 @@ from tissueid.child_process import run, start
 from tissueid.errors import InstrumentError, UnusableInputError
 from tissueid.language import marked
 from tissueid.messages import Message, Verbatim
+from tissueid.plan_options import Option, Plan
 from tissueid.procedures.audit_notes import audit_note
 from tissueid.procedures.control import Control
 from tissueid.procedures.output_files import json_text, stored_values, write_text
-from tissueid.procedures.plan_options import Option, Plan
 
 if TYPE_CHECKING:  # each takes long to import
     from tissueid.analysis import Analysis

@@ -10,8 +10,8 @@ from pydantic import Field
 
 from tissueid.errors import UnusableInputError
 from tissueid.messages import Verbatim
+from tissueid.plan_options import Option, Plan
 from tissueid.procedures.cluster import ClusterPlan
-from tissueid.procedures.plan_options import Option, Plan
 
 
 def read_test_number(option: str, text: str) -> int:

@@ -8,8 +8,8 @@ from typing import TYPE_CHECKING, Annotated
 
 from tissueid.errors import UnusableInputError
 from tissueid.messages import Verbatim, joined
+from tissueid.plan_options import Option, Plan, parse_options
 from tissueid.procedures.control import Control
-from tissueid.procedures.plan_options import Option, Plan, parse_options
 
 if TYPE_CHECKING:  # each takes long to import
     from tissueid.analysis import Analysis

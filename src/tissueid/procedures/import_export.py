@@ -12,9 +12,9 @@ from tissueid.configuration import CONFIGURATIONS
 from tissueid.errors import UnusableInputError
 from tissueid.language import marked
 from tissueid.messages import Message, Verbatim
+from tissueid.plan_options import Option, Plan
 from tissueid.procedures.audit_notes import audit_note
 from tissueid.procedures.control import Control
-from tissueid.procedures.plan_options import Option, Plan
 from tissueid.procedures.pseudonyms import PseudonymConfirmed, check_subject
 
 if TYPE_CHECKING:  # each takes long to import

@@ -21,7 +21,7 @@ from tissueid.instrument import (
     open_instrument,
 )
 from tissueid.instrument.replies import describe_faults
-from tissueid.procedures.plan_options import Option, Plan
+from tissueid.plan_options import Option, Plan
 
 LISTEN_S = 1.0
 """Duration over which samples are read, s."""

@@ -13,10 +13,10 @@ from pydantic import Field
 from tissueid.errors import UnusableInputError
 from tissueid.formatting import csv_text
 from tissueid.messages import Message, Verbatim, joined
+from tissueid.plan_options import Option, Plan, name_and_value
 from tissueid.procedures.comparison import check_figures
 from tissueid.procedures.control import Control
 from tissueid.procedures.output_files import HTML, check_different, check_output, unwritable, write_text
-from tissueid.procedures.plan_options import Option, Plan, name_and_value
 
 if TYPE_CHECKING:  # each takes long to import
     import numpy as np

@@ -8,7 +8,7 @@ from typing import Annotated
 from tissueid.errors import UnusableInputError
 from tissueid.formatting import clean
 from tissueid.messages import Verbatim
-from tissueid.procedures.plan_options import Option
+from tissueid.plan_options import Option
 
 PseudonymConfirmed = Annotated[
     bool, Option("--confirm-pseudonym", help="the subject is a pseudonym although it looks like a name")

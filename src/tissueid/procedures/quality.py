@@ -6,7 +6,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
-from tissueid.procedures.plan_options import Option, Plan
+from tissueid.plan_options import Option, Plan
 
 if TYPE_CHECKING:  # each takes long to import
     from tissueid.acquisition.quality import Quality

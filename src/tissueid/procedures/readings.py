@@ -10,9 +10,9 @@ from pydantic import Field
 
 from tissueid.errors import UnusableInputError
 from tissueid.language import marked
+from tissueid.plan_options import Option, Plan, parse_options
 from tissueid.procedures.control import Control
 from tissueid.procedures.output_files import HTML, check_output, check_report, unwritable
-from tissueid.procedures.plan_options import Option, Plan, parse_options
 
 if TYPE_CHECKING:  # each takes long to import
     from tissueid.analysis.readings.device_readings import DeviceReadings

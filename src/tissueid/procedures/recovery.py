@@ -8,9 +8,9 @@ from typing import TYPE_CHECKING, Annotated
 
 from tissueid.atomic_write import open_regular
 from tissueid.errors import TissueIDError
+from tissueid.plan_options import Option, Plan
 from tissueid.procedures.audit_notes import settle
 from tissueid.procedures.control import Control
-from tissueid.procedures.plan_options import Option, Plan
 
 if TYPE_CHECKING:  # each takes long to import
     from tissueid.audit import AuditTrail

@@ -9,9 +9,9 @@ from typing import TYPE_CHECKING, Annotated
 
 from tissueid.errors import UnusableInputError
 from tissueid.language import marked
+from tissueid.plan_options import Option, Plan
 from tissueid.procedures.control import Control
 from tissueid.procedures.output_files import HTML, PDF, check_different, check_output, check_report, unwritable
-from tissueid.procedures.plan_options import Option, Plan
 
 if TYPE_CHECKING:  # each takes long to import
     from tissueid.analysis import Analysis

@@ -12,10 +12,10 @@ from tissueid.atomic_write import private_folder
 from tissueid.errors import CancelledError, TissueIDError, UnusableInputError
 from tissueid.language import marked
 from tissueid.messages import Message, Verbatim
+from tissueid.plan_options import Option, Plan
 from tissueid.procedures.control import Control
 from tissueid.procedures.output_files import json_text, stored_values, unwritable, write_text
 from tissueid.procedures.overlay import named_fits, sweep_columns
-from tissueid.procedures.plan_options import Option, Plan
 
 if TYPE_CHECKING:  # each takes long to import
     from tissueid.instrument import Instrument

@@ -9,8 +9,8 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 from tissueid.atomic_write import private_folder
 from tissueid.messages import Message, Verbatim
+from tissueid.plan_options import Option, Plan
 from tissueid.procedures.control import Control
-from tissueid.procedures.plan_options import Option, Plan
 from tissueid.procedures.session_path import check_session_path
 from tissueid.procedures.test_plan import TestPlan
 

@@ -6,7 +6,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
 from tissueid.errors import UnusableInputError
-from tissueid.procedures.plan_options import Option, Plan
+from tissueid.plan_options import Option, Plan
 
 if TYPE_CHECKING:  # takes long to import
     from tissueid.instrument.twin_file import TwinFile

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Annotated
 from pydantic import Field
 
 from tissueid.audit import AuditTrail
-from tissueid.procedures.plan_options import Plan
+from tissueid.plan_options import Plan
 
 if TYPE_CHECKING:  # it takes long to import
     from tissueid.sessions.accepted_result import AcceptedResult

@@ -12,9 +12,9 @@ from pydantic import Field
 
 from tissueid.errors import LimitError, UnusableInputError
 from tissueid.messages import Message, Verbatim
+from tissueid.plan_options import Option, Plan, name_and_value, named_values
 from tissueid.procedures.control import Control
 from tissueid.procedures.output_files import check_different, check_output, unwritable, write_text
-from tissueid.procedures.plan_options import Option, Plan, name_and_value, named_values
 
 if TYPE_CHECKING:  # each takes long to import
     from tissueid.analysis.stimulus_design import StimulusDesign

@@ -15,9 +15,9 @@ from tissueid.extras import check_packages
 from tissueid.gap.workers import executor
 from tissueid.instrument import Instrument, SimulatedInstrument
 from tissueid.language import marked
+from tissueid.plan_options import Option, Plan
 from tissueid.procedures.control import Control, CountedProgress
 from tissueid.procedures.output_files import json_text, stored_values, write_text
-from tissueid.procedures.plan_options import Option, Plan
 from tissueid.procedures.simulated_population import (
     LOTION_MINUTES,
     LOTION_SITE,

@@ -7,8 +7,8 @@ from typing import Annotated
 
 from pydantic import Field
 
+from tissueid.plan_options import Option
 from tissueid.procedures.cluster import ClusterPlan
-from tissueid.procedures.plan_options import Option
 
 CONDITION, MINUTES_SINCE = "condition", "minutes_since_application"
 """Notes of a test: its condition, such as a product, and the minutes since its application."""

@@ -27,10 +27,10 @@ from tissueid.extras import check_packages
 from tissueid.formatting import csv_text, text_of_cell
 from tissueid.language import marked
 from tissueid.messages import Verbatim
+from tissueid.plan_options import parse_options
 from tissueid.procedures.cluster import plan_executor
 from tissueid.procedures.control import Control, CountedProgress
 from tissueid.procedures.output_files import unwritable, write_text
-from tissueid.procedures.plan_options import parse_options
 from tissueid.procedures.session_store import FolderStore, RemoteStore, SessionStore
 from tissueid.procedures.study_plans import (
     CONDITION,

@@ -16,8 +16,8 @@ from tissueid.errors import TissueIDError, UnusableInputError
 from tissueid.formatting import clean
 from tissueid.instrument.discovery import IN_PROCESS
 from tissueid.messages import Message, Verbatim, joined
+from tissueid.plan_options import Option, Plan
 from tissueid.procedures.control import Control, RemainingTime, counted
-from tissueid.procedures.plan_options import Option, Plan
 from tissueid.procedures.study_plans import CONDITION, MINUTES_SINCE
 from tissueid.procedures.study_protocol import (
     PROTOCOL_FILE,

@@ -13,7 +13,7 @@ from tissueid.errors import UnusableInputError
 from tissueid.formatting import ANONYMOUS
 from tissueid.language import marked
 from tissueid.messages import Message, Verbatim
-from tissueid.procedures.plan_options import Option, Plan, name_and_value, named_values
+from tissueid.plan_options import Option, Plan, name_and_value, named_values
 from tissueid.procedures.pseudonyms import PseudonymConfirmed, check_subject
 from tissueid.procedures.study_plans import CONDITION, MINUTES_SINCE
 

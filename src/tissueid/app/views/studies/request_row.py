@@ -30,7 +30,7 @@ from tissueid.formatting import clean
 from tissueid.identification import engine_label, engine_names
 from tissueid.language import _
 from tissueid.messages import Message, Verbatim, translated
-from tissueid.procedures.plan_options import parse_options
+from tissueid.plan_options import parse_options
 from tissueid.procedures.study_plans import StudyPlan
 
 _STEPS = 1000
