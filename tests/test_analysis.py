@@ -22,7 +22,7 @@ from tissueid.analysis import (
     split_records,
 )
 from tissueid.analysis.fitting import timed_fit
-from tissueid.analysis.scoring import scored
+from tissueid.analysis.scoring import candidates, scored
 from tissueid.errors import UnusableInputError
 from tissueid.identification import Engine, Family, Model, aicc, engine_names, vaf_percent
 from tissueid.identification.engines.lms import Lms
@@ -166,6 +166,17 @@ class TestScores:
             vaf_percent(short.record.output[99:1875], short.record.output[99:1875] - residual), rel=1e-9
         )
 
+    def test_the_second_order_system_is_scored_on_the_same_samples(self, session: Session):
+        parts = split(session)
+        found = compare((Lms(memory=0.02), Wiener(memory=0.1)), parts)
+        rows = [entry.scored for entry in found.entries]
+        row, model = rows[0], rows[0].analysis.model
+        reduced = candidates(rows, (Family.LINEAR, Family.STATIC), parts)[-1]
+        force = parts.record.input - model.input_mean
+        residual = parts.record.output - model.output_mean - model.second_order.simulate(force)
+        assert reduced.second_order
+        assert reduced.aicc == pytest.approx(aicc(residual[np.isfinite(row.residual)], 4), rel=1e-9)
+
     def test_one_that_needs_most_of_the_record_does_not_cost_the_others_their_samples(self, session: Session):
         found = compare((Lms(memory=0.02), Lms.model_construct(**Lms(memory=0.02).options())), split(session))
         parts = split(session)
@@ -174,6 +185,7 @@ class TestScores:
         rows = scored([analyses[0], greedy], parts)
         assert [row.own_samples for row in rows] == [False, True]
         assert [row.n_fitted for row in rows] == [1875 - 19, 76]
+        assert candidates(rows, (Family.LINEAR, Family.LINEAR), parts)[1].aicc is None
 
     def test_effective_parameters_count_where_an_engine_reports_them(self, session: Session):
         parts = split(session)

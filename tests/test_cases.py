@@ -96,7 +96,7 @@ def test_01_structures_are_not_mixed(tmp_path: Path) -> None:
 
 @pytest.mark.parametrize("structure", ["maxwell", "burger"])
 def test_02_a_drift_is_not_due_to_the_force(structure: str, tmp_path: Path) -> None:
-    imported(tmp_path, case(2) / "unrelated.csv", *FORCE, *POSITION)
+    assert imported(tmp_path, case(2) / "unrelated.csv", *FORCE, *POSITION).kind == "stochastic"
     engine = ("--engine", "viscoelastic", "--option", f"structure={structure}")
     assert answered(tmp_path, "identify", tmp_path / "session.h5", *engine)["vaf_validation_percent"] < 1.0
 
@@ -115,7 +115,7 @@ def test_02_no_model_describes_a_drift(tmp_path: Path) -> None:
 
 
 def test_03_a_ramp_and_hold_has_its_parameters(tmp_path: Path) -> None:
-    imported(tmp_path, case(3) / "hold.csv", *FORCE, *POSITION, "--kind", "slow_ramp")
+    assert imported(tmp_path, case(3) / "hold.csv", *FORCE, *POSITION).kind == "slow_ramp"
     answer = answered(tmp_path, "identify", tmp_path / "session.h5", "--engine", "viscoelastic")
     values = {name: one["value"] for name, one in answer["parameters"].items()}
     assert values["stiffness_n_per_m"] == pytest.approx(400.0, rel=0.01)

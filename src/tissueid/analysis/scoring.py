@@ -30,16 +30,26 @@ _SECOND_ORDER_PARAMETERS = 4
 class Scored:
     """An analysis whose report holds the scores on shared samples.
 
-    ``parameters`` is the effective number of parameters where the engine reports it. ``n_fitted`` is the number of
-    samples of VAF and AICc; ``own_samples`` is true where these are not the shared ones. ``error`` (n,) is the error
-    on the held-out record, NaN where it is not scored.
+    ``parameters`` is the effective number of parameters where the engine reports it. ``residual`` (n,) is the error on
+    the fitted record, from which VAF and AICc follow, and ``error`` (n,) that on the held-out record; NaN where it is
+    not scored. ``own_samples`` is true where the scored samples are not the shared ones.
     """
 
     analysis: Analysis
     parameters: float
-    n_fitted: int
     own_samples: bool
+    residual: Array
     error: Array
+
+    @property
+    def n_fitted(self) -> int:
+        """Number of samples of VAF and AICc."""
+        return int(np.isfinite(self.residual).sum())
+
+    @property
+    def aicc(self) -> float | None:
+        """AICc; None where the model was scored on its own samples, as it cannot be compared."""
+        return None if self.own_samples else self.analysis.model.report.aicc
 
 
 @runtime_checkable
@@ -98,7 +108,7 @@ def scored(analyses: Sequence[Analysis], parts: Split) -> list[Scored]:
         )
         model = model if parts.scorable else model.without_validation()
         own_samples = fitted_own[k] or held_out_own[k]
-        found.append(Scored(replace(analysis, model=model), parameters, int(fitted[k].sum()), own_samples, error))
+        found.append(Scored(replace(analysis, model=model), parameters, own_samples, residual, error))
     return found
 
 
@@ -111,7 +121,7 @@ def candidates(rows: Sequence[Scored], families: Sequence[Family], parts: Split)
             error=row.error,
             parameters=row.parameters,
             vaf_percent=row.analysis.model.report.vaf_percent,
-            aicc=row.analysis.model.report.aicc,
+            aicc=row.aicc,
             scheduled_percent=row.analysis.model.report.vaf_scheduled_percent,
         )
         for row, family in zip(rows, families, strict=True)
@@ -129,8 +139,7 @@ def _second_order(row: Scored, parts: Split) -> Candidate:
     """Return the second-order system of a linear model as a separate candidate."""
     model = row.analysis.model
     assert isinstance(model, Reducible)
-    used = scored_samples(parts.record, model.memory_samples, parts.fit_part)
-    residual = _second_order_error(model, parts.record, used)
+    residual = _second_order_error(model, parts.record, np.isfinite(row.residual))
     error = held_out_error(model, parts, second_order=True)
     return Candidate(
         engine=model.report.engine,
@@ -138,7 +147,7 @@ def _second_order(row: Scored, parts: Split) -> Candidate:
         error=np.where(np.isfinite(row.error), error, np.nan),
         parameters=_SECOND_ORDER_PARAMETERS,
         vaf_percent=vaf_percent(parts.record.output, parts.record.output - residual),
-        aicc=aicc(residual, _SECOND_ORDER_PARAMETERS),
+        aicc=None if row.own_samples else aicc(residual, _SECOND_ORDER_PARAMETERS),
         second_order=True,
     )
 

@@ -71,9 +71,9 @@ class Basis:
 
     @property
     def lowest_aicc(self) -> Standing | None:
-        """The model with the lowest AICc."""
-        known = [s for s in self.standings if s.aicc is not None and np.isfinite(s.aicc) and not s.second_order]
-        return min(known, key=lambda s: s.aicc or 0.0, default=None)
+        """The model with the lowest AICc; None if none has one."""
+        scored = [s for s in self.standings if s.aicc is not None and np.isfinite(s.aicc)]
+        return min(scored, key=lambda s: s.aicc or 0.0, default=None)
 
     @property
     def seconds(self) -> float:
@@ -206,11 +206,11 @@ def reasons(basis: Basis) -> Iterator[Message]:
             "Mass, damping and stiffness alone do as well as the whole impulse response.",
         )
     lowest = basis.lowest_aicc
-    if lowest is not None and lowest.engine == chosen.engine:
+    if lowest is chosen:
         yield Message(
             "recommendation.aicc_agrees",
             "AICc on the fitted samples also prefers {name}.",
-            name=label_of(lowest.engine),
+            name=_name(chosen),
         )
 
 
@@ -289,12 +289,12 @@ def doubts(basis: Basis) -> Iterator[Message]:
             points=lost,
         )
     lowest = basis.lowest_aicc
-    if lowest is not None and lowest.engine != chosen.engine:
+    if lowest is not None and lowest is not chosen:
         yield Message(
             "recommendation.aicc_disagrees",
             "AICc on the fitted samples prefers {name}. AICc assumes independent errors, which these are not, so "
             "held-out samples decide.",
-            name=label_of(lowest.engine),
+            name=_name(lowest),
         )
     scheduled = [s for s in basis.standings if s.scheduled_percent is not None]
     guided = max(scheduled, key=lambda s: s.scheduled_percent or 0.0, default=None)

@@ -73,7 +73,7 @@ def score_plots(found: EngineComparison) -> tuple[Plot, Plot]:
     limits = low - 0.06 * (100.0 - low), 100.0 + 0.03 * (100.0 - low)
     names = tuple((float(place), label_of(r.engine)) for place, r in zip(places, reports, strict=True))
     engines = Axis(limits=(-0.6, len(rows) - 0.3), ticks=names)
-    aicc = np.array([np.nan if row.own_samples else _known(r.aicc) for r, row in zip(reports, rows, strict=True)])
+    aicc = np.array([_known(row.aicc) for row in rows])
     bars: list[Curve | Surface | Bars] = []
     top = 1.0
     if np.isfinite(aicc).any():

@@ -27,6 +27,10 @@ from tissueid.sessions.model import DATE_NOTE, SIGNAL_UNITS, Test
 from tissueid.units import Unit
 
 _SESSIONS = (".h5", ".hdf5", ".hdf")
+_RAMP = Message(
+    "import.ramp",
+    "force and position are ramps and holds: imported as the kind slow_ramp; choose the kind if it is another test",
+)
 
 
 def is_record(path: Path) -> bool:
@@ -243,6 +247,9 @@ def _import_test(
             )
         created, origin = recording_date(source.path, file.format)
         test = replace(test, notes=_provenance(source, file, signals, rows) | {DATE_NOTE: origin})
+        if choices.kind is None and _is_ramp(test):
+            test = replace(test, kind="slow_ramp")
+            notices.append(_RAMP)
     else:
         test = attributes.filled(test)
         if rows.start:
@@ -258,6 +265,20 @@ def _import_test(
         attributes,
         created,
     )
+
+
+def _is_ramp(test: Test) -> bool:
+    """Return whether force and position are a few ramps and holds, so that no stochastic test is imported."""
+    if not {"force", "position"} <= set(test.signals):
+        return False
+    from tissueid.identification.ramp_stiffness import is_slow, ramp_stiffness  # takes half a second to import
+
+    try:
+        record = test.record()
+    except UnusableInputError:  # values that no instrument measures: an analysis refuses them
+        return False
+    signals = [signal[record.valid] for signal in (record.input, record.output)] if record.valid.any() else []
+    return bool(signals) and all(map(is_slow, signals)) and bool(ramp_stiffness(record))
 
 
 def _loaded(
