@@ -10,6 +10,7 @@ import json
 import re
 from functools import cache
 from pathlib import Path
+from typing import Any
 
 import pytest
 from pages import ROOT
@@ -32,7 +33,7 @@ FACTORS = {"gender": ("group", "gender"), "bmi": ("regression", "bmi_kg_per_m2")
 NUMBER = re.compile(r"(?<![\w.,])[-−+]?\d+(?:[ \u202f]\d{3})*(?:\.\d+)?")
 REPRODUCED = re.compile(r"<!-- check: reproduced within (\d+) %, without (.*?) -->")
 ROUNDING = 0.03
-"""Largest relative difference of a number in docs/thesis.md from that in docs/reproduction.md, by rounding."""
+"""Largest relative difference of a number in docs/thesis.md from that of the reproduction, by rounding."""
 
 
 def study_demo(folder: Path) -> dict[str, float]:
@@ -154,18 +155,10 @@ def numbers(text: str) -> list[float]:
     return [float(re.sub(r"[ \u202f]", "", found).replace("−", "-")) for found in NUMBER.findall(text)]
 
 
-def reproduction() -> dict[str, tuple[list[list[str]], str]]:
-    """Return the rows of each figure of docs/reproduction.md (quantity, thesis, TissueID), and its remark."""
-    page = (ROOT / "docs" / "reproduction.md").read_text(encoding="utf-8")
-    figures = {}
-    for number, body in re.findall(
-        r"^### (?:Fig\. )?(Table [\d.]+|[\d.]+): (.*?)(?=^### |^<!-- end)", page, re.M | re.S
-    ):
-        lines = body.splitlines()
-        rows = [line.strip("| ").split(" | ") for line in lines if line.startswith("| ")]
-        remark = " ".join(line for line in lines[1:] if not line.startswith("| "))
-        figures[number] = [row for row in rows if row[0] not in ("quantity", "---")], remark
-    return figures
+def reproduction() -> dict[str, dict[str, Any]]:
+    """Return each figure of docs/measured/reproduction.json by its number."""
+    results = json.loads((ROOT / "docs" / "measured" / "reproduction.json").read_text(encoding="utf-8"))
+    return {figure["number"]: figure for figure in results["figures"]}
 
 
 def test_the_table_of_the_thesis_states_the_numbers_of_the_reproduction():
@@ -177,8 +170,10 @@ def test_the_table_of_the_thesis_states_the_numbers_of_the_reproduction():
         if not line.startswith("| ") or named is None or len(cells) < 5:
             continue
         names = [name.strip("'") for name in re.findall(r"'Table [\d.]+'|[\d.]+", named[1])]
-        rows = [row for name in names for row in figures[name][0]]
-        known = numbers(" ".join([*(f"{row[0]} {row[2]}" for row in rows), *(figures[name][1] for name in names)]))
+        named_figures = [figures[name] for name in names]
+        texts = [f"{row['what']} {row['here']}" for figure in named_figures for row in figure["rows"]]
+        texts += [text for figure in named_figures for text in (figure["remark"], *figure["warnings"])]
+        known = numbers(" ".join(texts))
         for stated in numbers(re.sub(r"\([^)]*\)|`[^`]*`", "", cells[4])):
             checked += 1
             if not any(abs(stated - value) <= ROUNDING * abs(value) + 1e-9 for value in known):
@@ -190,15 +185,15 @@ def test_the_table_of_the_thesis_states_the_numbers_of_the_reproduction():
 @pytest.mark.soak
 @pytest.mark.timeout(3600)
 def test_the_reproduction_repeats_its_page(tmp_path):
-    """Another run gives the numbers of the page, within the tolerance and but for the rows that the page states."""
+    """Another run gives the stored numbers, within the tolerance and except for the figures that the page states."""
     page = (ROOT / "docs" / "reproduction.md").read_text(encoding="utf-8")
     ((percent, left_out),) = REPRODUCED.findall(page)
     assert main(["reproduce", "--out", str(tmp_path / "thesis")]) == 0
     figures = json.loads((tmp_path / "thesis" / "results.json").read_text(encoding="utf-8"))["figures"]
     made = {(one["number"], row["what"]): row["here"] for one in figures for row in one["rows"]}
     wrong, compared = [], 0
-    for number, (rows, _remark) in reproduction().items():
-        for what, _thesis, here in rows:
+    for number, figure in reproduction().items():
+        for what, here in ((row["what"], row["here"]) for row in figure["rows"]):
             if number in left_out.split(", ") or re.search(r"\btime\b|\d ?µ?s\b|power", f"{what} {here}"):
                 continue
             expected, found = numbers(here), numbers(made[number, what])

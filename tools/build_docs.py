@@ -19,8 +19,11 @@ from html.parser import HTMLParser
 from pathlib import Path
 from urllib.parse import unquote
 
+import measured_pages
 from make_package import ROOT, problem
 
+_MEASURED = re.compile(r"\]\(((?:\.\./)*(?:docs/)?measured/[\w-]+)\.json\)")
+"""Links to data of measured figures, which lead to the pages made from them."""
 _KEPT = ("*.md", "*.png", "*.svg", "*.json", "*.cff", "LICENSE")
 
 
@@ -33,6 +36,11 @@ def stage(source: Path) -> None:
                     _copy(path, source / path.relative_to(ROOT))
     for path in (path for pattern in _KEPT for path in ROOT.glob(pattern)):
         _copy(path, source / path.name)
+    for path in measured_pages.FOLDER.glob("*.json"):
+        (source / "docs" / "measured" / f"{path.stem}.md").write_text(measured_pages.as_page(path), encoding="utf-8")
+    for path in source.rglob("*.md"):
+        text = path.read_text(encoding="utf-8")
+        path.write_text(_MEASURED.sub(r"](\1.md)", text), encoding="utf-8")
     for name in ("conf.py", "site.css"):
         _copy(ROOT / "docs" / "site" / name, source / name)
     reference = source / "reference"

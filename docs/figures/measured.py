@@ -1,15 +1,15 @@
-"""Measures what a document claims, and writes its tables: for the scripts beside this file.
+"""Measure claims and write them as data: for the scripts of this folder.
 
-The claims are a package of modules, one a topic, each with ``claims()``. In the document each topic has a table of its
-own between marks by which it is found again.
+The claims are a package of modules, one for each topic, each with ``claims()``. Each topic is a section of
+docs/measured/NAME.json.
 """
 
 from __future__ import annotations
 
 import argparse
 import importlib
+import json
 import pkgutil
-import re
 import sys
 from collections.abc import Iterable
 from dataclasses import dataclass
@@ -23,12 +23,27 @@ sys.path[:0] = [str(folder) for folder in (HERE, ROOT / "tests", ROOT / "tests" 
 from engine_claims.base import Claim  # noqa: E402
 
 
+def replace_section(name: str, topic: str, **content: object) -> None:
+    """Replace a section of docs/measured/NAME.json, except for what ``content`` leaves out.
+
+    Raises:
+        LookupError: the data have no section of this topic.
+    """
+    path = ROOT / "docs" / "measured" / f"{name}.json"
+    data = json.loads(path.read_text(encoding="utf-8"))
+    found = [section for section in data["sections"] if section["topic"] == topic]
+    if len(found) != 1:
+        raise LookupError(f"{path.name} has {len(found)} sections of the topic {topic}")
+    found[0].update(content)
+    path.write_text(json.dumps(data, indent=1, ensure_ascii=False) + "\n", encoding="utf-8")
+
+
 @dataclass(frozen=True)
 class Measured:
-    """A document and the package of claims that it makes."""
+    """A subject of measured figures and the package of its claims."""
 
     package: str
-    document: Path
+    name: str
 
     def topics(self) -> list[str]:
         """Names of the modules that measure something."""
@@ -36,37 +51,23 @@ class Measured:
         return sorted(module.name for module in found if module.name != "base")
 
     def measure(self, topic: str) -> list[Claim]:
-        """The claims of a topic, told as they come."""
+        """Return the claims of a topic, printed as they are measured."""
         found: list[Claim] = []
         for claim in importlib.import_module(f"{self.package}.{topic}").claims():
             print(f"{topic}: {claim.what}: {claim.measured}{'' if claim.kept else '  (NOT KEPT)'}", flush=True)
             found.append(claim)
         return found
 
-    def as_section(self, topic: str, claims: Iterable[Claim]) -> str:
-        """Heading and table of a topic as Markdown, between marks by which they are found again."""
-        said = importlib.import_module(f"{self.package}.{topic}").__doc__ or topic
-        lines = [f"<!-- measured: {topic} -->", f"### {said.splitlines()[0].rstrip('.')}", ""]
-        lines += ["| | target | measured |", "| --- | --- | --- |"]
-        lines += [f"| {c.what} | {c.asked} | {c.measured}{'' if c.kept else ' (**not reached**)'} |" for c in claims]
-        return "\n".join([*lines, f"<!-- end of {topic} -->"])
-
     def write(self, topic: str, claims: Iterable[Claim]) -> None:
-        """Put a topic's section into the document in place of what stands there.
-
-        Raises:
-            LookupError: the document has no place for this topic.
-        """
-        text = self.document.read_text(encoding="utf-8")
-        place = re.compile(f"<!-- measured: {topic} -->.*?<!-- end of {topic} -->", re.DOTALL)
-        if not place.search(text):
-            raise LookupError(f"{self.document.name} has no marks for the topic {topic}")
-        self.document.write_text(place.sub(lambda _: self.as_section(topic, claims), text), encoding="utf-8")
+        """Replace the section of a topic in the data."""
+        title = (importlib.import_module(f"{self.package}.{topic}").__doc__ or topic).splitlines()[0].rstrip(".")
+        rows = [[c.what, c.asked, f"{c.measured}{'' if c.kept else ' (**not reached**)'}"] for c in claims]
+        replace_section(self.name, topic, title=title, columns=["", "target", "measured"], rows=rows)
 
     def main(self, description: str | None) -> int:
         """Measure, print, and with ``--write`` write; 1 when a claim is not kept."""
         parser = argparse.ArgumentParser(description=description)
-        parser.add_argument("--write", action="store_true", help=f"put the tables into docs/{self.document.name}")
+        parser.add_argument("--write", action="store_true", help=f"put the tables into docs/measured/{self.name}.json")
         parser.add_argument("--only", choices=self.topics(), help="measure one topic")
         options = parser.parse_args()
         kept = True

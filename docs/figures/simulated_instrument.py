@@ -1,12 +1,11 @@
-"""Measures the simulated instrument and writes the tables and the picture of docs/simulated-instrument.md.
+"""Measure the simulated instrument; write docs/measured/simulated-instrument.json and a picture.
 
-Without options it prints the tables; ``--write`` puts them, and the picture, into the document.
+Without options it prints the tables; ``--write`` puts them, and the picture, into the data.
 """
 
 from __future__ import annotations
 
 import argparse
-import re
 import time
 from collections.abc import Callable, Sequence
 from functools import cache
@@ -14,6 +13,7 @@ from pathlib import Path
 
 import matplotlib
 import numpy as np
+from measured import replace_section
 
 from firmware_sim.bench import Bench
 from firmware_sim.coil import finite_coil, profile_values
@@ -30,7 +30,6 @@ matplotlib.use("Agg")
 from matplotlib import pyplot as plt
 
 HERE = Path(__file__).parent
-DOCUMENT = HERE.parent / "simulated-instrument.md"
 PICTURE = HERE / "simulated-instrument.png"
 # What slides along the forearm is held by an external spring: nothing in the thesis to compare it with.
 SKIN = tuple(name for name in preset_names() if name.endswith("arm") and not name.startswith("sliding"))
@@ -317,20 +316,15 @@ TABLES: dict[str, Callable[[], str]] = {
 def main(arguments: Sequence[str] | None = None) -> None:
     """Print the tables, or write them."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("--write", action="store_true", help="put tables and picture into the document")
+    parser.add_argument("--write", action="store_true", help="put tables and picture into the data")
     parser.add_argument("--only", choices=sorted(TABLES), action="append", help="make only this table")
     options = parser.parse_args(arguments)
-    text = DOCUMENT.read_text(encoding="utf-8") if options.write else ""
     for name in options.only or TABLES:
         made = TABLES[name]()
         print(f"\n{name}\n\n{made}", flush=True)
         if options.write:
-            mark = re.compile(rf"(<!-- {name} -->\n).*?(<!-- end -->)", re.DOTALL)
-            text, count = mark.subn(lambda found, made=made: f"{found[1]}\n{made}\n\n{found[2]}", text)
-            if count != 1:
-                raise SystemExit(f"the document has {count} places for the table {name}")
+            replace_section("simulated-instrument", name, text=made)
     if options.write:
-        DOCUMENT.write_text(text, encoding="utf-8")
         draw()
 
 

@@ -1,6 +1,6 @@
 """Measures the attached, stretched and layered tissues, the probes and the lotions of the simulated instrument.
 
-Without options it prints the tables of docs/simulated-instrument.md; ``--write`` puts them and the picture there.
+Without options it prints the tables; ``--write`` puts them into docs/measured/simulated-instrument.json and draws.
 Identified figures are those of ``tissueid identify --engine localized`` on recorded sessions: one guided test of 2 s at
 each load, ±0.75 N.
 """
@@ -8,7 +8,6 @@ each load, ±0.75 N.
 from __future__ import annotations
 
 import argparse
-import re
 import tempfile
 from collections.abc import Sequence
 from functools import cache
@@ -17,6 +16,7 @@ from typing import Any
 
 import matplotlib
 import numpy as np
+from measured import replace_section
 from support import LoopbackLink
 
 from firmware_sim.firmware import Firmware
@@ -39,7 +39,6 @@ matplotlib.use("Agg")
 from matplotlib import pyplot as plt
 
 HERE = Path(__file__).parent
-DOCUMENT = HERE.parent / "simulated-instrument.md"
 PICTURE = HERE / "simulated-tissues.png"
 SITES = {"AP": "extension-anterior", "PP": "extension-posterior"}
 DIRECTIONS = {"vertical": 0.0, "horizontal": 90.0}
@@ -367,18 +366,14 @@ TABLES = {
 def main(arguments: Sequence[str] | None = None) -> None:
     """Print the tables, or write them."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("--write", action="store_true", help="put tables and picture into the document")
+    parser.add_argument("--write", action="store_true", help="put tables and picture into the data")
     options = parser.parse_args(arguments)
-    text = DOCUMENT.read_text(encoding="utf-8")
     for name, make in TABLES.items():
         made = make()
         print(f"\n{name}\n\n{made}", flush=True)
-        mark = re.compile(rf"(<!-- {name} -->\n).*?(<!-- end -->)", re.DOTALL)
-        text, count = mark.subn(lambda found, made=made: f"{found[1]}\n{made}\n\n{found[2]}", text)
-        if options.write and count != 1:
-            raise SystemExit(f"the document has {count} places for the table {name}")
+        if options.write:
+            replace_section("simulated-instrument", name, text=made)
     if options.write:
-        DOCUMENT.write_text(text, encoding="utf-8")
         draw()
 
 

@@ -1,18 +1,17 @@
-"""Measures the sites of Table 3.1 and the variation of skin, and writes their tables in docs/simulated-instrument.md.
+"""Measure the sites of Table 3.1 and the variation of skin.
 
-Without options it prints the tables; ``--write`` puts them into the document.
+Without options it prints the tables; ``--write`` puts them into docs/measured/simulated-instrument.json.
 """
 
 from __future__ import annotations
 
 import argparse
-import re
 from collections.abc import Callable, Sequence
 from dataclasses import replace
 from functools import cache
-from pathlib import Path
 
 import numpy as np
+from measured import replace_section
 
 from firmware_sim.bench import Bench
 from firmware_sim.presets import load_preset
@@ -26,7 +25,6 @@ from tissueid.instrument import CLINICAL, join_blocks, open_instrument
 from tissueid.records import Record
 from tissueid.stimuli.kinds.noise import Noise
 
-DOCUMENT = Path(__file__).parent.parent / "simulated-instrument.md"
 SITES = ("skin-anterior", "skin-posterior", "skin-distal")
 OLDER = ("left-anterior-forearm", "left-posterior-forearm")
 SEEDS = (1, 2, 3, 4)
@@ -321,7 +319,7 @@ TABLES: dict[str, Callable[[int], str]] = {
 def main(arguments: Sequence[str] | None = None) -> None:
     """Print the tables, or write them."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("--write", action="store_true", help="put the tables into the document")
+    parser.add_argument("--write", action="store_true", help="put the tables into the data")
     parser.add_argument("--only", choices=sorted(TABLES), action="append", help="make only this table")
     parser.add_argument("--subjects", type=int, default=16, help="number of people for the tables of variation")
     options = parser.parse_args(arguments)
@@ -329,12 +327,7 @@ def main(arguments: Sequence[str] | None = None) -> None:
         made = TABLES[name](options.subjects)
         print(f"\n{name}\n\n{made}", flush=True)
         if options.write:
-            text = DOCUMENT.read_text(encoding="utf-8")
-            mark = re.compile(rf"(<!-- {name} -->\n).*?(<!-- end -->)", re.DOTALL)
-            text, count = mark.subn(lambda found, made=made: f"{found[1]}\n{made}\n\n{found[2]}", text)
-            if count != 1:
-                raise SystemExit(f"the document has {count} places for the table {name}")
-            DOCUMENT.write_text(text, encoding="utf-8")
+            replace_section("simulated-instrument", name, text=made)
 
 
 if __name__ == "__main__":

@@ -1,6 +1,6 @@
-"""Measures what the stimuli promise and writes the tables of docs/stimuli.md.
+"""Measures what the stimuli promise and writes docs/measured/stimuli.json.
 
-Without options it prints them; ``--write`` puts them into the document, a table for each topic; ``--only TOPIC``
+Without options it prints them; ``--write`` puts them there, a section for each topic; ``--only TOPIC``
 measures one topic, which is a module of ``stimulus_claims``. Status 1 when a claim is not kept.
 """
 
@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import sys
 
-from measured import HERE, Measured
+from measured import Measured
 
 if __name__ == "__main__":
-    sys.exit(Measured("stimulus_claims", HERE.parent / "stimuli.md").main(__doc__))
+    sys.exit(Measured("stimulus_claims", "stimuli").main(__doc__))

@@ -3,7 +3,7 @@
 The thresholds were set on eighty scenarios of the first simulated laboratory, those of pairs on 249 and some more
 (decisions 0025 and 0028), stricter ones also on parts of another draw (decision 0026), the conditions on further
 members on sixty of each laboratory (decision 0040) and on thirty on skin (decision 0046), the gain on forty of the
-second laboratory (decision 0061). docs/measured/gap.md reports none of these draws for these thresholds, or says so.
+second laboratory (decision 0061). docs/measured/gap.json reports none of these draws for these thresholds, or says so.
 """
 
 from __future__ import annotations
