@@ -72,7 +72,7 @@ def _figures_as_texts() -> Iterator[None]:
     from reports.in_german import texts_as_svg
 
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr("tissueid.reports.blocks.to_svg", texts_as_svg)
+        patch.setattr("tissueid.reports.page.to_svg", texts_as_svg)
         yield
 
 

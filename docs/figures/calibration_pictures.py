@@ -26,7 +26,7 @@ from tissueid.calibration.sweep import Sweep, SweepPlan, sweep_tests  # noqa: E4
 from tissueid.calibration.sweep_analysis import analyse_sweep  # noqa: E402
 from tissueid.calibration.sweep_file import as_calibration  # noqa: E402
 from tissueid.reports.calibration import sweep_report  # noqa: E402
-from tissueid.reports.panel_sheet import draw_sheet  # noqa: E402
+from tissueid.reports.page import draw_sheet  # noqa: E402
 from tissueid.reports.style import plain_image  # noqa: E402
 
 PICTURE = HERE.parent / "images" / "sweep.png"

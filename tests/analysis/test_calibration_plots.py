@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 from coded import coded
 
-from tissueid.analysis.curves.calibration import line_plots, residual_plot, stroke_plot, trend_plot
+from tissueid.analysis.curves.calibration_plots import line_plots, residual_plot, stroke_plot, trend_plot
 from tissueid.calibration.comparison import Residuals, Trend
 from tissueid.errors import UnusableInputError
 

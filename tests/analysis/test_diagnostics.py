@@ -4,8 +4,8 @@ import numpy as np
 import pytest
 from scipy import signal
 
-from tissueid.analysis.curves.diagnostics import autocorrelation, cross_correlation, power_edge, power_spectrum, runs
 from tissueid.analysis.curves.plot import thin
+from tissueid.analysis.curves.validation import autocorrelation, cross_correlation, power_edge, power_spectrum, runs
 
 REPEATS, N, LAGS = 300, 1500, 60
 

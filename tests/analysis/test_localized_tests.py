@@ -9,7 +9,7 @@ from firmware_sim.bench import Bench
 from firmware_sim.local_values import local_values
 from firmware_sim.plant import SAMPLE_RATE_HZ
 from tissueid.analysis import engines_of, fit_split, split_records
-from tissueid.analysis.curves.single_test import plots_of_test
+from tissueid.analysis.curves.results import plots_of_test
 from tissueid.identification import get_engine, report_engines
 from tissueid.identification.depth_levels import localized_levels
 from tissueid.records import Record, joined

@@ -9,10 +9,9 @@ import pytest
 from coded import coded
 from reports.synthetic_sitting import make_session, make_test
 
-from tissueid.analysis.curves import overlay as curves
-from tissueid.analysis.curves.correlations import signal_correlations
-from tissueid.analysis.curves.depth_overlay import depth_overlay
-from tissueid.analysis.curves.kernel_overlay import first_kernels, kernel_lobes, partition_columns, second_kernels
+from tissueid.analysis.curves import overlay_plots as curves
+from tissueid.analysis.curves.kernels import first_kernels, kernel_lobes, partition_columns, second_kernels
+from tissueid.analysis.curves.overlay_plots import depth_overlay, signal_correlations
 from tissueid.analysis.overlay import (
     NamedFit,
     Overlay,

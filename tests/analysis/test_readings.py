@@ -12,23 +12,20 @@ from coded import coded
 from identification.simulated import DAMPING, MASS, STIFFNESS, linear_record
 
 from tissueid.analysis import fit_split, split_records
-from tissueid.analysis.curves.readings import impulse_decay, recorded_step_plot, step_plot
-from tissueid.analysis.readings.decay_readings import (
+from tissueid.analysis.decay_readings import (
     LocalSystem,
     recorded_release,
     system_decay,
     trace_figures,
 )
-from tissueid.analysis.readings.device_readings import device_readings, recorded_readings
-from tissueid.analysis.readings.model_readings import local_system, model_readings
-from tissueid.analysis.readings.reading import Reading
-from tissueid.analysis.readings.step_course import find_steps
-from tissueid.analysis.readings.step_readings import recorded_points, step_readings
+from tissueid.analysis.device_readings import device_readings, local_system, model_readings, recorded_readings
+from tissueid.analysis.step_readings import Reading, find_steps, recorded_points, step_readings
 from tissueid.errors import UnusableInputError
 from tissueid.identification import get_engine
 from tissueid.identification.second_order import SecondOrder
 from tissueid.messages import code_of
 from tissueid.records import Record
+from tissueid.reports.readings_page import impulse_decay, recorded_step_plot, step_plot
 from tissueid.sessions import Test
 
 FOREARM = SecondOrder(MASS, DAMPING, STIFFNESS)

@@ -8,8 +8,8 @@ from coded import coded
 from reports.synthetic_sitting import make_session, make_test
 
 from tissueid.analysis import analyse
+from tissueid.analysis.curves.results import record_plots
 from tissueid.analysis.curves.signals import distribution_plots, recording_plots, recording_spectra, spectrum_plot
-from tissueid.analysis.curves.single_test import record_plots
 from tissueid.errors import UnusableInputError
 
 

@@ -10,7 +10,7 @@ from hypothesis import strategies as st
 from identification import simulated, simulated_dpn
 from scipy import signal, stats
 
-from tissueid.analysis.curves.settling import settling_times
+from tissueid.analysis.curves.feedback import settling_times
 from tissueid.errors import UnusableInputError
 from tissueid.identification import get_engine
 from tissueid.identification.preparation import prepare, scored_samples

@@ -7,14 +7,14 @@ from reports.in_german import texts_as_svg
 from reports.synthetic_sitting import make_session, make_test
 
 from tissueid.analysis import Analysis, analyse_all
-from tissueid.reports import blocks, style
+from tissueid.reports import page, style
 from tissueid.sessions import Session
 
 
 @pytest.fixture(scope="module", autouse=True)
 def _figures_drawn() -> Iterator[None]:
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(blocks, "to_svg", style.to_svg)
+        patch.setattr(page, "to_svg", style.to_svg)
         yield
 
 
@@ -31,4 +31,4 @@ def analyses(session: Session) -> dict[int, dict[str, Analysis]]:
 @pytest.fixture
 def undrawn(monkeypatch: pytest.MonkeyPatch) -> None:
     """Figures are made but not drawn, where a test is about words: of each only the texts stand on the page."""
-    monkeypatch.setattr(blocks, "to_svg", texts_as_svg)
+    monkeypatch.setattr(page, "to_svg", texts_as_svg)

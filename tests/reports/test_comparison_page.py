@@ -15,11 +15,12 @@ from reports.synthetic_sitting import RATE_HZ, make_session, make_test
 from scipy import signal
 
 from tissueid.analysis import EngineComparison, compare, known_ceiling, specifications, split
-from tissueid.analysis.curves.comparison import FEW_IMPULSE_RESPONSES, NO_MEMORY_SWEEP, memory_plots, score_plots
+from tissueid.analysis.curves.comparison_plots import FEW_IMPULSE_RESPONSES, NO_MEMORY_SWEEP, memory_plots, score_plots
 from tissueid.errors import UnusableInputError
-from tissueid.reports import ComparisonReport, blocks, comparison_report
-from tissueid.reports.blocks import absent
+from tissueid.reports import ComparisonReport, comparison_report
+from tissueid.reports import page as blocks
 from tissueid.reports.comparison import NO_DEPTH_ENGINE
+from tissueid.reports.page import absent
 from tissueid.sessions import Session
 from tissueid.stimuli import with_preload
 from tissueid.stimuli.kinds.multisine import Multisine

@@ -18,9 +18,9 @@ from tissueid.identification.base import Array, Engine, FitReport, Model
 from tissueid.identification.registry import engine_names, get_engine
 from tissueid.messages import Message, code_of
 from tissueid.records import Record, joined
-from tissueid.reports import blocks
-from tissueid.reports.blocks import Picture
+from tissueid.reports import page
 from tissueid.reports.figures.registry import Declared, Subject, all_figures, figure, figures_of
+from tissueid.reports.page import Picture
 from tissueid.reports.plot_axes import PAGE
 from tissueid.reports.style import DEPTHS, DIVERGING, to_svg
 from tissueid.reports.tables import parameter_table, score_table, settings_tables
@@ -104,7 +104,7 @@ def test_every_engine_draws_all_its_figures(german_pictures: list[tuple[Subject[
 def test_figures_of_every_engine_say_nothing_in_english(
     german_pictures: list[tuple[Subject[Model], Declared, Picture]], monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(blocks, "to_svg", lambda _figure, _key, alt: alt)
+    monkeypatch.setattr(page, "to_svg", lambda _figure, _key, alt: alt)
     texts = in_german(lambda: [text for _, _, picture in german_pictures for text in texts_of(picture)])
     assert english_in(texts) == []
 

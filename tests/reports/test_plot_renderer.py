@@ -9,8 +9,8 @@ from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
 
 from tissueid.analysis.curves import Axis, Bars, Curve, Mark, Plot, Surface, plot_or_reason, thin
+from tissueid.analysis.curves.comparison_plots import rows_plot
 from tissueid.analysis.curves.plot import as_csv, depth_roles, histogram
-from tissueid.analysis.curves.population import rows_plot
 from tissueid.errors import UnusableInputError
 from tissueid.messages import Message
 from tissueid.reports.plot_axes import PAGE, Look

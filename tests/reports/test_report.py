@@ -19,9 +19,8 @@ from reports.page_check import checked
 from reports.synthetic_sitting import make_session, make_test
 
 from tissueid.analysis import Analysis, analyse, analyse_all
-from tissueid.analysis.curves.cascades import SINGLE_PASS
-from tissueid.analysis.curves.diagnostics import held_out_prediction, readable_stretch
-from tissueid.analysis.curves.validation import prediction_plots
+from tissueid.analysis.curves.nonlinearity import SINGLE_PASS
+from tissueid.analysis.curves.validation import held_out_prediction, prediction_plots, readable_stretch
 from tissueid.device import SIMULATED_LINE, DeviceDescription
 from tissueid.errors import UnusableInputError
 from tissueid.messages import MISSING, code_of

@@ -14,9 +14,8 @@ from matplotlib.figure import Figure
 from reports.in_german import english_in, in_german, shown, texts_of
 from reports.page_check import checked
 
-from tissueid.analysis.curves.feedback import FeedbackRun
-from tissueid.analysis.curves.settling import settling_plot
-from tissueid.analysis.curves.stimuli import amplitude_plots
+from tissueid.analysis.curves.feedback import FeedbackRun, settling_plot
+from tissueid.analysis.curves.signals import amplitude_plots
 from tissueid.analysis.stimulus_design import StimulusDesign
 from tissueid.device import DeviceDescription
 from tissueid.errors import UnusableInputError
@@ -24,7 +23,7 @@ from tissueid.identification.second_order import SecondOrder
 from tissueid.messages import code_of
 from tissueid.reports.feedback_panels import feedback_panels
 from tissueid.reports.feedback_run import feedback_run, run_from_report
-from tissueid.reports.panel_sheet import Panel, draw_sheet
+from tissueid.reports.page import Panel, draw_sheet
 from tissueid.reports.stimulus_panels import stimulus_panels
 from tissueid.reports.stimulus_report import feedback_report, option_rows, stimulus_report
 from tissueid.sessions import Test

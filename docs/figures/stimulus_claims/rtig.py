@@ -15,7 +15,7 @@ from scipy import stats
 from simulated_plants import DEPTH_M, FORCE_N, PLANTS, RATE, SURFACE_M, Outcome, closed_loop
 
 from firmware_sim.bench import Bench
-from tissueid.analysis.curves.settling import settling_times
+from tissueid.analysis.curves.feedback import settling_times
 from tissueid.identification.second_order import SecondOrder
 from tissueid.stimuli.kinds.noise import Noise
 from tissueid.stimuli.kinds.rtig import Rtig

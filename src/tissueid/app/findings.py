@@ -16,7 +16,7 @@ from tissueid.sessions.quality import Quality
 
 if TYPE_CHECKING:
     from tissueid.analysis import Analysis
-    from tissueid.analysis.curves.single_test import RecordPlots, ResultPlots
+    from tissueid.analysis.curves.results import RecordPlots, ResultPlots
     from tissueid.reports.verdict import Verdict
     from tissueid.sessions.accepted_result import AcceptedResult
 

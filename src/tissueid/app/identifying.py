@@ -8,9 +8,9 @@ from pathlib import Path
 import numpy as np
 
 from tissueid.analysis import Analysis
-from tissueid.analysis.curves.single_test import plots_of_test, record_plots
-from tissueid.analysis.readings.device_readings import STEP_KIND, recorded_readings
-from tissueid.analysis.readings.reading import NOT_COMPARABLE
+from tissueid.analysis.curves.results import plots_of_test, record_plots
+from tissueid.analysis.device_readings import STEP_KIND, recorded_readings
+from tissueid.analysis.step_readings import NOT_COMPARABLE
 from tissueid.app.findings import Findings, Number
 from tissueid.app.words import in_words, sentence
 from tissueid.errors import UnusableInputError
@@ -20,7 +20,7 @@ from tissueid.identification.engines.wiener import Wiener
 from tissueid.language import _, marked
 from tissueid.messages import MISSING, translated
 from tissueid.procedures.report import analyse_test
-from tissueid.reports.configured import surface_of
+from tissueid.reports.page import surface_of
 from tissueid.reports.verdict import judge, linear_engine, linear_label, localized_engine, stiffness_range, visited
 from tissueid.sessions import Session, Test
 from tissueid.sessions.accepted_result import AcceptedResult, result_of

@@ -4,8 +4,8 @@ from __future__ import annotations
 
 from pathlib import Path
 
-from tissueid.analysis.readings.device_readings import DeviceReadings
-from tissueid.analysis.readings.reading import Reading
+from tissueid.analysis.device_readings import DeviceReadings
+from tissueid.analysis.step_readings import Reading
 from tissueid.cli.output import check_json, console_control, human_output, table, write_json
 from tissueid.formatting import plus_minus
 from tissueid.messages import MISSING

@@ -9,8 +9,7 @@ from typing import Literal
 import numpy as np
 from numpy.typing import NDArray
 
-from tissueid.analysis.curves.plot import CONFIDENCE, Array, Axis, Bars, Curve, Kind, Plot, steps
-from tissueid.analysis.curves.units import FREQUENCY, TIME
+from tissueid.analysis.curves.plot import CONFIDENCE, FREQUENCY, TIME, Array, Axis, Bars, Curve, Kind, Plot, steps
 from tissueid.errors import UnusableInputError
 from tissueid.formatting import label_and_unit, number
 from tissueid.gap.blind_scoring import Score

@@ -99,7 +99,7 @@ def diagnose_session(plan: DiagnosisPlan, control: Control) -> DiagnosedSession:
         found = diagnose(dataset, pool, known=known, progress=SearchDisplay(control), cancelled=control.check)
     diagnosed = DiagnosedSession(plan, session, twin, found)
     if plan.report is not None:
-        from tissueid.reports.html import write_text_atomically
+        from tissueid.reports.page import write_text_atomically
 
         try:
             write_text_atomically(plan.report, diagnosed.report_html)

@@ -15,7 +15,7 @@ from tissueid.procedures.control import Control
 from tissueid.procedures.output_files import HTML, check_output, check_report, unwritable
 
 if TYPE_CHECKING:  # each takes long to import
-    from tissueid.analysis.readings.device_readings import DeviceReadings
+    from tissueid.analysis.device_readings import DeviceReadings
     from tissueid.sessions import Session
 
 _REFITTING = marked("Refitting the model")
@@ -70,7 +70,7 @@ def run_readings(plan: ReadingsPlan, control: Control) -> SessionReadings:
         CancelledError: it was cancelled; nothing was written.
     """
     from tissueid.analysis import analyse
-    from tissueid.analysis.readings.device_readings import device_readings, step_test
+    from tissueid.analysis.device_readings import device_readings, step_test
     from tissueid.identification import get_engine
     from tissueid.sessions import read_session
 
@@ -103,7 +103,7 @@ def run_readings(plan: ReadingsPlan, control: Control) -> SessionReadings:
         progress=progress,
     )
     if plan.page is not None:
-        from tissueid.reports.html import write_text_atomically
+        from tissueid.reports.page import write_text_atomically
         from tissueid.reports.readings_page import readings_page
 
         try:

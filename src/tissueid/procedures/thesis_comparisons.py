@@ -17,8 +17,8 @@ from tissueid.analysis.computing_times import (
     shortest,
     technique_times,
 )
-from tissueid.analysis.curves.kernel_overlay import kernel_lobes
-from tissueid.analysis.curves.overlay import loop_width
+from tissueid.analysis.curves.kernels import kernel_lobes
+from tissueid.analysis.curves.overlay_plots import loop_width
 from tissueid.analysis.curves.times import time_plot
 from tissueid.analysis.overlay import Overlay, OverlayEntry, RepeatedValue, repeated_values, series_profiles
 from tissueid.analysis.partition_error import partition_errors

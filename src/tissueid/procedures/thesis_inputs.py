@@ -11,14 +11,20 @@ import numpy as np
 
 from tissueid.analysis.computing_times import autocorrelation_times
 from tissueid.analysis.curves.depth import profile_plots
-from tissueid.analysis.curves.diagnostics import held_out_prediction
-from tissueid.analysis.curves.feedback import FeedbackRun, profiles_of, series_plots
-from tissueid.analysis.curves.online import response_by_depth, response_over_time
+from tissueid.analysis.curves.feedback import (
+    THESIS_MASS_KG,
+    FeedbackRun,
+    profiles_of,
+    response_by_depth,
+    response_over_time,
+    series_plots,
+    settling_plot,
+    settling_times,
+)
 from tissueid.analysis.curves.plot import Plot
-from tissueid.analysis.curves.settling import THESIS_MASS_KG, settling_plot, settling_times
-from tissueid.analysis.curves.stimuli import amplitude_plots, autocorrelation_plots, power_plot, swaps_plot
+from tissueid.analysis.curves.signals import amplitude_plots, autocorrelation_plots, power_plot, swaps_plot
 from tissueid.analysis.curves.times import time_plot
-from tissueid.analysis.curves.validation import scatter_plots
+from tissueid.analysis.curves.validation import held_out_prediction, scatter_plots
 from tissueid.analysis.overlay import Overlay
 from tissueid.formatting import fixed, grouped, number
 from tissueid.identification.engines.als import AlsModel

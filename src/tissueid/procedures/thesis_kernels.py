@@ -7,13 +7,17 @@ from dataclasses import replace
 import numpy as np
 
 from tissueid.analysis.curves.depth import profile_plots
-from tissueid.analysis.curves.diagnostics import held_out_prediction
-from tissueid.analysis.curves.kernels import second_order_kernel
+from tissueid.analysis.curves.kernels import (
+    contribution_plots,
+    impulse_contribution_plot,
+    kernel_and_spectrum,
+    kernel_curves,
+    partition_plots,
+    second_order_kernel,
+)
 from tissueid.analysis.curves.linear import first_kernel_plot
-from tissueid.analysis.curves.partitions import kernel_curves, partition_plots
 from tissueid.analysis.curves.plot import Curve, Plot
-from tissueid.analysis.curves.validation import prediction_plots
-from tissueid.analysis.curves.volterra import contribution_plots, impulse_contribution_plot, kernel_and_spectrum
+from tissueid.analysis.curves.validation import held_out_prediction, prediction_plots
 from tissueid.analysis.overlay import Overlay
 from tissueid.analysis.simulated_systems import LAGS, RATE_HZ, DpnSystem, WienerSystem, simulated_cascade
 from tissueid.formatting import fixed, grouped

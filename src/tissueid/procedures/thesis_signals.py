@@ -7,13 +7,11 @@ from collections.abc import Mapping
 import numpy as np
 from scipy import stats
 
-from tissueid.analysis.curves.cascades import iteration_plots
-from tissueid.analysis.curves.diagnostics import held_out_prediction
+from tissueid.analysis.curves.calibration_plots import Region, bode_plots, parameter_plots
 from tissueid.analysis.curves.linear import coherence_plot, frequency_response, impulse_response
-from tissueid.analysis.curves.nonlinearity import linear_output, stiffness_plot, wiener_nonlinearity
+from tissueid.analysis.curves.nonlinearity import iteration_plots, linear_output, stiffness_plot, wiener_nonlinearity
 from tissueid.analysis.curves.signals import distribution_plots, recording_spectra
-from tissueid.analysis.curves.sweep import Region, bode_plots, parameter_plots
-from tissueid.analysis.curves.validation import prediction_plots
+from tissueid.analysis.curves.validation import held_out_prediction, prediction_plots
 from tissueid.analysis.overlay import Overlay, OverlayEntry
 from tissueid.calibration.sweep import sweep_tests
 from tissueid.calibration.sweep_analysis import SpringMass, SweepResult, analyse_sweep

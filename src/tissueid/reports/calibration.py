@@ -7,7 +7,7 @@ from collections.abc import Iterator, Mapping
 import numpy as np
 from numpy.typing import NDArray
 
-from tissueid.analysis.curves.sweep import Columns, Region
+from tissueid.analysis.curves.calibration_plots import Columns, Region
 from tissueid.calibration.file import Calibration
 from tissueid.calibration.labels import label_of, notes_of, problems_of, verdict_of
 from tissueid.errors import UnusableInputError

@@ -6,7 +6,7 @@ from collections.abc import Iterator, Mapping
 
 from matplotlib.figure import FigureBase
 
-from tissueid.analysis.curves.sweep import (
+from tissueid.analysis.curves.calibration_plots import (
     Columns,
     Region,
     bode_plots,
@@ -16,7 +16,7 @@ from tissueid.analysis.curves.sweep import (
 )
 from tissueid.language import _
 from tissueid.messages import Message
-from tissueid.reports.panel_sheet import Panel, missing_panel
+from tissueid.reports.page import Panel, missing_panel
 from tissueid.reports.plot_renderer import draw_plot, draw_plots, draw_row
 
 NO_RESPONSES = Message("report.no_responses", "the calibration holds no frequency responses")

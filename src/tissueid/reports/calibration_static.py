@@ -5,8 +5,7 @@ from __future__ import annotations
 import numpy as np
 from matplotlib.figure import FigureBase
 
-from tissueid.analysis.curves.calibration import REPEATED, line_plots, static_repeat_plot
-from tissueid.analysis.curves.sweep import Columns
+from tissueid.analysis.curves.calibration_plots import REPEATED, Columns, line_plots, static_repeat_plot
 from tissueid.calibration.comparison import Residuals, residuals
 from tissueid.calibration.file import Calibration, Quantity
 from tissueid.calibration.labels import headline_of, label_of, notes_of, problems_of, readable
@@ -14,7 +13,7 @@ from tissueid.errors import UnusableInputError
 from tissueid.formatting import number
 from tissueid.language import _, marked
 from tissueid.messages import translated
-from tissueid.reports.panel_sheet import Panel
+from tissueid.reports.page import Panel
 from tissueid.reports.plot_renderer import draw_plot, draw_row, key_over
 from tissueid.reports.stimulus_report import StimulusReport
 from tissueid.reports.tables import Table, named_text, readable_date

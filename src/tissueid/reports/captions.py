@@ -7,8 +7,9 @@ from collections.abc import Mapping, Sequence
 import numpy as np
 
 from tissueid.analysis import Analysis
-from tissueid.analysis.curves.diagnostics import Array, Prediction, power_edge
+from tissueid.analysis.curves.plot import Array
 from tissueid.analysis.curves.signals import lost_samples
+from tissueid.analysis.curves.validation import Prediction, power_edge
 from tissueid.formatting import fixed, number, with_unit
 from tissueid.identification import engine_label
 from tissueid.identification.engines.spectral import SpectralModel

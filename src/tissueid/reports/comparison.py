@@ -9,7 +9,7 @@ from pathlib import Path
 from matplotlib.figure import Figure
 
 from tissueid.analysis import EngineComparison, Entry
-from tissueid.analysis.curves.comparison import distortion_plot, memory_plots, response_plots, score_plots
+from tissueid.analysis.curves.comparison_plots import distortion_plot, memory_plots, response_plots, score_plots
 from tissueid.analysis.distortion import described_levels, distortion_of, is_multisine
 from tissueid.atomic_write import atomic_file, private_folder
 from tissueid.device import SIMULATED_LINE
@@ -19,12 +19,20 @@ from tissueid.identification.base import Model
 from tissueid.language import _, marked
 from tissueid.messages import MISSING, Message, translated
 from tissueid.reports import captions
-from tissueid.reports.blocks import FigureGroup, Picture, absent, picture
-from tissueid.reports.configured import captions_for_configuration, surface_of
 from tissueid.reports.depth_panels import depth_panels
 from tissueid.reports.figures.registry import Group, Subject, figures_of
-from tissueid.reports.html import RESEARCH_LINE, template, write_text_atomically
 from tissueid.reports.material import Material
+from tissueid.reports.page import (
+    RESEARCH_LINE,
+    FigureGroup,
+    Picture,
+    absent,
+    captions_for_configuration,
+    picture,
+    surface_of,
+    template,
+    write_text_atomically,
+)
 from tissueid.reports.plot_renderer import column_figure, row_figure
 from tissueid.reports.record_pictures import (
     correlations_picture,

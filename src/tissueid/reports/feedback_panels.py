@@ -4,11 +4,10 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
 
-from tissueid.analysis.curves.feedback import FeedbackRun, description_plots, profiles_of, series_plots
-from tissueid.analysis.curves.settling import settling_plot
+from tissueid.analysis.curves.feedback import FeedbackRun, description_plots, profiles_of, series_plots, settling_plot
 from tissueid.language import _
 from tissueid.reports.depth_panels import draw_depth_panels
-from tissueid.reports.panel_sheet import Panel
+from tissueid.reports.page import Panel
 from tissueid.reports.plot_renderer import draw_grid
 
 

@@ -9,8 +9,8 @@ from typing import Any
 
 import numpy as np
 
-from tissueid.analysis.curves.diagnostics import Array
 from tissueid.analysis.curves.feedback import FeedbackRun
+from tissueid.analysis.curves.plot import Array
 from tissueid.errors import UnusableInputError
 from tissueid.identification.depth_profile import DepthProfile
 from tissueid.messages import Message

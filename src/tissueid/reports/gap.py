@@ -25,9 +25,8 @@ from tissueid.gap.statement import (
 from tissueid.gap.twin_export import twin_of
 from tissueid.language import _, marked
 from tissueid.messages import MISSING, Message, translated
-from tissueid.reports.blocks import FigureGroup
 from tissueid.reports.gap_panels import gap_panels
-from tissueid.reports.html import RESEARCH_LINE, template, write_text_atomically
+from tissueid.reports.page import RESEARCH_LINE, FigureGroup, template, write_text_atomically
 from tissueid.reports.tables import Table, readable_date
 from tissueid.sessions import Session
 from tissueid.twin.catalogue import all_effects

@@ -13,9 +13,8 @@ from tissueid.gap.blind_check import BlindCheck
 from tissueid.gap.blind_scoring import Measured, Rate, Score
 from tissueid.language import _
 from tissueid.messages import MISSING, Message, translated
-from tissueid.reports.blocks import FigureGroup
 from tissueid.reports.gap_blind_panels import blind_panels
-from tissueid.reports.html import RESEARCH_LINE, template, write_text_atomically
+from tissueid.reports.page import RESEARCH_LINE, FigureGroup, template, write_text_atomically
 from tissueid.reports.tables import Row, Table
 
 Level = Literal["good", "check", "poor"]

@@ -13,7 +13,7 @@ from tissueid.gap.diagnosis_plots import risk_plot
 from tissueid.gap.statement import effect_title
 from tissueid.language import _, marked
 from tissueid.messages import Message, translated
-from tissueid.reports.panel_sheet import Panel
+from tissueid.reports.page import Panel
 from tissueid.reports.plot_renderer import draw_plot
 from tissueid.reports.style import INK, ORANGE, SEQUENTIAL
 

@@ -28,7 +28,7 @@ from tissueid.gap.diagnosis_plots import (
 from tissueid.gap.statement import ordered_candidates
 from tissueid.language import _, marked
 from tissueid.messages import Message
-from tissueid.reports.panel_sheet import Panel, missing_panel
+from tissueid.reports.page import Panel, missing_panel
 from tissueid.reports.plot_renderer import draw_grid, draw_plot, draw_row
 from tissueid.reports.style import INK, MUTED, ORANGE, SHADE
 from tissueid.twin.effect import STAGE_NAMES, Stage

@@ -14,9 +14,7 @@ from tissueid.gap.statement import effect_title
 from tissueid.instrument.twin_file import TwinFile
 from tissueid.language import _, marked
 from tissueid.messages import MISSING, joined, translated
-from tissueid.reports.blocks import FigureGroup
-from tissueid.reports.html import RESEARCH_LINE, template
-from tissueid.reports.panel_sheet import Panel
+from tissueid.reports.page import RESEARCH_LINE, FigureGroup, Panel, template
 from tissueid.reports.plot_renderer import draw_plot
 from tissueid.reports.tables import Row, Table, readable_date
 

@@ -4,30 +4,38 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
-from functools import cache
 from pathlib import Path
-from typing import Any
-
-from jinja2 import Environment, PackageLoader, StrictUndefined, Template
-from markupsafe import Markup
 
 from tissueid.analysis import Analysis
-from tissueid.analysis.curves.diagnostics import Prediction, held_out_prediction
-from tissueid.analysis.curves.validation import correlation_plots, prediction_plots, scatter_plots
-from tissueid.analysis.readings.device_readings import STEP_KIND, recorded_readings
-from tissueid.atomic_write import atomic_file
+from tissueid.analysis.curves.validation import (
+    Prediction,
+    correlation_plots,
+    held_out_prediction,
+    prediction_plots,
+    scatter_plots,
+)
+from tissueid.analysis.device_readings import STEP_KIND, recorded_readings
 from tissueid.device import SIMULATED_LINE
 from tissueid.errors import UnusableInputError
-from tissueid.formatting import clean
 from tissueid.identification import engine_label, report_engines
 from tissueid.identification.engines.wiener import WienerModel
-from tissueid.language import _, current_language, marked
+from tissueid.language import _
 from tissueid.messages import Message, Verbatim, translated
 from tissueid.reports import captions
-from tissueid.reports.blocks import FigureGroup, Picture, absent, picture
-from tissueid.reports.configured import captions_for_configuration, spring_line, surface_of
 from tissueid.reports.figures.registry import Group, all_figures, figures_of
 from tissueid.reports.material import Material
+from tissueid.reports.page import (
+    RESEARCH_LINE,
+    FigureGroup,
+    Picture,
+    absent,
+    captions_for_configuration,
+    picture,
+    spring_line,
+    surface_of,
+    template,
+    write_text_atomically,
+)
 from tissueid.reports.plot_renderer import column_figure, row_figure
 from tissueid.reports.record_pictures import distributions_picture, power_picture, signals_picture
 from tissueid.reports.tables import (
@@ -167,7 +175,7 @@ def _readings(material: Material, key: str) -> tuple[Table | None, tuple[FigureG
     """Return the readings of a step test for comparison with other probes, and their figures; nothing for others."""
     if material.test.kind != STEP_KIND:
         return None, ()
-    from tissueid.reports.readings import recorded_group
+    from tissueid.reports.readings_page import recorded_group
 
     try:
         found = recorded_readings(material.test)
@@ -266,7 +274,6 @@ def _residuals(material: Material, key: str) -> Picture:
     )
 
 
-RESEARCH_LINE = marked("Research use only. Not a medical device; not for diagnosis or treatment.")
 NOTHING_ANALYSED = Message("report.nothing_analysed", "there is nothing to report: no test was analysed")
 
 
@@ -328,33 +335,3 @@ def write_report(
         OSError: the folder is missing, or the disk is full or not writable; nothing is left behind.
     """
     write_text_atomically(path, report_html(session, analyses, comparison=comparison, title=title, refused=refused))
-
-
-def write_text_atomically(path: Path, text: str) -> None:
-    """Write a text file atomically.
-
-    Raises:
-        OSError: the folder is missing, or the disk is full or not writable; nothing is left behind.
-    """
-    with atomic_file(path) as partial:
-        partial.write_text(text, encoding="utf-8", newline="\n")
-
-
-@cache
-def template(name: str) -> Template:
-    """Return the template of a page. It escapes all values and raises an error for an unknown one."""
-    environment = Environment(
-        loader=PackageLoader("tissueid.reports"),
-        autoescape=True,
-        undefined=StrictUndefined,
-        trim_blocks=True,
-        lstrip_blocks=True,
-        finalize=_without_control_characters,
-    )
-    environment.filters["svg"] = Markup
-    environment.globals |= {"_": _, "translated": translated, "language": current_language}
-    return environment.get_template(name)
-
-
-def _without_control_characters(value: Any) -> Any:
-    return clean(value) if type(value) is str else value

@@ -6,11 +6,11 @@ from collections.abc import Mapping
 from dataclasses import dataclass, field
 
 from tissueid.analysis import Analysis
-from tissueid.analysis.curves.diagnostics import Prediction
+from tissueid.analysis.curves.validation import Prediction
 from tissueid.identification.base import Model
 from tissueid.identification.engines.spectral import SpectralModel
-from tissueid.reports.configured import surface_of
 from tissueid.reports.figures.registry import Subject
+from tissueid.reports.page import surface_of
 from tissueid.sessions import Session, Test
 
 

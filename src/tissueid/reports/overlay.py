@@ -10,11 +10,16 @@ import numpy as np
 from matplotlib.figure import Figure
 
 from tissueid import __version__
-from tissueid.analysis.curves import kernel_overlay as kernels
-from tissueid.analysis.curves import overlay as curves
-from tissueid.analysis.curves.correlations import signal_correlations
-from tissueid.analysis.curves.depth_overlay import Columns, bode_by_depth, depth_overlay, impulse_by_depth
-from tissueid.analysis.curves.partitions import partition_error_plots
+from tissueid.analysis.curves import kernels
+from tissueid.analysis.curves import overlay_plots as curves
+from tissueid.analysis.curves.kernels import partition_error_plots
+from tissueid.analysis.curves.overlay_plots import (
+    Columns,
+    bode_by_depth,
+    depth_overlay,
+    impulse_by_depth,
+    signal_correlations,
+)
 from tissueid.analysis.curves.plot import Plot, as_csv
 from tissueid.analysis.overlay import Overlay, quantity_label, repeated_values
 from tissueid.analysis.partition_error import PartitionError
@@ -26,8 +31,7 @@ from tissueid.identification.volterra.model import VolterraModel
 from tissueid.language import _, marked
 from tissueid.messages import MISSING, translated
 from tissueid.reports import captions
-from tissueid.reports.blocks import FigureGroup, Picture, picture
-from tissueid.reports.html import RESEARCH_LINE, template, write_text_atomically
+from tissueid.reports.page import RESEARCH_LINE, FigureGroup, Picture, picture, template, write_text_atomically
 from tissueid.reports.plot_renderer import draw_grid, key_over
 from tissueid.reports.style import FULL_WIDTH, HALF_WIDTH, drawing, new_figure, plain_image
 from tissueid.reports.tables import Table

@@ -18,7 +18,7 @@ from matplotlib.font_manager import FontProperties
 from matplotlib.layout_engine import PlaceHolderLayoutEngine
 
 from tissueid.analysis import Analysis
-from tissueid.analysis.curves.single_test import plots_of_test
+from tissueid.analysis.curves.results import plots_of_test
 from tissueid.atomic_write import atomic_file
 from tissueid.calibration.active import calibration_summary
 from tissueid.device import SIMULATED_LINE
@@ -26,8 +26,8 @@ from tissueid.errors import UnusableInputError
 from tissueid.formatting import clean, subject_text
 from tissueid.language import _
 from tissueid.messages import translated
-from tissueid.reports.configured import surface_of
-from tissueid.reports.html import NOTHING_ANALYSED, RESEARCH_LINE
+from tissueid.reports.html import NOTHING_ANALYSED
+from tissueid.reports.page import RESEARCH_LINE, surface_of
 from tissueid.reports.plot_axes import turn_names
 from tissueid.reports.plot_layout import wrap_label
 from tissueid.reports.plot_renderer import draw_plot

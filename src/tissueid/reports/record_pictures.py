@@ -4,13 +4,13 @@ from __future__ import annotations
 
 from matplotlib.figure import Figure
 
-from tissueid.analysis.curves.correlations import signal_correlations
+from tissueid.analysis.curves.overlay_plots import signal_correlations
 from tissueid.analysis.curves.signals import distribution_plots, recording_plots, recording_spectra
 from tissueid.identification.engines.spectral import SpectralModel
 from tissueid.language import _
 from tissueid.records import Record
 from tissueid.reports import captions
-from tissueid.reports.blocks import Picture, picture
+from tissueid.reports.page import Picture, picture
 from tissueid.reports.plot_renderer import column_figure, row_figure
 from tissueid.sessions import Test
 

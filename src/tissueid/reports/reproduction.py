@@ -12,9 +12,8 @@ from tissueid.analysis.curves.plot import Plot
 from tissueid.formatting import fixed
 from tissueid.language import _, marked
 from tissueid.messages import translated
-from tissueid.reports.blocks import FigureGroup, picture
-from tissueid.reports.html import RESEARCH_LINE, template, write_text_atomically
 from tissueid.reports.overlay import DrawnFigures, OverlayReport, grid_figure, overlay_scores
+from tissueid.reports.page import RESEARCH_LINE, FigureGroup, picture, template, write_text_atomically
 from tissueid.reports.tables import Table
 
 

@@ -8,7 +8,7 @@ from functools import partial
 import numpy as np
 from matplotlib.figure import FigureBase
 
-from tissueid.analysis.curves.stimuli import (
+from tissueid.analysis.curves.signals import (
     amplitude_plots,
     autocorrelation_plots,
     line_plot,
@@ -20,7 +20,7 @@ from tissueid.analysis.stimulus_design import StimulusDesign
 from tissueid.formatting import number
 from tissueid.language import _, marked
 from tissueid.reports import captions
-from tissueid.reports.panel_sheet import Panel
+from tissueid.reports.page import Panel
 from tissueid.reports.plot_renderer import draw_plots, draw_row
 from tissueid.stimuli.kinds.multisine import Multisine
 

@@ -15,10 +15,8 @@ from tissueid.errors import UnusableInputError
 from tissueid.formatting import fixed, grouped
 from tissueid.language import _, marked
 from tissueid.messages import translated
-from tissueid.reports.blocks import FigureGroup
 from tissueid.reports.feedback_panels import feedback_panels
-from tissueid.reports.html import RESEARCH_LINE, template, write_text_atomically
-from tissueid.reports.panel_sheet import Panel, draw_sheet
+from tissueid.reports.page import RESEARCH_LINE, FigureGroup, Panel, draw_sheet, template, write_text_atomically
 from tissueid.reports.stimulus_panels import stimulus_panels
 from tissueid.reports.style import plain_image
 from tissueid.reports.tables import Table, named_text

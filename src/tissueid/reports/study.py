@@ -26,9 +26,7 @@ from tissueid.formatting import label_and_unit
 from tissueid.identification import engine_label
 from tissueid.language import _, marked
 from tissueid.messages import MISSING, Verbatim, translated
-from tissueid.reports.blocks import FigureGroup
-from tissueid.reports.html import RESEARCH_LINE, template
-from tissueid.reports.panel_sheet import Panel
+from tissueid.reports.page import RESEARCH_LINE, FigureGroup, Panel, template
 from tissueid.reports.plot_axes import turn_names
 from tissueid.reports.plot_renderer import draw_plot, key_over
 from tissueid.reports.study_tables import HEADINGS, left_out_table, study_tables

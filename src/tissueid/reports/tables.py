@@ -34,7 +34,7 @@ from tissueid.identification.base import FitReport
 from tissueid.language import _, marked
 from tissueid.messages import MISSING, Message, translated
 from tissueid.records import Estimate
-from tissueid.reports.configured import spring_line
+from tissueid.reports.page import spring_line
 from tissueid.sessions import Session, Test
 from tissueid.units import display_unit
 

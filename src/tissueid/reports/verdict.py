@@ -17,7 +17,7 @@ from tissueid.identification.engines.wiener import WienerModel
 from tissueid.identification.localized import LocalizedModel
 from tissueid.language import _, marked
 from tissueid.messages import Listing, Message
-from tissueid.reports.configured import surface_of
+from tissueid.reports.page import surface_of
 from tissueid.sessions import Test
 from tissueid.sessions.quality import HEADLINES, quality_of
 from tissueid.sessions.quality import Verdict as QualityVerdict

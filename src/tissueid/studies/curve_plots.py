@@ -7,7 +7,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from tissueid.analysis.curves.plot import Array, Axis, Curve, Kind, Plot, Surface
+from tissueid.analysis.curves.plot import FREQUENCY, LAG, Array, Axis, Curve, Kind, Plot, Surface
 from tissueid.analysis.curves.samples import (
     DAMPING,
     GRIDS,
@@ -21,7 +21,6 @@ from tissueid.analysis.curves.samples import (
     PHASE,
     STIFFNESS,
 )
-from tissueid.analysis.curves.units import FREQUENCY, LAG
 from tissueid.language import _, marked
 from tissueid.messages import Message, Verbatim
 from tissueid.studies.curve_groups import ALL_SITES, GroupCurve

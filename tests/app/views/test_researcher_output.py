@@ -9,7 +9,7 @@ from app.views.research_panels import run
 from PySide6.QtWidgets import QComboBox
 
 from tissueid.analysis import analyse
-from tissueid.analysis.curves.prediction import output_plots
+from tissueid.analysis.curves.validation import output_plots
 from tissueid.app.views.researcher.engine_outcome import EngineOutcome, keys_of
 from tissueid.app.views.researcher.pictures import in_the_middle
 from tissueid.app.views.researcher.plot_data import OUTPUT

@@ -9,8 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from tissueid.analysis import Analysis
-from tissueid.analysis.curves.plot import CONFIDENCE, Array, Axis, Bars, Curve, Kind, Plot, cloud
-from tissueid.analysis.curves.units import signal_axis
+from tissueid.analysis.curves.plot import CONFIDENCE, Array, Axis, Bars, Curve, Kind, Plot, cloud, signal_axis
 from tissueid.errors import UnusableInputError
 from tissueid.identification.depth_profile import DepthProfile
 from tissueid.identification.dpn.confidence_bands import CurveBand

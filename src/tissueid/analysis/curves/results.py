@@ -1,38 +1,195 @@
-"""The plots of the result of one engine, in a form in which results can be laid over each other.
+"""The plots behind the result of a test, and those of one engine, made so that several results can be overlaid.
 
-Curves of the result itself have the colour role "model"; "measured" is the measurement that they are compared with.
+Curves of an engine's result have the colour role "model"; "measured" is the measurement that they are compared with.
 """
 
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from functools import cache
-from typing import Literal
+from typing import Literal, TypeVar
 
 import numpy as np
 
 from tissueid.analysis import Analysis
-from tissueid.analysis.curves.correlations import signal_correlations
-from tissueid.analysis.curves.depth import QUANTITIES, depth_plots
+from tissueid.analysis.curves.depth import QUANTITIES, depth_plots, profile_plots
 from tissueid.analysis.curves.linear import (
     coherence_curve,
+    coherence_plot,
     excited,
+    frequency_response,
     impulse_curve,
+    impulse_response,
+    level_impulse_plots,
+    level_response_plots,
     response_axes,
     response_curves,
     spectra_of,
 )
-from tissueid.analysis.curves.nonlinearity import nonlinearity_plot
-from tissueid.analysis.curves.plot import Axis, Curve, Plot
-from tissueid.analysis.curves.prediction import output_plots
-from tissueid.analysis.curves.units import FREQUENCY, LAG, kernel_unit, ratio_unit
+from tissueid.analysis.curves.nonlinearity import nonlinearity_plot, wiener_nonlinearity
+from tissueid.analysis.curves.overlay_plots import signal_correlations
+from tissueid.analysis.curves.plot import (
+    FREQUENCY,
+    LAG,
+    TIME,
+    Axis,
+    Bars,
+    Curve,
+    Plot,
+    Surface,
+    kernel_unit,
+    plot_or_reason,
+    ratio_unit,
+    thin,
+)
+from tissueid.analysis.curves.signals import has_samples, recording_plots, recording_spectra
+from tissueid.analysis.curves.validation import output_plots, unseen_motion
 from tissueid.errors import UnusableInputError
-from tissueid.identification.engines.spectral import Spectra
+from tissueid.identification.base import Model
+from tissueid.identification.engines.lms import LmsModel
+from tissueid.identification.engines.spectral import Spectra, SpectralModel
+from tissueid.identification.engines.wiener import Wiener, WienerModel
+from tissueid.identification.localized import LocalizedModel
 from tissueid.identification.validation.residual_tests import ResidualTest, residual_tests
 from tissueid.language import marked
+from tissueid.messages import Message
 from tissueid.records import Record
+from tissueid.sessions import Test
 from tissueid.units import display_unit
+
+Analyses = Mapping[str, Analysis]
+M = TypeVar("M", bound=Model)
+_NO_RESPONSE = Message("report.no_transfer_function", "no transfer function could be estimated")
+
+
+@dataclass(frozen=True, eq=False)
+class ResultPlots:
+    """Plots of a test; ``missing`` of a plot says why it cannot be drawn."""
+
+    impulse: Plot
+    magnitude: Plot
+    phase: Plot
+    nonlinearity: Plot
+    prediction: Plot
+
+
+@dataclass(frozen=True, eq=False)
+class RecordPlots:
+    """Plots of the recorded signals of a test (Chen 2010, Fig. 2.13); ``missing`` says why one cannot be drawn."""
+
+    voltage: Plot
+    spectra: Plot
+    coherence: Plot
+
+
+def record_plots(test: Test, analyses: Analyses) -> RecordPlots:
+    """Return voltage over time, power spectra of voltage, force and position, and coherence of force and position."""
+    voltage, spectra, coherence = marked("Voltage"), marked("Power spectra"), marked("Coherence")
+    return RecordPlots(
+        plot_or_reason(voltage, TIME, Axis(), lambda: _voltage(test)),
+        plot_or_reason(spectra, FREQUENCY, Axis(), lambda: replace(recording_spectra(test), title=spectra)),
+        plot_or_reason(coherence, FREQUENCY, Axis(), lambda: replace(_coherence(analyses), title=coherence)),
+    )
+
+
+def plots_of_test(analyses: Analyses, linear: str | None) -> ResultPlots:
+    """Return the plots of a test; those of a localized test have a curve for each level.
+
+    Args:
+        analyses: results by engine.
+        linear: the linear engine that leads the report; its simulation is shown where there is no Wiener cascade.
+    """
+    levels = _first(analyses, LocalizedModel)
+    if levels is not None:
+        return _localized_plots(levels[0], levels[1], analyses)
+    spectral = _first(analyses, SpectralModel)
+    magnitude, phase = marked("Bode magnitude"), marked("Bode phase")
+    upper, lower = Plot(magnitude, FREQUENCY, Axis()), Plot(phase, FREQUENCY, Axis())
+    try:
+        if spectral is None:
+            raise UnusableInputError(_NO_RESPONSE)
+        upper, lower = frequency_response(spectral[0], spectral[1].record)
+        upper, lower = replace(upper, title=magnitude), replace(lower, title=phase)
+    except UnusableInputError as error:
+        upper, lower = replace(upper, missing=error.message), replace(lower, missing=error.message)
+    impulse, nonlinearity = marked("Impulse response"), marked("Static nonlinearity")
+    return ResultPlots(
+        plot_or_reason(impulse, LAG, Axis(), lambda: _impulse(analyses)),
+        upper,
+        lower,
+        plot_or_reason(nonlinearity, Axis(), Axis(), lambda: _nonlinearity(analyses)),
+        plot_or_reason(
+            marked("Unseen motion"),
+            Axis(),
+            Axis(),
+            lambda: unseen_motion(analyses, tuple(filter(None, (Wiener.name, linear)))),
+        ),
+    )
+
+
+def _localized_plots(model: LocalizedModel, analysis: Analysis, analyses: Analyses) -> ResultPlots:
+    """Return the responses at each level, and the stiffness against depth in place of a static nonlinearity."""
+    impulse, _scaled = level_impulse_plots(model, analysis.record)
+    upper, lower = level_response_plots(model, analysis.record)
+    stiffness = marked("Stiffness at each level")
+
+    def profile() -> Plot:
+        found = analysis.depth_profile(model)
+        assert found is not None
+        return profile_plots({"": found})[2]
+
+    name = next(name for name, other in analyses.items() if other is analysis)
+    return ResultPlots(
+        replace(impulse, title=marked("Impulse response at each level")),
+        replace(upper, title=marked("Bode magnitude")),
+        replace(lower, title=marked("Bode phase")),
+        replace(plot_or_reason(stiffness, Axis(), Axis(), profile), title=stiffness),
+        plot_or_reason(marked("Unseen motion"), Axis(), Axis(), lambda: unseen_motion(analyses, (name,))),
+    )
+
+
+def _first(analyses: Analyses, kind: type[M]) -> tuple[M, Analysis] | None:
+    return next(((a.model, a) for a in analyses.values() if isinstance(a.model, kind)), None)
+
+
+def _voltage(test: Test) -> Plot:
+    if not has_samples(test, "voltage"):
+        raise UnusableInputError("report.no_voltage", "no voltage was recorded")
+    plot = recording_plots(test)[0]
+    return replace(plot, title=marked("Voltage"), parts=tuple(_thinned(part) for part in plot.parts))
+
+
+def _thinned(part: Curve | Surface | Bars) -> Curve | Surface | Bars:
+    """Return a long line reduced to its extremes by column, so that it is drawn fast."""
+    if not isinstance(part, Curve) or part.kind != "line":
+        return part
+    x, y = thin(part.x, part.y)
+    return replace(part, x=x, y=y)
+
+
+def _coherence(analyses: Analyses) -> Plot:
+    spectral = _first(analyses, SpectralModel)
+    if spectral is None:
+        raise UnusableInputError(_NO_RESPONSE)
+    return coherence_plot(spectral[0].spectra)
+
+
+def _impulse(analyses: Analyses) -> Plot:
+    found = _first(analyses, LmsModel)
+    if found is None:
+        raise UnusableInputError("report.no_impulse_response", "no impulse response could be estimated")
+    return impulse_response(found[0], found[1].record)
+
+
+def _nonlinearity(analyses: Analyses) -> Plot:
+    found = _first(analyses, WienerModel)
+    if found is None:
+        raise UnusableInputError("report.no_nonlinearity", "no static nonlinearity could be estimated")
+    model, analysis = found
+    plot = wiener_nonlinearity(model, analysis.record, analysis.fit_part)
+    return replace(plot, x=replace(plot.x, label=marked("Force after the linear stage")))
+
 
 Panel = Literal[
     "output",
@@ -81,10 +238,10 @@ def result_plots(analysis: Analysis) -> tuple[dict[Panel, Plot], tuple[str, ...]
             made.update({panel: missing_plot(panel, error.message) for panel in panels})
 
     attempt(("output", "residual"), lambda: output_plots(analysis))
-    attempt(("impulse",), lambda: (_impulse(analysis),))
+    attempt(("impulse",), lambda: (_impulse_panel(analysis),))
     spectra = cache(lambda: spectra_of(analysis))
     attempt(("magnitude", "phase"), lambda: _response(analysis, spectra()))
-    attempt(("coherence",), lambda: (_coherence(spectra()),))
+    attempt(("coherence",), lambda: (_coherence_panel(spectra()),))
     attempt(("nonlinearity",), lambda: (nonlinearity_plot(analysis),))
     attempt(("mass", "damping", "stiffness"), lambda: depth_plots(analysis))
     findings: list[str] = []
@@ -129,7 +286,7 @@ TITLES: Mapping[Panel, str] = {
 }
 
 
-def _impulse(analysis: Analysis) -> Plot:
+def _impulse_panel(analysis: Analysis) -> Plot:
     curve = impulse_curve(analysis.model, analysis.record, analysis)
     return Plot(TITLES["impulse"], LAG, Axis("", kernel_unit(analysis.record)[0]), (curve,))
 
@@ -140,7 +297,7 @@ def _response(analysis: Analysis, spectra: Spectra) -> tuple[Plot, Plot]:
     return upper, lower
 
 
-def _coherence(spectra: Spectra) -> Plot:
+def _coherence_panel(spectra: Spectra) -> Plot:
     title = TITLES["coherence"]
     curve = coherence_curve(spectra, excited(spectra))
     return Plot(title, FREQUENCY, Axis(title, limits=(0.0, 1.05)), (curve,))
@@ -163,6 +320,3 @@ def _test(panel: Panel, test: ResidualTest) -> Plot:
     band = test.band[known]
     curve = Curve(1e3 * test.lag_s[known], test.correlation[known], colour="model", low=-band, high=band)
     return Plot(TITLES[panel], LAG, Axis(), (curve,))
-
-
-__all__ = ["TITLES", "Panel", "missing_plot", "panel_units", "result_plots"]

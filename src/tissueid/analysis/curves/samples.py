@@ -16,8 +16,7 @@ from numpy.typing import NDArray
 from tissueid.analysis import Analysis
 from tissueid.analysis.curves.linear import response_curves, spectra_of
 from tissueid.analysis.curves.nonlinearity import central_span
-from tissueid.analysis.curves.plot import Array
-from tissueid.analysis.curves.units import is_mechanical, ratio_unit
+from tissueid.analysis.curves.plot import Array, is_mechanical, ratio_unit
 from tissueid.errors import UnusableInputError
 from tissueid.identification.engines.wiener import WienerModel
 from tissueid.identification.partitions.model import PartitionedModel

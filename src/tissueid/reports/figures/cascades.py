@@ -9,7 +9,7 @@ from matplotlib.figure import Figure
 from matplotlib.layout_engine import ConstrainedLayoutEngine
 from matplotlib.patches import FancyArrowPatch, Rectangle
 
-from tissueid.analysis.curves.cascades import cascade_blocks, hammerstein_blocks, iteration_plots, wiener_blocks
+from tissueid.analysis.curves.nonlinearity import cascade_blocks, hammerstein_blocks, iteration_plots, wiener_blocks
 from tissueid.analysis.curves.plot import Plot
 from tissueid.identification.engines.cascade import CascadeModel
 from tissueid.identification.engines.hammerstein import HammersteinModel

@@ -5,8 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from tissueid.analysis.curves.depth import dpn_plots, static_force_plot
-from tissueid.analysis.curves.diagnostics import Array
-from tissueid.analysis.curves.units import is_mechanical
+from tissueid.analysis.curves.plot import Array, is_mechanical
 from tissueid.errors import UnusableInputError
 from tissueid.formatting import fixed
 from tissueid.identification.engines.dpn import DpnModel

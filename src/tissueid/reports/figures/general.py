@@ -5,8 +5,13 @@ from __future__ import annotations
 import numpy as np
 from matplotlib.axes import Axes
 
-from tissueid.analysis.curves.diagnostics import held_out_prediction
-from tissueid.analysis.curves.validation import cloud_plot, horizon_plot, prediction_plots, residual_test_plot
+from tissueid.analysis.curves.validation import (
+    cloud_plot,
+    held_out_prediction,
+    horizon_plot,
+    prediction_plots,
+    residual_test_plot,
+)
 from tissueid.analysis.scoring import effective_parameters
 from tissueid.errors import UnusableInputError
 from tissueid.formatting import fixed, number

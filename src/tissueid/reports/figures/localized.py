@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from tissueid.analysis.curves.levels import by_depth, level_impulse_plots, level_plots, level_response_plots
+from tissueid.analysis.curves.linear import by_depth, level_impulse_plots, level_plots, level_response_plots
 from tissueid.formatting import fixed
 from tissueid.identification.localized import LocalizedModel
 from tissueid.language import _, marked

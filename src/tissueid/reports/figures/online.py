@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import numpy as np
 
+from tissueid.analysis.curves.feedback import convergence_plots, response_by_depth, response_over_time
 from tissueid.analysis.curves.linear import online_response
-from tissueid.analysis.curves.online import convergence_plots, response_by_depth, response_over_time
 from tissueid.formatting import fixed
 from tissueid.identification.engines.als import AlsModel
 from tissueid.identification.online.identifier import OnlineModel

@@ -6,8 +6,7 @@ from typing import cast
 
 import numpy as np
 
-from tissueid.analysis.curves.kernels import kernels_by_depth
-from tissueid.analysis.curves.partitions import kernel_curves, partition_plots
+from tissueid.analysis.curves.kernels import kernel_curves, kernels_by_depth, partition_plots
 from tissueid.analysis.curves.plot import Bars, Surface
 from tissueid.analysis.curves.validation import ROLES, cloud_plot
 from tissueid.errors import UnusableInputError

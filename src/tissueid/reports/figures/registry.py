@@ -26,7 +26,7 @@ from tissueid.language import _
 from tissueid.messages import translated
 from tissueid.plugins import load_plugins
 from tissueid.records import Record
-from tissueid.reports.blocks import Picture, picture
+from tissueid.reports.page import Picture, picture
 from tissueid.reports.plot_renderer import column_figure
 from tissueid.reports.style import drawing
 

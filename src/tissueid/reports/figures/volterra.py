@@ -6,15 +6,15 @@ from typing import cast
 
 import numpy as np
 
-from tissueid.analysis.curves.kernels import second_order_kernel
-from tissueid.analysis.curves.linear import first_kernel_plot
-from tissueid.analysis.curves.plot import CONFIDENCE, Surface
-from tissueid.analysis.curves.volterra import (
+from tissueid.analysis.curves.kernels import (
     NO_KERNELS,
     contribution_plots,
     impulse_contribution_plot,
+    second_order_kernel,
     third_order_slices,
 )
+from tissueid.analysis.curves.linear import first_kernel_plot
+from tissueid.analysis.curves.plot import CONFIDENCE, Surface
 from tissueid.errors import UnusableInputError
 from tissueid.formatting import fixed, number, with_unit
 from tissueid.identification.volterra.model import VolterraModel

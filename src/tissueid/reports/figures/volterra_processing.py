@@ -5,9 +5,8 @@ from __future__ import annotations
 from dataclasses import replace
 from functools import lru_cache
 
-from tissueid.analysis.curves.diagnostics import Prediction, held_out_prediction
-from tissueid.analysis.curves.validation import prediction_plots, scatter_plots
-from tissueid.analysis.curves.volterra import kernel_and_spectrum, spacing_plot
+from tissueid.analysis.curves.kernels import kernel_and_spectrum, spacing_plot
+from tissueid.analysis.curves.validation import Prediction, held_out_prediction, prediction_plots, scatter_plots
 from tissueid.formatting import fixed
 from tissueid.identification.engines.volterra import Volterra
 from tissueid.identification.validation import vaf_percent

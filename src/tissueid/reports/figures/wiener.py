@@ -4,8 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from tissueid.analysis.curves.cascades import iteration_plots
-from tissueid.analysis.curves.nonlinearity import stiffness_plot, wiener_nonlinearity
+from tissueid.analysis.curves.nonlinearity import iteration_plots, stiffness_plot, wiener_nonlinearity
 from tissueid.formatting import fixed, number
 from tissueid.identification.engines.wiener import Wiener, WienerModel
 from tissueid.language import _, marked

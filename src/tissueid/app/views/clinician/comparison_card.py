@@ -124,8 +124,8 @@ class ComparisonCard(QFrame):
 def _plot_of(quantity: str, sightings: Sequence[Sighting]) -> Plot:
     """Return the plot of a quantity: a row for each sitting."""
     # Late: these bring the identification with numba, and the window opens before there is anything to compare.
+    from tissueid.analysis.curves.comparison_plots import rows_plot
     from tissueid.analysis.curves.plot import Axis
-    from tissueid.analysis.curves.population import rows_plot
 
     label, si_unit = label_and_unit(quantity)
     unit, scale = display_unit(si_unit)

@@ -7,7 +7,7 @@ from pathlib import Path
 from PySide6.QtCore import Qt
 from PySide6.QtWidgets import QFileDialog, QPushButton
 
-from tissueid.analysis.curves.depth_overlay import calibration_curves
+from tissueid.analysis.curves.overlay_plots import calibration_curves
 from tissueid.app.context import AppContext
 from tissueid.app.views.researcher.pictures import Pictures
 from tissueid.app.words import in_words

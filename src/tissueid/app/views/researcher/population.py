@@ -12,8 +12,8 @@ from pathlib import Path
 import numpy as np
 from scipy.stats import t as student
 
+from tissueid.analysis.curves.comparison_plots import Centre, histogram_plot, points_plot
 from tissueid.analysis.curves.plot import Axis, Plot
-from tissueid.analysis.curves.population import Centre, histogram_plot, points_plot
 from tissueid.app.views.researcher.engine_outcome import EngineOutcome
 from tissueid.app.views.researcher.plot_data import Array
 from tissueid.formatting import axis_label, clean, label_and_unit, subject_text

@@ -7,7 +7,7 @@ from datetime import UTC, datetime
 
 from PySide6.QtWidgets import QComboBox, QHBoxLayout, QVBoxLayout, QWidget
 
-from tissueid.analysis.curves.calibration import residual_plot, trend_plot
+from tissueid.analysis.curves.calibration_plots import residual_plot, trend_plot
 from tissueid.app.calibration_state import figure_of
 from tissueid.app.plot_canvas import PlotCanvas
 from tissueid.app.theme import Theme

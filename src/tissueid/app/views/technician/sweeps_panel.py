@@ -9,7 +9,7 @@ import numpy as np
 from PySide6.QtCore import Qt
 from PySide6.QtWidgets import QComboBox, QFrame, QGridLayout, QHBoxLayout, QLabel, QTabWidget, QVBoxLayout, QWidget
 
-from tissueid.analysis.curves.calibration import ALONG_STROKE, stroke_plot
+from tissueid.analysis.curves.calibration_plots import ALONG_STROKE, stroke_plot
 from tissueid.app.calibration_state import figure_of
 from tissueid.app.plot_canvas import PlotCanvas
 from tissueid.app.theme import Theme

@@ -17,15 +17,17 @@ from dataclasses import dataclass
 import numpy as np
 from scipy import optimize
 
-from tissueid.analysis.readings.reading import (
+from tissueid.analysis.step_readings import (
     LARGEST_RELATIVE_STD,
     NO_UNCERTAINTY,
+    SHARPEST_S,
     UNDETERMINED,
+    Array,
     Definition,
     Reading,
+    StepCourse,
     estimate,
 )
-from tissueid.analysis.readings.step_course import SHARPEST_S, Array, StepCourse
 from tissueid.errors import UnusableInputError
 from tissueid.identification.correlation import dependence_samples, long_run_covariance
 from tissueid.identification.second_order import SecondOrder
