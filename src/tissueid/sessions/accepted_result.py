@@ -50,9 +50,9 @@ class AcceptedTest(_Part):
 
 
 class AcceptedValue(_Part):
-    """One quantity, SI. ``std`` is that of the repeats, or of the estimate if ``count`` is 1.
+    """One quantity, SI. ``std`` is that of the repeats, or of the estimate if ``count`` is 1; for 2 the larger of both.
 
-    ``repeatability`` is the difference of two tests that is not exceeded in 95 % of cases; None for one test.
+    ``repeatability`` is the difference of two tests that is not exceeded in 95 % of cases; None below three tests.
     """
 
     mean: _Finite

@@ -113,11 +113,14 @@ def repeat(value, verdict="good", site="left calf"):
 
 
 def test_mean_deviation_and_repeatability():
-    said = together([1.0, 2.0, 3.0, float("nan")])
+    said = together([Estimate(value) for value in (1.0, 2.0, 3.0, float("nan"))])
     assert (said.mean, said.std, said.count) == (2.0, 1.0, 3)
     # √2 times the quantile of Student's t for as many repeats: 4.303 for three.
     assert said.repeatability == pytest.approx(np.sqrt(2.0) * 4.3027 * said.std, rel=1e-4)
-    assert together([1.0]) is None
+    assert together([Estimate(1.0)]) is None
+    close = together([Estimate(4491.0, 210.0), Estimate(4492.0, 210.0)])  # two tests that agree by chance
+    assert (close.std, close.repeatability) == (pytest.approx(210.0), None)
+    assert together([Estimate(1.0, 0.1)] * 2).std == 0.0
     plan = TestPlan(url="u", site="left calf", out="s.h5", lower_force=True)
     sitting = Sitting(plan, repeats=[repeat(0.08), repeat(0.09, "repeat"), repeat(0.10)])
     assert sitting.together["mass_kg"].mean == pytest.approx(0.09)

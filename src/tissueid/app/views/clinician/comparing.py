@@ -220,7 +220,7 @@ def _mean(group: Sequence[Sighting]) -> Sighting:
     values = {}
     for name in QUANTITIES:
         known = [one.values[name] for one in group if name in one.values and math.isfinite(one.values[name].value)]
-        if (said := together([one.value for one in known])) is not None:
+        if (said := together(known)) is not None:
             values[name] = Estimate(said.mean, said.std)
         elif known:
             values[name] = Estimate(known[0].value, None)

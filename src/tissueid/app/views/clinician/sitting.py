@@ -37,6 +37,8 @@ VALUE_HEAD = marked("Value ± standard deviation")
 """Head of the second column where it is of one test."""
 _COVERAGE = 0.95
 """Share of the differences between two tests that lie within the repeatability (Bland and Altman 1999)."""
+_FEWEST_REPEATS = 3
+"""Fewest repeats that give a repeatability."""
 _ROUNDING = 1e-9
 """Share of a mean below which a deviation is that of the arithmetic."""
 
@@ -69,12 +71,13 @@ class Repeat:
 class Together:
     """Mean, standard deviation of one test and repeatability of one quantity over the repeats, SI.
 
-    ``repeatability`` is what the difference of two tests stays below in 95 % of cases (Bland and Altman 1999).
+    ``repeatability`` is what the difference of two tests stays below in 95 % of cases (Bland and Altman 1999); None
+    for two repeats, whose deviation is not known well enough.
     """
 
     mean: float
     std: float
-    repeatability: float
+    repeatability: float | None
     count: int
 
     @property
@@ -83,15 +86,22 @@ class Together:
         return self.std / abs(self.mean) if self.mean else math.nan
 
 
-def together(values: Sequence[float]) -> Together | None:
-    """Mean and repeatability of one quantity over its repeats, shape (n,); None for fewer than two."""
-    known = np.asarray([value for value in values if math.isfinite(value)], np.float64)
-    if known.size < 2:
+def together(values: Sequence[Estimate]) -> Together | None:
+    """Return mean and repeatability of one quantity over its repeats; None for fewer than two.
+
+    The deviation of two repeats is at least that of their estimates: two values are often close by chance.
+    """
+    finite = [value for value in values if math.isfinite(value.value)]
+    if len(finite) < 2:
         return None
-    mean, std = float(known.mean()), float(known.std(ddof=1))
+    each = np.asarray([value.value for value in finite], np.float64)
+    mean, std = float(each.mean()), float(each.std(ddof=1))
     if std < _ROUNDING * abs(mean):
         std = 0.0  # a simulation that plays the same again: its last digits are no deviation
-    return Together(mean, std, repeatability(std, int(known.size)), int(known.size))
+    if each.size < _FEWEST_REPEATS:
+        own = math.sqrt(sum((value.std or 0.0) ** 2 for value in finite) / each.size)
+        return Together(mean, max(std, own) if std else 0.0, None, each.size)
+    return Together(mean, std, repeatability(std, each.size), each.size)
 
 
 def repeatability(std: float, count: int) -> float:
@@ -180,7 +190,7 @@ class Sitting:
     def together(self) -> dict[str, Together]:
         """Mean and repeatability by quantity; empty for fewer than two repeats."""
         found = {
-            name: together([repeat.values[name].value for repeat in self.counting if name in repeat.values])
+            name: together([repeat.values[name] for repeat in self.counting if name in repeat.values])
             for name in QUANTITIES
         }
         return {name: said for name, said in found.items() if said is not None}
@@ -258,7 +268,10 @@ def standing(sitting: Sitting | None, result: AcceptedResult | None, shown: Find
         return None
     values = sitting.values
     heading = translated(Message("sitting.mean_so_far", "Mean so far of {count} repeats", count=sitting.counted))
-    return Standing(heading, values, "", " ".join(_identical(values)))
+    remarks = _identical(values)
+    if sitting.counted < _FEWEST_REPEATS and not remarks:
+        remarks = [_("Repeatability needs three repeats.")]
+    return Standing(heading, values, "", " ".join(remarks))
 
 
 def _identical(values: Mapping[str, AcceptedValue]) -> list[str]:
