@@ -21,6 +21,7 @@ from pydantic import BaseModel, ConfigDict, Field, ValidationError
 from tissueid.errors import UnusableInputError
 from tissueid.identification.blas_threads import one_blas_thread
 from tissueid.identification.depth_profile import DepthProfile
+from tissueid.identification.fit_scores import aic, aicc, vaf_percent
 from tissueid.identification.model_family import Family
 from tissueid.messages import Message, stored
 from tissueid.option_errors import option_error
@@ -178,6 +179,11 @@ class Model(ABC):
         """Return a copy with fields of its report replaced, for example ``seconds``."""
         return replace(self, report=replace(self.report, **changes))
 
+    def with_fit_scores(self, record: Record, used: Mask, simulated: Array | None = None) -> Self:
+        """Return a copy with the scores of its free run, by default simulated here, on samples (n,) of a record."""
+        modelled = self.simulate(record.input) if simulated is None else simulated
+        return self.with_report(**_fit_scores(record, used, modelled, self.report.n_parameters))
+
     def without_validation(self) -> Self:
         """Return a copy without scores on held-out samples, which do not vary above their noise, and a warning."""
         warnings = tuple(warning for warning in self.report.warnings if warning != PREDICTS_NOTHING)
@@ -333,6 +339,35 @@ class Engine(BaseModel, ABC):
     def options(self) -> dict[str, Any]:
         """Return the options as plain values for JSON."""
         return self.model_dump(mode="json")
+
+    def unscored(self, n_samples: int, n_parameters: int, **fields: Any) -> FitReport:
+        """Return the report of a fit before its model can be simulated; see :meth:`Model.with_fit_scores`."""
+        return FitReport(self.name, self.options(), n_samples, n_parameters, math.nan, **fields)
+
+    def report(
+        self, record: Record, used: Mask, modelled: Array, n_parameters: int, *, offset: float = 0.0, **fields: Any
+    ) -> FitReport:
+        """Return the report of a fit.
+
+        Args:
+            record: the data.
+            used: the fitted samples, (n,).
+            modelled: the output of the model, (n,).
+            n_parameters: number of fitted parameters.
+            offset: constant to add to the modelled output.
+            fields: further fields of ``FitReport``.
+        """
+        scores = _fit_scores(record, used, modelled, n_parameters, offset)
+        return replace(self.unscored(int(used.sum()), n_parameters, **fields), **scores)
+
+
+def _fit_scores(record: Record, used: Mask, modelled: Array, n_parameters: int, offset: float = 0.0) -> dict[str, Any]:
+    residuals = np.where(used, record.output - modelled - offset, np.nan)
+    return {
+        "vaf_percent": vaf_percent(record.output[used], modelled[used]),
+        "aic": aic(residuals, n_parameters),
+        "aicc": aicc(residuals, n_parameters),
+    }
 
 
 def _with_sign_warning(model: Model) -> Model:

@@ -9,24 +9,16 @@ import numpy as np
 from pydantic import Field
 
 from tissueid.errors import UnusableInputError
-from tissueid.identification.base import Array, FitReport
+from tissueid.identification.base import Array
 from tissueid.identification.correlation import convolve_at_rest
 from tissueid.identification.impulse_response import memory_warnings
 from tissueid.identification.model_family import Family
 from tissueid.identification.online import adaptive_least_squares as adaptation
-from tissueid.identification.online.identifier import (
-    Identifier,
-    OnlineEngine,
-    OnlineModel,
-    first_sample,
-    lags_of,
-    prepared_recent,
-    run_over,
-)
+from tissueid.identification.online.identifier import Identifier, OnlineEngine, OnlineModel
 from tissueid.identification.preparation import Prepared, prepare
 from tissueid.identification.registry import engine
 from tissueid.identification.second_order_fit import fit_second_order
-from tissueid.identification.validation import aic, aicc, vaf_percent
+from tissueid.identification.validation import vaf_percent
 from tissueid.language import marked
 from tissueid.messages import Message
 from tissueid.records import Record
@@ -71,6 +63,8 @@ class AlsModel(OnlineModel):
 class AlsIdentifier(Identifier):
     """State of adaptive least squares during a record; created by :meth:`Als.start`."""
 
+    options: Als
+
     def __init__(
         self,
         options: Als,
@@ -81,8 +75,7 @@ class AlsIdentifier(Identifier):
         begin: int = 0,
         depth_edges: Array | None = None,
     ) -> None:
-        super().__init__(sample_rate_hz, lags_of(options, sample_rate_hz), operating_point, units, begin)
-        self.options = options
+        super().__init__(options, sample_rate_hz, operating_point, units, begin)
         self.depth_edges = np.zeros(0) if depth_edges is None else depth_edges
         if options.change_factor is None:
             step, floor = options.step, _FLOOR * self.lags * input_std**2
@@ -142,14 +135,6 @@ class AlsIdentifier(Identifier):
         responses[counts == 0.0] = self.average_response
         return responses, self.output_mean + self._counts_at[:, 1] / there, counts.copy()
 
-    def model(self) -> AlsModel:
-        """Return the present model, scored on the latest ten seconds. The identifier is not changed.
-
-        Raises:
-            UnusableInputError: there are too few samples for a score.
-        """
-        return self.options.model_of(self, prepared_recent(self))
-
 
 @engine
 class Als(OnlineEngine):
@@ -166,6 +151,7 @@ class Als(OnlineEngine):
     label: ClassVar[str] = "ALS"
     title: ClassVar[str] = marked("Adaptive least-squares finite impulse response (Chen 2010, Eqs. 6.6-6.8).")
     family: ClassVar[Family] = Family.LINEAR
+    identifier: ClassVar[type[AlsIdentifier]] = AlsIdentifier
 
     step: float = Field(
         0.2,
@@ -189,27 +175,6 @@ class Als(OnlineEngine):
         description=marked("Number of depth ranges, with equal counts of samples, for which responses are averaged"),
     )
 
-    def start(
-        self,
-        sample_rate_hz: float,
-        *,
-        input_std: float = 1.0,
-        input_mean: float | None = None,
-        output_mean: float | None = None,
-        input_unit: str = "N",
-        output_unit: str = "m",
-    ) -> AlsIdentifier:
-        """Return an identifier without any data; see :meth:`OnlineEngine.start`.
-
-        Depths are not known before the test, so all responses are averaged in one level. If an operating point is not
-        given, the running means are subtracted.
-
-        Raises:
-            UnusableInputError: the sample rate is not positive.
-        """
-        units = (input_unit, output_unit)
-        return AlsIdentifier(self, sample_rate_hz, input_std, (input_mean, output_mean), units)
-
     def fit(self, record: Record, fit_part: slice | None = None) -> AlsModel:
         """Run the adaptation over a record, or over a contiguous part of it.
 
@@ -219,15 +184,8 @@ class Als(OnlineEngine):
         prepared = prepare(record, fit_part, self.memory_s)
         self._check_step(prepared)
         outputs = record.output[prepared.used]
-        identifier = AlsIdentifier(
-            self,
-            record.sample_rate_hz,
-            float(np.nanstd(record.input[prepared.part])),
-            (prepared.input_mean, prepared.output_mean),
-            begin=first_sample(prepared),
-            depth_edges=np.unique(np.quantile(outputs, np.linspace(0.0, 1.0, self.levels + 1)[1:-1])),
-        )
-        run_over(identifier, prepared)
+        edges = np.unique(np.quantile(outputs, np.linspace(0.0, 1.0, self.levels + 1)[1:-1]))
+        identifier: AlsIdentifier = self.run(prepared, depth_edges=edges)
         if identifier.warning is not None:
             raise UnusableInputError(identifier.warning)
         return self.model_of(identifier, prepared)
@@ -239,20 +197,17 @@ class Als(OnlineEngine):
         kernel = identifier.average_response / rate
         modelled = convolve_at_rest(kernel, record.input - identifier.centre)
         offset = float(np.mean(record.output[used] - modelled[used]))
-        residuals = np.where(used, record.output - modelled - offset, np.nan)
         second_order = fit_second_order(record, used, self.hold)
         trajectory, trajectory_s, trajectory_position = identifier.trajectory
         depth_response, depth_position, depth_support = identifier.by_depth()
         unstable = () if identifier.warning is None else (identifier.warning,)
         model = AlsModel(
-            report=FitReport(
-                engine=self.name,
-                options=self.options(),
-                n_samples=int(used.sum()),
-                n_parameters=lags + 1,
-                vaf_percent=vaf_percent(record.output[used], modelled[used]),
-                aic=aic(residuals, lags + 1),
-                aicc=aicc(residuals, lags + 1),
+            report=self.report(
+                record,
+                used,
+                modelled,
+                lags + 1,
+                offset=offset,
                 parameters=second_order.parameters,
                 warnings=(*prepared.warnings, *unstable, *memory_warnings(kernel), *second_order.warnings),
                 details={

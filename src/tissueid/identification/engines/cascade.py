@@ -9,7 +9,7 @@ import numpy as np
 from pydantic import Field
 
 from tissueid.errors import UnusableInputError
-from tissueid.identification.base import Array, FitReport, Model
+from tissueid.identification.base import Array, Model
 from tissueid.identification.cascades.blocks import (
     STRUCTURES,
     Blocks,
@@ -42,7 +42,6 @@ from tissueid.identification.preparation import memory_in_samples
 from tissueid.identification.registry import engine
 from tissueid.identification.second_order_fit import SecondOrderFit
 from tissueid.identification.static_nonlinearity import Form, StaticNonlinearity, coefficient_count
-from tissueid.identification.validation import aic, aicc, vaf_percent
 from tissueid.language import marked
 from tissueid.messages import Message
 from tissueid.records import Record
@@ -192,14 +191,11 @@ class Cascade(MemoryEngine):
             details["unexplained_percent"] = choice.chosen.unexplained_percent or 0.0
         rate = record.sample_rate_hz
         return CascadeModel(
-            report=FitReport(
-                engine=self.name,
-                options=self.options(),
-                n_samples=int(used.sum()),
-                n_parameters=blocks.n_parameters,
-                vaf_percent=vaf_percent(record.output[used], modelled[used]),
-                aic=aic(residuals, blocks.n_parameters),
-                aicc=aicc(residuals, blocks.n_parameters),
+            report=self.report(
+                record,
+                used,
+                modelled,
+                blocks.n_parameters,
                 parameters=parameters,
                 findings=() if choice is None else structure_findings(choice),
                 model=structure,

@@ -9,7 +9,7 @@ import numpy as np
 from pydantic import Field
 
 from tissueid.errors import UnusableInputError
-from tissueid.identification.base import Array, Engine, FitReport, Mask, Model
+from tissueid.identification.base import Array, Engine, Mask, Model
 from tissueid.identification.depth_profile import DepthProfile
 from tissueid.identification.dpn.confidence_bands import EstimatedCurves, coefficient_covariance
 from tissueid.identification.dpn.curves import LogCurves
@@ -29,7 +29,6 @@ from tissueid.identification.preparation import (
 from tissueid.identification.registry import engine
 from tissueid.identification.second_order import HOLD, Hold
 from tissueid.identification.second_order_fit import fit_second_order, hold_of
-from tissueid.identification.validation import aic, aicc, vaf_percent
 from tissueid.language import marked
 from tissueid.messages import Message, code_of
 from tissueid.records import Record
@@ -252,7 +251,6 @@ class Dpn(Engine):
                     seconds=run.diverged_at / rate,
                 )
             )
-        residuals = np.where(used, record.output - run.position, np.nan)
         p = int(fitted.curves.theta.size)
         if used.sum() < SAMPLES_PER_PARAMETER * p and "record.few_samples" not in map(code_of, warnings):
             warnings.append(
@@ -266,14 +264,11 @@ class Dpn(Engine):
                 )
             )
         return DpnModel(
-            report=FitReport(
-                engine=self.name,
-                options=self.options(),
-                n_samples=int(used.sum()),
-                n_parameters=p,
-                vaf_percent=vaf_percent(record.output[used], run.position[used]),
-                aic=aic(residuals, p),
-                aicc=aicc(residuals, p),
+            report=self.report(
+                record,
+                used,
+                run.position,
+                p,
                 parameters=dpn_parameters(known, self.surface_position_m, mechanical),
                 warnings=tuple(warnings),
                 findings=tuple(findings(known, gains)) if mechanical else (),

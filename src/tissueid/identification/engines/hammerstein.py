@@ -9,7 +9,7 @@ import numpy as np
 from pydantic import Field
 
 from tissueid.errors import UnusableInputError
-from tissueid.identification.base import Array, FitReport, Mask, Model
+from tissueid.identification.base import Array, Mask, Model
 from tissueid.identification.cascades.blocks import Blocks, CascadeData, cascade_data, input_levels, prepare_cascade
 from tissueid.identification.cascades.curves import with_offset
 from tissueid.identification.cascades.fit import Fitted, fit_linear, hammerstein_passes, refine
@@ -23,7 +23,7 @@ from tissueid.identification.registry import engine
 from tissueid.identification.second_order import Hold
 from tissueid.identification.second_order_fit import SecondOrderFit, fit_second_order
 from tissueid.identification.static_nonlinearity import Form, StaticNonlinearity, coefficient_count
-from tissueid.identification.validation import aic, aicc, vaf_percent
+from tissueid.identification.validation import vaf_percent
 from tissueid.identification.wiener.refinement import derived, wiener_parameters
 from tissueid.language import marked
 from tissueid.messages import Listing, Message
@@ -229,7 +229,6 @@ class Hammerstein(MemoryEngine):
             return with_offset(shape.inner, shape.offset).coefficients
 
         modelled = normal.simulate(np.where(np.isfinite(record.input), record.input, prepared.input_mean))
-        residuals = np.where(used, record.output - modelled, np.nan)
         stage = fit_driven_stage(record, used, nonlinearity, self.hold)
         parameters = wiener_parameters(
             with_offset(nonlinearity, normal.offset),
@@ -250,14 +249,11 @@ class Hammerstein(MemoryEngine):
         parametric = stage.simulate(driven - float(np.mean(driven[used])))
         rate = record.sample_rate_hz
         return HammersteinModel(
-            report=FitReport(
-                engine=self.name,
-                options=self.options(),
-                n_samples=int(used.sum()),
-                n_parameters=blocks.n_parameters,
-                vaf_percent=vaf_percent(record.output[used], modelled[used]),
-                aic=aic(residuals, blocks.n_parameters),
-                aicc=aicc(residuals, blocks.n_parameters),
+            report=self.report(
+                record,
+                used,
+                modelled,
+                blocks.n_parameters,
                 parameters=parameters,
                 findings=tuple(findings),
                 warnings=(*prepared.warnings, *stage.warnings, *doubts, *memory_warnings(normal.first)),

@@ -8,7 +8,7 @@ from typing import ClassVar, Literal
 import numpy as np
 from pydantic import Field
 
-from tissueid.identification.base import Array, FitReport, Model
+from tissueid.identification.base import Array, Model
 from tissueid.identification.correlation import convolve_at_rest
 from tissueid.identification.impulse_response import (
     factor_input,
@@ -22,7 +22,6 @@ from tissueid.identification.model_family import Family
 from tissueid.identification.preparation import prepare
 from tissueid.identification.registry import engine
 from tissueid.identification.second_order_fit import SecondOrderFit, fit_second_order
-from tissueid.identification.validation import aic, aicc, vaf_percent
 from tissueid.language import marked
 from tissueid.records import Record
 
@@ -129,14 +128,11 @@ class Lms(MemoryEngine):
 
         rate = record.sample_rate_hz
         return LmsModel(
-            report=FitReport(
-                engine=self.name,
-                options=self.options(),
-                n_samples=int(prepared.used.sum()),
-                n_parameters=lags + 1,
-                vaf_percent=vaf_percent(record.output[prepared.used], modelled[prepared.used]),
-                aic=aic(residuals, lags + 1),
-                aicc=aicc(residuals, lags + 1),
+            report=self.report(
+                record,
+                prepared.used,
+                modelled,
+                lags + 1,
                 parameters=second_order.parameters | second_order.impulse_coefficients,
                 warnings=(*prepared.warnings, *solved.warnings, *memory_warnings(kernel), *second_order.warnings),
                 details={

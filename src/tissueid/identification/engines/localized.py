@@ -8,7 +8,6 @@ import numpy as np
 from pydantic import Field
 
 from tissueid.formatting import number
-from tissueid.identification.base import FitReport
 from tissueid.identification.depth_levels import find_levels, localized_levels
 from tissueid.identification.localized import (
     LevelFit,
@@ -23,7 +22,6 @@ from tissueid.identification.partitions.parameters import means_and_slopes
 from tissueid.identification.preparation import prepare
 from tissueid.identification.registry import engine
 from tissueid.identification.second_order_fit import fit_second_order
-from tissueid.identification.validation import aic, aicc, vaf_percent
 from tissueid.language import marked
 from tissueid.messages import Message
 from tissueid.records import Estimate, Record
@@ -79,13 +77,7 @@ class Localized(MemoryEngine):
         found, short = fit_levels(record, prepared.used, levels, memory_samples, settle_samples, self.hold)
         curves = curves_through(found)
         model = LocalizedModel(
-            report=FitReport(
-                engine=self.name,
-                options=self.options(),
-                n_samples=sum(one.samples for one in found),
-                n_parameters=_EACH * len(found),
-                vaf_percent=float("nan"),
-            ),
+            report=self.unscored(sum(level.samples for level in found), _EACH * len(found)),
             sample_rate_hz=record.sample_rate_hz,
             memory_samples=memory_samples,
             levels=found,
@@ -95,20 +87,14 @@ class Localized(MemoryEngine):
             hold=self.hold,
         )
         used = prepared.used
-        simulated = model.simulate(record.input)
-        residuals = np.where(used, record.output - simulated, np.nan)
         ordered = sorted(found, key=lambda one: one.position)
         middle = float(np.median([one.position for one in ordered]))
         linear = fit_second_order(record, used, self.hold)
         parameters: dict[str, Estimate] = linear.parameters
         if linear.mechanical:
             parameters = means_and_slopes(level_parameters(ordered), middle)
-        count = _EACH * len(found)
         warnings = [*prepared.warnings, *_warnings(found, short)]
-        return model.with_report(
-            vaf_percent=vaf_percent(record.output[used], simulated[used]),
-            aic=aic(residuals, count),
-            aicc=aicc(residuals, count),
+        return model.with_fit_scores(record, used).with_report(
             parameters=parameters,
             warnings=tuple(warnings),
             findings=_findings(ordered),

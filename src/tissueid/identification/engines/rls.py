@@ -8,24 +8,15 @@ from typing import ClassVar
 import numpy as np
 from pydantic import Field
 
-from tissueid.identification.base import Array, FitReport
+from tissueid.identification.base import Array
 from tissueid.identification.correlation import convolve_at_rest
 from tissueid.identification.impulse_response import kernel_std, memory_warnings
 from tissueid.identification.model_family import Family
 from tissueid.identification.online import recursive_least_squares as recursion
-from tissueid.identification.online.identifier import (
-    Identifier,
-    OnlineEngine,
-    OnlineModel,
-    first_sample,
-    lags_of,
-    prepared_recent,
-    run_over,
-)
+from tissueid.identification.online.identifier import Identifier, OnlineEngine, OnlineModel
 from tissueid.identification.preparation import SAMPLES_PER_PARAMETER, Prepared, prepare
 from tissueid.identification.registry import engine
 from tissueid.identification.second_order_fit import fit_second_order
-from tissueid.identification.validation import aic, aicc, vaf_percent
 from tissueid.language import marked
 from tissueid.messages import Message
 from tissueid.records import Record
@@ -48,6 +39,8 @@ class RlsIdentifier(Identifier):
     variance: one over the ridge.
     """
 
+    options: Rls
+
     def __init__(
         self,
         options: Rls,
@@ -57,8 +50,7 @@ class RlsIdentifier(Identifier):
         units: tuple[str, str] = ("N", "m"),
         begin: int = 0,
     ) -> None:
-        super().__init__(sample_rate_hz, lags_of(options, sample_rate_hz), operating_point, units, begin)
-        self.options = options
+        super().__init__(options, sample_rate_hz, operating_point, units, begin)
         self._constant = input_std
         self.first_variance = options.covariance / input_std**2
         self._triangle, self._work, self._scalars = recursion.start(
@@ -86,14 +78,6 @@ class RlsIdentifier(Identifier):
         """Number of samples used for updates."""
         return int(self._scalars[recursion.UPDATES])
 
-    def model(self) -> RlsModel:
-        """Return the present model, scored on the latest ten seconds. The identifier is not changed.
-
-        Raises:
-            UnusableInputError: there are too few samples for a score.
-        """
-        return self.options.model_of(self, prepared_recent(self))
-
 
 @engine
 class Rls(OnlineEngine):
@@ -110,6 +94,7 @@ class Rls(OnlineEngine):
         "Recursive least-squares finite impulse response (Chen 2010, Eqs. 6.1-6.5) with an offset."
     )
     family: ClassVar[Family] = Family.LINEAR
+    identifier: ClassVar[type[RlsIdentifier]] = RlsIdentifier
 
     forgetting: float = Field(
         1.0,
@@ -126,24 +111,6 @@ class Rls(OnlineEngine):
         description=marked("Initial variance of the response, relative to the ratio of noise and input variance"),
     )
 
-    def start(
-        self,
-        sample_rate_hz: float,
-        *,
-        input_std: float = 1.0,
-        input_mean: float | None = None,
-        output_mean: float | None = None,
-        input_unit: str = "N",
-        output_unit: str = "m",
-    ) -> RlsIdentifier:
-        """Return an identifier without any data; see :meth:`OnlineEngine.start`.
-
-        Raises:
-            UnusableInputError: the sample rate is not positive.
-        """
-        units = (input_unit, output_unit)
-        return RlsIdentifier(self, sample_rate_hz, input_std, (input_mean, output_mean), units)
-
     def fit(self, record: Record, fit_part: slice | None = None) -> RlsModel:
         """Run the recursion over a record, or over a contiguous part of it.
 
@@ -151,15 +118,7 @@ class Rls(OnlineEngine):
             UnusableInputError: nothing varies, too few samples, or a memory longer than the part.
         """
         prepared = prepare(record, fit_part, self.memory_s)
-        identifier = RlsIdentifier(
-            self,
-            record.sample_rate_hz,
-            float(np.nanstd(record.input[prepared.part])),
-            (prepared.input_mean, prepared.output_mean),
-            begin=first_sample(prepared),
-        )
-        run_over(identifier, prepared)
-        return self.model_of(identifier, prepared)
+        return self.model_of(self.run(prepared), prepared)
 
     def model_of(self, identifier: RlsIdentifier, prepared: Prepared) -> RlsModel:
         """Return the model of an identifier, scored on a prepared record."""
@@ -174,14 +133,11 @@ class Rls(OnlineEngine):
         warnings, findings = self._warnings(identifier, covariance)
         trajectory, trajectory_s, trajectory_position = identifier.trajectory
         return RlsModel(
-            report=FitReport(
-                engine=self.name,
-                options=self.options(),
-                n_samples=int(used.sum()),
-                n_parameters=lags + 1,
-                vaf_percent=vaf_percent(record.output[used], modelled[used]),
-                aic=aic(residuals, lags + 1),
-                aicc=aicc(residuals, lags + 1),
+            report=self.report(
+                record,
+                used,
+                modelled,
+                lags + 1,
                 parameters=second_order.parameters,
                 warnings=(*prepared.warnings, *warnings, *memory_warnings(kernel), *second_order.warnings),
                 findings=findings,

@@ -12,7 +12,7 @@ from pydantic import Field
 from scipy import fft, signal
 
 from tissueid.errors import UnusableInputError
-from tissueid.identification.base import Array, FitReport, Model
+from tissueid.identification.base import Array, Model
 from tissueid.identification.correlation import convolve_at_rest
 from tissueid.identification.memory import MemoryEngine
 from tissueid.identification.model_family import Family
@@ -27,7 +27,6 @@ from tissueid.identification.preparation import (
 from tissueid.identification.registry import engine
 from tissueid.identification.second_order import Complex
 from tissueid.identification.second_order_fit import SecondOrderFit, fit_second_order
-from tissueid.identification.validation import aic, aicc, vaf_percent
 from tissueid.language import marked
 from tissueid.messages import Message
 from tissueid.records import Record
@@ -176,18 +175,14 @@ class Spectral(MemoryEngine):
         )
         kernel = fft.irfft(np.where(trusted, spectra.response, 0.0), length)[:lags]
         modelled = prepared.output_mean + convolve_at_rest(kernel, record.input - prepared.input_mean)
-        residuals = np.where(prepared.used, record.output - modelled, np.nan)
         second_order = fit_second_order(record, prepared.used, self.hold)
         doubts = () if trusted.any() else (_NO_COHERENCE,)
         return SpectralModel(
-            report=FitReport(
-                engine=self.name,
-                options=self.options(),
-                n_samples=int(prepared.used.sum()),
-                n_parameters=lags + 1,
-                vaf_percent=vaf_percent(record.output[prepared.used], modelled[prepared.used]),
-                aic=aic(residuals, lags + 1),
-                aicc=aicc(residuals, lags + 1),
+            report=self.report(
+                record,
+                prepared.used,
+                modelled,
+                lags + 1,
                 parameters=second_order.parameters,
                 warnings=(*prepared.warnings, *doubts, *second_order.warnings),
                 details={

@@ -17,7 +17,7 @@ from pydantic import Field
 from scipy import fft
 
 from tissueid.errors import UnusableInputError
-from tissueid.identification.base import Array, Curve, Engine, FitReport, LineFigure, Mask, Model
+from tissueid.identification.base import Array, Curve, Engine, LineFigure, Mask, Model
 from tissueid.identification.correlation import Correlator, dependence_samples
 from tissueid.identification.levenberg_marquardt import Bounds, ErrorPoint, minimise
 from tissueid.identification.model_family import Family
@@ -367,9 +367,7 @@ class ViscoelasticEngine(Engine):
         best = next(fit for fit in fits if fit.system.structure == chosen)
         memory = min(math.ceil(DECAYED * rate * best.system.slowest_s), max(1, round(_LONGEST_SHARE * used.sum())))
         model = ViscoelasticModel(
-            report=FitReport(
-                self.name, self.options(), int(used.sum()), len(best.system.values) + int(best.damped), math.nan
-            ),
+            report=self.unscored(int(used.sum()), len(best.system.values) + int(best.damped)),
             sample_rate_hz=rate,
             memory_samples=max(1, memory if not held else min(memory, math.ceil(_LEAST_S * rate))),
             system=best.system,

@@ -10,14 +10,13 @@ import numpy as np
 from pydantic import Field
 
 from tissueid.errors import UnusableInputError
-from tissueid.identification.base import PARAMETRIC, Array, FitReport
+from tissueid.identification.base import PARAMETRIC, Array
 from tissueid.identification.impulse_response import memory_warnings
 from tissueid.identification.memory import MemoryEngine
 from tissueid.identification.model_family import Family
 from tissueid.identification.preparation import SAMPLES_PER_PARAMETER, Prepared, memory_in_samples, prepare
 from tissueid.identification.registry import engine
 from tissueid.identification.second_order_fit import fit_second_order
-from tissueid.identification.validation import aic, aicc, vaf_percent
 from tissueid.identification.volterra.lag_grid import LagGrid, automatic_grid, lag_grid, shortened, smoothed, whiteness
 from tissueid.identification.volterra.methods import (
     Solved,
@@ -127,12 +126,9 @@ class Volterra(MemoryEngine):
             warnings += second_order.warnings
         per_second = record.sample_rate_hz / grid.spacing
         model = VolterraModel(
-            report=FitReport(
-                engine=self.name,
-                options=self.options(),
-                n_samples=int(prepared.used.sum()),
-                n_parameters=math.ceil(solved.parameters),
-                vaf_percent=math.nan,
+            report=self.unscored(
+                int(prepared.used.sum()),
+                math.ceil(solved.parameters),
                 parameters={} if second_order is None else second_order.parameters,
                 warnings=tuple(warnings),
                 findings=self._signature(solved),
@@ -155,11 +151,11 @@ class Volterra(MemoryEngine):
             input_mean=prepared.input_mean,
             second_order=second_order,
         )
-        model = _scored(model, record, prepared, solved.parameters)
+        model = _scored(model, record, prepared)
         if self.smoothing is None or model.kernel2 is None:
             return model
         filtered = replace(model, kernel2=smoothed(model.kernel2, self.smoothing), kernel2_std=None, unfiltered=model)
-        filtered = _scored(filtered, record, prepared, solved.parameters)
+        filtered = _scored(filtered, record, prepared)
         unfiltered_vaf = {"vaf_unfiltered_percent": model.report.vaf_percent}
         return filtered.with_report(details=filtered.report.details | unfiltered_vaf)
 
@@ -311,13 +307,7 @@ def _scaled(values: Array | None, factor: float) -> Array | None:
     return None if values is None else values * factor
 
 
-def _scored(model: VolterraModel, record: Record, prepared: Prepared, parameters: float) -> VolterraModel:
+def _scored(model: VolterraModel, record: Record, prepared: Prepared) -> VolterraModel:
     """Return the model with its scores on the fitted samples."""
-    used = prepared.used
-    modelled = model.simulate(record.input)
-    residuals = np.where(used, record.output - modelled, np.nan)
-    return model.with_report(
-        vaf_percent=vaf_percent(record.output[used], modelled[used]) if model.order else 0.0,
-        aic=aic(residuals, math.ceil(parameters)),
-        aicc=aicc(residuals, math.ceil(parameters)),
-    )
+    scored = model.with_fit_scores(record, prepared.used)
+    return scored if model.order else scored.with_report(vaf_percent=0.0)

@@ -9,7 +9,7 @@ import numpy as np
 from pydantic import Field
 from scipy import fft
 
-from tissueid.identification.base import Array, FitReport, Model
+from tissueid.identification.base import Array, Model
 from tissueid.identification.impulse_response import factor_input, memory_warnings, with_extra_memory
 from tissueid.identification.memory import MemoryEngine
 from tissueid.identification.model_family import Family
@@ -18,7 +18,7 @@ from tissueid.identification.registry import engine
 from tissueid.identification.second_order import Hold, SecondOrder, sampled_response_at
 from tissueid.identification.second_order_fit import SecondOrderFit
 from tissueid.identification.static_nonlinearity import Exponential, Form, StaticNonlinearity, coefficient_count
-from tissueid.identification.validation import aic, aicc, vaf_percent
+from tissueid.identification.validation import vaf_percent
 from tissueid.identification.wiener.iteration import (
     Cascade,
     LinearStage,
@@ -242,7 +242,6 @@ class Wiener(MemoryEngine):
         used = prepared.used
         z = linear_output(cascade.kernel, solved.input, prepared.input_mean)
         modelled = cascade.nonlinearity(z)
-        residuals = np.where(used, record.output - modelled, np.nan)
         second_order = fit_linear_stage(record, used, z, cascade.nonlinearity, self.hold)
         warnings += second_order.warnings
         parameters = wiener_parameters(
@@ -258,14 +257,11 @@ class Wiener(MemoryEngine):
         warnings += straightness_warning(cascade.nonlinearity, parameters)
         parametric = prepared.input_mean + second_order.simulate(np.where(np.isfinite(solved.input), solved.input, 0.0))
         return WienerModel(
-            report=FitReport(
-                engine=self.name,
-                options=self.options(),
-                n_samples=int(used.sum()),
-                n_parameters=n_parameters,
-                vaf_percent=vaf_percent(record.output[used], modelled[used]),
-                aic=aic(residuals, n_parameters),
-                aicc=aicc(residuals, n_parameters),
+            report=self.report(
+                record,
+                used,
+                modelled,
+                n_parameters,
                 parameters=parameters,
                 warnings=(*warnings, *memory_warnings(cascade.kernel)),
                 findings=(_FEEDBACK_USED,) if passes[chosen].feedback else (),

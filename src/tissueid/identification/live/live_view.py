@@ -168,10 +168,9 @@ def start_identifier(
     """
     if method == "sliding":
         return SlidingLms(Lms(memory=memory), sample_rate_hz, window_s)
-    if method == "rls":
-        return Rls(memory=memory).start(sample_rate_hz)
-    if method == "als":
-        return Als(memory=memory).start(sample_rate_hz)
+    if method in ("rls", "als"):
+        started: RlsIdentifier | AlsIdentifier = (Rls if method == "rls" else Als)(memory=memory).start(sample_rate_hz)
+        return started
     raise UnusableInputError(
         "online.unknown_method",
         "there is no live method '{method}': choose one of {methods}",

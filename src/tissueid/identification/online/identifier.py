@@ -8,7 +8,9 @@ from __future__ import annotations
 
 import math
 from abc import ABC, abstractmethod
+from collections.abc import Callable
 from dataclasses import dataclass
+from typing import Any, ClassVar
 
 import numpy as np
 
@@ -60,14 +62,15 @@ class Identifier(ABC):
 
     def __init__(
         self,
+        options: OnlineEngine,
         sample_rate_hz: float,
-        lags: int,
-        operating_point: tuple[float | None, float | None] = (None, None),
-        units: tuple[str, str] = ("N", "m"),
-        first_sample: int = 0,
+        operating_point: tuple[float | None, float | None],
+        units: tuple[str, str],
+        first_sample: int,
     ) -> None:
+        self.options = options
         self.sample_rate_hz = sample_rate_hz
-        self.lags = lags
+        self.lags = lags = lags_of(options, sample_rate_hz)
         self._means = operating_point
         self._units = units
         self._taken = first_sample
@@ -88,13 +91,13 @@ class Identifier(ABC):
     def _response(self) -> Array:
         """Return the present response per sample, shape (lags,); a view."""
 
-    @abstractmethod
     def model(self) -> Model:
         """Return the present model, scored on the latest ten seconds. The identifier is not changed.
 
         Raises:
             UnusableInputError: there are too few samples for a score.
         """
+        return self.options.model_of(self, prepared_recent(self))
 
     def update(self, u: float, y: float) -> float:
         """Add one input and one output, and return the prediction error before the update.
@@ -236,9 +239,13 @@ class Identifier(ABC):
 
 
 class OnlineEngine(MemoryEngine):
-    """An engine that also runs sample by sample: ``start`` returns the identifier, ``fit`` runs it over a record."""
+    """An engine that also runs sample by sample: ``start`` returns the identifier, ``fit`` runs it over a record.
 
-    @abstractmethod
+    ``identifier`` is the class of the identifier.
+    """
+
+    identifier: ClassVar[Callable[..., Any]]
+
     def start(
         self,
         sample_rate_hz: float,
@@ -248,8 +255,8 @@ class OnlineEngine(MemoryEngine):
         output_mean: float | None = None,
         input_unit: str = "N",
         output_unit: str = "m",
-    ) -> Identifier:
-        """Return an identifier without any data.
+    ) -> Any:
+        """Return an identifier of the class ``identifier`` without any data.
 
         Args:
             sample_rate_hz: of the samples.
@@ -262,15 +269,24 @@ class OnlineEngine(MemoryEngine):
         Raises:
             UnusableInputError: the sample rate is not positive.
         """
+        units = (input_unit, output_unit)
+        return self.identifier(self, sample_rate_hz, input_std, (input_mean, output_mean), units)
 
+    def run(self, prepared: Prepared, **state: Any) -> Any:
+        """Return the identifier after the fitted part of a record; ``state`` is passed to its class."""
+        record = prepared.record
+        input_std = float(np.nanstd(record.input[prepared.part]))
+        means = (prepared.input_mean, prepared.output_mean)
+        begin = first_sample(prepared)
+        identifier = self.identifier(self, record.sample_rate_hz, input_std, means, begin=begin, **state)
+        y = record.output[begin : prepared.part.stop].copy()
+        y[: prepared.part.start - begin] = np.nan  # before the fitted part only the inputs are used
+        identifier.batch(record.input[begin : prepared.part.stop], y)
+        return identifier
 
-def run_over(identifier: Identifier, prepared: Prepared) -> None:
-    """Run an identifier that was started at :func:`first_sample` over the fitted part of a record."""
-    record, part = prepared.record, prepared.part
-    begin = first_sample(prepared)
-    y = record.output[begin : part.stop].copy()
-    y[: part.start - begin] = np.nan  # before the fitted part only the inputs are used
-    identifier.batch(record.input[begin : part.stop], y)
+    @abstractmethod
+    def model_of(self, identifier: Any, prepared: Prepared) -> OnlineModel:
+        """Return the model of an identifier, scored on a prepared record."""
 
 
 def first_sample(prepared: Prepared) -> int:

@@ -8,7 +8,7 @@ from typing import ClassVar, Literal
 import numpy as np
 
 from tissueid.errors import UnusableInputError
-from tissueid.identification.base import Array, FitReport, Mask, option
+from tissueid.identification.base import Array, Mask, option
 from tissueid.identification.depth_levels import is_stepped
 from tissueid.identification.depth_profile import DepthProfile
 from tissueid.identification.memory import MemoryEngine
@@ -27,7 +27,6 @@ from tissueid.identification.partitions.regression import PartitionedKernels, so
 from tissueid.identification.partitions.report import details_of, findings, fit_warnings, named_parameters, profile_of
 from tissueid.identification.preparation import SAMPLES_PER_PARAMETER, Prepared, complete_windows, prepare
 from tissueid.identification.second_order_fit import SecondOrderFit, fit_second_order
-from tissueid.identification.validation import aic, aicc, vaf_percent
 from tissueid.identification.volterra.lag_grid import LagGrid, automatic_grid, lag_grid, shortened
 from tissueid.language import marked
 from tissueid.messages import Message
@@ -319,9 +318,7 @@ def _model(
     rest_cell, rest = equilibrium(solved.kernels, solved.offsets, steady, partitions, prepared.output_mean)
     own_past = not solved.at_output or partitions.directional or partitions.pole > 0.0
     return PartitionedModel(
-        report=FitReport(
-            engine=engine.name, options=engine.options(), n_samples=0, n_parameters=0, vaf_percent=float("nan")
-        ),
+        report=engine.unscored(0, solved.parameters),
         sample_rate_hz=rate,
         memory_samples=grid.memory_samples * (_SETTLING_MEMORIES if own_past else 1),
         partitions=partitions,
@@ -357,23 +354,18 @@ def _reported(
     if int(scored.sum()) < 2:
         scored = used
     scheduled = model.simulate_scheduled(record)
-    vaf = vaf_percent(record.output[scored], simulated[scored])
-    residuals = np.where(scored, record.output - simulated, np.nan)
+    model = model.with_fit_scores(record, scored, simulated)
     details = details_of(model, record, scored, scheduled, solved)
     parameters = named_parameters(local, model.partitions, float(np.median(record.output[used])), linear)
     few = int(used.sum()) < SAMPLES_PER_PARAMETER * solved.parameters
     return model.with_report(
         n_samples=int(used.sum()),
-        n_parameters=solved.parameters,
-        vaf_percent=vaf,
-        aic=aic(residuals, solved.parameters),
-        aicc=aicc(residuals, solved.parameters),
         parameters=parameters,
         warnings=(
             *prepared.warnings,
             *solved.warnings,
             *linear.left_out,
-            *fit_warnings(vaf, details, local, few and not prepared.warnings),
+            *fit_warnings(model.report.vaf_percent, details, local, few and not prepared.warnings),
         ),
         findings=findings(local, model.partitions, linear),
         details=details,

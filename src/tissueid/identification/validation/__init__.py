@@ -1,14 +1,7 @@
 """Validation of models: scores, residual tests, prediction, distortion, repeats, bootstrap."""
 
-from tissueid.identification.validation.scores import (
-    Score,
-    aic,
-    aicc,
-    score,
-    vaf_percent,
-    validate,
-    validated,
-)
+from tissueid.identification.fit_scores import aic, aicc, vaf_percent
+from tissueid.identification.validation.scores import Score, score, validate, validated
 
 __all__ = [
     "Score",
