@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import functools
 import threading
+from collections.abc import Sequence
 from pathlib import Path
 
 from PySide6.QtCore import QObject, Signal
@@ -20,7 +21,7 @@ from tissueid.app.report_opener import write_paper
 from tissueid.app.theme import Theme
 from tissueid.app.views.clinician.body_map import BodyMap
 from tissueid.app.views.clinician.comparing import Comparison, Shelf, compare_with
-from tissueid.app.views.clinician.sitting import VERDICTS, Repeat, Sitting, Standing, standing, values_of
+from tissueid.app.views.clinician.sitting import Repeat, Sitting, Standing, repeat_of, standing
 from tissueid.device import DeviceDescription
 from tissueid.formatting import ANONYMOUS
 from tissueid.language import _
@@ -28,7 +29,7 @@ from tissueid.messages import Message, translated
 from tissueid.procedures.sitting import accept_sitting, reopen_sitting
 from tissueid.procedures.test_plan import TestPlan
 from tissueid.sessions import Test
-from tissueid.sessions.accepted_result import AcceptedResult
+from tissueid.sessions.accepted_result import AcceptedResult, sitting_of
 
 
 class Clinician(QObject):
@@ -45,10 +46,12 @@ class Clinician(QObject):
         self._map: BodyMap | None = None
         self.watcher = Watcher(context, ui.guidance.lamp, ui.form, ui.safety, ui.notice, self)
         self.sitting: Sitting | None = None
+        self._reopened: Sitting | None = None
         self._shelf = Shelf()
         self._cancelled = threading.Event()
         self._comparison = Comparison()
         self._found: Findings | None = None
+        self._by_hand = True  # what is accepted next
         self._accepted = False  # just now: what comes next is the report, once it is logged
         self._paper: Path | None = None  # written of what is shown just so
         ui.form.map.clicked.connect(self.open_map)
@@ -57,13 +60,19 @@ class Clinician(QObject):
         ui.gate.repeats.undone.connect(self.undo)
         ui.result.comparison.cancel.clicked.connect(self.cancel)
         ui.result.pdf.clicked.connect(self.write_pdf)
+        ui.result.repeat_chosen.connect(self._show_repeat)
 
     # -- the window tells --------------------------------------------------------------------------------------
 
-    def planned(self, plan: TestPlan, wanted: int) -> TestPlan:
-        """Return the plan of the next test as a repeat of the current sitting or a new one of ``wanted`` repeats."""
+    def planned(self, plan: TestPlan, wanted: int, before: Sequence[Repeat] = ()) -> TestPlan:
+        """Return the plan of the next test as a repeat of the current sitting or of a new one.
+
+        A new one has ``wanted`` repeats after those that a visit has ``before`` it, whose key it takes.
+        """
         if self.sitting is None or not self.sitting.continues(plan):
-            self.sitting = Sitting(plan, wanted=wanted)
+            self.sitting = Sitting(plan, repeats=list(before), wanted=wanted + len(before))
+            if (key := sitting_of(before[-1].test) if before else None) is not None:
+                self.sitting.key = key
         return self.sitting.planned(plan)
 
     @property
@@ -82,18 +91,29 @@ class Clinician(QObject):
         self._ui.guidance.lamp.quiet(False)
         self._ui.guidance.lamp.show_contact(Contact.UNWATCHED)
 
-    def found(self, findings: Findings, plan: TestPlan | None) -> None:
-        """Handle an analysed test: the newest one of the sitting, or one of an opened file."""
+    def found(self, findings: Findings, plan: TestPlan | None, *, done: bool) -> None:
+        """Handle an analysed test: the newest one of the sitting, or one of an opened file.
+
+        ``done`` is whether a visit goes on elsewhere: what was measured so far is then the result.
+        """
         sitting = self.sitting
-        if sitting is not None and plan is not None and findings.path == plan.out and not sitting.holds(plan.out):
-            verdict = VERDICTS[findings.verdict.level]
-            sitting.repeats.append(
-                Repeat(findings.path, findings.test, verdict, values_of(findings.analyses), findings)
-            )
+        new = sitting is not None and plan is not None and findings.path == plan.out and not sitting.holds(plan.out)
+        if sitting is not None and new:
+            sitting.repeats.append(repeat_of(findings))
+        elif findings.repeats and not self.holds(findings.path):
+            key = sitting_of(findings.test) or ""
+            repeats = list(findings.repeats)
+            self._reopened = Sitting(None, key, repeats, wanted=sum(repeat.counts for repeat in repeats))
         self._found, self._comparison = findings, Comparison()
         self._show_sitting()
+        if sitting is not None and new and done and sitting.counted:
+            self._accept(sitting, by_hand=False)
         self._ui.result.comparison.clear()
         self._compare(findings)
+
+    def holds(self, path: Path) -> bool:
+        """Return whether a file is a test of a sitting that is held here: its other tests need not be read."""
+        return any(sitting is not None and sitting.holds(path) for sitting in (self.sitting, self._reopened))
 
     def clear(self) -> None:
         """Forget the shown test: it is of another subject than the next one."""
@@ -106,12 +126,22 @@ class Clinician(QObject):
         self._paper = None
         self._ui.gate.show_sitting(self._shown_sitting)
         self._ui.result.show_standing(self.standing)
+        if (sitting := self._shown_sitting) is not None and self._found is not None and len(sitting.repeats) > 1:
+            self._ui.result.offer_repeats([repeat.path for repeat in sitting.repeats], self._found.path)
+
+    def _show_repeat(self, place: int) -> None:
+        sitting = self._shown_sitting
+        if sitting is not None and not self._context.busy and sitting.repeats[place].findings is not None:
+            self.findings_wanted.emit(sitting.repeats[place].findings)
 
     @property
     def _shown_sitting(self) -> Sitting | None:
-        """Return the current sitting if the shown test belongs to it."""
-        held = self.sitting is not None and self._found is not None and self.sitting.holds(self._found.path)
-        return self.sitting if held else None
+        """Return the current or the opened sitting if the shown test belongs to it."""
+        shown = None if self._found is None else self._found.path
+        for sitting in (self.sitting, self._reopened):
+            if sitting is not None and shown is not None and sitting.holds(shown):
+                return sitting
+        return None
 
     @property
     def standing(self) -> Standing | None:
@@ -160,15 +190,18 @@ class Clinician(QObject):
 
     def accept(self) -> None:
         """Accept the repeats so far as the result; the next test starts a new sitting."""
-        context, sitting = self._context, self.sitting
-        if sitting is None or context.busy or sitting.accepted or not sitting.counted:
-            return
-        work = functools.partial(accept_sitting, sitting.acceptance, sitting.as_result(), context.trail)
-        context.jobs.do(work, self._finished, self._failed)
+        sitting = self._shown_sitting
+        if sitting is not None and not (self._context.busy or sitting.accepted) and sitting.counted:
+            self._accept(sitting, by_hand=True)
+
+    def _accept(self, sitting: Sitting, *, by_hand: bool) -> None:
+        self._by_hand = by_hand
+        work = functools.partial(accept_sitting, sitting.acceptance, sitting.as_result(), self._context.trail)
+        self._context.jobs.do(work, self._finished, self._failed)
 
     def undo(self) -> None:
         """Continue a finished sitting."""
-        context, sitting = self._context, self.sitting
+        context, sitting = self._context, self._shown_sitting
         if sitting is None or context.busy or sitting.result is None:
             return
         work = functools.partial(reopen_sitting, sitting.acceptance, sitting.result, context.trail)
@@ -216,10 +249,11 @@ class Clinician(QObject):
         self._ui.notice.say(words, problem=True, page=MEASURE)
 
     def _finished(self, result: AcceptedResult) -> None:
-        sitting, found = self.sitting, self._found
+        found = self._found
+        sitting = next((one for one in (self.sitting, self._reopened) if one and one.key == result.sitting), None)
         if sitting is None:
             return
-        sitting.result, self._accepted = result, True
+        sitting.result, self._accepted = result, self._by_hand
         newest = sitting.counting[-1].findings
         if newest is not None and (found is None or not result.holds(found.session.session_id, found.test.number)):
             self.findings_wanted.emit(newest)
@@ -237,11 +271,12 @@ class Clinician(QObject):
                 "Finished: the mean of {count} repeats is the result. The next test begins a new sitting.",
                 count=result.count,
             )
-        self._ui.notice.say(translated(said))
+        say = self._ui.notice.say if self._by_hand else self._context.note
+        say(translated(said))
 
     def _undone(self, _result: object) -> None:
-        if self.sitting is not None:
-            self.sitting.result = None
+        if (sitting := self._shown_sitting) is not None:
+            sitting.result = None
         self._show_sitting()
         self._ui.notice.say(_("The sitting goes on: measure again, or finish it."))
 

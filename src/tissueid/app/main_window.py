@@ -35,7 +35,7 @@ from tissueid.app.preferences import appearance, chosen, show_everywhere, take_k
 from tissueid.app.readouts import NO_TEST, StopKeys
 from tissueid.app.report_opener import Reports
 from tissueid.app.services import AppServices
-from tissueid.app.session_jobs import find, judge_and_analyse
+from tissueid.app.session_jobs import find, judge_and_analyse, open_test
 from tissueid.app.study_sitting import StudySitting
 from tissueid.app.theme import PaletteWatch, Theme, palette_of, style_sheet
 from tissueid.app.user_files import check_save_path
@@ -45,6 +45,7 @@ from tissueid.app.words import in_words, outcome_text, sentence
 from tissueid.atomic_write import private_folder
 from tissueid.audit import Role
 from tissueid.errors import CancelledError, LinkLostError, TissueIDError
+from tissueid.formatting import ANONYMOUS
 from tissueid.language import ENGLISH, _, current_language, set_language
 from tissueid.messages import code_of, translated
 from tissueid.procedures.audit_notes import NOT_LOGGED, record_role
@@ -52,6 +53,7 @@ from tissueid.procedures.control import BY_KEY
 from tissueid.procedures.instrument_access import opening_after
 from tissueid.procedures.test_plan import TestPlan
 from tissueid.sessions import Session, Test
+from tissueid.sessions.model import IMPORTED
 from tissueid.sessions.quality import quality_of
 
 if TYPE_CHECKING:
@@ -193,7 +195,7 @@ class MainWindow(QMainWindow):
                 wrong.setFocus()
             return
         self._plan, self._live = plan, LiveSignals()
-        plan = self.clinician.planned(plan, self.study.wanted)
+        plan = self.clinician.planned(plan, self.study.wanted, self.study.before)
         stop = self.begin_energised(self._show_frame, _("Connecting to the instrument."))
         self._clear_result()
         self.panels.log.note(
@@ -371,7 +373,8 @@ class MainWindow(QMainWindow):
         self.ui.notice.retract()
         self.ui.analysis.hide()
         self.pages.show(MEASURE)
-        self._identify(path, None, None, functools.partial(self._not_opened, before))
+        work = functools.partial(find if self.clinician.holds(path) else open_test, path)
+        self._analyse(work, functools.partial(self._not_opened, before))
 
     def _not_opened(self, before: str, words: str) -> None:
         if self.ui.page == MEASURE:
@@ -383,17 +386,13 @@ class MainWindow(QMainWindow):
         self.pages.show(MEASURE)
         self._identify(path, session, None)
 
-    def _identify(
-        self,
-        path: Path,
-        session: Session | None,
-        number: int | None,
-        failed: Callable[[str], None] | None = None,
-    ) -> None:
+    def _identify(self, path: Path, session: Session | None, number: int | None) -> None:
+        self._analyse(functools.partial(find, path, session, number), self.context.say_failed)
+
+    def _analyse(self, work: Callable[[], Findings], failed: Callable[[str], None]) -> None:
         self.ui.guidance.say(_("Identifying the tissue."))
         why = _("A test is being analysed on Measure: wait a few seconds.")
-        work = functools.partial(find, path, session, number)
-        self.jobs.do(work, self.show_findings, failed or self.context.say_failed, why=why)
+        self.jobs.do(work, self.show_findings, failed, why=why)
 
     def show_findings(self, findings: Findings) -> None:
         """Show the result of the analysis of a test."""
@@ -408,7 +407,7 @@ class MainWindow(QMainWindow):
         self._show_gate(findings.test, findings.verdict)
         self.ui.result.show_findings(findings)
         self.ui.form.show_other_test(self._plan is None or self._plan.out != findings.path)
-        self.clinician.found(findings, self._plan)
+        self.clinician.found(findings, self._plan, done=self.study.moved_on)
         self.ui.show_part(self.ui.result)
         self.ui.pages.tabBar().setFocus()
         self.show_idle()
@@ -444,8 +443,24 @@ class MainWindow(QMainWindow):
 
     def _show_gate(self, test: Test, verdict: Verdict | None = None) -> None:
         """Show the findings of the quality gate, and the verdict once the test is analysed."""
-        can_repeat = self._plan is not None and not self._closing and not self.study.leads
-        self.ui.gate.show_quality(quality_of(test), can_repeat=can_repeat, verdict=verdict)
+        self.ui.gate.show_quality(quality_of(test), can_repeat=self._repeats_shown, verdict=verdict)
+
+    @property
+    def _repeats_shown(self) -> bool:
+        """Whether a test by the form is the shown test again: one recorded here, of the same subject and site."""
+        form, found, plan = self.ui.form, self.findings, self._plan
+        if plan is None or self._closing or self.study.leads:
+            return False
+        shown = (plan.subject, plan.site) if found is None else (found.session.subject.pseudonym, found.test.site)
+        imported = found is not None and IMPORTED in found.test.notes
+        return not imported and shown == (form.subject.text().strip() or ANONYMOUS, form.site.currentText().strip())
+
+    def _offer_repeat(self) -> None:
+        self.ui.gate.allow_repeat(self._repeats_shown)
+
+    def _start_again(self) -> None:
+        if self._repeats_shown:
+            self.start_test()
 
     def show_idle(self) -> None:
         """Show the name of the displayed test, or how to start one."""
@@ -575,10 +590,11 @@ class MainWindow(QMainWindow):
         self.jobs.changed.connect(self._settle)
         ui.start.clicked.connect(self.start_test)
         ui.role.changed.connect(self._change_role)
-        ui.gate.again.connect(self.start_test)
+        ui.gate.again.connect(self._start_again)
         ui.gate.judge.connect(self._judge)
         ui.gate.calibration_wanted.connect(self._go_calibrate)
         ui.form.changed.connect(ui.notice.form_changed)
+        ui.form.changed.connect(self._offer_repeat)
         ui.form.subject_chosen.connect(self._subject_begins)
         ui.stop.clicked.connect(self._stop_by_button)
         ui.halt.clicked.connect(self._stop_by_button)
@@ -587,7 +603,7 @@ class MainWindow(QMainWindow):
         ui.report.clicked.connect(self.reports.open)
         ui.result.test_chosen.connect(self._analyse_other)
         ui.stack.currentChanged.connect(self._page_changed)
-        self.clinician.test_wanted.connect(self.start_test)
+        self.clinician.test_wanted.connect(self._start_again)
         self.clinician.watcher.start_wanted.connect(self.start_test)
         self.clinician.findings_wanted.connect(self.show_findings)
         self.device_search.recovered.connect(self._show_recovered)

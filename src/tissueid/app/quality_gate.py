@@ -46,6 +46,7 @@ class QualityGate(QFrame):
         super().__init__(parent)
         self._role: Role = "technician"
         self._quality: Quality | None = None
+        self._poor = False
         styled(self, role="verdict")
         self.light, self.headline = styled(QLabel("●"), role="headline"), label("headline")
         self.more = button("", name=_("All findings"))
@@ -55,7 +56,7 @@ class QualityGate(QFrame):
         judging = _("Let the quality gate look at the recorded signals; the file stays as it is")
         self.judge_now = button(_("Judge this test"), tip=judging)
         self.repeats = RepeatBar()
-        offered = None, self.repeats, self.more, self.judge_now, self.calibrate, self.run_again
+        offered = None, self.run_again, self.repeats, self.more, self.judge_now, self.calibrate
         said = row(self.light, (self.headline, 1), spacing=8)
         top = fill(FoldingBox(_ONE_ROW), (said, 1), row(*offered, spacing=8), spacing=4)
         self._grid = QGridLayout()
@@ -84,9 +85,10 @@ class QualityGate(QFrame):
         for widget in (self, self.light, self.headline):
             show_level(widget, level)
         self.headline.setText(_(headline) if headline else _("Not judged"))
-        self.run_again.setVisible(level == "poor" and can_repeat)
+        self._poor = level == "poor"
         self.judge_now.setVisible(quality is None and verdict is not None)
         self.repeats.hide()
+        self.allow_repeat(can_repeat)
         self.more.setChecked(False)
         self._fill()
         self.setAccessibleName(" ".join([_("Quality gate:"), self.headline.text() + ".", *self.words]))
@@ -102,8 +104,12 @@ class QualityGate(QFrame):
     def show_sitting(self, sitting: Sitting | None) -> None:
         """Show how far the sitting of the shown test has come; one button repeats it."""
         self.repeats.show_sitting(sitting)
-        if self.repeats.offers_repeat:
-            self.run_again.hide()
+        self.allow_repeat(self.repeats.allowed)
+
+    def allow_repeat(self, allowed: bool) -> None:
+        """Offer to repeat the shown test, or not: the next test is another one."""
+        self.repeats.allow_repeat(allowed)
+        self.run_again.setVisible(self._poor and allowed and not self.repeats.offers_repeat)
 
     @property
     def words(self) -> tuple[str, ...]:

@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import replace
+from pathlib import Path
 
 from PySide6.QtCore import Qt, Signal
 from PySide6.QtGui import QResizeEvent
@@ -63,9 +64,13 @@ _MEANINGS = {
 
 
 class ResultPage(QScrollArea):
-    """The page of results. ``test_chosen`` carries the number of another test of the same session."""
+    """The page of results. ``test_chosen`` carries the number of another test of the same session.
+
+    ``repeat_chosen`` carries the place of another test of the same sitting, from 0.
+    """
 
     test_chosen = Signal(int)
+    repeat_chosen = Signal(int)
     cards: tuple[PlotCanvas, ...] = ()
     """The plots, built for the first result."""
 
@@ -125,6 +130,14 @@ class ResultPage(QScrollArea):
         self._standing = standing
         self.summary.show_standing(standing)
         self._fill()
+
+    def offer_repeats(self, files: Sequence[Path], shown: Path) -> None:
+        """Offer the tests of a sitting, each of which has its own file."""
+        self.test.clear()
+        for place, file in enumerate(files):
+            self.test.addItem(_("Test {number}: {kind}").format(number=place + 1, kind=file.stem), None)
+        self.test.setCurrentIndex(files.index(shown))
+        self.test.show()
 
     def show_changes(self, changes: Mapping[str, str]) -> None:
         """Show what changed since the sitting before at this site, by quantity."""
@@ -241,7 +254,11 @@ class ResultPage(QScrollArea):
         self.test.setVisible(len(tests) > 1)
 
     def _choose_test(self) -> None:
-        self.test_chosen.emit(self.test.currentData())
+        number = self.test.currentData()
+        if number is None:
+            self.repeat_chosen.emit(self.test.currentIndex())
+        else:
+            self.test_chosen.emit(number)
 
 
 def _accepted(number: Number, standing: Standing) -> Number:

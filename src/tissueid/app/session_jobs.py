@@ -2,11 +2,16 @@
 
 from __future__ import annotations
 
+import contextlib
+from collections.abc import Iterable
 from dataclasses import replace
 from pathlib import Path
 
 from tissueid.app.findings import Findings
-from tissueid.sessions import Session, read_session
+from tissueid.app.views.clinician.sitting import repeat_of
+from tissueid.errors import TissueIDError
+from tissueid.sessions import Session, read_outline, read_session
+from tissueid.sessions.accepted_result import MOST_TESTS, sitting_of
 from tissueid.sessions.quality import quality_of
 
 
@@ -33,3 +38,31 @@ def judge_and_analyse(findings: Findings) -> Findings:
         for test, found in judge_session(session)
     )
     return find(findings.path, replace(session, tests=tests), findings.test.number)
+
+
+def open_test(path: Path) -> Findings:
+    """Analyse the first test of a saved session, with the other tests of its sitting if no result of it is accepted.
+
+    Raises:
+        UnusableInputError: the file is not a session, or holds no test.
+    """
+    found = find(path)
+    key = sitting_of(found.test)
+    if key is None or found.accepted is not None or found.unread or len(found.session.tests) != 1:
+        return found
+    others = [repeat_of(other) for other in _others_of_sitting(found, key)]
+    repeats = sorted([*others, repeat_of(found)], key=lambda repeat: (repeat.created, repeat.path))
+    return replace(found, repeats=tuple(repeats))
+
+
+def _others_of_sitting(found: Findings, key: str) -> Iterable[Findings]:
+    """Analyse the other tests of a sitting: sessions next to the test, of its subject and site, saved about then."""
+    saved = found.path.stat().st_mtime
+    files = [file for file in found.path.parent.glob("*.h5") if file.name != found.path.name and file.is_file()]
+    for file in sorted(files, key=lambda file: abs(file.stat().st_mtime - saved))[:MOST_TESTS]:
+        with contextlib.suppress(TissueIDError, OSError):  # a file that cannot be read is no test of it
+            outline = read_outline(file)
+            tests = [entry.test for entry in outline.tests]
+            same = outline.head.subject.pseudonym == found.session.subject.pseudonym
+            if same and len(tests) == 1 and (sitting_of(tests[0]), tests[0].site) == (key, found.test.site):
+                yield find(file)

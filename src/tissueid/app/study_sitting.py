@@ -14,8 +14,9 @@ from tissueid.app.context import AppContext
 from tissueid.app.layout import Layout
 from tissueid.app.navigation_bar import MEASURE
 from tissueid.app.presets import why_not_offered
+from tissueid.app.session_jobs import find
 from tissueid.app.views.clinician.demographics_dialog import DemographicsDialog
-from tissueid.app.views.clinician.sitting import NORM
+from tissueid.app.views.clinician.sitting import NORM, Repeat, repeat_of
 from tissueid.app.views.clinician.study_card import condition_words
 from tissueid.app.window_state import keep_visited_study
 from tissueid.atomic_write import private_folder
@@ -29,10 +30,11 @@ from tissueid.sessions import Session
 
 @dataclass(frozen=True)
 class _Opened:
-    """A sitting, and the stored values of its subject."""
+    """A sitting, the stored values of its subject, and the tests that were recorded before at the next place."""
 
     state: SittingState
     demographics: dict[str, str]
+    before: tuple[Repeat, ...]
 
 
 class StudySitting(QObject):
@@ -45,12 +47,15 @@ class StudySitting(QObject):
         self.dialog: DemographicsDialog | None = None
         self.instruction = ""
         """What comes next, in one sentence; "" without a sitting."""
+        self.before: tuple[Repeat, ...] = ()
+        """Tests of the next place from an earlier visit, without an accepted result."""
         self._demographics: dict[str, str] = {}
         self._folder_before = ui.form.folder
         self.card = ui.study_card
         self.card.data.clicked.connect(self.ask_demographics)
         self.card.photograph.clicked.connect(self._ask_photograph)
         self.card.leave.clicked.connect(self.leave)
+        self.card.next_subject.clicked.connect(self._choose_next)
 
     @property
     def leads(self) -> bool:
@@ -61,6 +66,12 @@ class StudySitting(QObject):
     def complete(self) -> bool:
         """Whether a sitting is open in which nothing is left to measure."""
         return self.state is not None and self.state.step is None
+
+    @property
+    def moved_on(self) -> bool:
+        """Whether the next test is the first one at its place, or none is left: the place before is finished."""
+        step = None if self.state is None else self.state.step
+        return self.complete or (step is not None and step.repeat == 1 and step.attempt == 1)
 
     @property
     def wanted(self) -> int:
@@ -77,7 +88,7 @@ class StudySitting(QObject):
     def recorded(self, path: Path, session: Session) -> None:
         """Count the tests of a session that was just recorded, and offer the next one."""
         if self.state is not None and path.parent == self.state.sessions:
-            before = self.state.step
+            before, self.before = self.state.step, ()
             self.state.add(path, session.subject.pseudonym, session.tests)
             self._offer(before)
 
@@ -85,15 +96,19 @@ class StudySitting(QObject):
         """Leave the sitting; it continues when it is opened again."""
         if self.state is None or self._context.testing():
             return
-        self.state, self.instruction = None, ""
+        self.state, self.instruction, self.before = None, "", ()
         self.card.hide()
         self._ui.start.setToolTip("")
         self._ui.start.setEnabled(not self._context.busy)
         self._context.show_idle()
-        self._ui.gate.repeats.led = False
         self._ui.form.subject.setReadOnly(False)
         self._ui.form.save_in(self._folder_before)
         self._ui.form.fill({"pseudonym": "", "site": "", "condition": "", "minutes_since_application": None})
+
+    def _choose_next(self) -> None:
+        self.leave()
+        self._context.go("studies")
+        self._ui.focus_page()
 
     def ask_demographics(self) -> None:
         """Ask for the values of the subject that the protocol wants."""
@@ -120,11 +135,10 @@ class StudySitting(QObject):
     def _opened(self, opened: _Opened) -> None:
         if not self.leads:
             self._folder_before = self._ui.form.folder
-        state, self._demographics = opened.state, opened.demographics
+        state, self._demographics, self.before = opened.state, opened.demographics, opened.before
         keep_visited_study(self._context.settings, state.folder.absolute())
         self.state = state
         self._context.go(MEASURE)
-        self._ui.gate.repeats.led = True
         self._ui.form.subject.setReadOnly(True)  # a test of another subject would be stored in this one's folder
         self._ui.form.subject_chosen.emit(state.subject)
         self._ui.form.save_in(state.sessions)
@@ -206,7 +220,10 @@ def _open(folder: Path, subject: str) -> _Opened:
     state = open_sitting(folder, subject)
     demographics = read_demographics(folder).get(state.subject, {})
     private_folder(state.sessions)
-    return _Opened(state, demographics)
+    step = state.step
+    tests = state.places.get((step.site, step.condition), []) if step is not None and step.repeat > 1 else []
+    before = [find(path, None, number) for path, number in tests]
+    return _Opened(state, demographics, tuple(repeat_of(test) for test in before if test.accepted is None))
 
 
 def _next_words(before: SittingStep | None, step: SittingStep) -> str:

@@ -183,6 +183,49 @@ def test_finish_can_be_undone_until_the_next_test(qtbot, sitting, tmp_path):
     assert stored(tmp_path).count == 2
 
 
+def test_a_sitting_that_is_opened_again_has_all_its_tests_and_can_be_finished(qtbot, sitting, tmp_path):
+    window = sitting(3, broken=(2,))
+    files = [repeat.path.name for repeat in window.clinician.sitting.repeats]
+    mean = window.clinician.sitting.values["mass_kg"]
+    window.close()
+    qtbot.waitUntil(lambda: not window.isVisible(), timeout=WAIT_MS)
+    again = sitting(0)
+    again.open_session(tmp_path / files[2])
+    qtbot.waitUntil(lambda: idle(again) and again.findings is not None, timeout=WAIT_MS)
+    bar, result = again.ui.gate.repeats, again.ui.result
+    assert reads(result.summary.heading.text(), "sitting.mean_so_far", count=2)
+    assert result.test.count() == 3
+    assert reads(bar.accept.text(), "sitting.finish_tests", places="1, 3")
+    assert not bar.offers_repeat  # the next test begins another sitting
+    result.test.setCurrentIndex(1)
+    result.test.activated.emit(1)
+    assert again.findings.path.name == files[1]
+    assert not bar.isHidden()
+    settle(qtbot, again)
+    press(qtbot, bar.accept)
+    settle(qtbot, again)
+    assert stored(tmp_path).values["mass_kg"] == mean
+    check_agreement(qtbot, again, sitting.papers, tmp_path, [files[0], files[2]])
+
+
+def test_only_the_subject_and_site_that_are_shown_are_tested_again(qtbot, sitting, saved, bench):
+    window = sitting(1)
+    ui, opened = window.ui, len(bench.opened)
+    assert ui.gate.repeats.offers_repeat
+    ui.form.subject.setText("P-8")
+    assert not ui.gate.repeats.offers_repeat
+    window.clinician.test_wanted.emit()
+    ui.form.subject.setText("P-7")
+    assert ui.gate.repeats.offers_repeat
+    window.open_session(saved)
+    qtbot.waitUntil(lambda: idle(window) and window.findings.path == saved, timeout=WAIT_MS)
+    ui.gate.show_quality(None, can_repeat=window._repeats_shown)
+    ui.gate.again.emit()
+    assert ui.gate.run_again.isHidden()
+    assert len(bench.opened) == opened
+    assert not window.testing
+
+
 def test_a_result_that_cannot_be_stored_is_not_accepted(qtbot, sitting, tmp_path, monkeypatch):
     window = sitting(1)
 

@@ -488,6 +488,17 @@ def test_sittings_are_listed_by_the_time_of_their_tests_with_their_accepted_mean
     ]
 
 
+def test_a_sitting_is_marked_by_its_tests_that_can_be_used(tmp_path, saved):
+    session = read_session(saved)
+    (test,) = session.tests
+    for number, status in enumerate(("completed", "aborted")):
+        notes = test.notes | {"sitting": "0f8fad5b-d9cb-469f-a165-70867728950e"}
+        kept = dataclasses.replace(test, notes=notes, status=status)
+        write_session(tmp_path / f"2026-02-0{number + 1}_11-00-00.h5", dataclasses.replace(session, tests=(kept,)))
+    (item,) = look_into(tmp_path, threading.Event()).sessions
+    assert (item.level, item.tests, item.path.name) == ("good", 2, "2026-02-01_11-00-00.h5")
+
+
 @pytest.fixture
 def visits(tmp_path, saved):
     """A folder of sessions with a session of its own, and two studies: one in it, one elsewhere."""

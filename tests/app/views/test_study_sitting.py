@@ -5,7 +5,7 @@ import json
 import pytest
 from app.benches import WAIT_MS
 from app.views.test_clinician import idle, press, run_test, seeded
-from coded import reads, shows
+from coded import shows
 from PySide6.QtCore import Qt
 
 from tissueid.procedures.study_plans import SUBJECTS_FILE
@@ -13,6 +13,7 @@ from tissueid.procedures.study_protocol import PROTOCOL_FILE
 from tissueid.procedures.study_sitting import open_sitting
 from tissueid.procedures.study_subjects import read_demographics
 from tissueid.sessions import read_session
+from tissueid.sessions.accepted_result import read_result, result_of
 
 pytestmark = [pytest.mark.qt_log_level_fail("WARNING"), pytest.mark.qt_log_ignore("This plugin does not support")]
 
@@ -86,10 +87,29 @@ def test_a_change_of_site_is_announced_and_repeats_are_those_of_the_protocol(qtb
     assert shows(said.text(), "study.move", site="abdomen")
     assert remark.isVisible()
     assert ui.form.site.currentText() == "abdomen"
-    assert reads(ui.gate.repeats.accept.text(), "sitting.finish_mean", count=2)
     assert ui.gate.repeats._left == 0
+    accepted = window.clinician.sitting.result
+    assert accepted.count == 2
+    assert result_of(folder / "P01", window.findings.test) == accepted
+    assert not ui.gate.repeats.undo.isHidden()
     window.study.state.add(folder / "P01" / "other.h5", "P01", [])  # nothing was completed
     assert not window.study.complete
+
+
+def test_a_visit_that_goes_on_takes_the_tests_before_into_the_mean(qtbot, open_window, bench, study):
+    window = open_window(opener=seeded(bench))
+    folder = study(repeats=2, conditions=[{}])
+    begin(qtbot, window, folder)
+    run_test(qtbot, window, window.ui.start)
+    window.close()
+    qtbot.waitUntil(lambda: not window.isVisible(), timeout=WAIT_MS)
+    again = open_window(opener=seeded(bench))
+    begin(qtbot, again, folder)
+    run_test(qtbot, again, again.ui.start)
+    assert again.clinician.sitting.wanted == 2
+    assert again.clinician.sitting.result.count == 2
+    (result,) = (folder / "P01").glob("sitting-*.json")
+    assert len({test.file for test in read_result(result).tests}) == 2
 
 
 def test_nothing_starts_when_a_sitting_is_complete(qtbot, open_window, bench, study):
@@ -105,7 +125,11 @@ def test_nothing_starts_when_a_sitting_is_complete(qtbot, open_window, bench, st
     window.start_test()
     assert idle(window)
     assert len(bench.opened) == opened
-    press(qtbot, ui.study_card.leave)
+    assert len(list((folder / "P01").glob("sitting-*.json"))) == 1
+    assert ui.study_card.next_subject.isVisible()
+    press(qtbot, ui.study_card.next_subject)
+    assert ui.page == "studies"
+    window.pages.show("measure")
     qtbot.waitUntil(ui.start.isEnabled, timeout=WAIT_MS)
     assert not ui.start.toolTip()
     assert not ui.form.subject.isReadOnly()

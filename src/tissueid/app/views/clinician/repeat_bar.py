@@ -112,8 +112,9 @@ class RepeatBar(QWidget):
     def __init__(self, parent: QWidget | None = None) -> None:
         super().__init__(parent)
         self._theme: Theme | None = None
-        self.led = False
-        """Whether a protocol says what is measured next, so that no repeat is offered here."""
+        self.allowed = True
+        """Whether the next test repeats the shown one: not where form or protocol say something else."""
+        self._fits = False
         self._shown: tuple[str | None, ...] = ()
         self._left = 0
         self.dots = QLabel()
@@ -146,7 +147,8 @@ class RepeatBar(QWidget):
         self._left = max(0, sitting.wanted - sitting.counted)
         newest = bool(sitting.repeats) and sitting.repeats[-1].counts
         self.repeat.setText(_again(sitting.counted + 1, sitting.wanted))
-        self.repeat.setVisible(newest and self._left > 0 and not sitting.accepted and not self.led)
+        self._fits = newest and self._left > 0 and not sitting.accepted
+        self.allow_repeat(self.allowed)
         self.accept.setVisible(sitting.counted > 0 and not sitting.accepted)
         self.accept.setText(_finish(sitting))
         self.undo.setVisible(sitting.accepted)
@@ -161,6 +163,11 @@ class RepeatBar(QWidget):
             _("{count}. Green: good. Yellow: to be looked at. Red: not counted. Ring: to come.").format(count=count)
         )
         self._draw()
+
+    def allow_repeat(self, allowed: bool) -> None:
+        """Offer the next repeat, if there is one to come, or not."""
+        self.allowed = allowed
+        self.repeat.setVisible(self._fits and allowed)
 
     @property
     def offers_repeat(self) -> bool:

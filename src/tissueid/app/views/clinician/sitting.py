@@ -47,7 +47,7 @@ _ROUNDING = 1e-9
 class Repeat:
     """One test of a sitting. ``values`` are by quantity, SI; empty where it could not be identified.
 
-    ``findings`` are what the page shows of it.
+    ``findings`` are what the page shows of it. :func:`repeat_of` makes one of them.
     """
 
     path: Path
@@ -60,6 +60,11 @@ class Repeat:
     def session_id(self) -> str:
         """The id of its session."""
         return self.findings.session.session_id if self.findings is not None else ""
+
+    @property
+    def created(self) -> str:
+        """When its session was recorded."""
+        return self.findings.session.created if self.findings is not None else ""
 
     @property
     def counts(self) -> bool:
@@ -119,9 +124,12 @@ def repeatability(std: float, count: int) -> float:
 
 @dataclass
 class Sitting:
-    """Tests of one plan, one after another, until they are accepted or the plan changes."""
+    """Tests of one plan, one after another, until they are accepted or the plan changes.
 
-    plan: TestPlan
+    One that was opened again from its files has no plan: the next test begins another sitting.
+    """
+
+    plan: TestPlan | None
     key: str = field(default_factory=lambda: str(uuid.uuid4()))
     repeats: list[Repeat] = field(default_factory=list)
     result: AcceptedResult | None = None
@@ -135,7 +143,9 @@ class Sitting:
 
     def continues(self, plan: TestPlan) -> bool:
         """Whether a test by this plan is a repeat of those that are here."""
-        return not self.accepted and self.counted < self.wanted and _without_place(plan) == _without_place(self.plan)
+        if self.plan is None or self.accepted or self.counted >= self.wanted:
+            return False
+        return _without_place(plan) == _without_place(self.plan)
 
     def planned(self, plan: TestPlan) -> TestPlan:
         """The plan, marked as the next repeat of this sitting."""
@@ -208,6 +218,12 @@ def values_of(analyses: Mapping[str, Analysis]) -> dict[str, Estimate]:
     parameters = analyses[name].model.report.reportable_parameters if name is not None else {}
     found = {quantity: parameters[quantity] for quantity in QUANTITIES if quantity in parameters}
     return {quantity: value for quantity, value in found.items() if value.std is not None}
+
+
+def repeat_of(findings: Findings) -> Repeat:
+    """Return an analysed test as a repeat of its sitting."""
+    verdict = VERDICTS[findings.verdict.level]
+    return Repeat(findings.path, findings.test, verdict, values_of(findings.analyses), findings)
 
 
 @dataclass(frozen=True)

@@ -47,7 +47,8 @@ class StudyCard(QFrame):
         self.photograph = button(_("Photograph…"), role="small", name=_("Add a photograph of the site"))
         leaving = _("What is recorded is kept; the sitting continues when it is opened again")
         self.leave = button(_("Leave"), role="small", name=_("Leave the sitting of the study"), tip=leaving)
-        self.buttons = self.data, self.photograph, self.leave
+        self.next_subject = button(_("Next subject…"), role="small", tip=_("Leave, and choose a subject of the study"))
+        self.buttons = self.data, self.photograph, self.leave, self.next_subject
         words = column(self.progress_text, self.site, self.test, self.condition, self.remark, None, spacing=2)
         holder = QWidget()
         fill(FoldingBox(_BUTTONS_IN_A_ROW, holder), *self.buttons)
@@ -65,6 +66,7 @@ class StudyCard(QFrame):
         self.bar.setRange(0, total)
         self.bar.setValue(step.place - 1 if step else total)
         self.photograph.setVisible(protocol.photograph)
+        self.next_subject.setVisible(step is None)
         if step is None:
             texts = [_("Complete"), Message("study.all", "All {total} tests are done.", total=total), "", "", ""]
         else:

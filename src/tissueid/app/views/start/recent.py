@@ -39,9 +39,9 @@ _DATED, _DATED_LENGTH = "%Y-%m-%d_%H-%M-%S", 19
 class Recent:
     """One sitting as the list shows it, or a session that belongs to none.
 
-    ``path`` is the file that is opened: an accepted test, or else the newest. ``level`` is that of a colour;
-    ``verdict`` says why where a file is no session. ``tests`` counts the files of the sitting. ``study`` is the name of
-    the folder of its study, and ``accepted`` its accepted result; "" without one.
+    ``path`` is the file that is opened: an accepted test, or else the newest that can be used. ``level`` is that of a
+    colour; ``verdict`` says why where a file is no session. ``tests`` counts the files of the sitting. ``study`` is the
+    name of the folder of its study, and ``accepted`` its accepted result; "" without one.
     """
 
     path: Path
@@ -179,7 +179,8 @@ def _joined(key: str, lines: Sequence[Recent]) -> Recent:
     except (UnusableInputError, OSError):
         result = None  # the page of the sitting says so
     accepted = [] if result is None else [test.file for test in result.tests]
-    counting = [line for line in lines if line.path.name in accepted] or list(lines)
+    usable = [line for line in lines if line.level in ("good", "check")]
+    counting = [line for line in lines if line.path.name in accepted] or usable or list(lines)
     worst = max(counting, key=lambda line: list(_LEVELS.values()).index(line.level) if line.level else -1)
     site = newest.site
     if len(lines) > 1:

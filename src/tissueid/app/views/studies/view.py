@@ -202,6 +202,7 @@ class StudiesView(View):
     def begin_sitting(self, subject: str) -> None:
         """Lead through the sitting of a subject on the page Measure."""
         if self.data is not None:
+            self.asking.subject.selectAll()  # the next one is typed over it
             self.context.begin_sitting(self.data.folder, subject)
 
     # -- jobs -----------------------------------------------------------------------------------------------------
