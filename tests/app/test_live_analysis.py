@@ -15,6 +15,7 @@ from tissueid.app.theme import DARK, LIGHT
 from tissueid.app.words import sentence
 from tissueid.identification.live.live_view import METHODS, start_identifier, view
 from tissueid.identification.live.stopping import precision
+from tissueid.messages import Message
 from tissueid.procedures.test_plan import TestPlan
 
 pytestmark = [pytest.mark.qt_log_level_fail("WARNING"), pytest.mark.qt_log_ignore("This plugin does not support")]
@@ -121,6 +122,25 @@ def test_as_many_plots_are_shown_as_fit(panel):
     assert panel.tabs.isHidden()
     panel.resize(520, 480)
     assert visible(panel) == model
+
+
+def test_a_clinician_sees_the_values_and_no_terms_of_models(panel):
+    panel.show_role("clinician")
+    newest = Newest()
+    newest.view = seen()
+    panel.show_live(newest)
+    visible = [card for card in panel.cards if not card.isHidden()]
+    assert visible == [panel.course]
+    assert panel.vaf.isHidden()
+    assert panel.tabs.isHidden()
+    newest.problem = Message("record.few_samples", "{count} usable samples for {parameters} parameters", count=1)
+    panel.show_live(newest)
+    assert "samples" not in panel.said.text()
+    panel.show_role("researcher")
+    assert not panel.vaf.isHidden()
+    assert not panel.tabs.isHidden()
+    panel.show_live(newest)
+    assert "samples" in panel.said.text()
 
 
 def test_a_view_is_drawn_once(panel, monkeypatch):

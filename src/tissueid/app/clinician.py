@@ -102,7 +102,7 @@ class Clinician(QObject):
             sitting.repeats.append(repeat_of(findings))
         elif findings.repeats and not self.holds(findings.path):
             key = sitting_of(findings.test) or ""
-            repeats = list(findings.repeats)
+            repeats = list(map(repeat_of, findings.repeats))
             self._reopened = Sitting(None, key, repeats, wanted=sum(repeat.counts for repeat in repeats))
         self._found, self._comparison = findings, Comparison()
         self._show_sitting()

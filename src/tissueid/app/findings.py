@@ -64,7 +64,7 @@ class Findings:
     refused: Mapping[str, str] = field(default_factory=dict)
     unread: tuple[str, ...] = ()
     """Why the accepted result of the sitting cannot be read, where that is so."""
-    repeats: tuple[Repeat, ...] = ()
+    repeats: tuple[Findings, ...] = ()
     """All tests of the sitting in their order, for a test that was opened again before a result was accepted."""
     readings: str = ""
     """Readings of a step test for comparison with other probes, as one line; empty for other tests."""

@@ -154,6 +154,7 @@ class Layout:
         self.form.show_role(role)
         self.gate.show_role(role)
         self.result.show_role(role)
+        self.analysis.show_role(role)
         self.pages.setTabVisible(2, role == "technician")
 
     def order_tabs(self) -> None:

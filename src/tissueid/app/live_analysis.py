@@ -6,7 +6,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 import pyqtgraph as pg
-from PySide6.QtCore import Qt
+from PySide6.QtCore import QSize, Qt
 from PySide6.QtGui import QResizeEvent
 from PySide6.QtWidgets import QFrame, QHBoxLayout, QLabel, QTabBar, QVBoxLayout, QWidget
 
@@ -15,6 +15,7 @@ from tissueid.app.plotting import PlotCard
 from tissueid.app.small_window import FoldingBox
 from tissueid.app.theme import Theme
 from tissueid.app.words import sentence
+from tissueid.audit import Role
 from tissueid.device import SIMULATED_LINE
 from tissueid.formatting import fixed, label_and_unit, value_and_rest
 from tissueid.instrument.discovery import IN_PROCESS
@@ -71,6 +72,8 @@ _NARROW = {
     "course": ("course",),
 }
 """Plots of each tab, most important first, where two plots fit next to each other and where one does."""
+_PLAIN = {"course": ("course",)}
+"""What a clinician sees: how mass, damping and stiffness settle. The other plots are for researchers."""
 
 _WIDEST_PERCENT = 30.0
 """Half of what the plot of the parameters shows at most, so that its first moments do not squeeze the rest."""
@@ -88,6 +91,7 @@ class LiveAnalysis(QWidget):
         super().__init__(parent)
         self._shown: LiveView | None = None
         self._planned_s = 4.0
+        self._plain = False
         self._parts: dict[str, tuple[str, ...]] = {}
         self._rows: list[FoldingBox] = []
         self._theme: Theme | None = None
@@ -113,6 +117,12 @@ class LiveAnalysis(QWidget):
         self.tabs.currentChanged.connect(self._show_part)
         self.hide()
 
+    def show_role(self, role: Role) -> None:
+        """Show a clinician the values alone, others how well they are known and the curves behind them."""
+        self._plain = role == "clinician"
+        self.vaf.setVisible(not self._plain)
+        self._offer_for(self.size())
+
     def expect(self, plan: TestPlan) -> None:
         """Make room for a test that is about to begin."""
         self._build_plots()
@@ -132,7 +142,9 @@ class LiveAnalysis(QWidget):
         if view is not None and view is not self._shown:
             self._shown = view
             self.show_view(view)
-        if identification.problem:
+        if identification.problem and self._plain:
+            self._say(_("No values can be shown during this test. The test goes on."))
+        elif identification.problem:
             self._say(
                 translated(
                     Message(
@@ -148,7 +160,7 @@ class LiveAnalysis(QWidget):
         if self._shown is None:
             self.hide()
             return
-        missing = sentence(translated(self._shown.missing)) or _(_ENDED)
+        missing = self._missing(self._shown) or _(_ENDED)
         self._show_curve(self._shown.curve, missing)
         self._show_course(self._shown.course, missing)
 
@@ -158,7 +170,7 @@ class LiveAnalysis(QWidget):
         self._shown = view
         self._show_numbers(view)
         self._show_vaf(view)
-        missing = sentence(translated(view.missing))
+        missing = self._missing(view)
         self._show_response(view, missing)
         self._show_bode(view, view.bode, missing)
         self._show_spectra(view.spectra, missing)
@@ -199,8 +211,12 @@ class LiveAnalysis(QWidget):
     def resizeEvent(self, event: QResizeEvent) -> None:  # noqa: N802
         """Show as many plots as there is room for."""
         super().resizeEvent(event)
-        wide = event.size().width() >= 2 * _CARD_WIDTH + _SPACING
-        self._offer({} if wide and event.size().height() >= _ROOM_FOR_ALL else _WIDE if wide else _NARROW)
+        self._offer_for(event.size())
+
+    def _offer_for(self, size: QSize) -> None:
+        wide = size.width() >= 2 * _CARD_WIDTH + _SPACING
+        several = {} if wide and size.height() >= _ROOM_FOR_ALL else _WIDE if wide else _NARROW
+        self._offer(_PLAIN if self._plain else several)
 
     def _offer(self, parts: dict[str, tuple[str, ...]]) -> None:
         """Offer the plots on these tabs; {} shows all without tabs."""
@@ -215,7 +231,7 @@ class LiveAnalysis(QWidget):
             self.tabs.setTabData(self.tabs.addTab(_(_PARTS[name])), name)
         self.tabs.setCurrentIndex(list(parts).index(chosen) if chosen in parts else 0)
         self.tabs.blockSignals(False)
-        self.tabs.setVisible(bool(parts))
+        self.tabs.setVisible(len(parts) > 1)
         self._show_part()
 
     def _show_part(self) -> None:
@@ -280,6 +296,10 @@ class LiveAnalysis(QWidget):
             self._layout.addLayout(plots, 1)
             self._rows.append(plots)
         self._show_part()
+
+    def _missing(self, view: LiveView) -> str:
+        """Return why plots are missing; "" for a clinician, who is not told of models."""
+        return "" if self._plain else sentence(translated(view.missing))
 
     def _say(self, text: str) -> None:
         self.said.setText(text)

@@ -31,7 +31,7 @@ from tissueid.audit import Role
 from tissueid.device import SIMULATED_LINE
 from tissueid.formatting import local_time, value_and_rest, zone_offset
 from tissueid.language import _, marked
-from tissueid.messages import Message, translated
+from tissueid.messages import Message, code_of, translated
 from tissueid.records import Estimate
 from tissueid.sessions import Test
 from tissueid.sessions.model import DATE_NOTE
@@ -47,6 +47,7 @@ _METHODS = marked(
     "LMS: a linear model by least squares. Spectral: the same by frequency. Wiener: a linear model with a curve behind "
     "it."
 )
+_OF_MODEL = marked("The values are less certain than usual; Details says why.")
 _PLOT_HEIGHT = 150
 _MEANINGS = {
     "mass_kg": marked(
@@ -160,8 +161,10 @@ class ResultPage(QScrollArea):
         # Headline and light stand above, and so does what the quality gate said.
         shown = {finding.words for finding in findings.quality.findings} if findings.quality else set()
         reasons = [reason for reason in findings.verdict.reasons if reason not in shown]
+        if not detailed:
+            reasons = [_(_OF_MODEL) if code_of(reason) == "verdict.engine_warning" else reason for reason in reasons]
         cautions = findings.cautions if detailed else ()
-        self.reasons.setText("\n".join(translated(line) for line in [*findings.unread, *reasons, *cautions]))
+        self.reasons.setText("\n".join(dict.fromkeys(map(translated, [*findings.unread, *reasons, *cautions]))))
         self.reasons.setVisible(bool(self.reasons.text()))
         facts = [_recorded(findings), findings.ended, findings.visited if detailed else ""]
         self.facts.setText(" ".join(filter(None, facts)))

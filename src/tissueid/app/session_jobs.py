@@ -8,7 +8,6 @@ from dataclasses import replace
 from pathlib import Path
 
 from tissueid.app.findings import Findings
-from tissueid.app.views.clinician.sitting import repeat_of
 from tissueid.errors import TissueIDError
 from tissueid.sessions import Session, read_outline, read_session
 from tissueid.sessions.accepted_result import MOST_TESTS, sitting_of
@@ -50,9 +49,8 @@ def open_test(path: Path) -> Findings:
     key = sitting_of(found.test)
     if key is None or found.accepted is not None or found.unread or len(found.session.tests) != 1:
         return found
-    others = [repeat_of(other) for other in _others_of_sitting(found, key)]
-    repeats = sorted([*others, repeat_of(found)], key=lambda repeat: (repeat.created, repeat.path))
-    return replace(found, repeats=tuple(repeats))
+    tests = [*_others_of_sitting(found, key), found]
+    return replace(found, repeats=tuple(sorted(tests, key=lambda test: (test.session.created, test.path))))
 
 
 def _others_of_sitting(found: Findings, key: str) -> Iterable[Findings]:

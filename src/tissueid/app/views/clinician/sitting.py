@@ -62,11 +62,6 @@ class Repeat:
         return self.findings.session.session_id if self.findings is not None else ""
 
     @property
-    def created(self) -> str:
-        """When its session was recorded."""
-        return self.findings.session.created if self.findings is not None else ""
-
-    @property
     def counts(self) -> bool:
         """Whether it counts for the mean: it passed the quality gate, was completed, and has values."""
         return self.verdict in ("good", "look") and self.test.status == "completed" and bool(self.values)
