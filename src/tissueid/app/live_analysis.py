@@ -72,7 +72,7 @@ _NARROW = {
     "course": ("course",),
 }
 """Plots of each tab, most important first, where two plots fit next to each other and where one does."""
-_PLAIN = {"course": ("course",)}
+_PLAIN: dict[str, tuple[str, ...]] = {"course": ("course",)}
 """What a clinician sees: how mass, damping and stiffness settle. The other plots are for researchers."""
 
 _WIDEST_PERCENT = 30.0
