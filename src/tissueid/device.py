@@ -9,7 +9,7 @@ from dataclasses import dataclass, field
 
 from tissueid.language import marked
 from tissueid.messages import Action, Message, message_from
-from tissueid.untrusted_input import json_value
+from tissueid.untrusted_input import StoredName, StoredText, StoredValue, json_value
 
 GRAVITY_M_S2 = 9.80665
 
@@ -34,8 +34,8 @@ CALIBRATE_SWEEP = Action("calibrate.sweep", "tissueid calibrate sweep", marked("
 class DeviceDescription:
     """Nominal properties of an indenter, SI. Defaults: desktop research device (Chen 2010, 2.2.1)."""
 
-    model: str = "desktop indenter"
-    serial_number: str = "unknown"
+    model: StoredText = "desktop indenter"
+    serial_number: StoredText = "unknown"
     coil_resistance_ohm: float = 12.0
     coil_inductance_h: float = 1.00e-3
     force_constant_n_per_a: float = 3.0
@@ -49,9 +49,9 @@ class DeviceDescription:
     """Corner of the first-order anti-alias filter of every channel; 0 where there is none or it is unknown."""
     calibration_spring_n_per_m: float = 1000.0
     calibration_relative_uncertainty: float = 0.02
-    firmware_version: str = ""
-    protocol_version: str = ""
-    calibration: dict[str, float | str] = field(default_factory=dict)
+    firmware_version: StoredText = ""
+    protocol_version: StoredText = ""
+    calibration: dict[StoredName, StoredValue] = field(default_factory=dict)
 
     @property
     def filter_time_s(self) -> float:

@@ -7,9 +7,12 @@ within ``SECONDS`` and ``MEMORY_BYTES``; a large file may take more, in proporti
 from __future__ import annotations
 
 import json
+import math
 import re
 import tomllib
-from typing import Any
+from typing import Annotated, Any
+
+from pydantic import AfterValidator, BeforeValidator, Field
 
 SECONDS = 20.0
 """Time for reading one file, s."""
@@ -105,6 +108,27 @@ def json_value(text: str | bytes) -> Any:
 def storable_text(text: str) -> str:
     """Return the text with lone surrogates, which UTF-8 cannot encode, replaced by U+FFFD."""
     return _SURROGATES.sub("\ufffd", text)
+
+
+def _without_nul(text: str) -> str:
+    if "\0" in text:
+        raise ValueError("a text holds a null character")
+    return text
+
+
+def _as_number(value: Any) -> Any:
+    if isinstance(value, bool):
+        return float(value)
+    return math.nan if value is None else value
+
+
+StoredText = Annotated[str, Field(max_length=MAX_TEXT), AfterValidator(_without_nul)]
+"""A text as HDF5 can store it."""
+StoredName = Annotated[str, Field(min_length=1, max_length=1000), AfterValidator(_without_nul)]
+"""Name of an attribute."""
+StoredNumber = Annotated[float, BeforeValidator(_as_number)]
+"""A number; null in JSON is NaN, and true is 1."""
+StoredValue = StoredText | StoredNumber
 
 
 def _storable(value: Any, levels: int) -> Any:

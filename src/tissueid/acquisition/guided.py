@@ -5,6 +5,7 @@ from __future__ import annotations
 import time
 from collections.abc import Callable
 from dataclasses import asdict, dataclass, field, replace
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -34,7 +35,7 @@ from tissueid.instrument import (
 from tissueid.instrument.force_profile import recorded_force
 from tissueid.language import marked
 from tissueid.messages import Action, Message, Verbatim
-from tissueid.sessions.model import reason_notes
+from tissueid.sessions.model import Test, reason_notes
 from tissueid.stimuli.base import Array, Stimulus, Unit, to_voltage
 from tissueid.stimuli.feedback import FeedbackKind
 from tissueid.wire import Flag
@@ -191,7 +192,7 @@ class _Recording:
         """Store the beginning of the run; the coil is energised now."""
         self.planned = run
         limits: dict[str, str | float] = {f"limit_{name}": value for name, value in asdict(self._test.limits).items()}
-        attributes = {
+        attributes: dict[str, Any] = {
             "kind": self._test.kind,
             "configuration": self._test.configuration.name,
             "site": self._test.site,
@@ -207,7 +208,7 @@ class _Recording:
             | self._test.notes,
         }
         number = self._recorder.begin_test(run, **attributes)
-        self._open = OpenTest(number, run, attributes)
+        self._open = OpenTest(Test(number=number, signals={}, **attributes), run)
 
     def take(self, samples: NDArray[np.void], fraction: float) -> None:
         """Record samples of the run; those after a release are only counted."""

@@ -9,17 +9,20 @@ import re
 import struct
 import zlib
 from collections.abc import Iterator
-from dataclasses import dataclass, field, fields
+from dataclasses import dataclass, field
 from enum import IntEnum
+from functools import cached_property
 from pathlib import Path
-from typing import IO, Annotated, Any, TypeVar
+from typing import IO, Annotated, Any, Self, TypeVar
 
-from pydantic import AfterValidator, BaseModel, ConfigDict, Field, JsonValue, ValidationError, model_validator
+from pydantic import BaseModel, ConfigDict, Field, JsonValue, ValidationError, model_validator
 
 from tissueid.device import DeviceDescription
 from tissueid.errors import UnusableInputError
 from tissueid.instrument import SAMPLE
-from tissueid.sessions import MAX_TESTS
+from tissueid.sessions import Subject, Test
+from tissueid.sessions.model import TestNumber, stored_test
+from tissueid.untrusted_input import StoredName, StoredText, StoredValue
 
 MAGIC = b"TIDJ\x01\r\n\x00"
 _ENTRY = struct.Struct("<BI")
@@ -160,52 +163,26 @@ MAX_RUN_SAMPLES = 20_000_000
 """Maximum number of samples of a run."""
 MAX_JSON = 4 * 1024 * 1024
 """Maximum size of a JSON entry, bytes: four times the longest text in a session."""
-_MAX_TEXT = 1_000_000
-_MAX_NAME = 1_000
-
-
-def _without_nul(text: str) -> str:
-    if "\0" in text:
-        raise ValueError("a text holds a null character")
-    return text
-
-
-Text = Annotated[str, Field(max_length=_MAX_TEXT), AfterValidator(_without_nul)]
-Name = Annotated[str, Field(min_length=1, max_length=_MAX_NAME), AfterValidator(_without_nul)]
-Whole = Annotated[int, Field(ge=-(2**63), lt=2**64)]
-"""Range of an integer attribute of HDF5."""
-Note = bool | Whole | float | Text
-Number = Annotated[int, Field(ge=0, le=MAX_TESTS)]
 
 
 class _Content(BaseModel):
     model_config = ConfigDict(strict=True, frozen=True, extra="ignore")
 
 
-class SubjectContent(_Content):
-    """Content of a ``sessions.Subject``."""
-
-    pseudonym: Text = "anonymous"
-    demographics: dict[Name, Note] = {}
-
-
 class SittingContent(_Content):
     """Subject and instrument of a sitting. ``sample_fields`` are those of ``instrument.SAMPLE``."""
 
-    session_id: Text
-    created: Text
+    session_id: StoredText
+    created: StoredText
     device: DeviceDescription
-    subject: SubjectContent
+    subject: Subject
     sample_fields: list[tuple[str, str]]
-    audit_head: Text = ""
+    audit_head: StoredText = ""
 
     @model_validator(mode="after")
-    def _usable(self) -> SittingContent:
+    def _usable(self) -> Self:
         if self.sample_fields != [tuple(item) for item in SAMPLE.descr]:
             raise ValueError("its samples have a layout that this software does not know")
-        for one in fields(self.device):
-            if isinstance(value := getattr(self.device, one.name), str):
-                _without_nul(value)
         return self
 
 
@@ -216,30 +193,25 @@ class RunContent(_Content):
     samples: Annotated[int, Field(gt=0, le=MAX_RUN_SAMPLES)]
 
 
-class AttributesContent(_Content):
-    """Attributes of ``sessions.Test`` that are known when the test begins."""
-
-    kind: Text
-    sample_rate_hz: Annotated[float, Field(ge=1e-3, le=1e9)]
-    configuration: Text = "indentation"
-    site: Text = ""
-    preload_s: Annotated[float, Field(ge=0.0, le=1e9)] = 0.0
-    surface_position_m: float = float("nan")
-    stimulus: dict[str, JsonValue] = {}
-    seed: Whole = 0
-    repeat_of: Number | None = None
-    notes: dict[Name, Note] = {}
-
-
 class TestContent(_Content):
     """Header of a test; ``again`` marks a repetition during the test."""
 
     __test__ = False
 
-    number: Number
+    number: TestNumber
     run: RunContent
-    attributes: AttributesContent
+    attributes: dict[str, Any]
     again: bool = False
+
+    @cached_property
+    def test(self) -> Test:
+        """The test, without signals."""
+        return stored_test(self.number, self.attributes)
+
+    @model_validator(mode="after")
+    def _usable(self) -> Self:
+        assert self.test is not None
+        return self
 
 
 class TestEndContent(_Content):
@@ -247,16 +219,16 @@ class TestEndContent(_Content):
 
     __test__ = False
 
-    status: Text
-    notes: dict[Name, Note] = {}
-    test: Number | None = None
+    status: StoredText
+    notes: dict[StoredName, StoredValue] = {}
+    test: TestNumber | None = None
     samples: int | None = None
 
 
 class ClosedContent(_Content):
     """End of a sitting."""
 
-    audit_head: Text | None = None
+    audit_head: StoredText | None = None
 
 
 class EventContent(BaseModel):
@@ -265,8 +237,8 @@ class EventContent(BaseModel):
     model_config = ConfigDict(strict=True, frozen=True, extra="allow")
     __pydantic_extra__: dict[str, JsonValue]
 
-    kind: Text
-    test: Number | None = None
+    kind: StoredText
+    test: TestNumber | None = None
 
     def as_note(self) -> dict[str, Any]:
         """Return the event without the number of its test."""

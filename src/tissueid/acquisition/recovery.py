@@ -33,7 +33,6 @@ from tissueid.messages import Listing, Message
 from tissueid.sessions import (
     MAX_NUMBERS,
     Session,
-    Subject,
     Test,
     read_own_session,
     read_session,
@@ -61,9 +60,9 @@ class _CutOffError(UnusableInputError):
 class OpenTest:
     """Test that is being assembled from its entries."""
 
-    number: int
+    head: Test
+    """The test without signals, as it began."""
     run: Run
-    attributes: dict[str, Any]
     status: str = "recovered"
     notes: dict[str, str | float] = field(default_factory=dict)
     blocks: list[NDArray[np.void]] = field(default_factory=list)
@@ -72,6 +71,11 @@ class OpenTest:
     received_length: int = 0
     """Number of samples from the beginning to the last received one."""
     ended: bool = False
+
+    @property
+    def number(self) -> int:
+        """Number of the test."""
+        return self.head.number
 
     def take(self, payload: bytes, *, keep: bool) -> None:
         """Add recorded samples; samples outside the run are ignored."""
@@ -125,15 +129,14 @@ class OpenTest:
             signals[name][place] = samples[name]
         signals["force"] = np.full(length, np.nan)
         signals["force"][place] = recorded_force(samples, device)
-        attributes = dict(self.attributes)
-        notes = force_notes(device) | attributes.pop("notes", {}) | self.notes
+        notes = force_notes(device) | self.head.notes | self.notes
         if missing := int(np.isnan(signals["position"]).sum()):
             notes["samples_lost"] = missing
         if after_release:
             notes["samples_after_release"] = float(after_release)
         if self.events:
             notes["events"] = _events_text(self.events)
-        return Test(number=self.number, signals=signals, status=self.status, notes=notes, **attributes)
+        return replace(self.head, signals=signals, status=self.status, notes=notes)
 
 
 def _events_text(events: list[dict[str, Any]]) -> str:
@@ -197,7 +200,7 @@ class _TestReader:
         elif content is not None:
             self._seen.add(content.number)
             run = Run(content.run.first_index, content.run.samples)
-            self._test = OpenTest(content.number, run, content.attributes.model_dump(exclude_unset=True))
+            self._test = OpenTest(content.test, run)
             if content.again:
                 for stray in self._unassigned or ():
                     self._test.take(stray, keep=self._keep)
@@ -282,7 +285,7 @@ def _sitting(entries: _Entries, damage: Damage) -> tuple[Session, int]:
         )
     session = Session(
         instrument=sitting.device,
-        subject=Subject(sitting.subject.pseudonym, dict(sitting.subject.demographics)),
+        subject=sitting.subject,
         session_id=sitting.session_id,
         created=sitting.created,
         audit_head=head,
@@ -324,7 +327,6 @@ def write_journal_session(path: Path, journal: Path, samples: int) -> None:
         SessionFormatError, OSError: the session cannot be written; no file is left.
     """
     try:
-        damage = Damage()
         damage, again = Damage(), Damage()
         session, _ = _sitting(_complete_entries(journal, samples, damage), damage)
         if damage.left_out:

@@ -24,12 +24,21 @@ from tissueid.sessions.hdf5_members import (
     subgroup,
     text_of,
 )
-from tissueid.sessions.model import SIGNAL_UNITS, STATUSES, Outline, Session, Subject, Test, TestOutline
+from tissueid.sessions.model import (
+    ORIGIN,
+    SIGNAL_UNITS,
+    STATUSES,
+    Outline,
+    Session,
+    Subject,
+    Test,
+    TestOutline,
+    attribute_types,
+)
 from tissueid.untrusted_input import MAX_SAMPLES, MAX_TESTS, RATES_HZ, allowed_numbers
 
 FORMAT = "tissueid-session"
 FORMAT_VERSION = "1.0"
-_REQUIRED_TEST = ("kind", "sample_rate_hz")
 
 
 def read_session(path: Path) -> Session:
@@ -131,14 +140,8 @@ def _read_head(file: h5py.File) -> Session:
             version=version,
             known=FORMAT_VERSION,
         )
-    return Session(
-        instrument=_read_instrument(subgroup(file, "instrument")),
-        subject=_read_subject(file),
-        session_id=text_of(file.attrs, "session_id", ""),
-        created=text_of(file.attrs, "created", ""),
-        software=text_of(file.attrs, "software", ""),
-        audit_head=text_of(file.attrs, "audit_head", ""),
-    )
+    origin: dict[str, Any] = {name: text_of(file.attrs, name, "") for name in ORIGIN}
+    return Session(_read_instrument(subgroup(file, "instrument")), _read_subject(file), **origin)
 
 
 def _read_instrument(group: h5py.Group) -> DeviceDescription:
@@ -147,7 +150,7 @@ def _read_instrument(group: h5py.Group) -> DeviceDescription:
         if field.name == "calibration":
             values["calibration"] = json_object(text_of(group.attrs, "calibration", "{}"), "calibration")
         elif field.name in group.attrs:
-            read = text_of if field.type == "str" else number_of
+            read = text_of if isinstance(field.default, str) else number_of
             values[field.name] = read(group.attrs, field.name)
     return DeviceDescription(**values)
 
@@ -176,45 +179,52 @@ def read_numbered(name: str, group: h5py.Group, *, signals: bool = True) -> Test
     """
     if not (name.isascii() and name.isdigit()):
         raise SessionFormatError("session.test_name", "tests/{test}: tests are numbered", test=name)
-    attributes = group.attrs
     try:
-        for required in _REQUIRED_TEST:
-            if required not in attributes:
-                raise SessionFormatError("session.attribute_missing", "the attribute {name} is missing", name=required)
-        rate = number_of(attributes, "sample_rate_hz")
-        if not RATES_HZ[0] <= rate <= RATES_HZ[1]:
+        values = _attributes(group.attrs)
+        if not RATES_HZ[0] <= values["sample_rate_hz"] <= RATES_HZ[1]:
             raise SessionFormatError(
                 "session.sample_rate",
                 "a sample rate of {rate:g} Hz; {low:g} to {high:g} Hz are read",
-                rate=rate,
+                rate=values["sample_rate_hz"],
                 low=RATES_HZ[0],
                 high=RATES_HZ[1],
             )
-        preload = max(0.0, number_of(attributes, "preload_s", 0.0))
-        if math.isinf(preload):
+        if math.isinf(preload := max(0.0, values.get("preload_s", 0.0))):
             raise SessionFormatError("session.preload", "a preload of infinite length")
-        repeat = text_of(attributes, "repeat_of", "")
-        status = text_of(attributes, "status", "completed")
-        known = {"kind", "configuration", "site", "sample_rate_hz", "preload_s", "surface_position_m"}
-        known |= {"stimulus", "seed", "repeat_of", "status"}
-        return Test(
-            number=int(name),
-            kind=text_of(attributes, "kind"),
-            signals=_read_signals(subgroup(group, "signals")) if signals else {},
-            sample_rate_hz=rate,
-            configuration=text_of(attributes, "configuration", "indentation"),
-            site=text_of(attributes, "site", ""),
-            preload_s=preload,
-            surface_position_m=number_of(attributes, "surface_position_m", math.nan),
-            stimulus=json_object(text_of(attributes, "stimulus", "{}"), "stimulus"),
-            seed=int(number_of(attributes, "seed", 0)),
-            repeat_of=int(repeat) if repeat else None,
-            status=status if status in STATUSES else "completed",
-            notes={key: value for key, value in plain_attributes(attributes).items() if key not in known},
-            units=_read_units(subgroup(group, "signals")) if signals else {},
-        )
+        if values.get("status") not in STATUSES:
+            values["status"] = "completed"
+        notes = {name: value for name, value in plain_attributes(group.attrs).items() if name not in values}
+        values |= {"preload_s": preload, "notes": notes}
+        if signals:
+            members = subgroup(group, "signals")
+            values |= {"units": _read_units(members), "signals": _read_signals(members)}
+        return Test(number=int(name), **({"signals": {}} | values))
     except SessionFormatError as error:
         raise SessionFormatError(located(f"tests/{name}", error.message)) from error
+
+
+def _attributes(stored: h5py.AttributeManager) -> dict[str, Any]:
+    """Return the attributes of a test that are stored.
+
+    Raises:
+        SessionFormatError: one has another type, or one without a default is missing.
+    """
+    values: dict[str, Any] = {}
+    for name, kind in attribute_types().items():
+        if name not in stored:
+            continue
+        if kind in (float, int):
+            values[name] = kind(number_of(stored, name))
+            continue
+        text = text_of(stored, name)
+        if kind == int | None:
+            values[name] = int(text) if text else None
+        else:
+            values[name] = text if kind is str else json_object(text, name)
+    for required in ("kind", "sample_rate_hz"):
+        if required not in values:
+            raise SessionFormatError("session.attribute_missing", "the attribute {name} is missing", name=required)
+    return values
 
 
 def _read_signals(group: h5py.Group) -> dict[str, np.ndarray]:

@@ -17,7 +17,7 @@ from tissueid.atomic_write import atomic_file
 from tissueid.errors import SessionExistsError, SessionFormatError
 from tissueid.sessions.hdf5_members import opened, subgroup
 from tissueid.sessions.hdf5_reading import FORMAT, FORMAT_VERSION, read_all_but_tests, read_numbered
-from tissueid.sessions.model import SIGNAL_NAMES, Session, Test
+from tissueid.sessions.model import ORIGIN, SIGNAL_NAMES, Session, Test, attribute_types
 
 _Digests = dict[int, dict[str, bytes]]
 """Digests of the written signals by test and signal."""
@@ -63,12 +63,8 @@ def _write(file: h5py.File, session: Session, tests: Iterable[Test]) -> _Digests
     file.attrs.update(
         format=FORMAT,
         format_version=FORMAT_VERSION,
-        session_id=session.session_id,
-        created=session.created,
-        software=session.software,
+        **{name: value for name in ORIGIN if (value := getattr(session, name)) or name != "audit_head"},
     )
-    if session.audit_head:
-        file.attrs["audit_head"] = session.audit_head
     instrument = file.create_group("instrument")
     figures = asdict(session.instrument)
     calibration = figures.pop("calibration")
@@ -88,18 +84,11 @@ def _write(file: h5py.File, session: Session, tests: Iterable[Test]) -> _Digests
 
 def _write_test(group: h5py.Group, test: Test) -> None:
     group.attrs.update(test.notes)
-    group.attrs.update(
-        kind=test.kind,
-        configuration=test.configuration,
-        site=test.site,
-        sample_rate_hz=test.sample_rate_hz,
-        preload_s=test.preload_s,
-        surface_position_m=test.surface_position_m,
-        stimulus=json.dumps(test.stimulus),
-        seed=test.seed,
-        repeat_of="" if test.repeat_of is None else f"{test.repeat_of:04d}",
-        status=test.status,
-    )
+    for name, kind in attribute_types().items():
+        value = getattr(test, name)
+        if kind == int | None:
+            value = "" if value is None else f"{value:04d}"
+        group.attrs[name] = json.dumps(value) if isinstance(value, dict) else value
     signals = group.create_group("signals")
     times = np.arange(test.samples) / test.sample_rate_hz
     time = signals.create_dataset("time", data=times, chunks=True, fletcher32=True)

@@ -3,14 +3,17 @@
 from __future__ import annotations
 
 import json
+import math
 import uuid
 from collections.abc import Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, fields
 from datetime import UTC, datetime
-from typing import Any
+from functools import cache
+from typing import Annotated, Any, get_type_hints
 
 import numpy as np
 from numpy.typing import NDArray
+from pydantic import Field, PlainValidator, TypeAdapter
 
 from tissueid import __version__
 from tissueid.device import DeviceDescription
@@ -18,7 +21,15 @@ from tissueid.errors import UnusableInputError
 from tissueid.formatting import ANONYMOUS
 from tissueid.messages import Listing, Message, codes_in, message_from
 from tissueid.records import Record
-from tissueid.untrusted_input import json_value
+from tissueid.untrusted_input import (
+    MAX_TESTS,
+    RATES_HZ,
+    StoredName,
+    StoredNumber,
+    StoredText,
+    StoredValue,
+    json_value,
+)
 
 SIGNAL_UNITS = {
     "time": "s",
@@ -52,30 +63,9 @@ STAND_INS = {"force": "input", "position": "output"}
 """Signals of imported tests that replace a missing force or position; ``Test.units`` has their units."""
 _REASON_MESSAGE = "reason_message"
 """Note that holds code, template and values of the note ``reason`` as JSON."""
-_WORDS_OF_EARLIER_VERSIONS = {
-    "stopped in the window": "stop.button",
-    "stopped by key": "stop.key",
-    "released the coil": "instrument.released",
-    "restarted by itself": "instrument.restarted",
-    "the computer was silent for too long": "fault.watchdog",
-    "the force exceeded its limit": "fault.over_force",
-    "the probe reached the end of its stroke": "fault.stroke",
-    "the coil is too hot": "fault.over_temperature",
-    "the test lasted too long": "fault.over_time",
-    "the button was pressed": "fault.button",
-    "the computer sent the stimulus too late": "fault.starved",
-    "the supply voltage dropped": "fault.brown_out",
-    "the position reading does not follow the force": "fault.sensor",
-    "the coil current does not follow the voltage": "fault.open_coil",
-    "the force reached": "limit.force",
-    "by its current": "limit.winding_temperature",
-    "sent no usable samples": "link.unusable",
-    "went silent": "link.silent",
-    "the connection to": "link.broken",
-}
-"""Codes of the reasons that versions before the note ``reason_message`` stored as text only."""
 KINDS = ("stochastic", "quiet", "slow_ramp", "step_hold", "spring", "free_air")
 STATUSES = ("completed", "aborted", "recovered")
+TestNumber = Annotated[int, Field(ge=0, le=MAX_TESTS)]
 
 
 def reason_notes(reason: str) -> dict[str, str | float]:
@@ -98,44 +88,43 @@ def reason_of(notes: Mapping[str, object]) -> str:
 
 
 def reason_codes(reason: str) -> frozenset[str]:
-    """Return the codes of why a test ended; a plain text of an earlier version is recognised by its words."""
-    if isinstance(reason, Message):
-        return codes_in(reason)
-    text = reason.casefold()
-    return frozenset(code for words, code in _WORDS_OF_EARLIER_VERSIONS.items() if words in text)
+    """Return the codes of why a test ended; none of a plain text."""
+    return codes_in(reason) if isinstance(reason, Message) else frozenset()
 
 
 @dataclass(frozen=True)
 class Subject:
     """The person who was measured: a pseudonym, never a name, and demographic values of the study."""
 
-    pseudonym: str = ANONYMOUS
-    demographics: dict[str, str | float] = field(default_factory=dict)
+    pseudonym: StoredText = ANONYMOUS
+    demographics: dict[StoredName, StoredValue] = field(default_factory=dict)
 
 
 @dataclass(frozen=True)
 class Test:
     """One test. ``signals`` maps names to arrays of shape (n,), SI; NaN marks a sample that was not received.
 
-    ``units`` has the SI units of signals that are not in ``SIGNAL_UNITS``.
+    ``units`` has the SI units of signals that are not in ``SIGNAL_UNITS``. The other fields are its attributes in the
+    header of the journal, in HDF5 and next to an export: a field that is added here is stored and read there. What is
+    set for a test is a field of ``TestSettings``, and is stored in ``notes``.
     """
 
     __test__ = False  # keeps pytest from collecting the class
 
-    number: int
-    kind: str
-    signals: dict[str, NDArray[np.float64]]
-    sample_rate_hz: float
-    configuration: str = "indentation"
-    site: str = ""
-    preload_s: float = 0.0
-    surface_position_m: float = float("nan")
+    number: TestNumber
+    kind: StoredText
+    signals: Annotated[dict[str, NDArray[np.float64]], PlainValidator(lambda _given: {})]
+    sample_rate_hz: Annotated[float, Field(ge=RATES_HZ[0], le=RATES_HZ[1])]
+    configuration: StoredText = "indentation"
+    site: StoredText = ""
+    preload_s: Annotated[float, Field(ge=0.0, le=1e9)] = 0.0
+    surface_position_m: StoredNumber = math.nan
     stimulus: dict[str, Any] = field(default_factory=dict)
-    seed: int = 0
-    repeat_of: int | None = None
-    status: str = "completed"
-    notes: dict[str, str | float] = field(default_factory=dict)
-    units: dict[str, str] = field(default_factory=dict)
+    seed: Annotated[int, Field(ge=-(2**63), lt=2**64)] = 0
+    repeat_of: TestNumber | None = None
+    status: StoredText = "completed"
+    notes: dict[StoredName, StoredValue] = field(default_factory=dict)
+    units: dict[StoredName, StoredText] = field(default_factory=dict)
 
     @property
     def reason(self) -> str:
@@ -190,18 +179,55 @@ class Test:
         return stand_in if name not in self.signals and stand_in in self.signals else name
 
 
+_ATTRIBUTES = tuple(f.name for f in fields(Test) if f.name not in ("number", "signals", "notes", "units"))
+
+
+def attribute_types() -> dict[str, Any]:
+    """Return the type of each attribute of a test in a file, by name; notes are further attributes."""
+    types = get_type_hints(Test)
+    return {name: types[name] for name in _ATTRIBUTES}
+
+
+def attributes_of(test: Test) -> dict[str, Any]:
+    """Return the attributes of a test, and its notes in one of them."""
+    return {name: getattr(test, name) for name in (*_ATTRIBUTES, "notes")}
+
+
+@cache
+def _stored() -> TypeAdapter[Test]:
+    return TypeAdapter(Test)
+
+
+def stored_test(number: int, attributes: Mapping[str, Any]) -> Test:
+    """Return a test without signals from its attributes in a file; unknown ones are ignored.
+
+    Raises:
+        ValueError: one is missing or not valid.
+    """
+    return _stored().validate_json(json.dumps({"number": number, "signals": {}} | dict(attributes)), strict=True)
+
+
+@dataclass(frozen=True, kw_only=True)
+class Origin:
+    """When and by what a session was recorded."""
+
+    session_id: StoredText = field(default_factory=lambda: str(uuid.uuid4()))
+    created: StoredText = field(default_factory=lambda: datetime.now(UTC).strftime("%Y-%m-%dT%H:%M:%SZ"))
+    software: StoredText = f"tissueid {__version__}"
+    audit_head: StoredText = ""
+    """Number and hash of the newest line of the audit log when the session was written; "" without a log."""
+
+
+ORIGIN = tuple(f.name for f in fields(Origin))
+
+
 @dataclass(frozen=True)
-class Session:
+class Session(Origin):
     """One sitting: a subject, an instrument and any number of tests."""
 
     instrument: DeviceDescription
     subject: Subject = field(default_factory=Subject)
     tests: tuple[Test, ...] = ()
-    session_id: str = field(default_factory=lambda: str(uuid.uuid4()))
-    created: str = field(default_factory=lambda: datetime.now(UTC).strftime("%Y-%m-%dT%H:%M:%SZ"))
-    software: str = f"tissueid {__version__}"
-    audit_head: str = ""
-    """Number and hash of the newest line of the audit log when the session was written; "" without a log."""
 
     def test(self, number: int | None = None) -> Test:
         """Return a test by its number; by default the first stochastic test, or else the first test.

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 import math
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, fields, replace
@@ -18,7 +17,7 @@ from tissueid.sessions.imports.imported_test import Choices, Imported, Source, i
 from tissueid.sessions.model import Session, Subject
 from tissueid.untrusted_input import MAX_NUMBERS, MAX_TESTS
 
-_FIGURES = {field.name: field.type == "float" for field in fields(DeviceDescription) if field.name != "calibration"}
+_FIGURES = {f.name: isinstance(f.default, float) for f in fields(DeviceDescription) if f.name != "calibration"}
 """Names of the parameters of an instrument, and whether each is a number."""
 
 
@@ -147,10 +146,10 @@ def assembled(
     exported = [item.attributes for item in imported if item.attributes is not None]
     for one in exported[1:]:
         for part in _MORE_THAN_ONE:
-            if _as_text(getattr(one, part)) != _as_text(getattr(exported[0], part)):
+            if repr(getattr(one, part)) != repr(getattr(exported[0], part)):  # NaN differs from itself
                 raise UnusableInputError(_MORE_THAN_ONE[part])
     if exported:
-        device, subject = exported[0].device(), exported[0].who()
+        device, subject = exported[0].device(), exported[0].subject
     else:
         device, subject = replace(unknown_device(), sample_rate_hz=imported[0].test.sample_rate_hz), Subject()
     session = Session(
@@ -162,21 +161,10 @@ def assembled(
     numbers = [one.test.number for one in exported]
     again = len(exported) == len(imported) and len(set(numbers)) == len(numbers)
     if again and all(one.session == exported[0].session for one in exported):
-        own = exported[0].session
-        session = replace(
-            session,
-            session_id=own.session_id,
-            created=own.created,
-            software=own.software,
-            audit_head=own.audit_head,
-            tests=tuple(item.test for item in imported),
-        )
+        origin = vars(exported[0].session)
+        session = replace(session, tests=tuple(item.test for item in imported), **origin)
         return session, []
     tests = tuple(replace(item.test, number=k, repeat_of=None) for k, item in enumerate(imported, start=1))
     lost = any(item.test.repeat_of is not None for item in imported)
     notices = [_RENUMBERED] if lost else []
     return replace(session, tests=tests), notices
-
-
-def _as_text(value: object) -> str:
-    return json.dumps(value, sort_keys=True, default=lambda part: part.model_dump())
