@@ -94,7 +94,6 @@ class _Cards:
     def _arrange(self, home: QWidget) -> None:
         column = QVBoxLayout(home)
         for card in self._cards:
-            card.apply_theme(LIGHT)
             card.plot.setXRange(0.0, POINTS / RATE, padding=0.0)
             column.addWidget(card)
 
@@ -166,7 +165,6 @@ class _Stack:
     def __init__(self, values: Array) -> None:
         self._stack = PlotStack()
         tracks = {channel: RecordedSignal(signal, RATE) for channel, signal in zip(CHANNELS, values, strict=True)}
-        self._stack.apply_theme(LIGHT)
         self._stack.show_tests([LoadedTest(SelectedTest(_NOWHERE, 1, "", "", "x"), 0.0, tracks)], list(CHANNELS))
         self._stack.resize(*SIZE)
         self._stack.show()

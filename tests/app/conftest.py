@@ -17,6 +17,7 @@ from PySide6.QtCore import QCoreApplication, QEvent, QSettings
 from tissueid.app.emergency import EmergencyStop
 from tissueid.app.main_window import MainWindow
 from tissueid.app.services import AppServices
+from tissueid.app.theme import LIGHT, appearance
 from tissueid.calibration.active import activate_calibration
 from tissueid.instrument import SimulatedInstrument
 from tissueid.language import ENGLISH, set_language
@@ -42,6 +43,12 @@ def clock():
 def calibrations(tmp_path_factory):
     """The folder of calibrations: empty until a test puts one there."""
     return tmp_path_factory.mktemp("calibrations")
+
+
+@pytest.fixture(autouse=True)
+def _light():
+    """Begin in light colours, whatever a test before chose: the appearance is that of the process."""
+    appearance.use(LIGHT)
 
 
 @pytest.fixture

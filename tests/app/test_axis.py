@@ -8,7 +8,7 @@ from PySide6.QtGui import QColor, QImage, QPainter
 
 from tissueid.app.axis import QuickAxis, without_overlaps
 from tissueid.app.plotting import PlotCard
-from tissueid.app.theme import DARK, LIGHT
+from tissueid.app.theme import DARK, LIGHT, appearance
 
 SIZE = (500, 320)
 
@@ -48,7 +48,7 @@ def inside(card):
 
 @pytest.mark.parametrize("theme", [LIGHT, DARK])
 def test_the_grid_lies_between_the_ground_and_the_colour_of_lines(card, theme):
-    card.apply_theme(theme)
+    appearance.use(theme)
     drawn = inside(card)
     ground, line = colour(theme.panel), colour(theme.line)
     is_ground = (drawn == ground).all(axis=2)
@@ -63,7 +63,6 @@ def test_the_grid_lies_between_the_ground_and_the_colour_of_lines(card, theme):
 
 def test_a_curve_is_not_cut_by_the_grid(card):
     card.line("measured").setData(np.array([0.0, 10.0]), np.array([0.0, 0.0]))  # along a line of the grid
-    card.apply_theme(LIGHT)
     drawn = inside(card)
     assert (drawn == colour(LIGHT.measured)).all(axis=2).all(axis=1).any()
 

@@ -13,7 +13,7 @@ from PySide6.QtWidgets import QApplication
 
 from tissueid.app.main_window import MainWindow
 from tissueid.app.services import AppServices
-from tissueid.app.theme import DARK, LIGHT
+from tissueid.app.theme import DARK, LIGHT, appearance
 
 pytestmark = [pytest.mark.qt_log_level_fail("WARNING"), pytest.mark.qt_log_ignore("This plugin does not support")]
 
@@ -34,7 +34,7 @@ def live_and_die(qtbot, folder, saved, *, analyse):
         qtbot.waitUntil(lambda: window.findings is not None and not window.jobs, timeout=WAIT_MS)
         window.grab()
     for theme in (DARK, LIGHT):
-        window.ui.apply_theme(theme)
+        appearance.use(theme)
     made = counted(window)
     window.close()
     window.deleteLater()

@@ -11,7 +11,7 @@ from PySide6.QtCore import Qt
 from PySide6.QtWidgets import QLabel
 
 from tissueid.app.live_analysis import LiveAnalysis
-from tissueid.app.theme import DARK, LIGHT
+from tissueid.app.theme import DARK, LIGHT, appearance
 from tissueid.app.words import sentence
 from tissueid.identification.live.live_view import METHODS, start_identifier, view
 from tissueid.identification.live.stopping import precision
@@ -177,7 +177,7 @@ def test_a_problem_is_told_and_the_test_goes_on(panel):
 
 @pytest.mark.parametrize("theme", [LIGHT, DARK], ids=["light", "dark"])
 def test_it_can_be_read_in_both_palettes(panel, theme):
-    panel.apply_theme(theme)
+    appearance.use(theme)
     panel.show()
     panel.show_view(seen())
     image = panel.grab().toImage()

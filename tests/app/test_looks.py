@@ -8,7 +8,7 @@ from PySide6.QtGui import QColor, QPalette
 from PySide6.QtWidgets import QAbstractButton, QAbstractSpinBox, QApplication, QComboBox, QLabel, QLineEdit
 
 from tissueid.app.plotting import LogAxis, PlotCard
-from tissueid.app.theme import DARK, LIGHT, theme_of
+from tissueid.app.theme import DARK, LIGHT, appearance, theme_of
 
 pytestmark = [pytest.mark.qt_log_level_fail("WARNING"), pytest.mark.qt_log_ignore("This plugin does not support")]
 
@@ -136,7 +136,7 @@ def test_axes_keep_the_unit_of_their_label(qtbot):
     qtbot.addWidget(card)
     card.show()
     for theme in (LIGHT, DARK, LIGHT):
-        card.apply_theme(theme)
+        appearance.use(theme)
         card.plot.setXRange(0.0, 0.4)
         card.plot.setYRange(0.0, 2e-6)
         for side in ("bottom", "left"):

@@ -7,7 +7,7 @@ from PySide6.QtGui import QMouseEvent, QWheelEvent
 
 from tissueid.analysis.curves import Axis, Curve, Plot, Surface
 from tissueid.app.plot_canvas import PlotCanvas
-from tissueid.app.theme import DARK, LIGHT
+from tissueid.app.theme import DARK, LIGHT, appearance
 
 X = np.linspace(1.0, 10.0, 50)
 PLOT = Plot("Impulse response", Axis("Lag", "ms"), Axis("", "mm/(N·s)"), (Curve(X, np.sin(X), "measured"),))
@@ -67,7 +67,7 @@ def test_it_draws_when_it_is_seen_and_says_what_it_shows(canvas):
 def test_it_takes_on_a_theme(canvas):
     inside = shown(canvas, PLOT)
     assert canvas.axes[0].lines[0].get_color() == LIGHT.measured
-    canvas.apply_theme(DARK)
+    appearance.use(DARK)
     assert canvas.axes[0].lines[0].get_color() == DARK.measured
     assert inside.figure.get_facecolor()[0] < 0.2
 

@@ -4,7 +4,7 @@ import pytest
 from app.benches import WAIT_MS
 from PySide6.QtCore import Qt
 
-from tissueid.app.theme import DARK, LIGHT
+from tissueid.app.theme import DARK, LIGHT, appearance
 from tissueid.app.window_state import show_window
 
 pytestmark = [pytest.mark.qt_log_level_fail("WARNING"), pytest.mark.qt_log_ignore("This plugin does not support")]
@@ -16,18 +16,18 @@ def chosen(window, title):
 
 def test_appearance_and_text_size_are_chosen_in_the_palette_and_kept(qtbot, open_window):
     window = open_window()
-    assert window._theme is LIGHT
+    assert appearance.theme is LIGHT
     before = window.font().pointSizeF()
     chosen(window, "Appearance: Dark")
     chosen(window, "Text size: Larger (130 %)")
-    qtbot.waitUntil(lambda: window._theme is DARK and window.font().pointSizeF() > 1.2 * before, timeout=WAIT_MS)
+    qtbot.waitUntil(lambda: appearance.theme is DARK and window.font().pointSizeF() > 1.2 * before, timeout=WAIT_MS)
     assert window.pages.start.appearance.choice.currentData() == "dark"
     assert window.ui.form.site.font().pointSizeF() == pytest.approx(1.3 * before, abs=0.6)
     again = open_window()
-    assert again._theme is DARK
+    assert appearance.theme is DARK
     assert again.font().pointSizeF() == window.font().pointSizeF()
     chosen(again, "Appearance: As the system")
-    qtbot.waitUntil(lambda: again._theme is LIGHT, timeout=WAIT_MS)
+    qtbot.waitUntil(lambda: appearance.theme is LIGHT, timeout=WAIT_MS)
 
 
 def test_a_window_that_was_left_maximised_comes_back_maximised(qtbot, open_window):

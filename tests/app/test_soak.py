@@ -15,7 +15,7 @@ from PySide6.QtWidgets import QApplication
 
 from tissueid.app.main_window import MainWindow
 from tissueid.app.services import AppServices
-from tissueid.app.theme import DARK, LIGHT
+from tissueid.app.theme import DARK, LIGHT, appearance
 from tissueid.audit import AuditLog
 
 WINDOWS = 200
@@ -51,8 +51,7 @@ def live_and_die(qtbot, folder, saved, *, analyse):
         qtbot.waitUntil(lambda: window.findings is not None and not window.jobs, timeout=WAIT_MS)
         window.grab()
     for theme in (DARK, LIGHT):
-        window.ui.apply_theme(theme)
-        window.pages.apply_theme(theme)
+        appearance.use(theme)
     made = counted(window)
     window.close()
     qtbot.waitUntil(lambda: not window.isVisible(), timeout=WAIT_MS)

@@ -15,7 +15,6 @@ from tissueid import units
 from tissueid.app.calibration_state import figure_of
 from tissueid.app.live_analysis import LiveAnalysis
 from tissueid.app.plotting import PlotCard
-from tissueid.app.theme import LIGHT
 from tissueid.app.views.clinician.comparing import Comparison, Sighting
 from tissueid.app.views.clinician.comparison_card import ComparisonCard
 from tissueid.app.views.clinician.repeat_bar import SittingSummary
@@ -136,7 +135,6 @@ def test_a_plot_changes_its_numbers_and_not_its_curve(qtbot):
     card = PlotCard("Position", "Depth (mm)", "mm/N")
     qtbot.addWidget(card)
     line = card.line("measured")
-    card.apply_theme(LIGHT)
     line.setData(np.array([0.0, 20.0]), np.array([0.0, 4.0]))
     card.plot.setXRange(0.0, 20.0, padding=0.0)
     before = [axis_range[:] for axis_range in card.plot.viewRange()]
@@ -171,7 +169,6 @@ def test_a_logarithmic_axis_says_si_too(qtbot):
 def test_numbers_during_a_test_change_with_the_units(qtbot):
     panel = LiveAnalysis()
     qtbot.addWidget(panel)
-    panel.apply_theme(LIGHT)
     view = seen()
     panel.show_view(view)
     mass = view.parameters["mass"].value
@@ -275,7 +272,6 @@ def test_fitted_figures_of_an_effect_change_with_the_units(qtbot):
 def test_sweeps_are_compared_in_the_units(qtbot):
     panel = SweepsPanel()
     qtbot.addWidget(panel)
-    panel.apply_theme(LIGHT)
     panel.show_sweeps([sweep()])
     assert panel.remarks.text() == "Linear from 4.0 to 27.0 mm."
     units.use("si")

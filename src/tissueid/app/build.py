@@ -2,10 +2,10 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from typing import TypeVar
+from collections.abc import Callable, Sequence
+from typing import Any, TypeVar
 
-from PySide6.QtCore import Qt
+from PySide6.QtCore import Qt, SignalInstance
 from PySide6.QtWidgets import (
     QBoxLayout,
     QHBoxLayout,
@@ -23,11 +23,10 @@ from tissueid.app.widgets import plain_label
 Item = QWidget | QLayout | None
 """A part of a row or column; None is a stretch."""
 AnyWidget = TypeVar("AnyWidget", bound=QWidget)
+Box = TypeVar("Box", bound=QBoxLayout)
 
 
-def fill(
-    box: QBoxLayout, *items: Item | tuple[Item, int], spacing: int = 6, margins: Sequence[int] = (0,)
-) -> QBoxLayout:
+def fill(box: Box, *items: Item | tuple[Item, int], spacing: int = 6, margins: Sequence[int] = (0,)) -> Box:
     """Fill a box with items, each with its stretch if it has one. One margin is that of all sides."""
     box.setSpacing(spacing)
     box.setContentsMargins(*(margins if len(margins) == 4 else [margins[0]] * 4))
@@ -42,36 +41,52 @@ def fill(
     return box
 
 
-def row(*items: Item | tuple[Item, int], spacing: int = 6, margins: Sequence[int] = (0,)) -> QBoxLayout:
-    """Return a row of items."""
-    return fill(QHBoxLayout(), *items, spacing=spacing, margins=margins)
+def row(
+    *items: Item | tuple[Item, int], spacing: int = 6, margins: Sequence[int] = (0,), parent: QWidget | None = None
+) -> QHBoxLayout:
+    """Return a row of items, the layout of ``parent`` if there is one."""
+    box = QHBoxLayout() if parent is None else QHBoxLayout(parent)
+    return fill(box, *items, spacing=spacing, margins=margins)
 
 
-def column(*items: Item | tuple[Item, int], spacing: int = 6, margins: Sequence[int] = (0,)) -> QBoxLayout:
-    """Return a column of items."""
-    return fill(QVBoxLayout(), *items, spacing=spacing, margins=margins)
+def column(
+    *items: Item | tuple[Item, int], spacing: int = 6, margins: Sequence[int] = (0,), parent: QWidget | None = None
+) -> QVBoxLayout:
+    """Return a column of items, the layout of ``parent`` if there is one."""
+    box = QVBoxLayout() if parent is None else QVBoxLayout(parent)
+    return fill(box, *items, spacing=spacing, margins=margins)
 
 
-def styled(widget: AnyWidget, **properties: str) -> AnyWidget:
-    """Set style properties such as ``role`` and ``level``, ``tip`` and ``name`` (for screen readers)."""
+def styled(widget: AnyWidget, **properties: Any) -> AnyWidget:
+    """Set properties of a widget: ``tip``, ``name`` (for screen readers), those of the style sheet, and those of Qt.
+
+    ``word_wrap=True`` calls ``setWordWrap(True)``.
+    """
     for key, value in properties.items():
-        if key == "tip":
-            widget.setToolTip(value)
-        elif key == "name":
-            widget.setAccessibleName(value)
-        else:
+        if key in STYLE_PROPERTIES:
             widget.setProperty(key, value)
+        else:
+            setter = _SETTERS.get(key) or "set" + key.title().replace("_", "")
+            getattr(widget, setter)(value)
     return widget
 
 
-def label(role: str = "", **properties: str) -> QLabel:
+STYLE_PROPERTIES = ("role", "level", "state")
+"""Properties that the style sheet asks for."""
+_SETTERS = {"tip": "setToolTip", "name": "setAccessibleName"}
+
+
+def label(role: str = "", text: str = "", **properties: Any) -> QLabel:
     """Return a label that wraps plain text and allows copying."""
-    return styled(plain_label(role), **properties)
+    return styled(plain_label(role), text=text, **properties)
 
 
-def button(text: str, **properties: str) -> QPushButton:
-    """Return a button."""
-    return styled(QPushButton(text), **properties)
+def button(text: str, clicked: Callable[[], object] | SignalInstance | None = None, **properties: Any) -> QPushButton:
+    """Return a button, and what it calls or sends."""
+    made = styled(QPushButton(text), **properties)
+    if clicked is not None:
+        made.clicked.connect(clicked)
+    return made
 
 
 def table(columns: Sequence[str], name: str, row_height: int = 22) -> QTableWidget:

@@ -25,7 +25,6 @@ from tissueid.app.number_field import NumberField
 from tissueid.app.operator_prompts import CalibrationOutcome, PromptState
 from tissueid.app.plotting import PlotCard
 from tissueid.app.small_window import FoldingBox, PageScroll
-from tissueid.app.theme import Theme
 from tissueid.app.widgets import BigButton
 from tissueid.app.words import sentence
 from tissueid.calibration.file import Quantity
@@ -189,10 +188,6 @@ class CalibrationPage(QWidget):
         if x.size != self._shown:
             self._shown = x.size
             self._points.setData(x * (1.0 if self._kind == "static" else _MM), y * _MM)
-
-    def apply_theme(self, theme: Theme) -> None:
-        """Take on the colours of a theme."""
-        self.curve.apply_theme(theme)
 
     def clear(self) -> None:
         """Show that no calibration is running."""

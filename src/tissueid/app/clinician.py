@@ -18,7 +18,6 @@ from tissueid.app.layout import Layout
 from tissueid.app.live_signals import Snapshot
 from tissueid.app.navigation_bar import MEASURE
 from tissueid.app.report_opener import write_paper
-from tissueid.app.theme import Theme
 from tissueid.app.views.clinician.body_map import BodyMap
 from tissueid.app.views.clinician.comparing import Comparison, Shelf, compare_with
 from tissueid.app.views.clinician.sitting import Repeat, Sitting, Standing, repeat_of, standing
@@ -166,10 +165,6 @@ class Clinician(QObject):
         """Cancel the comparison and the watch of the contact."""
         self._cancelled.set()
         self.watcher.cancel()
-
-    def apply_theme(self, theme: Theme) -> None:
-        """Take on the colours of a theme."""
-        self._ui.gate.repeats.apply_theme(theme)
 
     # -- a person asks -----------------------------------------------------------------------------------------
 

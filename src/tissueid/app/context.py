@@ -12,7 +12,6 @@ from PySide6.QtWidgets import QAbstractButton, QWidget
 
 from tissueid.app.jobs import Jobs
 from tissueid.app.services import AppServices
-from tissueid.app.theme import Theme
 from tissueid.audit import AuditTrail, Role
 from tissueid.device import DeviceDescription
 from tissueid.language import _
@@ -152,9 +151,6 @@ class View(QWidget):
     def show_new(self, path: Path) -> bool:
         """Show a session that was imported on this page; return False to leave it to the page Measure."""
         return self.offer_files([path])
-
-    def apply_theme(self, theme: Theme) -> None:
-        """Apply a theme."""
 
     def cancel(self) -> None:
         """Cancel the job of this page: the window closes."""

@@ -38,7 +38,6 @@ from tissueid.app.result import ResultPage
 from tissueid.app.roles import RoleChooser
 from tissueid.app.signals import SignalPlots
 from tissueid.app.small_window import FoldingBox, PageScroll
-from tissueid.app.theme import Theme
 from tissueid.app.views.clinician.study_card import StudyCard
 from tissueid.app.widgets import BigButton
 from tissueid.app.words import RESEARCH_USE
@@ -312,14 +311,6 @@ class Layout:
         """The other buttons of that page that the command palette offers."""
         of_form = self.form.instrument.refresh, self.form.map
         return self.gate.repeats.accept, self.guidance.lamp.watch, *of_form, self.result.pdf, *self.study_card.buttons
-
-    def apply_theme(self, theme: Theme) -> None:
-        """Take on the colours of a theme."""
-        self.study_card.apply_theme(theme)
-        self.signals.apply_theme(theme)
-        self.analysis.apply_theme(theme)
-        self.result.apply_theme(theme)
-        self.calibration.apply_theme(theme)
 
     def _arrange(self) -> QWidget:
         page = _Room()

@@ -13,7 +13,7 @@ from PySide6.QtWidgets import QFrame, QHBoxLayout, QLabel, QTabBar, QVBoxLayout,
 from tissueid.app.live_signals import Array
 from tissueid.app.plotting import PlotCard
 from tissueid.app.small_window import FoldingBox
-from tissueid.app.theme import Theme
+from tissueid.app.theme import appearance
 from tissueid.app.words import sentence
 from tissueid.audit import Role
 from tissueid.device import SIMULATED_LINE
@@ -94,7 +94,6 @@ class LiveAnalysis(QWidget):
         self._plain = False
         self._parts: dict[str, tuple[str, ...]] = {}
         self._rows: list[FoldingBox] = []
-        self._theme: Theme | None = None
         self.numbers = {name: _Figure(_(label_and_unit(_QUANTITIES[name])[0]), _ROLES[name]) for name in _QUANTITIES}
         self.vaf = _Figure(_("Explained, linear"))
         self.vaf.setToolTip(
@@ -181,14 +180,6 @@ class LiveAnalysis(QWidget):
         """Show the numbers in the units in force; the plots do it themselves."""
         if self._shown is not None:
             self._show_numbers(self._shown)
-
-    def apply_theme(self, theme: Theme) -> None:
-        """Take on the colours of a theme."""
-        self._theme = theme
-        for card in self.cards:
-            card.apply_theme(theme)
-        for figure in self.numbers.values():
-            figure.apply_theme(theme)
 
     # -- building -----------------------------------------------------------------------------------------
 
@@ -291,8 +282,6 @@ class LiveAnalysis(QWidget):
             for card in pair:
                 card.setMinimumWidth(_CARD_WIDTH)
                 plots.addWidget(card, 1)
-                if self._theme is not None:
-                    card.apply_theme(self._theme)
             self._layout.addLayout(plots, 1)
             self._rows.append(plots)
         self._show_part()
@@ -408,6 +397,8 @@ class _Figure(QWidget):
         for widget in (self._text, self._value, self._rest):
             widget.setMinimumWidth(1)
             layout.addWidget(widget)
+        if role:
+            appearance.follow(self._paint)
 
     def fill(self, value: str, rest: str) -> None:
         """Show a number and what stands after it."""
@@ -420,9 +411,9 @@ class _Figure(QWidget):
         self._label = label
         self._text.setText(label)
 
-    def apply_theme(self, theme: Theme) -> None:
-        """Take on the colours of a theme."""
-        self._text.setText(f'{self._label} <span style="color:{getattr(theme, self._role)}">■</span>')
+    def _paint(self) -> None:
+        colour = getattr(appearance.theme, self._role)
+        self._text.setText(f'{self._label} <span style="color:{colour}">■</span>')
 
     @property
     def text(self) -> str:

@@ -31,13 +31,13 @@ from tissueid.app.live_signals import LiveSignals
 from tissueid.app.navigation_bar import MEASURE
 from tissueid.app.pages import Pages
 from tissueid.app.panels import Panels
-from tissueid.app.preferences import appearance, chosen, show_everywhere, take_kept, text_scale
+from tissueid.app.preferences import chosen, chosen_theme, show_everywhere, take_kept, text_scale
 from tissueid.app.readouts import NO_TEST, StopKeys
 from tissueid.app.report_opener import Reports
 from tissueid.app.services import AppServices
 from tissueid.app.session_jobs import find, judge_and_analyse, open_test
 from tissueid.app.study_sitting import StudySitting
-from tissueid.app.theme import PaletteWatch, Theme, palette_of, style_sheet
+from tissueid.app.theme import PaletteWatch, appearance, palette_of, style_sheet
 from tissueid.app.user_files import check_save_path
 from tissueid.app.widgets import show_disabled_reason
 from tissueid.app.window_state import restore_window_state, save_role, save_window_state, saved_role
@@ -85,8 +85,6 @@ class MainWindow(QMainWindow):
         self._plan: TestPlan | None = None
         self.findings: Findings | None = None
         self._closing = False
-        self._theme: Theme | None = None
-        self._scale = 0.0
         self.restarts = False
         """Whether a new window is to be opened after this one, which closes."""
         QCoreApplication.setAttribute(Qt.ApplicationAttribute.AA_UseStyleSheetPropagationInWidgetStyles)
@@ -97,6 +95,8 @@ class MainWindow(QMainWindow):
         set_language(chosen(self.services.language, self.settings))
         QLocale.setDefault(QLocale(current_language()) if current_language() != ENGLISH else QLocale.c())
         take_kept(self.settings)
+        self._take_palette()
+        appearance.changed.connect(self._dress)  # before the widgets in it, which inherit from it
         role = self.services.role or saved_role(self.settings)
         self.ui = Layout(self, self.services.folder, self.services.now, role)
         self._frames = QTimer(self)
@@ -136,7 +136,7 @@ class MainWindow(QMainWindow):
         DeliberatePress(ui.guarded, self)
         self.commands = CommandPalette(self._actions, self)
         self._connect()
-        self._take_palette()
+        self._dress()
         self.device_search.list_instruments()
         restore_window_state(self, ui.form, self.panels.help, self.settings)
         self.pages.restore()
@@ -572,18 +572,15 @@ class MainWindow(QMainWindow):
 
     def _take_palette(self) -> None:
         """Apply appearance and text size; called whenever they or the system's palette change."""
-        theme, scale = appearance(self.settings, self._palette_watch.palette()), text_scale(self.settings)
-        if (theme, scale) != (self._theme, self._scale):
-            self._theme, self._scale = theme, scale
-            font = QApplication.font()
-            font.setPointSizeF(scale * font.pointSizeF())
-            self.setFont(font)
-            self.setPalette(palette_of(theme))
-            self.setStyleSheet(style_sheet(theme, scale))
-            self.ui.apply_theme(theme)
-            self.clinician.apply_theme(theme)
-            self.panels.apply_theme(theme)
-            self.pages.apply_theme(theme)
+        appearance.use(chosen_theme(self.settings, self._palette_watch.palette()), text_scale(self.settings))
+
+    def _dress(self) -> None:
+        palette = palette_of(appearance.theme)
+        self.setFont(appearance.font())
+        self.setPalette(palette)
+        self.setStyleSheet(style_sheet(appearance.theme, appearance.scale))
+        for view in self.pages.views:  # a page that is created late does not inherit the palette
+            view.setPalette(palette)
 
     def _connect(self) -> None:
         ui = self.ui

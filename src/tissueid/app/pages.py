@@ -17,7 +17,7 @@ from PySide6.QtWidgets import QLineEdit, QPlainTextEdit, QTextEdit, QWidget
 from tissueid.app.context import AppContext, View
 from tissueid.app.layout import Layout
 from tissueid.app.navigation_bar import MEASURE
-from tissueid.app.theme import Theme, palette_of
+from tissueid.app.theme import appearance, palette_of
 from tissueid.app.views.start.view import StartView
 from tissueid.app.widgets import show_disabled_reason
 from tissueid.app.window_state import saved_page
@@ -71,7 +71,6 @@ class Pages(QObject):
     def __init__(self, context: AppContext, ui: Layout, window: QWidget) -> None:
         super().__init__(window)
         self._context, self._ui = context, ui
-        self._theme: Theme | None = None
         self._answered: tuple[str, DeviceDescription] | None = None
         self.start = StartView(self._context_of(StartView.name))
         self.views: list[View] = [self.start]
@@ -167,12 +166,6 @@ class Pages(QObject):
         for view in self.views:
             view.cancel()
 
-    def apply_theme(self, theme: Theme) -> None:
-        """Apply a theme to all pages, also to those created later."""
-        self._theme = theme
-        for view in self.views:
-            _paint(view, theme)
-
     def _make(self, name: str) -> None:
         """Create a page and bring it to the current state: role, enabled controls, theme."""
         view = LATER[name][1](self._context_of(name))
@@ -185,8 +178,7 @@ class Pages(QObject):
             view.on_instrument_answered(*self._answered)
         view.update_enabled(busy=self._context.busy, testing=self._context.testing())
         show_disabled_reason(view.waiting(), self._context.jobs.why_no_work)
-        if self._theme is not None:
-            _paint(view, self._theme)
+        view.setPalette(palette_of(appearance.theme))
 
     def _context_of(self, name: str) -> AppContext:
         """Return the context of a page, whose notices are shown with that page."""
@@ -218,12 +210,6 @@ class Pages(QObject):
         self.show(MEASURE)
         self._ui.form.fill(values)
         self._ui.notice.say(words)
-
-
-def _paint(view: View, theme: Theme) -> None:
-    """Apply palette and theme to a page. A page that is created late does not inherit the window's palette."""
-    view.setPalette(palette_of(theme))
-    view.apply_theme(theme)
 
 
 def _pass_drops_on(page: QWidget) -> None:

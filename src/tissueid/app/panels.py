@@ -30,7 +30,7 @@ from PySide6.QtWidgets import (
 from tissueid.app.context import AppContext
 from tissueid.app.navigation_bar import NavigationBar
 from tissueid.app.notice import Notice
-from tissueid.app.theme import Theme
+from tissueid.app.theme import appearance
 from tissueid.app.words import in_words
 from tissueid.atomic_write import write_private
 from tissueid.formatting import clean
@@ -41,7 +41,7 @@ MISSING = marked("There is no help for this page.")
 _LEAST_WIDTH = 220
 
 
-class _Reader(QTextBrowser):
+class HelpText(QTextBrowser):
     """A text browser that follows no links and loads nothing from network or files."""
 
     def loadResource(self, _kind: int, _url: QUrl | str) -> Any:  # noqa: N802
@@ -64,7 +64,7 @@ class HelpPanel(QFrame):
         self.close_button.setAccessibleName(_("Close help"))
         self.close_button.setToolTip(_("Close help"))
         self.close_button.clicked.connect(self.hide)
-        self.reader = _Reader()
+        self.reader = HelpText()
         self.reader.setOpenLinks(False)
         self.reader.setAccessibleName(_("Help for this page"))
         self.reader.setMinimumWidth(_LEAST_WIDTH)
@@ -79,6 +79,7 @@ class HelpPanel(QFrame):
         column.addLayout(top)
         column.addWidget(self.reader, 1)
         self._page = ""
+        appearance.follow(self._paint)
 
     def showEvent(self, event: QShowEvent) -> None:  # noqa: N802
         """Report that the panel is shown."""
@@ -96,10 +97,8 @@ class HelpPanel(QFrame):
             self._page = name
             self._fill()
 
-    def apply_theme(self, theme: Theme) -> None:
-        """Take on the colours of a theme."""
-        self.reader.setStyleSheet(f"QTextBrowser {{ background: {theme.panel}; color: {theme.text}; border: none; }}")
-        self.reader.document().setDefaultStyleSheet(f"a {{ color: {theme.accent}; }}")
+    def _paint(self) -> None:
+        self.reader.document().setDefaultStyleSheet(f"a {{ color: {appearance.theme.accent}; }}")
         self._fill()
 
     def _fill(self) -> None:
@@ -276,10 +275,6 @@ class Panels(QObject):
         context.jobs.failed.connect(self._note_failure)
         self.log.saved.connect(self._tell_saved)
         self.log.note(_("TissueID was started."))
-
-    def apply_theme(self, theme: Theme) -> None:
-        """Take on the colours of a theme."""
-        self.help.apply_theme(theme)
 
     def _add(self, panel: QWidget, button: QToolButton) -> QToolButton:
         toggle: Callable[..., None] = partial(self._toggle, panel)

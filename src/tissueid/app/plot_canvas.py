@@ -27,7 +27,7 @@ from PySide6.QtWidgets import (
 
 from tissueid.app.draw_queue import request_drawing
 from tissueid.app.plot_readout import extremes, unit_of_values, values_at
-from tissueid.app.theme import LIGHT, Theme
+from tissueid.app.theme import Theme, appearance
 from tissueid.app.words import sentence
 from tissueid.language import _, marked
 from tissueid.messages import translated
@@ -84,7 +84,6 @@ class PlotCanvas(QFrame):
         self._axes: list[Axes] = []
         self._name, self._relief, self._key, self._description = name, False, True, ""
         self._side_by_side = False
-        self._theme: Theme = LIGHT
         self._canvas: Any = None
         self._long: list[list[DrawnLine]] = []
         self._home: list[tuple[Any, ...]] = []
@@ -116,6 +115,7 @@ class PlotCanvas(QFrame):
         self._inside.addWidget(self._missing, 1)
         self.setMinimumHeight(150)
         self.setAccessibleName(name)
+        appearance.changed.connect(self._again)
 
     @property
     def axes(self) -> list[Axes]:
@@ -170,12 +170,6 @@ class PlotCanvas(QFrame):
         """Show a text in place of plots."""
         self.show_plots(())
         self._missing.setText(text)
-
-    def apply_theme(self, theme: Theme) -> None:
-        """Draw in the colours of a theme."""
-        if theme != self._theme:
-            self._theme = theme
-            self._again()
 
     def take_units(self) -> None:
         """Draw in the active units."""
@@ -398,8 +392,8 @@ class PlotCanvas(QFrame):
         figure = canvas.figure
         self._stale, self._scale, self._grabbed = False, 1.0, None
         figure.clear()
-        figure.set_facecolor(self._theme.panel)
-        look = _look_of(self._theme, self.font().pointSizeF())
+        figure.set_facecolor(appearance.theme.panel)
+        look = _look_of(appearance.theme, self.font().pointSizeF())
         if self._relief:
             self._axes, self._long = [draw_relief(figure, self.plots[0], look, units=shown)], [[]]
         else:

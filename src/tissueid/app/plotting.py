@@ -4,17 +4,18 @@ from __future__ import annotations
 
 import html
 import math
-from collections.abc import Collection
+from collections.abc import Callable, Collection
 
 import numpy as np
 import pyqtgraph as pg
 from numpy.typing import NDArray
 from PySide6.QtCore import Qt
 from PySide6.QtGui import QFont
-from PySide6.QtWidgets import QFrame, QHBoxLayout, QLabel, QSizePolicy, QVBoxLayout, QWidget
+from PySide6.QtWidgets import QFrame, QLabel, QSizePolicy, QWidget
 
+from tissueid.app import build
 from tissueid.app.axis import QuickAxis
-from tissueid.app.theme import Theme, faint
+from tissueid.app.theme import Theme, appearance, faint
 from tissueid.app.widgets import ElidedLabel
 from tissueid.language import _, decimal
 from tissueid.units import shown, shown_label
@@ -69,15 +70,15 @@ class PlotCard(QFrame):
         self.setProperty("role", "card")
         self._title, self._unit = title, unit
         self._key = key or {}
-        self._pens: list[tuple[pg.PlotDataItem, str, int, int]] = []
-        self._dots: list[tuple[pg.PlotDataItem, str]] = []
-        self._bands: list[tuple[pg.FillBetweenItem, str, int]] = []
-        self._marks: list[pg.InfiniteLine] = []
+        self._painters: list[Callable[[Theme], object]] = []
         # Without a menu from the beginning: making one only to take it away is a third of what a plot costs.
         axes = {side: LogAxis(side) if side in log_axes else QuickAxis(side) for side in ("left", "bottom")}
         self.plot = pg.PlotWidget(axisItems=axes, enableMenu=False)
         for side in ("right", "top"):  # hidden, but they follow
             self.plot.getAxis(side).enableAutoSIPrefix(False)
+        for side, axis in axes.items():
+            axis.setGrid(_GRID)
+            axis.setStyle(tickLength=0, showValues=side == "left" or bool(x_label))
         self.plot.setMenuEnabled(False)
         self.plot.setMouseEnabled(x=False, y=False)
         self.plot.hideButtons()
@@ -85,44 +86,29 @@ class PlotCard(QFrame):
         self.plot.setMinimumHeight(60)
         self.plot.setSizePolicy(QSizePolicy.Policy.Expanding, QSizePolicy.Policy.Ignored)
         self._remark: tuple[str, str] | None = None
-        self._theme: Theme | None = None
         self._x_label = x_label
         self.plot.getAxis("left").setWidth(_AXIS_WIDTH)
-        self._heading = ElidedLabel()
-        self._heading.setProperty("role", "heading")
-        self._legend = QLabel()
-        self._legend.setProperty("role", "muted")
-        self._legend.setTextFormat(Qt.TextFormat.RichText)
+        self._heading = build.styled(ElidedLabel(), role="heading")
+        self._legend = build.styled(QLabel(textFormat=Qt.TextFormat.RichText, wordWrap=True), role="muted")
         self._legend.setAlignment(Qt.AlignmentFlag.AlignRight | Qt.AlignmentFlag.AlignVCenter)
-        self._legend.setWordWrap(True)
-        self._missing = QLabel()
-        self._missing.setProperty("role", "muted")
-        self._missing.setWordWrap(True)
-        self._missing.setMinimumWidth(1)
-        self._missing.setTextFormat(Qt.TextFormat.PlainText)
-        self._missing.setAlignment(Qt.AlignmentFlag.AlignCenter)
+        self._missing = build.label("muted", alignment=Qt.AlignmentFlag.AlignCenter)
         self._missing.hide()
-        heading = QHBoxLayout()
-        heading.addWidget(self._heading)
-        heading.addWidget(self._legend, 1)
-        layout = QVBoxLayout(self)
-        layout.setContentsMargins(10, 6, 10, 6)
-        layout.setSpacing(2)
-        layout.addLayout(heading)
-        layout.addWidget(self.plot, 1)
-        layout.addWidget(self._missing, 1)
-        self.take_units()
+        heading = build.row(self._heading, (self._legend, 1))
+        build.column(heading, (self.plot, 1), (self._missing, 1), spacing=2, margins=(10, 6, 10, 6), parent=self)
+        self._head()
+        self.plot.getAxis("bottom").setScale(shown_label(x_label)[1])
+        appearance.follow(self._paint)
 
     def line(self, role: str, *, width: int = 1, alpha: int = 255) -> pg.PlotDataItem:
         """Add an empty line in the colour of a role. Long ones must be one pixel wide to be drawn fast."""
         item = self.plot.plot(_NOTHING, _NOTHING, connect="finite")
-        self._pens.append((item, role, width, alpha))
+        self._colour(lambda theme: item.setPen(pg.mkPen(faint(getattr(theme, role), alpha), width=width)))
         return item
 
     def dots(self, role: str, size: int = 3) -> pg.PlotDataItem:
         """Add empty dots in the colour of a role."""
         item = self.plot.plot(_NOTHING, _NOTHING, pen=None, symbol="o", symbolSize=size, symbolPen=None)
-        self._dots.append((item, role))
+        self._colour(lambda theme: item.setSymbolBrush(faint(getattr(theme, role), 150)))
         return item
 
     def band(self, role: str, *, alpha: int = 60) -> tuple[pg.PlotCurveItem, pg.PlotCurveItem]:
@@ -131,7 +117,7 @@ class PlotCard(QFrame):
         band = pg.FillBetweenItem(*edges)
         for item in (*edges, band):
             self.plot.addItem(item, ignoreBounds=True)
-        self._bands.append((band, role, alpha))
+        self._colour(lambda theme: band.setBrush(faint(getattr(theme, role), alpha)))
         return edges
 
     def mark(self, *, upright: bool = True, text: str = "") -> pg.InfiniteLine:
@@ -140,8 +126,15 @@ class PlotCard(QFrame):
         item = pg.InfiniteLine(angle=90 if upright else 0, label=text or None, labelOpts=where if text else None)
         item.hide()
         self.plot.addItem(item, ignoreBounds=True)
-        self._marks.append(item)
+        self._colour(lambda theme: item.setPen(pg.mkPen(theme.muted, width=1, style=Qt.PenStyle.DotLine)))
+        if text:
+            self._colour(lambda theme: item.label.setColor(theme.muted))
         return item
+
+    def _colour(self, paint: Callable[[Theme], object]) -> None:
+        """Apply the active theme to an item, now and whenever the theme changes."""
+        self._painters.append(paint)
+        paint(appearance.theme)
 
     def retitle(self, title: str, unit: str) -> None:
         """Change the heading."""
@@ -173,16 +166,10 @@ class PlotCard(QFrame):
         self.plot.getAxis("left").setScale(factor)
 
     def _label_below(self) -> None:
-        theme = self._theme
-        if self._x_label and theme is not None:
-            look = {"color": theme.muted, "font-size": f"{self._small().pointSizeF():.1f}pt"}
+        if self._x_label:
+            look = {"color": appearance.theme.muted, "font-size": f"{_small().pointSizeF():.1f}pt"}
             # Without ranges in which it may, pyqtgraph does not turn 0.4 s into 400 of a unit that no label names.
             self.plot.getAxis("bottom").setLabel(shown_label(self._x_label)[0], siPrefixEnableRanges=(), **look)
-
-    def _small(self) -> QFont:
-        small = QFont(self.font())
-        small.setPointSizeF(max(7.0, 0.85 * small.pointSizeF()))
-        return small
 
     def remark(self, text: str, role: str = "muted") -> None:
         """Show a text next to the key in the colour of a role; empty removes it."""
@@ -198,39 +185,32 @@ class PlotCard(QFrame):
         self.plot.setVisible(not text)
         self._legend.setVisible(not text)
 
-    def apply_theme(self, theme: Theme) -> None:
-        """Take on the colours of a theme."""
+    def _paint(self) -> None:
+        theme = appearance.theme
         self.plot.setBackground(theme.panel)
-        small = self._small()
+        small = _small()
         for side in ("left", "bottom"):
             axis = self.plot.getAxis(side)
             axis.setPen(theme.line)
             axis.setTextPen(theme.muted)
             axis.setTickFont(small)
             axis.set_ground(theme.panel)
-            axis.setGrid(_GRID)
-            axis.setStyle(tickLength=0, showValues=side == "left" or bool(self._x_label))
-        for item, role, width, alpha in self._pens:
-            item.setPen(pg.mkPen(faint(getattr(theme, role), alpha), width=width))
-        for item, role in self._dots:
-            item.setSymbolBrush(faint(getattr(theme, role), 150))
-        for mark in self._marks:
-            mark.setPen(pg.mkPen(theme.muted, width=1, style=Qt.PenStyle.DotLine))
-            if hasattr(mark, "label"):
-                mark.label.setColor(theme.muted)
-        for band, role, alpha in self._bands:
-            band.setBrush(faint(getattr(theme, role), alpha))
-        self._theme = theme
+        for paint in self._painters:
+            paint(theme)
         self._label_below()
         self._show_key()
 
     def _show_key(self) -> None:
-        """The key and the remark, once there are colours."""
-        theme = self._theme
-        if theme is None:
-            return
+        theme = appearance.theme
         entries = [f'<span style="color:{getattr(theme, role)}">■</span> {name}' for name, role in self._key.items()]
         if self._remark is not None:
             text, role = self._remark
             entries.append(f'<span style="color:{getattr(theme, role)}">{html.escape(text)}</span>')
         self._legend.setText("&nbsp;&nbsp; ".join(entries))
+
+
+def _small() -> QFont:
+    """Return the font of ticks and labels."""
+    small = appearance.font(0.85)
+    small.setPointSizeF(max(7.0, small.pointSizeF()))
+    return small

@@ -66,7 +66,7 @@ APPEARANCES = {"": marked("As the system"), "light": marked("Light"), "dark": ma
 TEXT_SIZES = {"100": marked("Normal"), "115": marked("Large"), "130": marked("Larger")}
 
 
-def appearance(settings: QSettings, palette: QPalette) -> Theme:
+def chosen_theme(settings: QSettings, palette: QPalette) -> Theme:
     """Return the theme that was chosen, else that of the system's palette."""
     return {"light": LIGHT, "dark": DARK}.get(str(settings.value(APPEARANCE_SETTING, ""))) or theme_of(palette)
 

@@ -22,7 +22,6 @@ from tissueid.app.build import button, fill, label, row, styled
 from tissueid.app.findings import Findings, Number, whose
 from tissueid.app.plot_canvas import PlotCanvas
 from tissueid.app.small_window import FoldingBox
-from tissueid.app.theme import Theme
 from tissueid.app.views.clinician.comparison_card import ComparisonCard
 from tissueid.app.views.clinician.repeat_bar import SittingSummary
 from tissueid.app.views.clinician.sitting import Standing
@@ -98,7 +97,6 @@ class ResultPage(QScrollArea):
         layout.addWidget(self.readings)
         self.comparison = ComparisonCard()
         layout.addWidget(self.comparison)
-        self._theme: Theme | None = None
         self._plot_grid = QGridLayout()
         self._plot_grid.setSpacing(8)
         layout.addLayout(self._plot_grid, 1)
@@ -184,13 +182,6 @@ class ResultPage(QScrollArea):
         super().resizeEvent(event)
         self._arrange(event.size().width())
 
-    def apply_theme(self, theme: Theme) -> None:
-        """Take on the colours of a theme."""
-        self._theme = theme
-        for card in self.cards:
-            card.apply_theme(theme)
-        self.comparison.apply_theme(theme)
-
     # -- building -----------------------------------------------------------------------------------------
 
     def _make_verdict(self) -> QWidget:
@@ -220,8 +211,6 @@ class ResultPage(QScrollArea):
         for card in self.cards:
             card.setMinimumHeight(_PLOT_HEIGHT)
             card.focus = Qt.FocusPolicy.ClickFocus  # the page is scrolled by keys, not stop by stop
-            if self._theme is not None:
-                card.apply_theme(self._theme)
             card.setVisible(self.details.isChecked())
         self._columns = None
         self._arrange(self.width())

@@ -6,7 +6,6 @@ from PySide6.QtCore import QSize, Qt, Signal
 from PySide6.QtGui import QResizeEvent
 from PySide6.QtWidgets import QComboBox, QLabel, QSizePolicy, QVBoxLayout, QWidget
 
-from tissueid.app.theme import Theme
 from tissueid.app.widgets import BigButton, labelled_row
 from tissueid.audit import ROLES, Role
 from tissueid.language import _, marked
@@ -77,16 +76,6 @@ class RoleCard(BigButton):
         self.setAccessibleName(f"{self._title.text()}: {self._sentence}")
         self.style().unpolish(self)
         self.style().polish(self)
-
-    def apply_theme(self, theme: Theme) -> None:
-        """Take on the colours of a theme."""
-        self.setStyleSheet(
-            f"RoleCard {{ background: {theme.panel}; border: 1px solid {theme.edge}; border-radius: 6px; }}"
-            f"RoleCard[taken='true'] {{ border-left: 5px solid {theme.accent}; }}"
-            f"RoleCard:hover {{ border-color: {theme.accent}; }}"
-            f"RoleCard:focus {{ border: 2px solid {theme.accent}; }}"
-            f"RoleCard[taken='true']:focus {{ border-left: 5px solid {theme.accent}; }}"
-        )
 
     def sizeHint(self) -> QSize:  # noqa: N802
         """Return the height that the description needs at the present width."""

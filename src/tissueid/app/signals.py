@@ -11,7 +11,6 @@ from tissueid.acquisition.surface_detection import PLACE_S
 from tissueid.app.live_signals import Array, Snapshot, decimated
 from tissueid.app.plotting import PlotCard
 from tissueid.app.safety import Region, linear_region
-from tissueid.app.theme import Theme
 from tissueid.configuration import has_depth
 from tissueid.device import DeviceDescription
 from tissueid.language import _, marked
@@ -138,11 +137,6 @@ class SignalPlots(QWidget):
         self._grow("force", 0.0, 10.0)
         self._grow("position", 0.0, 30.0)
         self._limits.clear()
-
-    def apply_theme(self, theme: Theme) -> None:
-        """Take on the colours of a theme."""
-        for card in self.cards:
-            card.apply_theme(theme)
 
     def _title(self, configuration: str) -> None:
         self.position.retitle(_("Position") if has_depth(configuration) else _("Displacement"), "mm")

@@ -3,12 +3,13 @@
 from __future__ import annotations
 
 import re
+from collections.abc import Callable
 from dataclasses import asdict, dataclass
 from string import Template
 
-from PySide6.QtCore import QEvent, Signal
-from PySide6.QtGui import QColor, QPalette
-from PySide6.QtWidgets import QWidget
+from PySide6.QtCore import QEvent, QObject, Signal
+from PySide6.QtGui import QColor, QFont, QPalette
+from PySide6.QtWidgets import QApplication, QWidget
 
 
 @dataclass(frozen=True)
@@ -144,7 +145,56 @@ QTabBar::tab { background: transparent; color: $muted; border: 1px solid transpa
     border-bottom: 2px solid transparent; padding: 1px 13px 5px 13px; }
 QTabBar::tab:selected { color: $text; border-bottom-color: $accent; font-weight: 600; }
 QTabBar::tab:focus { color: $accent; border: 1px solid $accent; border-bottom: 2px solid $accent; }
+RoleCard { background: $panel; border: 1px solid $edge; border-radius: 6px; }
+RoleCard[taken="true"] { border-left: 5px solid $accent; }
+RoleCard:hover { border-color: $accent; }
+RoleCard:focus { border: 2px solid $accent; }
+RoleCard[taken="true"]:focus { border-left: 5px solid $accent; }
+Rows { background: $panel; color: $text; border: 1px solid $line; border-radius: 6px;
+    selection-background-color: $accent; selection-color: $accent_text; outline: none; }
+Rows:focus { border: 1px solid $accent; }
+Rows::item { padding: 4px 0px; }
+Rows::item:selected { background: $accent; color: $accent_text; }
+Rows QHeaderView { background: $panel; }
+Rows QHeaderView::section { background: $panel; color: $muted; border: none; border-bottom: 1px solid $line;
+    padding: 3px 4px; }
+HelpText { background: $panel; color: $text; border: none; }
 """)
+
+
+class Appearance(QObject):
+    """The active theme and text size; ``changed`` is sent for others.
+
+    What is painted by Qt with the palette is painted again at a change. Widgets that put colours into texts, items or
+    plots :meth:`follow` it.
+    """
+
+    changed = Signal()
+
+    def __init__(self) -> None:
+        super().__init__()
+        self.theme, self.scale = LIGHT, 1.0
+
+    def use(self, theme: Theme, scale: float = 1.0) -> None:
+        """Apply a theme, and texts that are ``scale`` times as large as usual."""
+        if (theme, scale) != (self.theme, self.scale):
+            self.theme, self.scale = theme, scale
+            self.changed.emit()
+
+    def follow(self, paint: Callable[[], object]) -> None:
+        """Call a method of a widget now and after every change."""
+        paint()
+        self.changed.connect(paint)
+
+    def font(self, share: float = 1.0) -> QFont:
+        """Return the font of the window, ``share`` times as large."""
+        font = QApplication.font()
+        font.setPointSizeF(share * self.scale * font.pointSizeF())
+        return font
+
+
+appearance = Appearance()
+"""The appearance of the windows of this process."""
 
 
 class PaletteWatch(QWidget):

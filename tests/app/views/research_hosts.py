@@ -12,7 +12,6 @@ from PySide6.QtWidgets import QMainWindow
 from tissueid.app.context import AppContext
 from tissueid.app.jobs import Jobs
 from tissueid.app.services import AppServices
-from tissueid.app.theme import LIGHT
 from tissueid.app.views.researcher.session_model import SITE
 from tissueid.app.views.researcher.view import ResearchView
 from tissueid.device import DeviceDescription
@@ -76,7 +75,6 @@ class Host(QMainWindow):
         )
         self.view = ResearchView(context)
         self.jobs.changed.connect(self.update_enabled)
-        self.view.apply_theme(LIGHT)
         self.setCentralWidget(self.view)
         self.resize(1000, 580)
         self.update_enabled()

@@ -14,7 +14,6 @@ from PySide6.QtWidgets import (
 from tissueid.app.context import AppContext
 from tissueid.app.jobs import Jobs
 from tissueid.app.services import AppServices
-from tissueid.app.theme import LIGHT
 from tissueid.app.views.researcher import batch
 from tissueid.app.views.researcher.analysis import AnalysisPanel
 from tissueid.app.views.researcher.results_store import AnalysisHistory
@@ -57,7 +56,6 @@ def open_panel(qtbot, tmp_path, strip, history):
         context = AppContext(services, jobs, settings, strip, lambda: "researcher", nothing, nothing, nothing, nothing)
         panel = AnalysisPanel(context, home, history=history)
         jobs.changed.connect(lambda: panel.update_enabled(busy=bool(jobs), testing=False))
-        panel.apply_theme(LIGHT)
         home.resize(700, 560)
         panel.resize(700, 560)
         home.show()

@@ -6,7 +6,6 @@ from PySide6.QtCore import QPoint, Qt
 
 from tissueid import units
 from tissueid.analysis.curves import Axis, Plot, Surface
-from tissueid.app.theme import LIGHT
 from tissueid.app.views.researcher.kernel_plot import KernelPlot
 
 pytestmark = [pytest.mark.qt_log_level_fail("WARNING"), pytest.mark.qt_log_ignore("This plugin does not support")]
@@ -42,7 +41,6 @@ class Outcome:
 def kernels(qtbot):
     made = KernelPlot()
     qtbot.addWidget(made)
-    made.apply_theme(LIGHT)
     made.resize(640, 420)
     made.show()
     return made

@@ -6,7 +6,6 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from tissueid.app.theme import LIGHT
 from tissueid.app.views.researcher.plot_stack import PlotStack
 from tissueid.app.views.researcher.selected_test import SelectedTest
 from tissueid.app.views.researcher.signal_loading import Channel, LoadedTest, RecordedSignal
@@ -51,7 +50,6 @@ def test_twenty_thousand_points_on_three_plots_are_drawn_thirty_times_a_second(q
     tracks = {channel: RecordedSignal(rng.normal(size=20_000), RATE) for channel in channels}
     stack = PlotStack()
     qtbot.addWidget(stack)
-    stack.apply_theme(LIGHT)
     stack.resize(900, 560)
     stack.show_tests([LoadedTest(SelectedTest(Path("x"), 1, "", "", "x"), 0.5, tracks)], channels)
     stack.show()

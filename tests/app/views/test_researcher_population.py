@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 from app.views.research_panels import run
 
-from tissueid.app.theme import DARK, LIGHT
+from tissueid.app.theme import DARK, appearance
 from tissueid.app.views.researcher.engine_outcome import EngineOutcome
 from tissueid.app.views.researcher.population import (
     DATE,
@@ -126,7 +126,6 @@ def test_groups_that_are_too_many_share_the_last_colour():
 def view(qtbot):
     view = PopulationView()
     qtbot.addWidget(view)
-    view.apply_theme(LIGHT)
     view.resize(600, 500)
     view.show_outcomes(year())
     view.show()
@@ -177,7 +176,7 @@ def test_every_view_of_three_hundred_fits_says_how_many_are_drawn(view):
     assert sum(int(bars.height.sum()) for bars in view.card.plots[0].parts) == 299
     assert "calf" in view.key.text()
     assert "n = 100" in view.key.text()
-    view.apply_theme(DARK)
+    appearance.use(DARK)
 
 
 def test_a_point_names_its_test_and_a_double_click_asks_for_it(qtbot, view):

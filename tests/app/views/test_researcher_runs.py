@@ -16,7 +16,7 @@ from PySide6.QtWidgets import (
 )
 
 from tissueid import analysis
-from tissueid.app.theme import DARK
+from tissueid.app.theme import DARK, appearance
 from tissueid.app.views.researcher import batch
 from tissueid.app.views.researcher.analysis_task import AnalysisTask, TestRef
 from tissueid.app.views.researcher.plot_data import PICTURES
@@ -69,7 +69,7 @@ def test_engine_and_run_give_table_plots_and_a_line_of_history(qtbot, panel, str
     for place, name in enumerate(PICTURES):
         panel.pictures.choice.setCurrentIndex(place)
         assert panel.pictures.choice.currentText() == name
-        panel.apply_theme(DARK)
+        appearance.use(DARK)
     entries, bad = history.read()
     assert ([entry.task.engines for entry in entries], bad) == ([("wiener",), ("lms",)], 0)
     assert "2 of 2 fitted" in entries[1].headline
@@ -236,7 +236,7 @@ def test_a_fit_that_predicts_nothing_is_red_and_shows_no_parameters(qtbot, panel
     path = tmp_path / "unrelated.h5"
     write_session(path, dataclasses.replace(session, tests=(dataclasses.replace(test, signals=signals),)))
     run(qtbot, panel, [chosen_of(saved), chosen_of(path)])
-    panel.apply_theme(DARK)
+    appearance.use(DARK)
     model = panel.results.model()
     heads = [model.headerData(k, Qt.Orientation.Horizontal).replace("\n", " ") for k in range(model.columnCount())]
     mass = heads.index("Mass (g)")

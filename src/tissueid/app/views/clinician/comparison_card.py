@@ -14,7 +14,6 @@ from PySide6.QtWidgets import QFrame, QLabel, QVBoxLayout, QWidget
 from tissueid.app.build import button, fill, label, styled
 from tissueid.app.plot_canvas import PlotCanvas
 from tissueid.app.small_window import FoldingBox
-from tissueid.app.theme import Theme
 from tissueid.app.views.clinician.comparing import Comparison, Sighting
 from tissueid.app.views.clinician.sitting import QUANTITIES
 from tissueid.formatting import label_and_unit
@@ -50,7 +49,6 @@ class ComparisonCard(QFrame):
         self._plots: list[Plot] = []
         self._layout = fill(QVBoxLayout(self), top, spacing=3)
         self._folded = False
-        self._theme: Theme | None = None
         self.hide()
 
     def expect(self) -> None:
@@ -91,8 +89,6 @@ class ComparisonCard(QFrame):
         for place, quantity in enumerate(QUANTITIES):
             card = PlotCanvas(_(label_and_unit(quantity)[0]))
             card.focus = Qt.FocusPolicy.ClickFocus  # the page is scrolled by keys, not stop by stop
-            if self._theme is not None:
-                card.apply_theme(self._theme)
             self.cards.append(card)
             row.addWidget(card, 0 if place else 1)
             row.setStretch(place, 30 if place else 47)
@@ -113,12 +109,6 @@ class ComparisonCard(QFrame):
             named = place == 0 or self._folded
             ticks = plot.y.ticks if named else tuple((row, "") for row, _name in plot.y.ticks)
             card.show_plots([replace(plot, y=replace(plot.y, ticks=ticks))], key=place == 0)
-
-    def apply_theme(self, theme: Theme) -> None:
-        """Take on the colours of a theme."""
-        self._theme = theme
-        for card in self.cards:
-            card.apply_theme(theme)
 
 
 def _plot_of(quantity: str, sightings: Sequence[Sighting]) -> Plot:

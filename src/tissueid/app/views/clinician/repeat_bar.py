@@ -11,7 +11,7 @@ from PySide6.QtWidgets import QFrame, QGridLayout, QLabel, QVBoxLayout, QWidget
 
 from tissueid.app.build import button, fill, label, styled
 from tissueid.app.small_window import FoldingBox
-from tissueid.app.theme import Theme
+from tissueid.app.theme import appearance
 from tissueid.app.views.clinician.sitting import HEADS, NORM, QUANTITIES, VALUE_HEAD, Sitting, Standing
 from tissueid.language import _, marked
 from tissueid.messages import Message, translated
@@ -111,7 +111,6 @@ class RepeatBar(QWidget):
 
     def __init__(self, parent: QWidget | None = None) -> None:
         super().__init__(parent)
-        self._theme: Theme | None = None
         self.allowed = True
         """Whether the next test repeats the shown one: not where form or protocol say something else."""
         self._fits = False
@@ -136,6 +135,7 @@ class RepeatBar(QWidget):
         self.repeat.clicked.connect(self.again)
         self.accept.clicked.connect(self.accepted)
         self.undo.clicked.connect(self.undone)
+        appearance.changed.connect(self._draw)
         self.hide()
 
     def show_sitting(self, sitting: Sitting | None) -> None:
@@ -180,17 +180,10 @@ class RepeatBar(QWidget):
         self.accept.setEnabled(not busy)
         self.undo.setEnabled(not busy)
 
-    def apply_theme(self, theme: Theme) -> None:
-        """Take on the colours of a theme."""
-        self._theme = theme
-        self._draw()
-
     def _draw(self) -> None:
-        if self._theme is None:
-            return
-        colours: Sequence[str] = [getattr(self._theme, _COLOURS.get(verdict, "muted")) for verdict in self._shown]
+        colours: Sequence[str] = [getattr(appearance.theme, _COLOURS.get(verdict, "muted")) for verdict in self._shown]
         dots = [f'{place}<span style="color:{html.escape(colour)}">●</span>' for place, colour in enumerate(colours, 1)]
-        dots += [f'<span style="color:{self._theme.muted}">○</span>'] * self._left
+        dots += [f'<span style="color:{appearance.theme.muted}">○</span>'] * self._left
         self.dots.setText(" ".join(dots))
 
 

@@ -8,7 +8,7 @@ from PySide6.QtCore import QPointF, QRectF, QSize, Qt
 from PySide6.QtGui import QColor, QFont, QPainter, QPaintEvent, QPalette, QPen
 from PySide6.QtWidgets import QSizePolicy, QWidget
 
-from tissueid.app.theme import LIGHT, Theme
+from tissueid.app.theme import appearance
 from tissueid.app.views.clinician.body_map import HEIGHT, SPOTS, WIDTH, Side, Spot, outline
 from tissueid.language import _
 
@@ -24,7 +24,6 @@ class SittingMap(QWidget):
     def __init__(self, parent: QWidget | None = None) -> None:
         super().__init__(parent)
         self._outline = outline()
-        self._theme: Theme = LIGHT
         self.next_site = ""
         self.sites: tuple[str, ...] = ()
         self.finished: frozenset[str] = frozenset()
@@ -44,11 +43,6 @@ class SittingMap(QWidget):
         )
         self.update()
 
-    def apply_theme(self, theme: Theme) -> None:
-        """Apply the colours of a theme."""
-        self._theme = theme
-        self.update()
-
     def paintEvent(self, _event: QPaintEvent) -> None:  # noqa: N802
         """Draw both sides next to each other, each with its sites."""
         painter = QPainter(self)
@@ -61,7 +55,7 @@ class SittingMap(QWidget):
         for place, (side, caption) in enumerate(zip(_SIDES, (_("Front"), _("Back")), strict=True)):
             left = place * width + (width - scale * WIDTH) / 2
             self._draw_side(painter, side, scale, left)
-            painter.setPen(QColor(self._theme.muted))
+            painter.setPen(QColor(appearance.theme.muted))
             area = QRectF(place * width, self.height() - _CAPTION, width, _CAPTION)
             painter.drawText(area, Qt.AlignmentFlag.AlignCenter, caption)
         painter.end()
@@ -70,7 +64,7 @@ class SittingMap(QWidget):
         painter.save()
         painter.translate(left, 0.0)
         painter.scale(scale, scale)
-        pen = QPen(QColor(self._theme.muted), 1.2)
+        pen = QPen(QColor(appearance.theme.muted), 1.2)
         pen.setCosmetic(True)
         painter.setPen(pen)
         painter.setBrush(self.palette().color(QPalette.ColorRole.Base))
@@ -81,7 +75,7 @@ class SittingMap(QWidget):
             self._draw_site(painter, spot, QPointF(left + scale * spot.x, scale * spot.y))
 
     def _draw_site(self, painter: QPainter, spot: Spot, at: QPointF) -> None:
-        accent, good = QColor(self._theme.accent), QColor(self._theme.good)
+        accent, good = QColor(appearance.theme.accent), QColor(appearance.theme.good)
         if spot.site == self.next_site:
             halo = QColor(accent)
             halo.setAlpha(70)
@@ -95,6 +89,6 @@ class SittingMap(QWidget):
             painter.setBrush(Qt.BrushStyle.NoBrush)
             painter.drawPolyline([at + QPointF(-5.0, 0.0), at + QPointF(-1.5, 4.0), at + QPointF(5.5, -4.5)])
         else:
-            painter.setPen(QPen(QColor(self._theme.muted), 1.5))
+            painter.setPen(QPen(QColor(appearance.theme.muted), 1.5))
             painter.setBrush(self.palette().color(QPalette.ColorRole.Base))
             painter.drawEllipse(at, 4.0, 4.0)

@@ -6,7 +6,6 @@ from PySide6.QtWidgets import QFrame, QProgressBar, QSizePolicy, QVBoxLayout, QW
 
 from tissueid.app.build import button, column, fill, label, row, styled
 from tissueid.app.small_window import FoldingBox
-from tissueid.app.theme import Theme
 from tissueid.app.views.clinician.sitting_map import SittingMap
 from tissueid.app.widgets import ElidedLabel
 from tissueid.formatting import clean
@@ -91,7 +90,3 @@ class StudyCard(QFrame):
         """Disable the buttons while a job runs."""
         for one in self.buttons:
             one.setEnabled(not busy)
-
-    def apply_theme(self, theme: Theme) -> None:
-        """Apply the colours of a theme."""
-        self.map.apply_theme(theme)

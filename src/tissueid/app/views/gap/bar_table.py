@@ -16,7 +16,7 @@ from PySide6.QtWidgets import (
     QWidget,
 )
 
-from tissueid.app.theme import LIGHT, Theme, faint
+from tissueid.app.theme import appearance, faint
 
 _SHARE = Qt.ItemDataRole.UserRole
 _ROW = 24
@@ -64,18 +64,12 @@ class BarTable(QTableWidget):
                 self.setItem(place, column, item)
         self.blockSignals(False)
 
-    def apply_theme(self, theme: Theme) -> None:
-        """Apply the colours of a theme."""
-        self._delegate.theme = theme
-        self.viewport().update()
-
 
 class _Bar(QStyledItemDelegate):
     """Delegate that draws a bar behind the text."""
 
     def __init__(self, parent: QWidget) -> None:
         super().__init__(parent)
-        self.theme = LIGHT
 
     def paint(
         self, painter: QPainter, option: QStyleOptionViewItem, index: QModelIndex | QPersistentModelIndex
@@ -84,10 +78,10 @@ class _Bar(QStyledItemDelegate):
         place = QRectF(option.rect).adjusted(3, 4, -3, -4)  # type: ignore[attr-defined]
         chosen = bool(option.state & QStyle.StateFlag.State_Selected)  # type: ignore[attr-defined]
         if chosen:
-            painter.fillRect(option.rect, QColor(self.theme.accent))  # type: ignore[attr-defined]
+            painter.fillRect(option.rect, QColor(appearance.theme.accent))  # type: ignore[attr-defined]
         share = min(max(float(index.data(_SHARE) or 0.0), 0.0), 1.0)
-        painter.fillRect(place, faint(self.theme.muted, 40))
+        painter.fillRect(place, faint(appearance.theme.muted, 40))
         bar = QRectF(place.left(), place.top(), max(share * place.width(), 1.0 if share > 0.0 else 0.0), place.height())
-        painter.fillRect(bar, faint(self.theme.model, 130))
-        painter.setPen(QColor(self.theme.accent_text if chosen else self.theme.text))
+        painter.fillRect(bar, faint(appearance.theme.model, 130))
+        painter.setPen(QColor(appearance.theme.accent_text if chosen else appearance.theme.text))
         painter.drawText(place.adjusted(5, 0, -5, 0), Qt.AlignmentFlag.AlignVCenter, str(index.data() or ""))

@@ -6,7 +6,6 @@ from typing import TYPE_CHECKING
 
 from PySide6.QtWidgets import QFrame, QHBoxLayout, QScrollArea, QVBoxLayout, QWidget
 
-from tissueid.app.theme import Theme
 from tissueid.app.views.gap.bar_table import BarTable
 from tissueid.app.views.gap.displayed_text import STAGE_TITLES, as_sentence, as_title
 from tissueid.app.widgets import plain_label
@@ -80,10 +79,6 @@ class CandidatesTab(QWidget):
     def take_units(self) -> None:
         """Show the values in the active unit system."""
         self._show_chosen()
-
-    def apply_theme(self, theme: Theme) -> None:
-        """Apply the colours of a theme."""
-        self.table.apply_theme(theme)
 
     def _show_chosen(self) -> None:
         row = self.table.currentRow()

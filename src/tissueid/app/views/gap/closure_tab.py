@@ -11,7 +11,7 @@ from PySide6.QtWidgets import QComboBox, QFrame, QHBoxLayout, QLabel, QSizePolic
 
 from tissueid.app.plot_canvas import PlotCanvas
 from tissueid.app.small_window import FoldingBox
-from tissueid.app.theme import LIGHT, Theme
+from tissueid.app.theme import appearance
 from tissueid.app.widgets import plain_label
 from tissueid.formatting import number
 from tissueid.language import _
@@ -58,11 +58,6 @@ class ClosureTab(QWidget):
             self.signals.say_missing(_("Every sample was used for the fit: there is no held-out data to compare with."))
         self._show_chosen()
 
-    def apply_theme(self, theme: Theme) -> None:
-        """Apply the colours of a theme."""
-        self.bars.apply_theme(theme)
-        self.signals.apply_theme(theme)
-
     def _show_chosen(self) -> None:
         place = self.channel.currentIndex()
         if 0 <= place < len(self._overlays):
@@ -101,7 +96,6 @@ class _GapBars(QWidget):
 
     def __init__(self) -> None:
         super().__init__()
-        self._theme = LIGHT
         self._rows: tuple[BudgetContent, ...] = ()
         self.setSizePolicy(QSizePolicy.Policy.Expanding, QSizePolicy.Policy.Fixed)
 
@@ -112,11 +106,6 @@ class _GapBars(QWidget):
         self.setToolTip("\n".join(f"{translated(row.name)}: {_percent(row.high - row.low)}" for row in rows))
         self.setAccessibleName(_("Gap: {values}").format(values=values))
         self._fit()
-        self.update()
-
-    def apply_theme(self, theme: Theme) -> None:
-        """Apply the colours of a theme."""
-        self._theme = theme
         self.update()
 
     def sizeHint(self) -> QSize:  # noqa: N802
@@ -146,7 +135,7 @@ class _GapBars(QWidget):
         room = max(self.width() - begin - _FIGURE, 10.0)
         for place, row in enumerate(self._rows):
             top = pitch * place
-            painter.setPen(QColor(self._theme.text))
+            painter.setPen(QColor(appearance.theme.text))
             name_room = QRectF(0, top, begin - 8.0 if begin else self.width(), below or _BAR_LINE)
             shown = self.fontMetrics().elidedText(
                 translated(row.name), Qt.TextElideMode.ElideRight, int(name_room.width())
@@ -155,7 +144,7 @@ class _GapBars(QWidget):
             left, right = (room * value / most if np.isfinite(value) else 0.0 for value in (row.low, row.high))
             width = max(right - left, 1.0)
             bar = QRectF(begin + left, top + below + 4, width, 14)
-            painter.fillRect(bar, QColor(getattr(self._theme, row.role)))
+            painter.fillRect(bar, QColor(getattr(appearance.theme, row.role)))
             figure = QRectF(bar.right() + 6, top + below, _FIGURE, _BAR_LINE)
             painter.drawText(figure, Qt.AlignmentFlag.AlignVCenter, _percent(row.high - row.low))
 

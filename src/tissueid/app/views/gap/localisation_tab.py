@@ -9,7 +9,6 @@ from PySide6.QtWidgets import QVBoxLayout, QWidget
 
 from tissueid.app.plot_canvas import PlotCanvas
 from tissueid.app.small_window import FoldingBox
-from tissueid.app.theme import Theme
 from tissueid.language import _, marked
 
 if TYPE_CHECKING:
@@ -57,11 +56,6 @@ class LocalisationTab(QWidget):
                 card.say_missing(_(_NOT_THERE))
                 continue
             card.show_plots([profile.plot(name)], description=_described(profile, channel))
-
-    def apply_theme(self, theme: Theme) -> None:
-        """Apply the colours of a theme."""
-        for card in self.cards:
-            card.apply_theme(theme)
 
 
 def _described(profile: ProfileContent, channel: str) -> str:

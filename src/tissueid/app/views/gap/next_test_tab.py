@@ -8,7 +8,6 @@ from PySide6.QtCore import Signal
 from PySide6.QtWidgets import QFrame, QHBoxLayout, QVBoxLayout, QWidget
 
 from tissueid.app.build import button
-from tissueid.app.theme import Theme
 from tissueid.app.views.gap.bar_table import BarTable
 from tissueid.app.views.gap.displayed_text import as_sentence, as_title
 from tissueid.app.widgets import plain_label
@@ -70,10 +69,6 @@ class NextTestTab(QWidget):
         self.gains.setVisible(step is not None)
         if step is not None:
             self._show_gains(step)
-
-    def apply_theme(self, theme: Theme) -> None:
-        """Apply the colours of a theme."""
-        self.gains.apply_theme(theme)
 
     def _show_gains(self, step: Proposal) -> None:
         most = max((gain for _title, gain, _odds in step.gains), default=0.0) or 1.0

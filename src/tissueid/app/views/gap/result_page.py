@@ -8,7 +8,6 @@ from PySide6.QtCore import Qt
 from PySide6.QtWidgets import QFrame, QHBoxLayout, QPushButton, QScrollArea, QTabWidget, QVBoxLayout, QWidget
 
 from tissueid.app.small_window import FoldingBox
-from tissueid.app.theme import Theme
 from tissueid.app.views.gap.candidates_tab import CandidatesTab
 from tissueid.app.views.gap.closure_tab import ClosureTab
 from tissueid.app.views.gap.displayed_text import STAGE_TITLES, as_sentence, as_title
@@ -123,11 +122,6 @@ class ResultPage(QScrollArea):
         for button in self.buttons:
             button.setEnabled(not (busy or (working and button in (self.again, self.accept))))
         self.next.prepare.setEnabled(not testing)
-
-    def apply_theme(self, theme: Theme) -> None:
-        """Apply the colours of a theme."""
-        for part in (self.chain, self.where, self.which, self.far, self.next):
-            part.apply_theme(theme)
 
     def _show_state(self, state: State) -> None:
         self.stale.setText(_(_STALE[state]) if state else "")

@@ -9,7 +9,7 @@ from PySide6.QtCore import QPointF, QRectF, QSize, Qt, Signal
 from PySide6.QtGui import QColor, QFont, QKeyEvent, QPainter, QPainterPath, QPaintEvent, QPen, QPolygonF, QResizeEvent
 from PySide6.QtWidgets import QAbstractButton, QButtonGroup, QSizePolicy, QWidget
 
-from tissueid.app.theme import LIGHT, Theme, faint
+from tissueid.app.theme import appearance, faint
 from tissueid.app.views.gap.displayed_text import STAGE_TITLES
 from tissueid.language import _, marked
 
@@ -45,7 +45,6 @@ class SignalChain(QWidget):
         self.setMinimumSize(500, 136)
         self.setSizePolicy(QSizePolicy.Policy.Expanding, QSizePolicy.Policy.Preferred)
         self.stages: dict[Stage, _Box] = {stage: _Box(stage, self) for stage in _PLACES}
-        self._theme = LIGHT
         self._group = QButtonGroup(self)
         for stage, box in self.stages.items():
             self._group.addButton(box)
@@ -66,13 +65,6 @@ class SignalChain(QWidget):
     def chosen_box(self) -> QAbstractButton:
         """The selected box."""
         return self._group.checkedButton()
-
-    def apply_theme(self, theme: Theme) -> None:
-        """Apply the colours of a theme."""
-        self._theme = theme
-        for box in self.stages.values():
-            box.theme = theme
-        self.update()
 
     def sizeHint(self) -> QSize:  # noqa: N802
         """Return the preferred size."""
@@ -122,7 +114,7 @@ class SignalChain(QWidget):
             self._arrow(painter, QPointF(start, height), QPointF(end, height))
             middle = 0.5 * (start + end)
             middle = min(max(middle, 34.0), self.width() - 34.0)
-            painter.setPen(QColor(self._theme.muted))
+            painter.setPen(QColor(appearance.theme.muted))
             painter.drawText(QRectF(middle - 60, top[0].top() - 20, 120, 16), Qt.AlignmentFlag.AlignCenter, _(name))
 
     def _back_emf(self, painter: QPainter, coil: QRectF, moving: QRectF, tissue: QRectF) -> None:
@@ -132,15 +124,15 @@ class SignalChain(QWidget):
         path = QPainterPath(start)
         path.cubicTo(QPointF(start.x(), low), QPointF(end.x(), low), QPointF(end.x(), end.y() + _HEAD))
         painter.setBrush(Qt.BrushStyle.NoBrush)
-        painter.setPen(QPen(QColor(self._theme.muted), 1.2, Qt.PenStyle.DashLine))
+        painter.setPen(QPen(QColor(appearance.theme.muted), 1.2, Qt.PenStyle.DashLine))
         painter.drawPath(path)
         self._head(painter, QPointF(end.x(), end.y() + _HEAD), end)
-        painter.setPen(QColor(self._theme.muted))
+        painter.setPen(QColor(appearance.theme.muted))
         place = QRectF(0.5 * (start.x() + end.x()) - 50, low + 1, 100, 16)
         painter.drawText(place, Qt.AlignmentFlag.AlignCenter, _("back-EMF"))
 
     def _arrow(self, painter: QPainter, start: QPointF, end: QPointF) -> None:
-        painter.setPen(QPen(QColor(self._theme.muted), 1.2))
+        painter.setPen(QPen(QColor(appearance.theme.muted), 1.2))
         painter.drawLine(start, end)
         self._head(painter, start, end)
 
@@ -151,7 +143,7 @@ class SignalChain(QWidget):
         side = QPointF(-unit.y(), unit.x())
         back = end - unit * _HEAD
         painter.setPen(Qt.PenStyle.NoPen)
-        painter.setBrush(QColor(self._theme.muted))
+        painter.setBrush(QColor(appearance.theme.muted))
         painter.drawPolygon(QPolygonF([end, back + side * (0.6 * _HEAD), back - side * (0.6 * _HEAD)]))
 
     def _place(self, stage: Stage) -> QRectF:
@@ -174,7 +166,6 @@ class _Box(QAbstractButton):
 
     def __init__(self, stage: Stage, parent: QWidget) -> None:
         super().__init__(parent)
-        self.theme = LIGHT
         self._title = _(STAGE_TITLES[stage])
         self._share, self._lit = 0.0, False
         self.setCheckable(True)
@@ -200,22 +191,22 @@ class _Box(QAbstractButton):
         painter = QPainter(self)
         painter.setRenderHint(QPainter.RenderHint.Antialiasing)
         place = QRectF(self.rect()).adjusted(2, 2, -2, -2)
-        painter.setBrush(QColor(self.theme.field))
+        painter.setBrush(QColor(appearance.theme.field))
         painter.setPen(Qt.PenStyle.NoPen)
         painter.drawRoundedRect(place, 5, 5)
-        painter.setBrush(faint(self.theme.poor, round(_DARKEST * min(self._share, 1.0))))
-        edge, width = (self.theme.poor, 3.0) if self._lit else (self.theme.edge, 1.0)
+        painter.setBrush(faint(appearance.theme.poor, round(_DARKEST * min(self._share, 1.0))))
+        edge, width = (appearance.theme.poor, 3.0) if self._lit else (appearance.theme.edge, 1.0)
         painter.setPen(QPen(QColor(edge), width))
         painter.drawRoundedRect(place, 5, 5)
         if self.hasFocus() or self.isChecked():
             style = Qt.PenStyle.DashLine if self.hasFocus() else Qt.PenStyle.SolidLine
             painter.setBrush(Qt.BrushStyle.NoBrush)
-            painter.setPen(QPen(QColor(self.theme.accent), 1.5, style))
+            painter.setPen(QPen(QColor(appearance.theme.accent), 1.5, style))
             painter.drawRoundedRect(place.adjusted(3, 3, -3, -3), 3, 3)
         font = self.font()
         font.setBold(self._lit)
         painter.setFont(font)
-        painter.setPen(QColor(self.theme.text))
+        painter.setPen(QColor(appearance.theme.text))
         half = 0.5 * place.height()
         painter.drawText(place.adjusted(0, 3, 0, -half + 2), Qt.AlignmentFlag.AlignCenter, self._title)
         font.setBold(False)

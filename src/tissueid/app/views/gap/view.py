@@ -21,7 +21,6 @@ from PySide6.QtWidgets import (
 
 from tissueid.app.context import AppContext, View
 from tissueid.app.jobs import JobControl
-from tissueid.app.theme import Theme
 from tissueid.app.views.gap.diagnosis_list import DiagnosisList
 from tissueid.app.views.gap.diagnosis_loader import DiagnosisLoader
 from tissueid.app.views.gap.diagnosis_result import (
@@ -127,10 +126,6 @@ class GapView(View):
     def buttons(self) -> tuple[QAbstractButton, ...]:
         """Return the buttons that the command palette offers."""
         return self.asking.run, self.asking.stop, *self.result.buttons
-
-    def apply_theme(self, theme: Theme) -> None:
-        """Apply the colours of a theme."""
-        self.result.apply_theme(theme)
 
     def cancel(self) -> None:
         """Cancel the running diagnosis and start no further work; the window closes."""

@@ -25,7 +25,6 @@ from PySide6.QtWidgets import (
 from tissueid.app.context import AppContext
 from tissueid.app.jobs import JobControl
 from tissueid.app.small_window import FoldingSplitter
-from tissueid.app.theme import Theme
 from tissueid.app.views.researcher.analysis_task import MOST_TESTS, AnalysisTask, TestRef
 from tissueid.app.views.researcher.batch import Batch, refit, run, run_folder
 from tissueid.app.views.researcher.calibration_button import CalibrationButton
@@ -194,12 +193,6 @@ class AnalysisPanel(QWidget):
         """The buttons that are disabled while other work runs."""
         saving = self.save_table, self.save_figure, self.population.save_figure
         return self.run, self.compare, self.folder, *saving
-
-    def apply_theme(self, theme: Theme) -> None:
-        """Apply the colours of a theme."""
-        self.results.apply_theme(theme)
-        self.pictures.apply_theme(theme)
-        self.population.apply_theme(theme)
 
     def cancel(self) -> None:
         """Cancel the work after the current fit."""

@@ -14,7 +14,6 @@ from PySide6.QtWidgets import QFileDialog, QHBoxLayout, QLabel, QMenu, QPushButt
 
 from tissueid.app.build import button
 from tissueid.app.context import AppContext
-from tissueid.app.theme import Theme
 from tissueid.app.views.researcher.background_work import ProgressStrip
 from tissueid.app.views.researcher.filter_bar import FilterBar
 from tissueid.app.views.researcher.selected_test import SelectedTest
@@ -199,10 +198,6 @@ class Browser(QWidget):
         self.setEnabled(not testing)
         if self._all_wanted:
             self._tell_count()
-
-    def apply_theme(self, theme: Theme) -> None:
-        """Apply the colours of a theme."""
-        self.model.apply_theme(theme)
 
     def save_state(self) -> None:
         """Save folders, filters and columns."""

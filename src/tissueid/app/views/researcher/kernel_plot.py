@@ -10,7 +10,6 @@ import numpy as np
 from PySide6.QtWidgets import QButtonGroup, QComboBox, QHBoxLayout, QPushButton, QVBoxLayout, QWidget
 
 from tissueid.app.plot_canvas import PlotCanvas
-from tissueid.app.theme import Theme
 from tissueid.app.views.researcher.engine_outcome import EngineOutcome
 from tissueid.language import _, marked
 from tissueid.messages import Verbatim
@@ -100,10 +99,6 @@ class KernelPlot(QWidget):
         self.choice.setCurrentIndex(max(0, self.choice.findText(before)) if pairs else -1)
         self.choice.blockSignals(False)
         self._show()
-
-    def apply_theme(self, theme: Theme) -> None:
-        """Apply the colours of a theme."""
-        self.canvas.apply_theme(theme)
 
     def _show(self) -> None:
         plot, together = self.plot, self.side_by_side

@@ -11,7 +11,7 @@ from PySide6.QtWidgets import QComboBox, QHBoxLayout, QLabel, QStackedWidget, QV
 
 from tissueid.analysis.curves.plot import Curve
 from tissueid.app.plot_canvas import PlotCanvas
-from tissueid.app.theme import Theme
+from tissueid.app.theme import appearance
 from tissueid.app.views.researcher.engine_outcome import EngineOutcome, keys_of
 from tissueid.app.views.researcher.kernel_plot import KernelPlot
 from tissueid.app.views.researcher.plot_data import DEPTH, KERNELS, OUTPUT, PICTURES
@@ -43,7 +43,6 @@ class Pictures(QWidget):
         self.choice.setMinimumWidth(_CHOICE)
         for name in PICTURES:
             self.choice.addItem(_(name), name)
-        self._theme: Theme | None = None
         self._drawn: list[EngineOutcome] = []
         self._total = 0
         self._refused = ""
@@ -60,6 +59,7 @@ class Pictures(QWidget):
         self.legend.setMinimumWidth(1)
         self.legend.setAccessibleName(_("Key of the plots"))
         self.choice.currentIndexChanged.connect(self._show)
+        appearance.changed.connect(self._show_legend)
         self.canvas = QWidget()
         self._inside = inside = QVBoxLayout(self.canvas)
         inside.setContentsMargins(0, 0, 0, 0)
@@ -105,13 +105,6 @@ class Pictures(QWidget):
     def calibrated(self) -> bool:
         """Whether a calibration lies below the results."""
         return bool(self._under)
-
-    def apply_theme(self, theme: Theme) -> None:
-        """Apply the colours of a theme."""
-        self._theme = theme
-        self.plots.apply_theme(theme)
-        self.kernel.apply_theme(theme)
-        self._show_legend()
 
     @property
     def outcomes(self) -> tuple[EngineOutcome, ...]:
@@ -171,9 +164,7 @@ class Pictures(QWidget):
         self._show_legend()
 
     def _show_legend(self) -> None:
-        theme = self._theme
-        if theme is None:
-            return
+        theme = appearance.theme
         room = max(_LEAST, self.width() // max(1, self.fontMetrics().averageCharWidth()) - _AROUND)
         common, labels = self._keys(room)
         entries = [html.escape(f"{common}:")] if common else []

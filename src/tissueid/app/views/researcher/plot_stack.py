@@ -12,7 +12,7 @@ from PySide6.QtGui import QMouseEvent, QResizeEvent
 from PySide6.QtWidgets import QLabel, QVBoxLayout, QWidget
 
 from tissueid.app.plotting import PlotCard
-from tissueid.app.theme import Theme, faint
+from tissueid.app.theme import appearance, faint
 from tissueid.app.views.researcher.colours import series
 from tissueid.app.views.researcher.signal_loading import MOST_TESTS, Channel, LoadedTest
 from tissueid.formatting import fixed
@@ -39,7 +39,6 @@ class PlotStack(QWidget):
         self._plots: list[_Plot] = []
         self._loaded: Sequence[LoadedTest] = ()
         self._channels: Sequence[Channel] = ()
-        self._theme: Theme | None = None
         self._whole = (0.0, 1.0)
         self.brush: tuple[float, float] | None = None
         self._source: _Plot | None = None
@@ -57,6 +56,7 @@ class PlotStack(QWidget):
         self._column.setContentsMargins(0, 0, 0, 0)
         self._column.setSpacing(4)
         self._column.addWidget(self._axis)
+        appearance.changed.connect(self._paint)
 
     @property
     def cards(self) -> list[PlotCard]:
@@ -109,11 +109,9 @@ class PlotStack(QWidget):
         self._place_views(self.brush)
         self._tell()
 
-    def apply_theme(self, theme: Theme) -> None:
-        """Apply the colours of a theme."""
-        self._theme = theme
+    def _paint(self) -> None:
         for plot in self._plots:
-            plot.apply_theme(theme)
+            plot.paint()
 
     def bring_forward(self, place: int) -> None:
         """Draw a test over the others."""
@@ -193,8 +191,7 @@ class PlotStack(QWidget):
 
     def _add(self) -> None:
         plot = _Plot(self)
-        if self._theme is not None:
-            plot.apply_theme(self._theme)
+        plot.paint()
         plot.card.plot.viewport().installEventFilter(self)
         plot.card.plot.viewport().setCursor(Qt.CursorShape.CrossCursor)
         self._column.insertWidget(len(self._plots), plot.card, 1)
@@ -212,12 +209,14 @@ class _Plot:
         self.view = (0.0, 1.0)
         self._channel = Channel("", "")
         self._curves: list[pg.PlotDataItem] = []
+        # Each plot may show other times than its neighbours.
+        self.card.plot.getAxis("bottom").setStyle(showValues=True)
+        self.card.plot.getAxis("bottom").setHeight(_AXIS_HEIGHT)
         self._region = pg.LinearRegionItem(movable=False)
         self._region.setZValue(-10)
         self._region.hide()
         self.card.plot.addItem(self._region, ignoreBounds=True)
         self._preload = self.card.mark()
-        self._theme: Theme | None = None
         self._drawn: tuple[tuple[float, float], int] | None = None
         """Key of the drawn curves; they are redrawn when it changes."""
 
@@ -280,19 +279,14 @@ class _Plot:
         box.setRange(xRange=self.view, yRange=across, padding=0.0)
         self.card.remark(_("{low} to {high} s").format(low=fixed(self.view[0], 3), high=fixed(self.view[1], 3)))
 
-    def apply_theme(self, theme: Theme) -> None:
-        """Apply the colours of a theme."""
-        self._theme = theme
-        self.card.apply_theme(theme)
-        # Each plot may show other times than its neighbours.
-        self.card.plot.getAxis("bottom").setStyle(showValues=True)
-        self.card.plot.getAxis("bottom").setHeight(_AXIS_HEIGHT)
-        self._region.setBrush(faint(theme.accent, 45))
+    def paint(self) -> None:
+        """Apply the colours of the active theme."""
+        accent = appearance.theme.accent
+        self._region.setBrush(faint(accent, 45))
         for line in self._region.lines:
-            line.setPen(pg.mkPen(theme.accent, width=1))
+            line.setPen(pg.mkPen(accent, width=1))
         self._colour()
 
     def _colour(self) -> None:
-        if self._theme is not None:
-            for curve, colour in zip(self._curves, series(self._theme), strict=False):
-                curve.setPen(pg.mkPen(colour, width=1))
+        for curve, colour in zip(self._curves, series(appearance.theme), strict=False):
+            curve.setPen(pg.mkPen(colour, width=1))

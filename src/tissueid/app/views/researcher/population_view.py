@@ -14,7 +14,7 @@ from PySide6.QtWidgets import QComboBox, QGridLayout, QLabel, QVBoxLayout, QWidg
 
 from tissueid.app.build import button
 from tissueid.app.plot_canvas import PlotCanvas, Point
-from tissueid.app.theme import LIGHT, Theme
+from tissueid.app.theme import LIGHT, appearance
 from tissueid.app.views.researcher.engine_outcome import EngineOutcome, variant_of
 from tissueid.app.views.researcher.population import (
     ACROSS,
@@ -62,7 +62,6 @@ class PopulationView(QWidget):
         super().__init__(parent)
         self._outcomes: tuple[EngineOutcome, ...] = ()
         self._stale = False
-        self._theme: Theme | None = None
         self._wanted = ""
         self.shown: Population | None = None
         self.engine = _choice(_("Fits that are drawn: engine and options"))
@@ -107,6 +106,7 @@ class PopulationView(QWidget):
         rows.addWidget(self.named)
         for choice in (self.engine, self.parameter, self.across, self.group, self.spread):
             choice.activated.connect(self._choose)
+        appearance.changed.connect(self._show)
         self.show_outcomes(())
 
     def show_outcomes(self, outcomes: Sequence[EngineOutcome]) -> None:
@@ -126,12 +126,6 @@ class PopulationView(QWidget):
         self._stale = True
         if self.isVisible():
             self._refresh()
-
-    def apply_theme(self, theme: Theme) -> None:
-        """Apply the colours of a theme."""
-        self._theme = theme
-        self.card.apply_theme(theme)
-        self._show()
 
     @property
     def figure(self) -> PopulationFigure | None:
@@ -222,9 +216,7 @@ class PopulationView(QWidget):
         reasons = [f"{grouped(count)} {why}" for why, count in found.left_out.items()]
         variants = list(dict.fromkeys(variant_of(outcome) for outcome in found.outcomes))
         self.count.setText("; ".join([f"{words} {of_tests}", *reasons, *variants]))
-        theme = self._theme
-        if theme is None:
-            return
+        theme = appearance.theme
         overall = _overall(found)
         entries = []
         for place, name in enumerate(found.groups[:_MOST_NAMED]):

@@ -17,7 +17,7 @@ from PySide6.QtCore import (
 from PySide6.QtGui import QColor, QFont, QIcon, QKeyEvent, QKeySequence, QPainter, QPixmap
 from PySide6.QtWidgets import QAbstractItemView, QHeaderView, QTableView, QWidget
 
-from tissueid.app.theme import Theme
+from tissueid.app.theme import appearance
 from tissueid.app.views.researcher.engine_outcome import EngineOutcome
 from tissueid.app.words import sentence
 from tissueid.formatting import axis_label, clean, fixed, label_and_unit, plain_text, plus_minus, subject_text
@@ -132,10 +132,6 @@ class ResultsTable(QTableView):
         """Mark the drawn results with their colours, in the order of ``SERIES``."""
         self._model.colour({id(outcome): place for place, outcome in enumerate(drawn)})
 
-    def apply_theme(self, theme: Theme) -> None:
-        """Apply the colours of a theme."""
-        self._model.apply_theme(theme)
-
     def take_units(self) -> None:
         """Show the values in the active unit system."""
         self._model.take_units()
@@ -200,7 +196,6 @@ class _Results(QAbstractTableModel):
         self.outcomes: list[EngineOutcome] = []
         self.parameters: list[str] = []
         self._colours: dict[int, int] = {}
-        self._theme: Theme | None = None
         self._bold = QFont(parent.font())
         self._bold.setBold(True)
 
@@ -218,10 +213,6 @@ class _Results(QAbstractTableModel):
 
     def colour(self, places: dict[int, int]) -> None:
         self._colours = places
-        self._tell_colours()
-
-    def apply_theme(self, theme: Theme) -> None:
-        self._theme = theme
         self._tell_colours()
 
     def take_units(self) -> None:
@@ -261,18 +252,18 @@ class _Results(QAbstractTableModel):
             return self._sorted_by(outcome, column)
         if role == Qt.ItemDataRole.ToolTipRole:
             return _tool_tip(outcome) if self._is_text(column) else None
-        if role == Qt.ItemDataRole.DecorationRole and column == 0 and self._theme is not None:
+        if role == Qt.ItemDataRole.DecorationRole and column == 0:
             place = self._colours.get(id(outcome))
-            return None if place is None else _square(getattr(self._theme, SERIES[place % len(SERIES)]))
+            return None if place is None else _square(getattr(appearance.theme, SERIES[place % len(SERIES)]))
         if role == Qt.ItemDataRole.TextAlignmentRole and not self._is_text(column):
             return Qt.AlignmentFlag.AlignRight | Qt.AlignmentFlag.AlignVCenter
-        if role == Qt.ItemDataRole.ForegroundRole and self._theme is not None:
+        if role == Qt.ItemDataRole.ForegroundRole:
             if outcome.refused:
-                return QColor(self._theme.muted)
+                return QColor(appearance.theme.muted)
             if outcome.report is not None and outcome.report.predicts_nothing:
-                return QColor(self._theme.poor)
+                return QColor(appearance.theme.poor)
             if outcome.changed:
-                return QColor(self._theme.check)
+                return QColor(appearance.theme.check)
         if role == Qt.ItemDataRole.FontRole and outcome.recommended:
             return self._bold
         return None

@@ -10,7 +10,7 @@ from pathlib import Path
 from PySide6.QtCore import QAbstractItemModel, QModelIndex, QObject, QPersistentModelIndex, Qt
 from PySide6.QtGui import QColor
 
-from tissueid.app.theme import Theme
+from tissueid.app.theme import appearance
 from tissueid.app.views.researcher.session_search import VERDICTS, SessionEntry, TestEntry
 from tissueid.app.widgets import plain_tip
 from tissueid.formatting import clean, fixed, subject_text
@@ -54,7 +54,6 @@ class SessionModel(QAbstractItemModel):
         self._entries: list[SessionEntry] = []
         self._rows: dict[Path, int] = {}
         self._shown: list[list[_Row]] = []
-        self._theme: Theme | None = None
 
     @property
     def entries(self) -> Sequence[SessionEntry]:
@@ -84,13 +83,6 @@ class SessionModel(QAbstractItemModel):
         self._entries, self._rows, self._shown = [], {}, []
         self._take(entries)
         self.endResetModel()
-
-    def apply_theme(self, theme: Theme) -> None:
-        """Apply the colours of a theme."""
-        self._theme = theme
-        if self._entries:
-            last = self.index(len(self._entries) - 1, len(COLUMNS) - 1)
-            self.dataChanged.emit(self.index(0, 0), last, [Qt.ItemDataRole.ForegroundRole])
 
     def _take(self, entries: Iterable[SessionEntry]) -> None:
         for entry in entries:
@@ -160,9 +152,9 @@ class SessionModel(QAbstractItemModel):
             return f"{_(COLUMNS[column])}: {row.texts[column]}"
         if role == Qt.ItemDataRole.TextAlignmentRole and column in _NUMBERS:
             return Qt.AlignmentFlag.AlignRight | Qt.AlignmentFlag.AlignVCenter
-        if role == Qt.ItemDataRole.ForegroundRole and self._theme is not None:
+        if role == Qt.ItemDataRole.ForegroundRole:
             colour = "muted" if row.problem else _VERDICT_COLOURS.get(row.verdict, "") if column == QUALITY else ""
-            return QColor(getattr(self._theme, colour)) if colour else None
+            return QColor(getattr(appearance.theme, colour)) if colour else None
         return None
 
     def _row(self, index: Index) -> _Row:

@@ -19,7 +19,6 @@ from tissueid.app.build import button
 from tissueid.app.context import AppContext
 from tissueid.app.number_field import NumberField
 from tissueid.app.small_window import FoldingBox
-from tissueid.app.theme import Theme
 from tissueid.app.views.researcher.background_work import ProgressStrip
 from tissueid.app.views.researcher.plot_stack import MOST_PLOTS, SHORTEST_S, PlotStack
 from tissueid.app.views.researcher.save_dialog import SaveDialog
@@ -168,11 +167,6 @@ class SignalsPanel(QWidget):
         """Disable the controls during a test, and saving while a job runs."""
         self.setEnabled(not testing)
         self.save.setEnabled(not busy and bool(self.loaded))
-
-    def apply_theme(self, theme: Theme) -> None:
-        """Apply the colours of a theme."""
-        for part in (self.stack, self.table, self.spectrum):
-            part.apply_theme(theme)
 
     def save_state(self) -> None:
         """Save which signals are drawn."""

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING
 from PySide6.QtWidgets import QComboBox, QVBoxLayout, QWidget
 
 from tissueid.app.plot_canvas import PlotCanvas
-from tissueid.app.theme import LIGHT, Theme
+from tissueid.app.theme import appearance
 from tissueid.app.views.researcher.colours import series
 from tissueid.app.views.researcher.signal_loading import Channel, LoadedTest
 from tissueid.language import _
@@ -27,7 +27,6 @@ class SpectrumCard(QWidget):
         self.choice.setSizeAdjustPolicy(QComboBox.SizeAdjustPolicy.AdjustToMinimumContentsLengthWithIcon)
         self.choice.setMinimumContentsLength(10)
         self.card = PlotCanvas(_("Power spectrum"))
-        self._theme: Theme = LIGHT
         self._shown: tuple[Sequence[LoadedTest], tuple[float, float]] = ((), (0.0, 1.0))
         self._wanted = "position"
         rows = QVBoxLayout(self)
@@ -36,6 +35,7 @@ class SpectrumCard(QWidget):
         rows.addWidget(self.choice)
         rows.addWidget(self.card, 1)
         self.choice.activated.connect(self._choose)
+        appearance.changed.connect(self._show_again)
 
     @property
     def channel(self) -> Channel | None:
@@ -58,17 +58,11 @@ class SpectrumCard(QWidget):
         if channel is None or not loaded:
             self.card.say_missing("")
             return
-        self.card.show_plots([spectrum_of(channel, loaded, (low_s, high_s), series(self._theme))])
+        self.card.show_plots([spectrum_of(channel, loaded, (low_s, high_s), series(appearance.theme))])
 
     def take_units(self) -> None:
         """Show the values in the active unit system."""
         self.card.take_units()
-
-    def apply_theme(self, theme: Theme) -> None:
-        """Apply the colours of a theme."""
-        self._theme = theme
-        self.card.apply_theme(theme)
-        self._show_again()
 
     def _choose(self) -> None:
         channel = self.channel

@@ -8,7 +8,7 @@ from PySide6.QtCore import Qt
 from PySide6.QtGui import QColor, QPixmap, QResizeEvent
 from PySide6.QtWidgets import QHeaderView, QTableWidget, QTableWidgetItem, QWidget
 
-from tissueid.app.theme import Theme
+from tissueid.app.theme import appearance
 from tissueid.app.views.researcher.colours import series
 from tissueid.app.views.researcher.selected_test import distinguishing_labels
 from tissueid.app.views.researcher.signal_loading import Channel, LoadedTest
@@ -29,7 +29,6 @@ class StatisticsTable(QTableWidget):
 
     def __init__(self, parent: QWidget | None = None) -> None:
         super().__init__(0, 1, parent)
-        self._theme: Theme | None = None
         self._stretch: tuple[Sequence[LoadedTest], Sequence[Channel], float, float] = (), (), 0.0, 0.0
         self.setAccessibleName(_("Mean and standard deviation of the brushed stretch"))
         self.setEditTriggers(QTableWidget.EditTrigger.NoEditTriggers)
@@ -45,6 +44,7 @@ class StatisticsTable(QTableWidget):
         header.setSectionResizeMode(QHeaderView.ResizeMode.ResizeToContents)
         header.setHighlightSections(False)
         self.setToolTip(_("The selected test is drawn over the others"))
+        appearance.follow(self._colour)
 
     def show_stretch(
         self, loaded: Sequence[LoadedTest], channels: Sequence[Channel], low_s: float, high_s: float
@@ -75,11 +75,6 @@ class StatisticsTable(QTableWidget):
         """Show the values in the active unit system."""
         self.show_stretch(*self._stretch)
 
-    def apply_theme(self, theme: Theme) -> None:
-        """Apply the colours of a theme."""
-        self._theme = theme
-        self._colour()
-
     def _give_room(self) -> None:
         """Fit the width of the names to the available room, but not below a minimum."""
         others = sum(self.columnWidth(column) for column in range(1, self.columnCount()))
@@ -87,9 +82,7 @@ class StatisticsTable(QTableWidget):
         self.horizontalHeader().resizeSection(0, min(room, self.sizeHintForColumn(0) + _SWATCH))
 
     def _colour(self) -> None:
-        if self._theme is None:
-            return
-        for row, colour in zip(range(self.rowCount()), series(self._theme), strict=False):
+        for row, colour in zip(range(self.rowCount()), series(appearance.theme), strict=False):
             swatch = QPixmap(_SWATCH, _SWATCH)
             swatch.fill(QColor(colour))
             if (item := self.item(row, 0)) is not None:

@@ -8,7 +8,6 @@ from PySide6.QtCore import QByteArray, Qt, QTimer
 from PySide6.QtWidgets import QAbstractButton, QSplitter, QTabWidget, QToolButton, QVBoxLayout, QWidget
 
 from tissueid.app.context import AppContext, View
-from tissueid.app.theme import Theme
 from tissueid.app.views.researcher.analysis import AnalysisPanel
 from tissueid.app.views.researcher.background_work import ProgressStrip
 from tissueid.app.views.researcher.browser import Browser
@@ -107,12 +106,6 @@ class ResearchView(View):
     def on_session_saved(self, path: Path) -> None:
         """List a new session."""
         self.browser.on_session_saved(path)
-
-    def apply_theme(self, theme: Theme) -> None:
-        """Apply the colours of a theme."""
-        self.browser.apply_theme(theme)
-        self.signals.apply_theme(theme)
-        self.analysis.apply_theme(theme)
 
     def cancel(self) -> None:
         """Cancel the running work and start no more; the window closes."""

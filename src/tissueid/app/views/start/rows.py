@@ -17,7 +17,7 @@ from PySide6.QtWidgets import (
 )
 
 from tissueid.app import build
-from tissueid.app.theme import LIGHT, Theme
+from tissueid.app.theme import appearance
 from tissueid.app.views.start.recent import Recent
 
 Cell = tuple[str, str]
@@ -38,7 +38,6 @@ class Rows(QTableWidget):
         self, name: str, headings: Sequence[str], stretched: Sequence[int], parent: QWidget | None = None
     ) -> None:
         super().__init__(0, len(headings), parent)
-        self._theme = LIGHT
         self.setAccessibleName(name)
         self.setHorizontalHeaderLabels(list(headings))
         self.setSelectionBehavior(QAbstractItemView.SelectionBehavior.SelectRows)
@@ -64,6 +63,7 @@ class Rows(QTableWidget):
         self.verticalHeader().setMinimumSectionSize(self.verticalHeader().defaultSectionSize())
         self.setMinimumHeight(header.sizeHint().height() + _LOWEST * self.verticalHeader().defaultSectionSize())
         self.cellDoubleClicked.connect(self._take)
+        appearance.follow(self._colour)
 
     @property
     def chosen(self) -> int:
@@ -92,22 +92,6 @@ class Rows(QTableWidget):
             if (item := self.item(row, column)) is not None:
                 item.setToolTip(text)
                 item.setData(Qt.ItemDataRole.AccessibleDescriptionRole, text)
-
-    def apply_theme(self, theme: Theme) -> None:
-        """Take on the colours of a theme."""
-        self._theme = theme
-        self.setStyleSheet(
-            f"QTableView {{ background: {theme.panel}; color: {theme.text}; border: 1px solid {theme.line};"
-            f" border-radius: 6px; selection-background-color: {theme.accent};"
-            f" selection-color: {theme.accent_text}; outline: none; }}"
-            f"QTableView:focus {{ border: 1px solid {theme.accent}; }}"
-            f"QTableView::item {{ padding: 4px 0px; }}"
-            f"QTableView::item:selected {{ background: {theme.accent}; color: {theme.accent_text}; }}"
-            f"QHeaderView {{ background: {theme.panel}; }}"
-            f"QHeaderView::section {{ background: {theme.panel}; color: {theme.muted}; border: none;"
-            f" border-bottom: 1px solid {theme.line}; padding: 3px 4px; }}"
-        )
-        self._colour()
 
     def resizeEvent(self, event: QResizeEvent) -> None:  # noqa: N802
         """Distribute the width over the columns again."""
@@ -143,11 +127,12 @@ class Rows(QTableWidget):
         self.taken.emit(row)
 
     def _colour(self) -> None:
-        colours = {"good": self._theme.good, "check": self._theme.check, "poor": self._theme.poor}
+        theme = appearance.theme
+        colours = {"good": theme.good, "check": theme.check, "poor": theme.poor}
         for row in range(self.rowCount()):
             for column in range(self.columnCount()):
                 if (item := self.item(row, column)) is not None:
-                    item.setForeground(QColor(colours.get(item.data(_LEVEL), self._theme.text)))
+                    item.setForeground(QColor(colours.get(item.data(_LEVEL), theme.text)))
 
 
 def cells(item: Recent) -> tuple[tuple[str, str], ...]:

@@ -29,7 +29,6 @@ from tissueid.app.context import AppContext, View
 from tissueid.app.preferences import choosers
 from tissueid.app.roles import RoleCard
 from tissueid.app.small_window import FoldingBox
-from tissueid.app.theme import Theme
 from tissueid.app.views.start.recent import FolderLook, KnownFiles, look_into
 from tissueid.app.views.start.rows import Rows, brief, cells, short_address, under_heading
 from tissueid.app.views.start.storage_locations import storage_locations
@@ -173,13 +172,6 @@ class StartView(View):
             _("The next test is with {url}.").format(url=clean(chosen)) if chosen else _("None is chosen.")
         )
         self._enable_choices()
-
-    def apply_theme(self, theme: Theme) -> None:
-        """Take on the colours of a theme."""
-        for table in (self.recent, self.instruments):
-            table.apply_theme(theme)
-        for card in self.cards.values():
-            card.apply_theme(theme)
 
     def cancel(self) -> None:
         """Stop reading the folder."""

@@ -7,7 +7,6 @@ from PySide6.QtWidgets import QComboBox, QWidget
 
 from tissueid.app.build import button, column, row
 from tissueid.app.plot_canvas import PlotCanvas
-from tissueid.app.theme import Theme
 from tissueid.app.views.studies.study_figures import StudyFigures
 from tissueid.app.widgets import plain_label
 from tissueid.language import _
@@ -64,10 +63,6 @@ class FiguresTab(QWidget):
                 if analysed
                 else _("Press “Analyse” first: the figures are drawn from its table.")
             )
-
-    def apply_theme(self, theme: Theme) -> None:
-        """Apply the colours of a theme."""
-        self.canvas.apply_theme(theme)
 
     def update_enabled(self, *, busy: bool, has_table: bool) -> None:
         """Enable what makes sense now."""

@@ -9,7 +9,7 @@ from typing import Any
 from PySide6.QtCore import QAbstractTableModel, QModelIndex, QObject, QPersistentModelIndex, Qt
 from PySide6.QtGui import QColor
 
-from tissueid.app.theme import Theme
+from tissueid.app.theme import appearance
 from tissueid.app.views.studies.study_data import StudyData, TestRow
 from tissueid.app.widgets import plain_tip
 from tissueid.formatting import axis_label, fixed, label_and_unit, plus_minus, subject_text
@@ -62,7 +62,6 @@ class TestsModel(QAbstractTableModel):
         self._scales: dict[str, float] = {}
         self._asked: tuple[str, str, str, str] = ("", "", "", "")
         self._sorted: tuple[int, Qt.SortOrder] = (-1, Qt.SortOrder.AscendingOrder)
-        self._theme: Theme | None = None
         self._labels = {name: engine_label(name) for name in engine_names()}
         self.shown: list[int] = []
         self.parameters: tuple[str, ...] = ()
@@ -108,10 +107,6 @@ class TestsModel(QAbstractTableModel):
         self._sorted = (column, order)
         self._find()
         self.layoutChanged.emit()
-
-    def apply_theme(self, theme: Theme) -> None:
-        """Apply the colours of a theme."""
-        self._theme = theme
 
     def take_units(self) -> None:
         """Show the values in the active unit system."""
@@ -190,9 +185,9 @@ class TestsModel(QAbstractTableModel):
             return plain_tip(translated(row.problem) if row.problem else self._text(row, column))
         if role == Qt.ItemDataRole.TextAlignmentRole and self._is_number(column):
             return _RIGHT
-        if role == Qt.ItemDataRole.ForegroundRole and self._theme is not None:
+        if role == Qt.ItemDataRole.ForegroundRole:
             colour = "muted" if row.problem else _QUALITY_COLOURS.get(row.quality, "") if column == QUALITY else ""
-            return QColor(getattr(self._theme, colour)) if colour else None
+            return QColor(getattr(appearance.theme, colour)) if colour else None
         return None
 
     def _is_number(self, column: int) -> bool:

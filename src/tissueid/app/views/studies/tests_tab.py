@@ -21,7 +21,6 @@ from PySide6.QtWidgets import (
 
 from tissueid.app.build import button
 from tissueid.app.small_window import FoldingBox
-from tissueid.app.theme import Theme
 from tissueid.app.views.studies.study_data import StudyData
 from tissueid.app.views.studies.tests_model import SUBJECT, WITHOUT, TestsModel
 from tissueid.formatting import clean, label_and_unit, subject_text
@@ -105,11 +104,6 @@ class TestsTab(QWidget):
         header.resizeSection(SUBJECT, header.fontMetrics().horizontalAdvance("P-0000000"))  # not the width of a reason
         for column in range(self.model.columnCount()):
             header.resizeSection(column, min(header.sectionSize(column), _WIDEST))
-
-    def apply_theme(self, theme: Theme) -> None:
-        """Apply the colours of a theme."""
-        self.model.apply_theme(theme)
-        self.table.viewport().update()
 
     @property
     def fields(self) -> list[QWidget]:

@@ -14,7 +14,6 @@ from PySide6.QtWidgets import QAbstractButton, QTabWidget, QVBoxLayout, QWidget
 from tissueid.app.build import label
 from tissueid.app.context import AppContext, View
 from tissueid.app.jobs import JobControl
-from tissueid.app.theme import Theme
 from tissueid.app.views.studies.figures_tab import FiguresTab
 from tissueid.app.views.studies.protocol_dialog import ProtocolDialog
 from tissueid.app.views.studies.request_row import RequestRow
@@ -147,11 +146,6 @@ class StudiesView(View):
             self.open_study(paths[0])
             return True
         return False
-
-    def apply_theme(self, theme: Theme) -> None:
-        """Apply the colours of a theme."""
-        self.tests.apply_theme(theme)
-        self.figures.apply_theme(theme)
 
     def cancel(self) -> None:
         """Cancel the running work; what is analysed is kept."""

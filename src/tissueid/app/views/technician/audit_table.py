@@ -13,7 +13,6 @@ from PySide6.QtWidgets import QComboBox, QFileDialog, QFrame, QHBoxLayout, QLine
 from tissueid.app.build import button
 from tissueid.app.context import AppContext
 from tissueid.app.jobs import PageJob
-from tissueid.app.theme import Theme
 from tissueid.app.views.technician.events import moment
 from tissueid.app.views.technician.log_reading import (
     LogPage,
@@ -284,10 +283,6 @@ class AuditTab(Tab):
         ]
         self.full.setText(" · ".join(parts))
         self.full.show()
-
-    def apply_theme(self, theme: Theme) -> None:
-        """Take on the colours of a theme."""
-        self.model.apply_theme(theme)
 
     def save_state(self) -> None:
         """Filter and search."""

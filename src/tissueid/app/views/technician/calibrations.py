@@ -14,7 +14,6 @@ from PySide6.QtWidgets import QHBoxLayout, QSplitter, QStackedWidget, QVBoxLayou
 from tissueid.app.build import button
 from tissueid.app.context import AppContext
 from tissueid.app.jobs import PageJob
-from tissueid.app.theme import Theme
 from tissueid.app.views.technician.statics_panel import StaticsPanel
 from tissueid.app.views.technician.sweeps_panel import SweepsPanel
 from tissueid.app.views.technician.tab import PiecesModel, Tab, plain_label, table_of
@@ -281,12 +280,6 @@ class CalibrationsTab(Tab):
         else:
             self.hint.setText("\n".join(row.force for row in rows[:_MOST_WHY]) or _(_HINT))
             self.detail.setCurrentWidget(self.hint)
-
-    def apply_theme(self, theme: Theme) -> None:
-        """Take on the colours of a theme."""
-        self.model.apply_theme(theme)
-        self.sweeps.apply_theme(theme)
-        self.statics.apply_theme(theme)
 
     def save_state(self) -> None:
         """Where the two halves part."""

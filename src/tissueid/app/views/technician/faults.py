@@ -11,7 +11,6 @@ from PySide6.QtWidgets import QComboBox, QFrame, QHBoxLayout, QLineEdit, QVBoxLa
 from tissueid.app.build import button
 from tissueid.app.context import AppContext
 from tissueid.app.jobs import PageJob
-from tissueid.app.theme import Theme
 from tissueid.app.views.technician.checkup import newest_first
 from tissueid.app.views.technician.events import COMPLETED, KINDS, LEVELS, Event, Events, read_events
 from tissueid.app.views.technician.log_reading import read_log
@@ -160,10 +159,6 @@ class FaultsTab(Tab):
         event = self.selected
         if event is not None and event.path is not None and not self.context.busy:
             self.context.open_session(event.path)
-
-    def apply_theme(self, theme: Theme) -> None:
-        """Take on the colours of a theme."""
-        self.model.apply_theme(theme)
 
     def save_state(self) -> None:
         """Filter and search."""

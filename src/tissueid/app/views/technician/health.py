@@ -15,7 +15,7 @@ from tissueid.app.calibration_state import calibration_state
 from tissueid.app.context import AppContext
 from tissueid.app.jobs import PageJob
 from tissueid.app.plotting import PlotCard
-from tissueid.app.theme import Theme, faint
+from tissueid.app.theme import appearance, faint
 from tissueid.app.views.technician.checkup import Background, LastTest, Light, background, light
 from tissueid.app.views.technician.events import moment
 from tissueid.app.views.technician.tab import FactsCard, Tab, mark_level, plain_label, tip
@@ -38,7 +38,6 @@ class Lamps(QWidget):
     def __init__(self, parent: QWidget | None = None) -> None:
         super().__init__(parent)
         self._level = ""
-        self._theme: Theme | None = None
         self.setFixedSize(36, round(3 * _STEP + 4))
         self.show_level("")
 
@@ -54,24 +53,17 @@ class Lamps(QWidget):
         self.setToolTip(_("Traffic light: {colour}").format(colour=_(_WORDS[level])))
         self.update()
 
-    def apply_theme(self, theme: Theme) -> None:
-        """Take on the colours of a theme."""
-        self._theme = theme
-        self.update()
-
     def paintEvent(self, event: QPaintEvent) -> None:  # noqa: N802
         """Draw the lamps."""
         super().paintEvent(event)
-        if self._theme is None:
-            return
         painter = QPainter(self)
         painter.setRenderHint(QPainter.RenderHint.Antialiasing)
         for row, level in enumerate(_LEVELS):
             centre = QPointF(0.5 * self.width(), (row + 0.5) * _STEP + 2.0)
             lit = level == self._level
-            colour = QColor(getattr(self._theme, level))
-            painter.setBrush(colour if lit else faint(self._theme.line, 120))
-            painter.setPen(QPen(colour if lit else QColor(self._theme.edge), 1.0))
+            colour = QColor(getattr(appearance.theme, level))
+            painter.setBrush(colour if lit else faint(appearance.theme.line, 120))
+            painter.setPen(QPen(colour if lit else QColor(appearance.theme.edge), 1.0))
             painter.drawEllipse(centre, _RADIUS, _RADIUS)
             if lit:
                 painter.setBrush(Qt.BrushStyle.NoBrush)
@@ -259,11 +251,6 @@ class HealthTab(Tab):
     def take_units(self) -> None:
         """Show it in the units in force."""
         self._show()
-
-    def apply_theme(self, theme: Theme) -> None:
-        """Take on the colours of a theme."""
-        self.lamps.apply_theme(theme)
-        self.trend.apply_theme(theme)
 
 
 def _dated(calibrations: list[Calibration], now: datetime) -> tuple[np.ndarray, np.ndarray]:

@@ -10,7 +10,6 @@ from PySide6.QtWidgets import QComboBox, QHBoxLayout, QVBoxLayout, QWidget
 from tissueid.analysis.curves.calibration_plots import residual_plot, trend_plot
 from tissueid.app.calibration_state import figure_of
 from tissueid.app.plot_canvas import PlotCanvas
-from tissueid.app.theme import Theme
 from tissueid.app.views.technician.tab import PiecesModel, mark_level, plain_label, table_of, tip
 from tissueid.app.words import sentence
 from tissueid.calibration.comparison import Residuals, residuals, trend
@@ -129,9 +128,3 @@ class StaticsPanel(QWidget):
     def take_units(self) -> None:
         """Show the figures in the units in force."""
         self.model.show_rows(self.model.rows)
-
-    def apply_theme(self, theme: Theme) -> None:
-        """Take on the colours of a theme."""
-        for card in (self.off, self.over_dates):
-            card.apply_theme(theme)
-        self.model.apply_theme(theme)

@@ -12,7 +12,7 @@ from PySide6.QtWidgets import QComboBox, QFrame, QGridLayout, QHBoxLayout, QLabe
 from tissueid.analysis.curves.calibration_plots import ALONG_STROKE, stroke_plot
 from tissueid.app.calibration_state import figure_of
 from tissueid.app.plot_canvas import PlotCanvas
-from tissueid.app.theme import Theme
+from tissueid.app.theme import appearance
 from tissueid.app.views.technician.tab import PiecesModel, mark_level, plain_label, table_of
 from tissueid.calibration.comparison import (
     SIGNIFICANT_STD,
@@ -46,7 +46,6 @@ class SweepsPanel(QWidget):
 
     def __init__(self, parent: QWidget | None = None) -> None:
         super().__init__(parent)
-        self._theme: Theme | None = None
         self._sweeps: tuple[Calibration, ...] = ()
         self.comparison: Comparison | None = None
         self.words = plain_label(role="headline")
@@ -55,6 +54,7 @@ class SweepsPanel(QWidget):
         self.against.setAccessibleName(_("Compare the newest sweep with"))
         self.against.setToolTip(_("Compare the newest of the selected sweeps with"))
         self.against.currentIndexChanged.connect(self._compare)
+        appearance.changed.connect(self._show_key)
         self.cards = {name: PlotCanvas(_(axis.label)) for name, (axis, _scale) in ALONG_STROKE.items()}
         for card in self.cards.values():
             card.setMinimumHeight(_PLOT_HEIGHT)
@@ -148,9 +148,7 @@ class SweepsPanel(QWidget):
 
     def _show_key(self) -> None:
         """Which colour is which sweep; the names are of people and are no markup."""
-        theme = self._theme
-        if theme is None:
-            return
+        theme = appearance.theme
         lines = [
             f'<span style="color:{getattr(theme, role)}">■</span> '
             f"{html.escape(sweep.made.strftime('%Y-%m-%d %H:%M'))}, {html.escape(clean(sweep.serial_number)[:30])}, "
@@ -164,14 +162,6 @@ class SweepsPanel(QWidget):
     def take_units(self) -> None:
         """Show words and figures in the units in force."""
         self._compare()
-
-    def apply_theme(self, theme: Theme) -> None:
-        """Take on the colours of a theme."""
-        self._theme = theme
-        for card in self.cards.values():
-            card.apply_theme(theme)
-        self.model.apply_theme(theme)
-        self._show_key()
 
 
 def _region_words(sweep: Calibration) -> str:

@@ -21,7 +21,7 @@ from PySide6.QtWidgets import (
 
 from tissueid.app.context import AppContext
 from tissueid.app.jobs import PageJob
-from tissueid.app.theme import Theme
+from tissueid.app.theme import appearance
 from tissueid.formatting import clean
 
 PIECE = 200
@@ -53,7 +53,6 @@ class PiecesModel(QAbstractTableModel):
         self._marked = marked
         self._right = frozenset(right)
         self._shown = 0
-        self._theme: Theme | None = None
 
     def show_rows(self, rows: Sequence[Any]) -> None:
         """Other rows, from the first on."""
@@ -61,13 +60,6 @@ class PiecesModel(QAbstractTableModel):
         self.rows = rows
         self._shown = min(PIECE, len(rows))
         self.endResetModel()
-
-    def apply_theme(self, theme: Theme) -> None:
-        """Take on the colours of a theme."""
-        self._theme = theme
-        if self._shown:
-            last = self.index(self._shown - 1, len(self._headers) - 1)
-            self.dataChanged.emit(self.index(0, 0), last, [Qt.ItemDataRole.ForegroundRole])
 
     def rowCount(self, parent: _Index = QModelIndex()) -> int:  # noqa: B008, N802
         """How many rows the view knows of."""
@@ -100,7 +92,7 @@ class PiecesModel(QAbstractTableModel):
             return Qt.AlignmentFlag.AlignRight | Qt.AlignmentFlag.AlignVCenter
         if role == Qt.ItemDataRole.ForegroundRole and index.column() == self._marked:
             level = self._level(row)
-            return QColor(getattr(self._theme, level)) if level and self._theme is not None else None
+            return QColor(getattr(appearance.theme, level)) if level else None
         return None
 
     def headerData(  # noqa: N802
@@ -151,9 +143,6 @@ class Tab(QWidget):
 
     def update_enabled(self, *, busy: bool) -> None:
         """Enable what makes sense now."""
-
-    def apply_theme(self, theme: Theme) -> None:
-        """Take on the colours of a theme."""
 
     def save_state(self) -> None:
         """Save the state of the tab to the settings."""

@@ -11,7 +11,6 @@ from PySide6.QtWidgets import QAbstractButton, QHBoxLayout, QLabel, QTabWidget, 
 from tissueid.app.build import button
 from tissueid.app.context import AppContext, View
 from tissueid.app.jobs import PageJob
-from tissueid.app.theme import Theme
 from tissueid.app.views.technician.audit_table import AuditTab
 from tissueid.app.views.technician.calibrations import CalibrationsTab
 from tissueid.app.views.technician.faults import FaultsTab
@@ -164,11 +163,6 @@ class InstrumentView(View):
         """Mark the tabs as stale: a test was measured."""
         for tab in self.all:
             tab.stale = True
-
-    def apply_theme(self, theme: Theme) -> None:
-        """Take on the colours of a theme."""
-        for tab in self.all:
-            tab.apply_theme(theme)
 
     def cancel(self) -> None:
         """The window closes."""
