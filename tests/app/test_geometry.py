@@ -557,6 +557,15 @@ def test_the_import_dialog_fits_every_screen(import_dialog, language, described,
             raise AssertionError(f"at {size}: {error}") from None
 
 
+def test_units_are_not_cut_in_the_import_dialog(import_dialog):
+    dialog = import_dialog()
+    settle()
+    unit = dialog._unit(0)
+    unit.setEditText("minutes")
+    line = unit.lineEdit()
+    assert line.width() >= line.fontMetrics().horizontalAdvance("minutes")
+
+
 @pytest.mark.parametrize("state", ["idle on measure:signals", "calibrating-by-hand on measure"])
 @pytest.mark.parametrize("language", LANGUAGES)
 def test_the_command_palette_fits_and_follows_the_window(in_state, language, state):

@@ -156,8 +156,9 @@ class InstrumentChooser(QWidget):
 
     @property
     def known(self) -> dict[str, tuple[str, CalibrationState]]:
-        """State, a message, and calibration of each listed instrument, by address."""
-        return {url: (self._health(url), self.calibration_of(url)) for url in self._found}
+        """State, a message, and calibration of the chosen and each listed instrument, by address."""
+        urls = dict.fromkeys([*([] if self.url in self._found else [self.url]), *self._found])
+        return {url: (self._health(url), self.calibration_of(url)) for url in urls if url}
 
     def calibration_of(self, url: str) -> CalibrationState:
         """Return the state of calibration of the instrument at ``url``."""

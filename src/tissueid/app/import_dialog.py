@@ -52,6 +52,8 @@ _TITLE_BAR = 40
 _FURTHER_UNITS = ("Pa", "kPa", "MPa", "psi", "N m", "rad", "deg", "%", "1")
 """Units that are offered for input and output of another system, besides those of the signals."""
 _DECIMALS = {"point": marked("a point"), "comma": marked("a comma")}
+_LEAST_UNIT = 8
+"""Characters of a unit that are shown at least: "minutes"."""
 _MOST_COLUMNS = 60
 """Columns that the table offers; the command line takes any."""
 _ROLE_NAMES = {
@@ -157,7 +159,7 @@ class ImportDialog(QDialog):
             field.setAccessibleName(name)
         self.site, self.subject = QLineEdit(), QLineEdit()
         self.subject.setPlaceholderText(_("a pseudonym, never a name"))
-        self.kind = _choice(_KIND_NAMES, KINDS)
+        self.kind = _choice(_KIND_NAMES, KINDS, _("as the record shows: stochastic, or a ramp and hold"))
         self.configuration = _choice(CONFIGURATION_NAMES, tuple(CONFIGURATIONS))
         self.out = QLineEdit(str(out))
         self.browse = QPushButton(_("Browse…"))
@@ -260,6 +262,8 @@ class ImportDialog(QDialog):
                 roles.addItem(_(_ROLE_NAMES[role]), role)
             units = QComboBox()
             units.setEditable(True)
+            units.setSizeAdjustPolicy(QComboBox.SizeAdjustPolicy.AdjustToContents)
+            units.setMinimumContentsLength(_LEAST_UNIT)
             units.setAccessibleName(_("Unit of column {name}").format(name=clean(column.column.header)[:60]))
             roles.currentIndexChanged.connect(lambda _index, row=row: self._offer_units(row))
             units.editTextChanged.connect(lambda _text, row=row: self._mark(row))

@@ -164,7 +164,7 @@ class ResultPage(QScrollArea):
         cautions = findings.cautions if detailed else ()
         self.reasons.setText("\n".join(dict.fromkeys(map(translated, [*findings.unread, *reasons, *cautions]))))
         self.reasons.setVisible(bool(self.reasons.text()))
-        facts = [_recorded(findings), findings.ended, findings.visited if detailed else ""]
+        facts = [_recorded(findings), findings.ended, findings.visited]
         self.facts.setText(" ".join(filter(None, facts)))
         self.readings.setVisible(detailed and bool(findings.readings))
         numbers = [number for number in findings.numbers if detailed or number.unit != "%"]

@@ -16,6 +16,7 @@ from PySide6.QtGui import QGuiApplication
 
 from tissueid.acquisition import journal_path
 from tissueid.acquisition.quality import HEADLINES, judge_session, quality_of
+from tissueid.app.calibration_state import CalibrationState
 from tissueid.app.panels import FOLDER, HELP_KEY, MOST_LINES
 from tissueid.app.views.researcher.session_search import entry_of
 from tissueid.app.views.start.recent import MOST_SHOWN, look_into
@@ -113,6 +114,14 @@ def test_an_instrument_that_is_chosen_is_that_of_the_next_test(qtbot, open_start
     assert "/dev/ttyACM7" in page.about_instruments.text()
     window.ui.form.instrument.choose("socket://elsewhere:1")
     assert said(page.instruments)[0][0] == "✓ socket://elsewhere:1"
+
+
+def test_the_calibration_of_a_typed_address_is_shown(open_start):
+    window = open_start()
+    chooser = window.ui.form.instrument
+    chooser.choose("socket://127.0.0.1:7000")
+    chooser.tell_calibration(chooser.url, CalibrationState("Calibrated today", "good"))
+    assert said(window.pages.start.instruments)[0][2] == "Calibrated today"
 
 
 def test_finding_asks_every_port_and_says_how_each_stands(qtbot, open_start):

@@ -313,6 +313,17 @@ def test_without_a_study_the_page_says_what_one_is_and_offers_recent_ones(qtbot,
     assert page.data.folder == folder
 
 
+def test_a_new_study_gets_its_folder(qtbot, window, tmp_path):
+    window.pages.show("studies")
+    page = window.ui.views["studies"]
+    qtbot.waitUntil(lambda: idle(window), timeout=WAIT_MS)
+    page.asking.made.emit(tmp_path / "lotion 2")
+    qtbot.waitUntil(lambda: page.data is not None and idle(window), timeout=WAIT_MS)
+    assert page.data.folder == tmp_path / "lotion 2"
+    assert page.data.folder.is_dir()
+    assert page.asking.template.isVisible()
+
+
 def test_a_bad_protocol_is_stated_on_the_page(qtbot, window, folder):
     (folder / PROTOCOL_FILE).write_text(json.dumps({"name": "x", "sites": []}))
     page = opened(qtbot, window, folder)

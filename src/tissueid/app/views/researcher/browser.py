@@ -21,7 +21,7 @@ from tissueid.app.views.researcher.session_model import DATE, ITEM, SessionModel
 from tissueid.app.views.researcher.session_search import SessionEntry, SessionSearch, TestEntry
 from tissueid.app.views.researcher.session_tree import SessionFilter, SessionTree
 from tissueid.app.widgets import plain_tip
-from tissueid.app.window_state import RESEARCH_FOLDERS, load_texts, save_texts
+from tissueid.app.window_state import RESEARCH_FOLDERS, load_texts, save_texts, visited_studies
 from tissueid.formatting import clean, grouped, subject_text
 from tissueid.language import _, plural
 from tissueid.messages import Message, translated
@@ -151,6 +151,7 @@ class Browser(QWidget):
         self._all_wanted, self._heard = False, []
         # Before the first test the folder of new sessions is not there yet: that is no problem.
         folders = [path for path in self.folders.paths if path != self._context.services.folder or path.is_dir()]
+        folders += [path for path in visited_studies(self._context.settings) if path.is_dir()]
         self._search = SessionSearch(folders if whole else (), files, self.model.by_path if whole else {})
         self._whole = whole
         self._seen: set[Path] = set()

@@ -79,7 +79,7 @@ def summary_of(found: EngineComparison, tests: tuple[SelectedTest, ...]) -> Comp
 def _row(one: Standing, recommended: bool) -> tuple[str, ...]:
     name = engine_label(one.engine) + (_(", mass, damping and stiffness") if one.second_order else "")
     behind = one.behind
-    how = f"{fixed(behind.points, 2)} ± {fixed(behind.std_points, 2)}"
+    how = fixed(behind.points, 2) + (f" ± {fixed(behind.std_points, 2)}" if behind.points else "")
     return (
         name,
         _("recommended") if recommended else _("clearly worse") if one.beaten else _("as good"),

@@ -50,7 +50,9 @@ class RecommendationView(QWidget):
         self.words.setTabChangesFocus(True)
         self.standings = table([in_two_lines(_(name)) for name in COLUMNS], _("Engines by how well they do"))
         self.standings.setWordWrap(True)  # the last column has the reason of a refusal
-        self.standings.horizontalHeader().setSectionResizeMode(len(COLUMNS) - 1, QHeaderView.ResizeMode.Stretch)
+        header = self.standings.horizontalHeader()
+        header.setSectionResizeMode(len(COLUMNS) - 1, QHeaderView.ResizeMode.Stretch)
+        header.sectionResized.connect(self.standings.resizeRowsToContents)
         parts = QSplitter(Qt.Orientation.Vertical)
         parts.setChildrenCollapsible(False)
         for place, (part, stretch) in enumerate(((self.words, 2), (self.standings, 3))):
@@ -115,4 +117,3 @@ class RecommendationView(QWidget):
                     item.setTextAlignment(Qt.AlignmentFlag.AlignRight | Qt.AlignmentFlag.AlignVCenter)
                 self.standings.setItem(place, column, item)
             item.setToolTip(text.replace("<", "‹").replace(">", "›"))
-        self.standings.resizeRowsToContents()

@@ -40,7 +40,7 @@ Index = QModelIndex | QPersistentModelIndex
 _ROOT = QModelIndex()
 _VALUES = (marked("aborted"), marked("recovered"), marked("stochastic"))
 """Values of attributes that are shown translated; others are shown as they are in the file."""
-_VERDICT_WORDS = {"": MISSING, "good": marked("Good"), "look": marked("Look"), "repeat": marked("Repeat")}
+VERDICT_WORDS = {"": MISSING, "good": marked("Good"), "look": marked("Look"), "repeat": marked("Repeat")}
 _VERDICT_COLOURS = {"good": "good", "look": "check", "repeat": "poor"}
 _NUMBERS = (TESTS, DURATION)
 _MOST_NAMED = 3
@@ -196,7 +196,7 @@ def _session_row(entry: SessionEntry) -> _Row:
         _date(entry.when),
         subject_text(entry.pseudonym),
         _joined(test.site for test in entry.tests) or name,
-        _(_VERDICT_WORDS[verdict]),
+        _(VERDICT_WORDS[verdict]),
         str(len(entry.tests)),
         _joined(_(test.kind) for test in entry.tests),
         f"{fixed(seconds, 1)} s",
@@ -213,7 +213,7 @@ def _test_row(entry: SessionEntry, test: TestEntry, session: _Row) -> _Row:
         _("Test {number}{site}").format(number=test.number, site=ended),
         "",
         clean(test.site),
-        _(_VERDICT_WORDS[test.verdict]),
+        _(VERDICT_WORDS[test.verdict]),
         "",
         _(test.kind),
         f"{fixed(test.seconds, 1)} s",

@@ -16,8 +16,10 @@ from tissueid.app.views.researcher.session_model import (
     FILE,
     ITEM,
     KIND,
+    QUALITY,
     SORT,
     TESTS,
+    VERDICT_WORDS,
     WORDS,
     SessionModel,
 )
@@ -83,6 +85,8 @@ _FOLDED = (FILE, CONFIGURATION, KIND, DURATION, TESTS)
 """Columns that are hidden where there is no room, in this order."""
 _WIDTHS = (138, 60, 98, 66, 46, 84, 70, 100, 180)
 """Widths of the columns until a person changes them, pixels."""
+_CELL = 14
+"""Width of a cell next to its text, pixels."""
 _WIDEST = 2000
 
 
@@ -96,6 +100,8 @@ class SessionTree(QTreeView):
         self._shown = shown
         self._empty = ""
         self._widths = list(_WIDTHS)
+        verdict = max(map(self.fontMetrics().horizontalAdvance, map(_, VERDICT_WORDS.values())))
+        self._widths[QUALITY] = max(_WIDTHS[QUALITY], verdict + _CELL)
         self._unwanted: set[int] = set()
         self.setModel(shown)
         self.setAccessibleName(_("Sessions and their tests"))

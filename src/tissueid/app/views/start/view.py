@@ -24,7 +24,6 @@ from PySide6.QtWidgets import (
 
 from tissueid.app.build import button, fill, label, row, styled
 from tissueid.app.calibration_state import CalibrationState
-from tissueid.app.chooser import TYPED
 from tissueid.app.context import AppContext, View
 from tissueid.app.preferences import choosers
 from tissueid.app.roles import RoleCard
@@ -146,12 +145,8 @@ class StartView(View):
 
     def show_instruments(self, known: Mapping[str, tuple[str, CalibrationState]], chosen: str) -> None:
         """Show what was found, its state, a message, and calibration; ``chosen`` is what the next test is with."""
-        urls = list(known)
-        if chosen and chosen not in known:
-            urls.insert(0, chosen)
         lines = []
-        for url in urls:
-            health, state = known.get(url, (TYPED, CalibrationState()))
+        for url, (health, state) in known.items():
             level = _LEVELS.get(code_of(health), "")
             calibration = _calibration(state)
             mark = "✓ " if url == chosen else ""
@@ -162,10 +157,9 @@ class StartView(View):
                     (clean(calibration), state.level),
                 )
             )
-        self._urls = urls
+        self._urls = list(known)
         self.instruments.fill(lines)
-        for place, url in enumerate(urls):
-            health, state = known.get(url, (TYPED, CalibrationState()))
+        for place, (url, (health, state)) in enumerate(known.items()):
             lines_of_tip = clean(url), translated(health), _(state.words), *state.warnings
             self.instruments.explain(place, "\n".join(lines_of_tip))
         self.about_instruments.setText(

@@ -41,9 +41,11 @@ _MOST_RECENT = 10
 
 
 class RequestRow(QFrame):
-    """Signals: ``chosen`` carries a folder; the others are sent by the buttons."""
+    """Signals: ``chosen`` and ``made`` carry a folder; the others are sent by the buttons."""
 
     chosen = Signal(object)
+    made = Signal(object)
+    """The folder of a new study, which is to be made."""
     wanted = Signal()
     report_wanted = Signal()
     protocol_wanted = Signal()
@@ -56,6 +58,8 @@ class RequestRow(QFrame):
         self.path: Path | None = None
         self.open = QPushButton(_("Open study…"))
         self.open.setToolTip(_("A folder of sessions, with a protocol.json if sittings follow a protocol"))
+        self.new = QPushButton(_("New study…"))
+        self.new.setToolTip(_("Name a folder for a new study; it is made"))
         self.folder = ElidedLabel()
         self.engine = QComboBox()
         self.engine.setAccessibleName(_("Engine of the study"))
@@ -92,6 +96,7 @@ class RequestRow(QFrame):
         self.stop.setAccessibleName(_("Cancel the work on the study"))
         self._arrange()
         self.open.clicked.connect(self._choose)
+        self.new.clicked.connect(self._name_new)
         self.analyse.clicked.connect(self.wanted)
         self.report.clicked.connect(self.report_wanted)
         self.template.clicked.connect(self.protocol_wanted)
@@ -107,8 +112,13 @@ class RequestRow(QFrame):
     @property
     def fields(self) -> list[QWidget]:
         """Widgets in tab order."""
-        first = [self.open, self.recent, self.engine, self.options, self.held_out, self.analyse, self.report]
+        first = [self.open, self.new, self.recent, self.engine, self.options, self.held_out, self.analyse, self.report]
         return [*first, self.template, self.subject, self.measure, self.stop]
+
+    @property
+    def waiting(self) -> tuple[QPushButton, ...]:
+        """The buttons that are disabled while other work runs."""
+        return self.open, self.new, self.analyse, self.report, self.template, self.measure
 
     def plan(self, folder: Path, *, workers: int | None) -> StudyPlan:
         """Return the plan of an analysis.
@@ -178,7 +188,8 @@ class RequestRow(QFrame):
 
     def update_enabled(self, *, busy: bool, working: bool) -> None:
         """Enable what makes sense now; Cancel is always possible. ``working`` is whether other long work runs."""
-        self.open.setEnabled(not busy and self.bar.isHidden())
+        for part in (self.open, self.new):
+            part.setEnabled(not busy and self.bar.isHidden())
         for part in (self.analyse, self.report, self.template):
             part.setEnabled(not working and self.path is not None)
         self.measure.setEnabled(not busy and self.path is not None)
@@ -206,6 +217,7 @@ class RequestRow(QFrame):
         top = QHBoxLayout()
         top.setSpacing(8)
         top.addWidget(self.open)
+        top.addWidget(self.new)
         top.addWidget(self.recent)
         top.addWidget(self.folder, 1)
         chosen, led = QWidget(), QWidget()
@@ -262,6 +274,15 @@ class RequestRow(QFrame):
         dialog.setFileMode(QFileDialog.FileMode.Directory)
         dialog.setOption(QFileDialog.Option.ShowDirsOnly)
         dialog.fileSelected.connect(lambda path: self.chosen.emit(Path(path)))
+        dialog.open()
+
+    def _name_new(self) -> None:
+        near = None if self.path is None else self.path.parent
+        dialog = QFileDialog(self.window(), _("New study: name its folder"), "" if near is None else str(near))
+        dialog.setAcceptMode(QFileDialog.AcceptMode.AcceptSave)
+        dialog.setOption(QFileDialog.Option.DontConfirmOverwrite)  # a folder that is there is opened
+        dialog.setLabelText(QFileDialog.DialogLabel.Accept, _("Create"))
+        dialog.fileSelected.connect(lambda path: self.made.emit(Path(path)))
         dialog.open()
 
     def _ask_sitting(self) -> None:

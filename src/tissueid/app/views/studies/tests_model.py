@@ -23,7 +23,7 @@ _FIRST = (
     marked("Subject"),
     marked("Site"),
     marked("Condition"),
-    marked("Repeat"),
+    marked("Repetition"),
     marked("Quality"),
     marked("Engine"),
     marked("VAF (%)"),

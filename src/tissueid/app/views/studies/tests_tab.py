@@ -57,7 +57,7 @@ class TestsTab(QWidget):
         for choice, name, everything in zip(self.choices, _NAMES, _ALL, strict=True):
             choice.setAccessibleName(_("Filter by {column}").format(column=_(name)))
             choice.setSizeAdjustPolicy(QComboBox.SizeAdjustPolicy.AdjustToMinimumContentsLengthWithIcon)
-            choice.setMinimumContentsLength(8)
+            choice.setMinimumContentsLength(len(_(everything)))
             choice.addItem(_(everything), "")
             choice.currentIndexChanged.connect(self._filter)
         self.parameters = button(_("Parameters"), tip=_("Columns of the table"))

@@ -27,6 +27,7 @@ from tissueid.app.views.studies.study_data import (
 from tissueid.app.views.studies.study_figures import StudyFigures
 from tissueid.app.views.studies.tests_tab import TestsTab
 from tissueid.app.words import in_words
+from tissueid.atomic_write import private_folder
 from tissueid.errors import CancelledError, UnusableInputError
 from tissueid.language import _, marked
 from tissueid.messages import Message, translated
@@ -37,7 +38,7 @@ from tissueid.procedures.study_sitting import save_protocol
 
 _WELCOME = marked(
     "A study is a folder with the sessions of several subjects.\n\n"
-    "1. “Open study…”: choose a new, empty folder, or one with sessions.\n"
+    "1. “New study…”: name its folder. “Open study…”: choose one with sessions.\n"
     "2. “New protocol…”: which sites, how many tests at each, with which products, and what a subject is asked for.\n"
     "3. “Measure subject”: type a pseudonym such as P01; the page Measure leads through the visit.\n"
     "4. “Analyse” and “Write report”: a table of all tests, statistics and figures."
@@ -93,6 +94,7 @@ class StudiesView(View):
         self._soon.setInterval(0)
         self._soon.timeout.connect(self._read_again)
         self.asking.chosen.connect(self.open_study)
+        self.asking.made.connect(self.make_study)
         self.asking.wanted.connect(self.analyse)
         self.asking.report_wanted.connect(self.write_report)
         self.asking.protocol_wanted.connect(self.edit_protocol)
@@ -120,21 +122,11 @@ class StudiesView(View):
 
     def waiting(self) -> tuple[QWidget, ...]:
         """The buttons that are disabled while other work runs."""
-        asking = self.asking
-        return asking.open, asking.analyse, asking.report, asking.template, asking.measure, self.figures.compute
+        return *self.asking.waiting, self.figures.compute
 
     def buttons(self) -> tuple[QAbstractButton, ...]:
         """Return the buttons that the command palette offers."""
-        asking = self.asking
-        return (
-            asking.open,
-            asking.analyse,
-            asking.report,
-            asking.template,
-            asking.measure,
-            asking.stop,
-            self.figures.compute,
-        )
+        return *self.asking.waiting, self.asking.stop, self.figures.compute
 
     def on_session_saved(self, path: Path) -> None:
         """Read the study again when it is shown the next time, if the session belongs to it."""
@@ -162,6 +154,11 @@ class StudiesView(View):
         """Read the table of a study and show it."""
         if not self.context.busy:
             self.context.jobs.do(functools.partial(load_study, folder), self._opened, self._failed)
+
+    def make_study(self, folder: Path) -> None:
+        """Make the folder of a study, unless it is there, and show it."""
+        if not self.context.busy:
+            self.context.jobs.do(functools.partial(_made, folder), self._opened, self._failed)
 
     def analyse(self) -> None:
         """Analyse the sessions that are new or changed."""
@@ -292,6 +289,11 @@ def _outcome(work: Callable[[Control], Any], control: Control) -> Any:
         return work(control)
     except CancelledError:
         return None
+
+
+def _made(folder: Path) -> StudyData:
+    private_folder(folder)
+    return load_study(folder)
 
 
 def _with_protocol(folder: Path, protocol: Protocol) -> StudyData:
