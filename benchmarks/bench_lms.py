@@ -10,9 +10,9 @@ import numpy as np
 
 from benchmarks import records
 from benchmarks.base import Comparison
-from tissueid.analysis import published_algorithms as published
 from tissueid.identification.impulse_response import factor_input
 from tissueid.identification.preparation import prepare
+from tissueid_lab.thesis import published_algorithms as published
 
 LAGS = 250
 

@@ -8,8 +8,8 @@ import numpy as np
 from scipy import linalg, signal
 
 from benchmarks.base import Comparison
-from tissueid.analysis import published_algorithms as published
 from tissueid.identification.volterra.methods import VolterraStimulus, factor_stimulus
+from tissueid_lab.thesis import published_algorithms as published
 
 MEMORY = 40
 ROWS = 2700

@@ -6,12 +6,12 @@ from collections.abc import Iterable
 
 from benchmarks import records
 from benchmarks.base import Comparison
-from tissueid.analysis import published_algorithms as published
 from tissueid.identification.engines.wiener import Wiener
 from tissueid.identification.impulse_response import factor_input
 from tissueid.identification.preparation import prepare
 from tissueid.identification.static_nonlinearity import Exponential
 from tissueid.identification.wiener.iteration import LinearStage, hunter_korenberg
+from tissueid_lab.thesis import published_algorithms as published
 
 LAGS = 250
 PASSES = 6

@@ -108,7 +108,7 @@ def part_of(text: Any, code: str) -> Message:
 def templates() -> dict[str, dict[str, set[str]]]:
     """Return the templates in the source by code and module."""
     found: dict[str, dict[str, set[str]]] = {}
-    for path in sorted(Path(messages.__file__).parent.rglob("*.py")):
+    for path in sorted(Path(messages.__file__).parents[1].rglob("*.py")):
         source = path.read_text(encoding="utf-8")
         for node in ast.walk(ast.parse(source)):
             if isinstance(node, ast.Call) and isinstance(node.func, ast.Name) and len(node.args) > 1:

@@ -14,13 +14,14 @@ import pytest
 
 import firmware_sim
 import tissueid
+import tissueid_lab
 from tissueid.acquisition.live_process import LiveProcess, LiveSettings
 from tissueid.child_process import run
 from tissueid.gap.workers import executor
-from tissueid.procedures.blind_check import LaboratoryName, record_scenarios
 from tissueid.procedures.control import Control
 from tissueid.procedures.demo import firmware_process
 from tissueid.procedures.separate_process import run_in_process
+from tissueid_lab.blind_check.check import LaboratoryName, record_scenarios
 
 HOSTILE = (
     "multiprocessing",
@@ -65,7 +66,7 @@ def starts_in(path: Path) -> list[str]:
 
 def test_every_process_is_started_by_the_one_module():
     found = []
-    for package in (tissueid, firmware_sim):
+    for package in (tissueid, tissueid_lab, firmware_sim):
         for path in sorted(Path(package.__file__).parent.rglob("*.py")):
             # The tools that build and drive the reference firmware are no part of the program.
             if path.name != "child_process.py" and "reference" not in path.parts:

@@ -14,8 +14,16 @@ import sys
 from pathlib import Path
 
 from tissueid.gap.decision import THRESHOLDS
-from tissueid.gap.scenarios import seal
-from tissueid.gap.threshold_fit import DECISION, PROBABILITY, changed, fit_thresholds, read_decided, scores, value
+from tissueid_lab.blind_check.scenarios import seal
+from tissueid_lab.blind_check.threshold_fit import (
+    DECISION,
+    PROBABILITY,
+    changed,
+    fit_thresholds,
+    read_decided,
+    scores,
+    value,
+)
 
 
 def main() -> int:

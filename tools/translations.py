@@ -27,8 +27,9 @@ from babel.messages.extract import extract_from_dir
 from babel.messages.mofile import write_mo
 from babel.messages.pofile import read_po, write_po
 
-PACKAGE = Path(__file__).parents[1] / "src" / "tissueid"
-FOLDER = PACKAGE / "languages"
+SOURCE = Path(__file__).parents[1] / "src"
+PACKAGES = (SOURCE / "tissueid", SOURCE / "tissueid_lab")
+FOLDER = SOURCE / "tissueid" / "languages"
 CATALOGUE = "LC_MESSAGES/tissueid.po"
 KEYWORDS = {"_": None, "marked": None, "plural": (1, 2), "Message": (2,), "Effect": None, "Parameter": None}
 DECLARED = {"Effect": ("title", "signature", "remedy"), "Parameter": ("meaning",)}
@@ -65,10 +66,11 @@ _HEADERS = ('"Language: ', '"Plural-Forms', '"MIME-', '"Content-')
 
 
 def extracted() -> Catalog:
-    """Return the texts of the program, without translations."""
+    """Return the texts of the program and of its laboratory, without translations."""
     found = Catalog(charset="utf-8", creation_date=_BEGIN, revision_date=_BEGIN, fuzzy=False)
-    for _file, _line, text, _comments, _context in extract_from_dir(PACKAGE, METHODS, keywords=KEYWORDS):
-        found.add(text)
+    for package in PACKAGES:
+        for _file, _line, text, _comments, _context in extract_from_dir(package, METHODS, keywords=KEYWORDS):
+            found.add(text)
     return found
 
 

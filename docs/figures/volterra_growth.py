@@ -21,9 +21,9 @@ import numpy as np
 ROOT = Path(__file__).parents[2]
 sys.path.insert(0, str(ROOT))
 
-from tissueid.analysis import published_algorithms as published  # noqa: E402
 from tissueid.identification.volterra.methods import factor_stimulus  # noqa: E402
 from tissueid.identification.volterra.regressors import coefficient_count  # noqa: E402
+from tissueid_lab.thesis import published_algorithms as published  # noqa: E402
 
 mpl.use("Agg")
 from matplotlib import pyplot as plt  # noqa: E402

@@ -21,7 +21,6 @@ from tissueid.analysis.overlay import (
     repeated_values,
     series_profiles,
 )
-from tissueid.analysis.partition_error import partition_errors
 from tissueid.errors import UnusableInputError
 from tissueid.identification import get_engine
 from tissueid.records import Record
@@ -166,13 +165,6 @@ def test_correlations_of_a_delay() -> None:
 def test_every_nth_sample_has_the_lower_rate() -> None:
     record = Record(np.arange(10.0), np.arange(10.0), 1000.0)
     assert (every(record, 4).input.tolist(), every(record, 4).sample_rate_hz) == ([0.0, 4.0, 8.0], 250.0)
-
-
-def test_partitions_are_exact_from_500_points_on() -> None:
-    (few, enough) = partition_errors((20, 200), (1,), (3,))
-    assert np.isnan(few.mean_percent)  # fewer samples than parameters
-    assert enough.points == 1000
-    assert enough.mean_percent < 5.0
 
 
 def test_an_unknown_fit_of_a_source_is_refused(session: Session) -> None:

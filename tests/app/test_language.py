@@ -21,7 +21,7 @@ from tissueid.messages import Message, Verbatim, translated
 from tissueid.records import Estimate
 from tools import translations
 
-SOURCE = Path(language.__file__).parent
+SOURCE = Path(language.__file__).parents[1]
 
 
 def fields(text):

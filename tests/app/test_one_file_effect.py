@@ -14,8 +14,6 @@ from tissueid.app.views.gap.result_page import ResultPage
 from tissueid.cli import main
 from tissueid.device import DeviceDescription
 from tissueid.gap.answer import as_answer
-from tissueid.gap.blind_check import with_labels
-from tissueid.gap.blind_scoring import SINGLE, Label, score_of
 from tissueid.gap.diagnosis import diagnose
 from tissueid.gap.preparation import prepare
 from tissueid.gap.workers import SerialExecutor
@@ -26,6 +24,8 @@ from tissueid.twin.catalogue import all_effects, effect
 from tissueid.twin.chain_parameters import Instrument, Tissue
 from tissueid.twin.player import Player
 from tissueid.twin.simulation import ActiveEffect, Start, simulate
+from tissueid_lab.blind_check.answers import with_labels
+from tissueid_lab.blind_check.scoring import SINGLE, Label, score_of
 
 NAME, TITLE = "magnetic_notch", "The probe is pulled to one position"
 DECLARATION = f'''"""A magnet next to the stroke pulls the probe to one position."""

@@ -1,4 +1,4 @@
-"""``tissueid overlay``, ``repeats`` and ``reproduce``, as people and scripts meet them."""
+"""``tissueid overlay`` and ``repeats``, as people and scripts meet them."""
 
 from __future__ import annotations
 
@@ -11,22 +11,10 @@ import pytest
 from reports.page_check import checked
 from reports.synthetic_sitting import make_session, make_test
 
-from firmware_sim.presets import preset_names
 from tissueid.cli import main
-from tissueid.procedures import reproduction
-from tissueid.procedures.overlay import named_fits
-from tissueid.procedures.thesis_figures import FIGURES
 from tissueid.sessions import write_session
 
 FIT = "short=lms,memory=0.05"
-
-
-@pytest.mark.parametrize("figure", [one for one in FIGURES if one.fits], ids=lambda figure: figure.number)
-def test_every_recipe_has_fits_and_tissues_that_exist(figure):
-    assert len(named_fits((), figure.fits)) == len(figure.fits)
-    assert {source.recording.preset for source in figure.sources} <= set(preset_names())
-    labels = {fit.label for fit in named_fits((), figure.fits)}
-    assert {fit for source in figure.sources for fit in source.fits} <= labels
 
 
 @pytest.fixture(scope="module")
@@ -119,44 +107,9 @@ def test_repeats_give_mean_and_deviation_by_site(
         (("overlay", "FILE", "--fit", "lms", "--out", "FILE"), "other content"),
         (("overlay", "FILE", "--fit", "lms", "--sweep-file", "FILE"), "calibration"),
         (("repeats", "FILE", "--fit", "none"), "none"),
-        (("reproduce", "9.9", "--out", "x"), "there is no recipe for 9.9"),
-        (("reproduce", "3.4"), "--out is required"),
     ],
 )
 def test_one_line_for_what_cannot_be_done(
     arguments: tuple[str, ...], words: str, files: tuple[Path, Path], capsys: pytest.CaptureFixture[str]
 ) -> None:
     assert words in complaint(capsys, *(text.replace("FILE", str(files[0])) for text in arguments))
-
-
-def test_reproduce_lists_its_figures(capsys: pytest.CaptureFixture[str]) -> None:
-    assert main(["reproduce", "--json", "-"]) == 0
-    assert [one["number"] for one in json.loads(capsys.readouterr().out)["figures"]] == [f.number for f in FIGURES]
-
-
-def test_a_reproduced_figure_is_complete_and_its_folder_is_kept(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
-) -> None:
-    def record(recordings: object, folder: Path, _control: object) -> dict[str, str]:
-        for one in recordings:  # type: ignore[attr-defined]
-            write_session(folder / f"{one.name}.h5", make_session(make_test(1, seconds=2.0)))
-        return {}
-
-    monkeypatch.setattr(reproduction, "_record", record)
-    out = tmp_path / "thesis"
-    assert main(["reproduce", "3.4", "--out", str(out)]) == 0
-    assert "1 at lag zero" in capsys.readouterr().out
-    assert (out / "figures" / "3.4" / "correlations.png").stat().st_size > 10_000
-    assert (out / "figures" / "3.4" / "numbers.csv").read_text().startswith("plot,name,x")
-    assert json.loads((out / "results.json").read_text())["figures"][0]["number"] == "3.4"
-    checked((out / "report.html").read_text())
-    (out / "results.json").write_text("{}")
-    assert "other results" in complaint(capsys, "reproduce", "3.4", "--out", out)
-
-
-def test_recipes_are_consistent() -> None:
-    names: dict[str, object] = {}
-    for figure in FIGURES:
-        for source in figure.sources:
-            assert names.setdefault(source.recording.name, source.recording) == source.recording  # one file, one test
-        assert figure.study is not None or (figure.sources and (figure.fits or figure.recorded is not None))

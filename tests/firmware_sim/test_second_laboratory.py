@@ -19,8 +19,8 @@ from firmware_sim.second_laboratory.recording import EFFECTS, LISTED, READINGS, 
 from firmware_sim.second_laboratory.scenarios import draw_scenario, planned
 from firmware_sim.second_laboratory.sizing import Sizer
 from firmware_sim.second_laboratory.stimuli import KINDS, MOST, Stimulus
-from tissueid.gap.scenarios import alone_sessions, read_scenario, scenario_names, unseal
 from tissueid.twin.catalogue import all_effects
+from tissueid_lab.blind_check.scenarios import alone_sessions, read_scenario, scenario_names, unseal
 
 SECONDS = 0.3
 STIMULUS = Stimulus("gaussian", 120.0, 3, False)

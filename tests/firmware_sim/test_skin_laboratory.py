@@ -21,8 +21,8 @@ from firmware_sim.laboratory.skin import (
     draw_skin_scenarios,
 )
 from firmware_sim.plant import Plant
-from tissueid.gap.scenarios import earlier_session, read_scenario, scenario_names, unseal
 from tissueid.twin.catalogue import all_effects
+from tissueid_lab.blind_check.scenarios import earlier_session, read_scenario, scenario_names, unseal
 
 pytestmark = pytest.mark.timeout(600)  # the first test compiles the loop, on a busy machine for minutes
 

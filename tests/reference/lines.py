@@ -7,7 +7,9 @@ from firmware_sim.firmware import Firmware
 from firmware_sim.reference.emulator import EmulatedLockstep
 from firmware_sim.reference.lockstep import Disturbance, Lockstep
 from firmware_sim.tissue import FREE_AIR
-from tissueid.instrument.conformance import Act, Confirmed, DeviceUnderTest, run_suite
+from tissueid_lab.conformance.device import Confirmed, DeviceUnderTest
+from tissueid_lab.conformance.line import Act
+from tissueid_lab.conformance.suite import run_suite
 
 STEP = 4
 """Samples between two looks at the line while nothing arrives, by default."""

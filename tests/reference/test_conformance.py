@@ -13,9 +13,12 @@ from firmware_sim.reference.build import CORE, SOURCES, build_posix
 from tissueid import wire
 from tissueid.cli import main
 from tissueid.errors import UnusableInputError
-from tissueid.instrument.conformance import CLAUSES, Confirmed, DeviceUnderTest, Unattended, run_suite
-from tissueid.procedures.conformance import ConformancePlan, run_conformance
 from tissueid.procedures.control import Control
+from tissueid_lab.conformance.clause import CLAUSES
+from tissueid_lab.conformance.device import Confirmed, DeviceUnderTest
+from tissueid_lab.conformance.line import Unattended
+from tissueid_lab.conformance.procedure import ConformancePlan, run_conformance
+from tissueid_lab.conformance.suite import run_suite
 
 DOCUMENT = Path(SOURCES).parents[1] / "docs" / "protocol.md"
 QUICK = [identity for identity in CLAUSES if identity not in ("5.7a",)]

@@ -9,8 +9,11 @@ from reference.lines import EmulatedLine, run_on
 
 from firmware_sim.reference.bounds import TIMINGS, bounds_of
 from tissueid.instrument import SerialLink
-from tissueid.instrument.conformance import CLAUSES, Confirmed, DeviceUnderTest, LinkLine, run_suite
 from tissueid.wire import Frame, FrameDecoder, MessageType, encode_frame
+from tissueid_lab.conformance.clause import CLAUSES
+from tissueid_lab.conformance.device import Confirmed, DeviceUnderTest
+from tissueid_lab.conformance.line import LinkLine
+from tissueid_lab.conformance.suite import run_suite
 
 QUICK = ("2a", "4.6c", "5.3a")
 

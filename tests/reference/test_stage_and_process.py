@@ -10,8 +10,10 @@ from reference.lines import ReferenceLine
 
 from firmware_sim.reference.lockstep import Disturbance
 from tissueid.instrument import SerialLink
-from tissueid.instrument.conformance import Confirmed, DeviceUnderTest, LinkLine, run_suite
 from tissueid.wire import Fault, Frame, MessageType, Result, State, encode_frame
+from tissueid_lab.conformance.device import Confirmed, DeviceUnderTest
+from tissueid_lab.conformance.line import LinkLine
+from tissueid_lab.conformance.suite import run_suite
 
 SLOW = ("--plant", "free", "--stage", "0.02")
 

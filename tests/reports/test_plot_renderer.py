@@ -185,3 +185,9 @@ def test_a_key_never_covers_the_title_where_rows_have_long_names(width):
     lay_out(figure)
     figure.canvas.draw()
     assert not axes.get_legend().get_window_extent().overlaps(axes._left_title.get_window_extent())
+
+
+def test_spans_have_numbers_along_one_axis_alone():
+    spans = Curve(np.zeros(0), np.array([1.0, 2.0]), kind="spans", across=True)
+    lines = as_csv([Plot("p", Axis("x"), Axis("y"), (spans,))]).splitlines()
+    assert [line.split(",")[2:5] for line in lines[1:]] == [["", "", "1.0"], ["", "", "2.0"]]

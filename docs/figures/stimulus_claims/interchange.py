@@ -10,13 +10,13 @@ import numpy as np
 from engine_claims.base import Claim
 
 from benchmarks import plain_interchange
-from tissueid.analysis.computing_times import swap_seconds
 from tissueid.errors import UnusableInputError
 from tissueid.stimuli.autocorrelation_bounds import error_bound
 from tissueid.stimuli.distributions import Binary, Uniform
 from tissueid.stimuli.interchange import InterchangeResult, initial_arrangement, interchange
 from tissueid.stimuli.kinds.interchange import Interchange
 from tissueid.stimuli.spectra import Band, Spectrum
+from tissueid_lab.thesis.computing_times import swap_seconds
 
 SAMPLES, LAGS, RATE, CUTOFF_HZ = 10_000, 500, 2000.0, 200.0
 THESIS_S = 1800.0

@@ -15,10 +15,10 @@ from tissueid.cli.lazy_command import JsonFile, add_command
 from tissueid.cli.study import study
 from tissueid.cli.twin_commands import twin
 from tissueid.errors import UnusableInputError
+from tissueid.plugins import load_plugins
 
 if TYPE_CHECKING:  # plans are imported when their command is used
     from tissueid.procedures.comparison import ComparePlan
-    from tissueid.procedures.conformance import ConformancePlan
     from tissueid.procedures.demo import DemoPlan
     from tissueid.procedures.identification import EnginesPlan, IdentificationPlan
     from tissueid.procedures.import_export import ExportPlan, ImportPlan
@@ -28,7 +28,6 @@ if TYPE_CHECKING:  # plans are imported when their command is used
     from tissueid.procedures.readings import ReadingsPlan
     from tissueid.procedures.recovery import RecoveryPlan
     from tissueid.procedures.report import ReportPlan
-    from tissueid.procedures.reproduction import ReproductionPlan
     from tissueid.procedures.samples import SamplesPlan
     from tissueid.procedures.stimulus_design import StimulusPlan
     from tissueid.procedures.test_plan import TestPlan
@@ -134,17 +133,6 @@ def devices(plan: DevicesPlan, json_file: JsonFile = None) -> None:
     list_devices(plan, json_file)
 
 
-@add_command(app, "conformance", "conformance")
-def conformance(plan: ConformancePlan, json_file: JsonFile = None) -> None:
-    """Test a device against the protocol, clause by clause.
-
-    Exit status 0: no clause failed; 1: a clause failed.
-    """
-    from tissueid.cli.conformance import print_conformance
-
-    print_conformance(plan, json_file)
-
-
 @add_command(app, "test", "test_plan")
 def run_test(plan: TestPlan, json_file: JsonFile = None) -> None:
     """Run a guided test: placement, preload, stimulus, release."""
@@ -239,17 +227,6 @@ def repeats(plan: RepeatsPlan, json_file: JsonFile = None) -> None:
     repeated_tests(plan, json_file)
 
 
-@add_command(app, "reproduce", "reproduction")
-def reproduce(plan: ReproductionPlan, json_file: JsonFile = None) -> None:
-    """Make figures and tables of the thesis from simulated tests.
-
-    Shows its numbers and those found here. Without --out, lists them.
-    """
-    from tissueid.cli.reproduce import reproduce_figures
-
-    reproduce_figures(plan, json_file)
-
-
 @add_command(app, "recover", "recovery")
 def recover(plan: RecoveryPlan, json_file: JsonFile = None) -> None:
     """Recover a session after a crash.
@@ -294,3 +271,6 @@ def manual() -> None:
     from tissueid.cli.manual import manual_page
 
     typer.echo(manual_page(app), nl=False)
+
+
+load_plugins("tissueid.commands", "command", lambda add_commands: add_commands(app, gap))

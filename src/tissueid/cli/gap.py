@@ -10,7 +10,6 @@ import typer
 from tissueid.cli.lazy_command import JsonFile, add_command
 
 if TYPE_CHECKING:  # plans are imported when their command is used
-    from tissueid.procedures.blind_check import BlindCheckPlan
     from tissueid.procedures.gap_plans import AcceptPlan, DiagnosisPlan, FolderPlan, WatchPlan
 
 gap = typer.Typer(help="Diagnose the gap between simulation and recording.", no_args_is_help=True)
@@ -73,14 +72,3 @@ def effects_command(json_file: JsonFile = None) -> None:
     from tissueid.cli.gap_effects import list_effects
 
     list_effects(json_file)
-
-
-@add_command(gap, "blind-check", "blind_check")
-def blind_check_command(plan: BlindCheckPlan, json_file: JsonFile = None) -> None:
-    """Score the diagnosis on scenarios with sealed labels.
-
-    The scenarios are simulated. The labels stay sealed until all scenarios are diagnosed.
-    """
-    from tissueid.cli.gap_blind import check_blind
-
-    check_blind(plan, json_file)

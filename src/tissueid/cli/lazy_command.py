@@ -28,7 +28,8 @@ def add_command(group: typer.Typer, name: str, plans: str = "") -> Callable[[_Fu
     Args:
         group: of the command.
         name: of the command.
-        plans: module of ``tissueid.procedures`` with the plan; its names are known in the annotations of the function.
+        plans: module with the plan, of ``tissueid.procedures`` if without a dot; its names are known in the annotations
+            of the function.
     """
 
     def add(function: _Function) -> _Function:
@@ -59,7 +60,8 @@ class LazyCommand(TyperCommand):
 def _built(function: Callable[..., None], plans: str) -> Any:
     from tissueid.cli.plan_command import plan_command
 
-    names = vars(importlib.import_module(f"tissueid.procedures.{plans}")) if plans else {}
+    module = plans if "." in plans else f"tissueid.procedures.{plans}"
+    names = vars(importlib.import_module(module)) if plans else {}
     function.__annotations__ = {
         name: parameter.annotation
         for name, parameter in inspect.signature(function, eval_str=True, locals=names).parameters.items()

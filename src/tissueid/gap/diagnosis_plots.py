@@ -1,4 +1,4 @@
-"""Plots of diagnoses: where the gap lies, the ranking, recorded against simulated signals, and a sealed check."""
+"""Plots of diagnoses: where the gap lies, the ranking, and recorded against simulated signals."""
 
 from __future__ import annotations
 
@@ -9,10 +9,9 @@ from typing import Literal
 import numpy as np
 from numpy.typing import NDArray
 
-from tissueid.analysis.curves.plot import CONFIDENCE, FREQUENCY, TIME, Array, Axis, Bars, Curve, Kind, Plot, steps
+from tissueid.analysis.curves.plot import CONFIDENCE, FREQUENCY, TIME, Array, Axis, Bars, Curve, Kind, Plot
 from tissueid.errors import UnusableInputError
 from tissueid.formatting import label_and_unit, number
-from tissueid.gap.blind_scoring import Score
 from tissueid.gap.dataset import DatasetTest
 from tissueid.gap.diagnosis import Diagnosis, Ranked
 from tissueid.gap.error_regions import Profile, Spectrum
@@ -61,8 +60,6 @@ _HOURS_BELOW_S = 2.0 * 86400.0
 """Duration of a history below which its axis has hours instead of days."""
 _UNSEEN = 0.95
 """A stretch that no fit has seen is held out to this share: its ends may lie a sample or two off."""
-_MOST_ANSWERS = 40
-"""Number of answers of a sealed check from which they are drawn without points."""
 _MOVES = 0.5
 """A signal moves where its deviation is at least this share of the upper quartile over all stretches."""
 
@@ -352,20 +349,3 @@ def _times(entries: Sequence[HistoryEntry]) -> tuple[Array, Axis]:
     seconds = np.array([(time - known[0]).total_seconds() for time in known])
     unit, factor = ("h", 3600.0) if seconds.max() < _HOURS_BELOW_S else ("d", 86400.0)
     return seconds / factor, Axis(marked("Time since the first session"), unit)
-
-
-def risk_plot(score: Score) -> Plot:
-    """Return the share of wrong names among the answers against the share of answered scenarios; the score has some."""
-    coverage, risk = 100.0 * np.array(score.risk_coverage).T
-    parts = [
-        Curve(np.array([0.0, 100.0]), np.full(2, risk[-1]), "", "muted", "dotted", width=0.8),
-        Curve(*steps(coverage, risk)),
-    ]
-    if risk.size < _MOST_ANSWERS:
-        parts.append(Curve(coverage, risk, kind="points", marker="o", width=0.9))
-    return Plot(
-        "",
-        Axis(marked("Answered (% of scenarios, most probable first)"), limits=(0.0, 101.0)),
-        Axis(marked("Wrong among them"), "%", limits=(-1.0, max(1.15 * float(risk.max()), 10.0))),
-        tuple(parts),
-    )

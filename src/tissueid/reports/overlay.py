@@ -12,7 +12,6 @@ from matplotlib.figure import Figure
 from tissueid import __version__
 from tissueid.analysis.curves import kernels
 from tissueid.analysis.curves import overlay_plots as curves
-from tissueid.analysis.curves.kernels import partition_error_plots
 from tissueid.analysis.curves.overlay_plots import (
     Columns,
     bode_by_depth,
@@ -22,7 +21,6 @@ from tissueid.analysis.curves.overlay_plots import (
 )
 from tissueid.analysis.curves.plot import Plot, as_csv
 from tissueid.analysis.overlay import Overlay, quantity_label, repeated_values
-from tissueid.analysis.partition_error import PartitionError
 from tissueid.atomic_write import atomic_file, private_folder
 from tissueid.errors import UnusableInputError
 from tissueid.formatting import fixed, grouped, number
@@ -146,24 +144,6 @@ def overlay_report(
 
         pictures.append(picture(one.key, _(one.heading), _(one.alt), make))
     return OverlayReport(tuple(pictures), tuple(plots), found)
-
-
-def partition_error_figures(errors: Sequence[PartitionError]) -> DrawnFigures:
-    """Return the error of depth partitions against the length of their data (Chen 2010, Fig. 5.2)."""
-    plots = partition_error_plots(errors)
-    made = picture(
-        "partition-error",
-        _("Error of depth partitions"),
-        _("Error against continuous samples, and against all samples, a line for each number of repetitions."),
-        lambda: (
-            grid_figure([plots], 3.6),
-            _(
-                "Mean error of mass, damping and stiffness on a simulated Wiener system with five levels of force and "
-                "a memory of 60 samples. Dashed: 5 %."
-            ),
-        ),
-    )
-    return DrawnFigures((made,), plots)
 
 
 @drawing
@@ -391,6 +371,5 @@ __all__ = [
     "grid_figure",
     "overlay_report",
     "overlay_scores",
-    "partition_error_figures",
     "repeated_table",
 ]

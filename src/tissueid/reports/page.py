@@ -10,7 +10,7 @@ from functools import cache
 from pathlib import Path
 from typing import Any
 
-from jinja2 import Environment, PackageLoader, StrictUndefined, Template
+from jinja2 import ChoiceLoader, Environment, PackageLoader, StrictUndefined, Template
 from markupsafe import Markup
 from matplotlib.figure import Figure, FigureBase
 
@@ -93,10 +93,13 @@ def write_text_atomically(path: Path, text: str) -> None:
 
 
 @cache
-def template(name: str) -> Template:
-    """Return the template of a page. It escapes all values and raises an error for an unknown one."""
+def template(name: str, package: str = "tissueid.reports") -> Template:
+    """Return the template of a page, of this package or another one. It escapes all values.
+
+    An unknown value raises an error.
+    """
     environment = Environment(
-        loader=PackageLoader("tissueid.reports"),
+        loader=ChoiceLoader([PackageLoader(package), PackageLoader("tissueid.reports")]),
         autoescape=True,
         undefined=StrictUndefined,
         trim_blocks=True,

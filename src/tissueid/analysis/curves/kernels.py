@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -27,7 +26,6 @@ from tissueid.analysis.curves.plot import (
 from tissueid.analysis.curves.signals import POWER_DENSITY, density_curve
 from tissueid.analysis.curves.validation import KINDS, ROLES, Prediction, cloud_plot, prediction_plots
 from tissueid.analysis.overlay import Overlay, OverlayEntry
-from tissueid.analysis.partition_error import PartitionError
 from tissueid.errors import UnusableInputError
 from tissueid.formatting import fixed
 from tissueid.identification.base import Model
@@ -259,8 +257,6 @@ def spacing_plot(model: VolterraModel, u: Array, si_unit: str) -> Plot:
 _WAYS = {1: marked("into the tissue"), -1: marked("out of the tissue"), 0: marked("as fitted")}
 _PARTITIONED_S = 4.0
 """Seconds of the output that are drawn."""
-_TARGET_PERCENT = 5.0
-"""Error that the thesis reaches from 500 samples on."""
 _BAR = 0.92
 """Width of the bar of a partition, as a share of the partition."""
 
@@ -314,28 +310,6 @@ def kernel_curves(model: PartitionedModel, record: Record) -> tuple[Plot, Plot]:
         for title, rows, std in shown[:2]
     )
     return left, replace(right, depths=depth)
-
-
-def partition_error_plots(errors: Sequence[PartitionError]) -> tuple[Plot, Plot]:
-    """Return the error of partitions against the length of a stretch and against all samples (Chen 2010, Fig. 5.2).
-
-    A line for each number of repetitions; the level is 5 %.
-    """
-    repetitions = sorted({one.repetitions for one in errors})
-    by_length, by_points = list[Curve](), list[Curve]()
-    for count, role in zip(repetitions, depth_roles(len(repetitions)), strict=True):
-        rows = [one for one in errors if one.repetitions == count]
-        name = Message("plot.repetitions", "repetitions: {count}", count=count)
-        error = np.array([one.mean_percent for one in rows])
-        for into, x in ((by_length, [one.continuous for one in rows]), (by_points, [one.points for one in rows])):
-            into.append(Curve(np.array(x, np.float64), error, name, role, marker="o"))
-    level = Curve(np.ones(1), np.array([_TARGET_PERCENT]), "", "muted", "level", width=0.8)
-    y = Axis(marked("Error of M, B and K"), "%", log=True)
-    ends = [float(min(one.continuous for one in errors)), float(max(one.continuous for one in errors))]
-    whole = [float(min(one.points for one in errors)), float(max(one.points for one in errors))]
-    length = Axis(marked("Continuous samples"), log=True, limits=(ends[0], ends[1]))
-    points = Axis(marked("Samples"), log=True, limits=(whole[0], whole[1]))
-    return Plot("", length, y, (*by_length, level)), Plot("", points, y, (*by_points, level))
 
 
 def _coloured(lag_ms: Array, rows: Array, std: Array) -> list[Curve]:

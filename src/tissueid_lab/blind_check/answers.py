@@ -1,0 +1,235 @@
+"""Diagnosis of blind scenarios in parallel processes, with answers that survive an interruption.
+
+``answers/check.json`` in the folder of the scenarios holds the draw and the SHA-256 of the labels before the first
+diagnosis; the answers are next to it (``tissueid.gap.answer_store``).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import asdict, dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from pydantic import TypeAdapter, ValidationError
+
+from tissueid import __version__
+from tissueid.errors import UnusableInputError
+from tissueid.gap.accepting import named_effects
+from tissueid.gap.answer import as_answer
+from tissueid.gap.answer_store import answer_path, store_answer, stored_answer, stored_content
+from tissueid.gap.dataset import Dataset, Purpose
+from tissueid.gap.diagnosis import diagnose
+from tissueid.gap.preparation import prepare
+from tissueid.gap.scoring import ChannelError, floor, gap, quiet_tests
+from tissueid.gap.search import Search
+from tissueid.gap.twin_export import against_twin, twin_file_of
+from tissueid.gap.workers import Executor, SerialExecutor
+from tissueid.instrument.twin_file import TwinFile, read_twin, write_twin
+from tissueid.sessions import Session
+from tissueid.twin.catalogue import all_effects
+from tissueid_lab.blind_check.scenarios import alone_sessions, earlier_session, read_scenario
+from tissueid_lab.blind_check.scoring import Answered, Label, Score, survives
+
+_CHECK = "check"
+"""Key of the description of a check in the folder of its answers."""
+
+
+@dataclass(frozen=True)
+class CheckInProgress:
+    """A check in progress: its draw, the SHA-256 of its labels, its laboratory, whether its scenarios are on skin and
+    are diagnosed against an accepted twin, and the version that answers."""
+
+    n: int
+    seed: int
+    full_share: float
+    seal: str
+    laboratory: str = "first"
+    skin: bool = False
+    against_twin: bool = False
+    software: str = __version__
+
+
+def begin_check(folder: Path, begun: CheckInProgress) -> None:
+    """Store the description of a check before its first answer; raise UnusableInputError where that fails."""
+    store_answer(folder, _CHECK, asdict(begun))
+
+
+def check_in_progress(folder: Path) -> CheckInProgress:
+    """Return the check in progress in a folder.
+
+    Raises:
+        UnusableInputError: there is none, its file is damaged, or another version of the software began it.
+    """
+    found = stored_content(folder, _CHECK)
+    if found is None:
+        raise UnusableInputError(
+            "blind.no_check", "there is no check to resume in {folder}: omit --resume to begin one", folder=str(folder)
+        )
+    try:
+        begun = TypeAdapter(CheckInProgress).validate_python(found)
+    except ValidationError as error:
+        raise UnusableInputError(
+            "blind.damaged_check",
+            "{path} does not describe a check: begin a new one",
+            path=str(answer_path(folder, _CHECK)),
+        ) from error
+    if begun.software != __version__:
+        raise UnusableInputError(
+            "blind.other_version",
+            "the check in {folder} was begun by version {begun}, this is {current}: answers of two versions cannot be "
+            "scored together; begin a new one",
+            folder=str(folder),
+            begun=begun.software,
+            current=__version__,
+        )
+    return begun
+
+
+@dataclass(frozen=True)
+class BlindScenario:
+    """One scenario to diagnose; ``without`` are effects removed from the library.
+
+    With ``keep`` the answer is stored in the folder of the scenarios at once.
+    """
+
+    folder: Path
+    name: str
+    without: tuple[str, ...] = ()
+    keep: bool = False
+
+    @property
+    def key(self) -> str:
+        """Name of its stored answer."""
+        return "-without-".join([self.name, *self.without])
+
+    def answered(self) -> dict[str, Any]:
+        """Return the answer, and store it where requested.
+
+        Raises:
+            UnusableInputError: it cannot be stored.
+        """
+        found = self.diagnosed()
+        if self.keep:
+            store_answer(self.folder, self.key, found)
+        return found
+
+    def diagnosed(self) -> dict[str, Any]:
+        """Return the JSON of ``gap diagnose`` with ``oracle`` and ``in_sample``.
+
+        ``oracle`` is the gap that the true signals leave. ``in_sample`` is the effect that fits the fitted samples
+        best, which a search without held-out data would name. For a pair ``survive_alone`` holds for each effect
+        whether the session with that effect alone has a gap that survives the refit. ``accepted`` holds the effects of
+        the twin of the earlier session, where there is one. ``grounds`` are those of the decision.
+        """
+        dataset = prepare(read_scenario(self.folder, self.name))
+        names = [name for name in all_effects() if name not in self.without] if self.without else None
+        earlier = earlier_session(self.folder, self.name)
+        dataset, known = against_twin(dataset, None if earlier is None else accepted_twin(self.folder, earlier))
+        found = diagnose(dataset, SerialExecutor(), known=known, candidates=names)
+        singles = found.found.singles
+        greedy = min(singles, key=lambda item: item.fit.cost, default=None)
+        return as_answer(found) | {
+            "accepted": list(known),
+            "grounds": None if found.grounds is None else asdict(found.grounds),
+            "oracle": _oracle(dataset, read_scenario(self.folder, self.name, "clean")),
+            "in_sample": greedy.effects[-1] if greedy is not None else None,
+            "survive_alone": [_survives(alone) for alone in alone_sessions(self.folder, self.name)],
+        }
+
+
+def accepted_twin(folder: Path, earlier: str) -> TwinFile:
+    """Return the twin of an earlier session: with the effects that its diagnosis names, without any where it names
+    none. It is kept in the folder of the scenarios for the other sessions of the same person.
+
+    Raises:
+        UnusableInputError: the session cannot be diagnosed, or the twin cannot be read or written.
+    """
+    path = folder / f"{earlier}.toml"
+    if path.exists():
+        return read_twin(path)
+    found = diagnose(prepare(read_scenario(folder, earlier)), SerialExecutor())
+    twin = named_effects(found, earlier, None).twin or twin_file_of(found.found.baseline, earlier, session_id=earlier)
+    write_twin(path, twin)
+    return twin
+
+
+def diagnosed(piece: BlindScenario) -> dict[str, Any]:
+    """Diagnose one scenario; called in a worker process."""
+    return piece.answered()
+
+
+def full_library(name: str) -> tuple[str, ...]:
+    """Remove no effect from the library."""
+    return ()
+
+
+def answers(
+    folder: Path,
+    names: Sequence[str],
+    pool: Executor,
+    done: Callable[[], None] = lambda: None,
+    without: Callable[[str], tuple[str, ...]] = full_library,
+    keep: bool = False,
+) -> dict[str, dict[str, Any]]:
+    """Return the answers by scenario.
+
+    With ``keep`` each answer is stored in the folder of the scenarios, and stored answers are reused.
+
+    Raises:
+        UnusableInputError: a stored answer cannot be read, or one cannot be stored.
+    """
+    pieces = [BlindScenario(folder, name, without(name), keep) for name in names]
+    found = {piece.name: stored_answer(folder, piece.key) for piece in pieces} if keep else {}
+    known = {name: answer for name, answer in found.items() if answer is not None}
+    for _ in known:
+        done()
+    left = [piece for piece in pieces if piece.name not in known]
+    fresh = pool.do(diagnosed, left, lambda: False, lambda piece: done())
+    known |= {piece.name: answer for piece, answer in zip(left, fresh, strict=True)}
+    return {name: known[name] for name in names}
+
+
+@dataclass(frozen=True)
+class BlindCheck:
+    """A finished blind check: the SHA-256 of its labels, its draw and laboratory, whether its
+    scenarios are on skin, and a score for each kind of session.
+
+    ``against_twin`` says whether they were diagnosed against the twin of an earlier session.
+    ``scores`` holds title, number of scenarios and score, by ``single`` and ``full``.
+    """
+
+    seal: str
+    n: int
+    seed: int
+    scores: dict[str, tuple[str, int, Score]]
+    laboratory: str = "first"
+    skin: bool = False
+    against_twin: bool = False
+
+
+def with_labels(found: dict[str, dict[str, Any]], labels: dict[str, Label]) -> list[Answered]:
+    """Return answers with their labels."""
+    return [Answered(name, labels[name], answer, answer.get("oracle")) for name, answer in found.items()]
+
+
+def _survives(session: Session) -> bool:
+    dataset = prepare(session)
+    checked = Search(dataset, SerialExecutor()).baseline().checked_by
+    quiet = quiet_tests(dataset.tests)
+    return survives(gap(checked, quiet), floor(checked, quiet))
+
+
+def _oracle(dataset: Dataset, clean: Session) -> float:
+    # The gap of the true signals without noise on the samples for the check.
+    found = []
+    for test in dataset.tests:
+        truth = clean.test(test.number)
+        for name in dataset.channels:
+            mask = test.serving(Purpose.CHECK) & np.isfinite(test.signals[name]) & np.isfinite(truth.signals[name])
+            if mask.any():
+                error = float(np.mean((truth.signals[name][mask] - test.signals[name][mask]) ** 2))
+                spread = float(np.nanstd(test.signals[name]))
+                found.append(ChannelError(test.number, name, error, dataset.noise[name], spread, int(mask.sum())))
+    return gap(found, quiet_tests(dataset.tests))

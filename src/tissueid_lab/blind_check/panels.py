@@ -1,0 +1,126 @@
+"""Figures of a sealed check: confusion matrix, and risk against coverage."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+
+import numpy as np
+from matplotlib.figure import FigureBase
+
+from tissueid.analysis.curves.plot import Axis, Curve, Plot, steps
+from tissueid.errors import UnusableInputError
+from tissueid.gap.statement import effect_title
+from tissueid.language import _, marked
+from tissueid.messages import Message, translated
+from tissueid.reports.page import Panel
+from tissueid.reports.plot_renderer import draw_plot
+from tissueid.reports.style import INK, ORANGE, SEQUENTIAL
+from tissueid_lab.blind_check.scoring import Score
+
+_VERDICTS = {"unexplained": marked("unexplained"), "no_gap": marked("no gap")}
+"""Answers that name no effect, and their labels."""
+_ROW_INCHES = 0.24
+_MOST_ANSWERS = 40
+"""Number of answers from which they are drawn without points."""
+_MOST_LETTERS = 26
+"""Letters of an effect's name on an axis; longer names are cut."""
+NO_EFFECT = Message("report.no_single_effect", "there was no single effect whose gap survives the refit")
+
+
+def blind_panels(key: str, score: Score) -> Iterator[Panel]:
+    """Yield both figures of one kind of session."""
+    rows, columns = confusion_names(score)
+    yield Panel(
+        f"{key}-confusion",
+        _("Confusion matrix"),
+        _("Counts of the answers ({columns} columns) for each of {rows} true effects.").format(
+            columns=len(columns), rows=len(rows)
+        ),
+        _(
+            "Rows: true effects. Columns: answers. Single effects whose gap survives the refit. Marked cells: correct "
+            "answers."
+        ),
+        lambda figure: draw_confusion(figure, score),
+        height=2.1 + _ROW_INCHES * len(rows),
+    )
+    yield Panel(
+        f"{key}-risk",
+        _("Risk and coverage"),
+        _("Share of wrong names among the answers against the share of scenarios that are answered."),
+        _(
+            "Share of wrong names among the answers, in order of decreasing probability. A diagnosis with reliable "
+            "probabilities begins at zero and rises late; the dotted line is the share among all answers."
+        ),
+        lambda figure: draw_risk(figure, score),
+        height=3.0,
+    )
+
+
+def confusion_names(score: Score) -> tuple[list[str], list[str]]:
+    """Return true effects, and answers: the true effects in the same order, then other names, then abstentions."""
+    rows = sorted(score.confusion)
+    said = {name for row in score.confusion.values() for name in row}
+    others = sorted(said - set(rows) - set(_VERDICTS))
+    named = [name for name in rows if name in said]
+    return rows, [*named, *others, *(verdict for verdict in _VERDICTS if verdict in said)]
+
+
+def draw_confusion(figure: FigureBase, score: Score) -> None:
+    """Draw the confusion matrix with its counts.
+
+    Raises:
+        UnusableInputError: there is no single effect whose gap survives the refit.
+    """
+    rows, columns = confusion_names(score)
+    if not rows:
+        raise UnusableInputError(NO_EFFECT)
+    axes = figure.subplots(1, 1)
+    counts = np.array([[score.confusion[row].get(column, 0) for column in columns] for row in rows], np.float64)
+    axes.grid(visible=False)
+    axes.imshow(counts, cmap=SEQUENTIAL, vmin=0.0, vmax=1.8 * float(counts.max()), aspect="auto", alpha=0.9)
+    for k, j in zip(*np.nonzero(counts), strict=True):
+        axes.text(j, k, f"{counts[k, j]:.0f}", ha="center", va="center", color=INK, fontsize=8.5)
+    for k, row in enumerate(rows):
+        if row in columns:
+            j = columns.index(row)
+            outline = ([j - 0.5, j + 0.5, j + 0.5, j - 0.5, j - 0.5], [k - 0.5, k - 0.5, k + 0.5, k + 0.5, k - 0.5])
+            axes.plot(*outline, color=ORANGE, linewidth=1.1)
+    axes.set_yticks(np.arange(len(rows)), [_shown(name) for name in rows])
+    axes.set_xticks(np.arange(len(columns)), [_shown(name) for name in columns], rotation=90)
+    axes.set_xlim(-0.55, len(columns) - 0.45)
+    axes.set_ylim(len(rows) - 0.45, -0.55)
+    axes.set_ylabel(_("True effect"))
+    axes.set_xlabel(_("Answer"))
+
+
+def draw_risk(figure: FigureBase, score: Score) -> None:
+    """Draw risk against coverage.
+
+    Raises:
+        UnusableInputError: nothing was answered.
+    """
+    if not score.risk_coverage:
+        raise UnusableInputError(NO_EFFECT)
+    draw_plot(figure.subplots(1, 1), risk_plot(score))
+
+
+def risk_plot(score: Score) -> Plot:
+    """Return the share of wrong names among the answers against the share of answered scenarios; the score has some."""
+    coverage, risk = 100.0 * np.array(score.risk_coverage).T
+    parts = [
+        Curve(np.array([0.0, 100.0]), np.full(2, risk[-1]), "", "muted", "dotted", width=0.8),
+        Curve(*steps(coverage, risk)),
+    ]
+    if risk.size < _MOST_ANSWERS:
+        parts.append(Curve(coverage, risk, kind="points", marker="o", width=0.9))
+    return Plot(
+        "",
+        Axis(marked("Answered (% of scenarios, most probable first)"), limits=(0.0, 101.0)),
+        Axis(marked("Wrong among them"), "%", limits=(-1.0, max(1.15 * float(risk.max()), 10.0))),
+        tuple(parts),
+    )
+
+
+def _shown(name: str) -> str:
+    label = _(_VERDICTS[name]) if name in _VERDICTS else translated(effect_title(name))
+    return label if len(label) <= _MOST_LETTERS else f"{label[: _MOST_LETTERS - 1]}…"

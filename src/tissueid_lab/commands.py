@@ -1,0 +1,51 @@
+"""Commands of the laboratory, which an entry point of the group ``tissueid.commands`` adds to ``tissueid``."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+import typer
+
+from tissueid.cli.lazy_command import JsonFile, add_command
+
+if TYPE_CHECKING:  # plans are imported when their command is used
+    from tissueid_lab.blind_check.check import BlindCheckPlan
+    from tissueid_lab.conformance.procedure import ConformancePlan
+    from tissueid_lab.thesis.reproduction import ReproductionPlan
+
+
+def add_commands(app: typer.Typer, gap: typer.Typer) -> None:
+    """Add the commands of the laboratory to the groups ``tissueid`` and ``tissueid gap``."""
+    add_command(app, "conformance", "tissueid_lab.conformance.procedure")(conformance)
+    add_command(app, "reproduce", "tissueid_lab.thesis.reproduction")(reproduce)
+    add_command(gap, "blind-check", "tissueid_lab.blind_check.check")(blind_check)
+
+
+def conformance(plan: ConformancePlan, json_file: JsonFile = None) -> None:
+    """Test a device against the protocol, clause by clause.
+
+    Exit status 0: no clause failed; 1: a clause failed.
+    """
+    from tissueid_lab.conformance.command import print_conformance
+
+    print_conformance(plan, json_file)
+
+
+def reproduce(plan: ReproductionPlan, json_file: JsonFile = None) -> None:
+    """Make figures and tables of the thesis from simulated tests.
+
+    Shows its numbers and those found here. Without --out, lists them.
+    """
+    from tissueid_lab.thesis.command import reproduce_figures
+
+    reproduce_figures(plan, json_file)
+
+
+def blind_check(plan: BlindCheckPlan, json_file: JsonFile = None) -> None:
+    """Score the diagnosis on scenarios with sealed labels.
+
+    The scenarios are simulated. The labels stay sealed until all scenarios are diagnosed.
+    """
+    from tissueid_lab.blind_check.command import check_blind
+
+    check_blind(plan, json_file)

@@ -1,0 +1,256 @@
+"""Exchange of frames with a device under test, without any of the checks of the driver."""
+
+from __future__ import annotations
+
+from collections import deque
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from tissueid import wire
+from tissueid.wire import MessageType, Result, State
+from tissueid_lab.conformance.clause import ViolationError, require, violated
+from tissueid_lab.conformance.line import Line
+
+ANSWER_S = 0.3
+"""Time after which a request is repeated, as a host does (docs/protocol.md, 4.2)."""
+_TRIES = 4
+_HEARTBEAT_S = 0.1
+_SLICE_S = 0.02
+_MOST_BYTES = 8_000_000
+"""Largest number of bytes that are read for one clause: a device may send without end."""
+_KEPT_FRAMES = 2000
+
+
+@dataclass(frozen=True)
+class Answer:
+    """An ACK and the sample index of its frame."""
+
+    result: Result | int
+    detail: int
+    index: int
+
+
+class Exchange:
+    """A line and what arrived on it.
+
+    Args:
+        line: to the device.
+        check: called while waiting; it raises an error to cancel.
+    """
+
+    def __init__(self, line: Line, check: Callable[[], object] = lambda: None) -> None:
+        self.line = line
+        self.measured: dict[str, float] = {}
+        self._check = check
+        self._decoder = wire.FrameDecoder()
+        self._sequence = 0
+        self._heartbeat_at: float | None = None
+        self._deadline = line.clock() + 60.0
+        self._bytes = 0
+        self.frames: deque[wire.Frame] = deque(maxlen=_KEPT_FRAMES)
+        self.blocks: list[tuple[int, NDArray[np.void]]] = []
+        self.statuses: list[dict[str, Any]] = []
+
+    def begin(self, limit_s: float) -> None:
+        """Begin a clause, which may take ``limit_s`` seconds."""
+        self._deadline = self.line.clock() + limit_s
+        self._bytes = 0
+        self.measured = {}
+
+    def keep_alive(self, on: bool) -> None:
+        """Send heartbeats while waiting, or stop that."""
+        self._heartbeat_at = self.line.clock() if on else None
+
+    def pump(self, seconds: float) -> list[wire.Frame]:
+        """Let time pass; return the received frames.
+
+        Raises:
+            ViolationError: the time or the number of bytes of the clause is exceeded.
+        """
+        end = self.line.clock() + seconds
+        found: list[wire.Frame] = []
+        while True:
+            self._check()
+            now = self.line.clock()
+            if now > self._deadline:
+                raise ViolationError("conformance.too_long", "the clause took too long")
+            if self._heartbeat_at is not None and now >= self._heartbeat_at:
+                self.send(MessageType.HEARTBEAT)
+                self._heartbeat_at = now + _HEARTBEAT_S
+            data = self.line.read(max(0.0, min(_SLICE_S, end - now)))
+            self._bytes += len(data)
+            if self._bytes > _MOST_BYTES:
+                raise ViolationError("conformance.floods", "the device sends without end")
+            for frame in self._decoder.feed(data):
+                self._keep(frame)
+                found.append(frame)
+            if self.line.clock() >= end:
+                return found
+
+    def wait(self, condition: Callable[[], bool], seconds: float, expected: str) -> None:
+        """Wait until a condition holds.
+
+        Raises:
+            ViolationError: it did not within the time.
+        """
+        end = self.line.clock() + seconds
+        while not condition():
+            if self.line.clock() >= end:
+                raise violated(expected, f"nothing within {seconds:.2f} s")
+            self.pump(min(_SLICE_S, end - self.line.clock()))
+
+    def _keep(self, frame: wire.Frame) -> None:
+        self.frames.append(frame)
+        if frame.type == MessageType.DATA:
+            whole = len(frame.payload) // wire.SAMPLE.itemsize * wire.SAMPLE.itemsize
+            self.blocks.append((frame.sample_index, np.frombuffer(frame.payload[:whole], wire.SAMPLE)))
+        elif frame.type == MessageType.STATUS:
+            self.statuses.append(_status(frame))
+
+    def send(self, kind: int, payload: bytes = b"", *, sequence: int | None = None) -> int:
+        """Send a frame and return its sequence number; by default the next one."""
+        if sequence is None:
+            sequence = self._sequence = (self._sequence + 1) & 0xFFFF
+        self.line.write(wire.encode_frame(wire.Frame(kind, sequence, payload=payload)))
+        return sequence
+
+    def ask(self, kind: int, payload: bytes = b"", *, sequence: int | None = None) -> Answer:
+        """Send a request and return its answer; the same frame is repeated as a host does.
+
+        Raises:
+            ViolationError: no answer.
+        """
+        number = self.send(kind, payload, sequence=sequence)
+        for _ in range(_TRIES):
+            end = self.line.clock() + ANSWER_S
+            while self.line.clock() < end:
+                for frame in self.pump(0.0) or self.pump(_SLICE_S / 4):
+                    if frame.type != MessageType.ACK:
+                        continue
+                    ack = _unpacked(wire.ACK, frame)
+                    if (ack["request_type"], ack["request_sequence"]) == (kind, number):
+                        return Answer(_result(ack["result"]), ack["detail"], frame.sample_index)
+            self.send(kind, payload, sequence=number)
+        raise violated(f"an answer to {_name(kind)}", "none")
+
+    def expect(self, result: Result, kind: int, payload: bytes = b"", words: str = "") -> Answer:
+        """Send a request and return its answer.
+
+        Raises:
+            ViolationError: the result is another one; ``words`` describe the request.
+        """
+        answer = self.ask(kind, payload)
+        require(
+            answer.result == result,
+            f"{result.name} to {_name(kind)}{' ' + words if words else ''}",
+            getattr(answer.result, "name", answer.result),
+        )
+        return answer
+
+    def expect_silence(self, data: bytes, words: str) -> None:
+        """Send bytes that the device must drop without an answer, and count as refused.
+
+        Raises:
+            ViolationError: there is an answer, the count is wrong, or the next request is not answered.
+        """
+        before = self.status()["refused_frames"]
+        self.line.write(data)
+        answers = [frame for frame in self.pump(0.1) if frame.type == MessageType.ACK]
+        require(not answers, f"no answer to {words}", "an ACK")
+        refused = self.status()["refused_frames"] - before
+        require(refused == 1, f"refused_frames one higher after {words}", f"{refused} higher")
+
+    def status(self) -> dict[str, Any]:
+        """Request and return the status.
+
+        Raises:
+            ViolationError: there is none.
+        """
+        for _ in range(_TRIES):
+            self.send(MessageType.STATUS_REQUEST)
+            end = self.line.clock() + ANSWER_S
+            while self.line.clock() < end:
+                for frame in self.pump(0.0) or self.pump(_SLICE_S / 4):
+                    if frame.type == MessageType.STATUS:
+                        return _status(frame)
+        raise violated("a STATUS", "none")
+
+    def samples(self) -> NDArray[np.void]:
+        """Return the samples of the clause, shape (n,), n > 0, as codes.
+
+        Raises:
+            ViolationError: none have arrived.
+        """
+        require(any(block.size for _, block in self.blocks), "DATA while streaming", "none")
+        return np.concatenate([block for _, block in self.blocks])
+
+    @property
+    def newest_state(self) -> int | None:
+        """State in the newest STATUS of the clause; None before the first."""
+        return self.statuses[-1]["state"] if self.statuses else None
+
+    def newest_status(self) -> dict[str, Any]:
+        """Return the newest STATUS of the clause.
+
+        Raises:
+            ViolationError: none has arrived.
+        """
+        require(self.statuses, "a STATUS at the change of state", "none")
+        return self.statuses[-1]
+
+    def require_state(self, state: State, words: str = "") -> dict[str, Any]:
+        """Return the status.
+
+        Raises:
+            ViolationError: the device is in another state.
+        """
+        status = self.status()
+        require(status["state"] == state, f"state {state.name} {words}".rstrip(), _state(status["state"]))
+        return status
+
+    def hello(self, low: int = 1, high: int = 1, tail: bytes = b"") -> bytes:
+        """Send HELLO and return the payload of HELLO_ACK.
+
+        Raises:
+            ViolationError: there is none.
+        """
+        payload = wire.pack(wire.HELLO, protocol_min=low, protocol_max=high, host=b"conformance") + tail
+        for _ in range(_TRIES):
+            self.send(MessageType.HELLO, payload)
+            end = self.line.clock() + ANSWER_S
+            while self.line.clock() < end:
+                for frame in self.pump(0.0) or self.pump(_SLICE_S / 4):
+                    if frame.type == MessageType.HELLO_ACK:
+                        return frame.payload
+        raise violated("HELLO_ACK", "no answer to HELLO")
+
+
+def _unpacked(dtype: np.dtype, frame: wire.Frame) -> dict[str, Any]:
+    try:
+        return wire.unpack(dtype, frame.payload, tail=True)[0]
+    except wire.PayloadError as error:
+        raise violated(f"a whole {_name(frame.type)}", error) from None
+
+
+def _status(frame: wire.Frame) -> dict[str, Any]:
+    fields = _unpacked(wire.STATUS, frame)
+    rest = frame.payload[wire.STATUS.itemsize :]
+    if len(rest) >= wire.STATUS_SETPOINTS.itemsize:
+        fields |= wire.unpack(wire.STATUS_SETPOINTS, rest, tail=True)[0]
+    return fields | {"index": frame.sample_index}
+
+
+def _result(number: int) -> Result | int:
+    return Result(number) if number in set(Result) else number
+
+
+def _state(number: int) -> str:
+    return State(number).name if number in set(State) else str(number)
+
+
+def _name(kind: int) -> str:
+    return MessageType(kind).name if kind in set(MessageType) else f"type 0x{kind:02X}"

@@ -1,0 +1,487 @@
+"""Comparisons of the figures and tables of the thesis: its numbers, and those of the fits of the same figure.
+
+Each function takes the fits of a figure and returns its rows; ``thesis_figures`` declares the tests and fits.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from tissueid.analysis.curves.kernels import kernel_lobes
+from tissueid.analysis.curves.overlay_plots import loop_width
+from tissueid.analysis.overlay import Overlay, OverlayEntry, RepeatedValue, repeated_values, series_profiles
+from tissueid.formatting import fixed, grouped, number
+from tissueid.identification.engines.lms import LmsModel
+from tissueid.identification.engines.volterra import Volterra
+from tissueid.identification.volterra.model import VolterraModel
+from tissueid.language import marked
+from tissueid.reports.overlay import DrawnFigures
+from tissueid_lab.thesis.computing_times import (
+    engine_seconds,
+    lags_for,
+    orthonormalisation_times,
+    shortest,
+    technique_times,
+    time_plot,
+)
+from tissueid_lab.thesis.page import PlotGrid, Row, drawn_grids
+from tissueid_lab.thesis.partition_error import partition_error_plots, partition_errors
+from tissueid_lab.thesis.published_algorithms import volterra
+
+if TYPE_CHECKING:
+    from tissueid.identification.depth_profile import DepthProfile
+
+POSTERIOR, ANTERIOR = "left-posterior-forearm", "left-anterior-forearm"
+DISTAL, UPPER = "left-distal-forearm", "upper-arm"
+RELAXING = "skin-anterior-relaxing"
+LINEAR, WIENER, DPN = "linear-demo", "wiener-demo", "dpn-demo"
+SKIN_ANTERIOR, SKIN_POSTERIOR, SKIN_DISTAL = "skin-anterior", "skin-posterior", "skin-distal"
+SKIN_SITES = {
+    SKIN_ANTERIOR: "anterior forearm",
+    SKIN_POSTERIOR: "posterior forearm",
+    SKIN_DISTAL: "distal side of the forearm",
+}
+"""Sites of Table 3.1, after whose numbers these tissues were made."""
+SITES = {
+    POSTERIOR: "left posterior forearm",
+    DISTAL: "left distal forearm",
+    ANTERIOR: "left anterior forearm",
+    UPPER: "upper arm",
+}
+EXACT = "volterra,method=exact"
+LAGS_3, LAGS_5 = (
+    "downsample=3,memory=0.0615,rows=downsampled",
+    "downsample=5,memory=0.0775,rows=downsampled",
+)
+"""Every 3rd and every 5th sample, with 41 and 31 lags: three rows remain for each parameter (thesis 4.3)."""
+ORDERS = {"first kernel": ",order=1", "second kernel": "", "filtered": ",smoothing=1"}
+"""Fits of Fig. 4.13 by kernels, and their options."""
+
+
+def entry_of(found: Overlay, source: str = "", fit: str = "") -> OverlayEntry:
+    """Return the first entry of a source and a fit; "" for any."""
+    return next(one for one in found.entries if source in ("", one.source) and fit in ("", one.fit.label))
+
+
+def _vaf(found: Overlay, source: str = "", fit: str = "") -> float:
+    """Return the VAF of the fitted samples, scheduled where the model has a schedule, percent."""
+    return entry_of(found, source, fit).shown_percent
+
+
+def percent(value: float) -> str:
+    """Return a percentage with one decimal."""
+    return f"{fixed(value, 1)} %"
+
+
+def correlation_rows(found: Overlay) -> list[Row]:
+    """Return the first zero and the rest of the autocorrelation of the force (Fig. 3.4)."""
+    record = next(iter(found.records.values()))
+    u = record.input - np.nanmean(record.input)
+    u = np.where(np.isfinite(u), u, 0.0)
+    power = float(u @ u)
+    first = next(lag for lag in range(1, u.size) if float(u[lag:] @ u[:-lag]) < 0.0)
+    model = entry_of(found).analysis.model
+    assert isinstance(model, LmsModel)
+    rest = max(abs(float(u[lag:] @ u[:-lag])) / power for lag in range(20, 200))
+    milliseconds = 1e3 / record.sample_rate_hz
+    return [
+        Row(
+            marked("autocorrelation of a force low-passed at 200 Hz"),
+            marked("1 at lag zero, near zero elsewhere"),
+            f"0 at {fixed(first * milliseconds, 1)} ms, at most {fixed(rest, 2)} beyond 10 ms",
+        )
+    ]
+
+
+def range_rows(found: Overlay) -> list[Row]:
+    """Return the width of the loops over the travel at both ranges (Fig. 3.11)."""
+    thesis = {
+        "linear": marked("one line in both ranges"),
+        "Wiener": marked("one curve in both ranges"),
+        "DPN": marked("loops at 100 %, one-to-one at 5 %"),
+    }
+    rows = []
+    for label, said in thesis.items():
+        shares = []
+        for range_percent, entry in zip((100, 5), [one for one in found.entries if one.source == label], strict=True):
+            output = entry.analysis.record.output
+            share = 100.0 * loop_width(entry) / float(np.nanmax(output) - np.nanmin(output))
+            shares.append(f"{range_percent} %: {fixed(share, 1)} %")
+        rows.append(Row(f"{label}, width of loops by travel", said, ", ".join(shares)))
+    return rows
+
+
+def loop_rows(found: Overlay) -> list[Row]:
+    """Return the width of the loops at each range (Fig. 3.12)."""
+    said = {"11 N": marked("loops appear"), "7 N": marked("little looping"), "1 N": marked("least looping")}
+    rows = []
+    for label, thesis in said.items():
+        widths = [loop_width(one) for one in found.entries if one.source == label]
+        rows.append(Row(f"{label}, width of loops", thesis, f"{number(1e6 * float(np.median(widths)), 3)} µm"))
+    return rows
+
+
+def _stiffness_rows(found: Overlay, fit: str) -> list[Row]:
+    series = series_profiles(found, from_surface=True)
+    made = [(SITES[site], series[SITES[site], fit]) for site in (POSTERIOR, ANTERIOR)]
+    rows = []
+    for (site, profile), said in zip(
+        made, (marked("stiffer at every depth"), marked("softer at every depth")), strict=True
+    ):
+        ends = f"{fixed(profile.stiffness[0], 0)} to {fixed(profile.stiffness[-1], 0)} N/m"
+        rows.append(Row(f"{site}, K", said, f"{ends} from {_depths(profile)}"))
+    (_, one), (_, other) = made
+    shared = np.linspace(max(one.position[0], other.position[0]), min(one.position[-1], other.position[-1]), 20)
+    ratio = np.interp(shared, one.position, one.stiffness) / np.interp(shared, other.position, other.stiffness)
+    rows.append(
+        Row(
+            marked("K, posterior over anterior at the same depth"),
+            marked("above 1"),
+            f"{fixed(float(ratio.min()), 2)} to {fixed(float(ratio.max()), 2)}",
+        )
+    )
+    return rows
+
+
+def _depths(profile: DepthProfile) -> str:
+    return f"{fixed(1e3 * float(profile.position[0]), 1)} to {fixed(1e3 * float(profile.position[-1]), 1)} mm"
+
+
+def localized_rows(found: Overlay) -> list[Row]:
+    """Return VAF, stiffness and mass of the small tests (Fig. 3.13)."""
+    vafs = [one.analysis.model.report.vaf_percent for one in found.entries]
+    lowest = min(vafs)
+    mass = [profile.mass for key, profile in series_profiles(found).items() if key[1] == "lms"]
+    spread = max(float(np.ptp(one) / one.mean()) for one in mass)
+    return [
+        Row(marked("VAF of each small test"), marked("better than 90 %"), f"{percent(lowest)} or more"),
+        *_stiffness_rows(found, "lms"),
+        Row(marked("mass along depth"), marked("does not change appreciably"), f"± {fixed(50.0 * spread, 0)} %"),
+    ]
+
+
+def lobe_rows(found: Overlay) -> list[Row]:
+    """Return VAF and lobes of the kernel of a DPN system and of a Wiener system (Fig. 4.5)."""
+    model, simple = (entry_of(found, source).analysis.model for source in ("DPN", "Wiener"))
+    assert isinstance(model, VolterraModel)
+    assert isinstance(simple, VolterraModel)
+    assert model.kernel2 is not None
+    assert simple.kernel2 is not None
+    spacing_s = model.lag_spacing / model.sample_rate_hz
+    lobes, other = kernel_lobes(model.kernel2, spacing_s), kernel_lobes(simple.kernel2, spacing_s)
+    return [
+        Row(marked("VAF of a second-order kernel on a DPN"), "95.8 %", percent(_vaf(found, "DPN"))),
+        Row(
+            marked("width of the centre lobe over its lag"),
+            marked("narrower than a Wiener system's"),
+            f"{fixed(lobes.width_s / lobes.lag_s, 2)} against {fixed(other.width_s / other.lag_s, 2)}",
+        ),
+        Row(
+            marked("side lobes of the opposite sign"),
+            marked("two"),
+            f"{fixed(100.0 * lobes.side_lobe, 0)} % of the centre (Wiener: {fixed(100.0 * other.side_lobe, 0)} %)",
+        ),
+    ]
+
+
+def rate_rows(found: Overlay) -> list[Row]:
+    """Return the VAF at two sample rates (Fig. 4.8)."""
+    return [
+        Row(marked("VAF, every 3rd sample"), "94.8 % (4.3.1), 95 %", percent(_vaf(found, fit="667 Hz"))),
+        Row(marked("VAF, every 5th sample"), "96.4 %", percent(_vaf(found, fit="400 Hz"))),
+    ]
+
+
+def site_kernel_rows(found: Overlay) -> list[Row]:
+    """Return the peaks of the first-order kernels of the sites (Figs. 4.12, 4.14)."""
+    peaks = []
+    for source in found.sources:
+        model = entry_of(found, source).analysis.model
+        assert isinstance(model, VolterraModel)
+        assert model.kernel1 is not None
+        peaks.append(f"{source} {fixed(1e3 * float(model.kernel1.max()), 0)}")
+    return [
+        Row(
+            marked("peak of the first kernel, mm/(N·s)"),
+            marked("rises as stiffness and damping fall"),
+            ", ".join(peaks),
+        )
+    ]
+
+
+_INPUT_ROWS = (
+    ("LMS", "74.3 %", "79.6 %"),
+    ("Wiener", "+5", "+3"),
+    ("first kernel", "85.5 %", "76 %"),
+    ("second kernel", "94.6 %", "94.5 %"),
+    ("filtered", "-4 to -5", "92.6 %"),
+)
+"""Fit, and VAF of low-passed and white input in the thesis (4.3.3)."""
+
+
+def input_rows(found: Overlay) -> list[Row]:
+    """Return the VAF of each fit with a low-passed and with a white input (Fig. 4.13)."""
+    rows = []
+    for place, (source, rate) in enumerate((("low-passed", 667), ("white", 500))):
+        for fit, *thesis in _INPUT_ROWS:
+            label = f"{fit} at {rate} Hz" if fit in ORDERS else fit
+            rows.append(Row(f"VAF, {source}, {fit}", thesis[place], percent(_vaf(found, source, label))))
+    return rows
+
+
+def strategy_rows(found: Overlay) -> list[Row]:
+    """Return the VAF of each strategy against noise (Fig. 4.15)."""
+    thesis = {"raw": "94.8 %", "filtered": "90.4 %", "downsampled": "96.4 %", "white": "94.5 %"}
+    rows = [Row(f"VAF, {fit}", said, percent(_vaf(found, fit=fit))) for fit, said in thesis.items()]
+    return [*rows, Row("VAF, regularised", "not in the thesis", percent(_vaf(found, fit="regularised")))]
+
+
+def partition_study(quick: bool) -> tuple[DrawnFigures, list[Row]]:
+    """Return the error of partitions against continuous length and repetitions (Fig. 5.2)."""
+    lengths: tuple[int, ...] = (20, 50, 100, 200, 500, 1000)
+    repetitions: tuple[int, ...] = (1, 2, 5, 10)
+    if quick:
+        lengths, repetitions = (50, 200), (1, 5)
+    errors = partition_errors(lengths, repetitions, range(1 if quick else 5))
+    enough = [one.mean_percent for one in errors if one.points >= 500 and np.isfinite(one.mean_percent)]
+    few = [one for one in errors if one.points < 500]
+    said = ", ".join(
+        f"{one.points}: {percent(one.mean_percent) if np.isfinite(one.mean_percent) else 'no fit'}" for one in few
+    )
+    longest = max(errors, key=lambda one: one.points)
+    grid = PlotGrid(
+        "partition-error",
+        marked("Error of depth partitions"),
+        marked("Error against continuous samples, and against all samples, a line for each number of repetitions."),
+        [partition_error_plots(errors)],
+        marked(
+            "Mean error of mass, damping and stiffness on a simulated Wiener system with five levels of force and "
+            "a memory of 60 samples. Dashed: 5 %."
+        ),
+        row_height=3.6,
+    )
+    return drawn_grids([grid]), [
+        Row(marked("error of M, B and K from 500 samples on"), marked("under 5 %"), f"at most {percent(max(enough))}"),
+        Row(marked("with fewer samples"), marked("larger"), said),
+        Row(
+            marked("trend with length and repetitions"),
+            marked("falls with both"),
+            f"{percent(longest.mean_percent)} at {longest.points}",
+        ),
+    ]
+
+
+def six_rows(found: Overlay) -> list[Row]:
+    """Return the VAF of six partitions of two systems and of skin (Figs. 5.6 to 5.8)."""
+    return [
+        Row(marked("VAF, Wiener system"), marked("near 96 %, 240 parameters"), percent(_vaf(found, "Wiener"))),
+        Row(marked("VAF, DPN system"), marked("not given"), percent(_vaf(found, "DPN"))),
+        Row(marked("VAF, skin"), "90.3 %", percent(_vaf(found, SITES[POSTERIOR]))),
+    ]
+
+
+def partition_rows(found: Overlay) -> list[Row]:
+    """Return stiffness and damping of partitions relative to small tests (Fig. 5.9)."""
+    rows = _stiffness_rows(found, "depth")
+    series = series_profiles(found, from_surface=True)
+    for preset in (POSTERIOR, ANTERIOR):
+        site = SITES[preset]
+        small, large = series[site, "lms"], series[site, "depth"]
+        inside = (large.position > small.position[0]) & (large.position < small.position[-1])
+        for what, name, said in (
+            ("K", "stiffness", marked("generally less stiff, same trend")),
+            ("B", "damping", marked("more similar")),
+        ):
+            reference = np.interp(large.position[inside], small.position, getattr(small, name))
+            ratio = getattr(large, name)[inside] / reference
+            shown = f"{fixed(float(np.median(ratio)), 2)} (median)"
+            rows.append(Row(f"{site}, {what} of partitions over small tests", said, shown))
+    return rows
+
+
+def frequency_rows(found: Overlay) -> list[Row]:
+    """Return the parameters with a low cutoff relative to those with a high one (Fig. 5.10)."""
+    series = series_profiles(found, from_surface=True)
+    low, high = series["50 Hz", "depth"], series["200 Hz", "depth"]
+    shared = np.linspace(max(low.position[0], high.position[0]), min(low.position[-1], high.position[-1]), 20)
+    rows = []
+    for what, name, said in (
+        ("K", "stiffness", marked("K rises as the cutoff falls")),
+        ("B", "damping", marked("the same")),
+        ("M", "mass", marked("the same")),
+    ):
+        ratio = np.interp(shared, low.position, getattr(low, name)) / np.interp(
+            shared, high.position, getattr(high, name)
+        )
+        rows.append(Row(f"{what}, 50 Hz over 200 Hz", said, f"{fixed(float(np.median(ratio)), 2)} (median)"))
+    return rows
+
+
+def direction_rows(found: Overlay) -> list[Row]:
+    """Return VAF of partitions by depth and by direction, and parameters in over out (Fig. 5.11)."""
+    rows = [
+        Row(marked("VAF, 10 depth partitions"), "91.9 %", percent(_vaf(found, fit="depth"))),
+        Row(marked("VAF, 5 partitions a direction"), "91.2 %", percent(_vaf(found, fit="direction"))),
+    ]
+    profile = next(p for key, p in series_profiles(found).items() if key[1] == "direction")
+    into, out = (profile.direction == way for way in (1, -1))
+    for what, name, said in (
+        ("M", "mass", marked("the same in and out")),
+        ("B", "damping", marked("larger inwards, more so with depth")),
+        ("K", "stiffness", marked("larger inwards, more so with depth")),
+    ):
+        values = getattr(profile, name)
+        ratio = values[into] / values[out]
+        rows.append(Row(f"{what}, in over out", said, f"{fixed(float(np.nanmedian(ratio)), 2)} (median)"))
+    return rows
+
+
+MEMORIES_S = (0.01, 0.02, 0.03, 0.04, 0.05, 0.06, 0.07, 0.08, 0.09, 0.1, 0.11, 0.12)
+
+
+def memory_rows(found: Overlay) -> list[Row]:
+    """Return where the curves of VAF and AICc against memory turn (Fig. 8.1)."""
+
+    def scores(fit: str) -> dict[float, tuple[float, float]]:
+        return {
+            round(1e3 * float(one.swept or 0.0)): (
+                one.shown_percent,
+                float((one.analysis.model.report.aicc if one.scheduled_aicc is None else one.scheduled_aicc) or np.nan),
+            )
+            for one in found.entries
+            if one.fit.label == fit
+        }
+
+    lms, wiener, second, depth = (scores(fit) for fit in ("LMS", "Wiener", "second Volterra", "7 partitions"))
+    longest = max(second)  # a short test has too few rows for a long memory
+    gain = np.mean([wiener[ms][0] - lms[ms][0] for ms in (60, 80, 100, 120)])
+    lowest = min(second, key=lambda ms: second[ms][1])
+    worst = next((ms for ms in sorted(second) if ms > lowest and second[ms][1] > lms[ms][1]), None)
+    record = next(iter(found.records.values()))
+    memory = lags_for(len(record))
+    inputs = record.input - record.input.mean()
+    printed = shortest(lambda: volterra(inputs, record.output, memory))
+    engine = Volterra(memory=(memory + 1) / record.sample_rate_hz, downsample=1, method="exact")
+    here = shortest(lambda: engine.fit(record))
+    best = [ms for ms in sorted(depth) if depth[ms][1] <= min(one[ms][1] for one in (lms, wiener, second) if ms in one)]
+    return [
+        Row(marked("VAF of LMS, 30 and 60 lags of 2 ms"), marked("level from 30"), _two(lms)),
+        Row(marked("gain of Wiener over LMS"), marked("about 5"), f"{fixed(float(gain), 1)}"),
+        Row(
+            marked("VAF of the second-order kernel at 60 lags"),
+            marked("almost perfect"),
+            f"{percent(second[longest][0])} at {longest // 2}",
+        ),
+        Row(marked("its lowest AICc"), marked("20 to 30 lags, then it rises"), f"{lowest // 2} lags"),
+        Row(marked("its AICc is the worst"), marked("from 40 lags"), f"from {worst // 2} lags" if worst else "never"),
+        Row(
+            marked("7 partitions have the lowest AICc"),
+            marked("from 30 lags"),
+            f"from {_tail(best, sorted(depth))} lags",
+        ),
+        Row(
+            f"second order, {memory} lags: time here; of the thesis' algorithm on this computer",
+            marked("not given"),
+            f"{number(here, 2)} s; {number(printed, 2)} s",
+        ),
+    ]
+
+
+def _two(scores: dict[float, tuple[float, float]]) -> str:
+    return f"{percent(scores[60][0])} and {percent(scores[120][0])}"
+
+
+def _tail(best: Sequence[float], every: Sequence[float]) -> str:
+    """Return the number of lags from which a model is the best at every longer memory; "no" for none."""
+    first = None
+    for ms in reversed(every):
+        if ms not in best:
+            break
+        first = ms
+    return "no" if first is None else str(int(first // 2))
+
+
+_MEMORIES, _QUICK_MEMORIES = (5, 8, 12, 16, 20, 25, 30, 35, 40), (5, 8, 12)
+"""Lags of the fits of Fig. 4.2: up to 903 parameters."""
+_TECHNIQUES = (
+    ("LMS", marked("70 to 75 %"), marked("good"), "0.2 to 1.0 s"),
+    ("Wiener", marked("75 to 80 %"), marked("good"), "2.0 to 5.0 s"),
+    ("Volterra", marked("90 to 97 %"), marked("poor"), "80 to 100 s"),
+    ("depth", marked("90 to 95 %"), marked("good"), "5.0 to 7.0 s"),
+)
+"""Technique, VAF, interpretability and time of Table 8.1."""
+
+
+def technique_rows(found: Overlay) -> list[Row]:
+    """Return VAF, interpretability and time of each technique, and the time of the thesis' algorithm (Table 8.1)."""
+    printed = technique_times(next(iter(found.records.values())))
+    rows = []
+    for fit, vaf, read, seconds in _TECHNIQUES:
+        entry = entry_of(found, fit=fit)
+        analysis = entry.analysis
+        spent = engine_seconds(entry.fit.engine, analysis.record, analysis.fit_part)
+        here = f"{percent(_vaf(found, fit=fit))}, {entry.fit.engine.family.interpretability}"
+        rows.append(Row(f"{fit}: VAF, interpretability", f"{vaf}, {read}", here))
+        times = f"{number(spent, 2)} s; {number(printed[fit], 2)} s"
+        rows.append(Row(f"{fit}: time here; of the thesis' algorithm on this computer", seconds, times))
+    return rows
+
+
+def orthonormalisation_study(quick: bool) -> tuple[DrawnFigures, list[Row]]:
+    """Return the time of the orthonormalisation against the number of parameters (Fig. 4.2)."""
+    found = orthonormalisation_times(_QUICK_MEMORIES if quick else _MEMORIES)
+    thesis, stored, here, again = found
+    most = grouped(thesis.sizes[-1])
+    ratio = thesis.seconds[-1] / stored.seconds[-1]
+    heading = marked("Time against the number of parameters")
+    alt = marked("Seconds against parameters for the thesis' algorithm and for the one used here.")
+    grid = PlotGrid("times", heading, alt, [[time_plot(found, marked("Parameters"))]], row_height=3.8, over=False)
+    return drawn_grids([grid]), [
+        Row(marked("power of the number of parameters, thesis' algorithm"), "2", fixed(thesis.power, 2)),
+        Row(marked("orthonormalisation over solution"), marked("one to two orders of magnitude"), fixed(ratio, 1)),
+        Row(
+            f"{most} parameters: thesis' algorithm; here",
+            marked("80 to 100 s in all (Table 8.1)"),
+            f"{number(thesis.seconds[-1], 2)} s; {number(here.seconds[-1], 2)} s",
+        ),
+        Row(
+            f"{most} parameters, second output: thesis' algorithm; here",
+            marked("one to two orders of magnitude less"),
+            f"{number(stored.seconds[-1], 2)} s; {number(again.seconds[-1], 2)} s",
+        ),
+    ]
+
+
+TABLE_3_1 = {
+    SKIN_ANTERIOR: ((78.06, 2.33), (82.60, 1.96), (0.0194, 0.001), (4.84, 0.166), (7.42, 0.302), (0.191, 0.0153)),
+    SKIN_POSTERIOR: ((86.53, 0.72), (89.14, 0.58), (0.0259, 0.0004), (5.22, 0.0843), (9.77, 0.145), (0.154, 0.0162)),
+    SKIN_DISTAL: ((76.05, 1.65), (81.33, 1.62), (0.0235, 0.0012), (7.00, 0.222), (4.71, 0.360), (0.442, 0.0327)),
+}
+"""Mean and standard deviation over ten tests of each quantity at each site."""
+_QUANTITIES = (
+    ("LMS", "vaf_percent", marked("linear nonparametric VAF (%)"), 1.0, 2),
+    ("Wiener", "vaf_percent", marked("nonlinear VAF (%)"), 1.0, 2),
+    ("Wiener", "scaled_mass_s2", marked("scaled mass (s²)"), 1.0, 4),
+    ("Wiener", "scaled_damping_s", marked("scaled damping (s)"), 1.0, 2),
+    ("Wiener", "c1_m", "C1 (mm)", 1e3, 2),
+    ("Wiener", "c2_per_n", "C2 (1/N)", 1.0, 3),
+)
+"""Fit, quantity, label, factor and decimals of the rows of Table 3.1."""
+
+
+def repeat_rows(found: Overlay) -> list[Row]:
+    """Return mean and standard deviation of each quantity at each site (Table 3.1)."""
+    values: dict[tuple[str, str, str], RepeatedValue] = {
+        (one.source, one.fit, one.quantity): one for one in repeated_values(found)
+    }
+    rows = []
+    for preset, thesis in TABLE_3_1.items():
+        site = SKIN_SITES[preset]
+        for (fit, quantity, label, scale, decimals), (mean, std) in zip(_QUANTITIES, thesis, strict=True):
+            one = values[site, fit, quantity]
+            here = f"{fixed(scale * one.mean, decimals)} ± {number(scale * one.std, 2)}"
+            rows.append(Row(f"{site}, {label}", f"{mean} ± {std}", here))
+    return rows

@@ -1,0 +1,324 @@
+"""Recipes of the figures and tables of the thesis: tests on simulated tissues, fits, and what the thesis found.
+
+A recipe is one declaration in ``FIGURES``. Its tests are played on the simulated firmware, whose presets have the names
+of the sites and systems of the thesis; its comparison holds the thesis' numbers and those of the fits.
+"""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+from tissueid.language import marked
+from tissueid_lab.thesis.comparisons import (
+    ANTERIOR,
+    DISTAL,
+    DPN,
+    EXACT,
+    LAGS_3,
+    LAGS_5,
+    LINEAR,
+    MEMORIES_S,
+    ORDERS,
+    POSTERIOR,
+    RELAXING,
+    SITES,
+    SKIN_SITES,
+    TABLE_3_1,
+    UPPER,
+    WIENER,
+    correlation_rows,
+    direction_rows,
+    frequency_rows,
+    input_rows,
+    lobe_rows,
+    localized_rows,
+    loop_rows,
+    memory_rows,
+    orthonormalisation_study,
+    partition_rows,
+    partition_study,
+    range_rows,
+    rate_rows,
+    repeat_rows,
+    site_kernel_rows,
+    six_rows,
+    strategy_rows,
+    technique_rows,
+)
+from tissueid_lab.thesis.inputs import INPUT_FIGURES
+from tissueid_lab.thesis.kernels import KERNEL_FIGURES, LARGE
+from tissueid_lab.thesis.recipe import Recording, Source, ThesisFigure
+from tissueid_lab.thesis.remarks import REMARKS
+from tissueid_lab.thesis.signals import GAUSSIAN, SIGNAL_FIGURES
+
+
+def _white(name: str, preset: str, force_n: tuple[float, float] = (-3.5, 10.5)) -> Recording:
+    """Return a test with an input that is white at every fourth sample of 2 kHz: 500 Hz (thesis 4.3.3)."""
+    return Recording(name, preset, force_n, seed=2, options=(("spectrum", "band"), ("cutoff_hz", 250.0)))
+
+
+def _low_passed(cutoff_hz: float) -> Recording:
+    """Return a test that stays on skin that relaxes, with noise up to a cutoff (thesis 5.3.3)."""
+    name, options = f"{RELAXING}-{cutoff_hz:.0f}hz", (("cutoff_hz", cutoff_hz),)
+    return Recording(name, RELAXING, (0.5, 10.5), seed=1, distribution="gaussian", options=options)
+
+
+def _localized(preset: str) -> tuple[Recording, ...]:
+    """Return small tests of 1 N about successive loads (thesis 3.4)."""
+    return tuple(
+        Recording(f"{preset}-local-{load}", preset, (load - 0.5, load + 0.5), 2.0, load, "gaussian")
+        for load in range(1, 11)
+    )
+
+
+_LARGE = {POSTERIOR: LARGE} | {preset: Recording(f"{preset}-large", preset) for preset in (ANTERIOR, DISTAL, UPPER)}
+_ELEVEN = Recording(f"{POSTERIOR}-11n", POSTERIOR, (0.0, 11.0), seed=6)
+_WHITE = {preset: _white(f"{preset}-white", preset) for preset in (POSTERIOR, ANTERIOR, DISTAL, UPPER)}
+_SYSTEMS = {
+    LINEAR: ("linear", (0.5, 10.5)),
+    WIENER: ("Wiener", (0.5, 10.5)),
+    DPN: ("DPN", (0.5, 10.5)),
+}
+_SMALL_SHARE = 0.05
+"""Share of the input range of the small tests of Fig. 3.11."""
+
+
+def _range_tests() -> tuple[Source, ...]:
+    """Return tests of 100 % and 5 % of the input range on three systems (Fig. 3.11)."""
+    found = []
+    for preset, (label, (low, high)) in _SYSTEMS.items():
+        middle, half = 0.5 * (low + high), 0.5 * _SMALL_SHARE * (high - low)
+        found.append(Source(label, Recording(f"{preset}-full", preset, (low, high))))
+        found.append(Source(label, Recording(f"{preset}-small", preset, (middle - half, middle + half))))
+    return tuple(found)
+
+
+def _repeats(count: int) -> tuple[Source, ...]:
+    return tuple(
+        Source(
+            SKIN_SITES[preset],
+            Recording(f"{preset}-repeat-{seed}", preset, (0.5, 10.5), seed=100 + seed, distribution="gaussian"),
+        )
+        for preset in TABLE_3_1
+        for seed in range(count)
+    )
+
+
+_TEN = 10
+_COMPARED: tuple[ThesisFigure, ...] = (
+    ThesisFigure(
+        "3.4",
+        marked("Autocorrelation of the force and its correlation with the position"),
+        (Source("low-passed", _LARGE[POSTERIOR]),),
+        ("lms",),
+        ("correlations",),
+        correlation_rows,
+    ),
+    ThesisFigure(
+        "3.11",
+        marked("Input ranges of 5 % and 100 % on a linear, a Wiener and a DPN system"),
+        _range_tests(),
+        ("wiener",),
+        ("nonlinearity",),
+        range_rows,
+    ),
+    ThesisFigure(
+        "3.12",
+        marked("Static nonlinearity with ranges of 11, 7 and 1 N, and impulse responses by depth"),
+        (
+            Source("11 N", _ELEVEN),
+            Source("7 N", Recording(f"{POSTERIOR}-7n", POSTERIOR, (2.0, 9.0), seed=5)),
+            *(Source("1 N", one) for one in _localized(POSTERIOR)),
+        ),
+        ("wiener",),
+        ("nonlinearity", "impulse-by-depth"),
+        loop_rows,
+    ),
+    ThesisFigure(
+        "3.13",
+        marked("Localized linear tests of two sites over the calibration, with Bode diagrams by depth"),
+        tuple(Source(SITES[preset], one) for preset in (POSTERIOR, ANTERIOR) for one in _localized(preset)),
+        ("lms",),
+        ("depth", "bode-by-depth"),
+        localized_rows,
+        calibration=True,
+    ),
+    ThesisFigure(
+        "4.2",
+        marked("Time of the orthonormalisation against the number of parameters"),
+        study=orthonormalisation_study,
+    ),
+    ThesisFigure(
+        "4.5",
+        marked("Second-order kernel of a DPN system and of a Wiener system"),
+        tuple(
+            Source(label, _white(f"{preset}-white", preset, force_n))
+            for label, preset, force_n in (("DPN", DPN, (-11.0, 11.5)), ("Wiener", WIENER, (0.5, 11.5)))
+        ),
+        (f"second={EXACT},downsample=1,memory=0.08",),
+        ("second-kernels", "first-kernels"),
+        lobe_rows,
+        downsample=4,
+    ),
+    ThesisFigure(
+        "4.8",
+        marked("Second-order kernels of two sample rates"),
+        (Source(SITES[POSTERIOR], _LARGE[POSTERIOR]),),
+        (
+            f"667 Hz={EXACT},{LAGS_3}",
+            f"400 Hz={EXACT},{LAGS_5}",
+        ),
+        ("second-kernels",),
+        rate_rows,
+    ),
+    ThesisFigure(
+        "4.12",
+        marked("Filtered kernels of four sites"),
+        tuple(Source(label, _LARGE[preset]) for preset, label in SITES.items()),
+        (f"filtered={EXACT},downsample=3,smoothing=1",),
+        ("second-kernels", "first-kernels"),
+        site_kernel_rows,
+    ),
+    ThesisFigure(
+        "4.13",
+        marked("Low-passed against white input: linear, Wiener and Volterra"),
+        (
+            Source("low-passed", _LARGE[POSTERIOR], ("LMS", "Wiener", *(f"{one} at 667 Hz" for one in ORDERS))),
+            Source("white", _WHITE[POSTERIOR], ("LMS", "Wiener", *(f"{one} at 500 Hz" for one in ORDERS))),
+        ),
+        (
+            "LMS=lms",
+            "Wiener=wiener",
+            *(
+                f"{label} at {rate} Hz={EXACT},downsample={step}{options}"
+                for rate, step in ((667, 3), (500, 4))
+                for label, options in ORDERS.items()
+            ),
+        ),
+        ("second-kernels", "scores"),
+        input_rows,
+    ),
+    ThesisFigure(
+        "4.14",
+        marked("Kernels of a white input at four sites, without a filter"),
+        tuple(Source(label, _WHITE[preset]) for preset, label in SITES.items()),
+        (f"white={EXACT},downsample=4",),
+        ("second-kernels", "first-kernels"),
+        site_kernel_rows,
+    ),
+    ThesisFigure(
+        "4.15",
+        marked("Strategies against noise in a second-order kernel"),
+        (
+            Source("low-passed", _LARGE[POSTERIOR], ("raw", "filtered", "downsampled", "regularised")),
+            Source("white", _WHITE[POSTERIOR], ("white",)),
+        ),
+        (
+            f"raw={EXACT},{LAGS_3}",
+            f"filtered={EXACT},{LAGS_3},smoothing=1",
+            f"downsampled={EXACT},{LAGS_5}",
+            f"white={EXACT},downsample=4",
+            "regularised=volterra",
+        ),
+        ("second-kernels",),
+        strategy_rows,
+    ),
+    ThesisFigure(
+        "5.2",
+        marked("Error of depth partitions against continuous length and repetitions"),
+        study=partition_study,
+    ),
+    ThesisFigure(
+        "5.6",
+        marked("Six depth partitions of a Wiener system, a DPN system and skin (Figs. 5.6 to 5.8)"),
+        (
+            Source("Wiener", Recording(f"{WIENER}-full", WIENER, (0.5, 10.5))),
+            Source("DPN", Recording(f"{DPN}-full", DPN, (0.5, 10.5))),
+            Source(SITES[POSTERIOR], _LARGE[POSTERIOR]),
+        ),
+        ("depth,partitions=6,correct=false,memory=0.08,downsample=1",),
+        ("partitions",),
+        six_rows,
+        downsample=4,
+    ),
+    ThesisFigure(
+        "5.9",
+        marked("Depth partitions against localized linear tests and the calibration, two sites"),
+        (
+            *(Source(SITES[p], one, ("lms",)) for p in (POSTERIOR, ANTERIOR) for one in _localized(p)),
+            *(Source(SITES[p], _LARGE[p], ("depth",)) for p in (POSTERIOR, ANTERIOR)),
+        ),
+        ("lms", "depth"),
+        ("depth",),
+        partition_rows,
+        calibration=True,
+    ),
+    ThesisFigure(
+        "5.10",
+        marked("Depth partitions with an input to 50 Hz and to 200 Hz"),
+        (
+            Source("50 Hz", _low_passed(50.0)),
+            Source("200 Hz", _low_passed(200.0)),
+        ),
+        ("depth,correct=false",),
+        ("depth",),
+        frequency_rows,
+    ),
+    ThesisFigure(
+        "5.11",
+        marked("Depth partitions against direction partitions"),
+        (Source(SITES[POSTERIOR], _ELEVEN),),
+        ("depth,partitions=10", "direction,partitions=5"),
+        ("depth",),
+        direction_rows,
+    ),
+    ThesisFigure(
+        "8.1",
+        marked("VAF and AICc against memory"),
+        (Source(SITES[POSTERIOR], _LARGE[POSTERIOR]),),
+        (
+            "LMS=lms,taper=0",
+            "Wiener=wiener",
+            f"first Volterra={EXACT},order=1,downsample=1",
+            f"second Volterra={EXACT},downsample=1",
+            "7 partitions=depth,correct=false,downsample=1",
+        ),
+        ("sweep",),
+        memory_rows,
+        downsample=4,
+        sweep=("memory", MEMORIES_S),
+    ),
+    ThesisFigure(
+        "Table 3.1",
+        marked("Repeatability over ten tests at three sites"),
+        _repeats(_TEN),
+        ("LMS=lms", "Wiener=wiener,scaling=1000"),
+        (),
+        repeat_rows,
+    ),
+    ThesisFigure(
+        "Table 8.1",
+        marked("VAF, interpretability and time of four techniques"),
+        (Source(SITES[POSTERIOR], _LARGE[POSTERIOR]),),
+        ("LMS=lms", "Wiener=wiener", f"Volterra={EXACT},{LAGS_3}", "depth=depth,correct=false"),
+        ("scores",),
+        technique_rows,
+    ),
+)  # fmt: skip
+
+
+def _place(figure: ThesisFigure) -> tuple[int, int, int]:
+    """Return the order of a figure: by chapter, figures before tables, by number."""
+    chapter, number = figure.number.removeprefix("Table ").split(".")
+    return int(chapter), int(figure.number.startswith("Table")), int(number)
+
+
+QUICK_TESTS = frozenset(
+    [LARGE.name, GAUSSIAN.name, *(source.recording.name for one in SIGNAL_FIGURES for source in one.sources)]
+)
+"""Tests that a quick run plays; it leaves out the figures that need others."""
+FIGURES: tuple[ThesisFigure, ...] = tuple(
+    replace(figure, remark=REMARKS.get(figure.number, ""))
+    for figure in sorted((*_COMPARED, *SIGNAL_FIGURES, *KERNEL_FIGURES, *INPUT_FIGURES), key=_place)
+)
+"""The figures and tables, in the order of the thesis."""
