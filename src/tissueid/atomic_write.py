@@ -10,7 +10,6 @@ import contextlib
 import errno
 import os
 import re
-import secrets
 import shutil
 import stat
 import sys
@@ -207,7 +206,7 @@ def _remove_unlocked(partial: Path) -> None:
 
 
 def _partial(path: Path) -> Path:
-    return path.with_name(f".{path.name}.{secrets.token_hex(8)}.partial")
+    return path.with_name(f".{path.name}.{os.urandom(8).hex()}.partial")
 
 
 def _create(path: Path, mode: int) -> int:

@@ -222,7 +222,7 @@ def test_a_defect_leaves_its_details_in_a_file(monkeypatch, capsys, tmp_path):
         raise ZeroDivisionError("a defect")
 
     monkeypatch.setattr("tissueid.procedures.instrument_queries.find_instruments", fail)
-    monkeypatch.setattr("tissueid.cli.user_log_path", lambda *_, **__: tmp_path)
+    monkeypatch.setattr("platformdirs.user_log_path", lambda *_, **__: tmp_path)
     assert main(["devices"]) == 1
     printed = capsys.readouterr().err
     assert "Traceback" not in printed

@@ -14,7 +14,6 @@ from contextlib import contextmanager
 from functools import cache
 from pathlib import Path
 
-from platformdirs import user_log_path
 from typer.core import TyperGroup
 from typer.exceptions import Abort, TyperException
 from typer.main import get_group
@@ -138,6 +137,8 @@ def _report_defect() -> int:
 
 def _keep_traceback() -> Path:
     """Write the traceback to the log folder and return the file."""
+    from platformdirs import user_log_path
+
     path = private_folder(user_log_path("tissueid", appauthor=False)) / "last-defect.txt"
     write_private(path, traceback.format_exc())
     return path
