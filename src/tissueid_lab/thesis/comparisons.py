@@ -1,6 +1,6 @@
 """Comparisons of the figures and tables of the thesis: its numbers, and those of the fits of the same figure.
 
-Each function takes the fits of a figure and returns its rows; ``thesis_figures`` declares the tests and fits.
+Each function takes the fits of a figure and returns its rows; ``figures`` declares the tests and fits.
 """
 
 from __future__ import annotations
