@@ -8,15 +8,17 @@ import numpy as np
 import pytest
 from app.benches import WAIT_MS
 from app.views.test_clinician import idle, press, run_test, seeded
-from coded import code_of, codes, made, reads
+from coded import code_of, codes, made, reads, shows
 
-from tissueid.app.views.clinician.comparing import Comparison, Shelf, Sighting, compare_with
+from tissueid.app.views.clinician.comparing import STUDY, Comparison, Shelf, Sighting, compare_with, of_study
 from tissueid.app.views.clinician.comparison_card import THIS
 from tissueid.app.views.clinician.sitting import Repeat, Sitting, together
 from tissueid.instrument import SimulatedInstrument
+from tissueid.procedures.study_protocol import PROTOCOL_FILE
 from tissueid.procedures.test_plan import TestPlan
 from tissueid.records import Estimate
 from tissueid.sessions import Subject, read_session, write_session
+from tissueid.sessions.accepted_result import AcceptedResult, AcceptedTest, AcceptedValue, write_result
 
 pytestmark = [pytest.mark.qt_log_level_fail("WARNING"), pytest.mark.qt_log_ignore("This plugin does not support")]
 
@@ -202,6 +204,31 @@ def test_a_subject_is_compared_with_its_own_sittings_only(shelf_of):
     stopped.set()
     cut = compared(shelf_of, "s0.h5", stopped)
     assert (cut.sightings, code_of(cut.left_out)) == ((), "comparison.cancelled")
+
+
+def test_a_result_of_a_study_is_compared_with_the_other_subjects_at_the_site(tmp_path, saved):
+    session = read_session(saved)
+    study, key = tmp_path / "lotion", "0f8fad5b-d9cb-469f-a165-70867728950{}"
+    names = ("P-1", "P-2", "P-3", "P-4", "P-5")
+    for number, (name, mass) in enumerate(zip(names, (0.5, 0.07, 0.08, 0.09, 0.3), strict=True)):
+        site = "abdomen" if name == "P-5" else "left calf"
+        folder = study / name
+        folder.mkdir(parents=True)
+        test = dataclasses.replace(session.test(), site=site)
+        theirs = dataclasses.replace(session, session_id=f"{number}", subject=Subject(name), tests=(test,))
+        write_session(folder / "s.h5", theirs)
+        first = AcceptedTest(file="s.h5", number=test.number, session_id=f"{number}")
+        values = {"mass_kg": AcceptedValue(mean=mass, std=0.001)}
+        write_result(folder, AcceptedResult(sitting=key.format(number), tests=(first,), values=values))
+    test = read_session(study / "P-1" / "s.h5").test()
+    assert of_study(study / "P-1" / "s.h5", test, Shelf(), threading.Event()) is None  # no study: a mere folder
+    (study / PROTOCOL_FILE).write_text("{}", encoding="utf-8")
+    found = compared(study / "P-1", "s.h5")
+    (row,) = [one for one in found.sightings if one.key == STUDY]
+    assert (row.values["mass_kg"].value, row.values["mass_kg"].std) == pytest.approx((0.08, 0.01))
+    assert row.count == 3
+    assert shows(str(found.changes["mass_kg"]), "comparison.study_above", count=3, spread="12")
+    assert set(found.changes) == {"mass_kg"}
 
 
 def test_nobody_is_compared_with_everybody(saved):

@@ -8,12 +8,17 @@ from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 
+import numpy as np
+
 from tissueid.app.views.clinician.sitting import QUANTITIES, repeatability, together, values_of
 from tissueid.errors import TissueIDError, UnusableInputError
 from tissueid.formatting import ANONYMOUS, clean, fixed, local_minute
-from tissueid.messages import Message, sentences
+from tissueid.messages import Message, sentences, translated
+from tissueid.procedures.study_plans import CONDITION
+from tissueid.procedures.study_protocol import PROTOCOL_FILE
 from tissueid.records import Estimate
-from tissueid.sessions import Session, Test, read_session, read_session_head
+from tissueid.sessions import Session, Test, read_outline, read_session, read_session_head
+from tissueid.sessions.accepted_result import AcceptedResult, read_result
 from tissueid.sessions.quality import quality_of
 
 MOST_READ = 20
@@ -28,6 +33,12 @@ OTHER_INSTRUMENT = "†"
 """Mark of a sitting that was measured with another instrument than the shown test."""
 
 
+STUDY = "study"
+"""Key of the row with the mean of the other subjects of a study."""
+_FEWEST_SUBJECTS = 3
+"""Other subjects of a study from which their mean and deviation are shown."""
+_MOST_RESULTS = 1000
+"""Accepted results of a study that are read."""
 _OF_OTHERS = Message("comparison.other_instrument", "† measured with another instrument: compare with care.")
 
 
@@ -50,6 +61,8 @@ class Sighting:
     @property
     def label(self) -> str:
         """Local date and time, the number of tests where they are several, and the site, short."""
+        if self.key == STUDY:
+            return translated(Message("comparison.study_row", "Study: {count} other subjects", count=self.count))
         site = clean(self.site)
         site = site if len(site) <= _LONGEST_SITE else site[: _LONGEST_SITE - 1] + "…"
         when = local_minute(self.created) or self.created[:10]
@@ -79,6 +92,8 @@ class Shelf:
     """Cache of identified sessions, by file; an entry is valid while its file is unchanged."""
 
     kept: dict[tuple[Path, int, int], tuple[Sighting, ...]] = field(default_factory=dict)
+    results: dict[tuple[Path, int], tuple[AcceptedResult, Test] | None] = field(default_factory=dict)
+    """Accepted results of studies, each with its first test, by file and time of change."""
 
 
 def compare_with(
@@ -119,7 +134,86 @@ def compare_with(
         words.append(Message("comparison.file_skipped", "1 file was passed over."))
     elif skipped:
         words.append(Message("comparison.files_skipped", "{count} files were passed over.", count=skipped))
-    return Comparison(tuple(shown), sentences(*words) if words else "", changes(joined))
+    said, study = changes(joined), of_study(path, test, shelf, cancelled)
+    this = next((one for one in joined if one.this), None)
+    if study is not None and this is not None:
+        said |= {name: sentences(said.get(name, ""), text) for name, text in against(study, this).items()}
+        shown.append(study)
+    return Comparison(tuple(shown), sentences(*words) if words else "", said)
+
+
+def of_study(path: Path, test: Test, shelf: Shelf, cancelled: threading.Event) -> Sighting | None:
+    """Return mean and standard deviation of the other subjects of a study at the site and condition of a test.
+
+    They are those of the newest accepted result of each subject for such a test: the window accepts values of the
+    engine that it shows. None outside a study, or with fewer than three other subjects.
+    """
+    study = path.resolve().parent.parent
+    if not (study / PROTOCOL_FILE).exists():
+        return None
+    newest: dict[str, AcceptedResult] = {}
+    for file in sorted(study.glob("*/sitting-*.json"))[:_MOST_RESULTS]:
+        if cancelled.is_set():
+            return None
+        subject = file.parent.name
+        accepted = None if subject == path.resolve().parent.name else _accepted(file, shelf)
+        if accepted is None or _what_of(accepted[1]) != _what_of(test):
+            continue
+        if subject not in newest or newest[subject].accepted < accepted[0].accepted:
+            newest[subject] = accepted[0]
+    values = {}
+    for name in QUANTITIES:
+        means = [result.values[name].mean for result in newest.values() if name in result.values]
+        if len(means) >= _FEWEST_SUBJECTS:
+            values[name] = Estimate(float(np.mean(means)), float(np.std(means, ddof=1)))
+    return Sighting(STUDY, "", test.site, values, len(newest)) if values else None
+
+
+def _accepted(file: Path, shelf: Shelf) -> tuple[AcceptedResult, Test] | None:
+    """Return an accepted result with its first test, which has no signals; None if one of them cannot be read."""
+    try:
+        key = (file, file.stat().st_mtime_ns)
+        if key not in shelf.results:
+            shelf.results[key] = None
+            result = read_result(file)
+            first = result.tests[0]
+            tests = [entry.test for entry in read_outline(file.parent / first.file).tests]
+            shelf.results[key] = next(((result, test) for test in tests if test.number == first.number), None)
+        return shelf.results[key]
+    except (TissueIDError, OSError):
+        return None
+
+
+def _what_of(test: Test) -> tuple[object, ...]:
+    """Return what two tests must have in common to be compared across subjects."""
+    return test.site, test.kind, test.configuration, test.notes.get(CONDITION, "")
+
+
+def against(study: Sighting, this: Sighting) -> dict[str, Message]:
+    """Return by quantity how a sitting differs from the mean of the other subjects of its study."""
+    said = {}
+    for name, mean in study.values.items():
+        if (now := this.values.get(name)) is None or not mean.value or mean.std is None:
+            continue
+        percent = 100.0 * (now.value - mean.value) / abs(mean.value)
+        values = {
+            "percent": fixed(abs(percent), 0),
+            "count": study.count,
+            "spread": fixed(100.0 * mean.std / abs(mean.value), 0),
+        }
+        if percent > 0.0:
+            said[name] = Message(
+                "comparison.study_above",
+                "{percent} % above the mean of {count} other subjects of the study (± {spread} %).",
+                **values,
+            )
+        else:
+            said[name] = Message(
+                "comparison.study_below",
+                "{percent} % below the mean of {count} other subjects of the study (± {spread} %).",
+                **values,
+            )
+    return said
 
 
 def changes(sightings: Sequence[Sighting]) -> dict[str, str]:
