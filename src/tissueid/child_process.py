@@ -16,7 +16,7 @@ from types import ModuleType
 from typing import Any
 
 _NICE = 10
-"""Added niceness: beside a busy process of the usual priority it gets a tenth of a processor."""
+"""Added niceness: next to a busy process of the usual priority it gets a tenth of a processor."""
 SAFE_PATH = {"PYTHONSAFEPATH": "1"}
 """Environment that keeps the current folder off the path of all child Pythons (option ``-P`` of Python 3.11)."""
 

@@ -91,4 +91,4 @@ class CancelledError(TissueIDError):
 
 
 class UnattendedError(CancelledError):
-    """The program cancelled, not a person: the window stood still or had a defect, so that nobody could stop."""
+    """The program cancelled, not a person: the window stood still or had a defect, so that a person could not stop."""

@@ -86,6 +86,12 @@ def test_a_folder_gives_regular_files_with_their_signature(tmp_path):
     ]
 
 
+def test_a_record_of_another_program_is_named_as_such(tmp_path):
+    (tmp_path / "record.csv").write_text("time (s),force (N)\n0,1\n")
+    with pytest.raises(SessionFormatError, check=coded("session.record", path=str(tmp_path / "record.csv"))):
+        read_outline(tmp_path / "record.csv")
+
+
 def test_a_file_that_another_program_holds_is_not_damaged(path):
     held = coded("session.open_elsewhere", path=str(path))
     with h5py.File(path, "r+"), pytest.raises(SessionFormatError, check=held):

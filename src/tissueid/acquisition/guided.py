@@ -142,7 +142,7 @@ def _command(values: Array, unit: Unit, device: DeviceDescription, limits: Limit
     if unit == "N" and peak > limits.max_force_n:
         raise LimitError(
             "test.stimulus_force",
-            "the stimulus reaches {force:.1f} N; the limit is {limit:.4g} N: reduce the force range ({options})",
+            "the stimulus reaches {force:.1f} N; the limit is {limit:.4g} N: reduce the force range with {options}",
             force=peak,
             limit=limits.max_force_n,
             options=Action("test.force_range", "--max-force, --min-force", marked("Lowest force, Highest force")),

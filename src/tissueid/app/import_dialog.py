@@ -114,7 +114,7 @@ def preview_of(paths: Sequence[Path]) -> Preview:
 
 
 def _preview_of(paths: Sequence[Path], decimal: str | None) -> Preview:
-    unit_of("N")  # loads the units here and not while somebody types
+    unit_of("N")  # loads the units here and not while the user types
     file = open_foreign(paths[0], decimal)
     places = range(min(len(file.columns), _MOST_COLUMNS))
     try:

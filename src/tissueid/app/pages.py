@@ -114,7 +114,7 @@ class Pages(QObject):
         self.shown.emit(name)
 
     def go(self, name: str) -> None:
-        """Show a page and put the focus into it, as somebody who works by keyboard expects."""
+        """Show a page and put the focus into it, as users of the keyboard expect."""
         self.show(name)
         self._ui.focus_page()
 

@@ -186,7 +186,7 @@ class LogPanel(QDockWidget):
             self.lines.verticalScrollBar().setValue(self.lines.verticalScrollBar().maximum())
 
     def _scrolled(self) -> None:
-        self._newest = False  # somebody reads older lines
+        self._newest = False  # the user reads older lines
 
     def note(self, text: str, problem: bool = False) -> None:
         """Add a line; what was said just before is not said again."""

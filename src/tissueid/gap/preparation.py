@@ -26,6 +26,10 @@ from tissueid.sessions import Session, Test
 
 T = TypeVar("T")
 
+_SLOW = Message(
+    "gap.slow",
+    "slow ramps and holds show stiffness and relaxation alone: dynamic effects need a test with noise or steps",
+)
 BLOCK_S = 0.1
 """Length of the blocks that alternate between fit, choice and check, s: several times the memory of the chain."""
 SETTLING_S = 0.010
@@ -110,6 +114,8 @@ def prepare(session: Session, fit: Sequence[int] = (), check: Sequence[int] = ()
         for item in items
     )
     remarks.append(about.remark)
+    if all(test.kind in ("slow_ramp", "step_hold") for test in alike):
+        remarks.append(_SLOW)
     deviation = float(np.sqrt(np.mean([np.nanvar(test.signals["position"]) for test in seen])))
     noise = {name: max(level, BARE_NOISE * deviation) for name, level in channel_noise(seen).items()}
     return Dataset(about.device(alike[0].sample_rate_hz), seen, noise, tuple(remarks), equivalent=about)

@@ -130,8 +130,8 @@ def cluster_executor(plan: ClusterPlan) -> Iterator[ClusterExecutor]:
     elif not (plan.plain_tcp or scheme == _OF_THIS_PROCESS or host in _THIS_MACHINE):
         raise UnusableInputError(
             "cluster.plain",
-            "{address} is another machine and not encrypted: whoever answers there can run code as you. Use tls://, or "
-            "--plain-tcp in a network that you trust",
+            "{address} is another machine and not encrypted: a program that answers there can run code as you. Use "
+            "tls://, or --plain-tcp in a network that you trust",
             address=Verbatim(address),
         )
     try:

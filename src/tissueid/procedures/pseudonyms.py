@@ -7,13 +7,15 @@ from typing import Annotated
 
 from tissueid.errors import UnusableInputError
 from tissueid.formatting import clean
-from tissueid.messages import Verbatim
+from tissueid.language import marked
+from tissueid.messages import Action, Verbatim
 from tissueid.plan_options import Option
 
 PseudonymConfirmed = Annotated[
     bool, Option("--confirm-pseudonym", help="the subject is a pseudonym although it looks like a name")
 ]
 """Field of a plan with a subject."""
+_CONFIRM = Action("subject.confirm", "--confirm-pseudonym", marked("“This is a pseudonym, not a name”"))
 _WORD = re.compile(r"[^\W\d_]+(?:['’-][^\W\d_]+)*\.?")
 _JOINT = re.compile(r",|_|(?<=[^\W\d_])\.(?=[^\W\d_]{2})")
 """What stands between two words: comma, low line, or a dot within a word; that of an initial stays."""
@@ -60,6 +62,8 @@ def check_subject(text: str, *, confirmed: bool) -> None:
     if not confirmed and reads_like_name(text):
         raise UnusableInputError(
             "subject.name",
-            "the subject '{text}' looks like a person's name: use a pseudonym such as P-001, or confirm that it is one",
+            "the subject '{text}' looks like a person's name: use a pseudonym such as P-001, or confirm that it is one "
+            "with {option}",
             text=Verbatim(clean(text)[:_LONGEST]),
+            option=_CONFIRM,
         )

@@ -51,7 +51,7 @@ def draw_depth_panels(
 
 
 def draw_over_samples(figure: FigureBase, plots: Sequence[Plot], samples: Plot, *, key: bool = False) -> list[Axes]:
-    """Draw plots beside each other and the number of samples below each; return the axes of the plots.
+    """Draw plots next to each other and the number of samples below each; return the axes of the plots.
 
     Args:
         figure: the figure to draw into.

@@ -96,7 +96,7 @@ def draw_plots(
 def draw_row(
     figure: FigureBase, plots: Sequence[Plot], *, widths: Sequence[float] | None = None, key: bool = True
 ) -> list[Axes]:
-    """Draw plots beside each other; those with the same ordinate share its limits and its labels. Return the axes.
+    """Draw plots next to each other; those with the same ordinate share its limits and its labels. Return the axes.
 
     Args:
         figure: the figure to draw into.
@@ -136,12 +136,12 @@ def draw_grid(
     for line, row in zip(grid, rows, strict=True):
         for place, (axes, plot) in enumerate(zip(line, row, strict=True)):
             names = {curve.name for curve in plot.curves if curve.name}
-            beside = place > 0 and plot.y == row[place - 1].y
-            if beside:
+            same = place > 0 and plot.y == row[place - 1].y
+            if same:
                 axes.sharey(line[place - 1])
             drawn.append(draw_plot(axes, plot, look, units=units, title=title, key=key and not names <= named))
             named |= names
-            if beside:
+            if same:
                 axes.tick_params(labelleft=False)
                 axes.set_ylabel("")
     for line, row in zip(grid[:-1], rows[:-1], strict=True):
@@ -158,7 +158,7 @@ def draw_grid(
 def row_figure(
     plots: Sequence[Plot], height: float, *, widths: Sequence[float] | None = None, over: bool = False
 ) -> Figure:
-    """Return a figure of plots beside each other, as :func:`draw_row`; a single one takes half of the width.
+    """Return a figure of plots next to each other, as :func:`draw_row`; a single one takes half of the width.
 
     ``height`` is in inches; ``over`` puts the key over the whole figure.
     """

@@ -16,6 +16,8 @@ from tissueid.language import marked
 from tissueid.messages import Action, Message, code_of
 from tissueid.untrusted_input import MAX_FILE_BYTES, UNPACKED_FREE_BYTES, UNPACKED_PER_BYTE
 
+_RECORDS = (".csv", ".txt", ".mat", ".lvm")
+"""Names of files of other programs that can be imported."""
 RECOVER_PLACE = marked("“Recover” on the page Start")
 _SIGNATURE = b"\x89HDF\r\n\x1a\n"
 _BLOCK_BYTES = 512
@@ -141,6 +143,13 @@ def damaged(path: Path) -> Message:
     """Return the message for a file that is not a session, or no longer one."""
     if path.is_dir():
         return Message("session.folder", "{path} is a folder", path=str(path))
+    if path.suffix.lower() in _RECORDS:
+        return Message(
+            "session.record",
+            "{path} is no session file: {action} makes one of it",
+            path=str(path),
+            action=Action("session.import", "tissueid import", marked("“Import records”")),
+        )
     if (action := _recovery(path)) is None:
         return Message("session.damaged", "{path} is damaged, or not an HDF5 session", path=str(path))
     return Message(

@@ -252,7 +252,7 @@ def limits_of(values: Array) -> tuple[float, float] | None:
 
 
 def _support(series: _Series, place: int, count: int, origin_m: float) -> Bars:
-    """Return the support of the rows of one of ``count`` series, beside each other in each range of depths."""
+    """Return the support of the rows of one of ``count`` series, next to each other in each range of depths."""
     _name, profile, rows = series
     low, high = 1e3 * (profile.low[rows] - origin_m), 1e3 * (profile.high[rows] - origin_m)
     width = (high - low) / count

@@ -42,7 +42,7 @@ class Mapped:
     header: str
     unit: Unit
     is_assumed: bool = False
-    """Whether the file does not state the unit, and nobody chose it."""
+    """Whether the file does not state the unit, and it was not chosen."""
 
 
 def parse_map(options: Sequence[str]) -> dict[str, tuple[str, str]]:

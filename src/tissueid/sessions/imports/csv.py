@@ -272,7 +272,7 @@ def _check_grouping(cells: list[str], block: list[tuple[int, str]], layout: _Lay
     """Check that the decimal sign of a column cannot be a sign between thousands.
 
     Raises:
-        UnusableInputError: it can: three digits follow each, as in 1,545. A point is doubted only beside cells without
+        UnusableInputError: it can: three digits follow each, as in 1,545. A point is doubted only next to cells without
             one, because numbers of three decimals all have it.
     """
     sign = layout.decimal

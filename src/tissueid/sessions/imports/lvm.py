@@ -201,8 +201,8 @@ def _segment(outline: _Outline, header: dict[str, list[str]], named: list[str], 
         names += [""] * (count - len(names))
     else:  # further rows under the previous headings
         names = before
-    told = [header.get(key, []) for key in ("Samples", "X0", "Delta_X", "X_Dimension", "Y_Unit_Label")]
-    spaced = outline.x_columns == "multi" and any(any(cells[count:]) for cells in told)
+    cells_of = [header.get(key, []) for key in ("Samples", "X0", "Delta_X", "X_Dimension", "Y_Unit_Label")]
+    spaced = outline.x_columns == "multi" and any(any(cells[count:]) for cells in cells_of)
     segment = _Segment(header, names[:count], first, is_spaced=spaced and count > 1)
     if outline.x_columns == "no":
         segment.most_rows = outline.samples(segment) or math.inf

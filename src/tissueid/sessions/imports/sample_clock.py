@@ -85,8 +85,7 @@ def _left_out(times: Array, kept: slice) -> list[Message]:
     return [
         Message(
             "import.odd_row",
-            "row {row} is left out: its time is {odd:.4g} s from the row beside it, where others are {usual:.4g} s "
-            "apart",
+            "row {row} is left out: its time is {odd:.4g} s from its neighbour, where others are {usual:.4g} s apart",
             row=int(np.arange(times.size)[end]),
             odd=float(steps[end]),
             usual=float(np.median(steps)),
@@ -168,7 +167,7 @@ def _clock_of(times: Array, step_s: float | None = None, rate_hz: float | None =
 
 
 def check_seconds(times: Array) -> None:
-    """Check that ``times``, (n,), whose unit nobody states, can be in s.
+    """Check that ``times``, (n,), whose unit is not stated, can be in s.
 
     Raises:
         UnusableInputError: they are more likely the ms of a computer's clock or the days of a spreadsheet.
