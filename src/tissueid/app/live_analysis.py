@@ -287,7 +287,7 @@ class LiveAnalysis(QWidget):
         self._show_part()
 
     def _missing(self, view: LiveView) -> str:
-        """Return why plots are missing; "" for a clinician, who is not told of models."""
+        """Return why plots are missing; "" for a clinician, who does not see models."""
         return "" if self._plain else sentence(translated(view.missing))
 
     def _say(self, text: str) -> None:

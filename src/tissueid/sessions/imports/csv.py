@@ -65,7 +65,7 @@ class _Layout:
 def open_csv(path: Path, decimal: str | None = None) -> ImportedTable:
     """Open a text file of rows, without reading its data yet.
 
-    ``decimal`` is the decimal sign, "." or ",", of a file in which it cannot be told from a sign between thousands.
+    ``decimal`` is the decimal sign, "." or ",", of a file in which a sign between thousands looks the same.
 
     Raises:
         UnusableInputError: it is not text, or has no rows of two or more cells with numbers.
