@@ -73,7 +73,7 @@ SILVERBOX = FieldBenchmark(
         ("dpn", _ARROW_INSIDE): marked("best: 0.259 mV, GP-NARX (Champneys et al. 2024); 0.32 mV, SUBNET"),
     },
     marked(
-        "A linear error agrees with the published one. The circuit is a mass on a spring whose stiffness "
+        "The linear error agrees with the published one. The circuit is a mass on a spring whose stiffness "
         "depends on the position, which is what the engine dpn fits; a Wiener curve cannot describe it. "
         "Inside the fitted amplitudes the error of dpn is below the best published errors. Where the arrow "
         "exceeds them, the curves of dpn extrapolate exponentially, which is the likely cause of the larger "
