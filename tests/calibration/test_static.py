@@ -162,6 +162,16 @@ def test_a_supply_that_changes_meanwhile_fails_it():
     assert ("calibration.supply_drift", "voltage") in drifts
 
 
+def test_the_progress_is_that_of_the_whole_calibration():
+    shares = []
+    plan = StaticPlan(steps=("electrical", "supply"), repeats=2)
+    calibrate_static(rig(), plan, progress=lambda _label, share: shares.append(share))
+    assert shares == sorted(shares)
+    assert plan.shown_steps == 4
+    assert shares[0] < 0.1
+    assert shares[-1] == pytest.approx(1.0)
+
+
 def test_repeats_are_averaged_and_their_spread_is_kept():
     result = calibrate_static(rig(), StaticPlan(steps=("electrical",), repeats=2)).calibration
     spread = np.array(result.tables["repeats"]["coil_resistance_ohm"])

@@ -36,7 +36,8 @@ class AppContext:
     names of its fields), shows it with a notice; it starts nothing. ``show_file`` opens a document in another program.
     ``instrument`` returns the address of the instrument chosen on the page Measure. ``calibrate`` shows the page of
     calibrations with a notice; it starts nothing. ``begin_sitting`` opens the sitting of a subject in the folder of a
-    study on the page Measure; it starts nothing. ``note`` adds a line to the log. ``show_idle`` shows what the window
+    study on the page Measure; it starts nothing. ``answered`` takes the address and description of an instrument that
+    was asked, with its calibration. ``note`` adds a line to the log. ``show_idle`` shows what the window
     shows while nothing goes on. ``testing`` returns whether a coil can be energised, ``closing`` whether the window
     closes as soon as the running jobs end.
     """
@@ -53,6 +54,7 @@ class AppContext:
     instrument: Callable[[], str] = lambda: ""
     calibrate: Callable[[str], None] = lambda _words: None
     begin_sitting: Callable[[Path, str], None] = lambda _folder, _subject: None
+    answered: Callable[[str, DeviceDescription], None] = lambda _url, _device: None
     note: Callable[[str], None] = lambda _words: None
     show_idle: Callable[[], None] = lambda: None
     testing: Callable[[], bool] = lambda: False

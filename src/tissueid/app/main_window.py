@@ -160,6 +160,7 @@ class MainWindow(QMainWindow):
             instrument=lambda: ui.form.instrument.url,
             calibrate=lambda words: self.pages.go_calibrate(words),
             begin_sitting=lambda folder, subject: self.study.begin(folder, subject),
+            answered=lambda url, device: ui.form.instrument.tell_calibration(url, calibration_state(device)),
             note=lambda words: self.panels.log.note(words),
             show_idle=self.show_idle,
             testing=lambda: self.testing,

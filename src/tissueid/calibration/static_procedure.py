@@ -147,6 +147,14 @@ class StaticPlan:
         if self.ambient_c is not None and not -10.0 <= self.ambient_c <= 50.0:
             raise UnusableInputError("calibration.ambient", "the room temperature must be -10 to 50 °C")
 
+    @property
+    def shown_steps(self) -> int:
+        """Number of steps of one repeat whose progress is shown, at most."""
+        weighing = len(self.weights_kg) if "force" in self.steps else 0
+        turning = int(self.turn_over and "acceleration" in self.steps)
+        moving = sum(name in self.steps for name in ("position", "range"))
+        return 2 + weighing + turning + moving + (2 if "supply" in self.steps else 0)
+
 
 class Procedure:
     """Executes the steps on one instrument. ``has_stage`` is true until the instrument reports that it has none."""
@@ -162,6 +170,8 @@ class Procedure:
         self._show = show
         self._cancelled = cancelled
         self._run = 1
+        self._shown: tuple[int, str] = 1, ""
+        self._begun = 0
 
     def run(self, number: int) -> Findings:
         """Execute all requested and possible steps once; ``number`` counts the repeats from 1.
@@ -259,7 +269,11 @@ class Procedure:
         run_while_polling(self._instrument, lambda: ask(words), self._cancelled)
 
     def _show_step(self, step: Message, fraction: float) -> None:
+        """Show a step and the completed share of the whole calibration, whose steps count alike."""
         repeats = self._plan.repeats
+        if self._shown != (self._run, str(step)):
+            self._shown, self._begun = (self._run, str(step)), self._begun + 1
+        fraction = min(1.0, (self._begun - 1 + fraction) / (repeats * self._plan.shown_steps))
         if repeats > 1:
             step = Message("calibration.step.run", "{step} ({run} of {runs})", step=step, run=self._run, runs=repeats)
         self._show(step, fraction)

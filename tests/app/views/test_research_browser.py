@@ -1,5 +1,6 @@
 """The list of sessions on the page Research: found, filtered, chosen, opened, kept."""
 
+import shutil
 import threading
 
 import pytest
@@ -14,6 +15,7 @@ from tissueid.app.theme import LIGHT
 from tissueid.app.views.researcher.background_work import BackgroundWork
 from tissueid.app.views.researcher.browser import Browser
 from tissueid.app.views.researcher.session_model import COLUMNS, FILE, QUALITY
+from tissueid.app.window_state import keep_visited_study
 
 pytestmark = [pytest.mark.qt_log_level_fail("WARNING"), pytest.mark.qt_log_ignore("This plugin does not support")]
 
@@ -60,6 +62,19 @@ def test_every_column_sorts(qtbot, opened):
     assert ("rubbish.h5", "c.h5", "a.h5", "b.h5") in orders
     tree.sortByColumn(QUALITY, Qt.SortOrder.DescendingOrder)
     assert listed(view)[0] == "b.h5"
+
+
+def test_a_study_in_which_a_subject_was_measured_is_listed(qtbot, host, year, saved, tmp_path):
+    ini, study = tmp_path / "window.ini", tmp_path / "lotion"
+    (study / "P01").mkdir(parents=True)
+    shutil.copy(saved, study / "P01" / "visit.h5")
+    settings = QSettings(str(ini), QSettings.Format.IniFormat)
+    for folder in (study, year / "march"):  # the second one is below the listed folder: nothing is listed twice
+        keep_visited_study(settings, folder)
+    settings.sync()
+    window, view = host(year, ini)
+    qtbot.waitUntil(lambda: window.jobs.idle and not view.browser._all_wanted, timeout=WAIT_MS)
+    assert sorted(listed(view)) == ["a.h5", "b.h5", "c.h5", "rubbish.h5", "visit.h5"]
 
 
 def test_one_test_of_a_session_can_be_selected_by_keyboard(qtbot, opened):

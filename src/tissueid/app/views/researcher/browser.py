@@ -151,7 +151,9 @@ class Browser(QWidget):
         self._all_wanted, self._heard = False, []
         # Before the first test the folder of new sessions is not there yet: that is no problem.
         folders = [path for path in self.folders.paths if path != self._context.services.folder or path.is_dir()]
-        folders += [path for path in visited_studies(self._context.settings) if path.is_dir()]
+        resolved = [folder.resolve() for folder in folders]
+        visited = [study for study in visited_studies(self._context.settings) if study.is_dir()]
+        folders += [one for one in visited if not any(one.resolve().is_relative_to(folder) for folder in resolved)]
         self._search = SessionSearch(folders if whole else (), files, self.model.by_path if whole else {})
         self._whole = whole
         self._seen: set[Path] = set()

@@ -132,6 +132,7 @@ class InstrumentView(View):
         checkup = self.health.checkup
         if not self.page_job.running and checkup is not None:
             self._answered = checkup.url, checkup.nominal
+            self.context.answered(checkup.url, checkup.device)
         self._judge_chosen()
 
     def _judge_chosen(self) -> None:
