@@ -22,6 +22,7 @@ from tissueid.errors import TissueIDError, UnusableInputError
 from tissueid.instrument import SAMPLE, Run
 from tissueid.sessions import read_session
 from tissueid.stimuli.base import Stimulus
+from tissueid.test_settings import TestSettings
 from tissueid.wire import Flag
 
 posix = pytest.mark.skipif(sys.platform == "win32", reason="needs limits and signals of POSIX")
@@ -34,7 +35,7 @@ ATTRIBUTES = dict(kind="stochastic", site="forearm", sample_rate_hz=2000.0)
 
 def guided(seconds: float = SECONDS) -> GuidedTest:
     force = 3.0 * np.minimum(1.0, np.arange(round(2000 * seconds)) / 100.0)
-    return GuidedTest(Stimulus(force, 2000.0, {"type": "hold"}, 0, 1.4, preload_s=0.1), "forearm")
+    return GuidedTest(Stimulus(force, 2000.0, {"type": "hold"}, 0, 1.4, preload_s=0.1), TestSettings(site="forearm"))
 
 
 def batch(first: int, count: int) -> np.ndarray:

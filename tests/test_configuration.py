@@ -7,12 +7,9 @@ from pydantic import ValidationError
 from tissueid.configuration import (
     CONFIGURATIONS,
     PROBES,
-    Configuration,
     Probe,
     has_depth,
     is_attached,
-    orientation,
-    placement,
     spring_of,
     travel_word,
 )
@@ -20,13 +17,14 @@ from tissueid.device import DESKTOP, HANDHELD, angle_deg
 from tissueid.errors import UnusableInputError
 from tissueid.messages import joined
 from tissueid.option_errors import validation_reason
+from tissueid.test_settings import TestSettings, orientation, placement
 
 
 def test_each_configuration_has_a_probe_of_its_own():
     for name in CONFIGURATIONS:
         spring = 500.0 if name == "surface" else 0.0
-        chosen = Configuration.of(name, external_spring_n_per_m=spring)
-        assert chosen.name == chosen.probe.configuration == name
+        chosen = TestSettings(configuration=name, external_spring_n_per_m=spring)
+        assert chosen.tip.configuration == name
         assert chosen.as_notes()["external_spring_n_per_m"] == spring
         assert chosen.as_notes()["probe_name"] in PROBES
 
@@ -48,7 +46,7 @@ def test_the_probes_of_the_thesis():
         ("indentation", "thumb", 0.0, coded("configuration.unknown_probe", name="thumb", known=joined(PROBES))),
         ("extension", "indenter-5mm", 0.0, coded("configuration.wrong_probe", fitting="extension-5x16mm")),
         ("surface", None, 0.0, coded("configuration.no_spring")),
-        ("indentation", None, 800.0, coded("configuration.spring", name="indentation")),
+        ("indentation", None, 800.0, coded("configuration.not_here", name="indentation")),
         ("surface", None, -1.0, holding("option.least", limit=0.0)),
         ("surface", None, float("nan"), holding("option.finite")),
         ("surface", None, 1e6, holding("option.most", limit=20000.0)),
@@ -56,24 +54,24 @@ def test_the_probes_of_the_thesis():
 )
 def test_names_that_do_not_fit_together_are_refused_in_one_line(name, probe, spring, check):
     with pytest.raises(UnusableInputError, check=check) as refusal:
-        Configuration.of(name, probe, spring)
+        TestSettings(configuration=name, probe=probe, external_spring_n_per_m=spring)
     assert "\n" not in str(refusal.value)
     assert is_german(refusal.value.message)
 
 
 def test_how_the_probe_meets_the_tissue_is_noted_where_it_is_known():
-    assert set(Configuration.of().as_notes()) & {"coupling", "orientation_deg", "initial_length_m"} == set()
-    assert Configuration.of("extension").as_notes()["coupling"] == "none"
-    notes = Configuration.of(
-        "extension", coupling="adhesive", orientation_deg=orientation("horizontal"), initial_length_m=0.01
+    assert set(TestSettings().as_notes()) & {"coupling", "orientation_deg", "initial_length_m"} == set()
+    assert TestSettings(configuration="extension").as_notes()["coupling"] == "none"
+    notes = TestSettings(
+        configuration="extension", coupling="adhesive", orientation_deg=orientation("horizontal"), initial_length_m=0.01
     ).as_notes()
     assert (notes["coupling"], notes["orientation_deg"], notes["initial_length_m"]) == ("adhesive", 90.0, 0.01)
     assert is_attached(notes)
-    assert not is_attached(Configuration.of().as_notes())
-    sliding = Configuration.of("surface", external_spring_n_per_m=800.0, normal_preload_n=1.0).as_notes()
+    assert not is_attached(TestSettings().as_notes())
+    sliding = TestSettings(configuration="surface", external_spring_n_per_m=800.0, normal_preload_n=1.0).as_notes()
     assert sliding["normal_preload_n"] == 1.0
-    assert is_attached(Configuration.of(coupling="tape").as_notes())
-    assert placement({}) == placement(Configuration.of().as_notes()) != placement(notes)
+    assert is_attached(TestSettings(coupling="tape").as_notes())
+    assert placement({}) == placement(TestSettings().as_notes()) != placement(notes)
 
 
 @pytest.mark.parametrize(
@@ -86,7 +84,7 @@ def test_how_the_probe_meets_the_tissue_is_noted_where_it_is_known():
         ("extension", {"coupling": "velcro"}, holding("option.choice")),
         ("extension", {"orientation_deg": 181.0}, holding("option.most", limit=180)),
         ("extension", {"orientation_deg": float("nan")}, holding("option.finite")),
-        ("extension", {"initial_length_m": 1e-4}, coded("configuration.initial_length_range", length=0.1)),
+        ("extension", {"initial_length_m": 1e-4}, holding("option.least", limit=0.001)),
         ("extension", {"initial_length_m": float("inf")}, holding("option.finite")),
         ("surface", {"normal_preload_n": 0.0}, holding("option.greater", limit=0)),
         ("surface", {"normal_preload_n": 16.0}, holding("option.most", limit=15)),
@@ -95,7 +93,7 @@ def test_how_the_probe_meets_the_tissue_is_noted_where_it_is_known():
 def test_what_a_configuration_does_not_have_is_refused(name, others, check):
     spring = 800.0 if name == "surface" else 0.0
     with pytest.raises(UnusableInputError, check=check) as refusal:
-        Configuration.of(name, None, spring, **others)
+        TestSettings(configuration=name, external_spring_n_per_m=spring, **others)
     assert "\n" not in str(refusal.value)
     assert is_german(refusal.value.message)
 

@@ -15,11 +15,11 @@ from tissueid.acquisition.live import LiveIdentification
 from tissueid.acquisition.surface_detection import place
 from tissueid.analysis import analyse, analyse_all
 from tissueid.cli import main
-from tissueid.configuration import Configuration
 from tissueid.errors import UnusableInputError
 from tissueid.instrument import SerialInstrument
 from tissueid.reports import report_html
 from tissueid.sessions import read_session, write_session
+from tissueid.test_settings import TestSettings
 
 SPRING = 800.0
 RATE = 2000.0
@@ -32,9 +32,9 @@ def sliding(tmp_path_factory):
     link = LoopbackLink(Firmware(Bench("sliding-forearm", seed=5, tilt_deg=90.0), seed=5))
     with SerialInstrument(link, clock=link.clock) as instrument:
         recorder = SessionRecorder(path, instrument.device)
-        configuration = Configuration.of("surface", external_spring_n_per_m=SPRING)
+        settings = TestSettings(site="forearm", configuration="surface", external_spring_n_per_m=SPRING)
         stimulus = NoiseChoice(min_force_n=-4.0, max_force_n=4.0).stimulus(RATE)
-        test = GuidedTest(stimulus, "forearm", configuration=configuration)
+        test = GuidedTest(stimulus, settings)
         run_guided_test(instrument, test, recorder, surface_m=place(instrument))
         recorder.write()
     return path

@@ -7,13 +7,13 @@ import pickle
 import pytest
 from coded import templates
 
-from tissueid.configuration import Configuration
 from tissueid.errors import UnusableInputError
 from tissueid.identification.registry import get_engine
 from tissueid.instrument.simulated import SimulatedInstrument
 from tissueid.language import set_language
 from tissueid.messages import Action, Listing, Message, Quantity, Verbatim, code_of, message_from, sentences, translated
 from tissueid.sessions.imports.imported_table import Column, ImportedTable
+from tissueid.test_settings import TestSettings
 
 
 @pytest.fixture(autouse=True)
@@ -67,7 +67,7 @@ def refused(error):
         lambda: get_engine("noise"),
         lambda: get_engine("lms").from_options({"mass": 1}),
         lambda: ImportedTable("csv", (Column("Time"),), lambda places, rows: ([], range(0))).place("Force"),
-        lambda: Configuration.of("Surface"),
+        lambda: TestSettings(configuration="Surface"),
         lambda: SimulatedInstrument("Tissue"),
     ],
 )

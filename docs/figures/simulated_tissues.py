@@ -30,10 +30,10 @@ from firmware_sim.tissue import Tissue
 from tissueid.acquisition import GuidedTest, NoiseChoice, SessionRecorder, run_guided_test
 from tissueid.acquisition.surface_detection import place
 from tissueid.analysis import analyse
-from tissueid.configuration import Configuration
 from tissueid.identification.depth_profile import DepthProfile
 from tissueid.instrument import SerialInstrument
 from tissueid.sessions import read_session
+from tissueid.test_settings import TestSettings
 
 matplotlib.use("Agg")
 from matplotlib import pyplot as plt
@@ -53,7 +53,7 @@ def recorded(preset: str, loads: tuple[float, ...], coupling: str = "none", angl
     if angle is not None:
         name = "extension"
         options |= {"orientation_deg": angle, "tilt_deg": 90.0}
-    configuration = Configuration.of(name, coupling=coupling, orientation_deg=angle)
+    settings = TestSettings(site=preset, configuration=name, coupling=coupling, orientation_deg=angle)
     with tempfile.TemporaryDirectory() as folder:
         path = Path(folder) / "s.h5"
         link = LoopbackLink(Firmware(load_scenario(None, **options).bench(), seed=5))
@@ -62,7 +62,7 @@ def recorded(preset: str, loads: tuple[float, ...], coupling: str = "none", angl
             placement = place(instrument)
             for load in loads:
                 noise = NoiseChoice(min_force_n=load - 0.75, max_force_n=load + 0.75, seconds=2.0)
-                test = GuidedTest(noise.stimulus(2000.0), preset, configuration=configuration)
+                test = GuidedTest(noise.stimulus(2000.0), settings)
                 run_guided_test(instrument, test, recorder, surface_m=placement)
                 cooled = link.now + 10.0
                 while link.now < cooled:

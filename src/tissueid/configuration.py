@@ -1,14 +1,12 @@
-"""Measuring configurations: direction of the force, probe and external spring (thesis 2.2.3)."""
+"""Measuring configurations and their probes (thesis 2.2.3)."""
 
 from __future__ import annotations
 
-from typing import Annotated, Any, Literal, Self, get_args
+from typing import Annotated, Literal, Self, get_args
 
-from pydantic import BaseModel, ConfigDict, Field, ValidationError, model_validator
+from pydantic import BaseModel, ConfigDict, Field, model_validator
 
-from tissueid.errors import UnusableInputError
-from tissueid.messages import Message, Verbatim, joined
-from tissueid.option_errors import validation_reason
+from tissueid.messages import Message
 
 ConfigurationName = Literal["indentation", "extension", "surface"]
 CONFIGURATIONS: tuple[ConfigurationName, ...] = get_args(ConfigurationName)
@@ -18,14 +16,7 @@ SPRING_NOTE = "external_spring_n_per_m"
 STIFFEST_SPRING_N_PER_M = 20_000.0
 
 CouplingName = Literal["none", "tape", "adhesive"]
-COUPLINGS: tuple[CouplingName, ...] = get_args(CouplingName)
 """How the probe is attached; ``adhesive`` is glue or liquid bandage."""
-DIRECTIONS = {"vertical": 0.0, "horizontal": 90.0}
-"""Orientation by name, degrees against the axis of the limb."""
-INITIAL_LENGTHS_M = 1e-3, 0.1
-"""Shortest and longest initial length of an extension, m."""
-MOST_NORMAL_PRELOAD_N = 15.0
-
 Length = Annotated[float, Field(gt=0.0, le=0.05, allow_inf_nan=False)]
 
 
@@ -110,180 +101,6 @@ _LIBRARY = (
 )
 PROBES: dict[str, Probe] = {probe.name: probe for probe in _LIBRARY}
 """Known probes by name."""
-
-
-class Configuration(_Specification):
-    """A measuring configuration.
-
-    ``external_spring_n_per_m`` is parallel to the tissue and is subtracted from the identified stiffness: sliding on a
-    surface has no stiffness, so the probe needs a spring to stay in place (thesis 2.2.3).
-
-    ``coupling`` is how the probe is attached: in indentation it allows to pull (thesis 2.1). ``orientation_deg`` is the
-    direction of the extension against the axis of the limb, and ``initial_length_m`` the length between the faces
-    before it (thesis 7.3). ``normal_preload_n`` presses a sliding probe onto the surface (thesis 7.4). None: unknown.
-    """
-
-    name: ConfigurationName = "indentation"
-    probe: Probe = Field(default_factory=lambda: PROBES["indenter-4.4mm"])
-    external_spring_n_per_m: Annotated[float, Field(ge=0.0, le=STIFFEST_SPRING_N_PER_M)] = 0.0
-    coupling: CouplingName = "none"
-    orientation_deg: Annotated[float | None, Field(ge=-180.0, le=180.0)] = None
-    initial_length_m: float | None = None
-    normal_preload_n: Annotated[float | None, Field(gt=0.0, le=MOST_NORMAL_PRELOAD_N)] = None
-
-    @model_validator(mode="after")
-    def _go_together(self) -> Self:
-        if self.probe.configuration != self.name:
-            fitting = ", ".join(probe.name for probe in PROBES.values() if probe.configuration == self.name)
-            raise ValueError(
-                Message(
-                    "configuration.wrong_probe",
-                    "the probe {probe} is made for {made_for}; for {name}: {fitting}",
-                    probe=self.probe.name,
-                    made_for=self.probe.configuration,
-                    name=self.name,
-                    fitting=fitting,
-                )
-            )
-        if self.name == "surface" and self.external_spring_n_per_m == 0.0:
-            raise ValueError(
-                Message(
-                    "configuration.no_spring",
-                    "sliding on a surface needs an external spring: give its stiffness in N/m",
-                )
-            )
-        if self.name != "surface" and self.external_spring_n_per_m > 0.0:
-            raise ValueError(
-                Message(
-                    "configuration.spring",
-                    "an external spring is used in the configuration surface only, not in {name}",
-                    name=self.name,
-                )
-            )
-        shortest, longest = INITIAL_LENGTHS_M
-        if self.initial_length_m is not None and not shortest <= self.initial_length_m <= longest:
-            raise ValueError(
-                Message(
-                    "configuration.initial_length_range",
-                    "the initial length must be between {shortest:g} and {longest:g} mm, got {length:g} mm",
-                    shortest=1e3 * shortest,
-                    longest=1e3 * longest,
-                    length=1e3 * self.initial_length_m,
-                )
-            )
-        for field, belongs_to in _BELONGS_TO.items():
-            if getattr(self, field) not in (None, "none") and self.name not in belongs_to:
-                raise ValueError(
-                    Message(
-                        "configuration.not_here",
-                        "{what} goes with {where} only, not with {name}",
-                        what=_CALLED[field],
-                        where=joined(map(Verbatim, belongs_to)),
-                        name=self.name,
-                    )
-                )
-        return self
-
-    @classmethod
-    def of(
-        cls, name: str = "indentation", probe: str | None = None, external_spring_n_per_m: float = 0.0, **others: Any
-    ) -> Self:
-        """Return the configuration with these names, and with its first probe if ``probe`` is None.
-
-        Args:
-            name: one of CONFIGURATIONS.
-            probe: one of PROBES.
-            external_spring_n_per_m: stiffness parallel to the tissue.
-            others: further fields by name: coupling, orientation_deg, initial_length_m, normal_preload_n.
-
-        Raises:
-            UnusableInputError: a name is unknown, a value is not possible, or they do not fit together.
-        """
-        if name not in CONFIGURATIONS:
-            raise UnusableInputError(
-                "configuration.unknown",
-                "the configuration must be one of {known}, not '{name}'",
-                known=joined(map(Verbatim, CONFIGURATIONS)),
-                name=Verbatim(name),
-            )
-        if probe is None:
-            probe = next(known.name for known in PROBES.values() if known.configuration == name)
-        if probe not in PROBES:
-            raise UnusableInputError(
-                "configuration.unknown_probe",
-                "the probe '{name}' is unknown; available: {known}",
-                name=Verbatim(probe),
-                known=joined(map(Verbatim, PROBES)),
-            )
-        try:
-            return cls.model_validate(
-                {"name": name, "probe": PROBES[probe], "external_spring_n_per_m": external_spring_n_per_m} | others
-            )
-        except ValidationError as error:
-            if error.errors()[0]["type"] == "value_error":
-                raise UnusableInputError(validation_reason(error)) from error
-            if (field := str(error.errors()[0]["loc"][0])) in _CALLED:
-                raise UnusableInputError(
-                    "configuration.value", "{what}: {why}", what=_CALLED[field], why=validation_reason(error)
-                ) from error
-            raise UnusableInputError(
-                "configuration.spring_value", "the external spring, in N/m: {why}", why=validation_reason(error)
-            ) from error
-
-    @property
-    def has_depth(self) -> bool:
-        """Whether the position is a depth in the tissue; along the surface it is a displacement."""
-        return has_depth(self.name)
-
-    def as_notes(self) -> dict[str, str | float]:
-        """Return the notes that a session stores with every test, in addition to the name of the configuration."""
-        notes = self.probe.as_notes() | {SPRING_NOTE: self.external_spring_n_per_m}
-        if self.coupling != "none" or self.name == "extension":
-            notes["coupling"] = self.coupling
-        for name in ("orientation_deg", "initial_length_m", "normal_preload_n"):
-            if (value := getattr(self, name)) is not None:
-                notes[name] = value
-        return notes
-
-
-_BELONGS_TO: dict[str, tuple[ConfigurationName, ...]] = {
-    "coupling": ("indentation", "extension"),
-    "orientation_deg": ("extension",),
-    "initial_length_m": ("extension",),
-    "normal_preload_n": ("surface",),
-}
-_CALLED = {
-    "coupling": Message("configuration.coupling", "the coupling"),
-    "orientation_deg": Message("configuration.orientation", "the orientation (degrees against the limb)"),
-    "initial_length_m": Message("configuration.initial_length", "the initial length"),
-    "normal_preload_n": Message("configuration.normal_preload", "the normal preload (N)"),
-}
-
-
-def orientation(text: str) -> float:
-    """Return the angle against the axis of the limb, degrees, from a number or one of DIRECTIONS.
-
-    Raises:
-        UnusableInputError: the text is neither.
-    """
-    if text in DIRECTIONS:
-        return DIRECTIONS[text]
-    try:
-        return float(text)
-    except ValueError:
-        raise UnusableInputError(
-            "configuration.direction",
-            "the orientation must be an angle in degrees, or one of {known}, got '{text}'",
-            known=joined(map(Verbatim, DIRECTIONS)),
-            text=Verbatim(text),
-        ) from None
-
-
-def placement(notes: dict[str, str | float]) -> tuple[str | float, ...]:
-    """Return how the probe meets the tissue by the notes of a test: what must be equal for tests to be comparable."""
-    return notes.get("coupling", "none"), *(
-        notes.get(name, "") for name in ("orientation_deg", "initial_length_m", "normal_preload_n")
-    )
 
 
 def is_attached(notes: dict[str, str | float]) -> bool:

@@ -21,7 +21,7 @@ from pydantic.fields import FieldInfo
 
 from tissueid.errors import UnusableInputError
 from tissueid.messages import Verbatim
-from tissueid.option_errors import option_error
+from tissueid.option_errors import option_error, validation_reason
 
 
 @dataclass(frozen=True)
@@ -58,7 +58,11 @@ class Plan(BaseModel):
         try:
             super().__init__(**values)
         except ValidationError as error:
-            raise UnusableInputError(option_error("the plan", type(self).model_fields, error)) from error
+            whole = not error.errors()[0]["loc"]
+            known = type(self).model_fields
+            raise UnusableInputError(
+                validation_reason(error) if whole else option_error("the plan", known, error)
+            ) from error
 
 
 def named_values(plan: Plan, fields: Mapping[str, str]) -> dict[str, tuple[str, Any]]:

@@ -17,10 +17,11 @@ from tissueid.acquisition import GuidedTest, SessionRecorder, recover, run_guide
 from tissueid.errors import UnusableInputError
 from tissueid.instrument import SimulatedInstrument
 from tissueid.stimuli.base import Stimulus
+from tissueid.test_settings import TestSettings
 
 WORD = struct.Struct("<qq")
 FORCE = 5.0 + np.sin(np.arange(6000) / 20.0)
-TEST = GuidedTest(Stimulus(FORCE, 2000.0, {"type": "sine"}, 0, 1.4, preload_s=0.5), "forearm")
+TEST = GuidedTest(Stimulus(FORCE, 2000.0, {"type": "sine"}, 0, 1.4, preload_s=0.5), TestSettings(site="forearm"))
 
 
 def host(path: Path, pipe: int) -> None:

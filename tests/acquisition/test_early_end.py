@@ -13,6 +13,7 @@ from tissueid.instrument import ReplayInstrument, SimulatedInstrument
 from tissueid.sessions import read_session
 from tissueid.stimuli import with_preload
 from tissueid.stimuli.kinds.noise import Noise
+from tissueid.test_settings import TestSettings
 
 SURFACE = 0.01
 PRELOAD = 1000
@@ -39,7 +40,7 @@ class After:
 
 def run(instrument, stimulus, path, after, **arguments):
     recorder = SessionRecorder(path, instrument.device)
-    test = GuidedTest(stimulus, "x")
+    test = GuidedTest(stimulus, TestSettings(site="x"))
     run_guided_test(
         instrument, test, recorder, surface_m=SURFACE, progress=after.progress, enough=after.enough, **arguments
     )
@@ -84,7 +85,12 @@ def test_a_fault_at_the_moment_of_the_end_is_no_completed_test(tmp_path):
 
     with pytest.raises(FirmwareFaultError, check=holding("fault.button")):
         run_guided_test(
-            instrument, GuidedTest(noise(), "x"), recorder, surface_m=SURFACE, progress=after.progress, enough=enough
+            instrument,
+            GuidedTest(noise(), TestSettings(site="x")),
+            recorder,
+            surface_m=SURFACE,
+            progress=after.progress,
+            enough=enough,
         )
     assert not firmware.energised
     assert recorder.finish().test().status == "aborted"
@@ -115,7 +121,12 @@ def test_a_host_that_dies_after_an_early_end_leaves_just_what_was_played(tmp_pat
     recorder = SessionRecorder(tmp_path / "s.h5", instrument.device)
     after = After(2.0)
     run_guided_test(
-        instrument, GuidedTest(noise(), "x"), recorder, surface_m=SURFACE, progress=after.progress, enough=after.enough
+        instrument,
+        GuidedTest(noise(), TestSettings(site="x")),
+        recorder,
+        surface_m=SURFACE,
+        progress=after.progress,
+        enough=after.enough,
     )
     recorder.abandon()
     _, session = recover(tmp_path / "s.h5")
@@ -128,7 +139,7 @@ def test_a_host_that_dies_after_an_early_end_leaves_just_what_was_played(tmp_pat
 def test_an_end_with_an_impossible_length_is_skipped_and_reported(samples, tmp_path):
     instrument = SimulatedInstrument()
     recorder = SessionRecorder(tmp_path / "s.h5", instrument.device)
-    run_guided_test(instrument, GuidedTest(noise(0.5), "x"), recorder, surface_m=SURFACE)
+    run_guided_test(instrument, GuidedTest(noise(0.5), TestSettings(site="x")), recorder, surface_m=SURFACE)
     recorder.abandon()
     with journal_path(tmp_path / "s.h5").open("ab") as file:
         file.write(encode_json(Entry.TEST_END, {"status": "completed", "notes": {}, "samples": samples}))

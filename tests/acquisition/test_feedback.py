@@ -21,6 +21,7 @@ from tissueid.errors import (
 from tissueid.instrument import Limits, ReplayInstrument, SimulatedInstrument
 from tissueid.stimuli import get_stimulus
 from tissueid.stimuli.feedback import BLOCK
+from tissueid.test_settings import TestSettings
 from tissueid.wire import Fault
 
 PRELOAD = 1000
@@ -28,7 +29,7 @@ SURFACE = 0.01
 
 
 def a_test(seconds=1.0, **options):
-    return GuidedTest(PushBack(seconds=seconds, **options), "left forearm")
+    return GuidedTest(PushBack(seconds=seconds, **options), TestSettings(site="left forearm"))
 
 
 def run(instrument, test, path, **arguments):
@@ -100,7 +101,7 @@ def test_the_source_gets_whole_blocks_in_order_and_none_that_is_not_due(tmp_path
             sources.append(super().start(surface_m))
             return sources[-1]
 
-    run(SimulatedInstrument(), GuidedTest(Watched(seconds=0.5, seed=11), "x"), tmp_path / "s.h5")
+    run(SimulatedInstrument(), GuidedTest(Watched(seconds=0.5, seed=11), TestSettings(site="x")), tmp_path / "s.h5")
     taken = sources[-1].taken
     assert taken[0] == (-PRELOAD, BLOCK)
     assert all(first + count == following for (first, count), (following, _) in pairwise(taken))
@@ -145,7 +146,7 @@ def test_it_repeats_bit_by_bit_in_process(tmp_path):
             "test.sample_rate",
             {"stimulus": 1000.0, "instrument": 2000.0},
         ),
-        (GuidedTest(PushBack(), "x", preload_s=0.01), UnusableInputError, "", {}),
+        (GuidedTest(PushBack(), TestSettings(site="x"), preload_s=0.01), UnusableInputError, "", {}),
     ],
 )
 def test_an_unplayable_test_is_refused_before_the_coil_is_energised(test, error, code, values, tmp_path):
@@ -161,7 +162,7 @@ def test_a_source_that_leaves_its_range_frees_the_coil(tmp_path):
     instrument = connect()
     recorder = SessionRecorder(tmp_path / "s.h5", instrument.device)
     with pytest.raises(UnusableInputError, check=coded("stimulus.out_of_range", name="runaway", low=0.0, high=10.0)):
-        run_guided_test(instrument, GuidedTest(Runaway(), "x"), recorder, surface_m=SURFACE)
+        run_guided_test(instrument, GuidedTest(Runaway(), TestSettings(site="x")), recorder, surface_m=SURFACE)
     assert not instrument.link.firmware.energised
     test = recorder.finish().test()
     assert test.status == "aborted"
@@ -294,7 +295,7 @@ def test_a_host_that_dies_leaves_a_session_to_recover(tmp_path):
 
 def test_a_limit_broken_in_mid_feedback(tmp_path):
     recorder = SessionRecorder(tmp_path / "s.h5", (instrument := SimulatedInstrument()).device)
-    test = GuidedTest(PushBack(), "x", limits=Limits(max_position_m=0.013))
+    test = GuidedTest(PushBack(), TestSettings(site="x"), limits=Limits(max_position_m=0.013))
     with pytest.raises(LimitError, check=coded("limit.position")):
         run_guided_test(instrument, test, recorder, surface_m=SURFACE)
     assert recorder.finish().test().status == "aborted"
@@ -309,7 +310,7 @@ def test_real_time_input_generation_spreads_the_depth(make, depths, tmp_path):
     instrument = make()
     kind = get_stimulus("rtig")(depth_min_m=depths[0], depth_max_m=depths[1], force_max_n=11.0, seconds=5.0)
     recorder = SessionRecorder(tmp_path / "s.h5", instrument.device)
-    run_guided_test(instrument, GuidedTest(kind, "x"), recorder)
+    run_guided_test(instrument, GuidedTest(kind, TestSettings(site="x")), recorder)
     test = recorder.finish().test()
     depth = np.sort(test.record().output - test.surface_position_m)
     share = np.clip((depth - depths[0]) / (depths[1] - depths[0]), 0.0, 1.0)

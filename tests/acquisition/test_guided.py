@@ -18,6 +18,7 @@ from tissueid.errors import (
 from tissueid.instrument import Limits, ReplayInstrument, SimulatedInstrument
 from tissueid.sessions import read_session
 from tissueid.stimuli.base import Stimulus
+from tissueid.test_settings import TestSettings
 
 RATE = 2000.0
 
@@ -27,7 +28,7 @@ def guided(seconds=1.0, mean=4.0, swing=1.0, **changes):
     force = mean + swing * np.sin(2 * np.pi * 20 * time)
     preload = np.full(round(0.5 * RATE), mean)
     stimulus = Stimulus(np.concatenate((preload, force)), RATE, {"type": "sine"}, 7, 1.4, preload_s=0.5)
-    return GuidedTest(stimulus, "left forearm", **changes)
+    return GuidedTest(stimulus, TestSettings(site="left forearm"), **changes)
 
 
 @pytest.fixture(params=["firmware", "in process", "replay"])

@@ -23,6 +23,7 @@ from tissueid.instrument import SAMPLE, SimulatedInstrument
 from tissueid.messages import code_of
 from tissueid.stimuli.base import with_preload
 from tissueid.stimuli.kinds.noise import Noise
+from tissueid.test_settings import TestSettings
 
 DEVICE = DeviceDescription()
 PRELOAD_S = 0.5
@@ -220,7 +221,7 @@ def test_out_of_bounds():
 
 def test_beside_a_guided_test_that_it_ends(tmp_path):
     noise = Noise(force_min_n=1.0, force_max_n=8.0, seconds=4.0, seed=3).build()
-    test = GuidedTest(with_preload(noise, PRELOAD_S), "left forearm")
+    test = GuidedTest(with_preload(noise, PRELOAD_S), TestSettings(site="left forearm"))
     instrument = SimulatedInstrument("baseline", seed=4)
     live = LiveIdentification(
         instrument.device, preload_s=PRELOAD_S, stop=StopRule.from_words(["stiffness=0.008"]), separate_process=False

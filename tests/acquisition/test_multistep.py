@@ -14,6 +14,7 @@ from tissueid.errors import CancelledError, LimitError, LinkLostError, UnusableI
 from tissueid.instrument import SimulatedInstrument
 from tissueid.records import Record
 from tissueid.stimuli.depth_uniform import DepthDesign
+from tissueid.test_settings import TestSettings
 
 pytestmark = pytest.mark.usefixtures("long_frames")
 
@@ -22,7 +23,7 @@ RATE = 2000.0
 
 def a_test(low=1.5e-3, high=4.5e-3, *, steps=3, target=0.0, seconds=2.0, **options):
     design = DepthDesign(depth_min_m=low, depth_max_m=high, seconds=seconds, force_max_n=11.0, **options)
-    return MultistepTest(design, "left forearm", steps=steps, target=target)
+    return MultistepTest(design, TestSettings(site="left forearm"), steps=steps, target=target)
 
 
 def run(instrument, test, path, **arguments):
@@ -96,14 +97,22 @@ def test_a_depth_that_no_force_reaches_keeps_the_first_test(tmp_path):
     ("test", "error", "code"),
     [
         (
-            MultistepTest(DepthDesign(depth_min_m=0.0, depth_max_m=1e-3, force_max_n=13.0), "x"),
+            MultistepTest(DepthDesign(depth_min_m=0.0, depth_max_m=1e-3, force_max_n=13.0), TestSettings(site="x")),
             LimitError,
             "test.stimulus_force",
         ),
-        (MultistepTest(DepthDesign(depth_min_m=0.0, depth_max_m=1e-3, seconds=40.0), "x"), LimitError, ""),
-        (MultistepTest(DepthDesign(depth_min_m=0.0, depth_max_m=0.04), "x"), UnusableInputError, "multistep.depth"),
         (
-            MultistepTest(DepthDesign(depth_min_m=0.0, depth_max_m=1e-3, sample_rate=1000.0), "x"),
+            MultistepTest(DepthDesign(depth_min_m=0.0, depth_max_m=1e-3, seconds=40.0), TestSettings(site="x")),
+            LimitError,
+            "",
+        ),
+        (
+            MultistepTest(DepthDesign(depth_min_m=0.0, depth_max_m=0.04), TestSettings(site="x")),
+            UnusableInputError,
+            "multistep.depth",
+        ),
+        (
+            MultistepTest(DepthDesign(depth_min_m=0.0, depth_max_m=1e-3, sample_rate=1000.0), TestSettings(site="x")),
             UnusableInputError,
             "test.sample_rate",
         ),

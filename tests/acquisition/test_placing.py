@@ -20,6 +20,7 @@ from tissueid.acquisition.surface_detection import Orientation, Placement, orien
 from tissueid.errors import FirmwareFaultError, LimitError, UnusableInputError
 from tissueid.instrument import CLINICAL, SAMPLE, SerialInstrument, SimulatedInstrument
 from tissueid.messages import code_of
+from tissueid.test_settings import TestSettings
 
 RATE = 2000.0
 GENTLE = NoiseChoice(min_force_n=1.5, max_force_n=6.0, seconds=1.0).stimulus(RATE)
@@ -41,7 +42,7 @@ def test_the_surface_is_found_whichever_way_it_points(tilt, model, tmp_path):
     assert placement.orientation.measured
     assert placement.orientation.tilt_deg == pytest.approx(tilt, abs=1.0)
     recorder = SessionRecorder(tmp_path / "s.h5", instrument.device)
-    run_guided_test(instrument, GuidedTest(GENTLE, "arm"), recorder, surface_m=placement)
+    run_guided_test(instrument, GuidedTest(GENTLE, TestSettings(site="arm")), recorder, surface_m=placement)
     test = recorder.finish().test()
     weight = MODELS[model].plant.moving_mass_kg * 9.80665 * np.cos(np.radians(tilt))
     assert test.notes["net_force_n"] == pytest.approx(np.mean(test.signals["force"][1000:]) + weight, abs=5e-3)
@@ -54,7 +55,7 @@ def test_a_turn_between_placing_and_test_is_found(tmp_path):
     instrument = held(0.0)
     placement = Placement(place(instrument).surface_m, Orientation(9.0, 3.9, measured=True))
     recorder = SessionRecorder(tmp_path / "s.h5", instrument.device)
-    run_guided_test(instrument, GuidedTest(GENTLE, "arm"), recorder, surface_m=placement)
+    run_guided_test(instrument, GuidedTest(GENTLE, TestSettings(site="arm")), recorder, surface_m=placement)
     quality = quality_of(recorder.finish().test())
     assert quality.verdict == "repeat"
     assert quality.findings[0].code == "orientation_changed"
@@ -98,7 +99,7 @@ def test_an_implausible_accelerometer_leaves_straight_down(tmp_path):
 
     instrument.poll = broken
     recorder = SessionRecorder(tmp_path / "s.h5", instrument.device)
-    run_guided_test(instrument, GuidedTest(GENTLE, "arm"), recorder)
+    run_guided_test(instrument, GuidedTest(GENTLE, TestSettings(site="arm")), recorder)
     notes = recorder.finish().test().notes
     assert notes["gravity_along_stroke_m_s2"] == pytest.approx(9.80665)
     assert "21.0 m/s²" in notes["orientation"]
@@ -157,7 +158,9 @@ def test_in_free_air_nothing_is_pressed_and_the_probe_is_where_it_lies(tmp_path)
     assert placement.orientation.tilt_deg == pytest.approx(90.0, abs=1.0)
     recorder = SessionRecorder(tmp_path / "s.h5", instrument.device)
     shaken = NoiseChoice(min_force_n=-1.5, max_force_n=1.5, seconds=0.6).stimulus(RATE)
-    run_guided_test(instrument, GuidedTest(shaken, "free air", "free_air"), recorder, surface_m=placement)
+    run_guided_test(
+        instrument, GuidedTest(shaken, TestSettings(site="free air"), "free_air"), recorder, surface_m=placement
+    )
     test = recorder.finish().test()
     assert (test.kind, test.status) == ("free_air", "completed")
     assert test.surface_position_m == placement.surface_m

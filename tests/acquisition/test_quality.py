@@ -25,6 +25,7 @@ from tissueid.sessions.quality import HEADLINES, worst_first
 from tissueid.stimuli.base import with_preload
 from tissueid.stimuli.kinds.noise import Noise
 from tissueid.stimuli.kinds.stepped_noise import SteppedNoise
+from tissueid.test_settings import TestSettings
 from tissueid.wire import Fault
 
 pytestmark = pytest.mark.usefixtures("long_frames")
@@ -489,7 +490,9 @@ def test_the_session_file_holds_the_result(tmp_path):
     instrument = connect()
     recorder = SessionRecorder(tmp_path / "s.h5", instrument.device)
     for _ in range(2):
-        run_guided_test(instrument, GuidedTest(NoiseChoice(seconds=1.0).stimulus(RATE), "arm"), recorder)
+        run_guided_test(
+            instrument, GuidedTest(NoiseChoice(seconds=1.0).stimulus(RATE), TestSettings(site="arm")), recorder
+        )
     recorder.finish()
     session = read_session(tmp_path / "s.h5")
     for test, again in judge_session(session):

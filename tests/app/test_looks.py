@@ -61,7 +61,7 @@ def test_the_tab_key_visits_everything_from_top_to_bottom(qtbot, window):
         visited.append(window.focusWidget())
     form = ui.form
     expected = [form.instrument.choice, form.instrument.refresh, form.site, form.map, form.subject, form.product]
-    expected += [form.set_up.name, form.set_up.probe, form.set_up.coupling, form.limits, form.preset.choice, form.fold]
+    expected += [*form.set_up.fields[:3], form.limits, form.preset.choice, form.fold]
     options = [field for field in form.stimulus.option_fields(depths=False) if field.isVisible() and field.isEnabled()]
     expected += [form.stimulus.kind, form.stimulus.stop_when, form.stimulus.live_method, *options]
     expected += [form.distribution, form.min_force, form.max_force, form.seconds, form.seed, form.repeats]

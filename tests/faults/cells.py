@@ -24,6 +24,7 @@ from tissueid.errors import TissueIDError
 from tissueid.instrument import Instrument
 from tissueid.messages import codes_in
 from tissueid.stimuli.base import Stimulus, preload_values
+from tissueid.test_settings import TestSettings
 from tissueid.wire import MessageType, State
 
 RATE = 2000.0
@@ -44,13 +45,13 @@ def open_loop(seconds: float = SECONDS, seed: int = 0) -> GuidedTest:
     swing = 1.5 * np.sin(2 * np.pi * 11 * time + seed) + 1.0 * np.sin(2 * np.pi * 37 * time)
     values = np.concatenate([preload_values(3.0, PRELOAD_S, RATE), 3.0 + swing])
     stimulus = Stimulus(values, RATE, {"type": "waves"}, seed, 1.4, preload_s=PRELOAD_S)
-    return GuidedTest(stimulus, "left forearm", limits=LIMITS)
+    return GuidedTest(stimulus, TestSettings(site="left forearm"), limits=LIMITS)
 
 
 def feedback(seconds: float = SECONDS, seed: int = 0) -> GuidedTest:
     """Set-points that follow the answers."""
     kind = PushBack(seconds=seconds, force_max_n=7.5, seed=seed)
-    return GuidedTest(kind, "left forearm", limits=LIMITS, preload_s=PRELOAD_S)
+    return GuidedTest(kind, TestSettings(site="left forearm"), limits=LIMITS, preload_s=PRELOAD_S)
 
 
 # -- where a sitting stands -------------------------------------------------------------------------------------------

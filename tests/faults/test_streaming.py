@@ -15,6 +15,7 @@ from tissueid.acquisition import GuidedTest, SessionRecorder, run_guided_test
 from tissueid.instrument import Limits, SerialInstrument, SerialLink
 from tissueid.sessions import read_session
 from tissueid.stimuli.base import Stimulus
+from tissueid.test_settings import TestSettings
 
 RATE = 2000.0
 TEST_S = 20.0
@@ -47,7 +48,9 @@ def gentle(seconds):
     time = np.arange(round(seconds * RATE)) / RATE
     rise = np.minimum(time / 0.5, 1.0)
     values = rise * (1.0 + 0.5 * np.sin(2 * np.pi * 7 * time))
-    return GuidedTest(Stimulus(values, RATE, {"type": "wave"}, 0, 1.4, preload_s=0.5), "forearm", limits=LIMITS)
+    return GuidedTest(
+        Stimulus(values, RATE, {"type": "wave"}, 0, 1.4, preload_s=0.5), TestSettings(site="forearm"), limits=LIMITS
+    )
 
 
 def stream(url, path, seconds):

@@ -30,6 +30,7 @@ from tissueid.instrument.tissues import TISSUES
 from tissueid.messages import joined
 from tissueid.reports.verdict import judge
 from tissueid.sessions.quality import quality_of
+from tissueid.test_settings import TestSettings
 
 
 def test_the_same_seed_plays_the_same():
@@ -66,7 +67,7 @@ def sitting(path, tests):
     instrument = open_instrument("simulated://forearm?seed=6")
     recorder = SessionRecorder(path, instrument.device)
     surface_m = place(instrument).surface_m
-    test = GuidedTest(NoiseChoice().stimulus(2000.0), "left forearm")
+    test = GuidedTest(NoiseChoice().stimulus(2000.0), TestSettings(site="left forearm"))
     for _ in range(tests):
         run_guided_test(instrument, test, recorder, surface_m=surface_m)
     return recorder.finish()

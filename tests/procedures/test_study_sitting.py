@@ -382,7 +382,7 @@ def test_a_protocol_knows_its_plan(tmp_path):
     protocol = Protocol(**(QUICK | {"conditions": (LOTION,), "stimulus": "thesis"}))
     plan = protocol.plan(sitting_steps(protocol, "P01")[0], "simulated://forearm", tmp_path / "a.h5")
     assert (plan.condition, plan.minutes_since_application, plan.min_force_n) == ("lotion", 60.0, -5.0)
-    assert plan.notes["condition"] == "lotion"
+    assert plan.as_notes()["condition"] == "lotion"
 
 
 def test_the_command_says_where_the_sitting_stands(tmp_path, capsys):

@@ -15,6 +15,7 @@ from tissueid.errors import LinkLostError
 from tissueid.instrument import Limits, SerialInstrument, SerialLink
 from tissueid.instrument.link import broken_error
 from tissueid.stimuli import get_stimulus
+from tissueid.test_settings import TestSettings
 
 SURFACE_M = 0.008
 RUN_S = 25.0
@@ -61,7 +62,7 @@ def feedback(seconds, seed=1, **options):
     stimulus = kind(
         seconds=seconds, depth_min_m=3e-4, depth_max_m=1e-3, force_max_n=2.5, gain_n_per_m=1500.0, seed=seed, **options
     )
-    return GuidedTest(stimulus, "forearm", limits=Limits(max_force_n=4.0, max_seconds=28.0))
+    return GuidedTest(stimulus, TestSettings(site="forearm"), limits=Limits(max_force_n=4.0, max_seconds=28.0))
 
 
 def test_a_killed_host_releases_the_coil_in_time(link, tmp_path):

@@ -18,6 +18,7 @@ from firmware_sim_process import firmware_process
 from tissueid.acquisition import GuidedTest, SessionRecorder, run_guided_test
 from tissueid.instrument import Limits, SerialInstrument, SerialLink
 from tissueid.stimuli.base import Stimulus
+from tissueid.test_settings import TestSettings
 
 SCHEDULES, SCHEDULE_S = 12, 10.0
 STREAM_S = 300.0
@@ -91,7 +92,9 @@ def _host_work(rate: float) -> Claim:
     rise = np.minimum(np.arange(count) / (0.5 * rate), 1.0)
     values = rise * (2.0 + np.sin(2 * np.pi * 11 * np.arange(count) / rate))
     test = GuidedTest(
-        Stimulus(values, rate, {"type": "wave"}, 0, 1.4, preload_s=0.5), "forearm", limits=Limits(max_force_n=6.0)
+        Stimulus(values, rate, {"type": "wave"}, 0, 1.4, preload_s=0.5),
+        TestSettings(site="forearm"),
+        limits=Limits(max_force_n=6.0),
     )
     with (
         tempfile.TemporaryDirectory() as folder,

@@ -26,6 +26,7 @@ from tissueid.instrument import SerialInstrument
 from tissueid.sessions import SIGNAL_UNITS, Test
 from tissueid.stimuli.base import Stimulus, with_preload
 from tissueid.stimuli.kinds.noise import Noise
+from tissueid.test_settings import TestSettings
 
 RATE = 2000.0
 DEVICE = DeviceDescription()
@@ -285,7 +286,7 @@ def tilted(model: str, tilt_deg: float) -> tuple[float, float, float, str]:
     with SerialInstrument(link, clock=link.clock) as instrument, tempfile.TemporaryDirectory() as folder:
         placement = place(instrument)
         recorder = SessionRecorder(Path(folder) / "session.h5", instrument.device)
-        run_guided_test(instrument, GuidedTest(stimulus, "forearm"), recorder, surface_m=placement)
+        run_guided_test(instrument, GuidedTest(stimulus, TestSettings(site="forearm")), recorder, surface_m=placement)
         test = recorder.finish().test()
     quality = judge(test, instrument.device)
     return placement.surface_m, placement.orientation.tilt_deg, float(test.notes["net_force_n"]), quality.verdict

@@ -14,6 +14,7 @@ from tissueid.acquisition import MultistepTest, SessionRecorder, run_multistep
 from tissueid.instrument import Instrument, SimulatedInstrument
 from tissueid.sessions import Test
 from tissueid.stimuli.depth_uniform import DepthDesign
+from tissueid.test_settings import TestSettings
 
 STEPS = 3
 SECONDS = 3.0
@@ -50,7 +51,7 @@ def _run(instrument: Instrument, seed: int, low: float, high: float, steps: int)
     design = DepthDesign(depth_min_m=low, depth_max_m=high, seconds=SECONDS, force_max_n=11.0)
     with tempfile.TemporaryDirectory() as folder:
         recorder = SessionRecorder(Path(folder) / "s.h5", instrument.device)
-        test = MultistepTest(design, "claim", steps=steps, target=0.0, seed=10 * seed)
+        test = MultistepTest(design, TestSettings(site="claim"), steps=steps, target=0.0, seed=10 * seed)
         run_multistep(instrument, test, recorder)
         instrument.close()
         return recorder.finish().tests

@@ -15,6 +15,7 @@ from tissueid.acquisition import GuidedTest, SessionRecorder, run_guided_test
 from tissueid.acquisition.guided import find_surface
 from tissueid.instrument import Limits, SerialInstrument, SerialLink
 from tissueid.stimuli.kinds.rtig import Rtig
+from tissueid.test_settings import TestSettings
 
 SECONDS = 60.0
 TISSUE = "left-posterior-forearm"
@@ -35,7 +36,9 @@ def claims() -> Iterator[Claim]:
             recorder = SessionRecorder(Path(folder) / "session.h5", instrument.device)
             surface = find_surface(instrument, LIMITS)
             begin = time.monotonic()
-            run_guided_test(instrument, GuidedTest(kind, TISSUE, limits=LIMITS), recorder, surface_m=surface)
+            run_guided_test(
+                instrument, GuidedTest(kind, TestSettings(site=TISSUE), limits=LIMITS), recorder, surface_m=surface
+            )
             elapsed = time.monotonic() - begin
             margin = instrument.setpoint_margin_s
             notes = recorder.finish().test().notes

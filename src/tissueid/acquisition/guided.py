@@ -18,7 +18,6 @@ from tissueid.acquisition.recovery import OpenTest
 from tissueid.acquisition.set_points import SetPoints, preload_stimulus, rehearse, set_point_count
 from tissueid.acquisition.stimulus_choice import PRELOAD_S
 from tissueid.acquisition.surface_detection import PLACE_S, Placement, find_orientation, find_surface, place
-from tissueid.configuration import Configuration
 from tissueid.device import GRAVITY_M_S2, DeviceDescription
 from tissueid.errors import InstrumentError, LimitError, TissueIDError, UnusableInputError
 from tissueid.instrument import (
@@ -38,6 +37,7 @@ from tissueid.messages import Action, Message, Verbatim
 from tissueid.sessions.model import Test, reason_notes
 from tissueid.stimuli.base import Array, Stimulus, Unit, to_voltage
 from tissueid.stimuli.feedback import FeedbackKind
+from tissueid.test_settings import TestSettings
 from tissueid.wire import Flag
 
 __all__ = [
@@ -59,16 +59,15 @@ _ACCELEROMETER_END_M_S2 = 2.0 * GRAVITY_M_S2
 
 @dataclass(frozen=True)
 class GuidedTest:
-    """Specification of a test: stimulus, site and limits.
+    """Specification of a test: stimulus, settings and limits.
 
-    An open-loop stimulus contains its preload; a feedback stimulus gets one of ``preload_s``. ``notes`` and the
-    ``configuration`` with its probe are stored with the test.
+    An open-loop stimulus contains its preload; a feedback stimulus gets one of ``preload_s``. The settings and further
+    ``notes`` are stored with the test.
     """
 
     stimulus: Stimulus | FeedbackKind
-    site: str
+    settings: TestSettings
     kind: str = "stochastic"
-    configuration: Configuration = field(default_factory=Configuration)
     limits: Limits = CLINICAL
     repeat_of: int | None = None
     preload_s: float = PRELOAD_S
@@ -185,7 +184,8 @@ class _Recording:
             JournalError, SessionFormatError, AuditError: it cannot.
         """
         samples = self.opening.values.size + (0 if self.set_points is None else self.set_points.samples)
-        about = {"site": self._test.site, "kind": self._test.kind, "configuration": self._test.configuration.name}
+        settings = self._test.settings
+        about = {"site": settings.site, "kind": self._test.kind, "configuration": settings.configuration}
         self._recorder.prepare(samples, limits=self._test.limits, preparation=self._preparation, **about)
 
     def begin(self, run: Run) -> None:
@@ -194,8 +194,8 @@ class _Recording:
         limits: dict[str, str | float] = {f"limit_{name}": value for name, value in asdict(self._test.limits).items()}
         attributes: dict[str, Any] = {
             "kind": self._test.kind,
-            "configuration": self._test.configuration.name,
-            "site": self._test.site,
+            "configuration": self._test.settings.configuration,
+            "site": self._test.settings.site,
             "sample_rate_hz": self._instrument.device.sample_rate_hz,
             "preload_s": self.opening.preload_s,
             "surface_position_m": self._placement.surface_m,
@@ -203,7 +203,7 @@ class _Recording:
             "seed": self.opening.seed,
             "repeat_of": self._test.repeat_of,
             "notes": limits
-            | self._test.configuration.as_notes()
+            | self._test.settings.as_notes()
             | self._placement.orientation.as_notes()
             | self._test.notes,
         }

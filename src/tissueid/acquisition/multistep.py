@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterable
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from functools import partial
 
 import numpy as np
@@ -15,7 +15,6 @@ from tissueid.acquisition.playback import Progress
 from tissueid.acquisition.recorder import SessionRecorder
 from tissueid.acquisition.stimulus_choice import PRELOAD_S
 from tissueid.acquisition.surface_detection import Placement, place
-from tissueid.configuration import Configuration
 from tissueid.device import DeviceDescription
 from tissueid.errors import UnusableInputError
 from tissueid.identification.base import Model
@@ -27,6 +26,7 @@ from tissueid.records import Record, joined
 from tissueid.stimuli.base import Array, with_preload
 from tissueid.stimuli.depth_uniform import DepthDesign, DepthUniformNoise, design_next_noise, distance_from_uniform
 from tissueid.stimuli.kinds.noise import Noise
+from tissueid.test_settings import TestSettings
 
 _ENGINES = ("wiener", "dpn")
 """Engines in the order in which they are tried, fastest first."""
@@ -72,20 +72,18 @@ class MultistepTest:
     """Specification of a multistep run: at most ``steps`` tests, fewer when the distance falls to ``target``."""
 
     design: DepthDesign
-    site: str
+    settings: TestSettings
     steps: int = 3
     target: float = 0.05
     seed: int = 1
     limits: Limits = CLINICAL
     preload_s: float = PRELOAD_S
-    configuration: Configuration = field(default_factory=Configuration)
 
     def guided_test(self, noise: Noise, notes: dict[str, str | float]) -> GuidedTest:
         """Return one of its tests."""
         return GuidedTest(
             with_preload(noise.build(), self.preload_s),
-            self.site,
-            configuration=self.configuration,
+            self.settings,
             limits=self.limits,
             notes=notes,
         )
@@ -99,11 +97,11 @@ def check_multistep(test: MultistepTest, device: DeviceDescription) -> None:
         UnusableInputError: the sample rate differs from the device's, the depth exceeds its stroke, or the
             configuration has no depth.
     """
-    if not test.configuration.has_depth:
+    if not test.settings.has_depth:
         raise UnusableInputError(
             "multistep.no_depth",
             "a multistep test needs a depth, which the configuration {configuration} does not have",
-            configuration=test.configuration.name,
+            configuration=test.settings.configuration,
         )
     if test.design.depth_max_m > device.stroke_m:
         raise UnusableInputError(

@@ -9,7 +9,7 @@ from itertools import pairwise
 import numpy as np
 
 from tissueid.analysis.actuator import Actuator
-from tissueid.configuration import has_depth, placement, spring_of
+from tissueid.configuration import has_depth, spring_of
 from tissueid.device import GRAVITY_M_S2, DeviceDescription
 from tissueid.errors import UnusableInputError
 from tissueid.identification.depth_levels import localized_levels
@@ -19,6 +19,7 @@ from tissueid.language import marked
 from tissueid.messages import Listing, Message
 from tissueid.records import Record, joined
 from tissueid.sessions import Session, Test
+from tissueid.test_settings import placement
 
 QUARTERS = 4
 _STRETCHES = 16

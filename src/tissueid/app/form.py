@@ -157,14 +157,12 @@ class PlanForm(QWidget):
         self._look_at_product()
         for chosen in (self.instrument.choice.currentTextChanged, self.limits.currentIndexChanged):
             chosen.connect(self.changed)
-        fields = (self.min_force, self.max_force, self.seconds, self.set_up.spring)
-        for field in (*fields, self.minutes, self.set_up.initial_length, self.set_up.normal_preload):
+        for field in (self.min_force, self.max_force, self.seconds, self.minutes):
             field.valueChanged.connect(self.changed)
-        for choice in (self.set_up.name, self.set_up.coupling, self.set_up.orientation):
-            choice.currentIndexChanged.connect(self.changed)
+        self.set_up.changed.connect(self.changed)
         self.subject.textChanged.connect(self._look_at_subject)
         self.subject.editingFinished.connect(self._choose_subject)
-        self.set_up.name.currentIndexChanged.connect(self._show_set_up)
+        self.set_up.changed.connect(self._show_set_up)
         self._chosen_subject = ""
         self.limits.currentIndexChanged.connect(self._apply_limits)
         self.instrument.choice.currentTextChanged.connect(self._apply_limits)
@@ -245,7 +243,6 @@ class PlanForm(QWidget):
             "pseudonym": self.subject.setText,
             "condition": self.product.setText,
             "minutes_since_application": self.minutes.give,
-            "set_up": lambda values: self.set_up.choose(**values),
             "preset": self._fill_preset,
             "limits": lambda name: self.limits.setCurrentIndex(self.limits.findData(name)),
             "distribution": lambda name: self.distribution.setCurrentIndex(self.distribution.findData(name)),
@@ -257,8 +254,11 @@ class PlanForm(QWidget):
             "repeats": self.repeats.setValue,
             "under_probe": lambda name: self.under_probe.setCurrentIndex(self.under_probe.findData(name)),
         }
+        if settings := {name: value for name, value in values.items() if name not in fields}:
+            self.set_up.choose(**settings)
         for name, value in values.items():
-            fields[name](value)
+            if name in fields:
+                fields[name](value)
         self._choose_subject()
 
     def keyPressEvent(self, event: QKeyEvent) -> None:  # noqa: N802
@@ -385,7 +385,7 @@ class PlanForm(QWidget):
 
     def _show_set_up(self) -> None:
         """Show how the instrument meets the tissue; a clinician sees it with the settings, or where it is unusual."""
-        usual = self.set_up.name.currentIndex() == 0
+        usual = self.set_up.chosen == "indentation"
         self.set_up.setVisible(not (self._plain and usual) or self.fold.isChecked())
 
     def _apply_limits(self) -> None:

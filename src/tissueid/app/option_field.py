@@ -6,7 +6,7 @@ import html
 import json
 import math
 import types
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from typing import Any, Literal, Union, get_args, get_origin
 
 import annotated_types
@@ -19,6 +19,8 @@ from tissueid.app.number_field import NumberField, WholeNumberField
 from tissueid.errors import UnusableInputError
 from tissueid.formatting import label_and_unit
 from tissueid.language import _, decimal, marked
+from tissueid.plan_options import option_of
+from tissueid.test_settings import Setting
 from tissueid.units import display_unit
 
 _DECIMALS = 15
@@ -82,12 +84,16 @@ class OptionField(QWidget):
         super().__init__(parent)
         self.name = name
         kind, self._optional = _without_none(info.annotation)
+        declared = option_of(info)
+        choices = dict(declared.choices) if isinstance(declared, Setting) else {}
+        unknown = choices.pop(None, None) if not self._optional or len(choices) == 1 else None
+        self._optional = self._optional and not choices
         label, si_unit = label_and_unit(name)
         unit, self._scale = display_unit(si_unit)
         label = _(info.title or label)
         self.label = label
         self._kind = kind
-        self._control = self._make(kind, info, unit)
+        self._control = self._choice(choices) if choices else self._make(kind, info, unit)
         if isinstance(self._control, QLineEdit) and unit:
             self.label = f"{_(label)} ({unit})"
         self._automatic: QCheckBox | None = None
@@ -96,8 +102,9 @@ class OptionField(QWidget):
         row.setSpacing(6)
         row.addWidget(self._control, 1)
         if self._optional:
-            self._automatic = QCheckBox(_("automatic"))
-            self._automatic.setAccessibleName(_("{label}, automatic").format(label=label))
+            words = _(unknown or marked("automatic"))
+            self._automatic = QCheckBox(words)
+            self._automatic.setAccessibleName(f"{label}, {words}")
             self._automatic.toggled.connect(self._switch)
             row.addWidget(self._automatic)
         description = _(info.description or "")
@@ -142,7 +149,7 @@ class OptionField(QWidget):
             if self._automatic is not None:
                 self._automatic.setChecked(value is None)
                 self._control.setEnabled(value is not None)
-            if value is not None:
+            if value is not None or isinstance(self._control, QComboBox):
                 self._show(value)
         finally:
             for widget, before in blocked:
@@ -174,13 +181,7 @@ class OptionField(QWidget):
             box.toggled.connect(self._tell)
             return box
         if get_origin(kind) is Literal:
-            combo = QComboBox()
-            combo.setSizeAdjustPolicy(QComboBox.SizeAdjustPolicy.AdjustToMinimumContentsLengthWithIcon)
-            combo.setMinimumContentsLength(6)
-            for choice in get_args(kind):
-                combo.addItem(_(CHOICES.get(str(choice), str(choice))), choice)
-            combo.currentIndexChanged.connect(self._tell)
-            return combo
+            return self._choice({choice: CHOICES.get(str(choice), str(choice)) for choice in get_args(kind)})
         if kind is int or kind is float:
             low, high, open_low, open_high = _bounds(info)
             return self._make_number(kind, (low, high), (open_low, open_high), unit)
@@ -189,6 +190,15 @@ class OptionField(QWidget):
         line.setPlaceholderText("1, 2, 3" if get_origin(kind) is tuple else "")
         line.editingFinished.connect(self._tell)
         return line
+
+    def _choice(self, choices: Mapping[Any, str]) -> QComboBox:
+        combo = QComboBox()
+        combo.setSizeAdjustPolicy(QComboBox.SizeAdjustPolicy.AdjustToMinimumContentsLengthWithIcon)
+        combo.setMinimumContentsLength(6)
+        for choice, label in choices.items():
+            combo.addItem(_(label), choice)
+        combo.currentIndexChanged.connect(self._tell)
+        return combo
 
     def _make_number(
         self, kind: type, limits: tuple[float, float], opened: tuple[bool, bool], unit: str
@@ -221,6 +231,8 @@ class OptionField(QWidget):
         if isinstance(control, QCheckBox):
             control.setChecked(bool(value))
         elif isinstance(control, QComboBox):
+            if isinstance(value, float) and control.findData(value) < 0:
+                control.addItem(f"{value:g}", value)
             control.setCurrentIndex(max(0, control.findData(value)))
         elif isinstance(control, QSpinBox):
             control.setValue(int(max(control.minimum(), min(control.maximum(), value))))

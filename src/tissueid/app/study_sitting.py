@@ -164,14 +164,9 @@ class StudySitting(QObject):
             self._say(self.instruction)
             return
         self.instruction = _next_words(before, step)
-        condition = step.condition
-        values = {
+        values = protocol.settings(step) | {
             "pseudonym": step.subject,
-            "site": step.site,
-            "condition": condition.product,
-            "minutes_since_application": condition.minutes_since_application,
             "limits": protocol.limits,
-            "set_up": protocol.set_up(condition),
             "preset": protocol.stimulus,
             "repeats": 1,
             "under_probe": "",

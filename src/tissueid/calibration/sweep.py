@@ -25,6 +25,7 @@ from tissueid.instrument import CLINICAL, Instrument, Limits, SerialInstrument
 from tissueid.messages import Message, Quantity
 from tissueid.sessions import Session
 from tissueid.stimuli import with_preload
+from tissueid.test_settings import TestSettings
 from tissueid.wire import Fault
 
 PRELOAD_S = 0.3
@@ -212,7 +213,7 @@ class Sweep:
             notes: dict[str, str | float] = {"wanted_m": place_m, "sweep": float(repeat), "volts": share * volts}
             test = GuidedTest(
                 with_preload(noise(share * volts, self._plan.seconds, seed, rate), PRELOAD_S),
-                f"calibration spring at {at}",
+                TestSettings(site=f"calibration spring at {at}"),
                 kind=KIND,
                 limits=self._plan.limits,
                 notes=notes if stage_m is None else notes | {"stage_m": stage_m},

@@ -44,7 +44,8 @@ def plan_command(command: Callable[..., None]) -> Callable[..., None]:
 
 
 def _options(plan: type[Plan]) -> dict[str, FieldInfo]:
-    return {name: field for name, field in plan.model_fields.items() if option_of(field) is not None}
+    options = ((name, field) for name, field in plan.model_fields.items() if option_of(field) is not None)
+    return dict(sorted(options, key=lambda option: not option[1].is_required()))
 
 
 def _parameter(name: str, field: FieldInfo) -> inspect.Parameter:

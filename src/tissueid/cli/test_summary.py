@@ -16,6 +16,7 @@ from tissueid.procedures.depth_coverage import DepthRange, depth_range_of, kolmo
 from tissueid.procedures.test_run import TestStep
 from tissueid.sessions import Test
 from tissueid.sessions.quality import verdict_of
+from tissueid.test_settings import PROPERTIES
 
 
 def answer_of(test: Test, asked: DepthRange | None, step: TestStep | None) -> dict[str, Any]:
@@ -37,8 +38,7 @@ def answer_of(test: Test, asked: DepthRange | None, step: TestStep | None) -> di
         answer[note] = test.notes.get(note)
     quality = quality_of(test)
     answer["configuration"] = test.configuration
-    for note in ("coupling", "orientation_deg", "initial_length_m", "normal_preload_n"):
-        answer[note] = test.notes.get(note)
+    answer |= {name: test.notes.get(name) for name in PROPERTIES}
     answer["verdict"] = verdict_of(test)
     answer["quality"] = None if quality is None else quality.as_dict()["findings"]
     if step is not None:

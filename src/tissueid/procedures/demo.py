@@ -24,6 +24,7 @@ from tissueid.plan_options import Option, Plan
 from tissueid.procedures.audit_notes import audit_note
 from tissueid.procedures.control import Control
 from tissueid.procedures.output_files import json_text, stored_values, write_text
+from tissueid.test_settings import TestSettings
 
 if TYPE_CHECKING:  # each takes long to import
     from tissueid.analysis import Analysis
@@ -196,7 +197,9 @@ def _measure(instrument: Instrument, path: Path, plan: DemoPlan, control: Contro
         _SMALL: Noise(seed=plan.seed + 1, force_min_n=mean - SMALL_N, force_max_n=mean + SMALL_N, sample_rate=rate),
     }
     for step, noise in noises.items():
-        test = GuidedTest(with_preload(noise.build()), site=plan.preset.replace("-", " "), limits=CLINICAL)
+        test = GuidedTest(
+            with_preload(noise.build()), TestSettings(site=plan.preset.replace("-", " ")), limits=CLINICAL
+        )
         run_guided_test(instrument, test, recorder, surface_m=surface, progress=shown(step))
     return recorder.finish(), check
 

@@ -21,6 +21,7 @@ from tissueid.procedures.depth_coverage import out_of_reach
 from tissueid.reports.feedback_run import feedback_run
 from tissueid.sessions import Test
 from tissueid.stimuli import FeedbackKind
+from tissueid.test_settings import TestSettings
 
 _PLAYING = marked("Playing the stimulus")
 _TISSUE = f"{IN_PROCESS}baseline?seed=0"
@@ -72,7 +73,7 @@ def play_on_tissue(kind: FeedbackKind, url: str, limits: Limits, control: Contro
             kind=Verbatim(kind.name),
         )
     instrument = open_instrument(url)
-    guided = GuidedTest(kind, url, limits=limits)
+    guided = GuidedTest(kind, TestSettings(site=url), limits=limits)
     try:
         check_test(guided, instrument.device)
         with tempfile.TemporaryDirectory() as folder:

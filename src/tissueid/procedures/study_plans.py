@@ -10,8 +10,6 @@ from pydantic import Field
 from tissueid.plan_options import Option
 from tissueid.procedures.cluster import ClusterPlan
 
-CONDITION, MINUTES_SINCE = "condition", "minutes_since_application"
-"""Notes of a test: its condition, such as a product, and the minutes since its application."""
 SUBJECTS_FILE = "subjects.csv"
 """Name of the file with demographic values by subject."""
 RESULTS = "results"

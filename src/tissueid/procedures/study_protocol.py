@@ -35,6 +35,7 @@ from tissueid.procedures.pseudonyms import reads_like_name
 from tissueid.procedures.study_plans import RESULTS
 from tissueid.procedures.test_plan import MAX_TEXT, TestPlan
 from tissueid.procedures.test_presets import PRESETS, Preset
+from tissueid.test_settings import Circumstances, SetUp
 from tissueid.untrusted_input import json_value
 
 PROTOCOL_FILE = "protocol.json"
@@ -63,19 +64,17 @@ class Site(_Part):
     repeats: Annotated[int, Field(ge=1, le=100)] | None = None
 
 
-class Condition(_Part):
-    """What is tested: product ("" without one), minutes since its application, and direction of the extension."""
+class Condition(Circumstances):
+    """What is tested: product ("" without one), and its circumstances."""
 
     product: _Line = ""
-    minutes_since_application: Annotated[float, Field(ge=0.0, le=1e6)] | None = None
-    orientation_deg: Annotated[float, Field(ge=-180.0, le=180.0)] | None = None
 
 
 def _site(given: Any) -> Any:
     return {"site": given} if isinstance(given, str) else given
 
 
-class Protocol(_Part):
+class Protocol(SetUp):
     """The protocol of a study.
 
     ``repeats`` are the tests at each site under each condition. ``attempts`` limits the tests of one repeat: the
@@ -93,12 +92,6 @@ class Protocol(_Part):
     stimulus: str = PRESETS[0].name
     seconds: Annotated[float, Field(ge=0.5, le=29.5)] | None = None
     limits: str = "clinical"
-    configuration: str = "indentation"
-    probe: str | None = None
-    coupling: str = "none"
-    external_spring_n_per_m: float = 0.0
-    initial_length_m: float | None = None
-    normal_preload_n: float | None = None
     attempts: Annotated[int, Field(ge=1, le=20)] = 3
     photograph: bool = False
 
@@ -153,17 +146,11 @@ class Protocol(_Part):
         """The test that is run."""
         return next(preset for preset in PRESETS if preset.name == self.stimulus)
 
-    def set_up(self, condition: Condition) -> dict[str, Any]:
-        """Return the fields of a test plan that say how the instrument meets the tissue."""
-        return {
-            "configuration": self.configuration,
-            "probe": self.probe,
-            "coupling": self.coupling,
-            "external_spring_n_per_m": self.external_spring_n_per_m,
-            "initial_length_m": self.initial_length_m,
-            "normal_preload_n": self.normal_preload_n,
-            "orientation_deg": condition.orientation_deg,
-        }
+    def settings(self, step: SittingStep) -> dict[str, Any]:
+        """Return the fields of ``TestSettings`` of the test of a step."""
+        values = {name: getattr(self, name) for name in SetUp.model_fields}
+        values |= {name: getattr(step.condition, name) for name in Circumstances.model_fields}
+        return values | {"site": step.site, "condition": step.condition.product}
 
     def plan(self, step: SittingStep, url: str, out: Path, **values: Any) -> TestPlan:
         """Return the plan of the test of a step; ``values`` replace fields of it."""
@@ -171,13 +158,9 @@ class Protocol(_Part):
             "url": url,
             "out": out,
             "subject": step.subject,
-            "site": step.site,
             "limits": self.limits,
-            "condition": step.condition.product,
-            "minutes_since_application": step.condition.minutes_since_application,
         }
-        given |= self.set_up(step.condition)
-        return TestPlan(**(given | self.preset.plan_values(self.seconds) | values))
+        return TestPlan(**(given | self.settings(step) | self.preset.plan_values(self.seconds) | values))
 
 
 @dataclass(frozen=True)

@@ -33,14 +33,13 @@ from tissueid.procedures.control import Control, CountedProgress
 from tissueid.procedures.output_files import unwritable, write_text
 from tissueid.procedures.session_store import FolderStore, RemoteStore, SessionStore
 from tissueid.procedures.study_plans import (
-    CONDITION,
     CURVES_FILE,
-    MINUTES_SINCE,
     NOT_ANALYSED_FILE,
     RESULTS,
     SUBJECTS_FILE,
     StudyPlan,
 )
+from tissueid.test_settings import PROPERTIES
 
 if TYPE_CHECKING:
     import pandas as pd
@@ -294,11 +293,9 @@ def _row(
         "test": test.number,
         "subject": session.subject.pseudonym,
         "site": test.site,
-        "condition": str(test.notes.get(CONDITION, "")),
-        "minutes_since_application": test.notes.get(MINUTES_SINCE),
+        "condition": str(test.notes.get("condition", "")),
         "configuration": test.configuration,
-        "coupling": test.notes.get("coupling"),
-        "orientation_deg": test.notes.get("orientation_deg"),
+        **{name: test.notes.get(name) for name in PROPERTIES},
         "simulated": session.instrument.simulated,
         "kind": test.kind,
         "status": test.status,

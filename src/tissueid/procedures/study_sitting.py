@@ -18,7 +18,6 @@ from tissueid.instrument.discovery import IN_PROCESS
 from tissueid.messages import Message, Verbatim, joined
 from tissueid.plan_options import Option, Plan
 from tissueid.procedures.control import Control, RemainingTime, counted
-from tissueid.procedures.study_plans import CONDITION, MINUTES_SINCE
 from tissueid.procedures.study_protocol import (
     PROTOCOL_FILE,
     Condition,
@@ -34,6 +33,8 @@ from tissueid.procedures.study_protocol import (
     template,
 )
 from tissueid.procedures.study_subjects import add_photograph, missing_demographics, save_demographics
+from tissueid.procedures.test_plan import MAX_TEXT
+from tissueid.test_settings import Circumstances, noted
 
 if TYPE_CHECKING:
     from tissueid.instrument import Instrument
@@ -113,17 +114,7 @@ class SittingState:
 
 def condition_of(notes: Mapping[str, Any]) -> Condition:
     """Return the condition of a test from its notes; what cannot be one is left out."""
-
-    def number(name: str, least: float, most: float) -> float | None:
-        value = notes.get(name)
-        return float(value) if isinstance(value, int | float) and least <= value <= most else None
-
-    product = str(notes.get(CONDITION, ""))[:200]
-    return Condition(
-        product=product,
-        minutes_since_application=number(MINUTES_SINCE, 0.0, 1e6),
-        orientation_deg=number("orientation_deg", -180.0, 180.0),
-    )
+    return Condition(product=str(notes.get("condition", ""))[:MAX_TEXT], **noted(Circumstances, notes))
 
 
 def open_sitting(folder: Path, subject: str) -> SittingState:

@@ -8,14 +8,13 @@ from typing import TYPE_CHECKING, Annotated, Any, Literal, Self
 
 from pydantic import Field
 
-from tissueid.configuration import Configuration, orientation
 from tissueid.errors import UnusableInputError
 from tissueid.formatting import ANONYMOUS
 from tissueid.language import marked
 from tissueid.messages import Message, Verbatim
-from tissueid.plan_options import Option, Plan, name_and_value, named_values
+from tissueid.plan_options import Option, name_and_value, named_values
 from tissueid.procedures.pseudonyms import PseudonymConfirmed, check_subject
-from tissueid.procedures.study_plans import CONDITION, MINUTES_SINCE
+from tissueid.test_settings import TestSettings
 
 if TYPE_CHECKING:  # each takes long to import
     from tissueid.acquisition.stimulus_choice import FileChoice
@@ -68,16 +67,13 @@ def depth_range(text: str) -> tuple[float, float]:
     return depths
 
 
-class TestPlan(Plan):
+class TestPlan(TestSettings):
     """One or several tests at one place, in one session; ``None`` leaves a value to the stimulus.
 
     ``options`` are options of the stimulus without a field here, by name. ``stop_when`` are targets in the notation of
-    ``StopRule``. ``kind`` is one of ``FIXTURES``, or None for tissue or a sample. ``limits`` is the name of a profile,
-    ``configuration`` and ``probe`` are those of the session format; without ``probe`` the first probe of the
-    configuration is used. With ``multistep`` each test is designed from the previous ones to cover ``depth_range_m``
-    evenly. ``lower_force`` reduces the highest force to that of the instrument where it is less; without it such a plan
-    is refused. ``sitting`` is the key shared by the tests of one sitting that are in several files, and ``repeat``
-    their number, from 1.
+    ``StopRule``. ``kind`` is one of ``FIXTURES``, or None for tissue or a sample. ``limits`` is the name of a profile.
+    With ``multistep`` each test is designed from the previous ones to cover ``depth_range_m`` evenly. ``lower_force``
+    reduces the highest force to that of the instrument where it is less; without it such a plan is refused.
     """
 
     __test__ = False  # not a test case for pytest
@@ -88,7 +84,6 @@ class TestPlan(Plan):
             "--device", metavar="URL", help="a port, socket://HOST:PORT or simulated://forearm; see 'tissueid devices'"
         ),
     ]
-    site: Annotated[str, Option("--site", metavar="TEXT", help="site on the body, or material")]
     out: Annotated[Path, Option("--out", metavar="SESSION", help="new session file; never overwritten")]
     stimulus: Annotated[
         str | None, Option("--stimulus", metavar="NAME", help="default: noise; 'tissueid stimulus' lists all")
@@ -180,34 +175,6 @@ class TestPlan(Plan):
     limits: Annotated[str, Option("--limits", help="clinical (12 N) or research (15 N)")] = "clinical"
     subject: Annotated[str, Option("--subject", metavar="PSEUDONYM", help="pseudonym, never a name")] = ANONYMOUS
     pseudonym_confirmed: PseudonymConfirmed = False
-    configuration: Annotated[
-        str, Option("--configuration", metavar="NAME", help="indentation, extension or surface")
-    ] = "indentation"
-    probe: Annotated[str | None, Option("--probe", metavar="NAME", help="probe tip; an unknown name lists all")] = None
-    external_spring_n_per_m: Annotated[
-        float,
-        Option("--external-spring", metavar="N/M", help="stiffness parallel to the tissue, subtracted; for surface"),
-    ] = 0.0
-    coupling: Annotated[
-        str, Option("--coupling", metavar="NAME", help="none, tape, or adhesive (glue, liquid bandage)")
-    ] = "none"
-    orientation_deg: Annotated[
-        float | None,
-        Option(
-            "--orientation",
-            metavar="DEG",
-            help="extension: angle to the axis of the limb, or vertical (along it), horizontal",
-            read=orientation,
-        ),
-    ] = None
-    initial_length_m: Annotated[
-        float | None,
-        Option("--initial-length", metavar="MM", scale=1e-3, help="extension: length between the faces before it"),
-    ] = None
-    normal_preload_n: Annotated[
-        float | None,
-        Option("--normal-preload", metavar="N", help="surface: force that presses the probe on"),
-    ] = None
     calibrations: Annotated[
         Path | None, Option("--calibrations", metavar="DIR", help="folder of calibrations; see 'calibrate list'")
     ] = None
@@ -215,17 +182,7 @@ class TestPlan(Plan):
     kind: Annotated[str | None, Option("--kind", metavar="NAME", help="spring or free_air: a test without tissue")] = (
         None
     )
-    condition: Annotated[
-        str, Option("--condition", metavar="TEXT", help="condition in a study, such as the product on the skin")
-    ] = ""
-    minutes_since_application: Annotated[
-        float | None,
-        Option("--minutes-since", metavar="MIN", help="minutes since the product was applied"),
-        Field(ge=0.0, le=1e6),
-    ] = None
     lower_force: bool = False
-    sitting: str = ""
-    repeat: int = 0
 
     def check(self) -> None:
         """Check the plan before an instrument is opened.
@@ -278,14 +235,13 @@ class TestPlan(Plan):
             raise saved_stimulus_options(self.stimulus_file)
 
     def _check_depths(self) -> None:
-        configuration = self.set_up()
         if self.depth_range_m is None:
             return
-        if not configuration.has_depth:
+        if not self.has_depth:
             raise UnusableInputError(
                 "plan.no_depth",
                 "a range of depth needs a depth: the configuration {name} has none",
-                name=Verbatim(configuration.name),
+                name=Verbatim(self.configuration),
             )
         least_m, most_m = self.depth_range_m
         if not most_m - least_m >= LEAST_DEPTH_RANGE_M:
@@ -351,20 +307,6 @@ class TestPlan(Plan):
     @property
     def _own_stimulus(self) -> bool:
         return bool(self.stimulus or self.options or self.distribution)
-
-    def set_up(self) -> Configuration:
-        """Return the configuration: direction, probe, external spring, and how the probe meets the tissue.
-
-        Raises:
-            UnusableInputError: they do not go together.
-        """
-        further = ("coupling", "orientation_deg", "initial_length_m", "normal_preload_n")
-        return Configuration.of(
-            self.configuration,
-            self.probe,
-            self.external_spring_n_per_m,
-            **{name: getattr(self, name) for name in further},
-        )
 
     def stop_rule(self) -> StopRule | None:
         """Return the rule that ends the test early; None for a plan without one.
@@ -440,18 +382,6 @@ class TestPlan(Plan):
     def shown_method(self) -> LiveMethod:
         """Method of the impulse response while the test runs."""
         return self.live_method or "sliding"
-
-    @property
-    def notes(self) -> dict[str, str | float]:
-        """Notes on the sitting and the condition that the session stores with the test."""
-        found: dict[str, str | float] = {}
-        if self.sitting:
-            found |= {"sitting": self.sitting, "repeat": float(self.repeat)}
-        if self.condition:
-            found[CONDITION] = self.condition
-        if self.minutes_since_application is not None:
-            found[MINUTES_SINCE] = self.minutes_since_application
-        return found
 
     @property
     def force_range_n(self) -> tuple[float, float]:

@@ -405,7 +405,7 @@ def _guided_test(
     """
     stimulus = _stimulus(plan, device.sample_rate_hz, control)
     kind = plan.kind or test_kind(stimulus)
-    test = GuidedTest(stimulus, plan.site, kind, plan.set_up(), limits, notes=plan.notes)
+    test = GuidedTest(stimulus, plan, kind, limits)
     return test, check_test(test, device)
 
 
@@ -424,11 +424,10 @@ def _multistep_test(plan: TestPlan, device: DeviceDescription, limits: Limits) -
     assert plan.multistep is not None
     test = MultistepTest(
         plan.depth_design(device.sample_rate_hz),
-        plan.site,
+        plan,
         steps=plan.multistep,
         seed=NoiseChoice().seed if plan.seed is None else plan.seed,
         limits=limits,
-        configuration=plan.set_up(),
         **({} if plan.target is None else {"target": plan.target}),
     )
     check_multistep(test, device)

@@ -14,6 +14,7 @@ from tissueid.errors import UnusableInputError
 from tissueid.formatting import cell_text, clean, label_and_unit
 from tissueid.language import marked
 from tissueid.messages import MISSING, Listing, Verbatim, joined
+from tissueid.test_settings import NUMBERS, PROPERTIES
 
 KEYS = (
     "session",
@@ -28,8 +29,7 @@ KEYS = (
 )
 DESCRIPTION = (
     "configuration",
-    "coupling",
-    "orientation_deg",
+    *(name for name in PROPERTIES if name not in KEYS),
     "simulated",
     "kind",
     "status",
@@ -66,8 +66,8 @@ NO_CONDITION = marked("without")
 """Name of the condition of tests without a product."""
 AGE_LIMIT_YEARS = 25.0
 """Limit of the two groups of age in thesis 7.1.2."""
-_NUMBERS = ("minutes_since_application", "orientation_deg", *DEMOGRAPHICS[:5])
-_TEXTS = ("coupling", *DEMOGRAPHICS[5:])
+_NUMBERS = (*NUMBERS, *DEMOGRAPHICS[:5])
+_TEXTS = (*(name for name in PROPERTIES if name not in NUMBERS), *DEMOGRAPHICS[5:])
 """Columns whose values a session or a file of subjects may give as text or as number, and which they are."""
 _LARGEST = 1e60
 """Numbers from here on count as missing, so that their fourth powers are finite."""

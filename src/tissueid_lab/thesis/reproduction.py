@@ -16,6 +16,7 @@ from tissueid.plan_options import Option, Plan
 from tissueid.procedures.control import Control
 from tissueid.procedures.output_files import json_text, stored_values, unwritable, write_text
 from tissueid.procedures.overlay import named_fits, sweep_columns
+from tissueid.test_settings import TestSettings
 
 if TYPE_CHECKING:  # each takes long to import
     from tissueid.instrument import Instrument
@@ -243,7 +244,7 @@ def _play(instrument: Instrument, recording: Recording, path: Path, control: Con
                 else with_preload(Noise(distribution=recording.distribution, **given).build())
             )
             surface = find_surface(instrument, cancelled=control.check)
-            test = GuidedTest(stimulus, site=recording.preset.replace("-", " "), limits=CLINICAL)
+            test = GuidedTest(stimulus, TestSettings(site=recording.preset.replace("-", " ")), limits=CLINICAL)
             run_guided_test(instrument, test, recorder, surface_m=surface, cancelled=control.check)
     except BaseException:
         recorder.finish_or_discard()

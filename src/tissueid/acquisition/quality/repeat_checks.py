@@ -8,11 +8,11 @@ from dataclasses import dataclass
 import numpy as np
 
 from tissueid.acquisition.quality.prepared_test import Array, PreparedTest
-from tissueid.configuration import placement
 from tissueid.language import marked
 from tissueid.messages import Message
 from tissueid.sessions import Test
 from tissueid.sessions.quality import QualityFinding
+from tissueid.test_settings import placement
 
 MAX_EARLIER = 10
 """Maximum number of earlier tests that are compared."""

@@ -40,6 +40,7 @@ from tissueid.procedures.study_protocol import (
 )
 from tissueid.procedures.study_subjects import DEMOGRAPHIC_FIELDS
 from tissueid.procedures.test_presets import PRESETS
+from tissueid.test_settings import Circumstances
 
 
 class ProtocolDialog(QDialog):
@@ -59,10 +60,11 @@ class ProtocolDialog(QDialog):
             spin.setRange(1, most)
             spin.setValue(value)
         self.attempts.setToolTip(_("After so many tests that are of no use, the visit goes on to the next test"))
-        columns = _("Product"), _("Minutes after"), _("Direction (°)")
+        columns = _("Product"), *(_(info.title or name) for name, info in Circumstances.model_fields.items())
         self.conditions = _Rows(columns, _("Conditions"))
         self.conditions.setToolTip(_("One line for each; an empty product means none"))
-        self.conditions.fill([tuple(one.model_dump().values()) for one in protocol.conditions])
+        given = ((one.product, *one.model_dump(exclude={"product"}).values()) for one in protocol.conditions)
+        self.conditions.fill(list(given))
         self.order, self.stimulus = QComboBox(), QComboBox()
         for name, words in _orders():
             self.order.addItem(words, name)
@@ -103,8 +105,8 @@ class ProtocolDialog(QDialog):
         """
         sites = [{"site": site, "repeats": _number(repeats)} for site, repeats in self.sites.rows if site or repeats]
         conditions = [
-            {"product": product, "minutes_since_application": _number(minutes), "orientation_deg": _number(angle)}
-            for product, minutes, angle in self.conditions.rows
+            {"product": product} | dict(zip(Circumstances.model_fields, map(_number, values), strict=True))
+            for product, *values in self.conditions.rows
         ]
         values = self._before.model_dump(mode="json") | {
             "name": self.name.text(),

@@ -1,0 +1,325 @@
+"""What is set for a test: one declaration of its properties, with unit, bounds, default, label and names.
+
+A property is a field of ``SetUp`` (the same for all tests of a protocol) or of ``Circumstances`` (of each condition of
+a protocol). From it follow the option of ``tissueid test``, the row of the form, the entry of a protocol, the note in
+journal, HDF5 and export, the keys of JSON, the column of the table of a study, and the line of the report::
+
+    hydration: Annotated[
+        float | None,
+        Setting("--hydration", metavar="SHARE", help="water of the skin, 0 to 1", choices=NOT_RECORDED),
+        Field(title=marked("Hydration"), description=marked("Water content of the skin"), ge=0.0, le=1.0),
+    ] = None
+
+Only the German catalogue needs the new texts. The name of the field ends in its SI unit, if it has one.
+"""
+
+from __future__ import annotations
+
+import contextlib
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from typing import Annotated, Any, Self, TypeVar, get_args
+
+from pydantic import BaseModel, ConfigDict, Field, ValidationError, model_validator
+
+from tissueid.configuration import (
+    CONFIGURATIONS,
+    PROBES,
+    SPRING_NOTE,
+    STIFFEST_SPRING_N_PER_M,
+    ConfigurationName,
+    CouplingName,
+    Probe,
+    has_depth,
+)
+from tissueid.errors import UnusableInputError
+from tissueid.language import marked
+from tissueid.messages import Message, Verbatim, joined
+from tissueid.plan_options import Option, Plan, option_of
+
+DIRECTIONS = {"vertical": 0.0, "horizontal": 90.0}
+"""Orientation by name, degrees against the axis of the limb."""
+
+
+def orientation(text: str) -> float:
+    """Return the angle against the axis of the limb, degrees, from a number or one of DIRECTIONS.
+
+    Raises:
+        UnusableInputError: the text is neither.
+    """
+    if text in DIRECTIONS:
+        return DIRECTIONS[text]
+    try:
+        return float(text)
+    except ValueError:
+        raise UnusableInputError(
+            "configuration.direction",
+            "the orientation must be an angle in degrees, or one of {known}, got '{text}'",
+            known=joined(map(Verbatim, DIRECTIONS)),
+            text=Verbatim(text),
+        ) from None
+
+
+@dataclass(frozen=True)
+class Setting(Option):
+    """Option of a test that its session stores.
+
+    Args:
+        only: configurations that have it; empty for all.
+        choices: label in a form by value, marked for translation. With None alone, any number or "not recorded".
+        compared: whether tests that differ in it cannot be analysed together.
+    """
+
+    only: tuple[ConfigurationName, ...] = ()
+    choices: Mapping[Any, str] = field(default_factory=dict)
+    compared: bool = False
+
+
+NOT_RECORDED = {None: marked("not recorded")}
+_ANGLES = {float(angle): f"{angle}°" for angle in (0, 15, 30, 45, 60, 75, 90, -75, -60, -45, -30, -15)}
+_NAMED_ANGLES = {0.0: marked("0° vertical, along the limb"), 90.0: marked("90° horizontal, across the limb")}
+
+
+class _Settings(BaseModel):
+    model_config = ConfigDict(frozen=True, extra="forbid")
+
+
+class Circumstances(_Settings):
+    """What may differ between the conditions of a protocol. None: unknown."""
+
+    minutes_since_application: Annotated[
+        float | None,
+        Setting("--minutes-since", metavar="MIN", help="minutes since the product was applied", choices=NOT_RECORDED),
+        Field(title=marked("Minutes since the application"), ge=0.0, le=1e6, allow_inf_nan=False),
+    ] = None
+    orientation_deg: Annotated[
+        float | None,
+        Setting(
+            "--orientation",
+            metavar="DEG",
+            help="extension: angle to the axis of the limb, or vertical (along it), horizontal",
+            read=orientation,
+            only=("extension",),
+            choices=NOT_RECORDED | _ANGLES | _NAMED_ANGLES,
+            compared=True,
+        ),
+        Field(
+            title=marked("Orientation"),
+            description=marked("Direction of the extension against the axis of the limb"),
+            ge=-180.0,
+            le=180.0,
+            allow_inf_nan=False,
+        ),
+    ] = None
+
+
+class SetUp(_Settings):
+    """How the instrument meets the tissue (thesis 2.2.3): the same for all tests of a protocol.
+
+    The external spring is parallel to the tissue and is subtracted from the identified stiffness: sliding on a surface
+    has no stiffness, so the probe needs a spring to stay in place. An attached probe can pull (thesis 2.1). The initial
+    length is that between the faces before an extension (thesis 7.3), the normal preload presses a sliding probe onto
+    the surface (thesis 7.4). Without ``probe`` it is the first one of the configuration.
+    """
+
+    configuration: Annotated[
+        str,
+        Setting(
+            "--configuration",
+            metavar="NAME",
+            help="indentation, extension or surface",
+            choices={
+                "indentation": marked("Indentation"),
+                "extension": marked("Extension"),
+                "surface": marked("Surface (sliding)"),
+            },
+        ),
+        Field(title=marked("Configuration")),
+    ] = "indentation"
+    probe: Annotated[
+        str | None,
+        Setting("--probe", metavar="NAME", help="probe tip; an unknown name lists all"),
+        Field(title=marked("Probe")),
+    ] = None
+    coupling: Annotated[
+        CouplingName,
+        Setting(
+            "--coupling",
+            metavar="NAME",
+            help="none, tape, or adhesive (glue, liquid bandage)",
+            only=("indentation", "extension"),
+            choices={
+                "none": marked("not attached"),
+                "tape": marked("Double-sided tape"),
+                "adhesive": marked("Glue or liquid bandage"),
+            },
+            compared=True,
+        ),
+        Field(
+            title=marked("Coupling"),
+            description=marked("What attaches the probe to the skin: only an attached probe can pull"),
+        ),
+    ] = "none"
+    initial_length_m: Annotated[
+        float | None,
+        Setting(
+            "--initial-length",
+            metavar="MM",
+            scale=1e-3,
+            help="extension: length between the faces before it",
+            only=("extension",),
+            choices=NOT_RECORDED,
+            compared=True,
+        ),
+        Field(title=marked("Initial length"), ge=1e-3, le=0.1, allow_inf_nan=False),
+    ] = None
+    external_spring_n_per_m: Annotated[
+        float,
+        Setting(
+            "--external-spring",
+            metavar="N/M",
+            help="stiffness parallel to the tissue, subtracted; for surface",
+            only=("surface",),
+        ),
+        Field(title=marked("External spring"), ge=0.0, le=STIFFEST_SPRING_N_PER_M, allow_inf_nan=False),
+    ] = 0.0
+    normal_preload_n: Annotated[
+        float | None,
+        Setting(
+            "--normal-preload",
+            metavar="N",
+            help="surface: force that presses the probe on",
+            only=("surface",),
+            choices=NOT_RECORDED,
+            compared=True,
+        ),
+        Field(title=marked("Normal preload"), gt=0.0, le=15.0, allow_inf_nan=False),
+    ] = None
+
+
+PROPERTIES = tuple(
+    name for name in (*SetUp.model_fields, *Circumstances.model_fields) if name not in ("configuration", "probe")
+)
+"""Names of the properties as notes of a test, in JSON and in tables."""
+_FIELDS = {**SetUp.model_fields, **Circumstances.model_fields}
+NUMBERS = tuple(name for name in PROPERTIES if float in (_FIELDS[name].annotation, *get_args(_FIELDS[name].annotation)))
+"""Those that are numbers."""
+
+
+def setting_of(name: str) -> Setting:
+    """Return the declaration of a property."""
+    declared = option_of(_FIELDS[name])
+    assert isinstance(declared, Setting)
+    return declared
+
+
+class TestSettings(Circumstances, SetUp, Plan):
+    """Everything that is set for a test and stored with it.
+
+    ``sitting`` is the key shared by the tests of one sitting that are in several files, and ``repeat`` their number,
+    from 1.
+
+    Raises:
+        UnusableInputError: a value is not possible, or they do not go together.
+    """
+
+    __test__ = False  # not a test case for pytest
+
+    site: Annotated[str, Option("--site", metavar="TEXT", help="site on the body, or material")] = ""
+    condition: Annotated[
+        str, Option("--condition", metavar="TEXT", help="condition in a study, such as the product on the skin")
+    ] = ""
+    sitting: str = ""
+    repeat: int = 0
+
+    @model_validator(mode="after")
+    def _go_together(self) -> Self:
+        name = self.configuration
+        if name not in CONFIGURATIONS:
+            raise ValueError(
+                Message(
+                    "configuration.unknown",
+                    "the configuration must be one of {known}, not '{name}'",
+                    known=joined(map(Verbatim, CONFIGURATIONS)),
+                    name=Verbatim(name),
+                )
+            )
+        if self.probe is not None and self.probe not in PROBES:
+            raise ValueError(
+                Message(
+                    "configuration.unknown_probe",
+                    "the probe '{name}' is unknown; available: {known}",
+                    name=Verbatim(self.probe),
+                    known=joined(map(Verbatim, PROBES)),
+                )
+            )
+        if self.tip.configuration != name:
+            raise ValueError(
+                Message(
+                    "configuration.wrong_probe",
+                    "the probe {probe} is made for {made_for}; for {name}: {fitting}",
+                    probe=self.tip.name,
+                    made_for=self.tip.configuration,
+                    name=name,
+                    fitting=", ".join(probe.name for probe in PROBES.values() if probe.configuration == name),
+                )
+            )
+        if name == "surface" and not self.external_spring_n_per_m:
+            raise ValueError(
+                Message(
+                    "configuration.no_spring",
+                    "sliding on a surface needs an external spring: give its stiffness in N/m",
+                )
+            )
+        for property_name in PROPERTIES:
+            only = setting_of(property_name).only
+            if getattr(self, property_name) == _FIELDS[property_name].default or not only or name in only:
+                continue
+            raise ValueError(
+                Message(
+                    "configuration.not_here",
+                    "{what} goes with {where} only, not with {name}",
+                    what=Message("configuration.property", _FIELDS[property_name].title or property_name),
+                    where=joined(map(Verbatim, only)),
+                    name=name,
+                )
+            )
+        return self
+
+    @property
+    def tip(self) -> Probe:
+        """The probe tip."""
+        first = next(probe.name for probe in PROBES.values() if probe.configuration == self.configuration)
+        return PROBES[self.probe or first]
+
+    @property
+    def has_depth(self) -> bool:
+        """Whether the position is a depth in the tissue; along the surface it is a displacement."""
+        return has_depth(self.configuration)
+
+    def as_notes(self) -> dict[str, str | float]:
+        """Return the notes that a session stores with every test, in addition to site and configuration."""
+        notes = self.tip.as_notes() | {SPRING_NOTE: self.external_spring_n_per_m}
+        if self.configuration == "extension":
+            notes["coupling"] = self.coupling
+        for name in (*PROPERTIES, "condition"):
+            if (value := getattr(self, name)) != TestSettings.model_fields[name].default:
+                notes[name] = value
+        return notes | ({"sitting": self.sitting, "repeat": float(self.repeat)} if self.sitting else {})
+
+
+_Model = TypeVar("_Model", bound=BaseModel)
+
+
+def noted(model: type[_Model], notes: Mapping[str, Any]) -> dict[str, Any]:
+    """Return the fields of a model of settings that the notes of a test hold with possible values."""
+    values = {}
+    for name in model.model_fields.keys() & notes.keys():
+        with contextlib.suppress(ValidationError):
+            values[name] = getattr(model.model_validate({name: notes[name]}, strict=True), name)
+    return values
+
+
+def placement(notes: Mapping[str, str | float]) -> tuple[str | float | None, ...]:
+    """Return how the probe meets the tissue by the notes of a test: what must be equal for tests to be comparable."""
+    return tuple(notes.get(name, _FIELDS[name].default) for name in PROPERTIES if setting_of(name).compared)
