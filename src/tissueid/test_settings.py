@@ -139,7 +139,7 @@ class SetUp(_Settings):
     probe: Annotated[
         str | None,
         Setting("--probe", metavar="NAME", help="probe tip; an unknown name lists all"),
-        Field(title=marked("Probe")),
+        Field(title=marked("&Probe")),
     ] = None
     coupling: Annotated[
         CouplingName,
@@ -181,7 +181,7 @@ class SetUp(_Settings):
             help="stiffness parallel to the tissue, subtracted; for surface",
             only=("surface",),
         ),
-        Field(title=marked("External spring"), ge=0.0, le=STIFFEST_SPRING_N_PER_M, allow_inf_nan=False),
+        Field(title=marked("E&xternal spring"), ge=0.0, le=STIFFEST_SPRING_N_PER_M, allow_inf_nan=False),
     ] = 0.0
     normal_preload_n: Annotated[
         float | None,
@@ -211,6 +211,11 @@ def setting_of(name: str) -> Setting:
     declared = option_of(_FIELDS[name])
     assert isinstance(declared, Setting)
     return declared
+
+
+def label_of(name: str) -> str:
+    """Return the label of a setting in a form, in English, with the mark of its key."""
+    return _FIELDS[name].title or name
 
 
 class TestSettings(Circumstances, SetUp, Plan):
@@ -279,7 +284,7 @@ class TestSettings(Circumstances, SetUp, Plan):
                 Message(
                     "configuration.not_here",
                     "{what} goes with {where} only, not with {name}",
-                    what=Message("configuration.property", _FIELDS[property_name].title or property_name),
+                    what=Message("configuration.property", label_of(property_name).replace("&", "")),
                     where=joined(map(Verbatim, only)),
                     name=name,
                 )

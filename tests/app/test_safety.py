@@ -364,11 +364,13 @@ def test_only_what_goes_together_can_be_chosen_and_it_is_stored(qtbot, open_wind
     window = open_window(opener=lambda _: SimulatedInstrument("spring", seed=3))
     form = window.ui.form.set_up
     assert form.probe.count() == 3
-    assert not form.spring.isVisible()
-    form.name.setCurrentIndex(form.name.findData("surface"))
+    spring = form.settings["external_spring_n_per_m"]
+    assert not spring.isVisible()
+    form.choose(configuration="surface")
     assert [form.probe.itemText(row) for row in range(form.probe.count())] == ["slider-5x16mm"]
-    assert form.spring.isVisible()
-    form.spring.setValue(350.0)
+    assert spring.isVisible()
+    assert spring.value() == 200.0
+    spring.set_value(350.0)
     window.ui.form.seconds.setValue(1.0)
     type_site(qtbot, window)
     press(qtbot, window.ui.start)
@@ -380,8 +382,8 @@ def test_only_what_goes_together_can_be_chosen_and_it_is_stored(qtbot, open_wind
     assert test.notes["probe_name"] == "slider-5x16mm"
     assert window.ui.signals._level.isVisible()
     assert not window.ui.signals._surface.isVisible()
-    form.name.setCurrentIndex(0)
-    assert form.spring_n_per_m == 0.0
+    form.choose(configuration="indentation")
+    assert form.values()["external_spring_n_per_m"] == 0.0
 
 
 def test_the_form_says_how_the_probe_meets_the_tissue(window):
@@ -389,20 +391,20 @@ def test_the_form_says_how_the_probe_meets_the_tissue(window):
     assert form.values()["coupling"] == "none"
     # An attached probe can pull; one that is not is lifted off for a moment, within the same limits.
     assert lowest.minimum() == -window.ui.form.max_force.maximum()
-    form.coupling.setCurrentIndex(form.coupling.findData("adhesive"))
+    form.choose(coupling="adhesive")
     assert lowest.minimum() == -window.ui.form.max_force.maximum()
-    form.name.setCurrentIndex(form.name.findData("extension"))
-    form.orientation.setCurrentIndex(form.orientation.findData(90.0))
-    form.initial_length.setValue(12.0)
+    form.settings["configuration"].controls[0].setCurrentIndex(1)
+    for name, value in (("orientation_deg", 90.0), ("initial_length_m", 0.012)):
+        form.settings[name].set_value(value)
     chosen = form.values()
     assert (chosen["coupling"], chosen["orientation_deg"]) == ("adhesive", 90.0)
     assert chosen["initial_length_m"] == pytest.approx(0.012)
-    form.name.setCurrentIndex(form.name.findData("surface"))
-    form.normal_preload.setValue(1.0)
+    form.settings["configuration"].controls[0].setCurrentIndex(2)
+    form.settings["normal_preload_n"].set_value(1.0)
     chosen = form.values()
     assert (chosen["coupling"], chosen["orientation_deg"], chosen["initial_length_m"]) == ("none", None, None)
     assert chosen["normal_preload_n"] == 1.0
-    form.normal_preload.setValue(0.0)
+    form.settings["normal_preload_n"].set_value(None)
     assert form.values()["normal_preload_n"] is None
 
 

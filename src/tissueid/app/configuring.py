@@ -11,7 +11,7 @@ from tissueid.app.option_field import OptionField
 from tissueid.configuration import PROBES
 from tissueid.language import _, marked
 from tissueid.messages import translated
-from tissueid.test_settings import Circumstances, SetUp, setting_of
+from tissueid.test_settings import Circumstances, SetUp, label_of, setting_of
 
 _USUAL_SPRING_N_PER_M = 200.0
 CONFIGURATION_NAMES: dict[str, str] = dict(setting_of("configuration").choices)
@@ -20,6 +20,7 @@ _WHAT = {
     "extension": marked("The probe is stuck on and moves along the skin, which it stretches"),
     "surface": marked("The probe slides on the surface against an external spring, which is subtracted"),
 }
+_DECLARED = {**SetUp.model_fields, **Circumstances.model_fields}
 _ELSEWHERE = ("probe", "minutes_since_application")
 """Settings with a control of their own."""
 
@@ -34,8 +35,7 @@ class ConfigurationChooser(QWidget):
 
     def __init__(self, parent: QWidget | None = None) -> None:
         super().__init__(parent)
-        declared = {**SetUp.model_fields, **Circumstances.model_fields}
-        self.settings = {name: OptionField(name, info) for name, info in declared.items() if name not in _ELSEWHERE}
+        self.settings = {name: OptionField(name, info) for name, info in _DECLARED.items() if name not in _ELSEWHERE}
         self.probe = QComboBox()
         self.probe.setAccessibleName(_("Probe"))
         grid = QGridLayout(self)
@@ -46,14 +46,14 @@ class ConfigurationChooser(QWidget):
         self._labels: dict[str, QLabel] = {}
         rows: dict[str, QWidget] = {"configuration": self.settings["configuration"], "probe": self.probe}
         for row, (name, control) in enumerate((rows | self.settings).items()):
-            label = QLabel(_(declared[name].title or name))
+            label = QLabel(_(label_of(name)))
             label.setProperty("role", "field")
-            label.setBuddy(control)
+            label.setBuddy(control.controls[0] if isinstance(control, OptionField) else control)
             grid.addWidget(label, row, 0)
             grid.addWidget(control, row, 1)
             self._labels[name] = label
         for name, field in self.settings.items():
-            field.set_value(declared[name].get_default())
+            field.set_value(_DECLARED[name].get_default())
             field.edited.connect(self._go_together if name == "configuration" else self.changed)
         self.probe.currentIndexChanged.connect(self._describe)
         self._go_together()
@@ -76,8 +76,10 @@ class ConfigurationChooser(QWidget):
 
     def values(self) -> dict[str, Any]:
         """Return the fields of a plan that are chosen here."""
-        chosen = {name: field.value() for name, field in self.settings.items() if self._has(name)}
-        return {"probe": self.probe_name} | chosen
+        values: dict[str, Any] = {"probe": self.probe_name}
+        for name, field in self.settings.items():
+            values[name] = field.value() if self._has(name) else _DECLARED[name].get_default()
+        return values
 
     def choose(self, probe: str | None = None, **values: Any) -> None:
         """Choose settings by their names, the default for others; the first probe of the configuration for None.
@@ -87,9 +89,8 @@ class ConfigurationChooser(QWidget):
         """
         if unknown := values.keys() - self.settings.keys():
             raise KeyError(*unknown)
-        declared = {**SetUp.model_fields, **Circumstances.model_fields}
         for name, field in self.settings.items():
-            field.set_value(values.get(name, declared[name].get_default()))
+            field.set_value(values.get(name, _DECLARED[name].get_default()))
         self._go_together()
         self.probe.setCurrentIndex(0 if probe is None else self.probe.findData(probe))
 

@@ -90,7 +90,7 @@ class OptionField(QWidget):
         self._optional = self._optional and not choices
         label, si_unit = label_and_unit(name)
         unit, self._scale = display_unit(si_unit)
-        label = _(info.title or label)
+        label = _(info.title or label).replace("&", "")
         self.label = label
         self._kind = kind
         self._control = self._choice(choices) if choices else self._make(kind, info, unit)
