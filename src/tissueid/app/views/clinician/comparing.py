@@ -14,7 +14,6 @@ from tissueid.app.views.clinician.sitting import QUANTITIES, repeatability, toge
 from tissueid.errors import TissueIDError, UnusableInputError
 from tissueid.formatting import ANONYMOUS, clean, fixed, local_minute
 from tissueid.messages import Message, sentences, translated
-from tissueid.procedures.study_plans import CONDITION
 from tissueid.procedures.study_protocol import PROTOCOL_FILE
 from tissueid.records import Estimate
 from tissueid.sessions import Session, Test, read_outline, read_session, read_session_head
@@ -186,7 +185,7 @@ def _accepted(file: Path, shelf: Shelf) -> tuple[AcceptedResult, Test] | None:
 
 def _what_of(test: Test) -> tuple[object, ...]:
     """Return what two tests must have in common to be compared across subjects."""
-    return test.site, test.kind, test.configuration, test.notes.get(CONDITION, "")
+    return test.site, test.kind, test.configuration, test.notes.get("condition", "")
 
 
 def against(study: Sighting, this: Sighting) -> dict[str, Message]:
