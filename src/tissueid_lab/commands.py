@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from pathlib import Path
 from typing import TYPE_CHECKING
 
 import typer
@@ -36,9 +37,32 @@ def reproduce(plan: ReproductionPlan, json_file: JsonFile = None) -> None:
 
     Shows its numbers and those found here. Without --out, lists them.
     """
-    from tissueid_lab.thesis.command import reproduce_figures
+    from tissueid.cli.output import check_json, console_control, human_output, table, write_json
+    from tissueid_lab.thesis.reproduction import answer_of, listed_figures, run_reproduction
 
-    reproduce_figures(plan, json_file)
+    check_json(json_file)
+    out = human_output(json_file, width=150)
+    if plan.out is None and not plan.numbers:
+        answers = [{"number": number, "title": title} for number, title in listed_figures()]
+        rows = table("Figures and tables of the thesis", "number", "content")
+        for one in answers:
+            rows.add_row(*one.values())
+        out.print(rows)
+        out.print("--out DIR makes them; name some to make only those")
+    else:
+        with console_control() as control:
+            made = run_reproduction(plan, control)
+        answers = [answer_of(one) for one in made]
+        rows = table("Thesis and simulated instrument", "figure", "quantity", "thesis", "here")
+        for figure in made:
+            for row in figure.rows:
+                rows.add_row(figure.figure.number, *row)
+            if figure.why:
+                rows.add_row(figure.figure.number, figure.why, "", "")
+        out.print(rows)
+        out.print(f"report: {(plan.out or Path()) / 'report.html'}", markup=False)
+    if json_file is not None:
+        write_json(json_file, {"figures": answers})
 
 
 def blind_check(plan: BlindCheckPlan, json_file: JsonFile = None) -> None:

@@ -15,8 +15,7 @@ from tissueid_lab.thesis.computing_times import (
     orthonormalisation_times,
     time_plot,
 )
-from tissueid_lab.thesis.partition_error import partition_errors
-from tissueid_lab.thesis.simulated_systems import DpnSystem, WienerSystem
+from tissueid_lab.thesis.simulated_systems import DpnSystem, WienerSystem, partition_errors
 
 
 def test_gram_schmidt_and_the_engine_give_the_same_kernels() -> None:

@@ -26,9 +26,8 @@ from tissueid.sessions import write_session
 from tissueid_lab.thesis import field_benchmarks, reproduction
 from tissueid_lab.thesis import figures as thesis_figures
 from tissueid_lab.thesis.field_benchmarks import SILVERBOX, WIENER_HAMMERSTEIN, run_benchmark
-from tissueid_lab.thesis.figures import FIGURES, QUICK_TESTS
+from tissueid_lab.thesis.figures import FIGURES, QUICK_TESTS, REMARKS
 from tissueid_lab.thesis.recipe import Recording
-from tissueid_lab.thesis.remarks import REMARKS
 
 
 def complaint(capsys: pytest.CaptureFixture[str], *arguments: object) -> str:
@@ -80,7 +79,7 @@ def test_the_figures_that_a_quick_run_chooses(tmp_path: Path) -> None:
 def test_every_figure_in_a_quick_run(tmp_path: Path) -> None:
     numbers = tuple(one.number for one in FIGURES)
     plan = reproduction.ReproductionPlan(numbers=numbers, quick=True, out=tmp_path / "thesis")
-    made = {one.number: one for one in reproduction.run_reproduction(plan, Control())}
+    made = {one.figure.number: one for one in reproduction.run_reproduction(plan, Control())}
     assert {number for number, one in made.items() if one.why or not one.rows} == set()
     drawn = {number: one.report for number, one in made.items() if one.report is not None and one.report.pictures}
     assert {number for number, report in drawn.items() if report.csv().count("\n") < 2} == set()
@@ -244,7 +243,7 @@ def test_a_benchmark_is_scored_on_its_parts(tmp_path: Path, monkeypatch: pytest.
     np.savetxt(path, np.column_stack([u, y]), delimiter=",", header="u,y", comments="")
     small = field_benchmarks.FieldBenchmark(
         "small", "title", ("input=u:V", "output=y:V"), 1000.0, 3000, (0, 2000), {"rest": (2000, 3000)},
-        (("lms", {"memory": 0.05}),), {("lms", "rest"): "10 mV"}, "remark",
+        (("lms", {"memory": 0.05}),), {("lms", "rest"): "10 mV"},
     )  # fmt: skip
     figure = run_benchmark(small, path, Control())
     assert [(row.thesis, row.here.split()[1]) for row in figure.rows] == [("10 mV", "mV")]

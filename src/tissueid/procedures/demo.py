@@ -15,7 +15,6 @@ from typing import TYPE_CHECKING, Annotated, Any
 import numpy as np
 from pydantic import Field
 
-from tissueid.atomic_write import private_folder
 from tissueid.child_process import run, start
 from tissueid.errors import InstrumentError, UnusableInputError
 from tissueid.language import marked
@@ -23,7 +22,7 @@ from tissueid.messages import Message, Verbatim
 from tissueid.plan_options import Option, Plan
 from tissueid.procedures.audit_notes import audit_note
 from tissueid.procedures.control import Control
-from tissueid.procedures.output_files import json_text, stored_values, write_text
+from tissueid.procedures.output_files import check_result_folder, json_text, write_text
 from tissueid.test_settings import TestSettings
 
 if TYPE_CHECKING:  # each takes long to import
@@ -84,7 +83,7 @@ def run_demo(plan: DemoPlan, control: Control, trail: AuditTrail) -> DemoResult:
     from tissueid.instrument import open_instrument
     from tissueid.reports import write_report
 
-    _check_target(plan.out)
+    check_result_folder(plan.out, OUTPUTS, OUTPUTS[1], "tissueid demo")
     audit_note(trail, control, "demo.begun", subject="DEMO", new={"preset": plan.preset, "seed": plan.seed})
     with tempfile.TemporaryDirectory(dir=plan.out, prefix=".demo-") as folder:
         work = Path(folder)
@@ -110,25 +109,6 @@ def run_demo(plan: DemoPlan, control: Control, trail: AuditTrail) -> DemoResult:
             (work / name).replace(plan.out / name)
         control.progress(1.0, _WRITING)
     return DemoResult(plan.out / OUTPUTS[2], analyses, comparison, answer)
-
-
-def _check_target(out: Path) -> None:
-    """Make the folder, and check that only results of an earlier demo are overwritten.
-
-    Raises:
-        UnusableInputError: the folder contains other results.
-    """
-    if out.exists() and not out.is_dir():
-        raise UnusableInputError("demo.no_folder", "{path} is not a folder", path=str(out))
-    private_folder(out)
-    if not any((out / name).exists() for name in OUTPUTS):
-        return
-    if stored_values(out / OUTPUTS[1]).get("made_by") != "tissueid demo":
-        raise UnusableInputError(
-            "demo.other_results",
-            "{folder} contains results that are not of a demo; choose another folder",
-            folder=str(out),
-        )
 
 
 @contextmanager

@@ -7,7 +7,7 @@ import math
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from tissueid.atomic_write import atomic_file, open_regular
+from tissueid.atomic_write import atomic_file, open_regular, private_folder
 from tissueid.errors import UnusableInputError
 from tissueid.untrusted_input import json_value
 
@@ -100,6 +100,30 @@ def check_different(*targets: Path | None) -> None:
     if twice := [target for number, target in enumerate(named) if target in named[:number]]:
         raise UnusableInputError(
             "file.twice", "{path} is named for two outputs: each needs its own file", path=str(twice[0])
+        )
+
+
+def check_result_folder(out: Path, outputs: tuple[str, ...], values: str, made_by: str) -> None:
+    """Make a folder of results, and check that only results of an earlier run are overwritten.
+
+    Args:
+        out: the folder.
+        outputs: names of the files that are overwritten.
+        values: name of the JSON file that states in ``made_by`` what made them.
+        made_by: what makes them.
+
+    Raises:
+        UnusableInputError: it is a file, cannot be made, or holds other results.
+    """
+    if out.exists() and not out.is_dir():
+        raise UnusableInputError("demo.no_folder", "{path} is not a folder", path=str(out))
+    try:
+        private_folder(out)
+    except OSError as error:
+        raise unwritable(out, error) from error
+    if any((out / name).exists() for name in outputs) and stored_values(out / values).get("made_by") != made_by:
+        raise UnusableInputError(
+            "file.other_results", "{folder} contains other results; choose another folder", folder=str(out)
         )
 
 

@@ -10,26 +10,23 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from tissueid.analysis.curves.kernels import kernel_lobes
+from tissueid.analysis.curves.kernels import Lobes, kernel_lobes
 from tissueid.analysis.curves.overlay_plots import loop_width
-from tissueid.analysis.overlay import Overlay, OverlayEntry, RepeatedValue, repeated_values, series_profiles
+from tissueid.analysis.overlay import Overlay, repeated_values, series_profiles
 from tissueid.formatting import fixed, grouped, number
-from tissueid.identification.engines.lms import LmsModel
 from tissueid.identification.engines.volterra import Volterra
 from tissueid.identification.volterra.model import VolterraModel
 from tissueid.language import marked
-from tissueid.reports.overlay import DrawnFigures
 from tissueid_lab.thesis.computing_times import (
-    engine_seconds,
     lags_for,
     orthonormalisation_times,
     shortest,
     technique_times,
     time_plot,
 )
-from tissueid_lab.thesis.page import PlotGrid, Row, drawn_grids
-from tissueid_lab.thesis.partition_error import partition_error_plots, partition_errors
 from tissueid_lab.thesis.published_algorithms import volterra
+from tissueid_lab.thesis.recipe import Outcome, Row, drawn_grid, entry_of, fitted, percent, shown_vaf
+from tissueid_lab.thesis.simulated_systems import partition_error_plots, partition_errors
 
 if TYPE_CHECKING:
     from tissueid.identification.depth_profile import DepthProfile
@@ -61,21 +58,6 @@ ORDERS = {"first kernel": ",order=1", "second kernel": "", "filtered": ",smoothi
 """Fits of Fig. 4.13 by kernels, and their options."""
 
 
-def entry_of(found: Overlay, source: str = "", fit: str = "") -> OverlayEntry:
-    """Return the first entry of a source and a fit; "" for any."""
-    return next(one for one in found.entries if source in ("", one.source) and fit in ("", one.fit.label))
-
-
-def _vaf(found: Overlay, source: str = "", fit: str = "") -> float:
-    """Return the VAF of the fitted samples, scheduled where the model has a schedule, percent."""
-    return entry_of(found, source, fit).shown_percent
-
-
-def percent(value: float) -> str:
-    """Return a percentage with one decimal."""
-    return f"{fixed(value, 1)} %"
-
-
 def correlation_rows(found: Overlay) -> list[Row]:
     """Return the first zero and the rest of the autocorrelation of the force (Fig. 3.4)."""
     record = next(iter(found.records.values()))
@@ -83,8 +65,6 @@ def correlation_rows(found: Overlay) -> list[Row]:
     u = np.where(np.isfinite(u), u, 0.0)
     power = float(u @ u)
     first = next(lag for lag in range(1, u.size) if float(u[lag:] @ u[:-lag]) < 0.0)
-    model = entry_of(found).analysis.model
-    assert isinstance(model, LmsModel)
     rest = max(abs(float(u[lag:] @ u[:-lag])) / power for lag in range(20, 200))
     milliseconds = 1e3 / record.sample_rate_hz
     return [
@@ -165,15 +145,9 @@ def localized_rows(found: Overlay) -> list[Row]:
 
 def lobe_rows(found: Overlay) -> list[Row]:
     """Return VAF and lobes of the kernel of a DPN system and of a Wiener system (Fig. 4.5)."""
-    model, simple = (entry_of(found, source).analysis.model for source in ("DPN", "Wiener"))
-    assert isinstance(model, VolterraModel)
-    assert isinstance(simple, VolterraModel)
-    assert model.kernel2 is not None
-    assert simple.kernel2 is not None
-    spacing_s = model.lag_spacing / model.sample_rate_hz
-    lobes, other = kernel_lobes(model.kernel2, spacing_s), kernel_lobes(simple.kernel2, spacing_s)
+    lobes, other = (_lobes(found, source) for source in ("DPN", "Wiener"))
     return [
-        Row(marked("VAF of a second-order kernel on a DPN"), "95.8 %", percent(_vaf(found, "DPN"))),
+        Row(marked("VAF of a second-order kernel on a DPN"), "95.8 %", shown_vaf(found, "DPN")),
         Row(
             marked("width of the centre lobe over its lag"),
             marked("narrower than a Wiener system's"),
@@ -187,11 +161,17 @@ def lobe_rows(found: Overlay) -> list[Row]:
     ]
 
 
+def _lobes(found: Overlay, source: str) -> Lobes:
+    model, _record, _part = fitted(found, VolterraModel, source=source)
+    assert model.kernel2 is not None
+    return kernel_lobes(model.kernel2, model.lag_spacing / model.sample_rate_hz)
+
+
 def rate_rows(found: Overlay) -> list[Row]:
     """Return the VAF at two sample rates (Fig. 4.8)."""
     return [
-        Row(marked("VAF, every 3rd sample"), "94.8 % (4.3.1), 95 %", percent(_vaf(found, fit="667 Hz"))),
-        Row(marked("VAF, every 5th sample"), "96.4 %", percent(_vaf(found, fit="400 Hz"))),
+        Row(marked("VAF, every 3rd sample"), "94.8 % (4.3.1), 95 %", shown_vaf(found, fit="667 Hz")),
+        Row(marked("VAF, every 5th sample"), "96.4 %", shown_vaf(found, fit="400 Hz")),
     ]
 
 
@@ -199,8 +179,7 @@ def site_kernel_rows(found: Overlay) -> list[Row]:
     """Return the peaks of the first-order kernels of the sites (Figs. 4.12, 4.14)."""
     peaks = []
     for source in found.sources:
-        model = entry_of(found, source).analysis.model
-        assert isinstance(model, VolterraModel)
+        model, _record, _part = fitted(found, VolterraModel, source=source)
         assert model.kernel1 is not None
         peaks.append(f"{source} {fixed(1e3 * float(model.kernel1.max()), 0)}")
     return [
@@ -228,18 +207,18 @@ def input_rows(found: Overlay) -> list[Row]:
     for place, (source, rate) in enumerate((("low-passed", 667), ("white", 500))):
         for fit, *thesis in _INPUT_ROWS:
             label = f"{fit} at {rate} Hz" if fit in ORDERS else fit
-            rows.append(Row(f"VAF, {source}, {fit}", thesis[place], percent(_vaf(found, source, label))))
+            rows.append(Row(f"VAF, {source}, {fit}", thesis[place], shown_vaf(found, source, label)))
     return rows
 
 
 def strategy_rows(found: Overlay) -> list[Row]:
     """Return the VAF of each strategy against noise (Fig. 4.15)."""
     thesis = {"raw": "94.8 %", "filtered": "90.4 %", "downsampled": "96.4 %", "white": "94.5 %"}
-    rows = [Row(f"VAF, {fit}", said, percent(_vaf(found, fit=fit))) for fit, said in thesis.items()]
-    return [*rows, Row("VAF, regularised", "not in the thesis", percent(_vaf(found, fit="regularised")))]
+    rows = [Row(f"VAF, {fit}", said, shown_vaf(found, fit=fit)) for fit, said in thesis.items()]
+    return [*rows, Row("VAF, regularised", "not in the thesis", shown_vaf(found, fit="regularised"))]
 
 
-def partition_study(quick: bool) -> tuple[DrawnFigures, list[Row]]:
+def partition_study(quick: bool) -> Outcome:
     """Return the error of partitions against continuous length and repetitions (Fig. 5.2)."""
     lengths: tuple[int, ...] = (20, 50, 100, 200, 500, 1000)
     repetitions: tuple[int, ...] = (1, 2, 5, 10)
@@ -252,18 +231,18 @@ def partition_study(quick: bool) -> tuple[DrawnFigures, list[Row]]:
         f"{one.points}: {percent(one.mean_percent) if np.isfinite(one.mean_percent) else 'no fit'}" for one in few
     )
     longest = max(errors, key=lambda one: one.points)
-    grid = PlotGrid(
+    return drawn_grid(
         "partition-error",
         marked("Error of depth partitions"),
         marked("Error against continuous samples, and against all samples, a line for each number of repetitions."),
         [partition_error_plots(errors)],
-        marked(
+        caption=marked(
             "Mean error of mass, damping and stiffness on a simulated Wiener system with five levels of force and "
             "a memory of 60 samples. Dashed: 5 %."
         ),
         row_height=3.6,
-    )
-    return drawn_grids([grid]), [
+        over=True,
+    ), [
         Row(marked("error of M, B and K from 500 samples on"), marked("under 5 %"), f"at most {percent(max(enough))}"),
         Row(marked("with fewer samples"), marked("larger"), said),
         Row(
@@ -277,9 +256,9 @@ def partition_study(quick: bool) -> tuple[DrawnFigures, list[Row]]:
 def six_rows(found: Overlay) -> list[Row]:
     """Return the VAF of six partitions of two systems and of skin (Figs. 5.6 to 5.8)."""
     return [
-        Row(marked("VAF, Wiener system"), marked("near 96 %, 240 parameters"), percent(_vaf(found, "Wiener"))),
-        Row(marked("VAF, DPN system"), marked("not given"), percent(_vaf(found, "DPN"))),
-        Row(marked("VAF, skin"), "90.3 %", percent(_vaf(found, SITES[POSTERIOR]))),
+        Row(marked("VAF, Wiener system"), marked("near 96 %, 240 parameters"), shown_vaf(found, "Wiener")),
+        Row(marked("VAF, DPN system"), marked("not given"), shown_vaf(found, "DPN")),
+        Row(marked("VAF, skin"), "90.3 %", shown_vaf(found, SITES[POSTERIOR])),
     ]
 
 
@@ -323,8 +302,8 @@ def frequency_rows(found: Overlay) -> list[Row]:
 def direction_rows(found: Overlay) -> list[Row]:
     """Return VAF of partitions by depth and by direction, and parameters in over out (Fig. 5.11)."""
     rows = [
-        Row(marked("VAF, 10 depth partitions"), "91.9 %", percent(_vaf(found, fit="depth"))),
-        Row(marked("VAF, 5 partitions a direction"), "91.2 %", percent(_vaf(found, fit="direction"))),
+        Row(marked("VAF, 10 depth partitions"), "91.9 %", shown_vaf(found, fit="depth")),
+        Row(marked("VAF, 5 partitions a direction"), "91.2 %", shown_vaf(found, fit="direction")),
     ]
     profile = next(p for key, p in series_profiles(found).items() if key[1] == "direction")
     into, out = (profile.direction == way for way in (1, -1))
@@ -421,25 +400,28 @@ def technique_rows(found: Overlay) -> list[Row]:
     rows = []
     for fit, vaf, read, seconds in _TECHNIQUES:
         entry = entry_of(found, fit=fit)
-        analysis = entry.analysis
-        spent = engine_seconds(entry.fit.engine, analysis.record, analysis.fit_part)
-        here = f"{percent(_vaf(found, fit=fit))}, {entry.fit.engine.family.interpretability}"
+        engine, analysis = entry.fit.engine, entry.analysis
+        spent = shortest(lambda: engine.fit(analysis.record, analysis.fit_part))  # noqa: B023 - called at once
+        here = f"{shown_vaf(found, fit=fit)}, {engine.family.interpretability}"
         rows.append(Row(f"{fit}: VAF, interpretability", f"{vaf}, {read}", here))
         times = f"{number(spent, 2)} s; {number(printed[fit], 2)} s"
         rows.append(Row(f"{fit}: time here; of the thesis' algorithm on this computer", seconds, times))
     return rows
 
 
-def orthonormalisation_study(quick: bool) -> tuple[DrawnFigures, list[Row]]:
+def orthonormalisation_study(quick: bool) -> Outcome:
     """Return the time of the orthonormalisation against the number of parameters (Fig. 4.2)."""
     found = orthonormalisation_times(_QUICK_MEMORIES if quick else _MEMORIES)
     thesis, stored, here, again = found
     most = grouped(thesis.sizes[-1])
     ratio = thesis.seconds[-1] / stored.seconds[-1]
-    heading = marked("Time against the number of parameters")
-    alt = marked("Seconds against parameters for the thesis' algorithm and for the one used here.")
-    grid = PlotGrid("times", heading, alt, [[time_plot(found, marked("Parameters"))]], row_height=3.8, over=False)
-    return drawn_grids([grid]), [
+    return drawn_grid(
+        "times",
+        marked("Time against the number of parameters"),
+        marked("Seconds against parameters for the thesis' algorithm and for the one used here."),
+        [[time_plot(found, marked("Parameters"))]],
+        row_height=3.8,
+    ), [
         Row(marked("power of the number of parameters, thesis' algorithm"), "2", fixed(thesis.power, 2)),
         Row(marked("orthonormalisation over solution"), marked("one to two orders of magnitude"), fixed(ratio, 1)),
         Row(
@@ -474,9 +456,7 @@ _QUANTITIES = (
 
 def repeat_rows(found: Overlay) -> list[Row]:
     """Return mean and standard deviation of each quantity at each site (Table 3.1)."""
-    values: dict[tuple[str, str, str], RepeatedValue] = {
-        (one.source, one.fit, one.quantity): one for one in repeated_values(found)
-    }
+    values = {(one.source, one.fit, one.quantity): one for one in repeated_values(found)}
     rows = []
     for preset, thesis in TABLE_3_1.items():
         site = SKIN_SITES[preset]

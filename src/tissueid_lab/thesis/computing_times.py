@@ -10,7 +10,6 @@ import numpy as np
 
 from tissueid.analysis.curves.plot import Axis, Curve, Plot
 from tissueid.analysis.overlay import every
-from tissueid.identification.base import Engine
 from tissueid.identification.volterra.methods import factor_stimulus
 from tissueid.identification.volterra.regressors import coefficient_count
 from tissueid.language import marked
@@ -177,11 +176,6 @@ def _timed(work: dict[str, Callable[[], object]]) -> Iterator[tuple[str, float]]
             yield name, float("nan")
 
 
-def engine_seconds(engine: Engine, record: Record, fit_part: slice) -> float:
-    """Return the shortest time of a fit, s, after what is compiled or cached at the first one."""
-    return shortest(lambda: engine.fit(record, fit_part))
-
-
 def time_plot(found: Sequence[Timing], size: str) -> Plot:
     """Return seconds against size for each method (Chen 2010, Figs. 4.2 and 6.2a).
 
@@ -200,16 +194,3 @@ def time_plot(found: Sequence[Timing], size: str) -> Plot:
         for place, one in enumerate(found)
     ]
     return Plot("", Axis(size, log=True), Axis(marked("Time"), "s", log=True), tuple(curves))
-
-
-__all__ = [
-    "Timing",
-    "autocorrelation_times",
-    "engine_seconds",
-    "lags_for",
-    "orthonormalisation_times",
-    "shortest",
-    "swap_seconds",
-    "technique_times",
-    "time_plot",
-]

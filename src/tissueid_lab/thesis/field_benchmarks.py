@@ -9,7 +9,7 @@ import time
 from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from typing import Any, ClassVar
 
 import numpy as np
 
@@ -21,22 +21,21 @@ from tissueid.messages import Message
 from tissueid.procedures.control import Control
 from tissueid.records import Record
 from tissueid.sessions.imports import Choices, Source, import_test, parse_map
-from tissueid_lab.thesis.page import ReproducedFigure, Row
+from tissueid_lab.thesis.recipe import Published, ReproducedFigure, Row
 
 _WARM = 50
 """Samples at the start of a test part that are not scored, as in the definition of both benchmarks."""
 
 
 @dataclass(frozen=True)
-class FieldBenchmark:
+class FieldBenchmark(Published):
     """A record with its parts, the engines that are fitted, and published results.
 
     ``fitted`` and ``tests`` are first sample and end of the parts, by name. ``engines`` are engine and options.
     ``published`` is a text for an engine and a part, or for "" and a part in a row of its own.
     """
 
-    number: str
-    title: str
+    against: ClassVar[str] = marked("Published")
     mapping: tuple[str, ...]
     rate_hz: float
     samples: int
@@ -44,7 +43,6 @@ class FieldBenchmark:
     tests: Mapping[str, tuple[int, int]]
     engines: tuple[tuple[str, Mapping[str, Any]], ...]
     published: Mapping[tuple[str, str], str]
-    remark: str
 
 
 _MULTISINE, _ARROW, _ARROW_INSIDE = "multisine", "arrow", "arrow without extrapolation"
@@ -72,7 +70,7 @@ SILVERBOX = FieldBenchmark(
         ),
         ("dpn", _ARROW_INSIDE): marked("best: 0.259 mV, GP-NARX (Champneys et al. 2024); 0.32 mV, SUBNET"),
     },
-    marked(
+    remark=marked(
         "The linear error agrees with the published one. The circuit is a mass on a spring whose stiffness "
         "depends on the position, which is what the engine dpn fits; a Wiener curve cannot describe it. "
         "Inside the fitted amplitudes the error of dpn is below the best published errors. Where the arrow "
@@ -100,7 +98,7 @@ WIENER_HAMMERSTEIN = FieldBenchmark(
             "2014); 0.294 mV, linear fractional representation; 1.2 mV, dynoNet; 3.97 mV, GRU"
         ),
     },
-    marked(
+    remark=marked(
         "The linear error agrees with the published one. The structure LNL of the engine cascade has the "
         "blocks of the system, but not its rational filters: two third-order rational filters and a spline "
         "fitted to the same samples give 0.288 mV. Parts are those of the loader nonlinear_benchmarks; those "
@@ -147,20 +145,10 @@ def run_benchmark(benchmark: FieldBenchmark, path: Path, control: Control) -> Re
             published = benchmark.published.get((engine, name), marked("not quoted"))
             what = f"{engine_label(engine)}, {name}: RMS error of the free run"
             rows.append(Row(what, published, f"{fixed(error_mv, 2)} mV ({fixed(spent, 0)} s)"))
-    return ReproducedFigure(
-        benchmark.number,
-        benchmark.title,
-        tuple(rows),
-        remark=benchmark.remark,
-        seconds=time.perf_counter() - begin,
-        against=marked("Published"),
-    )
+    return ReproducedFigure(benchmark, tuple(rows), seconds=time.perf_counter() - begin)
 
 
 def free_run_error(simulate: Any, record: Record) -> float:
     """Return the root-mean-square error of a simulation of a record after its first ``_WARM`` samples."""
     error = (record.output - simulate(record.input))[_WARM:]
     return float(np.sqrt(np.nanmean(error**2)))
-
-
-__all__ = ["SILVERBOX", "WIENER_HAMMERSTEIN", "FieldBenchmark", "free_run_error", "run_benchmark"]

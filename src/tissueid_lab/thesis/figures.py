@@ -6,7 +6,9 @@ of the sites and systems of the thesis; its comparison holds the thesis' numbers
 
 from __future__ import annotations
 
+import tomllib
 from dataclasses import replace
+from pathlib import Path
 
 from tissueid.language import marked
 from tissueid_lab.thesis.comparisons import (
@@ -48,7 +50,6 @@ from tissueid_lab.thesis.comparisons import (
 from tissueid_lab.thesis.inputs import INPUT_FIGURES
 from tissueid_lab.thesis.kernels import KERNEL_FIGURES, LARGE
 from tissueid_lab.thesis.recipe import Recording, Source, ThesisFigure
-from tissueid_lab.thesis.remarks import REMARKS
 from tissueid_lab.thesis.signals import GAUSSIAN, SIGNAL_FIGURES
 
 
@@ -317,6 +318,8 @@ QUICK_TESTS = frozenset(
     [LARGE.name, GAUSSIAN.name, *(source.recording.name for one in SIGNAL_FIGURES for source in one.sources)]
 )
 """Tests that a quick run plays; it leaves out the figures that need others."""
+REMARKS = tomllib.loads(Path(__file__).with_name("remarks.toml").read_text(encoding="utf-8"))
+"""What differs from the thesis by construction, by number of figure."""
 FIGURES: tuple[ThesisFigure, ...] = tuple(
     replace(figure, remark=REMARKS.get(figure.number, ""))
     for figure in sorted((*_COMPARED, *SIGNAL_FIGURES, *KERNEL_FIGURES, *INPUT_FIGURES), key=_place)

@@ -6,6 +6,7 @@ import json
 import time
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
+from functools import partial
 
 import numpy as np
 
@@ -34,11 +35,20 @@ from tissueid.reports.overlay import DrawnFigures
 from tissueid.sessions import Session
 from tissueid.stimuli.interchange import autocorrelation, interchange
 from tissueid.stimuli.kinds.interchange import Interchange
-from tissueid_lab.thesis.comparisons import DPN, LINEAR, POSTERIOR, SITES, WIENER, entry_of, percent
+from tissueid_lab.thesis.comparisons import DPN, LINEAR, POSTERIOR, SITES, WIENER
 from tissueid_lab.thesis.computing_times import autocorrelation_times, time_plot
 from tissueid_lab.thesis.kernels import LARGE
-from tissueid_lab.thesis.page import PlotGrid, Row, drawn_grids
-from tissueid_lab.thesis.recipe import Outcome, Recording, Source, ThesisFigure
+from tissueid_lab.thesis.recipe import (
+    Outcome,
+    Recording,
+    Row,
+    Source,
+    ThesisFigure,
+    drawn_grid,
+    entry_of,
+    fitted,
+    percent,
+)
 
 _UNIFORM = Interchange(
     spectrum="band", cutoff_hz=200.0, seconds=5.0, lags=500, tolerance=1e-6, force_min_n=0.5, force_max_n=10.5
@@ -50,6 +60,7 @@ _TRIALS, _QUICK_TRIALS = 1_000_000, 50_000
 """Pairs that the search of Fig. 6.2b draws, as published: from scrambled samples, both at random."""
 _ONE = (Source(SITES[POSTERIOR], LARGE),)
 _FEEDBACK_S = 5.0
+_LABELS = {LINEAR: "linear", WIENER: "Wiener", DPN: "DPN"}
 _RANGES_M = {LINEAR: (0.0005, 0.002), WIENER: (0.001, 0.004), DPN: (0.0005, 0.0028)}
 """Desired depths on each system, m: what it reaches with forces up to 10 N."""
 _GAINS_N_PER_M = {LINEAR: 4670.0, WIENER: 1200.0, DPN: 2500.0}
@@ -72,8 +83,6 @@ def _given_input(_quick: bool) -> Outcome:
         power_plot(stimulus.values, stimulus.sample_rate_hz, "N", (hz, wanted)),
         *autocorrelation_plots(autocorrelation(stimulus.values, 100), stimulus.sample_rate_hz, target[:101]),
     )
-    heading = marked("Input with a given distribution and autocorrelation")
-    alt = marked("Distribution, spectrum and autocorrelation of the input, with their targets.")
     rows = [
         Row(marked("distribution"), marked("the desired one"), marked("exact") if exact else marked("not exact")),
         Row(
@@ -84,7 +93,13 @@ def _given_input(_quick: bool) -> Outcome:
         Row(marked("swaps tried for 10,000 samples"), marked("over one million"), grouped(search.tried)),
         Row(marked("time"), "1800 s", f"{fixed(seconds, 2)} s"),
     ]
-    return drawn_grids([PlotGrid("input", heading, alt, [plots[:3], plots[3:]], row_height=2.9, over=False)]), rows
+    return drawn_grid(
+        "input",
+        marked("Input with a given distribution and autocorrelation"),
+        marked("Distribution, spectrum and autocorrelation of the input, with their targets."),
+        [plots[:3], plots[3:]],
+        row_height=2.9,
+    ), rows
 
 
 def _autocorrelation_speed(quick: bool) -> Outcome:
@@ -118,10 +133,13 @@ def _autocorrelation_speed(quick: bool) -> Outcome:
             ", ".join(number(float(one), 2) for one in (history[0, 2], tenth, history[-1, 2])),
         )
     )
-    plots = time_plot(found, marked("Samples")), swaps_plot(search)
-    heading = marked("Time of an autocorrelation by method, and error over swaps")
-    alt = marked("Seconds against samples for each method, and sum of squared differences against accepted swaps.")
-    return drawn_grids([PlotGrid("autocorrelation", heading, alt, [plots], row_height=3.6, over=False)]), rows
+    return drawn_grid(
+        "autocorrelation",
+        marked("Time of an autocorrelation by method, and error over swaps"),
+        marked("Seconds against samples for each method, and sum of squared differences against accepted swaps."),
+        [(time_plot(found, marked("Samples")), swaps_plot(search))],
+        row_height=3.6,
+    ), rows
 
 
 # -- identification while a test runs ---------------------------------------------------------------------------------
@@ -134,7 +152,7 @@ _ONLINE = (
 """Engine, VAF, AIC and time in the thesis (6.2)."""
 
 
-def _online_rows(found: Overlay) -> list[Row]:
+def _online(found: Overlay) -> Outcome:
     rows = []
     for fit, vaf, aic, said in _ONLINE:
         report = entry_of(found, fit=fit).analysis.model.report
@@ -146,34 +164,28 @@ def _online_rows(found: Overlay) -> list[Row]:
             if followed:
                 shifted += 2.0 * (report.details["n_parameters_tracking"] - report.n_parameters)
             rows.append(Row(f"AIC, positions in mm, {fit}", aic, number(shifted, 3)))
-        spent = report.seconds or float("nan")
-        rows.append(Row(f"time for a test of 4 s, {fit}", said, f"{fixed(spent, 2)} s"))
-    return rows
-
-
-def _online(found: Overlay) -> DrawnFigures:
+        rows.append(Row(f"time for a test of 4 s, {fit}", said, f"{fixed(report.seconds or float('nan'), 2)} s"))
     runs = [held_out_prediction(fit, entry_of(found, fit=fit).analysis) for fit, *_ in _ONLINE]
-    heading = marked("Measured against predicted position")
-    alt = marked("Measured against predicted position for LMS, RLS and ALS.")
-    return drawn_grids([PlotGrid("residual", heading, alt, [scatter_plots(runs)], row_height=3.2, over=False)])
+    return drawn_grid(
+        "residual",
+        marked("Measured against predicted position"),
+        marked("Measured against predicted position for LMS, RLS and ALS."),
+        [scatter_plots(runs)],
+        row_height=3.2,
+    ), rows
 
 
-def _adaptive(found: Overlay) -> DrawnFigures:
-    analysis = entry_of(found).analysis
-    model, record = analysis.model, analysis.record
-    assert isinstance(model, AlsModel)
-    rows = [response_over_time(model, record), response_by_depth(model, record, record.output[analysis.fit_part])]
-    heading = marked("Impulse response over time and by depth")
-    alt = marked("Position and impulse response over time; impulse responses averaged by depth.")
-    return drawn_grids([PlotGrid("adaptive", heading, alt, rows, row_height=3.2, over=False)])
-
-
-def _adaptive_rows(found: Overlay) -> list[Row]:
-    model = entry_of(found).analysis.model
-    assert isinstance(model, AlsModel)
+def _adaptive(found: Overlay) -> Outcome:
+    model, record, part = fitted(found, AlsModel)
     peaks = 1e3 * model.depth_response.max(axis=1)
     at = 1e3 * model.lag_s[model.depth_response.argmax(axis=1)]
-    return [
+    return drawn_grid(
+        "adaptive",
+        marked("Impulse response over time and by depth"),
+        marked("Position and impulse response over time; impulse responses averaged by depth."),
+        [response_over_time(model, record), response_by_depth(model, record, record.output[part])],
+        row_height=3.2,
+    ), [
         Row(
             marked("peak of the response, shallowest and deepest"),
             marked("stiffer and more damped with depth"),
@@ -190,15 +202,19 @@ def _settling(_quick: bool) -> Outcome:
     """Return the settling time by stiffness and damping (Fig. 6.6)."""
     damping, stiffness = np.linspace(0.5, 40.0, 80), np.array([500.0, 1000.0, 2000.0, 4000.0])
     shortest = 1e3 * settling_times(THESIS_MASS_KG, damping, stiffness).min(axis=0)
-    heading, alt = marked("Settling time"), marked("A map of the settling time by stiffness and damping.")
-    rows = [
+    return drawn_grid(
+        "settling",
+        marked("Settling time"),
+        marked("A map of the settling time by stiffness and damping."),
+        [[settling_plot()]],
+        row_height=3.8,
+    ), [
         Row(
             marked("shortest 5 % settling time at 500, 1000, 2000, 4000 N/m"),
             marked("about 60 ms in the dark region, at least 25 ms in practice"),
             f"{', '.join(fixed(float(one), 0) for one in shortest)} ms",
         )
     ]
-    return drawn_grids([PlotGrid("settling", heading, alt, [[settling_plot()]], row_height=3.8, over=False)]), rows
 
 
 def _feedback(
@@ -214,7 +230,7 @@ def _feedback(
         rows.append(Row(f"{label}: distance of the depths from uniform", near[label], fixed(run.distance, 3)))
         rows.append(Row(f"{label}: length of a cycle", cycles[label], f"{fixed(length, 2)} s"))
         shares.append(100.0 * float(test.notes.get("generating_share", float("nan"))))
-    rows.append(Row(marked("computing time relative to the test"), share, f"{fixed(max(shares), 1)} %"))
+    rows.append(Row(marked("computing time relative to the test"), share, percent(max(shares))))
     shown = ("feedback-series", "feedback-distributions")
     pictures = tuple(panel.picture() for panel in feedback_panels(runs) if panel.key in shown)
     return DrawnFigures(pictures, tuple(plot for run in runs for plot in _named(run, series_plots(run)))), rows
@@ -226,16 +242,6 @@ def _named(run: FeedbackRun, plots: Sequence[Plot]) -> list[Plot]:
         replace(plot, parts=tuple(replace(part, name=f"{run.label} {part.name}".strip()) for part in plot.parts))
         for plot in plots
     ]
-
-
-def _without_identification(sessions: Mapping[str, Session]) -> Outcome:
-    near = {"linear": marked("near uniform"), "Wiener": marked("shifted"), "DPN": marked("shifted")}
-    return _feedback(sessions, {"linear": "0.5 s", "Wiener": "0.7 s", "DPN": marked("about 1 s")}, "26 %", near)
-
-
-def _with_identification(sessions: Mapping[str, Session]) -> Outcome:
-    near = dict.fromkeys(sessions, marked("near uniform"))
-    return _feedback(sessions, dict.fromkeys(sessions, marked("as low as 0.2 s")), "150 %", near)
 
 
 def _identified(sessions: Mapping[str, Session]) -> Outcome:
@@ -279,7 +285,7 @@ def _systems(name: str, gains: Mapping[str, float] | None = None, **options: obj
                 stimulus="rtig",
             ),
         )
-        for preset, label in ((LINEAR, "linear"), (WIENER, "Wiener"), (DPN, "DPN"))
+        for preset, label in _LABELS.items()
     )
 
 
@@ -295,7 +301,6 @@ INPUT_FIGURES: tuple[ThesisFigure, ...] = (
         _ONE,
         ("LMS=lms,memory=0.125", "RLS=rls,memory=0.125", "ALS=als,memory=0.125,step=1"),
         ("responses",),
-        _online_rows,
         drawn=_online,
     ),
     ThesisFigure(
@@ -303,8 +308,6 @@ INPUT_FIGURES: tuple[ThesisFigure, ...] = (
         marked("Impulse response by ALS over time and by depth"),
         _ONE,
         ("als,memory=0.125,step=1",),
-        (),
-        _adaptive_rows,
         drawn=_adaptive,
     ),
     ThesisFigure("6.6", marked("Settling time by stiffness and damping"), study=_settling),
@@ -312,16 +315,24 @@ INPUT_FIGURES: tuple[ThesisFigure, ...] = (
         "6.7",
         marked("Feedback of the distribution without identification, three systems (Figs. 6.7 and 6.8)"),
         _systems("feedback", _GAINS_N_PER_M, identify=False),
-        recorded=_without_identification,
+        recorded=partial(
+            _feedback,
+            cycles={"linear": "0.5 s", "Wiener": "0.7 s", "DPN": marked("about 1 s")},
+            share="26 %",
+            near={"linear": marked("near uniform"), "Wiener": marked("shifted"), "DPN": marked("shifted")},
+        ),
     ),
     ThesisFigure(
         "6.10",
         marked("Feedback of the distribution with identification, three systems (Figs. 6.10 and 6.11)"),
         _IDENTIFYING,
-        recorded=_with_identification,
+        recorded=partial(
+            _feedback,
+            cycles=dict.fromkeys(_LABELS.values(), marked("as low as 0.2 s")),
+            share="150 %",
+            near=dict.fromkeys(_LABELS.values(), marked("near uniform")),
+        ),
     ),
     ThesisFigure("6.12", marked("Parameters that the feedback loop identified"), _IDENTIFYING, recorded=_identified),
 )
 """Figures of chapter 6."""
-
-__all__ = ["INPUT_FIGURES"]

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from typing import Literal
 
 import numpy as np
 
@@ -30,9 +31,19 @@ from tissueid.identification.volterra.prior import roughness
 from tissueid.language import marked
 from tissueid.records import Record
 from tissueid.reports.overlay import DrawnFigures
-from tissueid_lab.thesis.comparisons import EXACT, LAGS_3, POSTERIOR, SITES, entry_of, percent
-from tissueid_lab.thesis.page import PlotGrid, Row, drawn_grids
-from tissueid_lab.thesis.recipe import Outcome, Recording, Source, ThesisFigure
+from tissueid_lab.thesis.comparisons import EXACT, LAGS_3, POSTERIOR, SITES
+from tissueid_lab.thesis.recipe import (
+    Outcome,
+    Recording,
+    Row,
+    Source,
+    ThesisFigure,
+    drawn_grid,
+    entry_of,
+    fitted,
+    percent,
+    shown_vaf,
+)
 from tissueid_lab.thesis.simulated_systems import LAGS, RATE_HZ, DpnSystem, WienerSystem, simulated_cascade
 
 LARGE = Recording(f"{POSTERIOR}-large", POSTERIOR)
@@ -45,12 +56,6 @@ _SECONDS = 8.0
 """Length of the records of Figs. 5.1 and 5.3, s."""
 
 
-def _volterra(found: Overlay, fit: str) -> tuple[VolterraModel, Record, slice]:
-    analysis = entry_of(found, fit=fit).analysis
-    assert isinstance(analysis.model, VolterraModel)
-    return analysis.model, analysis.record, analysis.fit_part
-
-
 # -- kernels of simulated systems -------------------------------------------------------------------------------------
 
 
@@ -59,141 +64,141 @@ def _alike(one: Array, other: Array) -> str:
     return fixed(float(np.sum(one * other) / np.linalg.norm(one) / np.linalg.norm(other)), 3)
 
 
-def _cascade_kernels(curve: str) -> Outcome:
+def _cascade_kernels(curve: Literal["exponential", "square"]) -> Outcome:
     """Return kernels of a Wiener and a Hammerstein system with one curve (Figs. 4.3 and 4.4)."""
-    grids, rows = [], []
-    for structure in ("Wiener", "Hammerstein"):
-        system = simulated_cascade(structure, "square" if curve == "square" else "exponential")
-        model = Volterra(memory=LAGS / RATE_HZ, downsample=1, method="exact").fit(system.record)
-        assert model.kernel1 is not None
-        assert model.kernel2 is not None
-        h = system.impulse_response
-        _, first, second = model.contributions(system.record.input)
-        linear = 100.0 * float(np.var(first) / np.var(first + second))
-        diagonal = 100.0 * float(np.sum(np.diag(model.kernel2) ** 2) / np.sum(model.kernel2**2))
-        vaf = marked("perfect") if curve == "square" else marked("not given")
-        rows.append(Row(f"{structure}, VAF", vaf, f"{fixed(model.report.vaf_percent, 2)} %"))
-        if curve == "square":
-            share = marked("the linear part vanishes")
-            rows.append(Row(f"{structure}, share of the first kernel", share, f"{fixed(linear, 2)} %"))
-        else:
-            same = marked("as the linear stage")
-            rows.append(Row(f"{structure}, first kernel and linear stage, cosine", same, _alike(model.kernel1, h)))
-        if structure == "Wiener":
-            product = np.outer(h, h) if curve == "square" else -np.outer(h, h)
-            said = marked("the product of two responses")
-            rows.append(Row("Wiener, second kernel, cosine", said, _alike(model.kernel2, product)))
-        else:
-            said = marked("on the diagonal alone")
-            rows.append(Row("Hammerstein, second kernel on the diagonal", said, f"{fixed(diagonal, 1)} %"))
+    square = curve == "square"
+    drawn, rows = DrawnFigures((), ()), []
+    alt = marked("Response by order, measured against modelled output, and second-order kernel over two lags.")
+    for structure, heading in (
+        ("Wiener", marked("Kernels of a Wiener system")),
+        ("Hammerstein", marked("Kernels of a Hammerstein system")),
+    ):
+        record, h = simulated_cascade(structure, curve)
+        model = Volterra(memory=LAGS / RATE_HZ, downsample=1, method="exact").fit(record)
+        first, second = _kernels_of(model)
+        _, linear, bent = model.contributions(record.input)
+        share = 100.0 * float(np.var(linear) / np.var(linear + bent))
+        diagonal = 100.0 * float(np.sum(np.diag(second) ** 2) / np.sum(second**2))
+        vaf_row = Row(
+            f"{structure}, VAF",
+            marked("perfect") if square else marked("not given"),
+            f"{fixed(model.report.vaf_percent, 2)} %",
+        )
+        first_row = (
+            Row(f"{structure}, share of the first kernel", marked("the linear part vanishes"), f"{fixed(share, 2)} %")
+            if square
+            else Row(
+                f"{structure}, first kernel and linear stage, cosine", marked("as the linear stage"), _alike(first, h)
+            )
+        )
+        product = np.outer(h, h) if square else -np.outer(h, h)
+        second_row = (
+            Row("Wiener, second kernel, cosine", marked("the product of two responses"), _alike(second, product))
+            if structure == "Wiener"
+            else Row(
+                "Hammerstein, second kernel on the diagonal",
+                marked("on the diagonal alone"),
+                f"{fixed(diagonal, 1)} %",
+            )
+        )
+        rows += [vaf_row, first_row, second_row]
         plots = (
-            impulse_contribution_plot(model, system.record, float(np.std(system.record.input))),
-            contribution_plots(model, system.record, slice(None))[-1],
-            second_order_kernel(model, system.record),
+            impulse_contribution_plot(model, record, float(np.std(record.input))),
+            contribution_plots(model, record, slice(None))[-1],
+            second_order_kernel(model, record),
         )
-        heading = (
-            marked("Kernels of a Wiener system") if structure == "Wiener" else marked("Kernels of a Hammerstein system")
-        )
-        alt = marked("Response by order, measured against modelled output, and second-order kernel over two lags.")
-        grids.append(PlotGrid(structure.lower(), heading, alt, [plots], row_height=3.0, over=False))
-    return drawn_grids(grids), rows
+        more = drawn_grid(structure.lower(), heading, alt, [plots])
+        drawn = DrawnFigures(drawn.pictures + more.pictures, drawn.plots + more.plots)
+    return drawn, rows
+
+
+def _kernels_of(model: VolterraModel) -> tuple[Array, Array]:
+    assert model.kernel1 is not None
+    assert model.kernel2 is not None
+    return model.kernel1, model.kernel2
 
 
 # -- kernels of skin --------------------------------------------------------------------------------------------------
 
+_ROUGH = marked("share of the second kernel above a quarter of the sampling rate")
 
-def _kernel_rows(found: Overlay) -> list[Row]:
-    model, _, _ = _volterra(found, "raw")
+
+def _kernels(found: Overlay) -> Outcome:
+    model, record, _part = fitted(found, VolterraModel, "raw")
     report = model.report
-    assert model.kernel2 is not None
     rows = report.n_samples // model.lag_spacing
     per_row = (float(report.aic or np.nan) - 2.0 * report.n_parameters) / report.n_samples + float(np.log(1e6))
-    aic_mm = 2.0 * report.n_parameters + rows * per_row
-    return [
+    return drawn_grid(
+        "kernels",
+        marked("First- and second-order kernel"),
+        marked("First-order kernel against lag, and second-order kernel over two lags."),
+        [(first_kernel_plot(model, record), second_order_kernel(model, record))],
+        row_height=3.4,
+    ), [
         Row(marked("VAF"), marked("96 % or better"), percent(report.vaf_percent)),
         Row(
             marked("parameters, and rows that they are fitted to"),
             marked("903 from about 2700"),
             f"{grouped(report.n_parameters)} from {grouped(rows)}",
         ),
-        Row(marked("AIC, positions in mm"), "1171", grouped(round(aic_mm))),
-        Row(
-            marked("share of the second kernel above a quarter of the sampling rate"),
-            marked("no discernible pattern"),
-            f"{fixed(100.0 * roughness(model.kernel2), 1)} %",
-        ),
+        Row(marked("AIC, positions in mm"), "1171", grouped(round(2.0 * report.n_parameters + rows * per_row))),
+        Row(_ROUGH, marked("no discernible pattern"), f"{fixed(100.0 * roughness(_kernels_of(model)[1]), 1)} %"),
     ]
-
-
-def _kernels(found: Overlay) -> DrawnFigures:
-    model, record, _ = _volterra(found, "raw")
-    heading = marked("First- and second-order kernel")
-    alt = marked("First-order kernel against lag, and second-order kernel over two lags.")
-    plots = (first_kernel_plot(model, record), second_order_kernel(model, record))
-    return drawn_grids([PlotGrid("kernels", heading, alt, [plots], row_height=3.4, over=False)])
 
 
 def _in_time(found: Overlay, *fits: str) -> DrawnFigures:
     runs = [held_out_prediction(fit, entry_of(found, fit=fit).analysis) for fit in fits]
-    heading = marked("Measured and modelled position")
-    alt = marked("Position over a stretch of the test, measured and modelled, and the residuals.")
-    return drawn_grids([PlotGrid("prediction", heading, alt, [[p] for p in prediction_plots(runs)], row_height=2.4)])
+    return drawn_grid(
+        "prediction",
+        marked("Measured and modelled position"),
+        marked("Position over a stretch of the test, measured and modelled, and the residuals."),
+        [[plot] for plot in prediction_plots(runs)],
+        row_height=2.4,
+        over=True,
+    )
 
 
-def _in_time_rows(found: Overlay) -> list[Row]:
-    return [Row(marked("VAF"), marked("96 % or better"), percent(entry_of(found, fit="raw").shown_percent))]
+def _model_in_time(found: Overlay) -> Outcome:
+    return _in_time(found, "raw"), [Row(marked("VAF"), marked("96 % or better"), shown_vaf(found, fit="raw"))]
 
 
-def _spectra(found: Overlay) -> DrawnFigures:
-    rows = [kernel_and_spectrum(fit, *_volterra(found, fit)[:2]) for fit in ("raw", "filtered")]
-    heading = marked("Second-order kernel and its spectrum, before and after the filter")
-    alt = marked("Second-order kernel over two lags, and the magnitude of its two-dimensional Fourier transform.")
-    return drawn_grids([PlotGrid("kernel-spectra", heading, alt, rows, row_height=3.2, over=False)])
-
-
-def _filter_rows(found: Overlay) -> list[Row]:
-    (raw, _, _), (smooth, _, _) = (_volterra(found, fit) for fit in ("raw", "filtered"))
-    assert raw.kernel2 is not None
-    assert smooth.kernel2 is not None
-    rough = [fixed(100.0 * roughness(one), 1) for one in (raw.kernel2, smooth.kernel2)]
-    return [
-        Row(marked("VAF before the filter"), "94.7 %", percent(raw.report.vaf_percent)),
-        Row(marked("VAF after the filter"), "90.4 %", percent(smooth.report.vaf_percent)),
-        Row(
-            marked("share of the second kernel above a quarter of the sampling rate"),
-            marked("large, then removed"),
-            f"{rough[0]} % and {rough[1]} %",
-        ),
+def _filtered_in_time(found: Overlay) -> Outcome:
+    return _in_time(found, "raw", "filtered"), [
+        Row(marked("VAF, unfiltered"), marked("about 96 %"), shown_vaf(found, fit="raw")),
+        Row(marked("VAF, filtered"), marked("about 93.7 %"), shown_vaf(found, fit="filtered")),
     ]
 
 
-def _contributions(found: Overlay) -> DrawnFigures:
-    heading = marked("Measured against modelled position as orders are added")
-    alt = marked("Three panels for each model: first order, diagonal of the second order, all of it.")
-    rows = [contribution_plots(*_volterra(found, fit)) for fit in ("raw", "filtered")]
-    return drawn_grids([PlotGrid("contributions", heading, alt, rows, row_height=3.2, over=False)])
+def _spectra(found: Overlay) -> Outcome:
+    raw, smooth = (fitted(found, VolterraModel, fit) for fit in ("raw", "filtered"))
+    rough = [fixed(100.0 * roughness(_kernels_of(one[0])[1]), 1) for one in (raw, smooth)]
+    return drawn_grid(
+        "kernel-spectra",
+        marked("Second-order kernel and its spectrum, before and after the filter"),
+        marked("Second-order kernel over two lags, and the magnitude of its two-dimensional Fourier transform."),
+        [kernel_and_spectrum("raw", *raw[:2]), kernel_and_spectrum("filtered", *smooth[:2])],
+        row_height=3.2,
+    ), [
+        Row(marked("VAF before the filter"), "94.7 %", percent(raw[0].report.vaf_percent)),
+        Row(marked("VAF after the filter"), "90.4 %", percent(smooth[0].report.vaf_percent)),
+        Row(_ROUGH, marked("large, then removed"), f"{rough[0]} % and {rough[1]} %"),
+    ]
 
 
-def _contribution_rows(found: Overlay) -> list[Row]:
-    rows = []
+def _contributions(found: Overlay) -> Outcome:
+    plots, rows = [], []
     for fit, said in (("raw", marked("noise")), ("filtered", marked("almost none"))):
-        model, record, part = _volterra(found, fit)
+        model, record, part = fitted(found, VolterraModel, fit)
+        plots.append(contribution_plots(model, record, part))
         _, first, second = model.contributions(record.input)
-        assert model.kernel2 is not None
-        diagonal = replace(model, kernel2=np.diag(np.diag(model.kernel2)), kernel3=None, order=2)
+        diagonal = replace(model, kernel2=np.diag(np.diag(_kernels_of(model)[1])), kernel3=None, order=2)
         alone = diagonal.contributions(record.input)[2]
-        known = slice(part.start, part.stop)
-        shares = [100.0 * float(np.nanstd(one[known]) / np.nanstd(first[known])) for one in (alone, second)]
+        shares = [100.0 * float(np.nanstd(one[part]) / np.nanstd(first[part])) for one in (alone, second)]
         what = f"{fit}: diagonal of the second kernel, and all of it, relative to the first"
         rows.append(Row(what, said, f"{fixed(shares[0], 0)} % and {fixed(shares[1], 0)} %"))
-    return rows
-
-
-def _filtered_rows(found: Overlay) -> list[Row]:
-    return [
-        Row(marked("VAF, unfiltered"), marked("about 96 %"), percent(entry_of(found, fit="raw").shown_percent)),
-        Row(marked("VAF, filtered"), marked("about 93.7 %"), percent(entry_of(found, fit="filtered").shown_percent)),
-    ]
+    alt = marked("Three panels for each model: first order, diagonal of the second order, all of it.")
+    heading = marked("Measured against modelled position as orders are added")
+    return drawn_grid("contributions", heading, alt, plots, row_height=3.2), rows
 
 
 # -- partitions -------------------------------------------------------------------------------------------------------
@@ -207,44 +212,37 @@ def _validated(name: str, quick: bool) -> Outcome:
     gaussian = 2.5 + 1.2 * random.standard_normal(count + warm)
     levels = np.repeat(random.permutation(np.tile((0.5, 1.5, 2.5, 3.5, 4.5), 4)), -(-(count + warm) // 20))
     stepped = levels[: count + warm] + 0.5 * random.standard_normal(count + warm)
+    # The correction takes most of the time.
+    engine = Depth(memory=0.12, partitions=7, downsample=1, hold="zero-order", correct=not quick)
+    scales = {"mass": 1e3, "damping": 1.0, "stiffness": 1.0}
     profiles: dict[str, DepthProfile] = {}
     rows = []
-    for label, force, said in (
-        (marked("steps and noise"), stepped, marked("match the trend")),
-        (marked("Gaussian noise"), gaussian, marked("match the trend")),
-    ):
+    for label, force in ((marked("steps and noise"), stepped), (marked("Gaussian noise"), gaussian)):
         position = system.position(force, RATE_HZ)
-        record = Record(force[warm:], position[warm:], RATE_HZ)
-        profile = (
-            Depth(
-                memory=0.12,
-                partitions=7,
-                downsample=1,
-                hold="zero-order",
-                correct=not quick,  # takes most of the time
-            )
-            .fit(record)
-            .depth_profile()
-        )
+        profile = engine.fit(Record(force[warm:], position[warm:], RATE_HZ)).depth_profile()
         assert profile is not None
         profiles[label] = profile
         errors = [
             100.0 * float(np.nanmedian(np.abs(getattr(profile, what) / getattr(system, what)(profile.position) - 1.0)))
-            for what in ("mass", "damping", "stiffness")
+            for what in scales
         ]
-        rows.append(Row(f"{label}: median error of M, B, K", said, f"{', '.join(fixed(one, 1) for one in errors)} %"))
-    plots = list(profile_plots(profiles))[:3]
+        shown = ", ".join(fixed(one, 1) for one in errors)
+        rows.append(Row(f"{label}: median error of M, B, K", marked("match the trend"), f"{shown} %"))
     low = min(float(one.position[0]) for one in profiles.values())
     high = max(float(one.position[-1]) for one in profiles.values())
     fine = np.linspace(low, high, 100)
-    scales = {"mass": 1e3, "damping": 1.0, "stiffness": 1.0}
     with_truth = [
         _with_truth(plot, fine, scale * getattr(system, what)(fine))
-        for plot, (what, scale) in zip(plots, scales.items(), strict=True)
+        for plot, (what, scale) in zip(profile_plots(profiles)[:3], scales.items(), strict=True)
     ]
-    heading = marked("Mass, damping and stiffness by depth, and those of the system")
-    alt = marked("Three panels against position: estimates with two inputs, and the true curve.")
-    return drawn_grids([PlotGrid("validation", heading, alt, [with_truth], row_height=3.4)]), rows
+    return drawn_grid(
+        "validation",
+        marked("Mass, damping and stiffness by depth, and those of the system"),
+        marked("Three panels against position: estimates with two inputs, and the true curve."),
+        [with_truth],
+        row_height=3.4,
+        over=True,
+    ), rows
 
 
 def _with_truth(plot: Plot, position: Array, values: Array) -> Plot:
@@ -255,25 +253,18 @@ def _with_truth(plot: Plot, position: Array, values: Array) -> Plot:
     return replace(plot, y=replace(plot.y, limits=limits), parts=(*plot.parts, truth))
 
 
-def _partitioned(found: Overlay) -> DrawnFigures:
-    analysis = entry_of(found).analysis
-    assert isinstance(analysis.model, PartitionedModel)
-    rows = [partition_plots(analysis.model, analysis.record, analysis.fit_part)]
-    rows.append(kernel_curves(analysis.model, analysis.record))
-    heading = marked("Output with its partitions, and kernels by depth")
-    alt = marked(
-        "Position over time with the limits of the partitions, samples in each, and the kernels of all depths."
-    )
-    return drawn_grids([PlotGrid("partitions", heading, alt, rows, row_height=3.2, over=False)])
-
-
-def _partitioned_rows(found: Overlay) -> list[Row]:
-    model = entry_of(found).analysis.model
-    assert isinstance(model, PartitionedModel)
+def _partitioned(found: Overlay) -> Outcome:
+    model, record, part = fitted(found, PartitionedModel)
     limits, kernels = 1e3 * model.breakpoints_m, model.operating_kernels
     widths = np.diff(limits)
     dips = [100.0 * float(-one[2:].min() / one.max()) for one in (kernels[0], kernels[-1])]
-    return [
+    return drawn_grid(
+        "partitions",
+        marked("Output with its partitions, and kernels by depth"),
+        marked("Position over time with the limits of the partitions, samples in each, and the kernels of all depths."),
+        [partition_plots(model, record, part), kernel_curves(model, record)],
+        row_height=3.2,
+    ), [
         Row(
             marked("widest partitions"),
             marked("the shallowest and the deepest"),
@@ -289,10 +280,10 @@ def _partitioned_rows(found: Overlay) -> list[Row]:
 
 
 def _fifteen_rows(found: Overlay) -> list[Row]:
-    entry = entry_of(found)
+    parameters = fitted(found, PartitionedModel)[0].report.n_parameters
     return [
-        Row(marked("VAF, 15 partitions, scheduled"), "92.2 %", percent(entry.shown_percent)),
-        Row(marked("parameters"), "600", grouped(entry.analysis.model.report.n_parameters)),
+        Row(marked("VAF, 15 partitions, scheduled"), "92.2 %", shown_vaf(found)),
+        Row(marked("parameters"), "600", grouped(parameters)),
     ]
 
 
@@ -307,23 +298,15 @@ KERNEL_FIGURES: tuple[ThesisFigure, ...] = (
         marked("Kernels of Wiener and Hammerstein systems with a square"),
         study=lambda _quick: _cascade_kernels("square"),
     ),
-    ThesisFigure("4.6", marked("Kernels of skin at 667 Hz"), _ONE, (_RAW,), (), _kernel_rows, drawn=_kernels),
+    ThesisFigure("4.6", marked("Kernels of skin at 667 Hz"), _ONE, (_RAW,), drawn=_kernels),
     ThesisFigure(
-        "4.7",
-        marked("Measured position and that of the second-order model"),
-        _ONE,
-        (_RAW,),
-        (),
-        _in_time_rows,
-        drawn=lambda found: _in_time(found, "raw"),
+        "4.7", marked("Measured position and that of the second-order model"), _ONE, (_RAW,), drawn=_model_in_time
     ),
     ThesisFigure(
         "4.9",
         marked("Second-order kernel and its spectrum, before and after the filter"),
         _ONE,
         (_RAW, _FILTERED),
-        (),
-        _filter_rows,
         drawn=_spectra,
     ),
     ThesisFigure(
@@ -331,18 +314,10 @@ KERNEL_FIGURES: tuple[ThesisFigure, ...] = (
         marked("Residual nonlinearity before and after the filter"),
         _ONE,
         (_RAW, _FILTERED),
-        (),
-        _contribution_rows,
         drawn=_contributions,
     ),
     ThesisFigure(
-        "4.11",
-        marked("Filtered and unfiltered model in time"),
-        _ONE,
-        (_RAW, _FILTERED),
-        (),
-        _filtered_rows,
-        drawn=lambda found: _in_time(found, "raw", "filtered"),
+        "4.11", marked("Filtered and unfiltered model in time"), _ONE, (_RAW, _FILTERED), drawn=_filtered_in_time
     ),
     ThesisFigure(
         "5.1", marked("Depth partitions of a known Wiener system"), study=lambda quick: _validated("Wiener", quick)
@@ -353,8 +328,6 @@ KERNEL_FIGURES: tuple[ThesisFigure, ...] = (
         marked("Partitions of a record, and kernels by depth"),
         _ONE,
         (_FIFTEEN,),
-        (),
-        _partitioned_rows,
         downsample=4,
         drawn=_partitioned,
     ),
@@ -369,5 +342,3 @@ KERNEL_FIGURES: tuple[ThesisFigure, ...] = (
     ),
 )
 """Figures of chapters 4 and 5 from one test or from simulated records."""
-
-__all__ = ["KERNEL_FIGURES", "LARGE"]

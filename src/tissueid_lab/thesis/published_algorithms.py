@@ -141,19 +141,3 @@ def swapped_autocorrelation(values: Array, auto: Array, one: int, other: int) ->
             inside = (partner >= 0) & (partner < n) & (partner != one) & (partner != other)
             new[reach[inside]] += sign * change * values[partner[inside]]
     return np.asarray(new / n)
-
-
-__all__ = [
-    "Orthonormalised",
-    "construct_partitions",
-    "construct_volterra",
-    "depth_partitions",
-    "direct_autocorrelation",
-    "impulse_response",
-    "orthonormalise",
-    "solve",
-    "swapped_autocorrelation",
-    "transformed_autocorrelation",
-    "volterra",
-    "wiener",
-]

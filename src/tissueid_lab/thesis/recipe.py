@@ -3,20 +3,37 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, replace
-from typing import Any, Literal
+from dataclasses import dataclass, field, replace
+from typing import Any, ClassVar, Literal, NamedTuple, TypeVar
 
-from tissueid.analysis.overlay import Overlay
-from tissueid.reports.overlay import DrawnFigures
+from tissueid.analysis.curves.plot import Plot
+from tissueid.analysis.overlay import Overlay, OverlayEntry
+from tissueid.formatting import fixed
+from tissueid.identification.base import Model
+from tissueid.language import _, marked
+from tissueid.records import Record
+from tissueid.reports.overlay import DrawnFigures, grid_figure
+from tissueid.reports.page import picture
 from tissueid.sessions import Session
-from tissueid_lab.thesis.page import Row
 
-Outcome = tuple[DrawnFigures, Sequence[Row]]
-"""Pictures and comparison of a figure."""
 _QUICK_SECONDS = 2.0
 """Longest test of a quick run, s."""
 _QUICK_STEP_M = 0.005
 """Distance of the positions of the sweep of a quick run, m."""
+
+FittedModel = TypeVar("FittedModel", bound=Model)
+
+
+class Row(NamedTuple):
+    """A quantity, the value of the thesis and the value here."""
+
+    what: str
+    thesis: str
+    here: str
+
+
+Outcome = tuple[DrawnFigures, Sequence[Row]]
+"""Pictures and comparison of a figure."""
 
 
 @dataclass(frozen=True)
@@ -56,34 +73,88 @@ class Source:
     fits: tuple[str, ...] = ()
 
 
-def _no_rows(_found: Overlay) -> Sequence[Row]:
-    return ()
+@dataclass(frozen=True)
+class Published:
+    """A published figure, table or benchmark; ``remark`` says what differs by construction."""
+
+    against: ClassVar[str] = marked("Thesis")
+    """Heading of the published numbers."""
+    number: str
+    title: str
+    remark: str = field(default="", kw_only=True)
 
 
 @dataclass(frozen=True)
-class ThesisFigure:
+class ThesisFigure(Published):
     """A figure or table: tests, fits ([LABEL=]ENGINE,OPTION=VALUE), pictures, and the comparison.
 
-    ``pictures`` are keys of ``reports.overlay``, ``drawn`` makes further ones from the fits; the other arguments are
-    those of ``analysis.overlay.overlay``. ``recorded`` makes figures and rows from the sessions by label instead, and
-    ``study`` makes them without tests; its argument is whether the run is quick. ``remark`` says what
-    differs by construction.
+    ``pictures`` are keys of ``reports.overlay``. One function compares: ``rows`` or ``drawn``, which makes further
+    pictures, from the fits; ``recorded`` from the sessions by label; or ``study`` without tests, whose argument is
+    whether the run is quick. The other arguments are those of ``analysis.overlay.overlay``.
     """
 
-    number: str
-    title: str
     sources: tuple[Source, ...] = ()
     fits: tuple[str, ...] = ()
     pictures: tuple[str, ...] = ()
-    rows: Callable[[Overlay], Sequence[Row]] = _no_rows
-    remark: str = ""
+    rows: Callable[[Overlay], Sequence[Row]] | None = None
     whole: bool = True
     downsample: int = 1
     sweep: tuple[str, tuple[float, ...]] = ("", ())
     calibration: bool = False
-    drawn: Callable[[Overlay], DrawnFigures] | None = None
+    drawn: Callable[[Overlay], Outcome] | None = None
     recorded: Callable[[Mapping[str, Session]], Outcome] | None = None
     study: Callable[[bool], Outcome] | None = None
 
 
-__all__ = ["Outcome", "Recording", "Source", "ThesisFigure"]
+@dataclass(frozen=True, eq=False)
+class ReproducedFigure:
+    """A figure with its comparison and its pictures; ``why`` says why it could not be made.
+
+    ``warnings`` are those of its fits in this run. ``seconds`` is the time of fits and pictures.
+    """
+
+    figure: Published
+    rows: tuple[Row, ...] = ()
+    why: str = ""
+    report: DrawnFigures | None = None
+    warnings: tuple[str, ...] = ()
+    seconds: float = 0.0
+
+
+def drawn_grid(
+    key: str,
+    heading: str,
+    alt: str,
+    rows: Sequence[Sequence[Plot]],
+    *,
+    caption: str = "",
+    row_height: float = 3.0,
+    over: bool = False,
+) -> DrawnFigures:
+    """Return rows of plots as one picture, with its texts in English; ``over`` puts one key over the whole picture."""
+    made = picture(key, _(heading), _(alt), lambda: (grid_figure(rows, row_height, over=over), _(caption)))
+    return DrawnFigures((made,), tuple(plot for row in rows for plot in row))
+
+
+def entry_of(found: Overlay, source: str = "", fit: str = "") -> OverlayEntry:
+    """Return the first entry of a source and a fit; "" for any."""
+    return next(one for one in found.entries if source in ("", one.source) and fit in ("", one.fit.label))
+
+
+def fitted(
+    found: Overlay, kind: type[FittedModel], fit: str = "", source: str = ""
+) -> tuple[FittedModel, Record, slice]:
+    """Return the model of a kind, its record and the part that it was fitted to, of a source and a fit."""
+    analysis = entry_of(found, source, fit).analysis
+    assert isinstance(analysis.model, kind)
+    return analysis.model, analysis.record, analysis.fit_part
+
+
+def shown_vaf(found: Overlay, source: str = "", fit: str = "") -> str:
+    """Return the VAF of the fitted samples, scheduled where the model has a schedule."""
+    return percent(entry_of(found, source, fit).shown_percent)
+
+
+def percent(value: float) -> str:
+    """Return a percentage with one decimal."""
+    return f"{fixed(value, 1)} %"

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import time
 from collections.abc import Iterable, Mapping, Sequence
-from dataclasses import asdict, replace
+from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
@@ -14,14 +14,13 @@ from tissueid.language import marked
 from tissueid.messages import Message, Verbatim
 from tissueid.plan_options import Option, Plan
 from tissueid.procedures.control import Control
-from tissueid.procedures.output_files import json_text, stored_values, unwritable, write_text
+from tissueid.procedures.output_files import check_result_folder, json_text, unwritable, write_text
 from tissueid.procedures.overlay import named_fits, sweep_columns
 from tissueid.test_settings import TestSettings
 
 if TYPE_CHECKING:  # each takes long to import
     from tissueid.instrument import Instrument
-    from tissueid_lab.thesis.page import ReproducedFigure
-    from tissueid_lab.thesis.recipe import Recording, Source, ThesisFigure
+    from tissueid_lab.thesis.recipe import Recording, ReproducedFigure, Source, ThesisFigure
 
 _SESSIONS, _FIGURES = "sessions", "figures"
 _RESULTS, _PAGE, _TEXT = "results.json", "report.html", "reproduction.md"
@@ -114,13 +113,9 @@ def run_reproduction(plan: ReproductionPlan, control: Control) -> tuple[Reproduc
     chosen = [_quick(figure) for figure in chosen] if plan.quick else chosen
     calibration = None if plan.sweep is None else sweep_columns(plan.sweep)
     began = time.perf_counter()
-    _check_folder(plan.out)
+    check_result_folder(plan.out, (_RESULTS, _PAGE), _RESULTS, _MADE_BY)
     sessions = plan.out / _SESSIONS
-    try:
-        private_folder(sessions)
-        private_folder(plan.out / _FIGURES)
-    except OSError as error:
-        raise unwritable(sessions, error) from error
+    private_folder(sessions)
     recordings = [source.recording for figure in chosen for source in figure.sources]
     swept = SWEEP.shortened() if plan.quick else SWEEP
     if calibration is None and any(figure.calibration for figure in chosen):
@@ -134,7 +129,7 @@ def run_reproduction(plan: ReproductionPlan, control: Control) -> tuple[Reproduc
         control.check()
         begin = time.perf_counter()
         one = _reproduced(figure, sessions, calibration if figure.calibration else None, failed, plan.quick)
-        made.append(replace(one, remark=figure.remark, seconds=time.perf_counter() - begin))
+        made.append(replace(one, seconds=time.perf_counter() - begin))
     try:
         _write(plan, plan.out, made, began)
     except OSError as error:
@@ -151,26 +146,6 @@ def _quick(figure: ThesisFigure) -> ThesisFigure:
     sources = [replace(one, recording=one.recording.shortened()) for one in figure.sources if one in kept]
     option, values = figure.sweep
     return replace(figure, sources=tuple(sources), sweep=(option, values[1::2]))
-
-
-def _check_folder(out: Path) -> None:
-    """Make the folder, and check that only results of an earlier run are overwritten.
-
-    Raises:
-        UnusableInputError: it is a file, or holds other results.
-    """
-    if out.exists() and not out.is_dir():
-        raise UnusableInputError("demo.no_folder", "{path} is not a folder", path=str(out))
-    try:
-        private_folder(out)
-    except OSError as error:
-        raise unwritable(out, error) from error
-    if not any((out / name).exists() for name in (_RESULTS, _PAGE)):
-        return
-    if stored_values(out / _RESULTS).get("made_by") != _MADE_BY:
-        raise UnusableInputError(
-            "reproduce.other_results", "{folder} contains other results; choose another folder", folder=str(out)
-        )
 
 
 def _record(recordings: Iterable[Recording], folder: Path, control: Control) -> dict[str, str]:
@@ -260,42 +235,38 @@ def _reproduced(
     from tissueid.analysis.overlay import TestSource, overlay
     from tissueid.reports.overlay import overlay_report
     from tissueid.sessions import read_session
-    from tissueid_lab.thesis.page import ReproducedFigure
+    from tissueid_lab.thesis.recipe import ReproducedFigure
 
     if figure.study is not None:
-        drawn, studied = figure.study(quick)
-        return ReproducedFigure(figure.number, figure.title, tuple(studied), report=drawn)
+        drawn, rows = figure.study(quick)
+        return ReproducedFigure(figure, tuple(rows), report=drawn)
     if lacking := [failed[s.recording.name] for s in figure.sources if s.recording.name in failed]:
-        return ReproducedFigure(figure.number, figure.title, why=lacking[0])
+        return ReproducedFigure(figure, why=lacking[0])
     try:
-        sessions = [read_session(folder / f"{one.recording.name}.h5") for one in figure.sources]
+        sessions = {one: read_session(folder / f"{one.recording.name}.h5") for one in figure.sources}
         if figure.recorded is not None:
-            drawn, studied = figure.recorded(dict(zip([one.label for one in figure.sources], sessions, strict=True)))
-            return ReproducedFigure(figure.number, figure.title, tuple(studied), report=drawn)
-        sources = [
-            TestSource(one.label, session, (1,), one.fits)
-            for one, session in zip(figure.sources, sessions, strict=True)
-        ]
+            drawn, rows = figure.recorded({one.label: session for one, session in sessions.items()})
+            return ReproducedFigure(figure, tuple(rows), report=drawn)
         found = overlay(
-            sources,
+            [TestSource(one.label, session, (1,), one.fits) for one, session in sessions.items()],
             named_fits((), figure.fits),
             whole=figure.whole,
             downsample=figure.downsample,
             sweep=figure.sweep,
         )
-        rows = tuple(figure.rows(found))
+        rows = () if figure.rows is None else figure.rows(found)
         report = overlay_report(found, calibration, figure.pictures)
         if figure.drawn is not None:
-            more = figure.drawn(found)
-            report = replace(report, pictures=report.pictures + more.pictures, plots=report.plots + more.plots)
+            drawn, rows = figure.drawn(found)
+            report = replace(report, pictures=report.pictures + drawn.pictures, plots=report.plots + drawn.plots)
     except UnusableInputError as error:
-        return ReproducedFigure(figure.number, figure.title, why=error.message)
+        return ReproducedFigure(figure, why=error.message)
     warnings = {  # one that several fits share, once
         warning: Message("reproduce.warning", "{fit}: {warning}", fit=Verbatim(entry.fit.label), warning=warning)
         for entry in found.entries
         for warning in entry.analysis.model.report.warnings
     }
-    return ReproducedFigure(figure.number, figure.title, rows, report=report, warnings=tuple(warnings.values()))
+    return ReproducedFigure(figure, tuple(rows), report=report, warnings=tuple(warnings.values()))
 
 
 def _write(plan: ReproductionPlan, out: Path, made: Sequence[ReproducedFigure], began: float) -> None:
@@ -309,8 +280,8 @@ def _write(plan: ReproductionPlan, out: Path, made: Sequence[ReproducedFigure], 
 
     for one in made:
         if one.report is not None and one.report.pictures and not plan.quick:  # a quick run has them on its page
-            folder = out / _FIGURES / one.number.replace(" ", "-").lower()
-            private_folder(out / _FIGURES)
+            folder = out / _FIGURES / one.figure.number.replace(" ", "-").lower()
+            private_folder(folder.parent)
             one.report.write_figures(folder)
             write_text(folder / "numbers.csv", one.report.csv())
     write_reproduction(out / _PAGE, made)
@@ -325,16 +296,15 @@ def _write(plan: ReproductionPlan, out: Path, made: Sequence[ReproducedFigure], 
     write_text(out / _TEXT, as_markdown(results))
 
 
-def answer_of(figure: ReproducedFigure) -> dict[str, Any]:
+def answer_of(one: ReproducedFigure) -> dict[str, Any]:
     """Return a figure for JSON: number, title, thesis and present value of each quantity, remark and warnings."""
-    rows = [{name: str(value) for name, value in asdict(row).items()} for row in figure.rows]
     return {
-        "number": figure.number,
-        "title": str(figure.title),
-        "rows": rows,
-        "why_missing": str(figure.why) or None,
-        "remark": str(figure.remark),
-        "warnings": [str(text) for text in figure.warnings],
-        "seconds": figure.seconds,
-        "against": str(figure.against),
+        "number": one.figure.number,
+        "title": str(one.figure.title),
+        "rows": [{name: str(value) for name, value in row._asdict().items()} for row in one.rows],
+        "why_missing": str(one.why) or None,
+        "remark": one.figure.remark,
+        "warnings": [str(text) for text in one.warnings],
+        "seconds": one.seconds,
+        "against": str(one.figure.against),
     }

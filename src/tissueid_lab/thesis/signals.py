@@ -12,7 +12,7 @@ from tissueid.analysis.curves.linear import coherence_plot, frequency_response, 
 from tissueid.analysis.curves.nonlinearity import iteration_plots, linear_output, stiffness_plot, wiener_nonlinearity
 from tissueid.analysis.curves.signals import distribution_plots, recording_spectra
 from tissueid.analysis.curves.validation import held_out_prediction, prediction_plots
-from tissueid.analysis.overlay import Overlay, OverlayEntry
+from tissueid.analysis.overlay import Overlay
 from tissueid.calibration.sweep import sweep_tests
 from tissueid.calibration.sweep_analysis import SpringMass, SweepResult, analyse_sweep
 from tissueid.calibration.sweep_file import as_calibration
@@ -25,9 +25,19 @@ from tissueid.language import marked
 from tissueid.reports.calibration_panels import sweep_panels
 from tissueid.reports.overlay import DrawnFigures
 from tissueid.sessions import Session
-from tissueid_lab.thesis.comparisons import POSTERIOR, entry_of, percent
-from tissueid_lab.thesis.page import PlotGrid, Row, drawn_grids
-from tissueid_lab.thesis.recipe import Outcome, Recording, Source, ThesisFigure
+from tissueid_lab.thesis.comparisons import POSTERIOR
+from tissueid_lab.thesis.recipe import (
+    Outcome,
+    Recording,
+    Row,
+    Source,
+    ThesisFigure,
+    drawn_grid,
+    entry_of,
+    fitted,
+    percent,
+    shown_vaf,
+)
 
 GAUSSIAN = Recording(
     f"{POSTERIOR}-gaussian", POSTERIOR, (-5.0, 11.8), distribution="gaussian", options=(("clipped", 0.0455),)
@@ -39,27 +49,13 @@ _SETTLED = 0.02
 """Largest relative change of every parameter in a pass after which the iteration counts as settled."""
 
 
-def _lms(found: Overlay) -> tuple[OverlayEntry, LmsModel]:
-    entry = entry_of(found, fit="lms")
-    assert isinstance(entry.analysis.model, LmsModel)
-    return entry, entry.analysis.model
-
-
-def _wiener(found: Overlay) -> tuple[OverlayEntry, WienerModel]:
-    entry = entry_of(found, fit="wiener")
-    assert isinstance(entry.analysis.model, WienerModel)
-    return entry, entry.analysis.model
-
-
 # -- chapter 2 --------------------------------------------------------------------------------------------------------
 
 
 def _analysed(session: Session) -> tuple[SweepResult, dict[str, dict[str, Array]]]:
     found = analyse_sweep(sweep_tests(session), session.instrument, SpringMass(_SPRING_N_PER_M))
-    return found, {
-        table: {name: np.asarray(values) for name, values in columns.items()}
-        for table, columns in as_calibration(found).tables.items()
-    }
+    tables = as_calibration(found).tables.items()
+    return found, {table: {name: np.asarray(values) for name, values in columns.items()} for table, columns in tables}
 
 
 def sweep_of(session: Session) -> dict[str, Array]:
@@ -96,24 +92,23 @@ def _swept(sessions: Mapping[str, Session]) -> Outcome:
 # -- signals and spectra ----------------------------------------------------------------------------------------------
 
 
-def _distributions(found: Overlay) -> DrawnFigures:
-    record = found.records["posterior"]
-    heading = marked("Distributions of force and position")
-    alt = marked("Histograms of force and position, each with the Gaussian of its mean and deviation.")
-    return drawn_grids([PlotGrid("distributions", heading, alt, [distribution_plots(record)], row_height=3.2)])
-
-
-def _distribution_rows(found: Overlay) -> list[Row]:
+def _distributions(found: Overlay) -> Outcome:
     record = found.records["posterior"]
 
     def shape(values: np.ndarray) -> str:
         known = values[np.isfinite(values)]
-        skew, excess = float(stats.skew(known)), float(stats.kurtosis(known))
-        return f"{fixed(skew, 2)} and {fixed(excess, 2)}"
+        return f"{fixed(float(stats.skew(known)), 2)} and {fixed(float(stats.kurtosis(known)), 2)}"
 
     force = record.input[np.isfinite(record.input)]
     crest = float(np.abs(force - force.mean()).max() / force.std())
-    return [
+    return drawn_grid(
+        "distributions",
+        marked("Distributions of force and position"),
+        marked("Histograms of force and position, each with the Gaussian of its mean and deviation."),
+        [distribution_plots(record)],
+        row_height=3.2,
+        over=True,
+    ), [
         Row(marked("force: skewness and excess kurtosis"), marked("Gaussian: 0 and 0"), shape(record.input)),
         Row(marked("position: skewness and excess kurtosis"), marked("not Gaussian"), shape(record.output)),
         Row(marked("crest factor of the force"), marked("best: 1"), fixed(crest, 2)),
@@ -127,10 +122,10 @@ def _spectra(sessions: Mapping[str, Session]) -> Outcome:
     assert isinstance(model, SpectralModel)
     spectra = model.spectra
     plots = recording_spectra(test), coherence_plot(spectra)
-    hz = spectra.frequency_hz
 
     def mean(low: float, high: float) -> str:
-        return fixed(float(spectra.coherence[(hz >= low) & (hz < high)].mean()), 2)
+        inside = (spectra.frequency_hz >= low) & (spectra.frequency_hz < high)
+        return fixed(float(spectra.coherence[inside].mean()), 2)
 
     rows = [
         Row(marked("coherence to 100 Hz"), marked("about 0.8"), mean(1.0, 100.0)),
@@ -141,31 +136,25 @@ def _spectra(sessions: Mapping[str, Session]) -> Outcome:
         known = curve.y[curve.y > 0.0]
         decades = float(np.log10(known.max() / np.quantile(known, 0.05)))
         rows.append(Row(f"{str(curve.name).partition(' ')[0]}, decades to the noise floor", said, fixed(decades, 1)))
-    heading = marked("Power spectra and coherence")
     alt = marked("Power spectral densities of voltage, force and position, and the coherence of force and position.")
-    return drawn_grids([PlotGrid("spectra", heading, alt, [plots], row_height=3.4, over=False)]), rows
+    return drawn_grid("spectra", marked("Power spectra and coherence"), alt, [plots], row_height=3.4), rows
 
 
-def _bode(found: Overlay) -> DrawnFigures:
-    analysis = entry_of(found, fit="spectral").analysis
-    assert isinstance(analysis.model, SpectralModel)
-    heading, alt = marked("Bode diagram of the compliance"), marked("Magnitude and phase against frequency.")
-    return drawn_grids([PlotGrid("bode", heading, alt, [frequency_response(analysis.model, analysis.record)])])
-
-
-def _bode_rows(found: Overlay) -> list[Row]:
-    model = entry_of(found, fit="spectral").analysis.model
-    assert isinstance(model, SpectralModel)
+def _bode(found: Overlay) -> Outcome:
+    model, record, _part = fitted(found, SpectralModel, "spectral")
     spectra, system = model.spectra, model.second_order.system
     high = (spectra.frequency_hz > 80.0) & (spectra.frequency_hz < 190.0)
     slope = np.polyfit(np.log10(spectra.frequency_hz[high]), np.log10(spectra.magnitude[high]), 1)[0]
     end = float(np.degrees(np.angle(system.frequency_response(np.array([190.0]))))[0])
-    return [
-        Row(
-            marked("natural frequency"),
-            marked("36 Hz (226 rad/s)"),
-            f"{fixed(system.natural_frequency_rad_per_s / (2.0 * np.pi), 1)} Hz",
-        ),
+    hz = system.natural_frequency_rad_per_s / (2.0 * np.pi)
+    return drawn_grid(
+        "bode",
+        marked("Bode diagram of the compliance"),
+        marked("Magnitude and phase against frequency."),
+        [frequency_response(model, record)],
+        over=True,
+    ), [
+        Row(marked("natural frequency"), marked("36 Hz (226 rad/s)"), f"{fixed(hz, 1)} Hz"),
         Row(marked("damping ratio"), marked("0.5 to 1"), fixed(system.damping_ratio, 2)),
         Row(marked("slope of the magnitude, 80 to 190 Hz"), "-2", fixed(float(slope), 2)),
         Row(marked("phase at 190 Hz"), marked("towards -180°"), f"{fixed(end, 0)}°"),
@@ -175,19 +164,18 @@ def _bode_rows(found: Overlay) -> list[Row]:
 # -- linear and Wiener fits -------------------------------------------------------------------------------------------
 
 
-def _impulse(found: Overlay) -> DrawnFigures:
-    entry, model = _lms(found)
-    heading, alt = marked("Impulse response"), marked("Impulse response at each lag, and its second-order fit.")
-    return drawn_grids([PlotGrid("impulse", heading, alt, [[impulse_response(model, entry.analysis.record)]])])
-
-
-def _impulse_rows(found: Overlay) -> list[Row]:
-    _, model = _lms(found)
-    p, details = model.report.parameters, model.report.details
-    system = model.second_order.system
-    return [
+def _impulse(found: Overlay) -> Outcome:
+    model, record, _part = fitted(found, LmsModel, "lms")
+    p, system = model.report.parameters, model.second_order.system
+    return drawn_grid(
+        "impulse",
+        marked("Impulse response"),
+        marked("Impulse response at each lag, and its second-order fit."),
+        [[impulse_response(model, record)]],
+        over=True,
+    ), [
         Row(marked("VAF, nonparametric"), "75.79 %", percent(model.report.vaf_percent)),
-        Row(marked("VAF, parametric"), "75.64 %", percent(details["vaf_parametric_percent"])),
+        Row(marked("VAF, parametric"), "75.64 %", percent(model.report.details["vaf_parametric_percent"])),
         Row(marked("mass"), "91.2 g", f"{fixed(1e3 * p['mass_kg'].value, 1)} g"),
         Row(marked("damping"), "22.77 N·s/m", f"{fixed(p['damping_n_s_per_m'].value, 2)} N·s/m"),
         Row(marked("stiffness"), "4670 N/m", f"{fixed(p['stiffness_n_per_m'].value, 0)} N/m"),
@@ -196,27 +184,17 @@ def _impulse_rows(found: Overlay) -> list[Row]:
     ]
 
 
-def _nonlinearity(found: Overlay) -> DrawnFigures:
-    entry, model = _wiener(found)
-    analysis, surface = entry.analysis, entry.surface_position_m
-    plots = (
-        wiener_nonlinearity(model, analysis.record, analysis.fit_part, surface),
-        stiffness_plot(model, analysis.record, analysis.fit_part, surface),
-    )
-    heading = marked("Static nonlinearity and its inverse slope")
-    alt = marked("Measured position against the output of the linear stage with the fitted curve; stiffness by depth.")
-    return drawn_grids([PlotGrid("nonlinearity", heading, alt, [plots], row_height=3.4, over=False)])
-
-
-def _nonlinearity_rows(found: Overlay) -> list[Row]:
-    entry, model = _wiener(found)
-    analysis = entry.analysis
-    z, measured = linear_output(model, analysis.record, analysis.fit_part)
-    ends = np.quantile(z, (0.05, 0.95))
-    shallow, deep = 1.0 / model.nonlinearity.slope(ends)
+def _nonlinearity(found: Overlay) -> Outcome:
+    model, record, part = fitted(found, WienerModel, "wiener")
+    surface, p = entry_of(found, fit="wiener").surface_position_m, model.report.parameters
+    z, measured = linear_output(model, record, part)
+    shallow, deep = 1.0 / model.nonlinearity.slope(np.quantile(z, (0.05, 0.95)))
     scatter = 1e3 * float(np.std(measured - model.nonlinearity(z)))
-    p = model.report.parameters
-    return [
+    plots = (wiener_nonlinearity(model, record, part, surface), stiffness_plot(model, record, part, surface))
+    alt = marked("Measured position against the output of the linear stage with the fitted curve; stiffness by depth.")
+    return drawn_grid(
+        "nonlinearity", marked("Static nonlinearity and its inverse slope"), alt, [plots], row_height=3.4
+    ), [
         Row(
             marked("stiffness, 5 % and 95 % of the load"),
             marked("rises with depth"),
@@ -232,17 +210,9 @@ def _nonlinearity_rows(found: Overlay) -> list[Row]:
     ]
 
 
-def _iterations(found: Overlay) -> DrawnFigures:
-    _, model = _wiener(found)
-    heading = marked("Scores and parameters by pass")
-    alt = marked("Variance accounted for and parameters relative to their last value against the pass.")
-    return drawn_grids([PlotGrid("iterations", heading, alt, [iteration_plots(model)], row_height=3.4, over=False)])
-
-
-def _iteration_rows(found: Overlay) -> list[Row]:
-    _, model = _wiener(found)
-    history = model.history
-    last = history[-1].parameters
+def _iterations(found: Overlay) -> Outcome:
+    model, _record, _part = fitted(found, WienerModel, "wiener")
+    history, last = model.history, model.history[-1].parameters
     settled = next(
         (
             one.iteration
@@ -252,7 +222,10 @@ def _iteration_rows(found: Overlay) -> list[Row]:
         history[-1].iteration,
     )
     first, end = history[0].nonlinear_vaf_percent, history[-1].nonlinear_vaf_percent
-    return [
+    alt = marked("Variance accounted for and parameters relative to their last value against the pass.")
+    return drawn_grid(
+        "iterations", marked("Scores and parameters by pass"), alt, [iteration_plots(model)], row_height=3.4
+    ), [
         Row(
             marked("passes until every parameter is within 2 %"),
             marked("about 6"),
@@ -266,20 +239,20 @@ def _iteration_rows(found: Overlay) -> list[Row]:
     ]
 
 
-def _prediction(found: Overlay) -> DrawnFigures:
+def _prediction(found: Overlay) -> Outcome:
     runs = [held_out_prediction(name, entry_of(found, fit=name).analysis) for name in ("lms", "wiener")]
-    heading = marked("Measured and predicted position")
-    alt = marked("Measured position, and that of a linear and a Wiener model, over a stretch of the test.")
-    rows = [[plot] for plot in prediction_plots(runs)]
-    return drawn_grids([PlotGrid("prediction", heading, alt, rows, row_height=2.4)])
-
-
-def _prediction_rows(found: Overlay) -> list[Row]:
-    linear, cascade = (entry_of(found, fit=name).shown_percent for name in ("lms", "wiener"))
-    return [
-        Row(marked("VAF, linear model"), "75.8 %", percent(linear)),
-        Row(marked("VAF, with the static nonlinearity"), "80.7 %", percent(cascade)),
-        Row(marked("gain"), marked("5 to 10 points"), fixed(cascade - linear, 1)),
+    gain = entry_of(found, fit="wiener").shown_percent - entry_of(found, fit="lms").shown_percent
+    return drawn_grid(
+        "prediction",
+        marked("Measured and predicted position"),
+        marked("Measured position, and that of a linear and a Wiener model, over a stretch of the test."),
+        [[plot] for plot in prediction_plots(runs)],
+        row_height=2.4,
+        over=True,
+    ), [
+        Row(marked("VAF, linear model"), "75.8 %", shown_vaf(found, fit="lms")),
+        Row(marked("VAF, with the static nonlinearity"), "80.7 %", shown_vaf(found, fit="wiener")),
+        Row(marked("gain"), marked("5 to 10 points"), fixed(gain, 1)),
     ]
 
 
@@ -290,56 +263,15 @@ SIGNAL_FIGURES: tuple[ThesisFigure, ...] = (
     ThesisFigure(
         "2.12",
         marked("Coil parameters along the stroke, and the ranges of Table 2.1"),
-        (
-            Source(
-                "sweep",
-                SWEEP,
-            ),
-        ),
+        (Source("sweep", SWEEP),),
         recorded=_swept,
     ),
-    ThesisFigure(
-        "3.1",
-        marked("Distributions of force and position"),
-        _ONE,
-        ("lms",),
-        (),
-        _distribution_rows,
-        drawn=_distributions,
-    ),
+    ThesisFigure("3.1", marked("Distributions of force and position"), _ONE, ("lms",), drawn=_distributions),
     ThesisFigure("3.2", marked("Power spectra, and coherence of force and position"), _ONE, recorded=_spectra),
-    ThesisFigure("3.3", marked("Bode diagram of the compliance"), _ONE, ("spectral",), (), _bode_rows, drawn=_bode),
-    ThesisFigure(
-        "3.5", marked("Impulse response with its second-order fit"), _ONE, ("lms",), (), _impulse_rows, drawn=_impulse
-    ),
-    ThesisFigure(
-        "3.8",
-        marked("Static nonlinearity of a Wiener system"),
-        _ONE,
-        ("wiener",),
-        (),
-        _nonlinearity_rows,
-        drawn=_nonlinearity,
-    ),
-    ThesisFigure(
-        "3.9",
-        marked("Scores and parameters over the iterations"),
-        _ONE,
-        ("wiener",),
-        (),
-        _iteration_rows,
-        drawn=_iterations,
-    ),
-    ThesisFigure(
-        "3.10",
-        marked("Measured and predicted position"),
-        _ONE,
-        ("lms", "wiener"),
-        (),
-        _prediction_rows,
-        drawn=_prediction,
-    ),
+    ThesisFigure("3.3", marked("Bode diagram of the compliance"), _ONE, ("spectral",), drawn=_bode),
+    ThesisFigure("3.5", marked("Impulse response with its second-order fit"), _ONE, ("lms",), drawn=_impulse),
+    ThesisFigure("3.8", marked("Static nonlinearity of a Wiener system"), _ONE, ("wiener",), drawn=_nonlinearity),
+    ThesisFigure("3.9", marked("Scores and parameters over the iterations"), _ONE, ("wiener",), drawn=_iterations),
+    ThesisFigure("3.10", marked("Measured and predicted position"), _ONE, ("lms", "wiener"), drawn=_prediction),
 )
 """Figures of chapters 2 and 3 from a sweep and from one large test."""
-
-__all__ = ["GAUSSIAN", "SIGNAL_FIGURES", "SWEEP", "sweep_of"]
