@@ -88,6 +88,26 @@ def test_long_work_runs_in_a_process_that_gives_way():
     assert run_in_process(_niceness, Control()) >= min(os.nice(0) + 10, 19)
 
 
+class _Collected(Control):
+    def __init__(self):
+        self.parts = []
+
+    def finished(self, part):
+        self.parts.append(part)
+
+
+def _by_parts(control):
+    control.finished(1)
+    control.finished(2)
+    return 3
+
+
+def test_finished_parts_of_long_work_come_before_its_result():
+    control = _Collected()
+    assert run_in_process(_by_parts, control) == 3
+    assert control.parts == [1, 2]
+
+
 class _Cancelled(Control):
     def cancelled(self):
         return True

@@ -164,11 +164,11 @@ def test_a_supply_that_changes_meanwhile_fails_it():
 
 def test_the_progress_is_that_of_the_whole_calibration():
     shares = []
-    plan = StaticPlan(steps=("electrical", "supply"), repeats=2)
+    plan = StaticPlan(steps=("electrical", "supply"))
     calibrate_static(rig(), plan, progress=lambda _label, share: shares.append(share))
     assert shares == sorted(shares)
     assert plan.shown_steps == 4
-    assert shares[0] < 0.1
+    assert shares[0] < 0.25
     assert shares[-1] == pytest.approx(1.0)
 
 

@@ -15,7 +15,7 @@ from tissueid.procedures.control import Control
 
 
 class JobControl(Control):
-    """Progress, notices and cancellation. The GUI thread reads ``step``, ``fraction`` and ``notices``, and cancels.
+    """Progress, notices and cancellation. The GUI thread reads ``step``, ``fraction``, ``notices`` and ``parts``.
 
     ``fraction`` is the completed share from 0 to 1, None where it is not known.
     """
@@ -25,6 +25,7 @@ class JobControl(Control):
         self.step = ""
         self.fraction: float | None = 0.0
         self.notices: list[str] = []
+        self.parts: list[Any] = []
 
     def progress(self, fraction: float | None, step: str) -> None:
         """Keep the step and its completed share."""
@@ -33,6 +34,10 @@ class JobControl(Control):
     def notice(self, message: str) -> None:
         """Keep a notice for the end of the job."""
         self.notices.append(message)
+
+    def finished(self, part: object) -> None:
+        """Keep a part of the result that is ready."""
+        self.parts.append(part)
 
     def cancel(self) -> None:
         """Request cancellation."""

@@ -86,6 +86,9 @@ class Control:
     def notice(self, message: str) -> None:
         """Show a message that does not end the procedure: a warning, or what it chose by itself."""
 
+    def finished(self, part: object) -> None:
+        """Show a part of the result that is ready; it belongs to the whole result too."""
+
     def instruct(self, prompt: str) -> None:
         """Show an instruction that needs no confirmation; "" removes it."""
 

@@ -24,7 +24,8 @@ _LEAVE = "leave"
 
 
 def run_in_process(work: Callable[[Control], R], control: Control, grace_s: float = 0.0) -> R:
-    """Run picklable work in a new process and return its result. Progress and notices reach ``control``.
+    """Run picklable work in a new process and return its result. Progress, notices and finished parts reach
+    ``control``.
 
     The process has a low priority, so that it does not disturb a measurement. A diagnosis in a thread would block the
     window whenever it is between two compiled loops, and could not be ended in the middle of a fit.
@@ -57,6 +58,8 @@ def run_in_process(work: Callable[[Control], R], control: Control, grace_s: floa
                 control.progress(*content)
             elif kind == "notice":
                 control.notice(content)
+            elif kind == "finished":
+                control.finished(content)
             elif kind == "failed":
                 raise content
             else:
@@ -86,6 +89,9 @@ class _PipeControl(Control):
 
     def notice(self, message: str) -> None:
         self.send("notice", message)
+
+    def finished(self, part: object) -> None:
+        self.send("finished", part)
 
     def cancelled(self) -> bool:
         return self.left.is_set()

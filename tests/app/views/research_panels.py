@@ -122,11 +122,20 @@ class Held:
 
     def __init__(self, real):
         self.real, self.reached, self.go_on = real, threading.Event(), threading.Event()
+        self.single = False
 
     def __call__(self, *args, **options):
         self.reached.set()
         assert self.go_on.wait(WAIT_MS / 1000)
+        if self.single:
+            self.single = False
+            self.go_on.clear()
         return self.real(*args, **options)
+
+    def once(self):
+        """Let one fit go on, and hold the next one."""
+        self.single = True
+        self.go_on.set()
 
 
 @pytest.fixture

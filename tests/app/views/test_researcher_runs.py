@@ -1,5 +1,6 @@
 """The panel of analyses: engines that are run, compared and cancelled."""
 
+import csv
 import dataclasses
 import functools
 import pickle
@@ -146,6 +147,19 @@ def test_tests_of_a_file_are_fitted_together_where_that_is_asked_for(qtbot, pane
     assert [test.number for test in outcome.tests] == [1, 2]
 
 
+def test_fits_are_shown_as_they_finish(qtbot, panel, held, two):
+    panel.show_tests(two)
+    press(qtbot, panel.run)
+    qtbot.waitUntil(held.reached.is_set, timeout=WAIT_MS)
+    assert panel.results.outcomes == ()
+    held.once()
+    qtbot.waitUntil(lambda: len(panel.results.outcomes) == 1, timeout=WAIT_MS)
+    assert not panel.context.jobs.idle
+    held.go_on.set()
+    wait(qtbot, panel)
+    assert len(panel.results.outcomes) == 2
+
+
 def test_cancel_ends_after_the_fit_that_runs_and_keeps_nothing_of_the_rest(qtbot, panel, strip, history, held, two):
     panel.show_tests(two)
     press(qtbot, panel.run)
@@ -193,7 +207,7 @@ def test_a_folder_is_run_through_and_rubbish_in_it_is_told(qtbot, panel, strip, 
     assert str(tmp_path / "empty") in said
 
 
-def test_a_comparison_recommends_with_reasons(qtbot, panel, two):
+def test_a_comparison_recommends_with_reasons(qtbot, panel, two, tmp_path):
     panel.verdicts.take_compared(["lms", "spectral", "localized"])
     panel.show_tests(two[:1])
     press(qtbot, panel.compare)
@@ -205,6 +219,12 @@ def test_a_comparison_recommends_with_reasons(qtbot, panel, two):
     last = [[standings.item(row, column).text() for column in (0, 1)] for row in range(standings.rowCount())]
     assert sum(verdict == "recommended" for _, verdict in last) == 1
     assert last[-1][0] == "Localized"
+    press(qtbot, panel.verdicts.save)
+    answer(qtbot, panel, tmp_path / "recommendation.csv")
+    with (tmp_path / "recommendation.csv").open(encoding="utf-8-sig", newline="") as file:
+        saved = list(csv.reader(file))
+    assert [row[0] for row in saved[1 : 1 + standings.rowCount()]] == [name for name, _ in last]
+    assert [panel.verdicts.headline.text()] in saved
     assert {outcome.engine for outcome in panel.results.outcomes} == {"lms", "spectral", "localized"}
 
 

@@ -78,7 +78,7 @@ class AnalysisPanel(QWidget):
         self._chosen: tuple[SelectedTest, ...] = ()
         self._work: JobControl | None = None
         self._left = RemainingTime()
-        self._doing = ""
+        self._doing, self._shown_parts = "", 0
         self._busy = self._working = False
         self.form = EngineForm()
         self.run = QPushButton(_("R&un"))
@@ -244,7 +244,7 @@ class AnalysisPanel(QWidget):
         if self.context.no_work:
             return
         control = JobControl()
-        self._work, self._doing = control, doing
+        self._work, self._doing, self._shown_parts = control, doing, 0
         self._left = RemainingTime()
         self.cancelling.setEnabled(True)
         self._show_working()
@@ -298,6 +298,11 @@ class AnalysisPanel(QWidget):
             self.start(task, Path(folder))
 
     def _look(self) -> None:
+        """Show progress, and the fits that are ready: not during a measurement, which new plots would disturb."""
+        ready = [] if self._work is None or self.context.testing() else self._work.parts[self._shown_parts :]
+        if ready:
+            self._shown_parts += len(ready)
+            self._keep([outcome for part in ready for outcome in part])
         if self._work is not None and not self._work.cancelled():
             step, share = self._work.step, self._work.fraction or 0.0
             self.bar.setValue(round(_STEPS * share))
@@ -416,6 +421,9 @@ class AnalysisPanel(QWidget):
     def _save_table(self) -> None:
         self._saver.save_table(self.results.rows())
 
+    def _save_recommendation(self) -> None:
+        self._saver.save_table(self.verdicts.rows(), _("Save the recommendation"), _("recommendation"))
+
     def _save_figure(self) -> None:
         if (figure := self.pictures.figure) is not None:
             self._saver.save_figure(figure)
@@ -455,6 +463,7 @@ class AnalysisPanel(QWidget):
             self.results.setFocus()  # by itself the focus would go on to Clear, and Space would press that
         self.save_table.setEnabled(there and not self._busy)
         self.save_figure.setEnabled(there and not self._busy)
+        self.verdicts.save.setEnabled(not self._busy)
         self.population.save_figure.setEnabled(there and not self._busy)
         self.clear.setEnabled(there and self._work is None)
         self.undo.setVisible(bool(self._before_removal))
@@ -481,6 +490,7 @@ class AnalysisPanel(QWidget):
         self.save_table.clicked.connect(self._save_table)
         self.save_figure.clicked.connect(self._save_figure)
         self.population.save_figure.clicked.connect(self._save_population)
+        self.verdicts.save.clicked.connect(self._save_recommendation)
         self.past.again.connect(self.start)
         self.past.wanted.connect(self._take_task)
 

@@ -71,6 +71,7 @@ def run(task: AnalysisTask, history: AnalysisHistory, moment: str, control: Cont
             found = [replace(outcome, stamp=stamp) for outcome in found]
             done += found if len(done) < _MOST_DRAWN else [outcome.bare() for outcome in found]
             verdicts += verdict
+            control.finished(done[len(done) - len(found) :])
     except CancelledError:
         cancelled = True
     entry = HistoryEntry(time=moment, task=task, headline=_headline(done, cancelled))

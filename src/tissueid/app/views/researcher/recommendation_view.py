@@ -44,6 +44,7 @@ class RecommendationView(QWidget):
         self._actions = {name: menu.addAction(engine_label(name)) for name in engine_names()}
         for action in self._actions.values():
             self._prepare(action)
+        self.save = button(_("Table…"), name=_("Save the recommendation"), tip=_("Save table and reasons as CSV"))
         self.headline = label("headline")
         self.words = styled(QPlainTextEdit(), name=_("Reasons of the recommendation"))
         self.words.setReadOnly(True)
@@ -58,7 +59,13 @@ class RecommendationView(QWidget):
         for place, (part, stretch) in enumerate(((self.words, 2), (self.standings, 3))):
             parts.addWidget(part)
             parts.setStretchFactor(place, stretch)
-        fill(QVBoxLayout(self), row(self.engines, (self.choice, 1)), self.headline, (parts, 1), margins=(0, 6, 0, 0))
+        fill(
+            QVBoxLayout(self),
+            row(self.engines, (self.choice, 1), self.save),
+            self.headline,
+            (parts, 1),
+            margins=(0, 6, 0, 0),
+        )
         self._count()
         self._show()
 
@@ -89,13 +96,21 @@ class RecommendationView(QWidget):
             self.choice.setCurrentIndex(self.choice.findText(verdicts[0].label))
         self._show()
 
+    def rows(self) -> list[Sequence[str]]:
+        """Return the shown comparison as rows of a table: its engines, then each sentence in a row of its own."""
+        verdict = self._verdicts.get(self.choice.currentText())
+        if verdict is None:
+            return []
+        said = (verdict.label, verdict.headline, verdict.judged_on, *verdict.reasons, *verdict.doubts)
+        return [list(map(_, COLUMNS)), *verdict.rows, *([line] for line in (*said, *verdict.experiments))]
+
     def _count(self) -> None:
         count = _("all") if len(self.compared) == len(self._actions) else len(self.compared)
         self.engines.setText(_("En&gines compared: {count}").format(count=count))
 
     def _show(self) -> None:
         verdict = self._verdicts.get(self.choice.currentText())
-        for part in (self.choice, self.standings, self.headline):
+        for part in (self.choice, self.standings, self.headline, self.save):
             part.setVisible(verdict is not None)
         if verdict is None:
             self.headline.setText("")

@@ -103,10 +103,10 @@ class SaveDialog(QObject):
         self._write: Write | None = None
         self._path = Path()
 
-    def save_table(self, rows: Sequence[Sequence[str]]) -> None:
-        """Ask for a file, and write rows into it as CSV."""
+    def save_table(self, rows: Sequence[Sequence[str]], title: str = "", name: str = "") -> None:
+        """Ask for a file, and write rows into it as CSV; ``name`` is its usual name."""
         self._write = functools.partial(write_table, rows=rows)
-        self._ask(_("Save the table of results"), _TABLES, _("results"))
+        self._ask(title or _("Save the table of results"), _TABLES, name or _("results"))
 
     def save_figure(self, figure: SavableFigure, folder: Path | None = None) -> None:
         """Ask for a file, and draw a figure into it."""
