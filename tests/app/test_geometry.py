@@ -305,7 +305,7 @@ def diagnosis():
     every = shelf.all_effects()
     with pytest.MonkeyPatch.context() as patch:
         few = {name: every[name] for name in ("dry_friction", "directional_damping")}
-        patch.setattr("tissueid.gap.machine_library.all_effects", lambda: few)
+        patch.setattr("tissueid.gap.fit_tasks.all_effects", lambda: few)
         return session, diagnose(prepare(session, (), ()), SerialExecutor())
 
 

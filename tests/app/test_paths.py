@@ -261,7 +261,7 @@ def test_a_technician_asks_calibrates_and_verifies(qtbot, from_start, calibratio
 def test_from_a_session_to_a_twin_that_is_measured(qtbot, from_start, tmp_path, audit_file, monkeypatch):
     everything = shelf.all_effects()
     few = {name: everything[name] for name in ("dry_friction", "directional_damping")}
-    monkeypatch.setattr("tissueid.gap.machine_library.all_effects", lambda: few)
+    monkeypatch.setattr("tissueid.gap.fit_tasks.all_effects", lambda: few)
     write_session(tmp_path / "friction.h5", recorded("dry_friction", samples=3000))
     window = from_start("researcher")
     qtbot.keyClick(window, Qt.Key.Key_4, CONTROL)

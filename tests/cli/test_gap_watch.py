@@ -32,7 +32,7 @@ SAMPLES = 3000
 @pytest.fixture(autouse=True)
 def _few_effects(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
     everything = catalogue.all_effects()
-    monkeypatch.setattr("tissueid.gap.machine_library.all_effects", lambda: {name: everything[name] for name in FEW})
+    monkeypatch.setattr("tissueid.gap.fit_tasks.all_effects", lambda: {name: everything[name] for name in FEW})
     monkeypatch.setattr("tissueid.procedures.gap_folder.user_cache_path", lambda *_, **__: tmp_path / "cache")
 
 
@@ -59,7 +59,7 @@ def watched(tmp_path_factory: pytest.TempPathFactory) -> Path:
     write_session(earlier, session(0, "2026-02-01T08:00:00Z"))
     with pytest.MonkeyPatch.context() as patch:
         everything = catalogue.all_effects()
-        patch.setattr("tissueid.gap.machine_library.all_effects", lambda: {name: everything[name] for name in FEW})
+        patch.setattr("tissueid.gap.fit_tasks.all_effects", lambda: {name: everything[name] for name in FEW})
         words = ["gap", "accept", str(earlier), "--effect", "dry_friction", "--out", str(folder.parent / "arm.toml")]
         assert main([*words, "--workers", "1"]) == 0
     return folder

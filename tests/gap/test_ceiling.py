@@ -4,7 +4,7 @@ from dataclasses import dataclass, field, replace
 
 import numpy as np
 
-from tissueid.gap.ceiling import ceiling
+from tissueid.gap.closed_share import ceiling
 from tissueid.gap.dataset import DatasetTest, Purpose
 from tissueid.gap.scoring import ChannelError
 

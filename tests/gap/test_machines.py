@@ -22,10 +22,10 @@ from firmware_sim.other_machines import (
 )
 from tissueid.gap.dataset import Purpose
 from tissueid.gap.diagnosis import diagnose
-from tissueid.gap.equivalent_simulation import recorded_state, restarts
+from tissueid.gap.fit_tasks import acts_on_machine, effects_of
 from tissueid.gap.fitting import fit
+from tissueid.gap.forward_model import recorded_state, restarts
 from tissueid.gap.machine_family import with_best_family
-from tissueid.gap.machine_library import acts_on_machine, effects_of
 from tissueid.gap.preparation import prepare
 from tissueid.gap.scoring import gap, score_candidate
 from tissueid.gap.search import Search

@@ -7,7 +7,7 @@ from gap_records import changed, recorded
 
 from tissueid.gap.diagnosis import diagnose
 from tissueid.gap.fitting import fit
-from tissueid.gap.outliers import robust_noise, with_robust_noise, without_outliers
+from tissueid.gap.noise import robust_noise, with_robust_noise, without_outliers
 from tissueid.gap.preparation import prepare
 from tissueid.gap.workers import SerialExecutor
 from tissueid.messages import code_of

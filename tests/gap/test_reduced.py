@@ -13,8 +13,8 @@ from tissueid.device import DeviceDescription
 from tissueid.errors import UnusableInputError
 from tissueid.gap.candidate_tests import candidate_tests
 from tissueid.gap.diagnosis import diagnose
+from tissueid.gap.fit_tasks import effects_of
 from tissueid.gap.fitting import fit
-from tissueid.gap.machine_library import effects_of
 from tissueid.gap.preparation import prepare
 from tissueid.gap.scoring import gap, score_candidate
 from tissueid.gap.search import applicable

@@ -9,10 +9,9 @@ import numpy as np
 import pytest
 from gap_records import observed
 
+from tissueid.gap.fit_tasks import Screen, Signature, best_aligned, cosine, effects_of
 from tissueid.gap.fitting import fit
-from tissueid.gap.machine_library import effects_of
 from tissueid.gap.parameters import starts_of
-from tissueid.gap.screening import Screen, Signature, best_aligned, cosine
 from tissueid.twin.catalogue import all_effects, effect
 
 CANDIDATES = ("dry_friction", "directional_damping", "sensor_lag", "eddy_currents", "quadratic_drag")

@@ -13,8 +13,8 @@ from tissueid.errors import CancelledError
 from tissueid.gap.answer import as_answer
 from tissueid.gap.decision import THRESHOLDS
 from tissueid.gap.diagnosis import diagnose
-from tissueid.gap.disturbances import rests
 from tissueid.gap.fit_tasks import Task, refit
+from tissueid.gap.noise import rests
 from tissueid.gap.preparation import prepare
 from tissueid.gap.scoring import Candidate
 from tissueid.gap.search import (

@@ -27,7 +27,7 @@ def _few_effects(monkeypatch: pytest.MonkeyPatch) -> None:
     """Three candidates are enough here, and quick."""
     everything = shelf.all_effects()
     few = {name: everything[name] for name in FEW}
-    monkeypatch.setattr("tissueid.gap.machine_library.all_effects", lambda: few)
+    monkeypatch.setattr("tissueid.gap.fit_tasks.all_effects", lambda: few)
     monkeypatch.setattr("tissueid_lab.blind_check.answers.all_effects", lambda: few)
 
 

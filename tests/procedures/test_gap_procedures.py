@@ -33,7 +33,7 @@ SAMPLES = 3000
 @pytest.fixture(autouse=True)
 def _few_effects(monkeypatch: pytest.MonkeyPatch) -> None:
     everything = catalogue.all_effects()
-    monkeypatch.setattr("tissueid.gap.machine_library.all_effects", lambda: {name: everything[name] for name in FEW})
+    monkeypatch.setattr("tissueid.gap.fit_tasks.all_effects", lambda: {name: everything[name] for name in FEW})
 
 
 @pytest.fixture(scope="module")
@@ -48,7 +48,7 @@ def shown(session_file: Path) -> DiagnosisResult:
     """The diagnosis as the window makes it."""
     with pytest.MonkeyPatch.context() as patch:
         everything = catalogue.all_effects()
-        patch.setattr("tissueid.gap.machine_library.all_effects", lambda: {name: everything[name] for name in FEW})
+        patch.setattr("tissueid.gap.fit_tasks.all_effects", lambda: {name: everything[name] for name in FEW})
         return run_diagnosis(DiagnosisPlan(session=session_file), Control(), separate_process=False)
 
 

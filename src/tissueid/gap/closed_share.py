@@ -1,15 +1,26 @@
-"""Gap before and after an explanation, and the share that it closes, with bootstrap intervals."""
+"""Gap before and after an explanation: the share that it closes, the budget by effect, and the upper bound.
+
+Budget: A share depends on the order in which effects are added. Two are given for each: when it is added in the order
+of the waterfall, and when it alone is removed from the complete set. Both are measured on the samples for the check.
+
+Upper bound: a flexible regression of the baseline's residual on held-out data. The discrepancy between simulator and
+reality is a Gaussian process of inputs and states (Kennedy and O'Hagan, J. Royal Statistical Society B 63 (2001)
+425-464), computed by random features (Rahimi and Recht, NIPS 20 (2007) 1177-1184). It uses the past of the command and
+of the baseline's own states, never the recorded output, so that its closed share refers to free-run simulation. The
+remaining gap comes from disturbances or unobserved states.
+"""
 
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
+from itertools import pairwise
 
 import numpy as np
 from numpy.typing import NDArray
 from scipy import stats
 
-from tissueid.gap.dataset import Dataset, Purpose
+from tissueid.gap.dataset import Dataset, DatasetTest, Purpose
 from tissueid.gap.scoring import (
     GAP_CHANNELS,
     Candidate,
@@ -21,8 +32,219 @@ from tissueid.gap.scoring import (
     gap_left,
     quiet_tests,
 )
+from tissueid.twin.catalogue import effect
+from tissueid.twin.effect import Stage
+
+Interval = tuple[float, float]
+
+
+@dataclass(frozen=True)
+class BudgetStep:
+    """One effect of the waterfall: the gap with it, and its closed shares with 95 % intervals (NaN where unknown)."""
+
+    effect: str
+    stage: Stage
+    gap_after: float
+    added: float
+    added_ci: Interval
+    removed: float
+    removed_ci: Interval
+
+
+@dataclass(frozen=True)
+class Budget:
+    """The gap from the baseline to the noise floor, on the samples for the check.
+
+    ``remains`` is the share that the set leaves, ``remains_in`` the stage that shows it; None where it is noise.
+    """
+
+    before: float
+    after: float
+    floor: float
+    steps: tuple[BudgetStep, ...]
+    remains: float
+    remains_in: Stage | None
+
+
+def removal_path(
+    found: Candidate, known: Sequence[str], remove: Callable[[Candidate, Sequence[str]], Sequence[Candidate]]
+) -> tuple[tuple[Candidate, ...], dict[str, Candidate]]:
+    """Return nested sets from one effect to all, and the set without each effect.
+
+    At each step the effect is removed whose removal widens the gap least, so that the first step of the waterfall is
+    that of the most important effect.
+
+    Args:
+        found: the complete set.
+        known: effects of the baseline, which stay.
+        remove: refits a set without each of some effects.
+    """
+    quiet = quiet_tests(found.fit.parameters.dataset.tests)
+    path: list[Candidate] = [found]
+    without: dict[str, Candidate] = {}
+    while len(names := [name for name in path[-1].effects if name not in known]) > 1:
+        smaller = remove(path[-1], names)
+        if not without:
+            without = dict(zip(names, smaller, strict=True))
+        path.append(min(smaller, key=lambda item: gap(item.checked_by, quiet)))
+    return tuple(reversed(path)), without
+
+
+def budget(
+    baseline: Candidate, path: Sequence[Candidate], without: dict[str, Candidate], remains_in: Stage | None
+) -> Budget:
+    """Return the budget of nested sets, from the smallest to the complete one.
+
+    Args:
+        baseline: the baseline without effects.
+        path: nested sets, each with one effect more.
+        without: the complete set without each effect.
+        remains_in: stage that shows what the complete set leaves.
+    """
+    complete = path[-1]
+    quiet = quiet_tests(baseline.fit.parameters.dataset.tests)
+    in_stretches = stretches(baseline)
+    draws = draws_of(len(in_stretches))
+
+    def share(item: Candidate) -> tuple[float, FloatArray]:
+        if item is baseline:
+            return 0.0, np.zeros(len(draws))
+        before, after = gap(baseline.checked_by, quiet), gap(item.checked_by, quiet)
+        drawn = closed_in_draws(in_stretches, stretches(item), draws, quiet)
+        return closed(before, after, floor(baseline.checked_by, quiet)), drawn
+
+    shares = {id(item): share(item) for item in (baseline, *path, *without.values())}
+
+    def difference(more: Candidate, less: Candidate) -> tuple[float, Interval]:
+        (middle, drawn), (from_there, drawn_there) = shares[id(more)], shares[id(less)]
+        return middle - from_there, widened(middle - from_there, drawn - drawn_there, len(in_stretches))
+
+    steps, before = [], baseline
+    for item in path:
+        name = next(name for name in item.effects if name not in before.effects)
+        added, added_ci = difference(item, before)
+        removed, removed_ci = difference(complete, without[name]) if name in without else (added, added_ci)
+        left = gap_left(baseline.checked_by, item.checked_by, quiet)
+        steps.append(BudgetStep(name, effect(name).stage, left, added, added_ci, removed, removed_ci))
+        before = item
+    return Budget(
+        gap(baseline.checked_by, quiet),
+        gap_left(baseline.checked_by, complete.checked_by, quiet),
+        floor(baseline.checked_by, quiet),
+        tuple(steps),
+        1.0 - shares[id(complete)][0],
+        remains_in,
+    )
+
 
 FloatArray = NDArray[np.float64]
+
+FEATURES = 256
+MOST_FITTED = 8_000
+LENGTHS = (2.0, 6.0)
+"""Length scales of the process, in standard deviations of the inputs."""
+RIDGES = (1e-6, 1e-4, 1e-2, 1.0)
+_EDGES = (0, 1, 2, 4, 8, 16, 32, 64, 128)
+"""Edges of windows in the past, samples; the means in the windows represent the memory."""
+
+
+@dataclass(frozen=True)
+class _Course:
+    """One test: inputs of the regression, shape (n, inputs), and the baseline's residual by channel, shape (n,)."""
+
+    test: DatasetTest
+    inputs: FloatArray
+    left: dict[str, FloatArray]
+
+
+def ceiling(baseline: Candidate) -> float:
+    """Return the share of the gap that a flexible regression closes on the samples for the check, at least 0.
+
+    NaN without a gap.
+    """
+    dataset = baseline.fit.parameters.dataset
+    quiet = quiet_tests(dataset.tests)
+    before, least = gap(baseline.checked_by, quiet), floor(baseline.checked_by, quiet)
+    courses = [
+        _course(test, predicted, dataset.channels)
+        for test, predicted in zip(dataset.tests, baseline.fit.predictions, strict=True)
+    ]
+    fitted = [one.test.serving(Purpose.FIT) for one in courses]
+    count = sum(int(mask.sum()) for mask in fitted)
+    if not before > least or count < FEATURES:
+        return float("nan")
+    chosen = [np.flatnonzero(mask)[:: max(1, -(-count // MOST_FITTED))] for mask in fitted]
+    known = np.concatenate([one.inputs[rows] for one, rows in zip(courses, chosen, strict=True)])
+    middle, spread = known.mean(axis=0), np.maximum(known.std(axis=0), 1e-12)
+    best: dict[str, tuple[float, list[FloatArray]]] = {}
+    for length in LENGTHS:
+        random = np.random.default_rng(0)
+        waves = random.standard_normal((known.shape[1], FEATURES)) / (length * np.sqrt(known.shape[1]) / 2.0)
+        phases = random.uniform(0.0, 2.0 * np.pi, FEATURES)
+        features = [_random_features((one.inputs - middle) / spread, waves, phases) for one in courses]
+        design = np.concatenate([rows[k] for rows, k in zip(features, chosen, strict=True)])
+        inner = design.T @ design
+        for name in dataset.channels:
+            target = np.concatenate([one.left[name][k] for one, k in zip(courses, chosen, strict=True)])
+            good = np.isfinite(target)
+            squares = inner if good.all() else design[good].T @ design[good]
+            toward = design[good].T @ target[good]
+            for ridge in RIDGES:
+                weights = np.linalg.solve(squares + ridge * good.sum() * np.eye(toward.size), toward)
+                predicted = [rows @ weights for rows in features]
+                error = _error(courses, predicted, name)
+                if name not in best or error < best[name][0]:
+                    best[name] = (error, predicted)
+    after = _checked(courses, {name: predicted for name, (_, predicted) in best.items()}, baseline.checked_by)
+    share = closed(before, gap(after, quiet), least)
+    return max(share, 0.0)
+
+
+def _course(test: DatasetTest, predicted: dict[str, FloatArray], channels: Sequence[str]) -> _Course:
+    position = predicted["position"]
+    speed = np.gradient(position)
+    states = [position, speed, *([predicted["current"]] if "current" in predicted else [])]
+    rows = [*_past(test.command), *(column for state in states for column in _past(state)[:5])]
+    seconds = np.arange(test.command.size) / test.sample_rate_hz
+    left = {name: test.signals[name] - predicted[name] for name in channels}
+    return _Course(test, np.stack([*rows, seconds], axis=1), left)
+
+
+def _past(values: FloatArray) -> list[FloatArray]:
+    longest = _EDGES[-1]
+    before = np.concatenate([np.full(longest, values[0]), np.nan_to_num(values)])
+    sums = np.concatenate([[0.0], np.cumsum(before)])
+    ends = np.arange(values.size) + longest + 1
+    return [(sums[ends - a] - sums[ends - b]) / (b - a) for a, b in pairwise(_EDGES)]
+
+
+def _random_features(inputs: FloatArray, waves: FloatArray, phases: FloatArray) -> FloatArray:
+    # The inputs themselves as linear features.
+    turned = inputs @ waves + phases
+    return np.concatenate([np.ones((inputs.shape[0], 1)), inputs, np.cos(turned)], axis=1)
+
+
+def _error(courses: Sequence[_Course], predicted: Sequence[FloatArray], name: str) -> float:
+    total = 0.0
+    for one, values in zip(courses, predicted, strict=True):
+        mask = one.test.serving(Purpose.CHOICE) & np.isfinite(one.left[name])
+        total += float(np.sum((one.left[name][mask] - values[mask]) ** 2))
+    return total
+
+
+def _checked(
+    courses: Sequence[_Course], predicted: dict[str, list[FloatArray]], before: Sequence[ChannelError]
+) -> list[ChannelError]:
+    places = {one.test.number: k for k, one in enumerate(courses)}
+    found = []
+    for item in before:
+        k = places[item.test]
+        mask = courses[k].test.serving(Purpose.CHECK) & np.isfinite(courses[k].left[item.channel])
+        rest = courses[k].left[item.channel][mask] - predicted[item.channel][k][mask]
+        found.append(replace(item, square=float(np.mean(rest**2))))
+    return found
+
+
 IntArray = NDArray[np.int64]
 Stretch = Sequence[ChannelError]
 

@@ -1,9 +1,12 @@
-"""The dataset of a diagnosis: the tests of a session, with the purpose of each sample."""
+"""The dataset of a diagnosis: the tests of a session, what drives each, and the purpose of each sample.
+
+The excitation is the recorded signal that drives the chain; the channels that the chain predicts follow from it.
+"""
 
 from __future__ import annotations
 
-from collections.abc import Mapping
-from dataclasses import dataclass, field
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field, replace
 from enum import IntEnum
 from functools import cached_property
 from hashlib import blake2b
@@ -13,11 +16,178 @@ import numpy as np
 from numpy.typing import NDArray
 
 from tissueid.device import GRAVITY_M_S2, DeviceDescription
-from tissueid.gap.equivalent_oscillator import Equivalent
-from tissueid.gap.excitation import UPSTREAM, DrivenBy, interpolated
+from tissueid.errors import UnusableInputError
+from tissueid.gap.equivalent_oscillator import PEAK_V, Equivalent, equivalent
+from tissueid.sessions import Test
 from tissueid.twin.simulation import MeasuredSignals
 
 FloatArray = NDArray[np.float64]
+DrivenBy = Literal["command", "voltage", "current", "input"]
+
+UPSTREAM: dict[DrivenBy, tuple[str, ...]] = {
+    "command": (),
+    "voltage": ("voltage",),
+    "current": ("voltage", "current"),
+    "input": ("voltage", "current"),
+}
+"""Channels at or upstream of the excitation, which are not predicted."""
+LEAST_SAMPLES = 100
+"""Least number of samples of a test."""
+_FIGURES = (
+    "coil_resistance_ohm",
+    "coil_inductance_h",
+    "force_constant_n_per_a",
+    "moving_mass_kg",
+    "bearing_damping_n_s_per_m",
+    "stroke_m",
+    "calibration_relative_uncertainty",
+)
+_INPUTS = ("input", "force", "current", "voltage", "command")
+_OUTPUTS = ("position", "output")
+_LEAST_RECEIVED = 0.5
+"""Least share of received samples of a signal that is used."""
+_MOST_STROKES = 10.0
+"""Travel in strokes from which the position is taken to be in another unit than metres."""
+_MOST_FORCES = 10.0
+"""Force relative to the coil's largest force from which it is taken to be in another unit than newtons."""
+
+
+@dataclass(frozen=True)
+class ExcitedTest:
+    """A test with its excitation, shape (n,), without gaps, and its recorded signals, NaN where not received."""
+
+    test: Test
+    by: DrivenBy
+    command: FloatArray
+    signals: dict[str, FloatArray]
+
+
+def known_instrument(device: DeviceDescription) -> bool:
+    """Return whether a session holds the parameters of its instrument, without which the chain has no coil."""
+    return all(np.isfinite(getattr(device, name)) and getattr(device, name) > 0.0 for name in _FIGURES)
+
+
+def excitation_of(test: Test, device: DeviceDescription) -> ExcitedTest:
+    """Return the excitation of a test of a known instrument: its command, or the first signal recorded downstream.
+
+    A command is used where it has no gaps and the amplifier is known. A signal without any sample counts as not
+    recorded. Gaps of a recorded signal, at most half of it, are interpolated linearly.
+
+    Raises:
+        UnusableInputError: there is no usable excitation, or no position.
+    """
+    signals: dict[str, FloatArray] = {
+        name: np.where(np.isfinite(test.signals[name]), test.signals[name], np.nan)
+        for name in ("voltage", "current", "position")
+        if name in test.signals and (name == "position" or np.isfinite(test.signals[name]).any())
+    }
+    if "position" not in signals:
+        raise UnusableInputError("gap.no_position", "it has no position")
+    _check_received("position", signals["position"])
+    travel = float(np.nanmax(signals["position"]) - np.nanmin(signals["position"]))
+    if travel > _MOST_STROKES * device.stroke_m:
+        raise UnusableInputError(
+            "gap.travel",
+            "its position covers {travel_m:.3g} m, and the stroke is {stroke_m:.3g} m: is it in metres?",
+            travel_m=travel,
+            stroke_m=device.stroke_m,
+        )
+    if travel == 0.0 and test.kind != "quiet":
+        raise UnusableInputError("gap.constant_position", "its position never changes")
+    command = test.signals.get("command")
+    amplifier = all(np.isfinite(value) and value > 0.0 for value in (device.amplifier_gain, device.amplifier_limit_v))
+    if test.kind == "spring" and not device.calibration_spring_n_per_m > 0.0:
+        raise UnusableInputError(
+            "gap.unknown_spring", "the session does not hold the stiffness of its calibration spring"
+        )
+    if command is not None and amplifier and np.isfinite(command).all():
+        return ExcitedTest(test, "command", np.ascontiguousarray(command, np.float64), signals)
+    if "voltage" in signals and np.isfinite(signals["voltage"]).mean() >= _LEAST_RECEIVED:
+        return ExcitedTest(test, "voltage", interpolated(signals["voltage"]), signals)
+    if "current" not in signals and "force" in test.signals:
+        force = np.where(np.isfinite(test.signals["force"]), test.signals["force"], np.nan)
+        most = device.amplifier_limit_v / device.coil_resistance_ohm * device.force_constant_n_per_a
+        if amplifier and float(np.nanmax(np.abs(force), initial=0.0)) > _MOST_FORCES * most:
+            raise UnusableInputError(
+                "gap.force_unit",
+                "its force reaches {force_n:.3g} N, and the coil can give {most_n:.3g} N: is it in N?",
+                force_n=float(np.nanmax(np.abs(force))),
+                most_n=most,
+            )
+        signals["current"] = force / device.force_constant_n_per_a
+    if "current" in signals and np.isfinite(signals["current"]).mean() >= _LEAST_RECEIVED:
+        return ExcitedTest(test, "current", interpolated(signals["current"]), signals)
+    if command is not None and not amplifier:
+        raise UnusableInputError(
+            "gap.unknown_amplifier", "the session holds neither gain nor limit of the amplifier of its command"
+        )
+    if command is not None:
+        raise UnusableInputError("gap.command_gaps", "its command has gaps, so that the test cannot be simulated")
+    raise UnusableInputError("gap.no_excitation", "it has no command, voltage, current or force that drives it")
+
+
+def input_output_names(test: Test) -> tuple[str, str]:
+    """Return the names of input and output of a test of an unknown instrument.
+
+    Raises:
+        UnusableInputError: input or output is missing or constant.
+    """
+    output = next((name for name in _OUTPUTS if name in test.signals), None)
+    given = next((name for name in _INPUTS if name in test.signals), None)
+    if output is None:
+        raise UnusableInputError("gap.no_output", "it has no position or output")
+    if given is None:
+        raise UnusableInputError("gap.no_input", "it has no input, force, current or voltage that drives it")
+    _check_received(output, test.signals[output])
+    _check_received(given, test.signals[given])
+    if not float(np.nanstd(test.signals[given])) > 0.0 or not float(np.nanstd(test.signals[output])) > 0.0:
+        raise UnusableInputError("gap.constant_signal", "its input or output never changes")
+    return given, output
+
+
+def as_oscillator(tests: Sequence[Test], fitted: Sequence[Test]) -> tuple[Equivalent, list[ExcitedTest]]:
+    """Convert input-output tests to force and motion of an equivalent mass on a spring.
+
+    Args:
+        tests: tests that ``bare`` accepts, with the same names of signals.
+        fitted: the tests from which the oscillator is estimated.
+    """
+    given, output = input_output_names(tests[0])
+    records = [(interpolated(test.signals[given]), interpolated(test.signals[output])) for test in fitted]
+    units = tests[0].unit(given), tests[0].unit(output)
+    about = equivalent(records, tests[0].sample_rate_hz, (given, output), units)
+    peak = max(float(np.max(np.abs(values))) for values, _ in records)
+    rest = float(np.mean(np.concatenate([values for _, values in records])))
+    middle = float(np.mean(np.concatenate([values for values, _ in records])))
+    about = replace(about, input_middle_n=about.input_n * middle, volts_per_newton=PEAK_V / (about.input_n * peak))
+    found = []
+    for test in tests:
+        force = about.input_n * (interpolated(test.signals[given]) - middle)
+        motion = about.output_m * (np.asarray(test.signals[output], np.float64) - rest)
+        found.append(ExcitedTest(test, "input", np.ascontiguousarray(force), {"position": motion}))
+    return about, found
+
+
+def interpolated(values: FloatArray) -> FloatArray:
+    """Return a signal with linear interpolation across missing samples, shape (n,)."""
+    known = np.isfinite(values)
+    if known.all():
+        return np.ascontiguousarray(values, np.float64)
+    where = np.arange(values.size)
+    return np.interp(where, where[known], values[known])
+
+
+def _check_received(name: str, values: FloatArray) -> None:
+    received = float(np.isfinite(values).mean())
+    if received < _LEAST_RECEIVED:
+        raise UnusableInputError(
+            "gap.missing_samples",
+            "{percent:.0f} % of its {channel} is missing",
+            percent=100.0 * (1.0 - received),
+            channel=name,
+        )
+
+
 Fixture = Literal["tissue", "spring", "air"]
 
 CHANNELS = ("voltage", "current", "position")

@@ -13,10 +13,10 @@ from dataclasses import dataclass
 import numpy as np
 
 from tissueid.gap.decision import THRESHOLDS
+from tissueid.gap.fit_tasks import Screen
 from tissueid.gap.fitting import residual_blocks
 from tissueid.gap.parameters import starts_of
 from tissueid.gap.scoring import Candidate
-from tissueid.gap.screening import Screen
 from tissueid.twin.effect import Effect
 
 TRIALS = 6

@@ -10,9 +10,7 @@ from typing import Any
 
 import numpy as np
 
-from tissueid.gap.budget import Budget, budget, removal_path
-from tissueid.gap.ceiling import ceiling
-from tissueid.gap.closed_share import GapFigures, figures_of
+from tissueid.gap.closed_share import Budget, GapFigures, budget, ceiling, figures_of, removal_path
 from tissueid.gap.dataset import Dataset
 from tissueid.gap.decision import (
     THRESHOLDS,
@@ -26,11 +24,10 @@ from tissueid.gap.decision import (
     shows_in_the_check_alone,
 )
 from tissueid.gap.detection_limits import DetectionLimit, DetectionLimits
+from tissueid.gap.fit_tasks import Screen, cosine, effects_of
 from tissueid.gap.localisation import Localisation, localise
-from tissueid.gap.machine_library import effects_of
 from tissueid.gap.next_experiment import NextExperiment, next_experiment
 from tissueid.gap.scoring import Candidate, score
-from tissueid.gap.screening import Screen, cosine
 from tissueid.gap.search import Search, SearchProgress, SearchResult
 from tissueid.gap.set_search import added, search_sets, tried
 from tissueid.gap.workers import Executor

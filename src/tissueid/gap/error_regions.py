@@ -18,10 +18,9 @@ from numpy.typing import NDArray
 from scipy.stats import t as student
 
 from tissueid.device import DeviceDescription
-from tissueid.gap.dataset import Dataset, DatasetTest
-from tissueid.gap.disturbances import MAINS_HZ, mains_lines
-from tissueid.gap.excitation import interpolated
+from tissueid.gap.dataset import Dataset, DatasetTest, interpolated
 from tissueid.gap.fitting import Fit
+from tissueid.gap.noise import MAINS_HZ, mains_lines
 from tissueid.gap.stage_substitution import motion
 
 FloatArray = NDArray[np.float64]

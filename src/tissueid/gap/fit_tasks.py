@@ -1,4 +1,8 @@
-"""Fits that a search runs in worker processes, and the fits that they start from."""
+"""Fits that a search runs in worker processes: what is tried, its screening, and the starting points.
+
+Effects are those of the library, or those of an equivalent machine. Screening is the alignment of their signatures with
+the residual of the baseline.
+"""
 
 from __future__ import annotations
 
@@ -6,14 +10,135 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
+from numpy.typing import NDArray
 
+from tissueid.device import DeviceDescription
 from tissueid.gap.dataset import Dataset, Purpose
-from tissueid.gap.fitting import ESTIMATES, MOST_STEPS, Fit, fit, re_estimate
-from tissueid.gap.machine_library import effects_of
-from tissueid.gap.parameters import SURFACE_SHIFT
+from tissueid.gap.fitting import ESTIMATES, MOST_STEPS, Differences, Fit, LinearRefit, fit, re_estimate
+from tissueid.gap.parameters import SURFACE_SHIFT, starts_of
 from tissueid.gap.scoring import Candidate, score_candidate
-from tissueid.gap.screening import Screen, Signature
-from tissueid.twin.effect import Effect
+from tissueid.twin.catalogue import all_effects
+from tissueid.twin.effect import SCALES, Effect
+from tissueid.twin.machine_effects import machine_effects
+
+_DRIVE = frozenset({"amplifier_clipping", "amplifier_deadband"})
+_OF_POSITION = frozenset({"end_stop", "mount_resonance", "cogging", "sensor_backlash"})
+"""Effects outside the tissue that depend on the position, or on a record of it."""
+_OF_VELOCITY = frozenset({"directional_damping"})
+"""Effects on the tissue that do not depend on the position."""
+
+
+def effects_of(dataset: Dataset) -> Mapping[str, Effect]:
+    """Return the effects of the library by name, with bounds and starts for the instrument, or with those for an
+    equivalent machine in an input-output record."""
+    if dataset.equivalent is not None:
+        return all_effects() | machine_effects()
+    ratios = {name: getattr(dataset.instrument, name) / getattr(DeviceDescription, name) for name in SCALES}
+    return {name: item.scaled(ratios) for name, item in all_effects().items()}
+
+
+def acts_on_machine(dataset: Dataset, item: Effect) -> bool:
+    """Return whether an effect can be identified in an input-output record."""
+    about = dataset.equivalent
+    if about is None:
+        return False
+    if about.output_is_velocity and (item.name in _OF_POSITION or item.stage == "tissue"):
+        return item.name in _OF_VELOCITY
+    if item.stage == "drive":
+        return item.name in _DRIVE
+    return item.stage in ("mechanics", "tissue", "sensing") and item.needs <= {"position", "command"}
+
+
+FloatArray = NDArray[np.float64]
+
+
+SECOND_START = 0.7
+"""Least alignment of a second starting point of an effect, as a share of the first one's."""
+
+
+@dataclass(frozen=True)
+class Signature:
+    """How far the change of the residuals by an effect at a starting point, after a refit of everything else, explains
+    the residual of the baseline.
+
+    ``alignment`` is the squared cosine between that residual and the closest combination of the effect and its
+    derivatives by its parameters: the share that a linear effect would explain.
+    """
+
+    effect: str
+    start: tuple[float, ...]
+    alignment: float
+
+
+class Screen:
+    """Signatures on the residuals of a fit."""
+
+    def __init__(self, baseline: Fit) -> None:
+        self._baseline = baseline
+        self._differences = Differences(baseline)
+        self._refit = LinearRefit(baseline)
+        self._left = self.surviving(baseline.residuals)
+        self._size = float(self._left @ self._left)
+
+    def signatures(self, effect: Effect, starts: Sequence[tuple[float, ...]] = ()) -> list[Signature]:
+        """Return the signature of an effect at each of the starts and at the most visible point of its grid; at all its
+        starting points without ``starts``."""
+        declared = starts or starts_of(self._baseline.parameters.dataset, effect, self._baseline.predictions)
+        found = []
+        for start in dict.fromkeys((*declared, *self._most_visible_starts(effect))):
+            added, slopes = self._differences.at(effect, start)
+            span = self.surviving(np.column_stack([added, slopes]))
+            sizes = np.linalg.norm(span, axis=0)
+            span = span[:, sizes > 1e-9 * max(float(sizes.max()), 1e-300)]
+            if not span.shape[1]:
+                found.append(Signature(effect.name, start, 0.0))
+                continue
+            shares, *_ = np.linalg.lstsq(span / np.linalg.norm(span, axis=0), self._left, rcond=1e-6)
+            surviving = (span / np.linalg.norm(span, axis=0)) @ shares
+            along = float(surviving @ surviving) / self._size if self._size > 0.0 else 0.0
+            found.append(Signature(effect.name, start, along))
+        return found
+
+    def _most_visible_starts(self, effect: Effect) -> list[tuple[float, ...]]:
+        # The point of the grid at which the effect, at any size, is closest to the residual of the baseline, for each
+        # combination of fixed parameters.
+        kinds: dict[tuple[float, ...], list[tuple[float, ...]]] = {}
+        for start in effect.scan:
+            fixed = (value for item, value in zip(effect.parameters, start, strict=True) if item.fixed)
+            kinds.setdefault(tuple(fixed), []).append(start)
+
+        def seen(start: tuple[float, ...]) -> float:
+            return cosine(self.surviving_change(effect, start), self._left)
+
+        return [max(grid, key=seen) for grid in kinds.values()]
+
+    def surviving_change(self, effect: Effect, start: Sequence[float]) -> FloatArray:
+        """Return the change by an effect at a starting point that a refit cannot absorb, shape (residuals,)."""
+        return self.surviving(self._differences.at(effect, start, slopes=False)[0])
+
+    def surviving(self, values: FloatArray) -> FloatArray:
+        """Return the part of a change of the residuals that a refit of everything else cannot absorb, shape
+        (residuals,)."""
+        return self._refit.surviving(values)
+
+
+def cosine(one: FloatArray, other: FloatArray) -> float:
+    """Return the absolute cosine between two signatures; 0 where one is zero."""
+    size = float(np.linalg.norm(one) * np.linalg.norm(other))
+    return abs(float(one @ other)) / size if size > 0.0 else 0.0
+
+
+def best_aligned(signatures: Sequence[Signature], most_starts: int = 2) -> list[Signature]:
+    """Return the best aligned start of every effect and, up to ``most_starts``, those nearly as well aligned; best
+    first."""
+    found: dict[str, list[Signature]] = {}
+    for item in sorted(signatures, key=lambda item: -item.alignment):
+        of_effect = found.setdefault(item.effect, [])
+        near_best = not of_effect or item.alignment >= SECOND_START * of_effect[0].alignment
+        if near_best and len(of_effect) < most_starts:
+            of_effect.append(item)
+    return sorted((item for items in found.values() for item in items), key=lambda item: -item.alignment)
+
 
 ESTIMATES_IN_A_SHORT_FIT = 1
 """Re-estimates of an effect from the record in a short fit; a full fit repeats them."""

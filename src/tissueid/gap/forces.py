@@ -17,11 +17,10 @@ from numba import njit
 from numpy.typing import NDArray
 from scipy.interpolate import BSpline
 
-from tissueid.gap.dataset import DatasetTest, Purpose
-from tissueid.gap.disturbances import mains_lines
-from tissueid.gap.excitation import interpolated
+from tissueid.gap.dataset import DatasetTest, Purpose, interpolated
 from tissueid.gap.fitting import Fit
 from tissueid.gap.forward_model import simulate_test
+from tissueid.gap.noise import mains_lines
 from tissueid.gap.stage_substitution import StageSimulation, motion
 from tissueid.language import marked
 from tissueid.twin.effect import Stage

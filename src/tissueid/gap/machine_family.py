@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 from scipy.optimize import nnls
 from scipy.signal import savgol_filter
 
-from tissueid.gap.dataset import Dataset, DatasetTest, Purpose
+from tissueid.gap.dataset import Dataset, DatasetTest, Purpose, interpolated
 from tissueid.gap.equivalent_oscillator import (
     FAMILY_NAMES,
     VELOCITY_TIME_S,
@@ -24,9 +24,8 @@ from tissueid.gap.equivalent_oscillator import (
     FrequencyResponse,
     frequency_response,
 )
-from tissueid.gap.equivalent_simulation import recorded_state, restarts, velocity_error
-from tissueid.gap.excitation import interpolated
 from tissueid.gap.fitting import Fit, fit
+from tissueid.gap.forward_model import recorded_state, restarts, velocity_error
 from tissueid.gap.scoring import score_candidate
 from tissueid.messages import Message
 from tissueid.twin.machine_effects import friction_starts, machine_effects

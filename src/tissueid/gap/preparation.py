@@ -11,10 +11,14 @@ from numpy.typing import NDArray
 
 from tissueid.device import GRAVITY_M_S2
 from tissueid.errors import UnusableInputError
-from tissueid.gap.dataset import AT_SURFACE_M, Dataset, DatasetTest, Fixture, Purpose
-from tissueid.gap.excitation import (
+from tissueid.gap.dataset import (
+    AT_SURFACE_M,
     LEAST_SAMPLES,
+    Dataset,
+    DatasetTest,
     ExcitedTest,
+    Fixture,
+    Purpose,
     as_oscillator,
     excitation_of,
     input_output_names,

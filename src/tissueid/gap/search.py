@@ -9,14 +9,23 @@ from typing import Literal, TypeVar
 
 from tissueid.gap.dataset import Dataset, Purpose
 from tissueid.gap.decision import THRESHOLDS, grows
-from tissueid.gap.disturbances import rests
-from tissueid.gap.fit_tasks import Task, best_starts, from_twin, on_found_surface, other_minima, refit, screen
+from tissueid.gap.fit_tasks import (
+    Signature,
+    Task,
+    acts_on_machine,
+    best_aligned,
+    best_starts,
+    effects_of,
+    from_twin,
+    on_found_surface,
+    other_minima,
+    refit,
+    screen,
+)
 from tissueid.gap.fitting import MOST_STEPS, Fit, fit, residuals_without
 from tissueid.gap.machine_family import with_best_family
-from tissueid.gap.machine_library import acts_on_machine, effects_of
-from tissueid.gap.outliers import with_robust_noise
+from tissueid.gap.noise import rests, with_robust_noise
 from tissueid.gap.scoring import Candidate, fitted_score, misfit, score_candidate
-from tissueid.gap.screening import Signature, best_aligned
 from tissueid.gap.workers import Executor
 from tissueid.twin.bus import MOST_EFFECTS
 from tissueid.twin.catalogue import effect

@@ -15,8 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.signal import firwin
 
-from tissueid.gap.dataset import LEAST_NOISE, DatasetTest
-from tissueid.gap.excitation import interpolated
+from tissueid.gap.dataset import LEAST_NOISE, DatasetTest, interpolated
 from tissueid.gap.fitting import Fit
 from tissueid.gap.forward_model import STEP_S, simulate_test
 from tissueid.identification.levenberg_marquardt import Bounds, SecantProblem, minimise

@@ -115,7 +115,7 @@ def test_a_diagnosis_is_there_at_the_next_start_with_headline_odds_chain_and_cur
     qtbot, shown, friction, monkeypatch
 ):
     every = all_effects()
-    monkeypatch.setattr("tissueid.gap.machine_library.all_effects", lambda: {name: every[name] for name in FEW})
+    monkeypatch.setattr("tissueid.gap.fit_tasks.all_effects", lambda: {name: every[name] for name in FEW})
     window, page = shown()
     press(qtbot, page.asking.run)
     idle(qtbot, window)

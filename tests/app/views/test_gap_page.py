@@ -50,7 +50,7 @@ SAMPLES = 3000
 @pytest.fixture(autouse=True)
 def _few_effects(monkeypatch):
     everything = shelf.all_effects()
-    monkeypatch.setattr("tissueid.gap.machine_library.all_effects", lambda: {name: everything[name] for name in FEW})
+    monkeypatch.setattr("tissueid.gap.fit_tasks.all_effects", lambda: {name: everything[name] for name in FEW})
 
 
 def press(qtbot, widget):

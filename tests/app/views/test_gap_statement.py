@@ -16,7 +16,7 @@ from tissueid.app.views.gap.next_test_tab import _NONE, _NONE_SEPARATES, NextTes
 from tissueid.app.views.gap.page_content_builder import page_content_of
 from tissueid.app.views.gap.result_page import ResultPage
 from tissueid.cli.gap_diagnosis import summary_lines
-from tissueid.gap.budget import Budget, BudgetStep
+from tissueid.gap.closed_share import Budget, BudgetStep
 from tissueid.gap.diagnosis import Diagnosis, diagnose
 from tissueid.gap.statement import LIKELY, effect_title, headline_of, members_of, ordered_candidates, shown_probability
 from tissueid.gap.twin_export import twin_of, with_prior_twin

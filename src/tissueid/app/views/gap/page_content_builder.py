@@ -22,8 +22,8 @@ from tissueid.errors import UnusableInputError
 from tissueid.formatting import number
 from tissueid.gap.diagnosis import Diagnosis, Ranked, parameters_of
 from tissueid.gap.diagnosis_plots import UNITS, budget_rows, overlays_of, profile_values, spectrum_lines
-from tissueid.gap.disturbances import MARGIN
 from tissueid.gap.error_regions import Profile, Spectrum
+from tissueid.gap.noise import MARGIN
 from tissueid.gap.statement import (
     described,
     effect_title,
