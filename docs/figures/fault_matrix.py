@@ -28,8 +28,8 @@ LONGEST_CELL_S = 120.0
 INTRODUCTION = (
     "",
     "A number: the test was aborted; time in ms from the start of the fault until the coil was released. `goes on`:",
-    "the test was completed; lost samples are marked as not received. In every cell the coil stayed within its limits, all",
-    "recorded samples are in the session as measured, the message is one line that says what to do, and after the",
+    "the test was completed; lost samples are marked as not received. In every cell the coil stayed within its limits,",
+    "all recorded samples are in the session as measured, the message is one line that says what to do, and after the",
     "fault the same program opened the instrument again and completed a test. All combinations were tested.",
     "",
     "A lasting fault that begins while nothing is played takes effect in the next test, and the time counts from the",
