@@ -25,9 +25,9 @@ _BETWEEN = "; "
 _MOST_WARNINGS = 50
 """Largest number of warnings that are kept as messages."""
 CALIBRATE_STATIC = Action(
-    "calibrate.static", "tissueid calibrate static", marked("the static calibration on the page Instrument")
+    "calibrate.static", "tissueid calibrate static", marked("the static calibration on the page Measure")
 )
-CALIBRATE_SWEEP = Action("calibrate.sweep", "tissueid calibrate sweep", marked("the sweep on the page Instrument"))
+CALIBRATE_SWEEP = Action("calibrate.sweep", "tissueid calibrate sweep", marked("the sweep on the page Measure"))
 
 
 @dataclass(frozen=True)

@@ -120,7 +120,7 @@ def test_text_and_curves_can_be_told_from_what_lies_behind_them(theme):
     for text in (theme.text, theme.muted, theme.good, theme.check, theme.poor):
         assert contrast(text, theme.panel) >= 4.5
         assert contrast(text, theme.window) >= 4.5
-    for curve in (theme.measured, theme.model):
+    for curve in (theme.measured, theme.model, theme.amber):
         assert contrast(curve, theme.panel) >= 3.0
     assert contrast("#ffffff", theme.stop) >= 4.5
     assert contrast(theme.accent_text, theme.accent) >= 3.0  # large and bold

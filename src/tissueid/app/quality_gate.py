@@ -48,7 +48,7 @@ class QualityGate(QFrame):
         self._quality: Quality | None = None
         self._poor = False
         styled(self, role="verdict")
-        self.light, self.headline = styled(QLabel("●"), role="headline"), label("headline")
+        self.light, self.headline = styled(QLabel("●"), role="light"), label("headline")
         self.more = button("", name=_("All findings"))
         self.more.setCheckable(True)
         self.run_again = button(_("Start test again"), tip=_("The same test once more, into a file of its own"))

@@ -32,6 +32,8 @@ class Theme:
     model: str
     good: str
     check: str
+    amber: str
+    """The level "check" of lights and borders: too bright for a text."""
     poor: str
 
 
@@ -52,6 +54,7 @@ LIGHT = Theme(
     model="#c25400",
     good="#1c7a4d",
     check="#9a6200",
+    amber="#c97a00",
     poor="#b3261e",
 )
 DARK = Theme(
@@ -71,6 +74,7 @@ DARK = Theme(
     model="#f2a155",
     good="#58c491",
     check="#e0ac4a",
+    amber="#e0ac4a",
     poor="#f0786e",
 )
 
@@ -91,10 +95,11 @@ QLabel[role="research"] { color: $muted; border: 1px solid $line; border-radius:
 QLabel[role="instruction"] { font-size: 14pt; }
 QLabel[role="value"] { font-size: 16pt; font-weight: 600; }
 QLabel[role="value"][level="poor"] { font-size: 11pt; font-weight: 400; color: $muted; }
-QLabel[role="headline"] { font-size: 13pt; font-weight: 600; }
-QLabel[role="headline"][level="good"] { color: $good; }
+QLabel[role="headline"], QLabel[role="light"] { font-size: 13pt; font-weight: 600; }
+QLabel[role="headline"][level="good"], QLabel[role="light"][level="good"] { color: $good; }
 QLabel[role="headline"][level="check"] { color: $check; }
-QLabel[role="headline"][level="poor"] { color: $poor; }
+QLabel[role="headline"][level="poor"], QLabel[role="light"][level="poor"] { color: $poor; }
+QLabel[role="light"][level="check"] { color: $amber; }
 QFrame[role="card"] { background: $panel; border: 1px solid $line; border-radius: 6px; }
 QFrame[role="rail"] { background: $panel; border: none; border-right: 1px solid $line; }
 QToolButton[role="rail"] { background: transparent; color: $muted; border: none; border-left: 3px solid transparent;
@@ -110,7 +115,7 @@ QFrame[role="notice"] { background: $panel; border: 1px solid $line; border-left
 QFrame[role="notice"][level="problem"] { border-left-color: $poor; }
 QFrame[role="verdict"] { background: $panel; border: 1px solid $line; border-left: 5px solid $line; }
 QFrame[role="verdict"][level="good"] { border-left-color: $good; }
-QFrame[role="verdict"][level="check"] { border-left-color: $check; }
+QFrame[role="verdict"][level="check"] { border-left-color: $amber; }
 QFrame[role="verdict"][level="poor"] { border-left-color: $poor; }
 QLabel[role="phase"] { color: $muted; border: none; border-bottom: 3px solid $line; padding: 1px 2px 4px 2px; }
 QLabel[role="phase"][state="now"] { color: $text; font-weight: 600; border-bottom-color: $accent; }

@@ -91,7 +91,7 @@ class SittingSummary(QFrame):
         self.show_standing(self._standing)
 
 
-_COLOURS = {"good": "good", "look": "check", "repeat": "poor", None: "muted"}
+_COLOURS = {"good": "good", "look": "amber", "repeat": "poor", None: "muted"}
 _WORDS = {
     "good": marked("good"),
     "look": marked("to be looked at"),

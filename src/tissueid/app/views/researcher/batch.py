@@ -176,7 +176,7 @@ class _ComparisonControl(Control):
             self._begun.append(step)
         begun = len(self._begun)
         within = min(begun - 1.0, count) + (share if begun <= count else 0.5 * _STEPS * share)
-        title = engine_label(step) if step in self._engines else sentence(translated(step))
+        title = engine_label(step) if step in self._engines else sentence(translated(step)).removesuffix(".")
         self._whole.progress(min(0.95, within / (count + _STEPS)), title)
 
     def cancelled(self) -> bool:

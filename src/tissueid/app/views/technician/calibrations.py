@@ -23,7 +23,7 @@ from tissueid.calibration.file import Calibration
 from tissueid.calibration.status import file_status, status_for_device
 from tissueid.calibration.store import Stored, calibration_folder, stored_calibrations
 from tissueid.device import DeviceDescription
-from tissueid.formatting import clean
+from tissueid.formatting import clean, local_minute
 from tissueid.language import _, marked
 from tissueid.messages import MISSING, Message, translated
 
@@ -77,7 +77,7 @@ def _row(
         )
     days = calibration.age_days(now)
     age = _("in the future") if days < -1.0 else _("today") if days < 1.0 else _("{days:.0f} days").format(days=days)
-    date = calibration.date[:10]
+    date = local_minute(calibration.date) or calibration.date[:10]
     if nominal is None:
         found = file_status(item, now)
         force, level = _said(translated(found.words)), "" if found.state == "valid" else "check"

@@ -286,7 +286,7 @@ def _calibration(checkup: Checkup | None, known: Background) -> dict[str, str]:
     if known.problem:
         facts[_("Folder")] = known.problem
     else:
-        facts[_("In the folder")] = _("{count} calibrations").format(count=grouped(len(known.stored)))
+        facts[_("Calibrations in the folder")] = grouped(len(known.stored))
     if checkup is None:
         return {_("State"): _("not checked")} | facts
     device = checkup.device
