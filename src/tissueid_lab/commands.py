@@ -2,14 +2,17 @@
 
 from __future__ import annotations
 
+from dataclasses import asdict
 from pathlib import Path
 from typing import TYPE_CHECKING
 
 import typer
 
 from tissueid.cli.lazy_command import JsonFile, add_command
+from tissueid.messages import MISSING
 
 if TYPE_CHECKING:  # plans are imported when their command is used
+    from tissueid_lab.blind_check.answers import CheckInProgress
     from tissueid_lab.blind_check.check import BlindCheckPlan
     from tissueid_lab.conformance.procedure import ConformancePlan
     from tissueid_lab.thesis.reproduction import ReproductionPlan
@@ -70,6 +73,38 @@ def blind_check(plan: BlindCheckPlan, json_file: JsonFile = None) -> None:
 
     The scenarios are simulated. The labels stay sealed until all scenarios are diagnosed.
     """
-    from tissueid_lab.blind_check.command import check_blind
+    from tissueid.cli.output import check_json, console_control, human_output, table, write_json
+    from tissueid.procedures.output_files import check_different
+    from tissueid_lab.blind_check.check import run_blind_check
+    from tissueid_lab.blind_check.page import score_table
+    from tissueid_lab.blind_check.scoring import score_answer
 
-    check_blind(plan, json_file)
+    check_json(json_file)
+    check_different(json_file, plan.page)
+    out = human_output(json_file)
+
+    def say_sealed(begun: CheckInProgress) -> None:
+        what = "resumed" if plan.resume else "recorded"
+        out.print(f"{begun.n} scenarios {what}; SHA-256 of their labels: {begun.seal}", markup=False)
+
+    with console_control() as control:
+        check = run_blind_check(plan, control, say_sealed)
+    for title, count, score in check.scores.values():
+        scores = score_table(score)
+        rows = table(f"{title}: {count} scenarios", *scores.head)
+        for row in scores.rows:
+            rows.add_row(*row)
+        out.print(rows)
+        if score.controls:
+            controls = (
+                f"{one.what} {one.value:.0%}" if one.cases else f"{one.what} {MISSING}" for one in score.controls
+            )
+            out.print(f"  controls, top-1: {', '.join(controls)}", markup=False)
+        for failure in score.failures:
+            out.print(f"  failure: {failure}", markup=False)
+    if plan.page is not None:
+        out.print(f"report: {plan.page}", markup=False)
+    if json_file is not None:
+        kinds = {kind: score_answer(score) for kind, (_, _, score) in check.scores.items()}
+        draw = {name: value for name, value in asdict(check.begun).items() if name not in ("full_share", "software")}
+        write_json(json_file, draw | {"kinds": kinds, "answers": check.answers})

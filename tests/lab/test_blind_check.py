@@ -59,7 +59,7 @@ def _recorded_here(monkeypatch: pytest.MonkeyPatch) -> None:
 def test_nothing_is_scored_when_labels_change_under_the_seal(
     tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
 ):
-    def cheat(folder: Path, names: list[str], *others: object) -> dict[str, dict]:
+    def cheat(folder: Path, names: list[str], *others: object, **options: object) -> dict[str, dict]:
         (folder / "labels.json").write_text("{}")
         return {}
 

@@ -8,9 +8,8 @@ from coded import made, shows
 from reports.in_german import english_in, in_german, shown, texts_of
 from reports.page_check import checked
 
-from tissueid_lab.blind_check.answers import BlindCheck
-from tissueid_lab.blind_check.page import blind_html, headline_of, write_blind_report
-from tissueid_lab.blind_check.panels import blind_panels, confusion_names
+from tissueid_lab.blind_check.answers import BlindCheck, CheckInProgress
+from tissueid_lab.blind_check.page import blind_html, blind_panels, confusion_names, headline_of, write_blind_report
 from tissueid_lab.blind_check.scoring import Measured, Rate, Score
 
 SCORE = Score(
@@ -25,7 +24,8 @@ NOTHING = Score((Rate("top-1", 0, 0, 0.9),), (), {}, (), ())
 
 
 def check(**scores: Score) -> BlindCheck:
-    return BlindCheck("ab" * 32, 17, 2611, {key: (key.capitalize(), 17, score) for key, score in scores.items()})
+    begun = CheckInProgress(17, 2611, 0.3, "ab" * 32)
+    return BlindCheck(begun, {key: (key.capitalize(), 17, score) for key, score in scores.items()})
 
 
 def test_the_page_tells_the_score_the_controls_and_every_failure():

@@ -6,8 +6,8 @@ diagnosis; the answers are next to it (``tissueid.gap.answer_store``).
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
-from dataclasses import asdict, dataclass
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import asdict, dataclass, field
 from pathlib import Path
 from typing import Any
 
@@ -155,58 +155,50 @@ def accepted_twin(folder: Path, earlier: str) -> TwinFile:
     return twin
 
 
-def diagnosed(piece: BlindScenario) -> dict[str, Any]:
-    """Diagnose one scenario; called in a worker process."""
-    return piece.answered()
-
-
-def full_library(name: str) -> tuple[str, ...]:
-    """Remove no effect from the library."""
-    return ()
-
-
 def answers(
     folder: Path,
     names: Sequence[str],
     pool: Executor,
-    done: Callable[[], None] = lambda: None,
-    without: Callable[[str], tuple[str, ...]] = full_library,
+    done: Callable[[object], None] = lambda _: None,
+    *,
+    cancelled: Callable[[], bool] = lambda: False,
+    without: Mapping[str, tuple[str, ...]] | None = None,
     keep: bool = False,
 ) -> dict[str, dict[str, Any]]:
     """Return the answers by scenario.
 
-    With ``keep`` each answer is stored in the folder of the scenarios, and stored answers are reused.
+    Args:
+        folder: of the scenarios.
+        names: of the scenarios.
+        pool: processes that diagnose.
+        done: called with each finished scenario.
+        cancelled: whether to stop.
+        without: effects removed from the library, by scenario.
+        keep: store each answer in the folder of the scenarios, and reuse stored ones.
 
     Raises:
         UnusableInputError: a stored answer cannot be read, or one cannot be stored.
+        CancelledError: ``cancelled`` returned True.
     """
-    pieces = [BlindScenario(folder, name, without(name), keep) for name in names]
-    found = {piece.name: stored_answer(folder, piece.key) for piece in pieces} if keep else {}
-    known = {name: answer for name, answer in found.items() if answer is not None}
-    for _ in known:
-        done()
-    left = [piece for piece in pieces if piece.name not in known]
-    fresh = pool.do(diagnosed, left, lambda: False, lambda piece: done())
-    known |= {piece.name: answer for piece, answer in zip(left, fresh, strict=True)}
-    return {name: known[name] for name in names}
+    pieces = [BlindScenario(folder, name, (without or {}).get(name, ()), keep) for name in names]
+    found = {piece: stored_answer(folder, piece.key) if keep else None for piece in pieces}
+    fresh = [piece for piece, answer in found.items() if answer is None]
+    for piece in pieces[: len(pieces) - len(fresh)]:
+        done(piece)
+    found |= dict(zip(fresh, pool.do(BlindScenario.answered, fresh, cancelled, done), strict=True))
+    return {piece.name: answer for piece, answer in found.items() if answer is not None}
 
 
 @dataclass(frozen=True)
 class BlindCheck:
-    """A finished blind check: the SHA-256 of its labels, its draw and laboratory, whether its
-    scenarios are on skin, and a score for each kind of session.
+    """A finished blind check: its draw, a score for each kind of session, and the answer to each scenario.
 
-    ``against_twin`` says whether they were diagnosed against the twin of an earlier session.
     ``scores`` holds title, number of scenarios and score, by ``single`` and ``full``.
     """
 
-    seal: str
-    n: int
-    seed: int
+    begun: CheckInProgress
     scores: dict[str, tuple[str, int, Score]]
-    laboratory: str = "first"
-    skin: bool = False
-    against_twin: bool = False
+    answers: dict[str, dict[str, Any]] = field(default_factory=dict)
 
 
 def with_labels(found: dict[str, dict[str, Any]], labels: dict[str, Label]) -> list[Answered]:

@@ -5,10 +5,10 @@ from __future__ import annotations
 import subprocess
 import tempfile
 from collections.abc import Callable, Iterator, Sequence
-from dataclasses import dataclass
 from enum import StrEnum
+from functools import partial
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any
+from typing import TYPE_CHECKING, Annotated
 
 from pydantic import Field
 
@@ -18,7 +18,7 @@ from tissueid.errors import CancelledError, UnusableInputError
 from tissueid.language import marked
 from tissueid.messages import Message, Verbatim
 from tissueid.plan_options import Option, Plan
-from tissueid.procedures.control import Control, RemainingTime, counted
+from tissueid.procedures.control import Control, CountedProgress
 from tissueid.procedures.output_files import HTML, check_output, unwritable
 
 if TYPE_CHECKING:  # each takes long to import
@@ -86,17 +86,9 @@ class BlindCheckPlan(Plan):
     ] = None
 
 
-@dataclass(frozen=True)
-class CheckedDiagnoses:
-    """The scores of a check, and the answer of each scenario for JSON."""
-
-    check: BlindCheck
-    answers: dict[str, dict[str, Any]]
-
-
 def run_blind_check(
     plan: BlindCheckPlan, control: Control, sealed: Callable[[CheckInProgress], None] = lambda _: None
-) -> CheckedDiagnoses:
+) -> BlindCheck:
     """Draw, record, seal, diagnose, unseal and score scenarios; or continue an interrupted check.
 
     ``sealed`` is called before the first diagnosis, with the checksum of the labels.
@@ -111,10 +103,9 @@ def run_blind_check(
         raise UnusableInputError(
             "blind.no_folder", "--resume needs the folder of the interrupted check: add --keep DIR"
         )
-    if plan.against_twin and (plan.laboratory is LaboratoryName.SECOND or plan.take_out):
-        raise _not_with("--against-twin", "--take-out" if plan.take_out else "--laboratory second")
-    if plan.skin and (plan.laboratory is LaboratoryName.SECOND or plan.take_out):
-        raise _not_with("--skin", "--take-out" if plan.take_out else "--laboratory second")
+    for kind, asked in (("--against-twin", plan.against_twin), ("--skin", plan.skin)):
+        if asked and (plan.laboratory is LaboratoryName.SECOND or plan.take_out):
+            raise _not_with(kind, "--take-out" if plan.take_out else "--laboratory second")
     try:
         if plan.keep is not None:
             return _checked(plan, plan.keep, control, sealed)
@@ -158,8 +149,7 @@ def _begin(plan: BlindCheckPlan, folder: Path) -> CheckInProgress:
         n = _N if plan.n is None else plan.n
         seed = _SEED if plan.seed is None else plan.seed
         share = _FULL_SHARE if plan.full_share is None else plan.full_share
-        laboratory = plan.laboratory or LaboratoryName.FIRST
-        skin = plan.skin or plan.against_twin
+        laboratory, skin = plan.laboratory or LaboratoryName.FIRST, plan.skin or plan.against_twin
         record_scenarios(folder, n, seed, share, laboratory, skin=skin, later=plan.against_twin)
         begun = CheckInProgress(n, seed, share, seal(folder), laboratory.value, skin, plan.against_twin)
         begin_check(folder, begun)
@@ -213,17 +203,17 @@ def _check_seal(folder: Path, begun: CheckInProgress) -> None:
 
 def _checked(
     plan: BlindCheckPlan, folder: Path, control: Control, sealed: Callable[[CheckInProgress], None]
-) -> CheckedDiagnoses:
+) -> BlindCheck:
     from tissueid.gap import executor
-    from tissueid_lab.blind_check.answers import BlindCheck, answers, full_library, with_labels
+    from tissueid_lab.blind_check.answers import BlindCheck, answers, with_labels
     from tissueid_lab.blind_check.scenarios import scenario_names, unseal
 
     begun = _begin(plan, folder)
     sealed(begun)
     names = scenario_names(folder)
-    keep = plan.keep is not None
+    diagnosed = partial(answers, folder, cancelled=control.check, keep=plan.keep is not None)
     with executor(plan.workers) as pool:
-        found = answers(folder, names, pool, _counter(control, _DIAGNOSING, len(names)), full_library, keep)
+        found = diagnosed(names, pool, CountedProgress(control, _DIAGNOSING, len(names)))
         _check_seal(folder, begun)
         labels = unseal(folder)
         if labels.keys() != set(names):
@@ -235,16 +225,10 @@ def _checked(
         cases = with_labels(found, labels)
         again: list[Answered] = []
         if plan.take_out:
-            known = {
-                case.name: case.label.effects
-                for case in cases
-                if len(case.label.effects) == 1 and case.label.listed[0] and case.survives
-            }
-            count = _counter(control, _TAKEN_OUT, len(known))
-            one_out = answers(folder, list(known), pool, count, known.__getitem__, keep)
-            again = with_labels(one_out, labels)
-    scores = dict(_scores(cases, again, begun))
-    check = BlindCheck(begun.seal, begun.n, begun.seed, scores, begun.laboratory, begun.skin, begun.against_twin)
+            known = {case.name: case.label.effects for case in cases if case.single}
+            count = CountedProgress(control, _TAKEN_OUT, len(known))
+            again = with_labels(diagnosed(list(known), pool, count, without=known), labels)
+    check = BlindCheck(begun, dict(_scores(cases, again, begun)), found)
     if plan.page is not None:
         from tissueid_lab.blind_check.page import write_blind_report
 
@@ -252,7 +236,7 @@ def _checked(
             write_blind_report(check, plan.page)
         except OSError as error:
             raise unwritable(plan.page, error) from error
-    return CheckedDiagnoses(check, found)
+    return check
 
 
 def _scores(
@@ -261,18 +245,19 @@ def _scores(
     from tissueid_lab.blind_check.scoring import FULL, SINGLE, score_of
     from tissueid_lab.blind_check.set_scoring import score_of_later_sessions, score_of_sets
 
-    for key, title, full, asked in (
+    for key, title, full, targets in (
         ("single", "One stochastic test", False, SINGLE),
         ("full", "Full session", True, FULL),
     ):
-        chosen = [case for case in cases if case.label.full == full]
-        if chosen:
-            out = [case for case in again if case.label.full == full]
-            if begun.against_twin:
-                score = score_of_later_sessions(chosen)
-            else:
-                score = score_of_sets(chosen) if begun.skin else score_of(chosen, asked, out)
-            yield key, (title, len(chosen), score)
+        if not (chosen := [case for case in cases if case.label.full == full]):
+            continue
+        if begun.against_twin:
+            score = score_of_later_sessions(chosen)
+        elif begun.skin:
+            score = score_of_sets(chosen)
+        else:
+            score = score_of(chosen, targets, [case for case in again if case.label.full == full])
+        yield key, (title, len(chosen), score)
 
 
 def record_scenarios(
@@ -305,17 +290,3 @@ def record_scenarios(
         raise UnusableInputError(
             "blind.laboratory_failed", "the simulated laboratory failed: {why}", why=Verbatim(last)
         )
-
-
-def _counter(control: Control, step: str, total: int) -> Callable[[], None]:
-    count, remaining = 0, RemainingTime()
-
-    def done() -> None:
-        nonlocal count
-        count += 1
-        share = count / max(total, 1)
-        control.progress(share, remaining.added_to(counted(step, count, total), share))
-        control.check()
-
-    control.progress(0.0, counted(step, 0, total))
-    return done

@@ -20,6 +20,8 @@ SURE = 0.9
 CALIBRATION_BINS = 10
 CALIBRATION_DRAWS = 1000
 """Draws of answers that are right with exactly the stated probability."""
+_CONTROLS = ("permuted_labels_top1", "always_friction_top1", "in_sample_top1")
+"""JSON keys of the controls, in the order of the score."""
 PERMUTATIONS = 20
 """Number of permutations of the labels in the control for chance."""
 
@@ -85,6 +87,27 @@ class Answered:
         return self.survives and all(self.answer.get("survive_alone") or ())
 
     @property
+    def stage(self) -> str:
+        """Stage in which the diagnosis places the gap."""
+        return str(self.answer["where"]["stage"])
+
+    @property
+    def failed(self) -> bool:
+        """Whether an effect is named that is not there."""
+        return not self.named <= set(self.label.effects)
+
+    @property
+    def single(self) -> bool:
+        """Whether there is one effect, which the library includes and whose gap survives the refit."""
+        return len(self.label.effects) == 1 and self.label.listed[0] and self.survives
+
+    @property
+    def place(self) -> int:
+        """Place of the first true effect in the ranking, from 0; beyond any place where it is not there."""
+        names = [item["effect"] for item in self.ranking]
+        return names.index(self.label.effects[0]) if self.label.effects[0] in names else len(names) + 10
+
+    @property
     def closed(self) -> float | None:
         """Closed share on the samples for the check."""
         return _number(self._gap["closed"])
@@ -111,8 +134,25 @@ def _number(value: float | None) -> float | None:
     return None if value is None or not np.isfinite(value) else float(value)
 
 
+class _Judged:
+    """A figure that may have a target."""
+
+    what: str
+    cases: int
+    target: float | None
+    at_least: bool
+    value: float
+
+    @property
+    def reached(self) -> bool | None:
+        """Whether the target was reached; None without a target or without cases."""
+        if self.target is None or not self.cases:
+            return None
+        return self.value >= self.target if self.at_least else self.value <= self.target
+
+
 @dataclass(frozen=True)
-class Rate:
+class Rate(_Judged):
     """A share of cases with its 95 % Wilson interval; NaN where there were none."""
 
     what: str
@@ -126,6 +166,8 @@ class Rate:
         """Hits divided by cases."""
         return self.hits / self.cases if self.cases else float("nan")
 
+    value = share
+
     @property
     def interval(self) -> tuple[float, float]:
         """95 % Wilson interval."""
@@ -134,16 +176,9 @@ class Rate:
         found = binomtest(self.hits, self.cases).proportion_ci(method="wilson")
         return float(found.low), float(found.high)
 
-    @property
-    def reached(self) -> bool | None:
-        """Whether the target was reached; None where there were no cases."""
-        if not self.cases:
-            return None
-        return self.share >= self.target if self.at_least else self.share <= self.target
-
 
 @dataclass(frozen=True)
-class Measured:
+class Measured(_Judged):
     """A score that is not a share of cases."""
 
     what: str
@@ -151,13 +186,6 @@ class Measured:
     cases: int
     target: float | None = None
     at_least: bool = True
-
-    @property
-    def reached(self) -> bool | None:
-        """Whether the target was reached; None without a target or without cases."""
-        if self.target is None or not self.cases:
-            return None
-        return self.value >= self.target if self.at_least else self.value <= self.target
 
 
 @dataclass(frozen=True)
@@ -208,51 +236,27 @@ def score_of(cases: Sequence[Answered], targets: Targets, taken_out: Sequence[An
         targets: targets for this kind of session.
         taken_out: answers to some cases with the true effect removed from the library.
     """
-    single = _single(cases)
+    single = [case for case in cases if case.single]
     none = [case for case in cases if not case.label.effects]
-    unknown = [case for case in cases if case.label.effects and not all(case.label.listed) and case.survives]
-    pairs = [case for case in cases if len(case.label.effects) > 1 and all(case.label.listed) and case.survives]
     above = [case for case in cases if case.label.effects and case.survives]
+    unknown = [case for case in above if not all(case.label.listed)]
+    pairs = [case for case in above if len(case.label.effects) > 1 and all(case.label.listed)]
     rates = [
-        _rate(marked("top-1"), single, lambda case: _place(case) == 0, targets.top1),
-        _rate(marked("top-1 including inseparable effects"), single, _alike, targets.alike),
-        _rate(marked("top-3"), single, lambda case: _place(case) < 3, targets.top3),
-        _rate(marked("stage"), [*single, *unknown], lambda case: _stage(case) in case.label.stages, targets.stage),
-        _rate(
-            marked("unknown effect: unexplained"),
-            unknown,
-            lambda case: case.verdict == "unexplained",
-            targets.unexplained,
-        ),
-        _rate(
-            marked("known effect: unexplained"),
-            single,
-            lambda case: case.verdict == "unexplained",
-            0.05,
-            at_least=False,
-        ),
-        _rate(marked("wrong name at 90 % or more"), above, _wrong_and_sure, targets.wrong_and_sure, at_least=False),
-        _rate(marked("the leading name alone"), above, _wrong_leader_and_sure, targets.wrong_and_sure, at_least=False),
-        _rate(
-            marked("false alarms without effect"),
-            none,
-            lambda case: case.verdict != "no_gap",
-            targets.false_alarm,
-            False,
-        ),
-        _rate(marked("gap missed"), single, lambda case: case.verdict == "no_gap", 0.05, at_least=False),
+        rate(marked("top-1"), single, lambda case: case.place == 0, targets.top1),
+        rate(marked("top-1 including inseparable effects"), single, _alike, targets.alike),
+        rate(marked("top-3"), single, lambda case: case.place < 3, targets.top3),
+        rate(marked("stage"), [*single, *unknown], _right_stage, targets.stage),
+        rate(marked("unknown effect: unexplained"), unknown, unexplained, targets.unexplained),
+        rate(marked("known effect: unexplained"), single, unexplained, 0.05, at_least=False),
+        rate(marked("wrong name at 90 % or more"), above, _wrong_and_sure, targets.wrong_and_sure, at_least=False),
+        rate(marked("the leading name alone"), above, _wrong_leader_and_sure, targets.wrong_and_sure, at_least=False),
+        rate(marked("false alarms without effect"), none, has_gap, targets.false_alarm, at_least=False),
+        rate(marked("gap missed"), single, lambda case: not has_gap(case), 0.05, at_least=False),
     ]
     if taken_out:
-        abstained = [case for case in taken_out if case.verdict == "unexplained"]
-        rates += [
-            _rate(TAKEN_OUT, taken_out, lambda case: case.verdict == "unexplained", targets.unexplained),
-            _rate(
-                marked("of these the right stage"),
-                abstained,
-                lambda case: _stage(case) in case.label.stages,
-                targets.stage,
-            ),
-        ]
+        abstained = [case for case in taken_out if unexplained(case)]
+        rates.append(rate(TAKEN_OUT, taken_out, unexplained, targets.unexplained))
+        rates.append(rate(marked("of these the right stage"), abstained, _right_stage, targets.stage))
     return Score(
         tuple(rates),
         (*_figures(single, targets), *_pair_scores(pairs, targets)),
@@ -263,6 +267,50 @@ def score_of(cases: Sequence[Answered], targets: Targets, taken_out: Sequence[An
     )
 
 
+def rate(
+    what: str, cases: Sequence[Answered], hit: Callable[[Answered], bool], target: float, at_least: bool = True
+) -> Rate:
+    """Return the share of cases for which ``hit`` holds."""
+    return Rate(what, sum(map(hit, cases)), len(cases), target, at_least)
+
+
+def mean(values: Sequence[float] | Sequence[bool] | np.ndarray) -> float:
+    """Return the mean of values, shape (n,); NaN without any."""
+    return float(np.mean(values)) if len(values) else float("nan")
+
+
+def quantile(values: Sequence[float], share: float) -> float:
+    """Return a quantile of values, shape (n,); NaN without any."""
+    return float(np.quantile(values, share)) if len(values) else float("nan")
+
+
+def unexplained(case: Answered) -> bool:
+    """Return whether a gap was found and no effect named."""
+    return case.verdict == "unexplained"
+
+
+def has_gap(case: Answered) -> bool:
+    """Return whether a gap was found."""
+    return case.verdict != "no_gap"
+
+
+def set_counts(named: Sequence[set[str]], true: Sequence[set[str]]) -> tuple[int, int, int]:
+    """Return the numbers of named effects that are true, of named and of true effects over all scenarios."""
+    hits = sum(len(names & truth) for names, truth in zip(named, true, strict=True))
+    return hits, sum(map(len, named)), sum(map(len, true))
+
+
+def f1(named: Sequence[set[str]], true: Sequence[set[str]]) -> float:
+    """Return the F1 score of named sets over all scenarios; NaN where nothing is true and nothing named."""
+    hits, said, there = set_counts(named, true)
+    return 2.0 * hits / (said + there) if said + there else float("nan")
+
+
+def f1_of(cases: Sequence[Answered]) -> float:
+    """Return the F1 score of the named sets of cases."""
+    return f1([case.named for case in cases], [set(case.label.effects) for case in cases])
+
+
 def permuted(cases: Sequence[Answered], seed: int = 0) -> list[Answered]:
     """Return the answers with permuted labels, as a control for chance."""
     order = np.random.default_rng(seed).permutation(len(cases))
@@ -271,40 +319,22 @@ def permuted(cases: Sequence[Answered], seed: int = 0) -> list[Answered]:
 
 def constant_answer_share(cases: Sequence[Answered], effect: str = "dry_friction") -> float:
     """Return the share of single effects that a constant answer names correctly."""
-    single = _single(cases)
-    return float(np.mean([case.label.effects[0] == effect for case in single])) if single else float("nan")
+    return mean([case.label.effects[0] == effect for case in cases if case.single])
 
 
 def in_sample(cases: Sequence[Answered]) -> float:
     """Return the share of single effects that the best fit of the fitted samples names correctly."""
-    hits = [case.answer.get("in_sample") == case.label.effects[0] for case in _single(cases)]
-    return float(np.mean(hits)) if hits else float("nan")
+    return mean([case.answer.get("in_sample") == case.label.effects[0] for case in cases if case.single])
 
 
 def _controls(cases: Sequence[Answered]) -> tuple[Measured, ...]:
-    dealt = [[_place(case) == 0 for case in _single(permuted(cases, seed))] for seed in range(PERMUTATIONS)]
-    shares = [float(np.mean(hits)) for hits in dealt if hits]
-    count = len(_single(cases))
+    dealt = [[case.place == 0 for case in permuted(cases, seed) if case.single] for seed in range(PERMUTATIONS)]
+    count = sum(case.single for case in cases)
     return (
-        Measured(marked("labels permuted"), float(np.mean(shares)) if shares else float("nan"), count),
+        Measured(marked("labels permuted"), mean([mean(hits) for hits in dealt if hits]), count),
         Measured(marked("always dry_friction"), constant_answer_share(cases), count),
         Measured(marked("best fit of the fitted samples"), in_sample(cases), count),
     )
-
-
-def _single(cases: Sequence[Answered]) -> list[Answered]:
-    return [case for case in cases if len(case.label.effects) == 1 and case.label.listed[0] and case.survives]
-
-
-def _rate(
-    what: str, cases: Sequence[Answered], hit: Callable[[Answered], bool], target: float, at_least: bool = True
-) -> Rate:
-    return Rate(what, sum(hit(case) for case in cases), len(cases), target, at_least)
-
-
-def _place(case: Answered) -> int:
-    names = [item["effect"] for item in case.ranking]
-    return names.index(case.label.effects[0]) if case.label.effects[0] in names else len(names) + 10
 
 
 def _alike(case: Answered) -> bool:
@@ -312,14 +342,13 @@ def _alike(case: Answered) -> bool:
     return case.label.effects[0] in {first.get("effect"), *first.get("indistinguishable", ())}
 
 
-def _stage(case: Answered) -> str:
-    return str(case.answer["where"]["stage"])
+def _right_stage(case: Answered) -> bool:
+    return case.stage in case.label.stages
 
 
 def _wrong_and_sure(case: Answered) -> bool:
     # A second name has no probability of its own: it gets that of the first.
-    wrong = bool(case.named) and not case.named <= set(case.label.effects)
-    return wrong and case.probability >= SURE
+    return case.failed and case.probability >= SURE
 
 
 def _wrong_leader_and_sure(case: Answered) -> bool:
@@ -328,46 +357,40 @@ def _wrong_leader_and_sure(case: Answered) -> bool:
 
 
 def _figures(single: Sequence[Answered], targets: Targets) -> list[Measured]:
-    explained = [case for case in single if case.verdict == "effect"]
-    relative = np.array(
-        [
-            closed / best
-            for case in explained
-            if (closed := case.closed) is not None and (best := case.best_closed or 1.0) > 0.05
-        ]
-    )
-    off = np.array(
-        [
-            abs(verdict - closed)
-            for case in explained
-            if (verdict := case.predicted_closed) is not None and (closed := case.closed) is not None
-        ]
-    )
+    explained = [case for case in single if case.verdict == "effect" and case.closed is not None]
+    relative = [
+        case.closed / best for case in explained if case.closed is not None and (best := case.best_closed or 1.0) > 0.05
+    ]
+    off = [
+        abs(case.predicted_closed - case.closed)
+        for case in explained
+        if case.predicted_closed is not None and case.closed is not None
+    ]
     sure = np.array([case.probability for case in single])
-    right = np.array([_place(case) == 0 for case in single], np.float64)
+    right = np.array([case.place == 0 for case in single], np.float64)
     return [
         Measured(
             marked("closed share relative to the true model, median"),
-            float(np.median(relative)) if relative.size else float("nan"),
-            relative.size,
+            quantile(relative, 0.5),
+            len(relative),
             targets.closed_median,
         ),
         Measured(
             marked("closed share relative to the true model, 10th percentile"),
-            float(np.quantile(relative, 0.1)) if relative.size else float("nan"),
-            relative.size,
+            quantile(relative, 0.1),
+            len(relative),
             targets.closed_tenth,
         ),
         Measured(
             marked("predicted minus realised closed share, median magnitude"),
-            float(np.median(off)) if off.size else float("nan"),
-            off.size,
+            quantile(off, 0.5),
+            len(off),
             targets.predicted_closed,
             at_least=False,
         ),
         Measured(marked("expected calibration error"), calibration_error(sure, right), sure.size),
         Measured(marked("calibration error of exact probabilities, mean"), exact_calibration_error(sure), sure.size),
-        Measured(marked("Brier score"), float(np.mean((sure - right) ** 2)) if sure.size else float("nan"), sure.size),
+        Measured(marked("Brier score"), mean((sure - right) ** 2), sure.size),
     ]
 
 
@@ -376,12 +399,8 @@ def calibration_error(sure: np.ndarray, right: np.ndarray) -> float:
     if not sure.size:
         return float("nan")
     place = np.minimum((sure * CALIBRATION_BINS).astype(int), CALIBRATION_BINS - 1)
-    total = 0.0
-    for k in range(CALIBRATION_BINS):
-        inside = place == k
-        if inside.any():
-            total += inside.sum() * abs(sure[inside].mean() - right[inside].mean())
-    return float(total / sure.size)
+    off = [abs(float((sure - right)[place == k].sum())) for k in range(CALIBRATION_BINS)]
+    return sum(off) / sure.size
 
 
 def exact_calibration_error(sure: np.ndarray) -> float:
@@ -392,24 +411,16 @@ def exact_calibration_error(sure: np.ndarray) -> float:
     """
     random = np.random.default_rng(0)
     drawn = random.random((CALIBRATION_DRAWS, sure.size)) < sure
-    return float(np.mean([calibration_error(sure, right.astype(np.float64)) for right in drawn]))
+    return mean([calibration_error(sure, right.astype(np.float64)) for right in drawn])
 
 
 def _pair_scores(pairs: Sequence[Answered], targets: Targets) -> tuple[Measured, Measured]:
     # Targets hold for effects whose own gap survives the refit.
     both = [case for case in pairs if case.all_survive]
     return (
-        Measured(PAIRS, _f1(both), len(both), targets.pairs),
-        Measured(marked("the same, with effects whose own gap does not survive"), _f1(pairs), len(pairs)),
+        Measured(PAIRS, f1_of(both), len(both), targets.pairs),
+        Measured(marked("the same, with effects whose own gap does not survive"), f1_of(pairs), len(pairs)),
     )
-
-
-def _f1(pairs: Sequence[Answered]) -> float:
-    # F1 score of the named sets over all pairs.
-    hits = sum(len(case.named & set(case.label.effects)) for case in pairs)
-    named = sum(len(case.named) for case in pairs)
-    true = sum(len(case.label.effects) for case in pairs)
-    return 2.0 * hits / (named + true) if named + true else float("nan")
 
 
 def _confusion(single: Sequence[Answered]) -> dict[str, dict[str, int]]:
@@ -423,7 +434,7 @@ def _confusion(single: Sequence[Answered]) -> dict[str, dict[str, int]]:
 
 def _risk_coverage(single: Sequence[Answered]) -> tuple[tuple[float, float], ...]:
     ordered = sorted(single, key=lambda case: -case.probability)
-    wrong = np.cumsum([_place(case) != 0 for case in ordered])
+    wrong = np.cumsum([case.place != 0 for case in ordered])
     return tuple(((k + 1) / len(ordered), float(wrong[k] / (k + 1))) for k in range(len(ordered)))
 
 
@@ -432,15 +443,32 @@ def _failure(case: Answered) -> str:
     first = case.ranking[0]["effect"] if case.ranking else "nothing"
     verdict = " + ".join(sorted(case.named)) or case.verdict
     if not case.label.effects:
-        return "" if case.verdict == "no_gap" else f"{case.name}: {true}; diagnosed as {verdict}"
+        return f"{case.name}: {true}; diagnosed as {verdict}" if has_gap(case) else ""
     if not case.survives:
-        wrong = bool(case.named) and not case.named <= set(case.label.effects)
-        return f"{case.name}: {true} (does not survive the refit); diagnosed as {verdict}" if wrong else ""
-    known = all(case.label.listed)
-    good = case.named == set(case.label.effects) if known else case.verdict == "unexplained"
-    if good and _stage(case) in case.label.stages:
+        return f"{case.name}: {true} (does not survive the refit); diagnosed as {verdict}" if case.failed else ""
+    good = case.named == set(case.label.effects) if all(case.label.listed) else unexplained(case)
+    if good and _right_stage(case):
         return ""
     return (
-        f"{case.name}: {true}; diagnosed as {verdict} (stage {_stage(case)}), "
+        f"{case.name}: {true}; diagnosed as {verdict} (stage {case.stage}), "
         f"leading {first} at {case.probability:.0%}, gap {case.answer['gap']['before']:.2%}"
     )
+
+
+def score_answer(score: Score) -> dict[str, Any]:
+    """Return a score for JSON."""
+
+    def judged(item: Rate | Measured) -> dict[str, Any]:
+        return {"what": item.what, "cases": item.cases, "asked": item.target, "kept": item.reached}
+
+    return {
+        "rates": [
+            judged(item) | {"share": item.share, "interval": list(item.interval), "hits": item.hits}
+            for item in score.rates
+        ],
+        "figures": [judged(item) | {"value": item.value} for item in score.figures],
+        "confusion": score.confusion,
+        "risk_coverage": [list(point) for point in score.risk_coverage],
+        "failures": list(score.failures),
+        **{key: item.value for key, item in zip(_CONTROLS, score.controls, strict=bool(score.controls))},
+    }

@@ -7,11 +7,21 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 
-import numpy as np
-
 from tissueid.language import marked
 from tissueid.twin.catalogue import all_effects
-from tissueid_lab.blind_check.scoring import Answered, Measured, Rate, Score
+from tissueid_lab.blind_check.scoring import (
+    Answered,
+    Measured,
+    Score,
+    f1,
+    f1_of,
+    has_gap,
+    mean,
+    quantile,
+    rate,
+    set_counts,
+    unexplained,
+)
 
 NEW_EFFECT, FALSE_ALARM = 0.95, 0.02
 """Targets of sessions against an accepted twin: least share of new effects in the first place, most false alarms."""
@@ -29,31 +39,19 @@ def score_of_sets(cases: Sequence[Answered]) -> Score:
     """
     named = [case.named for case in cases]
     true = [set(case.label.effects) for case in cases]
-    hits, said, there = _counts(named, true)
-    closed = np.array([value for case in cases if (value := _relative_closed(case)) is not None])
+    hits, said, there = set_counts(named, true)
+    closed = [value for case in cases if (value := _relative_closed(case)) is not None]
     wrong = [len(names - truth) for names, truth in zip(named, true, strict=True)]
-    count = len(cases)
+    count, nan = len(cases), float("nan")
     figures = [
-        Measured(marked("precision of the named set"), hits / said if said else float("nan"), count),
-        Measured(marked("recall of the named set"), hits / there if there else float("nan"), count),
+        Measured(marked("precision of the named set"), hits / said if said else nan, count),
+        Measured(marked("recall of the named set"), hits / there if there else nan, count),
         Measured(marked("F1 of the named set"), f1(named, true), count),
         *(_by_hidden(cases, number, what) for number, what in _BY_HIDDEN),
         Measured(marked("F1 of the hidden effects alone"), _hidden_f1(cases), count),
-        Measured(
-            marked("named effects that are not there, per scenario"),
-            float(np.mean(wrong)) if wrong else float("nan"),
-            count,
-        ),
-        Measured(
-            marked("closed share relative to the true set, median"),
-            float(np.median(closed)) if closed.size else float("nan"),
-            closed.size,
-        ),
-        Measured(
-            marked("closed share relative to the true set, 10th percentile"),
-            float(np.quantile(closed, 0.1)) if closed.size else float("nan"),
-            closed.size,
-        ),
+        Measured(marked("named effects that are not there, per scenario"), mean(wrong), count),
+        Measured(marked("closed share relative to the true set, median"), quantile(closed, 0.5), len(closed)),
+        Measured(marked("closed share relative to the true set, 10th percentile"), quantile(closed, 0.1), len(closed)),
     ]
     return Score((), tuple(figures), {}, (), tuple(failure for case in cases if (failure := _failure(case))))
 
@@ -67,51 +65,41 @@ def score_of_later_sessions(cases: Sequence[Answered]) -> Score:
     visible = [case for case in new if case.survives]
     same = [case for case in cases if not case.label.hidden]
     rates = (
-        _rate(marked("new effect: top-1"), visible, _new_is_first, NEW_EFFECT),
-        _rate(marked("nothing new: false alarms"), same, lambda case: case.verdict != "no_gap", FALSE_ALARM, False),
+        rate(marked("new effect: top-1"), visible, _new_is_first, NEW_EFFECT),
+        rate(marked("nothing new: false alarms"), same, has_gap, FALSE_ALARM, at_least=False),
     )
     figures = (
         _share(marked("new effect, also without a surviving gap: top-1"), new, _new_is_first),
         _share(
             marked("new effect: named, and nothing else"), visible, lambda case: case.named == set(case.label.hidden)
         ),
-        _share(marked("new effect: unexplained"), visible, lambda case: case.verdict == "unexplained"),
-        _share(marked("new effect: no gap"), new, lambda case: case.verdict == "no_gap"),
+        _share(marked("new effect: unexplained"), visible, unexplained),
+        _share(marked("new effect: no gap"), new, lambda case: not has_gap(case)),
         Measured(
             marked("accepted effects that are not there, per session"),
-            float(np.mean([len(_accepted(case) - _own(case)) for case in cases])) if cases else float("nan"),
+            mean([len(_accepted(case) - (set(case.label.effects) - set(case.label.hidden))) for case in cases]),
             len(cases),
         ),
     )
     return Score(rates, figures, {}, (), tuple(failure for case in cases if (failure := _failure_of_twin(case))))
 
 
-def _rate(
-    what: str, cases: Sequence[Answered], hit: Callable[[Answered], bool], target: float, at_least: bool = True
-) -> Rate:
-    return Rate(what, sum(map(hit, cases)), len(cases), target, at_least)
-
-
 def _share(what: str, cases: Sequence[Answered], hit: Callable[[Answered], bool]) -> Measured:
-    return Measured(what, sum(map(hit, cases)) / len(cases) if cases else float("nan"), len(cases))
+    return Measured(what, mean([hit(case) for case in cases]), len(cases))
 
 
 def _new_is_first(case: Answered) -> bool:
     first = case.ranking[0]["effect"] if case.ranking else ""
-    return case.verdict != "no_gap" and first in case.label.hidden
+    return has_gap(case) and first in case.label.hidden
 
 
 def _accepted(case: Answered) -> set[str]:
     return set(case.answer.get("accepted") or ())
 
 
-def _own(case: Answered) -> set[str]:
-    return set(case.label.effects) - set(case.label.hidden)
-
-
 def _failure_of_twin(case: Answered) -> str:
     new = set(case.label.hidden)
-    if case.named == new and (new or case.verdict == "no_gap"):
+    if case.named == new and (new or not has_gap(case)):
         return ""
     said = " + ".join(sorted(case.named)) or case.verdict
     true = " + ".join(sorted(new)) or "nothing new"
@@ -119,22 +107,9 @@ def _failure_of_twin(case: Answered) -> str:
     return f"{case.name} ({case.label.preset}), {true}: diagnosed as {said}; accepted twin: {twin}"
 
 
-def f1(named: Sequence[set[str]], true: Sequence[set[str]]) -> float:
-    """Return the F1 score of named sets over all scenarios; NaN where nothing is true and nothing named."""
-    hits, said, there = _counts(named, true)
-    return 2.0 * hits / (said + there) if said + there else float("nan")
-
-
-def _counts(named: Sequence[set[str]], true: Sequence[set[str]]) -> tuple[int, int, int]:
-    hits = sum(len(names & truth) for names, truth in zip(named, true, strict=True))
-    return hits, sum(map(len, named)), sum(map(len, true))
-
-
 def _by_hidden(cases: Sequence[Answered], number: int, what: str) -> Measured:
     chosen = [case for case in cases if len(case.label.hidden) == number]
-    return Measured(
-        what, f1([case.named for case in chosen], [set(case.label.effects) for case in chosen]), len(chosen)
-    )
+    return Measured(what, f1_of(chosen), len(chosen))
 
 
 def _hidden_f1(cases: Sequence[Answered]) -> float:

@@ -21,8 +21,7 @@ from tissueid.gap.answer_store import stored_answer
 from tissueid.gap.decision import THRESHOLDS, Grounds, Thresholds, decide, probabilities
 from tissueid_lab.blind_check.answers import BlindScenario
 from tissueid_lab.blind_check.scenarios import scenario_names, unseal
-from tissueid_lab.blind_check.scoring import calibration_error, survives
-from tissueid_lab.blind_check.set_scoring import f1
+from tissueid_lab.blind_check.scoring import calibration_error, f1, mean, survives
 
 WRONG = 1.0
 """Right names that a name which is not there outweighs."""
@@ -150,7 +149,7 @@ def scores(cases: Sequence[Decided], thresholds: Thresholds) -> dict[str, tuple[
     sure, right = _sure(cases, thresholds)
     return {
         "single effect named, nothing else": _share([name == case.true for case, name in single]),
-        "single effect first": (float(np.mean(right)) if right.size else float("nan"), right.size),
+        "single effect first": (mean(right), right.size),
         "several effects: F1": (f1([set(name) for _, name in sets], [set(case.true) for case, _ in sets]), len(sets)),
         "no effect or none of the library: nothing named": _share([not name for name in unlisted]),
         "effect left out of the library: nothing named": _share([not name for name in left_out]),
@@ -163,4 +162,4 @@ def scores(cases: Sequence[Decided], thresholds: Thresholds) -> dict[str, tuple[
 
 
 def _share(hits: Sequence[bool]) -> tuple[float, int]:
-    return (sum(hits) / len(hits) if hits else float("nan")), len(hits)
+    return mean(hits), len(hits)
