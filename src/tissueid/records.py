@@ -9,6 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from tissueid.errors import UnusableInputError
+from tissueid.stored_values import MaybeNumber, Number
 
 _LARGEST = 1e30
 """Largest plausible magnitude of a signal; its inverse is the smallest. Squares beyond it would overflow."""
@@ -150,8 +151,8 @@ def _signals(record: Record) -> tuple[str, str, str, str]:
 class Estimate:
     """A value with its standard deviation; ``std`` is None if it is unknown."""
 
-    value: float
-    std: float | None = None
+    value: Number
+    std: MaybeNumber = None
 
     def __str__(self) -> str:
         return f"{self.value:.4g}" if self.std is None else f"{self.value:.4g} ± {self.std:.2g}"

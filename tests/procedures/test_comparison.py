@@ -9,9 +9,10 @@ import pytest
 from reports.synthetic_sitting import make_session, make_test
 
 from tissueid.app.jobs import JobControl
-from tissueid.app.views.researcher.analysis_task import AnalysisTask, TestRef
+from tissueid.app.views.researcher.analysis_task import AnalysisTask
 from tissueid.app.views.researcher.batch import run
 from tissueid.app.views.researcher.results_store import AnalysisHistory
+from tissueid.app.views.researcher.selected_test import SelectedTest
 from tissueid.cli import main
 from tissueid.errors import CancelledError
 from tissueid.procedures.comparison import ComparePlan, run_comparison
@@ -34,7 +35,7 @@ def test_the_same_scores_and_recommendation(session_file: Path, tmp_path: Path):
     assert main(["compare", str(session_file), "--engines", ",".join(ENGINES), "--json", str(answer)]) == 0
     command = json.loads(answer.read_text(encoding="utf-8"))
     control = JobControl()
-    task = AnalysisTask(kind="compare", engines=ENGINES, tests=(TestRef(path=str(session_file), number=1),))
+    task = AnalysisTask(kind="compare", engines=ENGINES, tests=(SelectedTest(session_file, 1),))
     window = run(task, AnalysisHistory(tmp_path / "history.jsonl"), "2026-01-01T00:00:00Z", control)
     assert window.problems == ()
     assert len(window.outcomes) == len(command["engines"])
@@ -57,7 +58,7 @@ def test_the_same_fit_with_the_same_options(session_file: Path, tmp_path: Path):
     task = AnalysisTask(
         engines=("wiener",),
         options={"degree": 3, "memory": 0.05},
-        tests=(TestRef(path=str(session_file), number=1),),
+        tests=(SelectedTest(session_file, 1),),
     )
     window = run(task, AnalysisHistory(tmp_path / "history.jsonl"), "2026-01-01T00:00:00Z", JobControl())
     (outcome,) = window.outcomes

@@ -1,18 +1,15 @@
-"""Files of the window's user: paths of new sessions, file stamps, the folder of analyses, and stored texts."""
+"""Files of the window's user: paths of new sessions, file stamps, and the folder of analyses."""
 
 from __future__ import annotations
 
 import os
 from datetime import datetime
 from pathlib import Path
-from typing import Annotated, Any
 
 from platformdirs import user_data_path, user_documents_path
-from pydantic import PlainSerializer, PlainValidator
 
 from tissueid.atomic_write import unused_path
 from tissueid.errors import UnusableInputError
-from tissueid.messages import Message, message_from
 from tissueid.procedures.session_path import check_session_path
 
 SUFFIX = ".h5"
@@ -66,23 +63,3 @@ def default_path() -> Path:
     """Return the file of analyses: ``TISSUEID_ANALYSES``, or a file in the user's data folder."""
     named = os.environ.get(ENVIRONMENT)
     return Path(named) if named else user_data_path("tissueid", appauthor=False) / "analyses.jsonl"
-
-
-LONGEST_TEXT = 5000
-"""Maximum length of a stored text, in characters."""
-
-
-def _read(stored: object) -> str:
-    if isinstance(stored, dict):
-        stored = message_from(stored, stored.get("text", ""))
-    if not isinstance(stored, str) or len(stored) > LONGEST_TEXT:
-        raise ValueError(f"a text is a string or a message of at most {LONGEST_TEXT} characters")
-    return stored
-
-
-def _plain(text: str) -> Any:
-    return {"text": str(text), **text.as_dict()} if isinstance(text, Message) else text
-
-
-StoredText = Annotated[str, PlainValidator(_read), PlainSerializer(_plain)]
-"""Field type of pydantic models: a ``str``, or a ``Message`` stored with its code, template and values."""

@@ -10,9 +10,9 @@ import math
 from abc import ABC, abstractmethod
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
-from dataclasses import dataclass, field, replace
+from dataclasses import asdict, dataclass, field, replace
 from functools import wraps
-from typing import Any, ClassVar, Literal, Self
+from typing import Annotated, Any, ClassVar, Literal, Self
 
 import numpy as np
 from numpy.typing import NDArray
@@ -26,6 +26,7 @@ from tissueid.identification.model_family import Family
 from tissueid.messages import Message, stored
 from tissueid.option_errors import option_error
 from tissueid.records import Estimate, Record
+from tissueid.stored_values import MaybeNumber, Name, Number, Texts, finite
 
 Array = NDArray[np.float64]
 Mask = NDArray[np.bool_]
@@ -52,10 +53,6 @@ NOTHING_TO_PREDICT = Message(
 )
 
 
-def _finite_or_none(value: float | None) -> float | None:
-    return None if value is None or not math.isfinite(value) else float(value)
-
-
 @dataclass(frozen=True)
 class FitReport:
     """Scores, parameters, findings and warnings of a fit.
@@ -69,22 +66,24 @@ class FitReport:
     ones are not comparable; "" where there is no such choice. Unknown figures are None.
     """
 
-    engine: str
-    options: dict[str, Any]
-    n_samples: int
-    n_parameters: int
-    vaf_percent: float
-    vaf_validation_percent: float | None = None
-    validation_p_value: float | None = None
-    vaf_scheduled_percent: float | None = None
-    aic: float | None = None
-    aicc: float | None = None
-    parameters: dict[str, Estimate] = field(default_factory=dict)
-    seconds: float | None = None
-    warnings: tuple[str, ...] = ()
-    findings: tuple[str, ...] = ()
-    details: dict[str, float] = field(default_factory=dict)
-    model: str = ""
+    __pydantic_config__ = ConfigDict(extra="forbid")
+
+    engine: Name
+    options: Annotated[dict[Name, Any], Field(max_length=60)]
+    n_samples: Annotated[int, Field(ge=0)]
+    n_parameters: Annotated[int, Field(ge=0)]
+    vaf_percent: Number
+    vaf_validation_percent: MaybeNumber = None
+    validation_p_value: MaybeNumber = None
+    vaf_scheduled_percent: MaybeNumber = None
+    aic: MaybeNumber = None
+    aicc: MaybeNumber = None
+    parameters: Annotated[dict[Name, Estimate], Field(max_length=200)] = field(default_factory=dict)
+    seconds: MaybeNumber = None
+    warnings: Texts = ()
+    findings: Texts = ()
+    details: Annotated[dict[Name, Number], Field(max_length=200)] = field(default_factory=dict)
+    model: Annotated[str, Field(max_length=60)] = ""
 
     @property
     def predicts_nothing(self) -> bool:
@@ -101,31 +100,15 @@ class FitReport:
 
     def as_dict(self) -> dict[str, Any]:
         """Return the keys of ``tissueid identify --json`` in SI units. Values that are not finite become None."""
-        return {
-            "engine": self.engine,
-            "options": dict(self.options),
-            "model": self.model,
-            "n_samples": self.n_samples,
-            "n_parameters": self.n_parameters,
-            "vaf_percent": _finite_or_none(self.vaf_percent),
-            "vaf_validation_percent": _finite_or_none(self.vaf_validation_percent),
-            "validation_p_value": _finite_or_none(self.validation_p_value),
-            "predicts_nothing": self.predicts_nothing,
-            "vaf_scheduled_percent": _finite_or_none(self.vaf_scheduled_percent),
-            "aicc": _finite_or_none(self.aicc),
-            "parameters": {
-                name: {"value": _finite_or_none(estimate.value), "std": _finite_or_none(estimate.std)}
-                for name, estimate in self.parameters.items()
-            },
-            "seconds": _finite_or_none(self.seconds),
-            "warnings": list(self.warnings),
-            "findings": list(self.findings),
-            "details": {name: _finite_or_none(value) for name, value in self.details.items()},
-            "messages": {
-                "warnings": [stored(text) for text in self.warnings],
-                "findings": [stored(text) for text in self.findings],
-            },
-        }
+        texts = {"warnings": self.warnings, "findings": self.findings}
+        answer: dict[str, Any] = finite(
+            asdict(self)
+            | {"predicts_nothing": self.predicts_nothing}
+            | {name: list(map(str, values)) for name, values in texts.items()}
+            | {"messages": {name: list(map(stored, values)) for name, values in texts.items()}}
+        )
+        del answer["aic"]
+        return answer
 
 
 @dataclass(frozen=True, eq=False)

@@ -3,12 +3,12 @@
 from __future__ import annotations
 
 import json
-import math
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from tissueid.atomic_write import atomic_file, open_regular, private_folder
 from tissueid.errors import UnusableInputError
+from tissueid.stored_values import finite
 from tissueid.untrusted_input import json_value
 
 if TYPE_CHECKING:
@@ -125,19 +125,6 @@ def check_result_folder(out: Path, outputs: tuple[str, ...], values: str, made_b
         raise UnusableInputError(
             "file.other_results", "{folder} contains other results; choose another folder", folder=str(out)
         )
-
-
-def finite(value: Any) -> Any:
-    """Return a value for JSON: numbers that are not finite become None, keys texts, numpy's numbers Python's."""
-    if isinstance(value, dict):
-        return {str(key): finite(item) for key, item in value.items()}
-    if isinstance(value, list | tuple):
-        return [finite(item) for item in value]
-    if hasattr(value, "item"):
-        value = value.item()
-    if isinstance(value, float) and not math.isfinite(value):
-        return None
-    return value
 
 
 def json_text(value: Any) -> str:

@@ -39,6 +39,7 @@ from tissueid.procedures.study_plans import (
     SUBJECTS_FILE,
     StudyPlan,
 )
+from tissueid.stored_values import finite
 from tissueid.test_settings import PROPERTIES
 
 if TYPE_CHECKING:
@@ -325,10 +326,6 @@ def _row(
         "problem": str(PREDICTS_NOTHING) if report.predicts_nothing else "",
     }
     for name, estimate in report.reportable_parameters.items():
-        row |= {name: _finite(estimate.value), f"{name}_sd": _finite(estimate.std)}
-    details = {name: value for name, value in report.details.items() if _finite(value) is not None}
+        row |= {name: finite(estimate.value), f"{name}_sd": finite(estimate.std)}
+    details = {name: value for name, value in report.details.items() if finite(value) is not None}
     return row, details, sampled_curves(analysis, test.surface_position_m)
-
-
-def _finite(value: float | None) -> float | None:
-    return None if value is None or not abs(value) < float("inf") else float(value)

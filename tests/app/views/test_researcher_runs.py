@@ -19,7 +19,7 @@ from PySide6.QtWidgets import (
 from tissueid import analysis
 from tissueid.app.theme import DARK, appearance
 from tissueid.app.views.researcher import batch
-from tissueid.app.views.researcher.analysis_task import AnalysisTask, TestRef
+from tissueid.app.views.researcher.analysis_task import AnalysisTask
 from tissueid.app.views.researcher.plot_data import PICTURES
 from tissueid.identification.base import PREDICTS_NOTHING
 from tissueid.messages import MISSING
@@ -282,7 +282,7 @@ def test_the_page_research_reads_as_its_golden_page(qtbot, open_window, monkeypa
 
 
 def test_the_work_of_an_analysis_and_its_result_travel_between_processes(two, history, tmp_path):
-    task = AnalysisTask(engines=("lms",), tests=tuple(TestRef.of(test) for test in two[:1]))
+    task = AnalysisTask(engines=("lms",), tests=tuple(two[:1]))
     work = functools.partial(batch.run, task, history, "2026-03-01T10:00:00+00:00")
     work = pickle.loads(pickle.dumps(work))  # noqa: S301 - written just now
     (outcome,) = pickle.loads(pickle.dumps(work(Control()))).outcomes  # noqa: S301

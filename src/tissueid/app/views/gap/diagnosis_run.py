@@ -9,6 +9,7 @@ from tissueid.app.user_files import Stamp, stamp_of
 from tissueid.app.views.gap.diagnosis_result import DiagnosisResult
 from tissueid.procedures.control import Control
 from tissueid.procedures.gap_plans import DiagnosisPlan
+from tissueid.stored_values import finite
 
 if TYPE_CHECKING:
     from tissueid.procedures.diagnosis import DiagnosedSession
@@ -45,7 +46,6 @@ def result_of(diagnosed: DiagnosedSession, stamp: Stamp | None = None) -> Diagno
     """
     from tissueid.app.views.gap.page_content_builder import page_content_of
     from tissueid.gap import as_answer
-    from tissueid.procedures.output_files import finite
 
     found, session, named = diagnosed.found, diagnosed.session, diagnosed.named
     return DiagnosisResult(

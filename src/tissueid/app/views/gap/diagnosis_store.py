@@ -16,7 +16,7 @@ from typing import Annotated, Any, Literal
 
 from pydantic import AwareDatetime, BaseModel, ConfigDict, Field, model_validator
 
-from tissueid.app.user_files import StoredText, default_path
+from tissueid.app.user_files import default_path
 from tissueid.app.views.gap.diagnosis_result import DiagnosisResult
 from tissueid.app.views.gap.page_content import PageContent
 from tissueid.atomic_write import open_regular, private_folder, write_private
@@ -25,6 +25,7 @@ from tissueid.errors import UnusableInputError
 from tissueid.instrument.twin_file import TwinFile
 from tissueid.language import ENGLISH
 from tissueid.procedures.gap_plans import DiagnosisPlan
+from tissueid.stored_values import StoredText
 from tissueid.untrusted_input import MAX_TESTS, json_value
 
 FOLDER = "diagnoses"

@@ -14,9 +14,9 @@ import numpy as np
 from numpy.typing import NDArray
 from pydantic import AfterValidator, Field, PlainSerializer, PlainValidator
 
-from tissueid.app.user_files import LONGEST_TEXT, StoredText
 from tissueid.language import marked
 from tissueid.records import Estimate
+from tissueid.stored_values import LONGEST_TEXT, StoredText
 from tissueid.twin.effect import STAGES, Stage
 
 if TYPE_CHECKING:

@@ -25,7 +25,7 @@ from PySide6.QtWidgets import (
 from tissueid.app.context import AppContext
 from tissueid.app.jobs import JobControl
 from tissueid.app.small_window import FoldingSplitter
-from tissueid.app.views.researcher.analysis_task import MOST_TESTS, AnalysisTask, TestRef
+from tissueid.app.views.researcher.analysis_task import MOST_TESTS, AnalysisTask
 from tissueid.app.views.researcher.batch import Batch, refit, run, run_folder
 from tissueid.app.views.researcher.calibration_button import CalibrationButton
 from tissueid.app.views.researcher.engine_form import EngineForm
@@ -263,7 +263,7 @@ class AnalysisPanel(QWidget):
                 "output_name": out,
                 "together": self.form.together.isChecked(),
                 "preparation": self.form.preparation.value(),
-                "tests": tuple(TestRef.of(test) for test in self._chosen),
+                "tests": tuple(self._chosen),
             }
             return AnalysisTask.model_validate(asked | changes)
         except ValidationError as error:

@@ -7,45 +7,17 @@ from typing import Annotated, Any, Literal
 
 from pydantic import BaseModel, ConfigDict, Field
 
-from tissueid.app.views.researcher.selected_test import SelectedTest
+from tissueid.app.views.researcher.selected_test import SelectedTest, ShortText
 from tissueid.identification import Engine, get_engine
+from tissueid.stored_values import Name
 
-LONGEST_TEXT = 300
 MOST_TESTS = 5000
-_LONGEST_PATH = 4096
 
-Text = Annotated[str, Field(max_length=LONGEST_TEXT)]
-Name = Annotated[str, Field(min_length=1, max_length=60)]
-Value = None | bool | int | float | Text | Annotated[list[float], Field(max_length=200)]
+Value = None | bool | int | float | ShortText | Annotated[list[float], Field(max_length=200)]
 
 
 class _Specification(BaseModel):
     model_config = ConfigDict(frozen=True, extra="forbid", allow_inf_nan=False)
-
-
-class TestRef(_Specification):
-    """The stored form of a selected test."""
-
-    __test__ = False  # not a test case, whatever pytest thinks of the name
-
-    path: Annotated[str, Field(min_length=1, max_length=_LONGEST_PATH)]
-    number: Annotated[int, Field(ge=0, le=1_000_000)]
-    site: Text = ""
-    pseudonym: Text = ""
-    label: Text = ""
-    when: float | None = None
-
-    @classmethod
-    def of(cls, test: SelectedTest) -> TestRef:
-        """Return the stored form of a selected test."""
-        site, pseudonym, label = (text[:LONGEST_TEXT] for text in (test.site, test.pseudonym, test.label))
-        path = str(test.path)
-        return cls(path=path, number=test.number, site=site, pseudonym=pseudonym, label=label, when=test.when)
-
-    @property
-    def chosen(self) -> SelectedTest:
-        """The selected test."""
-        return SelectedTest(Path(self.path), self.number, self.site, self.pseudonym, self.label, self.when)
 
 
 class Preparation(_Specification):
@@ -88,12 +60,12 @@ class AnalysisTask(_Specification):
     output_name: Name = "position"
     preparation: Preparation = AS_RECORDED
     together: bool = False
-    tests: Annotated[tuple[TestRef, ...], Field(max_length=MOST_TESTS)] = ()
+    tests: Annotated[tuple[SelectedTest, ...], Field(max_length=MOST_TESTS)] = ()
 
     @property
     def groups(self) -> list[tuple[SelectedTest, ...]]:
         """Groups of tests that are fitted together, in the order of selection."""
-        chosen = list(dict.fromkeys(test.chosen for test in self.tests))
+        chosen = list(dict.fromkeys(self.tests))
         if not self.together:
             return [(test,) for test in chosen]
         by_file: dict[Path, list[SelectedTest]] = {}

@@ -9,7 +9,7 @@ from pathlib import Path
 
 from tissueid.analysis import EngineComparison, analyse, specifications
 from tissueid.app.user_files import stamp_of
-from tissueid.app.views.researcher.analysis_task import MOST_TESTS, AnalysisTask, TestRef
+from tissueid.app.views.researcher.analysis_task import MOST_TESTS, AnalysisTask
 from tissueid.app.views.researcher.comparison_summary import ComparisonSummary, summary_of
 from tissueid.app.views.researcher.engine_outcome import EngineOutcome
 from tissueid.app.views.researcher.results_store import AnalysisHistory, HistoryEntry
@@ -138,7 +138,7 @@ def run_folder(folder: Path, task: AnalysisTask, history: AnalysisHistory, momen
         raise UnusableInputError(problems[0])
     if not tests:
         raise UnusableInputError("research.no_session", "there is no session in {folder}", folder=str(folder))
-    named = task.model_copy(update={"tests": tuple(TestRef.of(test) for test in tests)})
+    named = task.model_copy(update={"tests": tuple(tests)})
     found = run(named, history, moment, control)
     return replace(found, problems=(*problems, *found.problems))
 

@@ -4,39 +4,68 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
-from typing import Any
+from typing import Annotated, Any
+
+from pydantic import ConfigDict, Field, GetPydanticSchema, TypeAdapter
+from pydantic_core import core_schema
 
 from tissueid.analysis import Analysis
 from tissueid.app.user_files import Stamp
-from tissueid.app.views.researcher.analysis_task import AS_RECORDED, Preparation
+from tissueid.app.views.researcher.analysis_task import AS_RECORDED, MOST_TESTS, Preparation, Value
 from tissueid.app.views.researcher.plot_data import PlotData
 from tissueid.app.views.researcher.selected_test import SelectedTest, distinguishing_labels, short_label
 from tissueid.formatting import plain_text
 from tissueid.identification import FitReport, engine_label, engine_names, get_engine
 from tissueid.language import _, marked
+from tissueid.stored_values import Name, StoredText, Texts
+
+_UNITS = TypeAdapter(Annotated[dict[Name, Annotated[str, Field(max_length=40)]], Field(max_length=40)])
+
+
+def _units_of(plots: PlotData) -> dict[str, str]:
+    return {str(panel): unit for panel, unit in plots.units.items()}
+
+
+def _without_curves(units: object) -> PlotData:
+    """Return plots with units, and with the reason why they have no curves."""
+    from tissueid.analysis.curves.results import TITLES, missing_plot
+
+    without = marked("From an earlier session, without curves; “Refit” computes them.")
+    panels = {panel: missing_plot(panel, without) for panel in TITLES}
+    return PlotData(panels, {panel: unit for panel, unit in _UNITS.validate_python(units).items() if panel in panels})
+
+
+_STORED_PLOTS = core_schema.no_info_plain_validator_function(
+    _without_curves, serialization=core_schema.plain_serializer_function_ser_schema(_units_of)
+)
+_Plots = Annotated[PlotData, GetPydanticSchema(lambda _source, _handler: _STORED_PLOTS)]
 
 
 @dataclass(frozen=True, eq=False)
 class EngineOutcome:
     """Result of an engine on one test, or on several fitted together; ``refused`` is the reason if there is none.
 
+    It is stored without curves.
+
     ``signals`` names input and output, ``preparation`` says what was done to them. ``stamp`` is that of the file when
     it was fitted; ``changed`` says that the file is another one now. ``recommended`` marks the engine that a comparison
     recommends.
     """
 
-    engine: str
-    options: dict[str, Any]
-    tests: tuple[SelectedTest, ...]
-    signals: tuple[str, str]
+    __pydantic_config__ = ConfigDict(extra="forbid", allow_inf_nan=False)
+
+    engine: Name
+    options: Annotated[dict[Name, Value], Field(max_length=60)]
+    tests: Annotated[tuple[SelectedTest, ...], Field(min_length=1, max_length=MOST_TESTS)]
+    signals: tuple[Name, Name]
     report: FitReport | None = None
-    validated_on: str = ""
-    plots: PlotData = field(default_factory=PlotData)
-    findings: tuple[str, ...] = ()
-    refused: str = ""
+    validated_on: StoredText = ""
+    plots: _Plots = field(default_factory=PlotData)
+    findings: Texts = ()
+    refused: StoredText = ""
     stamp: Stamp | None = None
     recommended: bool = False
-    changed: bool = False
+    changed: Annotated[bool, Field(exclude=True)] = False
     preparation: Preparation = AS_RECORDED
 
     @classmethod

@@ -136,7 +136,7 @@ def _texts(entry: HistoryEntry) -> tuple[str, str, str, str, str]:
     when = entry.time.astimezone().strftime("%Y-%m-%d %H:%M:%S")
     names = ", ".join(engine_label(clean(name)) for name in task.engines)
     what = _("{count} compared").format(count=len(task.engines)) if task.kind == "compare" else names
-    first = clean(task.tests[0].label or task.tests[0].path) if task.tests else _("none")
+    first = clean(task.tests[0].label or str(task.tests[0].path)) if task.tests else _("none")
     tests = first if len(task.tests) < 2 else f"{len(task.tests)}: {first} …"
     return when, what, tests, clean(translated(entry.headline)), names if task.kind == "compare" else _changed(task)
 

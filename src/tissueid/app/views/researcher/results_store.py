@@ -2,35 +2,21 @@
 
 from __future__ import annotations
 
-import math
 import os
 import threading
-from collections.abc import Iterable, Iterator, Mapping, Sequence
-from dataclasses import dataclass, fields
+from collections.abc import Iterable, Iterator, Sequence
+from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Annotated, Any, Literal
+from typing import Any
 
-from pydantic import AwareDatetime, BaseModel, ConfigDict, Field, ValidationError
+from pydantic import AwareDatetime, BaseModel, ConfigDict, TypeAdapter, ValidationError
 
-from tissueid.app.user_files import Stamp, StoredText, default_path, stamp_of
-from tissueid.app.views.researcher.analysis_task import (
-    AS_RECORDED,
-    MOST_TESTS,
-    AnalysisTask,
-    Name,
-    Preparation,
-    TestRef,
-    Text,
-    Value,
-)
+from tissueid.app.user_files import Stamp, default_path, stamp_of
+from tissueid.app.views.researcher.analysis_task import AnalysisTask
 from tissueid.app.views.researcher.engine_outcome import EngineOutcome
-from tissueid.app.views.researcher.plot_data import PlotData
-from tissueid.app.views.researcher.selected_test import SelectedTest
 from tissueid.atomic_write import atomic_file, open_regular, private_folder, private_opener
-from tissueid.identification import FitReport
-from tissueid.language import marked
-from tissueid.messages import message_from, stored
-from tissueid.records import Estimate
+from tissueid.stored_values import StoredText
+from tissueid.untrusted_input import json_value
 
 MOST_ENTRIES = 500
 _LONGEST_HISTORY_LINE = 2_000_000
@@ -133,123 +119,7 @@ MOST_RESULTS = 5000
 _LONGEST_LINE = 500_000
 _LONGEST_FILE = 100_000_000
 """Bytes; a result takes some two thousand."""
-_Words = Annotated[tuple[Annotated[str, Field(max_length=5000)], ...], Field(max_length=200)]
-_Messages = Annotated[
-    dict[str, Annotated[tuple[dict[str, Any] | None, ...], Field(max_length=200)]], Field(max_length=8)
-]
-"""Code, template and values of texts by the name of their field, next to the texts; None for plain text."""
-_Number = float | None
-
-
-class _Line(BaseModel):
-    model_config = ConfigDict(frozen=True, extra="forbid", allow_inf_nan=False)
-
-
-class _Report(_Line):
-    """The stored form of a ``FitReport``; values that are not finite are None."""
-
-    engine: Name
-    options: Annotated[dict[Name, Any], Field(max_length=60)]
-    n_samples: Annotated[int, Field(ge=0)]
-    n_parameters: Annotated[int, Field(ge=0)]
-    vaf_percent: _Number
-    vaf_validation_percent: _Number
-    validation_p_value: _Number
-    vaf_scheduled_percent: _Number
-    aic: _Number
-    aicc: _Number
-    parameters: Annotated[dict[Name, tuple[_Number, _Number]], Field(max_length=200)]
-    seconds: _Number
-    warnings: _Words
-    findings: _Words
-    details: Annotated[dict[Name, _Number], Field(max_length=200)]
-    model: Name | Literal[""] = ""
-    messages: _Messages = {}
-
-    @classmethod
-    def of(cls, report: FitReport) -> _Report:
-        """Return the stored form of a report."""
-        plain = {field.name: getattr(report, field.name) for field in fields(report)}
-        numbers = {name: _finite(value) for name, value in plain.items() if isinstance(value, float)}
-        plain["parameters"] = {name: (_finite(e.value), _finite(e.std)) for name, e in report.parameters.items()}
-        plain["details"] = {name: _finite(value) for name, value in report.details.items()}
-        plain["messages"] = _stored(warnings=report.warnings, findings=report.findings)
-        return cls(**plain | numbers)
-
-    @property
-    def report(self) -> FitReport:
-        """The report."""
-        plain = {name: getattr(self, name) for name in type(self).model_fields if name != "messages"}
-        plain |= {name: _restored(self.messages, name, plain[name]) for name in ("warnings", "findings")}
-        plain["vaf_percent"] = math.nan if self.vaf_percent is None else self.vaf_percent
-        plain["parameters"] = {
-            name: Estimate(math.nan if value is None else value, std) for name, (value, std) in self.parameters.items()
-        }
-        plain["details"] = {name: math.nan if value is None else value for name, value in self.details.items()}
-        return FitReport(**plain)
-
-
-class _Result(_Line):
-    """The stored form of an ``EngineOutcome``, without curves."""
-
-    engine: Name
-    options: Annotated[dict[Name, Value], Field(max_length=60)]
-    tests: Annotated[tuple[TestRef, ...], Field(min_length=1, max_length=MOST_TESTS)]
-    signals: tuple[Name, Name]
-    preparation: Preparation = AS_RECORDED
-    report: _Report | None
-    validated_on: Text
-    units: Annotated[dict[Name, Annotated[str, Field(max_length=40)]], Field(max_length=40)]
-    findings: _Words
-    refused: Annotated[str, Field(max_length=5000)]
-    stamp: Stamp | None
-    recommended: bool
-    messages: _Messages = {}
-
-    @classmethod
-    def of(cls, outcome: EngineOutcome) -> _Result:
-        """Return the stored form of a result."""
-        return cls(
-            engine=outcome.engine,
-            options=outcome.options,
-            tests=tuple(map(TestRef.of, outcome.tests)),
-            signals=outcome.signals,
-            preparation=outcome.preparation,
-            report=None if outcome.report is None else _Report.of(outcome.report),
-            validated_on=outcome.validated_on,
-            units={str(panel): unit for panel, unit in outcome.plots.units.items()},
-            findings=outcome.findings,
-            refused=outcome.refused,
-            stamp=outcome.stamp,
-            recommended=outcome.recommended,
-            messages=_stored(
-                validated_on=(outcome.validated_on,), findings=outcome.findings, refused=(outcome.refused,)
-            ),
-        )
-
-    def outcome(self, stamp: Stamp | None) -> EngineOutcome:
-        """Return the result; ``stamp`` is the current one of its file."""
-        from tissueid.analysis.curves.results import TITLES, missing_plot
-
-        without = marked("From an earlier session, without curves; “Refit” computes them.")
-        panels = {panel: missing_plot(panel, without) for panel in TITLES}
-        units = {str(panel): self.units[panel] for panel in panels if panel in self.units}
-        tests: tuple[SelectedTest, ...] = tuple(test.chosen for test in self.tests)
-        return EngineOutcome(
-            self.engine,
-            dict(self.options),
-            tests,
-            self.signals,
-            None if self.report is None else self.report.report,
-            _restored(self.messages, "validated_on", (self.validated_on,))[0],
-            PlotData(panels, units),
-            _restored(self.messages, "findings", self.findings),
-            _restored(self.messages, "refused", (self.refused,))[0],
-            self.stamp,
-            self.recommended,
-            changed=stamp != self.stamp,
-            preparation=self.preparation,
-        )
+_OUTCOME = TypeAdapter(EngineOutcome)
 
 
 @dataclass(frozen=True)
@@ -276,12 +146,13 @@ def _lines(outcomes: Sequence[EngineOutcome]) -> Iterator[bytes]:
     size = 0
     for outcome in outcomes:
         try:
-            line = _Result.of(outcome).model_dump_json().encode() + b"\n"
-        except (ValidationError, ValueError):
+            line = _OUTCOME.dump_json(outcome, warnings="error")
+            _OUTCOME.validate_json(line)
+        except ValueError:
             continue
-        size += len(line)
-        if len(line) <= _LONGEST_LINE and size <= _LONGEST_FILE:
-            yield line
+        size += len(line) + 1
+        if len(line) < _LONGEST_LINE and size <= _LONGEST_FILE:
+            yield line + b"\n"
 
 
 def read_results(path: Path) -> StoredResults:
@@ -296,7 +167,7 @@ def read_results(path: Path) -> StoredResults:
     except FileNotFoundError:
         return StoredResults((), 0)
     outcomes: list[EngineOutcome] = []
-    stamps: dict[str, Stamp | None] = {}
+    stamps: dict[Path, Stamp | None] = {}
     bad = 0
     for line in data.split(b"\n"):
         if not line.strip():
@@ -304,29 +175,34 @@ def read_results(path: Path) -> StoredResults:
         try:
             if len(line) > _LONGEST_LINE or len(outcomes) >= MOST_RESULTS:
                 raise ValueError("too long")
-            result = _Result.model_validate_json(line)
-        except (ValidationError, ValueError, RecursionError):
+            outcome = _parsed(line)
+        except (ValueError, TypeError, KeyError, AttributeError):
             bad += 1
             continue
-        first = result.tests[0].path
+        first = outcome.tests[0].path
         if first not in stamps:
-            stamps[first] = stamp_of(Path(first))
-        outcomes.append(result.outcome(stamps[first]))
+            stamps[first] = stamp_of(first)
+        outcomes.append(replace(outcome, changed=stamps[first] != outcome.stamp))
     return StoredResults(tuple(outcomes), bad)
 
 
-def _stored(**texts: Sequence[str]) -> dict[str, tuple[dict[str, Any] | None, ...]]:
-    """Return code, template and values of texts, by the name of their field."""
-    return {name: tuple(map(stored, values)) for name, values in texts.items()}
+def _parsed(line: bytes) -> EngineOutcome:
+    stored = json_value(line)
+    if isinstance(stored, dict) and "units" in stored:
+        report = stored["report"]
+        if report is not None:
+            pairs = report["parameters"].items()
+            estimates = {name: dict(zip(("value", "std"), pair, strict=True)) for name, pair in pairs}
+            report = _with_messages(report | {"parameters": estimates})
+        stored = _with_messages(stored | {"report": report, "plots": stored.pop("units")})
+    return _OUTCOME.validate_python(stored)
 
 
-def _restored(messages: Mapping[str, Sequence[Any]], name: str, texts: Sequence[str]) -> tuple[str, ...]:
-    """Return the texts of a field as the messages that were stored with them; a text without one stays as it is."""
-    found = messages.get(name, ())
-    if len(found) != len(texts):
-        return tuple(texts)
-    return tuple(message_from(message, text) for message, text in zip(found, texts, strict=True))
-
-
-def _finite(value: float | None) -> float | None:
-    return None if value is None or not math.isfinite(value) else float(value)
+def _with_messages(stored: dict[str, Any]) -> dict[str, Any]:
+    """Return a part of a result of version 0.1, whose messages stand beside their texts, with the two joined."""
+    for name, messages in stored.pop("messages", {}).items():
+        texts = [stored[name]] if isinstance(stored[name], str) else stored[name]
+        pairs = zip(messages, texts, strict=True)
+        joined = [text if message is None else message | {"text": text} for message, text in pairs]
+        stored[name] = joined[0] if isinstance(stored[name], str) else joined
+    return stored

@@ -8,9 +8,24 @@ from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 from datetime import UTC, datetime
 from pathlib import Path
+from typing import Annotated
+
+from pydantic import BeforeValidator, ConfigDict, Field, PlainSerializer
 
 from tissueid.formatting import clean, subject_text
 from tissueid.language import _, marked
+
+LONGEST_TEXT = 300
+"""Maximum length of a stored text of a task, in characters."""
+_LONGEST_PATH = 4096
+
+ShortText = Annotated[str, Field(max_length=LONGEST_TEXT), PlainSerializer(lambda text: text[:LONGEST_TEXT])]
+
+
+def _short_path(path: object) -> object:
+    if not 0 < len(str(path)) <= _LONGEST_PATH:
+        raise ValueError(f"a path has 1 to {_LONGEST_PATH} characters")
+    return path
 
 
 @dataclass(frozen=True)
@@ -21,11 +36,13 @@ class SelectedTest:
     session in seconds since 1970, None where it is not known.
     """
 
-    path: Path
-    number: int
-    site: str
-    pseudonym: str
-    label: str
+    __pydantic_config__ = ConfigDict(extra="forbid", allow_inf_nan=False)
+
+    path: Annotated[Path, BeforeValidator(_short_path)]
+    number: Annotated[int, Field(ge=0, le=1_000_000)]
+    site: ShortText = ""
+    pseudonym: ShortText = ""
+    label: ShortText = ""
     when: float | None = None
 
 
