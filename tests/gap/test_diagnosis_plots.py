@@ -1,12 +1,13 @@
 """Plots of a diagnosis, as reports and window draw them."""
 
+from dataclasses import replace
 from types import SimpleNamespace
 
 import numpy as np
 import pytest
 
+from tissueid.gap.diagnosis_curves import GapProfile, GapSpectrum, SignalOverlay
 from tissueid.gap.diagnosis_plots import (
-    SignalOverlay,
     overlay_plots,
     profile_plot,
     profile_values,
@@ -21,7 +22,7 @@ def test_a_spectrum_is_shown_in_micrometres_per_root_hertz_down_to_a_tenth_of_th
     power = {name: np.array([1e-6, 1e-8, 1e-20]) for name in ("recorded", "residual", "linear", "even", "odd")}
     lines = spectrum_lines(SimpleNamespace(channel="position", noise=np.full(3, 1e-12), **power))
     np.testing.assert_allclose(lines["recorded"], [1e3, 1e2, np.nan])
-    plot = spectrum_plot("position", F, lines, ((4.0, 6.0), (15.0, 25.0)))
+    plot = spectrum_plot(GapSpectrum("position", F, lines, ((4.0, 6.0), (15.0, 25.0))))
     assert (plot.x.log, plot.y.log, plot.y.unit) == (True, True, "µm/√Hz")
     shade, recorded, *_rest = plot.curves
     assert (shade.kind, shade.x.tolist()) == ("spans", [4.0, 6.0, 15.0, 25.0])
@@ -34,13 +35,14 @@ def test_errors_of_a_profile_stand_at_the_middle_of_their_bins():
         error=np.array([1.0, np.nan, 3.0]),
         above=np.array([False, False, True]),
     )
-    middle, error, above = profile_values("depth_m", found)
+    profile = profile_values("depth_m", found)
+    middle, error = profile.middle, profile.error
     np.testing.assert_allclose((middle, error), ([1.0, 5.0], [1.0, 3.0]))
-    plot = profile_plot("depth_m", middle, error, above)
+    plot = profile_plot("depth_m", profile)
     assert (plot.x.unit, plot.y.unit, plot.y.log) == ("mm", "× noise", False)
     assert plot.curve("above noise").x.tolist() == [5.0]
-    assert profile_plot("depth_m", middle, 30.0 * error, above).y.log
-    assert profile_plot("time_s", *(np.zeros(0),) * 2, np.zeros(0, bool)).missing
+    assert profile_plot("depth_m", replace(profile, error=30.0 * error)).y.log
+    assert profile_plot("time_s", GapProfile(np.zeros(0), np.zeros(0), np.zeros(0, bool))).missing
 
 
 @pytest.mark.parametrize("fitted", [True, False])

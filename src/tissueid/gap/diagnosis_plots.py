@@ -3,17 +3,15 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
-from typing import Literal
 
 import numpy as np
-from numpy.typing import NDArray
 
 from tissueid.analysis.curves.plot import CONFIDENCE, FREQUENCY, TIME, Array, Axis, Bars, Curve, Kind, Plot
 from tissueid.errors import UnusableInputError
 from tissueid.formatting import label_and_unit, number
 from tissueid.gap.dataset import DatasetTest
 from tissueid.gap.diagnosis import Diagnosis, Ranked
+from tissueid.gap.diagnosis_curves import BudgetRow, GapProfile, GapSpectrum, SignalOverlay
 from tissueid.gap.error_regions import Profile, Spectrum
 from tissueid.gap.history import GapHistory, HistoryEntry
 from tissueid.gap.preparation import BLOCK_S
@@ -64,23 +62,6 @@ _MOVES = 0.5
 """A signal moves where its deviation is at least this share of the upper quartile over all stretches."""
 
 
-@dataclass(frozen=True, eq=False)
-class SignalOverlay:
-    """One signal of a stretch: time (s), recorded and simulated, and their differences, in display units, (n,).
-
-    ``after`` is None if no effect was fitted. ``noise`` is one standard deviation, in the unit of the differences.
-    """
-
-    channel: str
-    time: Array
-    recorded: Array
-    before: Array
-    after: Array | None
-    left_before: Array
-    left_after: Array | None
-    noise: float
-
-
 def spectrum_lines(found: Spectrum) -> dict[str, Array]:
     """Return the amplitude densities of a spectrum by the name of the line; NaN where they are not shown."""
     scale = UNITS[found.channel][3]
@@ -89,14 +70,13 @@ def spectrum_lines(found: Spectrum) -> dict[str, Array]:
     return {name: np.where(values >= least, values, np.nan) for name, values in every.items()}
 
 
-def spectrum_plot(
-    channel: str, frequency_hz: Array, lines: Mapping[str, Array], bands_hz: Sequence[tuple[float, float]]
-) -> Plot:
+def spectrum_plot(spectrum: GapSpectrum) -> Plot:
     """Return amplitude densities of a signal, of what the baseline leaves of it, and of its parts; bands are shaded."""
-    ends = np.array(bands_hz, dtype=np.float64).ravel()
+    channel, lines = spectrum.channel, spectrum.lines
+    ends = np.array(spectrum.bands, dtype=np.float64).ravel()
     shade = Curve(ends, np.zeros(0), colour="poor", kind="spans", opacity=0.12)
     curves = [
-        Curve(frequency_hz, lines[name], label, colour, kind, width=width)
+        Curve(spectrum.frequency, lines[name], label, colour, kind, width=width)
         for name, (label, colour, kind, width) in _LINES.items()
     ]
     every = np.concatenate([values[np.isfinite(values)] for values in lines.values()])
@@ -109,16 +89,17 @@ def spectrum_plot(
     )
 
 
-def profile_values(name: str, found: Profile) -> tuple[Array, Array, NDArray[np.bool_]]:
-    """Return middle of each bin, error over noise, and whether it is significant; bins without data are left out."""
+def profile_values(name: str, found: Profile) -> GapProfile:
+    """Return the profile of a name in its display unit; bins without data are left out."""
     known = np.isfinite(found.error)
     middle = 0.5 * PROFILES[name][2] * (found.edges[1:] + found.edges[:-1])
-    return middle[known], np.maximum(found.error[known], _LEAST_ERROR), np.asarray(found.above[known])
+    return GapProfile(middle[known], np.maximum(found.error[known], _LEAST_ERROR), np.asarray(found.above[known]))
 
 
-def profile_plot(name: str, middle: Array, error: Array, above: NDArray[np.bool_]) -> Plot:
+def profile_plot(name: str, profile: GapProfile) -> Plot:
     """Return the error along something as a multiple of the noise floor; full dots stand above it with significance."""
     title, x, _scale = PROFILES[name]
+    middle, error, above = profile.middle, profile.error, profile.above
     top = float(np.max(error, initial=1.0))
     log = top > _LOG_FROM
     y = Axis(marked("Error"), TIMES_NOISE, log=log, limits=(0.5, 2.0 * top) if log else (0.0, 1.1 * top))
@@ -231,19 +212,6 @@ def largest_held_out_error(found: Diagnosis, channel: str) -> tuple[DatasetTest,
         raise UnusableInputError("report.all_fitted", "every sample was fitted")
     least = _MOVES * float(np.quantile([item[1] for item in tried], 0.75))
     return max((item for item in tried if item[1] >= least), key=lambda item: item[0])[2:]
-
-
-BudgetRole = Literal["model", "measured", "check"]
-
-
-@dataclass(frozen=True)
-class BudgetRow:
-    """One bar of the gap budget: its name, and where it begins and ends, as shares of the signal (0 to 1)."""
-
-    name: str
-    low: float
-    high: float
-    role: BudgetRole
 
 
 def budget_rows(found: Diagnosis) -> tuple[BudgetRow, ...]:

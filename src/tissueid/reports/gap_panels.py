@@ -13,6 +13,7 @@ from matplotlib.patches import FancyBboxPatch
 from tissueid.analysis.curves.plot import Axis, Plot, Surface
 from tissueid.errors import UnusableInputError
 from tissueid.gap.diagnosis import Diagnosis
+from tissueid.gap.diagnosis_curves import GapSpectrum
 from tissueid.gap.diagnosis_plots import (
     TIMES_NOISE,
     budget_plot,
@@ -272,14 +273,14 @@ def draw_spectrum(figure: FigureBase, found: Diagnosis) -> None:
     """Amplitude densities of a residual and its parts."""
     regions = found.where.regions
     spectrum = next(item for item in regions.spectra if item.channel == regions.channel)
-    plot = spectrum_plot(regions.channel, spectrum.frequency_hz, spectrum_lines(spectrum), regions.bands_hz)
-    draw_plot(figure.subplots(1, 1), plot, title=False)
+    shown = GapSpectrum(regions.channel, spectrum.frequency_hz, spectrum_lines(spectrum), regions.bands_hz)
+    draw_plot(figure.subplots(1, 1), spectrum_plot(shown), title=False)
 
 
 def draw_profile(figure: FigureBase, found: Diagnosis, name: str) -> None:
     """Error along something, as a multiple of the noise floor."""
     regions = found.where.regions
-    plot = profile_plot(name, *profile_values(name, regions.profiles[name]))
+    plot = profile_plot(name, profile_values(name, regions.profiles[name]))
     if name == "mains_phase_rad":
         label = Message("plot.mains_phase", "Phase at {hertz:.2f} Hz", hertz=regions.mains_hz)
         plot = replace(plot, x=replace(plot.x, label=label))

@@ -237,16 +237,6 @@ def test_a_kept_diagnosis_is_shown_in_the_language_of_the_window(shown, diagnose
         set_language("en")
 
 
-def test_a_file_of_an_earlier_version_has_texts_without_codes(diagnosed):
-    keep(diagnosed, default_folder())
-    path = files()[0]
-    content = json.loads(path.read_text())
-    content["format_version"] = "1.0"
-    content["story"]["headline"] = content["story"]["headline"]["text"]
-    path.write_text(json.dumps(content))
-    assert read_kept(default_folder()).results[0].story.headline == diagnosed.story.headline
-
-
 def test_report_and_answer_of_a_kept_diagnosis_are_those_that_were_made_with_it(qtbot, shown, diagnosed, tmp_path):
     opened = []
     keep(diagnosed, default_folder())

@@ -11,6 +11,7 @@ from coded import says
 
 from tissueid.app.views.gap.diagnosis_store import keep, read_kept
 from tissueid.app.views.researcher.results_store import read_results, write_results
+from tissueid.gap.diagnosis_plots import overlay_plots, profile_plot, spectrum_plot
 
 KEPT = Path(__file__).parents[2] / "golden" / "kept"
 
@@ -106,18 +107,18 @@ def test_diagnoses_are_read_with_the_stored_values(diagnoses):
 def test_curves_of_a_stored_diagnosis_are_drawn_with_the_stored_values(diagnoses):
     for result in read_kept(diagnoses).results:
         stored = json.loads((KEPT / f"{result.key}.json").read_text())["story"]
-        spectrum = result.story.spectrum.plot
+        spectrum = spectrum_plot(result.story.spectrum)
         lines = np.array([stored["spectrum"]["frequency"], *stored["spectrum"]["lines"].values()], dtype=np.float64)
         curves = [curve for curve in spectrum.curves if curve.kind != "spans"]
         np.testing.assert_array_equal(curves[0].x, 10.0 ** lines[0])
         order = [list(stored["spectrum"]["lines"]).index(name) for name in ("recorded", "residual", "linear")]
         np.testing.assert_array_equal([curve.y for curve in curves[:3]], 10.0 ** lines[1:][order])
         for name, profile in stored["profiles"].items():
-            drawn = result.story.profiles[name].plot(name).curves[1]
+            drawn = profile_plot(name, result.story.profiles[name]).curves[1]
             np.testing.assert_array_equal(drawn.x, profile["middle"])
             np.testing.assert_array_equal(drawn.y, 10.0 ** np.array(profile["error"]))
         for overlay, shown in zip(result.story.overlays, stored["overlays"], strict=True):
-            recorded, left = overlay.plots
+            recorded, left = overlay_plots(overlay)
             np.testing.assert_array_equal(recorded.curves[0].y, shown["recorded"])
             np.testing.assert_array_equal(left.curves[0].y, shown["left_before"])
 
@@ -128,7 +129,7 @@ def test_a_stored_diagnosis_is_written_so_that_it_is_read_again(diagnoses, tmp_p
     again = read_kept(tmp_path / "again").results
     assert [item.answer for item in again] == [item.answer for item in read_kept(diagnoses).results]
     spectra = [
-        [item.story.spectrum.plot.curves[1].y for item in read_kept(folder).results]
+        [item.story.spectrum.lines["recorded"] for item in read_kept(folder).results]
         for folder in (diagnoses, tmp_path / "again")
     ]
     np.testing.assert_array_equal(*spectra)

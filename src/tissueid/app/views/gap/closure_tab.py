@@ -18,7 +18,8 @@ from tissueid.language import _
 from tissueid.messages import translated
 
 if TYPE_CHECKING:
-    from tissueid.app.views.gap.page_content import BudgetContent, Overlay, PageContent
+    from tissueid.app.views.gap.page_content import PageContent
+    from tissueid.gap.diagnosis_curves import BudgetRow, SignalOverlay
 
 _NAMES = 0.5
 """Most of the width that names left of the bars take; longer names stand above."""
@@ -35,7 +36,7 @@ class ClosureTab(QWidget):
 
     def __init__(self, parent: QWidget | None = None) -> None:
         super().__init__(parent)
-        self._overlays: tuple[Overlay, ...] = ()
+        self._overlays: tuple[SignalOverlay, ...] = ()
         self.bars = _GapBars()
         self.closing = plain_label()
         self.channel = QComboBox()
@@ -59,9 +60,11 @@ class ClosureTab(QWidget):
         self._show_chosen()
 
     def _show_chosen(self) -> None:
+        from tissueid.gap.diagnosis_plots import overlay_plots
+
         place = self.channel.currentIndex()
         if 0 <= place < len(self._overlays):
-            self.signals.show_plots(self._overlays[place].plots)
+            self.signals.show_plots(overlay_plots(self._overlays[place]))
 
     def _arrange(self) -> None:
         label = QLabel(_("Signal"))
@@ -96,10 +99,10 @@ class _GapBars(QWidget):
 
     def __init__(self) -> None:
         super().__init__()
-        self._rows: tuple[BudgetContent, ...] = ()
+        self._rows: tuple[BudgetRow, ...] = ()
         self.setSizePolicy(QSizePolicy.Policy.Expanding, QSizePolicy.Policy.Fixed)
 
-    def show_rows(self, rows: tuple[BudgetContent, ...]) -> None:
+    def show_rows(self, rows: tuple[BudgetRow, ...]) -> None:
         """Show the rows from top to bottom."""
         self._rows = rows
         values = ", ".join(f"{translated(row.name)} {_percent(row.high - row.low)}" for row in rows)

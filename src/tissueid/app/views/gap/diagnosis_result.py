@@ -4,26 +4,28 @@ from __future__ import annotations
 
 import re
 import secrets
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, field
 from datetime import UTC, datetime
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Literal
+from typing import Annotated, Any, Literal
+
+from pydantic import AfterValidator, AwareDatetime, ConfigDict, Field, PlainSerializer
 
 from tissueid.app.user_files import Stamp, stamp_of
+from tissueid.app.views.gap.page_content import PageContent
 from tissueid.app.words import sentence
 from tissueid.atomic_write import unused_path
 from tissueid.audit import AuditTrail
 from tissueid.device import DeviceDescription
 from tissueid.errors import UnusableInputError
+from tissueid.instrument.twin_file import TwinFile
 from tissueid.language import _
 from tissueid.messages import translated
 from tissueid.procedures.gap_plans import AcceptPlan, DiagnosisPlan
 from tissueid.procedures.output_files import json_text, write_text
-
-if TYPE_CHECKING:
-    from tissueid.app.views.gap.page_content import PageContent
-    from tissueid.instrument.twin_file import TwinFile
+from tissueid.stored_values import StoredText
+from tissueid.untrusted_input import MAX_TESTS
 
 State = Literal["", "changed", "missing"]
 """State of the session file since its diagnosis; "" if it is unchanged."""
@@ -38,6 +40,25 @@ def _now() -> datetime:
     return datetime.now(UTC)
 
 
+KEY = re.compile(r"[0-9]{8}T[0-9]{12}Z-[0-9a-f]{8}")
+"""Form of a key."""
+_STORED = frozenset({"session", "twin", "fit", "check"})
+_LONGEST_PATH = 5000
+
+
+def _stored_plan(plan: DiagnosisPlan) -> dict[str, Any]:
+    return plan.model_dump(mode="json", include=set(_STORED))
+
+
+def _checked_plan(plan: DiagnosisPlan) -> DiagnosisPlan:
+    paths = [str(path) for path in (plan.session, plan.twin) if path is not None]
+    if not plan.model_fields_set <= _STORED or any("\0" in path or len(path) > _LONGEST_PATH for path in paths):
+        raise ValueError("a stored plan names a session, a twin and tests")
+    if max(len(plan.fit), len(plan.check)) > MAX_TESTS:
+        raise ValueError("a stored plan names too many tests")
+    return plan
+
+
 @dataclass(frozen=True)
 class DiagnosisResult:
     """A diagnosis with its plan.
@@ -48,18 +69,20 @@ class DiagnosisResult:
     file as it was diagnosed.
     """
 
-    asked: DiagnosisPlan
-    session_id: str
+    __pydantic_config__ = ConfigDict(extra="forbid", ser_json_inf_nan="constants")
+
+    asked: Annotated[DiagnosisPlan, AfterValidator(_checked_plan), PlainSerializer(_stored_plan)]
+    session_id: Annotated[str, Field(max_length=500)]
     instrument: DeviceDescription
     twin: TwinFile | None
     story: PageContent
-    answer: Mapping[str, Any]
+    answer: dict[str, Any]
     report: str
     accepted: TwinFile | None = None
-    refused: str = ""
+    refused: StoredText = ""
     stamp: Stamp | None = None
-    when: datetime = field(default_factory=_now)
-    key: str = ""
+    when: AwareDatetime = field(default_factory=_now)
+    key: Annotated[str, Field(pattern=rf"^{KEY.pattern}$")] = ""
 
     def __post_init__(self) -> None:
         if not self.key:

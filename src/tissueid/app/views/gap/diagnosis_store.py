@@ -8,103 +8,30 @@ made.
 from __future__ import annotations
 
 import contextlib
+import json
 import os
-import re
-from dataclasses import dataclass, fields
+from dataclasses import dataclass
 from pathlib import Path
-from typing import Annotated, Any, Literal
+from typing import Any
 
-from pydantic import AwareDatetime, BaseModel, ConfigDict, Field, model_validator
+import numpy as np
+from pydantic import TypeAdapter
 
 from tissueid.app.user_files import default_path
-from tissueid.app.views.gap.diagnosis_result import DiagnosisResult
-from tissueid.app.views.gap.page_content import PageContent
+from tissueid.app.views.gap.diagnosis_result import KEY, DiagnosisResult
 from tissueid.atomic_write import open_regular, private_folder, write_private
-from tissueid.device import DeviceDescription
 from tissueid.errors import UnusableInputError
-from tissueid.instrument.twin_file import TwinFile
-from tissueid.language import ENGLISH
-from tissueid.procedures.gap_plans import DiagnosisPlan
-from tissueid.stored_values import StoredText
-from tissueid.untrusted_input import MAX_TESTS, json_value
+from tissueid.untrusted_input import json_value
 
 FOLDER = "diagnoses"
 MOST_KEPT = 20
 MOST_BYTES = 20_000_000
 """Maximum size of a file. A diagnosis of one test takes about 600 kB, two thirds of it the report."""
 _SUFFIX = ".json"
-_KEY = re.compile(r"[0-9]{8}T[0-9]{12}Z-[0-9a-f]{8}")
+_FORMAT, _VERSION, _LOGARITHMS = "tissueid-diagnosis", "1.2", "1.1"
+"""Name and version of the files, and the version whose spectra and errors are decimal logarithms."""
 _ANSWER = {"verdict", "gap", "where", "ranking", "combination", "members", "next_experiment", "remarks", "seconds"}
-_Line = Annotated[str, Field(max_length=500)]
-_Path = Annotated[str, Field(min_length=1, max_length=5000, pattern=r"^[^\x00]+$")]
-_Numbers = Annotated[tuple[int, ...], Field(max_length=MAX_TESTS)]
-
-
-class _Part(BaseModel):
-    model_config = ConfigDict(frozen=True, extra="forbid", ser_json_inf_nan="constants")
-
-
-class _Asked(_Part):
-    session: _Path
-    twin: _Path | None
-    fit: _Numbers
-    check: _Numbers
-    language: _Line = ENGLISH
-    """Of files of earlier versions; it is not used."""
-
-    @classmethod
-    def of(cls, asked: DiagnosisPlan) -> _Asked:
-        """Return the stored form of a plan."""
-        twin = None if asked.twin is None else str(asked.twin)
-        return cls(session=str(asked.session), twin=twin, fit=asked.fit, check=asked.check)
-
-    @property
-    def asked(self) -> DiagnosisPlan:
-        """The plan."""
-        twin = None if self.twin is None else Path(self.twin)
-        return DiagnosisPlan(session=Path(self.session), twin=twin, fit=self.fit, check=self.check)
-
-
-class _Kept(_Part):
-    """The stored form of a ``DiagnosisResult``."""
-
-    format: Literal["tissueid-diagnosis"] = "tissueid-diagnosis"
-    format_version: Literal["1.0", "1.1"] = "1.1"
-    key: Annotated[str, Field(pattern=rf"^{_KEY.pattern}$")]
-    when: AwareDatetime
-    asked: _Asked
-    session_id: _Line
-    instrument: DeviceDescription
-    stamp: tuple[int, int] | None
-    twin: TwinFile | None
-    accepted: TwinFile | None
-    refused: StoredText
-    story: PageContent
-    answer: dict[str, Any]
-    report: str
-
-    @model_validator(mode="after")
-    def _agrees_with_itself(self) -> _Kept:
-        if not self.answer.keys() >= _ANSWER or self.answer["verdict"] != self.story.verdict:
-            raise ValueError("the answer does not belong to this diagnosis")
-        named = {name for name, _title, named in self.story.offered if named}
-        if self.accepted is not None and not named <= {item.name for item in self.accepted.effects}:
-            raise ValueError("the twin does not belong to this diagnosis")
-        return self
-
-    @classmethod
-    def of(cls, result: DiagnosisResult) -> _Kept:
-        """Return the stored form of a diagnosis."""
-        own = {field.name: getattr(result, field.name) for field in fields(DiagnosisResult)}
-        return cls(**own | {"asked": _Asked.of(result.asked), "answer": dict(result.answer)})
-
-    @property
-    def result(self) -> DiagnosisResult:
-        """The diagnosis."""
-        own = {
-            name: getattr(self, name) for name in type(self).model_fields if name not in ("format", "format_version")
-        }
-        return DiagnosisResult(**own | {"asked": self.asked.asked})
+_RESULT = TypeAdapter(DiagnosisResult)
 
 
 @dataclass(frozen=True)
@@ -128,9 +55,10 @@ def keep(result: DiagnosisResult, folder: Path) -> None:
         UnusableInputError: the file would be rejected when it is read.
     """
     try:
-        text = _Kept.of(result).model_dump_json()
+        content = {"format": _FORMAT, "format_version": _VERSION} | _RESULT.dump_python(result, mode="json")
+        text = json.dumps(content)
         _parsed(text.encode(), result.key)
-    except (ValueError, RecursionError) as error:
+    except ValueError as error:
         raise UnusableInputError(
             "gap.diagnosis_not_kept", "This diagnosis cannot be kept for the next start."
         ) from error
@@ -157,7 +85,7 @@ def read_kept(folder: Path) -> KeptDiagnoses:
     for key in _keys(folder)[:MOST_KEPT]:
         try:
             results.append(_read(folder / f"{key}{_SUFFIX}", key))
-        except (OSError, ValueError, RecursionError):
+        except (OSError, ValueError, TypeError, KeyError, AttributeError):
             bad += 1
     return KeptDiagnoses(tuple(results), bad)
 
@@ -170,10 +98,39 @@ def _read(path: Path, key: str) -> DiagnosisResult:
 def _parsed(data: bytes, key: str) -> DiagnosisResult:
     if len(data) > MOST_BYTES:
         raise ValueError("too long")
-    kept = _Kept.model_validate(json_value(data))
-    if kept.key != key:
+    content = json_value(data)
+    version = content.pop("format_version")
+    if content.pop("format") != _FORMAT or version not in (_VERSION, _LOGARITHMS):
+        raise ValueError("the file is no diagnosis of this version")
+    if version == _LOGARITHMS:
+        del content["asked"]["language"]
+        _undo_logarithms(content["story"])
+    result = _RESULT.validate_python(content)
+    if result.key != key:
         raise ValueError("the key differs from the name of the file")
-    return kept.result
+    if not result.answer.keys() >= _ANSWER or result.answer["verdict"] != result.story.verdict:
+        raise ValueError("the answer does not belong to this diagnosis")
+    named = {name for name, _title, is_named in result.story.offered if is_named}
+    if result.accepted is not None and not named <= {item.name for item in result.accepted.effects}:
+        raise ValueError("the twin does not belong to this diagnosis")
+    return result
+
+
+def _undo_logarithms(story: dict[str, Any]) -> None:
+    if (spectrum := story["spectrum"]) is not None:
+        del spectrum["unit"]
+        curves = {name: _powers(values) for name, values in spectrum["lines"].items()}
+        bands = [_powers(band) for band in spectrum["bands"]]
+        spectrum |= {"frequency": _powers(spectrum["frequency"]), "lines": curves, "bands": bands}
+    for profile in story["profiles"].values():
+        profile["error"] = _powers(profile["error"])
+    for overlay in story["overlays"]:
+        del overlay["unit"], overlay["fine_unit"]
+
+
+def _powers(logarithms: list[float]) -> list[float]:
+    powers: list[float] = (10.0 ** np.asarray(logarithms, dtype=np.float64)).tolist()
+    return powers
 
 
 def _keys(folder: Path) -> list[str]:
@@ -183,4 +140,4 @@ def _keys(folder: Path) -> list[str]:
     except FileNotFoundError:
         return []
     keys = [name.removesuffix(_SUFFIX) for name in names if name.endswith(_SUFFIX)]
-    return sorted((key for key in keys if _KEY.fullmatch(key)), reverse=True)
+    return sorted((key for key in keys if KEY.fullmatch(key)), reverse=True)

@@ -12,7 +12,8 @@ from tissueid.app.small_window import FoldingBox
 from tissueid.language import _, marked
 
 if TYPE_CHECKING:
-    from tissueid.app.views.gap.page_content import PageContent, ProfileContent
+    from tissueid.app.views.gap.page_content import PageContent
+    from tissueid.gap.diagnosis_curves import GapProfile
 
 _NOT_THERE = marked("There is no data to show.")
 _ONE_ROW = 820
@@ -45,20 +46,22 @@ class LocalisationTab(QWidget):
 
     def show_story(self, story: PageContent) -> None:
         """Draw the result of a diagnosis."""
+        from tissueid.gap.diagnosis_plots import profile_plot, spectrum_plot
+
         if story.spectrum is None:
             self.frequency.say_missing(_(_NOT_THERE))
         else:
-            self.frequency.show_plots([story.spectrum.plot])
+            self.frequency.show_plots([spectrum_plot(story.spectrum)])
         channel = story.spectrum.channel if story.spectrum is not None else ""
         for name, card in self.profiles.items():
             profile = story.profiles.get(name)
             if profile is None or not profile.middle.size:
                 card.say_missing(_(_NOT_THERE))
                 continue
-            card.show_plots([profile.plot(name)], description=_described(profile, channel))
+            card.show_plots([profile_plot(name, profile)], description=_described(profile, channel))
 
 
-def _described(profile: ProfileContent, channel: str) -> str:
+def _described(profile: GapProfile, channel: str) -> str:
     most = int(np.argmax(profile.error))
     many = int(profile.above.sum())
     return _(
@@ -69,5 +72,5 @@ def _described(profile: ProfileContent, channel: str) -> str:
         many=many,
         count=profile.above.size,
         place=profile.middle[most],
-        most=10.0 ** profile.error[most],
+        most=profile.error[most],
     )

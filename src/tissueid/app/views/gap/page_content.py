@@ -1,6 +1,6 @@
 """Content of the page for one diagnosis: texts, shares and curves. It is stored in files, so it validates itself.
 
-Texts are messages, which the page translates when it shows them, or plain strings from files of earlier versions.
+Texts are messages, which the page translates when it shows them.
 """
 
 from __future__ import annotations
@@ -10,24 +10,17 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Annotated, Any, Literal
 
-import numpy as np
-from numpy.typing import NDArray
-from pydantic import AfterValidator, Field, PlainSerializer, PlainValidator
+from pydantic import AfterValidator, Field
 
-from tissueid.language import marked
+from tissueid.gap.diagnosis_curves import MOST_ROWS, BudgetRow, Finite, GapProfile, GapSpectrum, SignalOverlay
 from tissueid.records import Estimate
 from tissueid.stored_values import LONGEST_TEXT, StoredText
 from tissueid.twin.effect import STAGES, Stage
 
 if TYPE_CHECKING:
-    from tissueid.analysis.curves.plot import Plot
+    pass
 
-MOST_POINTS = 100_000
-"""Maximum number of points of a curve."""
 _MOST_LINES = 100
-_MOST_ROWS = 500
-_CHANNELS = frozenset({"voltage", "current", "position"})
-_SPECTRA = frozenset({"recorded", "residual", "linear", "even", "odd", "noise"})
 _FORM_FIELDS: Mapping[str, type | tuple[type, ...]] = {
     "min_force_n": (int, float),
     "max_force_n": (int, float),
@@ -41,23 +34,6 @@ _FORM_FIELDS: Mapping[str, type | tuple[type, ...]] = {
 }
 _GREATEST_FIELD = 2**31 - 1
 _PROFILES = frozenset({"depth_m", "velocity_m_s", "time_s"})
-
-
-def _numbers(values: object) -> NDArray[np.float64]:
-    try:
-        array = np.asarray(values, dtype=np.float64)
-    except (TypeError, OverflowError) as error:
-        raise ValueError("a curve must be a list of numbers") from error
-    if array.ndim != 1 or array.size > MOST_POINTS or np.isinf(array).any():
-        raise ValueError(f"a curve must have one dimension and at most {MOST_POINTS} numbers, finite or NaN")
-    return array
-
-
-def _marks(values: object) -> NDArray[np.bool_]:
-    array = np.asarray(values)
-    if array.ndim != 1 or array.size > MOST_POINTS or (array.size and array.dtype != np.bool_):
-        raise ValueError("marks must be a list of true and false")
-    return array.astype(np.bool_)
 
 
 def _known_share(value: float) -> float:
@@ -77,17 +53,9 @@ def _form_fields(fields: Mapping[str, Any]) -> Mapping[str, Any]:
     return fields
 
 
-def _listed(values: NDArray[Any]) -> list[Any]:
-    found: list[Any] = values.tolist()
-    return found
-
-
-Curve = Annotated[NDArray[np.float64], PlainValidator(_numbers), PlainSerializer(_listed)]
-Marks = Annotated[NDArray[np.bool_], PlainValidator(_marks), PlainSerializer(_listed)]
 Name = Annotated[str, Field(max_length=LONGEST_TEXT)]
 Lines = Annotated[tuple[StoredText, ...], Field(max_length=_MOST_LINES)]
 Share = Annotated[float, Field(ge=0.0, le=1.0)]
-Finite = Annotated[float, Field(allow_inf_nan=False)]
 
 
 @dataclass(frozen=True)
@@ -98,91 +66,6 @@ class StageContent:
     share: Share
     lit: bool
     evidence: Lines
-
-
-@dataclass(frozen=True)
-class SpectrumContent:
-    """Amplitude spectral densities of a signal and of the baseline's residual, as decimal logarithms.
-
-    ``frequency`` (Hz) and the arrays of ``lines`` (``unit``/√Hz) have shape (n,); NaN is not drawn. ``bands`` are the
-    significant bands.
-    """
-
-    channel: Name
-    unit: Name
-    frequency: Curve
-    lines: dict[Name, Curve]
-    bands: Annotated[tuple[tuple[Finite, Finite], ...], Field(max_length=_MOST_ROWS)]
-
-    def __post_init__(self) -> None:
-        _check_channel(self.channel)
-        if set(self.lines) != _SPECTRA:
-            raise ValueError("a spectrum has missing or unknown lines")
-        _check_alike(self.frequency, *self.lines.values())
-        _check_finite(self.frequency)
-
-    @property
-    def plot(self) -> Plot:
-        """The spectrum as it is drawn."""
-        from tissueid.gap.diagnosis_plots import spectrum_plot
-
-        lines = {name: 10.0**values for name, values in self.lines.items()}
-        bands = [(10.0**low, 10.0**high) for low, high in self.bands]
-        return spectrum_plot(self.channel, 10.0**self.frequency, lines, bands)
-
-
-@dataclass(frozen=True)
-class ProfileContent:
-    """Error against depth, velocity or time: ``middle`` of each bin, log10 of error over noise, shape (bins,)."""
-
-    middle: Curve
-    error: Curve
-    above: Marks
-
-    def __post_init__(self) -> None:
-        if self.middle.size:
-            _check_alike(self.middle, self.error, self.above)
-        _check_finite(self.middle)
-        _check_finite(self.error)
-
-    def plot(self, name: str) -> Plot:
-        """Return the profile of a name as it is drawn."""
-        from tissueid.gap.diagnosis_plots import profile_plot
-
-        return profile_plot(name, self.middle, 10.0**self.error, self.above)
-
-
-@dataclass(frozen=True)
-class Overlay:
-    """One signal: time (s), recorded and simulated (``unit``), residuals and noise (``fine_unit``), shape (n,).
-
-    ``after`` and ``left_after`` are None if no effect was fitted.
-    """
-
-    channel: Name
-    unit: Name
-    fine_unit: Name
-    time: Curve
-    recorded: Curve
-    before: Curve
-    after: Curve | None
-    left_before: Curve
-    left_after: Curve | None
-    noise: Finite
-
-    def __post_init__(self) -> None:
-        _check_channel(self.channel)
-        curves = (self.recorded, self.before, self.after, self.left_before, self.left_after)
-        _check_alike(self.time, *(curve for curve in curves if curve is not None))
-        _check_finite(self.time)
-
-    @property
-    def plots(self) -> tuple[Plot, Plot]:
-        """The signals, and what the simulation leaves, as they are drawn."""
-        from tissueid.gap.diagnosis_plots import SignalOverlay, overlay_plots
-
-        curves = self.time, self.recorded, self.before, self.after, self.left_before, self.left_after
-        return overlay_plots(SignalOverlay(self.channel, *curves, self.noise))
 
 
 @dataclass(frozen=True)
@@ -207,7 +90,7 @@ class Rival:
     alike: StoredText
     signature: StoredText
     remedy: StoredText
-    figures: Annotated[tuple[Fitted, ...], Field(max_length=_MOST_ROWS)]
+    figures: Annotated[tuple[Fitted, ...], Field(max_length=MOST_ROWS)]
 
 
 @dataclass(frozen=True)
@@ -221,20 +104,10 @@ class Proposal:
 
     title: StoredText
     why: StoredText
-    gains: Annotated[tuple[tuple[StoredText, Finite, StoredText], ...], Field(max_length=_MOST_ROWS)]
+    gains: Annotated[tuple[tuple[StoredText, Finite, StoredText], ...], Field(max_length=MOST_ROWS)]
     fields: Annotated[Mapping[str, Any], AfterValidator(_form_fields)] | None
     by_hand: StoredText
     put: StoredText = ""
-
-
-@dataclass(frozen=True)
-class BudgetContent:
-    """One bar of the gap budget, from ``low`` to ``high`` as shares of the signals' deviation, NaN where unknown."""
-
-    name: StoredText
-    low: float
-    high: float
-    role: Literal["model", "measured", "check"]
 
 
 @dataclass(frozen=True)
@@ -250,43 +123,21 @@ class PageContent:
     remarks: Lines
     stages: tuple[StageContent, ...]
     at_fault: tuple[Stage, ...]
-    spectrum: SpectrumContent | None
-    profiles: dict[Name, ProfileContent]
-    ranking: Annotated[tuple[Rival, ...], Field(max_length=_MOST_ROWS)]
+    spectrum: GapSpectrum | None
+    profiles: dict[Name, GapProfile]
+    ranking: Annotated[tuple[Rival, ...], Field(max_length=MOST_ROWS)]
     gap: tuple[float, float | None, float]
     closing: StoredText
-    overlays: Annotated[tuple[Overlay, ...], Field(max_length=len(_CHANNELS))]
+    overlays: Annotated[tuple[SignalOverlay, ...], Field(max_length=3)]
     proposal: Proposal | None
-    offered: Annotated[tuple[tuple[Name, StoredText, bool], ...], Field(max_length=_MOST_ROWS)]
+    offered: Annotated[tuple[tuple[Name, StoredText, bool], ...], Field(max_length=MOST_ROWS)]
     """Effects to accept: name, title with its probability, and whether the diagnosis names it."""
 
-    budget: Annotated[tuple[BudgetContent, ...], Field(max_length=_MOST_ROWS)] = ()
+    budget: Annotated[tuple[BudgetRow, ...], Field(max_length=MOST_ROWS)]
     """The waterfall from the gap before to the noise."""
 
     def __post_init__(self) -> None:
-        if not self.budget:
-            # A file of an earlier version.
-            before, after, noise = self.gap
-            rows = [BudgetContent(marked("Before"), 0.0, before, "model")]
-            rows += [] if after is None else [BudgetContent(marked("After"), 0.0, after, "measured")]
-            rows.append(BudgetContent(marked("Noise alone"), 0.0, noise, "check"))
-            object.__setattr__(self, "budget", tuple(rows))
         if [item.stage for item in self.stages] != list(STAGES):
             raise ValueError("the stages are not those of the signal chain")
         if not set(self.profiles) <= _PROFILES:
             raise ValueError("a profile has an unknown name")
-
-
-def _check_channel(name: str) -> None:
-    if name not in _CHANNELS:
-        raise ValueError(f"there is no channel {name[:20]!r}")
-
-
-def _check_alike(first: NDArray[Any], *others: NDArray[Any]) -> None:
-    if not first.size or any(item.size != first.size for item in others):
-        raise ValueError("the curves of a figure differ in length")
-
-
-def _check_finite(values: NDArray[np.float64]) -> None:
-    if not np.isfinite(values).all():
-        raise ValueError("an axis holds a value that is not finite")

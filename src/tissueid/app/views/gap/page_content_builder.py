@@ -8,21 +8,13 @@ from typing import Any
 import numpy as np
 
 from tissueid.app.views.gap.next_test import proposal_of
-from tissueid.app.views.gap.page_content import (
-    BudgetContent,
-    Fitted,
-    Overlay,
-    PageContent,
-    ProfileContent,
-    Rival,
-    SpectrumContent,
-    StageContent,
-)
+from tissueid.app.views.gap.page_content import Fitted, PageContent, Rival, StageContent
 from tissueid.errors import UnusableInputError
 from tissueid.formatting import number
 from tissueid.gap.diagnosis import Diagnosis, Ranked, parameters_of
-from tissueid.gap.diagnosis_plots import UNITS, budget_rows, overlays_of, profile_values, spectrum_lines
-from tissueid.gap.error_regions import Profile, Spectrum
+from tissueid.gap.diagnosis_curves import GapSpectrum, SignalOverlay
+from tissueid.gap.diagnosis_plots import budget_rows, overlays_of, profile_values, spectrum_lines
+from tissueid.gap.error_regions import Spectrum
 from tissueid.gap.noise import MARGIN
 from tissueid.gap.statement import (
     described,
@@ -44,6 +36,8 @@ from tissueid.twin.catalogue import all_effects
 from tissueid.twin.effect import STAGES, Stage
 
 _PROFILES = ("depth_m", "velocity_m_s", "time_s")
+_LEAST_HZ = 0.1
+"""Lowest frequency on the logarithmic axis, Hz."""
 
 
 def page_content_of(found: Diagnosis, session: Session) -> PageContent:
@@ -51,7 +45,7 @@ def page_content_of(found: Diagnosis, session: Session) -> PageContent:
     regions = found.where.regions
     headline, level = headline_of(found)
     spectra = [item for item in regions.spectra if item.channel == regions.channel]
-    profiles = {name: _profile(name, regions.profiles[name]) for name in _PROFILES if name in regions.profiles}
+    profiles = {name: profile_values(name, regions.profiles[name]) for name in _PROFILES if name in regions.profiles}
     return PageContent(
         found.verdict,
         _titles(found.combination),
@@ -70,7 +64,7 @@ def page_content_of(found: Diagnosis, session: Session) -> PageContent:
         _overlays(found),
         proposal_of(found, session),
         tuple(_offered(found)),
-        tuple(BudgetContent(row.name, row.low, row.high, row.role) for row in budget_rows(found)),
+        budget_rows(found),
     )
 
 
@@ -132,16 +126,9 @@ def _no_evidence(found: Diagnosis, stage: Stage) -> str:
     )
 
 
-def _spectrum(found: Spectrum, bands_hz: tuple[tuple[float, float], ...]) -> SpectrumContent:
-    lines = {name: np.log10(values) for name, values in spectrum_lines(found).items()}
-    bands = tuple((float(np.log10(max(low, 0.1))), float(np.log10(max(high, 0.1)))) for low, high in bands_hz)
-    frequency = np.log10(np.maximum(found.frequency_hz, 0.1))
-    return SpectrumContent(found.channel, UNITS[found.channel][2], frequency, lines, bands)
-
-
-def _profile(name: str, found: Profile) -> ProfileContent:
-    middle, error, above = profile_values(name, found)
-    return ProfileContent(middle, np.log10(error), above)
+def _spectrum(found: Spectrum, bands_hz: tuple[tuple[float, float], ...]) -> GapSpectrum:
+    bands = tuple((max(low, _LEAST_HZ), max(high, _LEAST_HZ)) for low, high in bands_hz)
+    return GapSpectrum(found.channel, np.maximum(found.frequency_hz, _LEAST_HZ), spectrum_lines(found), bands)
 
 
 def _rival(found: Diagnosis, item: Ranked) -> Rival:
@@ -225,26 +212,11 @@ def _closing(found: Diagnosis) -> str:
     return sentences(closed, ceiling)
 
 
-def _overlays(found: Diagnosis) -> tuple[Overlay, ...]:
+def _overlays(found: Diagnosis) -> tuple[SignalOverlay, ...]:
     """Return every signal, the one with the largest gap first; none if every sample was fitted."""
     if found.where.regions.channel not in found.dataset.channels:
         return ()
     try:
-        shown = overlays_of(found)
+        return overlays_of(found)
     except UnusableInputError:
         return ()
-    return tuple(
-        Overlay(
-            item.channel,
-            UNITS[item.channel][0],
-            UNITS[item.channel][2],
-            item.time,
-            item.recorded,
-            item.before,
-            item.after,
-            item.left_before,
-            item.left_after,
-            item.noise,
-        )
-        for item in shown
-    )
