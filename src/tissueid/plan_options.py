@@ -12,6 +12,7 @@ from __future__ import annotations
 
 import contextlib
 import json
+import shlex
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
@@ -89,6 +90,17 @@ def bounds_of(field: FieldInfo) -> tuple[float | None, float | None]:
     """Return the least and greatest value of a field, None where it has no such bound."""
     least, most = (next((getattr(i, name) for i in field.metadata if hasattr(i, name)), None) for name in ("ge", "le"))
     return least, most
+
+
+def shell_options(plan: Plan) -> str:
+    """Return the options of the command line that give a plan its values, without those of defaults."""
+    words: list[str] = []
+    for name, field in type(plan).model_fields.items():
+        option, value = option_of(field), getattr(plan, name)
+        if option is None or not option.name or value == field.get_default(call_default_factory=True):
+            continue
+        words += [option.name, f"{value / option.scale:.12g}" if isinstance(value, float) else str(value)]
+    return shlex.join(words)
 
 
 def parse_options(options: Sequence[str]) -> dict[str, Any]:

@@ -197,6 +197,34 @@ class SetUp(_Settings):
     ] = None
 
 
+class StimulusSettings(_Settings):
+    """The stimulus, as far as all kinds share it; None leaves a value to the stimulus.
+
+    ``kind`` is that of a test without tissue, or None for tissue or a sample.
+    """
+
+    stimulus: Annotated[
+        str | None, Option("--stimulus", metavar="NAME", help="default: noise; 'tissueid stimulus' lists all")
+    ] = None
+    distribution: Annotated[
+        str | None,
+        Option("--distribution", help="distribution of amplitudes, such as gaussian (noise) or uniform"),
+    ] = None
+    min_force_n: Annotated[
+        float | None, Option("--min-force", metavar="NEWTON", help="lower end of the force range; noise: 0.5")
+    ] = None
+    max_force_n: Annotated[
+        float | None, Option("--max-force", metavar="NEWTON", help="upper end of the force range; noise: 10.5")
+    ] = None
+    seconds: Annotated[
+        float | None, Option("--seconds", metavar="SECONDS", help="length after 0.5 s of preload; noise: 4")
+    ] = None
+    seed: Annotated[int | None, Option("--seed", help="seed of the stimulus"), Field(ge=0, le=2**31 - 1)] = None
+    kind: Annotated[str | None, Option("--kind", metavar="NAME", help="spring or free_air: a test without tissue")] = (
+        None
+    )
+
+
 PROPERTIES = tuple(
     name for name in (*SetUp.model_fields, *Circumstances.model_fields) if name not in ("configuration", "probe")
 )
@@ -218,8 +246,8 @@ def label_of(name: str) -> str:
     return _FIELDS[name].title or name
 
 
-class TestSettings(Circumstances, SetUp, Plan):
-    """Everything that is set for a test and stored with it.
+class TestSettings(StimulusSettings, Circumstances, SetUp, Plan):
+    """Everything that is set for a test. Its session stores the stimulus and all other settings.
 
     ``sitting`` is the key shared by the tests of one sitting that are in several files, and ``repeat`` their number,
     from 1.

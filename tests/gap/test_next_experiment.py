@@ -9,7 +9,7 @@ import pytest
 from tissueid.device import DeviceDescription
 from tissueid.gap.candidate_tests import candidate_tests
 from tissueid.gap.fitting import fit
-from tissueid.gap.next_experiment import command_line, next_experiment
+from tissueid.gap.next_experiment import NextExperiment, next_experiment, settings_of
 from tissueid.gap.preparation import prepare
 from tissueid.gap.scoring import score_candidate
 from tissueid.sessions import Session, Test
@@ -76,7 +76,8 @@ def test_candidate_tests_keep_within_the_amplifier(observed):
 def test_the_command_of_a_candidate_test_runs_it(observed):
     device = observed.instrument
     for item in candidate_tests(observed):
-        words = shlex.split(command_line(observed, item))
+        step = NextExperiment(item.kind, "", (), settings=settings_of(observed, item))
+        words = shlex.split(step.command_line)
         assert words[:2] == ["tissueid", "test"]
         given = dict(pairwise(words))
         newtons = item.test.command / device.voltage_for_force(1.0)

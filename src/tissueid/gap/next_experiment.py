@@ -12,6 +12,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from itertools import combinations
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -24,9 +25,11 @@ from tissueid.gap.forward_model import simulate_test
 from tissueid.gap.parameters import SPRING_COORDINATES, Parametrisation
 from tissueid.gap.scoring import Candidate
 from tissueid.messages import Listing, Message
+from tissueid.plan_options import shell_options
 from tissueid.stimuli.kinds.quiet import Quiet
 from tissueid.stimuli.kinds.slow_ramp import SlowRamp
 from tissueid.stimuli.kinds.step_hold import StepHold
+from tissueid.test_settings import TestSettings
 from tissueid.twin.catalogue import effect
 
 FloatArray = NDArray[np.float64]
@@ -43,7 +46,7 @@ _WORST = 1e6
 """Bound of a prediction, in noise deviations, where a simulation diverges."""
 _MOST_NATS = np.log(1e6)
 """Bound of a reported gain: odds of a million to one."""
-_FIXTURES = {"spring": '"calibration spring"', "free_air": '"free air"'}
+_FIXTURES = {"spring": "calibration spring", "free_air": "free air"}
 """Site of the tests that are not on tissue, by kind."""
 
 
@@ -53,7 +56,8 @@ class NextExperiment:
 
     ``gain_nats`` is the expected gain in evidence, nats a channel. ``separation`` is the distance of the candidates'
     predictions after a refit, in noise deviations (root mean square over the pairs, weighted by probability).
-    ``gains`` are the expected gains of all candidate tests. ``command_line`` runs the test.
+    ``gains`` are the expected gains of all candidate tests. ``settings`` are those of the test; without a site, it is
+    that of the recorded tests.
     """
 
     kind: str
@@ -62,7 +66,15 @@ class NextExperiment:
     gain_nats: float = 0.0
     separation: float = 0.0
     gains: dict[str, float] | None = None
-    command_line: str = ""
+    settings: TestSettings | None = None
+
+    @property
+    def command_line(self) -> str:
+        """The shell command that runs the test; "" without settings."""
+        if self.settings is None:
+            return ""
+        site = "" if self.settings.site else "--site SITE "
+        return f"tissueid test --device URL {site}{shell_options(self.settings)} --out next.h5"
 
 
 @dataclass(frozen=True)
@@ -115,24 +127,23 @@ def next_experiment(
         odds=odds(gain),
         next_odds=odds(others[1]),
     )
-    return NextExperiment(chosen.kind, why, names, gain, separation, gains, command_line(dataset, chosen))
+    return NextExperiment(chosen.kind, why, names, gain, separation, gains, settings_of(dataset, chosen))
 
 
-def command_line(dataset: Dataset, chosen: CandidateTest) -> str:
-    """Return the shell command that runs a candidate test."""
+def settings_of(dataset: Dataset, chosen: CandidateTest) -> TestSettings:
+    """Return the settings of a candidate test."""
     device = dataset.instrument
     newtons = chosen.test.command * device.amplifier_gain * device.force_constant_n_per_a / device.coil_resistance_ohm
-    low, high = float(newtons.min()), float(newtons.max())
-    seconds = chosen.test.command.size / chosen.test.sample_rate_hz
-    played = "--distribution uniform"
+    values: dict[str, Any] = {"seconds": round(chosen.test.command.size / chosen.test.sample_rate_hz, 1)}
     if chosen.kind in (Quiet.name, SlowRamp.name, StepHold.name):
-        played = f"--stimulus {chosen.kind}"
-    elif chosen.kind in _FIXTURES:
-        played = f"--kind {chosen.kind} {played}"
+        values["stimulus"] = chosen.kind
+    else:
+        values["distribution"] = "uniform"
+    if chosen.kind in _FIXTURES:
+        values |= {"kind": chosen.kind, "site": _FIXTURES[chosen.kind]}
     if chosen.kind != Quiet.name:
-        played += f" --min-force {low:.1f} --max-force {high:.1f}"
-    site = _FIXTURES.get(chosen.kind, "SITE")
-    return f"tissueid test --device URL --site {site} {played} --seconds {seconds:.1f} --out next.h5"
+        values |= {"min_force_n": round(float(newtons.min()), 1), "max_force_n": round(float(newtons.max()), 1)}
+    return TestSettings(**values)
 
 
 def odds(gain_nats: float) -> str:

@@ -85,9 +85,6 @@ class TestPlan(TestSettings):
         ),
     ]
     out: Annotated[Path, Option("--out", metavar="SESSION", help="new session file; never overwritten")]
-    stimulus: Annotated[
-        str | None, Option("--stimulus", metavar="NAME", help="default: noise; 'tissueid stimulus' lists all")
-    ] = None
     options: Annotated[
         tuple[tuple[str, Any], ...],
         Option(
@@ -114,20 +111,6 @@ class TestPlan(TestSettings):
         float | None,
         Option("--file-rate", metavar="HZ", help="sample rate of a waveform without times; default: the instrument's"),
     ] = None
-    distribution: Annotated[
-        str | None,
-        Option("--distribution", help="distribution of amplitudes, such as gaussian (noise) or uniform"),
-    ] = None
-    min_force_n: Annotated[
-        float | None, Option("--min-force", metavar="NEWTON", help="lower end of the force range; noise: 0.5")
-    ] = None
-    max_force_n: Annotated[
-        float | None, Option("--max-force", metavar="NEWTON", help="upper end of the force range; noise: 10.5")
-    ] = None
-    seconds: Annotated[
-        float | None, Option("--seconds", metavar="SECONDS", help="length after 0.5 s of preload; noise: 4")
-    ] = None
-    seed: Annotated[int | None, Option("--seed", help="seed of the stimulus"), Field(ge=0, le=2**31 - 1)] = None
     depth_range_m: Annotated[
         tuple[float, float] | None,
         Option(
@@ -179,9 +162,6 @@ class TestPlan(TestSettings):
         Path | None, Option("--calibrations", metavar="DIR", help="folder of calibrations; see 'calibrate list'")
     ] = None
     calibration: Annotated[bool, Option(help="use the newest calibration")] = True
-    kind: Annotated[str | None, Option("--kind", metavar="NAME", help="spring or free_air: a test without tissue")] = (
-        None
-    )
     lower_force: bool = False
 
     def check(self) -> None:

@@ -27,7 +27,7 @@ from tissueid.app.words import sentence
 from tissueid.audit import AuditLog, last_lines
 from tissueid.device import DeviceDescription
 from tissueid.gap.candidate_tests import candidate_tests
-from tissueid.gap.next_experiment import NextExperiment, command_line
+from tissueid.gap.next_experiment import NextExperiment, settings_of
 from tissueid.instrument import open_instrument
 from tissueid.instrument.twin_file import Source, content_of, device_of, read_twin, write_twin
 from tissueid.instrument.twin_list import twins_in
@@ -36,6 +36,7 @@ from tissueid.messages import translated
 from tissueid.procedures.control import counted
 from tissueid.procedures.gap_plans import DiagnosisPlan
 from tissueid.sessions import read_session, write_session
+from tissueid.test_settings import TestSettings
 from tissueid.twin import catalogue as shelf
 from tissueid.twin.chain_parameters import Instrument, Tissue
 from tissueid.twin.effects.dry_friction import EFFECT as FRICTION
@@ -417,9 +418,9 @@ def test_the_next_test_is_prepared_without_a_command_line(qtbot, diagnosed):
 def test_no_shell_command_stands_on_the_page(diagnosed, answers, friction, kind):
     _, page = diagnosed()
     found = answers["found"]
-    line = "tissueid test --device URL --site SITE --distribution uniform --min-force 1.0 --max-force 8.0 --out next.h5"
+    settings = TestSettings(distribution="uniform", min_force_n=1.0, max_force_n=8.0)
     gains = {"deeper": 0.9, "slow_ramp": 0.3}
-    step = NextExperiment(kind, "Because.", FEW, 0.9, 1.8, gains, line)
+    step = NextExperiment(kind, "Because.", FEW, 0.9, 1.8, gains, settings)
     page.result.show_story(page_content_of(replace(found, next_experiment=step), read_session(friction)))
     said = " ".join(label.text() for label in page.result.findChildren(QLabel))
     assert not {"tissueid", "nats", "--device", *FEW} & set(said.split())
@@ -442,8 +443,8 @@ def test_every_candidate_test_is_prepared_on_the_form(qtbot, diagnosed, answers,
     window, page = diagnosed()
     found = answers["found"]
     chosen = next(item for item in candidate_tests(found.dataset) if item.kind == kind)
-    line = command_line(found.dataset, chosen)
-    step = NextExperiment(kind, "Because.", FEW, 0.9, 1.8, {kind: 0.9}, line)
+    settings = settings_of(found.dataset, chosen)
+    step = NextExperiment(kind, "Because.", FEW, 0.9, 1.8, {kind: 0.9}, settings)
     story = page_content_of(replace(found, next_experiment=step), read_session(friction))
     page.history.add(replace(page.history.result, story=story))
     page.result.tabs.setCurrentIndex(3)

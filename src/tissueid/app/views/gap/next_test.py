@@ -2,9 +2,8 @@
 
 from __future__ import annotations
 
-import shlex
 from collections.abc import Mapping, Sequence
-from itertools import count, pairwise
+from itertools import count
 from pathlib import Path
 from typing import Any
 
@@ -20,8 +19,8 @@ from tissueid.language import _, marked
 from tissueid.messages import Message, Verbatim, translated
 from tissueid.sessions import Session
 from tissueid.stimuli.kinds.noise import Noise
+from tissueid.test_settings import TestSettings
 
-_OPTIONS = {"--min-force": "min_force_n", "--max-force": "max_force_n", "--seconds": "seconds"}
 _PUT = {
     "spring": marked("Put the calibration spring under the probe in place of the tissue."),
     "free_air": marked(
@@ -40,7 +39,7 @@ def proposal_of(found: Diagnosis, session: Session) -> Proposal | None:
     instructions = {item.kind: item.instruction for item in candidate_tests(found.dataset)}
     gains = sorted((step.gains or {step.kind: step.gain_nats}).items(), key=lambda item: -item[1])
     title = instructions.get(step.kind, step.kind.replace("_", " "))
-    fields = _fields(step.command_line, session) if step.command_line else None
+    fields = None if step.settings is None else _fields(step.settings, session)
     return Proposal(
         title,
         step.why,
@@ -112,16 +111,15 @@ def _by_hand(title: str) -> str:
     )
 
 
-def _fields(command_line: str, session: Session) -> dict[str, Any]:
-    given = dict(pairwise(shlex.split(command_line)))
-    found: dict[str, Any] = {ours: float(given[option]) for option, ours in _OPTIONS.items() if option in given}
-    found["stimulus_kind"] = given.get("--stimulus", Noise.name)
-    found["distribution"] = given.get("--distribution", "uniform")
-    found["under_probe"] = given.get("--kind", "")
+def _fields(settings: TestSettings, session: Session) -> dict[str, Any]:
+    found: dict[str, Any] = settings.model_dump(include={"min_force_n", "max_force_n", "seconds"}, exclude_none=True)
+    found["stimulus_kind"] = settings.stimulus or Noise.name
+    found["distribution"] = settings.distribution or "uniform"
+    found["under_probe"] = settings.kind or ""
     used = {_seed(test.stimulus) for test in session.tests}
     found["seed"] = next(seed for seed in count(1) if seed not in used)
     site = next((test.site for test in session.tests if test.site), "")
-    site = given.get("--site", "") if found["under_probe"] else site
+    site = settings.site if found["under_probe"] else site
     if site:
         found["site"] = clean(site)[:80]
     if found["under_probe"]:
