@@ -8,8 +8,7 @@ import logging
 from typing import TYPE_CHECKING
 
 from tissueid.lazy_import import lazy_attributes
-
-__version__ = "0.1.0"
+from tissueid.version import __version__
 
 if TYPE_CHECKING:
     from tissueid.analysis import Analysis, EngineComparison

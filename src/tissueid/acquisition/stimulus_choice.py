@@ -11,7 +11,6 @@ from typing import Any
 
 import numpy as np
 
-from tissueid import __version__
 from tissueid.acquisition.waveform_file import is_waveform, load_waveform, read_at_most
 from tissueid.atomic_write import atomic_file
 from tissueid.errors import UnusableInputError
@@ -22,6 +21,7 @@ from tissueid.stimuli.feedback import FeedbackKind
 from tissueid.stimuli.kinds.noise import Noise
 from tissueid.stimuli.kinds.waveform import Scaled, Waveform
 from tissueid.untrusted_input import json_value
+from tissueid.version import SOFTWARE
 
 FORMAT = "tissueid-stimulus"
 FORMAT_VERSION = "1.0"
@@ -99,7 +99,7 @@ def checksum(stimulus: Stimulus) -> str:
 
 
 def _content(stimulus: Stimulus | FeedbackKind) -> dict[str, Any]:
-    head = {"format": FORMAT, "format_version": FORMAT_VERSION, "software": f"tissueid {__version__}"}
+    head = {"format": FORMAT, "format_version": FORMAT_VERSION, "software": SOFTWARE}
     if isinstance(stimulus, FeedbackKind):
         return head | {
             "description": stimulus.describe(),

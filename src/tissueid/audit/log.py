@@ -19,7 +19,6 @@ from typing import Any
 
 from platformdirs import user_data_path
 
-from tissueid import __version__
 from tissueid.atomic_write import private_folder, private_opener, sync_folder, write_all
 from tissueid.audit.line import (
     CANCEL,
@@ -37,6 +36,7 @@ from tissueid.audit.newest_head import read_newest, write_newest
 from tissueid.errors import TissueIDError
 from tissueid.language import marked
 from tissueid.messages import Action, Message
+from tissueid.version import SOFTWARE
 
 ENVIRONMENT = "TISSUEID_AUDIT"
 FORMAT = "tissueid-audit"
@@ -44,7 +44,7 @@ FORMAT_VERSION = "1.0"
 LOCK_S = 10.0
 """Longest wait for another program that holds the log, s. Adding a line takes milliseconds."""
 _RETRY_S = 0.01
-_SOFTWARE = f"tissueid {__version__}"
+
 _VERIFY = Action("audit.verify", "tissueid audit verify", marked("“Verify” in the audit log of the page Instrument"))
 _NOT_ORDINARY = Message("file.not_ordinary", "it is not an ordinary file")
 _HELD = Message("audit.held", "another program holds it and does not release it")
@@ -154,7 +154,7 @@ class AuditLog:
                 who=account(),
                 what=what,
                 **{"subject": "", "old": None, "new": None} | values,
-                software=_SOFTWARE,
+                software=SOFTWARE,
                 previous=NOTHING_BEFORE if last is None else last.hash,
             )
             data += line

@@ -10,7 +10,6 @@ from collections.abc import Callable
 from dataclasses import dataclass
 from datetime import UTC, datetime
 
-from tissueid import __version__
 from tissueid.calibration.file import Calibration, stored_messages, utc_date
 from tissueid.calibration.findings import mean_of_repeats
 from tissueid.calibration.labels import stored_text
@@ -18,6 +17,7 @@ from tissueid.calibration.static_procedure import Ask, Procedure, Show, StaticPl
 from tissueid.calibration.status import first_implausible
 from tissueid.instrument import Instrument
 from tissueid.messages import Message
+from tissueid.version import SOFTWARE
 
 
 @dataclass(frozen=True)
@@ -77,7 +77,7 @@ def calibrate_static(
         firmware_version=device.firmware_version,
         date=utc_date(now or datetime.now(UTC)),
         valid_days=plan.valid_days,
-        software=f"tissueid {__version__}",
+        software=SOFTWARE,
         conditions=conditions,
         verdict="failed" if problems else "passed",
         problems=tuple(map(stored_text, problems)),

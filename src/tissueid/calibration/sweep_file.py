@@ -8,7 +8,6 @@ from datetime import UTC, datetime
 import numpy as np
 from pydantic import ValidationError
 
-from tissueid import __version__
 from tissueid.calibration.file import Calibration, stored_messages, utc_date
 from tissueid.calibration.findings import column
 from tissueid.calibration.force_constant_profile import ForceConstant
@@ -17,6 +16,7 @@ from tissueid.calibration.sweep_analysis import SweepResult, quantities_of
 from tissueid.errors import UnusableInputError
 from tissueid.option_errors import validation_reason
 from tissueid.records import Estimate
+from tissueid.version import SOFTWARE
 
 GRID_M = 0.5e-3
 """Spacing of the force constant in the file, m: linear interpolation is accurate to 0.1 %."""
@@ -60,7 +60,7 @@ def as_calibration(
             firmware_version=device.firmware_version,
             date=utc_date(now or datetime.now(UTC)),
             valid_days=valid_days,
-            software=f"tissueid {__version__}",
+            software=SOFTWARE,
             conditions=made,
             verdict="passed" if result.passed else "failed",
             problems=tuple(map(stored_text, result.problems)),

@@ -7,7 +7,6 @@ from typing import TYPE_CHECKING, Annotated, Literal
 
 import typer
 
-from tissueid import __version__
 from tissueid.cli.audit_commands import audit
 from tissueid.cli.calibrate import calibrate
 from tissueid.cli.gap import gap
@@ -16,6 +15,7 @@ from tissueid.cli.study import study
 from tissueid.cli.twin_commands import twin
 from tissueid.errors import UnusableInputError
 from tissueid.plugins import load_plugins
+from tissueid.version import SOFTWARE
 
 if TYPE_CHECKING:  # plans are imported when their command is used
     from tissueid.procedures.comparison import ComparePlan
@@ -47,7 +47,7 @@ app.add_typer(study, name="study")
 
 def _version(requested: bool) -> None:
     if requested:
-        typer.echo(f"tissueid {__version__}")
+        typer.echo(SOFTWARE)
         raise typer.Exit
 
 

@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import typer
 
-from tissueid import __version__
 from tissueid.cli.command_reference import CommandText, all_commands
+from tissueid.version import __version__
 
 
 def manual_page(app: typer.Typer) -> str:

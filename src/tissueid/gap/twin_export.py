@@ -8,7 +8,6 @@ from datetime import UTC, datetime
 import numpy as np
 from numpy.typing import NDArray
 
-from tissueid import __version__
 from tissueid.device import DeviceDescription
 from tissueid.errors import UnusableInputError
 from tissueid.gap.dataset import Dataset, Prior, Purpose
@@ -19,6 +18,7 @@ from tissueid.instrument.twin_file import Source, TwinFile, content_of
 from tissueid.messages import Verbatim
 from tissueid.twin.effect import Effect
 from tissueid.twin.named_twin import NamedTwin
+from tissueid.version import SOFTWARE
 
 RELATIVE_STD = 0.1
 """Standard deviation of an accepted parameter in the next diagnosis, relative to its value or range."""
@@ -136,7 +136,7 @@ def twin_file_of(
         serial_number=_serial_number(candidate.fit.parameters.dataset.instrument),
     )
     twin = twin_of(candidate, name, next_version(name, before))
-    return content_of(twin, source, time_of_creation(now), f"tissueid {__version__}")
+    return content_of(twin, source, time_of_creation(now), SOFTWARE)
 
 
 def next_version(name: str, before: TwinFile | None) -> int:

@@ -12,7 +12,7 @@ from typing import ParamSpec, TypeVar
 import numpy as np
 from numpy.typing import NDArray
 
-from tissueid import wire
+import tissueid.wire as wire
 from tissueid.device import DeviceDescription
 from tissueid.errors import InstrumentError, LinkLostError, TissueIDError
 from tissueid.instrument.frame_receiver import FrameReceiver

@@ -6,7 +6,7 @@ import logging
 from collections.abc import Callable
 from typing import Any
 
-from tissueid import wire
+import tissueid.wire as wire
 from tissueid.device import DeviceDescription
 from tissueid.errors import LinkLostError, ProtocolVersionError, TissueIDError
 from tissueid.instrument.interface import Corrections, corrected

@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from tissueid import wire
+import tissueid.wire as wire
 from tissueid.device import DeviceDescription
 from tissueid.errors import InstrumentError, LimitError, ProtocolVersionError
 from tissueid.instrument.interface import SIGNALS

@@ -5,7 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import Any
 
-from tissueid import wire
+import tissueid.wire as wire
 from tissueid.errors import FirmwareFaultError, InstrumentError, LimitError, TissueIDError
 from tissueid.messages import Message, joined
 from tissueid.wire import Fault, MessageType, Result, State

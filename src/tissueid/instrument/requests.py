@@ -10,13 +10,14 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from tissueid import __version__, wire
+import tissueid.wire as wire
 from tissueid.errors import LinkLostError, TissueIDError
 from tissueid.instrument.limits import Limits
 from tissueid.instrument.link import Link
 from tissueid.instrument.replies import refusal
 from tissueid.instrument.setpoints import SetpointSender
 from tissueid.messages import Message
+from tissueid.version import SOFTWARE
 from tissueid.wire import Frame, MessageType, Result
 
 HEARTBEAT_S = 0.1
@@ -178,7 +179,7 @@ def send_hello(channel: RequestChannel) -> None:
         wire.HELLO,
         protocol_min=wire.PROTOCOL_VERSION,
         protocol_max=wire.PROTOCOL_VERSION,
-        host=f"tissueid {__version__}".encode(),
+        host=SOFTWARE.encode(),
     )
     channel.send(MessageType.HELLO, hello)
 

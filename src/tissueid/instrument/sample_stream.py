@@ -7,7 +7,7 @@ import logging
 import numpy as np
 from numpy.typing import NDArray
 
-from tissueid import wire
+import tissueid.wire as wire
 from tissueid.errors import LinkLostError
 from tissueid.instrument.handshake import Handshake
 from tissueid.instrument.interface import SAMPLE, SIGNALS, Gap, empty_samples, join_blocks

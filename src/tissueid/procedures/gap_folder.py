@@ -17,7 +17,6 @@ from typing import Any
 
 from platformdirs import user_cache_path
 
-from tissueid import __version__
 from tissueid.atomic_write import open_regular
 from tissueid.errors import CancelledError, UnusableInputError
 from tissueid.gap import Diagnosis, as_answer, diagnose, prepare
@@ -34,6 +33,7 @@ from tissueid.procedures.gap_plans import FolderPlan, WatchPlan
 from tissueid.procedures.output_files import HTML, check_output, write_text
 from tissueid.sessions import read_session
 from tissueid.sessions.file_policy import located, session_files, unreadable
+from tissueid.version import __version__
 
 _DIAGNOSING = marked("Diagnosing sessions")
 _CREATED, _REASON = "created", "reason"

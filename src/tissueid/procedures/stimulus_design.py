@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import io
-import math
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
@@ -11,10 +10,11 @@ from typing import TYPE_CHECKING, Annotated, Any
 from pydantic import Field
 
 from tissueid.errors import LimitError, UnusableInputError
-from tissueid.messages import Message, Verbatim
+from tissueid.messages import Verbatim
 from tissueid.plan_options import Option, Plan, name_and_value, named_values
 from tissueid.procedures.control import Control
 from tissueid.procedures.output_files import check_different, check_output, unwritable, write_text
+from tissueid.procedures.test_plan import design_stimulus
 
 if TYPE_CHECKING:  # each takes long to import
     from tissueid.analysis.stimulus_design import StimulusDesign
@@ -22,8 +22,8 @@ if TYPE_CHECKING:  # each takes long to import
     from tissueid.instrument import Limits
     from tissueid.procedures.simulated_feedback import FeedbackTrial
     from tissueid.reports.stimulus_report import StimulusReport
-    from tissueid.stimuli import FeedbackKind, OpenLoopKind, Stimulus, StimulusKind
-    from tissueid.stimuli.interchange import InterchangeProgress, InterchangeResult
+    from tissueid.stimuli import FeedbackKind, Stimulus, StimulusKind
+    from tissueid.stimuli.interchange import InterchangeResult
 
 CSV_HEAD = "time_s,"
 """First characters of a file of samples."""
@@ -304,41 +304,3 @@ def _csv(design: StimulusDesign) -> str:
     for row in zip(time_s.tolist(), stimulus.values.tolist(), command.tolist(), strict=True):
         text.write(f"{row[0]:.9g},{row[1]!r},{row[2]!r}\n")
     return text.getvalue()
-
-
-def design_stimulus(specification: OpenLoopKind, control: Control) -> tuple[Stimulus, InterchangeResult | None]:
-    """Build a stimulus; also return the interchange search if there was one.
-
-    Raises:
-        UnusableInputError: the stimulus cannot be built.
-        CancelledError: it was cancelled.
-    """
-    from tissueid.stimuli.kinds.interchange import Interchange
-
-    specification.check_size()
-    step = Message("stimulus.designing", "designing {name}", name=Verbatim(specification.name))
-    control.progress(0.0, step)
-    search: InterchangeResult | None = None
-    if isinstance(specification, Interchange):
-        first: list[InterchangeProgress] = []
-
-        def follow(found: InterchangeProgress) -> None:
-            control.check()
-            first[:] = first or [found]
-            control.progress(_share(first[0], found), step)
-
-        search = specification.design(follow)
-        built = specification.stimulus_from(search)
-    else:
-        built = specification.build()
-    control.progress(1.0, step)
-    return built, search
-
-
-def _share(first: InterchangeProgress, step: InterchangeProgress) -> float:
-    """Return the completed share of a search: of the decades of error, or of the allowed swaps."""
-    tried = step.tried / step.max_trials
-    if not first.error > step.tolerance:
-        return tried
-    fallen = math.log(first.error / step.error) / math.log(first.error / step.tolerance)
-    return min(max(fallen, tried), 1.0)

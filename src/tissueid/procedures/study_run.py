@@ -20,7 +20,6 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 from pydantic import BaseModel, ConfigDict, Field
 
-from tissueid import __version__
 from tissueid.atomic_write import private_folder
 from tissueid.errors import TissueIDError, UnusableInputError
 from tissueid.extras import check_packages
@@ -41,6 +40,7 @@ from tissueid.procedures.study_plans import (
 )
 from tissueid.stored_values import finite
 from tissueid.test_settings import PROPERTIES
+from tissueid.version import __version__
 
 if TYPE_CHECKING:
     import pandas as pd

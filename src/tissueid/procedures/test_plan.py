@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, Literal, Self
@@ -13,6 +14,7 @@ from tissueid.formatting import ANONYMOUS
 from tissueid.language import marked
 from tissueid.messages import Message, Verbatim
 from tissueid.plan_options import Option, name_and_value, named_values
+from tissueid.procedures.control import Control
 from tissueid.procedures.pseudonyms import PseudonymConfirmed, check_subject
 from tissueid.test_settings import TestSettings
 
@@ -20,8 +22,9 @@ if TYPE_CHECKING:  # each takes long to import
     from tissueid.acquisition.stimulus_choice import FileChoice
     from tissueid.identification.live.stopping import StopRule
     from tissueid.instrument.limits import Limits
-    from tissueid.stimuli import StimulusKind
+    from tissueid.stimuli import OpenLoopKind, Stimulus, StimulusKind
     from tissueid.stimuli.depth_uniform import DepthDesign
+    from tissueid.stimuli.interchange import InterchangeProgress, InterchangeResult
 
 NO_INSTRUMENT = Message("plan.no_instrument", "choose an instrument, or type its address")
 MAX_TEXT = 200
@@ -462,3 +465,41 @@ def specified(
         if field in kind.model_fields:
             chosen.setdefault(field, default)
     return kind.from_options(chosen)
+
+
+def design_stimulus(specification: OpenLoopKind, control: Control) -> tuple[Stimulus, InterchangeResult | None]:
+    """Build a stimulus; also return the interchange search if there was one.
+
+    Raises:
+        UnusableInputError: the stimulus cannot be built.
+        CancelledError: it was cancelled.
+    """
+    from tissueid.stimuli.kinds.interchange import Interchange
+
+    specification.check_size()
+    step = Message("stimulus.designing", "designing {name}", name=Verbatim(specification.name))
+    control.progress(0.0, step)
+    search: InterchangeResult | None = None
+    if isinstance(specification, Interchange):
+        first: list[InterchangeProgress] = []
+
+        def follow(found: InterchangeProgress) -> None:
+            control.check()
+            first[:] = first or [found]
+            control.progress(_share(first[0], found), step)
+
+        search = specification.design(follow)
+        built = specification.stimulus_from(search)
+    else:
+        built = specification.build()
+    control.progress(1.0, step)
+    return built, search
+
+
+def _share(first: InterchangeProgress, step: InterchangeProgress) -> float:
+    """Return the completed share of a search: of the decades of error, or of the allowed swaps."""
+    tried = step.tried / step.max_trials
+    if not first.error > step.tolerance:
+        return tried
+    fallen = math.log(first.error / step.error) / math.log(first.error / step.tolerance)
+    return min(max(fallen, tried), 1.0)

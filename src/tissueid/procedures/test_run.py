@@ -31,8 +31,7 @@ from tissueid.messages import Action, Message
 from tissueid.procedures.audit_notes import settle
 from tissueid.procedures.control import Control
 from tissueid.procedures.session_path import check_session_path
-from tissueid.procedures.stimulus_design import design_stimulus
-from tissueid.procedures.test_plan import TestPlan
+from tissueid.procedures.test_plan import TestPlan, design_stimulus
 from tissueid.sessions import Session, Subject, Test
 from tissueid.stimuli import FeedbackKind, Stimulus
 from tissueid.stimuli.kinds.noise import Noise

@@ -8,7 +8,6 @@ from pathlib import Path
 
 import numpy as np
 
-from tissueid import __version__
 from tissueid.errors import UnusableInputError
 from tissueid.formatting import fixed, label_and_unit, number, subject_text, with_unit
 from tissueid.gap.diagnosis import Diagnosis, Ranked, effect_in, parameters_of
@@ -32,6 +31,7 @@ from tissueid.sessions import Session
 from tissueid.twin.catalogue import all_effects
 from tissueid.twin.effect import STAGE_NAMES, STAGES
 from tissueid.units import display_unit, unit_for
+from tissueid.version import SOFTWARE
 
 _TASKS = {
     "drive": marked("command to voltage"),
@@ -172,7 +172,7 @@ def gap_html(found: Diagnosis, title: str = "", origin: Origin | None = None) ->
     return template("gap.html.j2").render(
         title=title or _("Simulated and recorded"),
         research_line=_(RESEARCH_LINE),
-        software=f"tissueid {__version__}",
+        software=SOFTWARE,
         facts=tuple(_facts(found, origin)),
         headline=translated(headline),
         level=level,

@@ -6,7 +6,6 @@ from collections.abc import Iterator
 
 from matplotlib.figure import FigureBase
 
-from tissueid import __version__
 from tissueid.formatting import number
 from tissueid.gap.diagnosis_plots import history_plot
 from tissueid.gap.history import GapHistory, HistoryEntry, history_headline
@@ -17,6 +16,7 @@ from tissueid.messages import MISSING, joined, translated
 from tissueid.reports.page import RESEARCH_LINE, FigureGroup, Panel, template
 from tissueid.reports.plot_renderer import draw_plot
 from tissueid.reports.tables import Row, Table, readable_date
+from tissueid.version import SOFTWARE
 
 _VERDICTS = {"no_gap": marked("no gap"), "unexplained": marked("unexplained")}
 
@@ -28,7 +28,7 @@ def watch_html(history: GapHistory, twin: TwinFile) -> str:
     return template("gap_watch.html.j2").render(
         title=_("Gap against an accepted twin"),
         research_line=_(RESEARCH_LINE),
-        software=f"tissueid {__version__}",
+        software=SOFTWARE,
         facts=(
             (_("Twin"), _("{name}, version {version}").format(name=twin.name, version=twin.version)),
             (_("Accepted effects"), translated(effects)),

@@ -9,7 +9,6 @@ from pathlib import Path
 import numpy as np
 from matplotlib.figure import Figure
 
-from tissueid import __version__
 from tissueid.analysis.curves import kernels
 from tissueid.analysis.curves import overlay_plots as curves
 from tissueid.analysis.curves.overlay_plots import (
@@ -34,6 +33,7 @@ from tissueid.reports.plot_renderer import draw_grid, key_over
 from tissueid.reports.style import FULL_WIDTH, HALF_WIDTH, drawing, new_figure, plain_image
 from tissueid.reports.tables import Table
 from tissueid.units import display_unit
+from tissueid.version import SOFTWARE
 
 Rows = Sequence[Sequence[Plot]]
 _COLUMNS = 3
@@ -98,7 +98,7 @@ class OverlayReport(DrawnFigures):
             title=_("Several tests in one figure"),
             facts=((_("Tests"), sources), (_("Fits"), ", ".join(self.found.fits))),
             research_line=_(RESEARCH_LINE),
-            software=f"tissueid {__version__}",
+            software=SOFTWARE,
             headline=_("{count} fits").format(count=len(self.found.entries)),
             level="check" if self.found.refused else "good",
             concerns=tuple(translated(text) for text in self.found.refused),

@@ -7,7 +7,6 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from tissueid import __version__
 from tissueid.analysis.curves.plot import CONFIDENCE, TIME, Array, Axis, Curve, Mark, Plot, thin
 from tissueid.analysis.decay_readings import LocalSystem, Release
 from tissueid.analysis.device_readings import DeviceReadings, ModelReadings, RecordedReadings
@@ -22,6 +21,7 @@ from tissueid.reports.plot_renderer import column_figure, row_figure
 from tissueid.reports.tables import Table, readable_date
 from tissueid.sessions import Session
 from tissueid.units import display_unit
+from tissueid.version import SOFTWARE
 
 _BEFORE_S = 0.15
 """Time before the first step that is drawn, s."""
@@ -299,7 +299,7 @@ def readings_page(session: Session, found: DeviceReadings) -> str:
         session_id=session.session_id,
         simulated=_(SIMULATED_LINE) if session.instrument.simulated else "",
         research_line=_(RESEARCH_LINE),
-        software=f"tissueid {__version__}",
+        software=SOFTWARE,
         notes=[translated(note) for note in found.notes],
         table=readings_table(found.rows()),
         group=FigureGroup("figures", _("Figures"), tuple(one.block for one in pictures)),

@@ -7,7 +7,6 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Literal
 
-from tissueid import __version__
 from tissueid.analysis.curves.feedback import FeedbackRun
 from tissueid.analysis.stimulus_design import StimulusDesign
 from tissueid.atomic_write import atomic_file
@@ -22,6 +21,7 @@ from tissueid.reports.style import plain_image
 from tissueid.reports.tables import Table, named_text
 from tissueid.stimuli import FeedbackKind
 from tissueid.stimuli.stimulus_check import StimulusCheck
+from tissueid.version import SOFTWARE
 
 FAR = 0.08
 """Kolmogorov distance from the desired distribution of depth above which the report shows a caution."""
@@ -55,7 +55,7 @@ class StimulusReport:
             title=self.title,
             facts=self.facts,
             research_line=_(RESEARCH_LINE),
-            software=f"tissueid {__version__}",
+            software=SOFTWARE,
             headline=self.headline,
             level=self.level,
             concerns=self.concerns,

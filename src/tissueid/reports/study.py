@@ -8,7 +8,6 @@ from functools import partial
 import pandas as pd
 from matplotlib.figure import FigureBase
 
-from tissueid import __version__
 from tissueid.analysis.curves.plot import Plot
 from tissueid.analysis.curves.samples import (
     DAMPING,
@@ -55,6 +54,7 @@ from tissueid.studies.study_plots import (
     variation_plot,
 )
 from tissueid.studies.study_statistics import StudyStatistics
+from tissueid.version import SOFTWARE
 
 Plots = Mapping[str, Callable[[], Plot]]
 """Functions that compute plots, by the name of the parameter; a ``Verbatim`` is the label of a plot of a group."""
@@ -218,7 +218,7 @@ def study_html(name: str, engine: str, found: StudyStatistics, failures: Mapping
         title=_("Study {name}").format(name=name),
         research_line=_(RESEARCH_LINE),
         simulated_line=simulated_line(found),
-        software=f"tissueid {__version__}",
+        software=SOFTWARE,
         facts=study_facts(found, engine),
         remarks=[translated(remark) for remark in found.remarks],
         failures=[(file, translated(reason)) for file, reason in failures.items()],

@@ -10,7 +10,6 @@ from typing import Any
 
 import numpy as np
 
-from tissueid import __version__
 from tissueid.analysis import Analysis
 from tissueid.analysis.curves.signals import lost_samples
 from tissueid.configuration import has_depth
@@ -37,6 +36,7 @@ from tissueid.records import Estimate
 from tissueid.reports.page import spring_line
 from tissueid.sessions import Session, Test
 from tissueid.units import display_unit
+from tissueid.version import SOFTWARE
 
 Row = tuple[str, ...]
 
@@ -236,7 +236,7 @@ def settings_tables(session: Session, test: Test, analyses: Mapping[str, Analysi
         (_("Session"), session.session_id or MISSING),
         (_("Recorded"), readable_date(session.created)),
         (_("Recorded with"), session.software or MISSING),
-        (_("Analysed with"), f"tissueid {__version__}"),
+        (_("Analysed with"), SOFTWARE),
         (_("Subject"), subject_text(session.subject.pseudonym) or MISSING),
         *(named_text(name, value) for name, value in session.subject.demographics.items()),
     ]

@@ -9,11 +9,11 @@ from typing import Annotated, Literal, TypeGuard
 
 from pydantic import BaseModel, ConfigDict, Field, TypeAdapter, ValidationError
 
-from tissueid import __version__
 from tissueid.atomic_write import atomic_file
 from tissueid.errors import UnusableInputError
 from tissueid.option_errors import validation_reason
 from tissueid.sessions.model import Test
+from tissueid.version import SOFTWARE
 
 SITTING = "sitting"
 """Name of the note of a test with the key of its sitting."""
@@ -68,7 +68,7 @@ class AcceptedResult(_Part):
     format_version: Literal["1.0"] = "1.0"
     sitting: _Key
     accepted: _Line = Field(default_factory=lambda: datetime.now(UTC).strftime("%Y-%m-%dT%H:%M:%SZ"))
-    software: _Line = f"tissueid {__version__}"
+    software: _Line = SOFTWARE
     tests: Annotated[tuple[AcceptedTest, ...], Field(min_length=1, max_length=MOST_TESTS)]
     values: Annotated[dict[_Quantity, AcceptedValue], Field(max_length=MOST_QUANTITIES)]
 

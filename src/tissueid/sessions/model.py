@@ -15,7 +15,6 @@ import numpy as np
 from numpy.typing import NDArray
 from pydantic import Field, PlainValidator, TypeAdapter
 
-from tissueid import __version__
 from tissueid.device import DeviceDescription
 from tissueid.errors import UnusableInputError
 from tissueid.formatting import ANONYMOUS
@@ -30,6 +29,7 @@ from tissueid.untrusted_input import (
     StoredValue,
     json_value,
 )
+from tissueid.version import SOFTWARE
 
 SIGNAL_UNITS = {
     "time": "s",
@@ -213,7 +213,7 @@ class Origin:
 
     session_id: StoredText = field(default_factory=lambda: str(uuid.uuid4()))
     created: StoredText = field(default_factory=lambda: datetime.now(UTC).strftime("%Y-%m-%dT%H:%M:%SZ"))
-    software: StoredText = f"tissueid {__version__}"
+    software: StoredText = SOFTWARE
     audit_head: StoredText = ""
     """Number and hash of the newest line of the audit log when the session was written; "" without a log."""
 

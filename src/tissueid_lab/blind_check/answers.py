@@ -14,7 +14,6 @@ from typing import Any
 import numpy as np
 from pydantic import TypeAdapter, ValidationError
 
-from tissueid import __version__
 from tissueid.errors import UnusableInputError
 from tissueid.gap.accepting import named_effects
 from tissueid.gap.answer import as_answer
@@ -29,6 +28,7 @@ from tissueid.gap.workers import Executor, SerialExecutor
 from tissueid.instrument.twin_file import TwinFile, read_twin, write_twin
 from tissueid.sessions import Session
 from tissueid.twin.catalogue import all_effects
+from tissueid.version import __version__
 from tissueid_lab.blind_check.scenarios import alone_sessions, earlier_session, read_scenario
 from tissueid_lab.blind_check.scoring import Answered, Label, Score, survives
 

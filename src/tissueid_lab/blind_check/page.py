@@ -9,7 +9,6 @@ from typing import Any, Literal
 import numpy as np
 from matplotlib.figure import FigureBase
 
-from tissueid import __version__
 from tissueid.analysis.curves.plot import Axis, Curve, Plot, steps
 from tissueid.errors import UnusableInputError
 from tissueid.formatting import clean, fixed, number
@@ -20,6 +19,7 @@ from tissueid.reports.page import RESEARCH_LINE, FigureGroup, Panel, template, w
 from tissueid.reports.plot_renderer import draw_plot
 from tissueid.reports.style import INK, ORANGE, SEQUENTIAL
 from tissueid.reports.tables import Row, Table
+from tissueid.version import SOFTWARE
 from tissueid_lab.blind_check.answers import BlindCheck
 from tissueid_lab.blind_check.scoring import Measured, Rate, Score
 
@@ -42,7 +42,7 @@ def blind_html(check: BlindCheck, title: str = "") -> str:
     return template("blind_check.html.j2", "tissueid_lab.blind_check").render(
         title=title or _("Sealed check of the diagnosis"),
         research_line=_(RESEARCH_LINE),
-        software=f"tissueid {__version__}",
+        software=SOFTWARE,
         facts=(
             (_("Scenarios"), str(check.begun.n)),
             (_("Seed"), str(check.begun.seed)),

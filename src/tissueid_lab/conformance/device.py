@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from tissueid import wire
+import tissueid.wire as wire
 from tissueid.instrument.handshake import Handshake, parse_hello
 from tissueid.wire import Flag, MessageType, Result, State
 from tissueid_lab.conformance.clause import NotTestedError, require

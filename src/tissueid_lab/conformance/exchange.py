@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from tissueid import wire
+import tissueid.wire as wire
 from tissueid.wire import MessageType, Result, State
 from tissueid_lab.conformance.clause import ViolationError, require, violated
 from tissueid_lab.conformance.line import Line

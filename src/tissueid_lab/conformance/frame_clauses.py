@@ -8,7 +8,7 @@ from itertools import pairwise
 
 import numpy as np
 
-from tissueid import wire
+import tissueid.wire as wire
 from tissueid.language import marked
 from tissueid.wire import Flag, MessageType, Result, State
 from tissueid_lab.conformance.clause import clause, require

@@ -8,7 +8,7 @@ import zlib
 import numpy as np
 from numpy.typing import NDArray
 
-from tissueid import wire
+import tissueid.wire as wire
 from tissueid.language import marked
 from tissueid.wire import Fault, Flag, MessageType, Result, State
 from tissueid_lab.conformance.clause import clause, require

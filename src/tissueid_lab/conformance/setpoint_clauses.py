@@ -6,7 +6,7 @@ import struct
 
 import numpy as np
 
-from tissueid import wire
+import tissueid.wire as wire
 from tissueid.language import marked
 from tissueid.wire import Fault, Flag, MessageType, Result, State
 from tissueid_lab.conformance.clause import clause, require

@@ -7,13 +7,13 @@ from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
-from tissueid import __version__
 from tissueid.formatting import fixed
 from tissueid.language import _
 from tissueid.messages import translated
 from tissueid.reports.overlay import OverlayReport, overlay_scores
 from tissueid.reports.page import RESEARCH_LINE, FigureGroup, template, write_text_atomically
 from tissueid.reports.tables import Table
+from tissueid.version import SOFTWARE
 from tissueid_lab.thesis.recipe import ReproducedFigure
 
 
@@ -39,7 +39,7 @@ def write_reproduction(path: Path, made: Sequence[ReproducedFigure]) -> None:
             title=_("Figures and tables of the thesis"),
             facts=((_("Figures"), ", ".join(one.figure.number for one in made)),),
             research_line=_(RESEARCH_LINE),
-            software=f"tissueid {__version__}",
+            software=SOFTWARE,
             headline=_("{count} of {total} made").format(count=len(made) - len(missing), total=len(made)),
             level="check" if missing else "good",
             concerns=missing,

@@ -275,7 +275,7 @@ def _write(plan: ReproductionPlan, out: Path, made: Sequence[ReproducedFigure], 
     Raises:
         OSError: the disk is full or not writable.
     """
-    from tissueid import __version__
+    from tissueid.version import SOFTWARE
     from tissueid_lab.thesis.page import as_markdown, write_reproduction
 
     for one in made:
@@ -287,7 +287,7 @@ def _write(plan: ReproductionPlan, out: Path, made: Sequence[ReproducedFigure], 
     write_reproduction(out / _PAGE, made)
     results = {
         "made_by": _MADE_BY,
-        "software": f"tissueid {__version__}",
+        "software": SOFTWARE,
         "quick": plan.quick,
         "seconds": time.perf_counter() - began,
         "figures": [answer_of(one) for one in made],
