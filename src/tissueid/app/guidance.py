@@ -4,11 +4,11 @@ from __future__ import annotations
 
 import math
 
-from PySide6.QtCore import Qt
 from PySide6.QtWidgets import QFrame, QHBoxLayout, QLabel, QProgressBar, QVBoxLayout, QWidget
 
 from tissueid.acquisition.playback import Phase
 from tissueid.acquisition.surface_detection import PLACE_S
+from tissueid.app.build import fill, label, styled
 from tissueid.app.contact_watcher import ContactLamp
 from tissueid.app.live_signals import Snapshot
 from tissueid.language import _, marked
@@ -38,37 +38,19 @@ class Guidance(QFrame):
 
     def __init__(self, parent: QWidget | None = None) -> None:
         super().__init__(parent)
-        self.setProperty("role", "card")
+        styled(self, role="card")
         self.phase: Phase | None = None
-        self._labels: dict[Phase, QLabel] = {}
         self._idle = ""
         self._resting = self._calibrating = False
+        self._labels = {phase: styled(QLabel(_(name)), role="phase") for phase, name in _NAMES.items()}
         self._phases = QWidget()
-        phases = QHBoxLayout(self._phases)
-        phases.setContentsMargins(0, 0, 0, 0)
-        phases.setSpacing(8)
-        for phase, name in _NAMES.items():
-            label = QLabel(_(name))
-            label.setProperty("role", "phase")
-            self._labels[phase] = label
-            phases.addWidget(label, 1)
-        self.instruction = QLabel()
-        self.instruction.setProperty("role", "instruction")
-        self.instruction.setWordWrap(True)
-        self.instruction.setTextFormat(Qt.TextFormat.PlainText)
-        self.instruction.setMinimumWidth(1)  # a word that is too long is cut off, and does not widen the window
-        self.bar = QProgressBar()
+        fill(QHBoxLayout(self._phases), *((part, 1) for part in self._labels.values()), spacing=8)
+        self.instruction = label("instruction")
+        self.bar = styled(QProgressBar(), name=_("Progress of the test"))
         self.bar.setRange(0, _STEPS)
         self.bar.setTextVisible(False)
-        self.bar.setAccessibleName(_("Progress of the test"))
-        layout = QVBoxLayout(self)
-        layout.setContentsMargins(14, 8, 14, 10)
-        layout.setSpacing(6)
-        layout.addWidget(self._phases)
-        layout.addWidget(self.instruction)
         self.lamp = ContactLamp()
-        layout.addWidget(self.lamp)
-        layout.addWidget(self.bar)
+        fill(QVBoxLayout(self), self._phases, self.instruction, self.lamp, self.bar, margins=(14, 8, 14, 10))
         self.show_idle()
 
     def show_idle(self, shown: str = "") -> None:
@@ -115,11 +97,11 @@ class Guidance(QFrame):
             return
         self.phase = now
         order = list(self._labels)
-        for place, (phase, label) in enumerate(self._labels.items()):
+        for place, (phase, part) in enumerate(self._labels.items()):
             state = "todo" if now is None or place > order.index(now) else "now" if phase is now else "done"
             if now is Phase.RELEASE:
                 state = "done"
-            label.setProperty("state", state)
-            label.setAccessibleName(f"{_(_NAMES[phase])}: {_(_STATES[state])}")
-            label.style().unpolish(label)
-            label.style().polish(label)
+            part.setProperty("state", state)
+            part.setAccessibleName(f"{_(_NAMES[phase])}: {_(_STATES[state])}")
+            part.style().unpolish(label)
+            part.style().polish(label)

@@ -15,7 +15,6 @@ from PySide6.QtWidgets import (
     QDialogButtonBox,
     QFileDialog,
     QFormLayout,
-    QHBoxLayout,
     QHeaderView,
     QLabel,
     QLineEdit,
@@ -26,6 +25,8 @@ from PySide6.QtWidgets import (
     QWidget,
 )
 
+from tissueid.app import build
+from tissueid.app.build import label, styled
 from tissueid.app.configuring import CONFIGURATION_NAMES
 from tissueid.app.words import in_words
 from tissueid.configuration import CONFIGURATIONS
@@ -146,9 +147,8 @@ class ImportDialog(QDialog):
         self.setAttribute(Qt.WidgetAttribute.WA_DeleteOnClose)
         names = ", ".join(clean(path.name) for path in preview.paths[:5])
         more = len(preview.paths) - 5
-        self.files = QLabel(f"{names}{f' + {more}' if more > 0 else ''}  ({preview.format})")
-        self.files.setWordWrap(True)
-        self.files.setTextFormat(Qt.TextFormat.PlainText)
+        self.files = label()
+        self.files.setText(f"{names}{f' + {more}' if more > 0 else ''}  ({preview.format})")
         self.table = self._make_table()
         self.rate = QLineEdit()
         self.rate.setPlaceholderText(_("only where no column is time"))
@@ -164,11 +164,7 @@ class ImportDialog(QDialog):
         self.out = QLineEdit(str(out))
         self.browse = QPushButton(_("Browse…"))
         self.browse.clicked.connect(self._choose_out)
-        self.said = QLabel()
-        self.said.setWordWrap(True)
-        self.said.setTextFormat(Qt.TextFormat.PlainText)
-        self.said.setProperty("role", "readout")
-        self.said.setProperty("level", "poor")
+        self.said = label("readout", level="poor")
         self.said.hide()
         self.buttons = QDialogButtonBox()
         self.go = self.buttons.addButton(_("Import"), QDialogButtonBox.ButtonRole.ActionRole)
@@ -245,9 +241,9 @@ class ImportDialog(QDialog):
 
     def _make_table(self) -> QTableWidget:
         heads = [_("Column"), _("Signal"), _("Unit"), _("First values")]
-        table = QTableWidget(len(self._preview.columns), len(heads))
+        named = _("Columns of the record and the signals they become")
+        table = styled(QTableWidget(len(self._preview.columns), len(heads)), name=named)
         table.setHorizontalHeaderLabels(heads)
-        table.setAccessibleName(_("Columns of the record and the signals they become"))
         table.verticalHeader().hide()
         table.setEditTriggers(QTableWidget.EditTrigger.NoEditTriggers)
         table.setSelectionMode(QTableWidget.SelectionMode.NoSelection)
@@ -255,16 +251,15 @@ class ImportDialog(QDialog):
         header.setSectionResizeMode(QHeaderView.ResizeMode.ResizeToContents)
         header.setStretchLastSection(True)
         for row, column in enumerate(self._preview.columns):
-            table.setItem(row, 0, QTableWidgetItem(clean(column.column.header)[:60] or str(row + 1)))
-            roles = QComboBox()
-            roles.setAccessibleName(_("What column {name} is").format(name=clean(column.column.header)[:60]))
+            name = clean(column.column.header)[:60]
+            table.setItem(row, 0, QTableWidgetItem(name or str(row + 1)))
+            roles = styled(QComboBox(), name=_("What column {name} is").format(name=name))
             for role in ("", *ROLES):
                 roles.addItem(_(_ROLE_NAMES[role]), role)
-            units = QComboBox()
+            units = styled(QComboBox(), name=_("Unit of column {name}").format(name=name))
             units.setEditable(True)
             units.setSizeAdjustPolicy(QComboBox.SizeAdjustPolicy.AdjustToContents)
             units.setMinimumContentsLength(_LEAST_UNIT)
-            units.setAccessibleName(_("Unit of column {name}").format(name=clean(column.column.header)[:60]))
             roles.currentIndexChanged.connect(lambda _index, row=row: self._offer_units(row))
             units.editTextChanged.connect(lambda _text, row=row: self._mark(row))
             table.setCellWidget(row, 1, roles)
@@ -314,22 +309,15 @@ class ImportDialog(QDialog):
         return widget
 
     def _arrange(self) -> None:
-        rows = QHBoxLayout()
-        rows.addWidget(self.first)
-        rows.addWidget(self.last)
-        place = QHBoxLayout()
-        place.addWidget(self.out, 1)
-        place.addWidget(self.browse)
         form = QFormLayout()
         form.addRow(_("Sample rate (Hz)"), self.rate)
         if self._preview.format == "csv" and not self._preview.described:
             form.addRow(_("Decimal sign"), self.decimal)
-        form.addRow(_("Rows"), rows)
-        form.addRow(_("Site"), self.site)
-        form.addRow(_("Subject"), self.subject)
-        form.addRow(_("Kind of test"), self.kind)
-        form.addRow(_("Configuration"), self.configuration)
-        form.addRow(_("Save to"), place)
+        form.addRow(_("Rows"), build.row(self.first, self.last))
+        fields = (_("Site"), self.site), (_("Subject"), self.subject), (_("Kind of test"), self.kind)
+        for name, field in (*fields, (_("Configuration"), self.configuration)):
+            form.addRow(name, field)
+        form.addRow(_("Save to"), build.row((self.out, 1), self.browse))
         layout = QVBoxLayout(self)
         layout.addWidget(self.files)
         layout.addWidget(self.table, 1)

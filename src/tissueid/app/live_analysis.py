@@ -10,6 +10,7 @@ from PySide6.QtCore import QSize, Qt
 from PySide6.QtGui import QResizeEvent
 from PySide6.QtWidgets import QFrame, QHBoxLayout, QLabel, QTabBar, QVBoxLayout, QWidget
 
+from tissueid.app.build import fill, label, styled
 from tissueid.app.live_signals import Array
 from tissueid.app.plotting import PlotCard
 from tissueid.app.small_window import FoldingBox
@@ -95,22 +96,13 @@ class LiveAnalysis(QWidget):
         self._parts: dict[str, tuple[str, ...]] = {}
         self._rows: list[FoldingBox] = []
         self.numbers = {name: _Figure(_(label_and_unit(_QUANTITIES[name])[0]), _ROLES[name]) for name in _QUANTITIES}
-        self.vaf = _Figure(_("Explained, linear"))
-        self.vaf.setToolTip(
-            _("Variance accounted for (VAF): how much of the motion so far the impulse response explains")
-        )
-        self.simulated = QLabel(_(SIMULATED_LINE))
-        self.simulated.setProperty("role", "heading")
-        self.simulated.setWordWrap(True)
-        self.simulated.setMinimumWidth(1)
-        self.said = QLabel()
-        self.said.setProperty("role", "muted")
-        self.said.setWordWrap(True)
-        self.said.setMinimumWidth(1)
-        self.tabs = QTabBar()
+        explained = _("Variance accounted for (VAF): how much of the motion so far the impulse response explains")
+        self.vaf = styled(_Figure(_("Explained, linear")), tip=explained)
+        self.simulated, self.said = label("heading"), label("muted")
+        self.simulated.setText(_(SIMULATED_LINE))
+        self.tabs = styled(QTabBar(), name=_("Plots of the running test"))
         self.tabs.setDrawBase(False)
         self.tabs.setExpanding(False)
-        self.tabs.setAccessibleName(_("Plots of the running test"))
         self._arrange()
         self._offer(_WIDE)
         self.tabs.currentChanged.connect(self._show_part)
@@ -184,20 +176,9 @@ class LiveAnalysis(QWidget):
     # -- building -----------------------------------------------------------------------------------------
 
     def _arrange(self) -> None:
-        numbers = QFrame()
-        numbers.setProperty("role", "card")
-        row = QHBoxLayout(numbers)
-        row.setContentsMargins(10, 5, 10, 5)
-        row.setSpacing(8)
-        for figure in (*self.numbers.values(), self.vaf):
-            row.addWidget(figure, 1)
-        self._layout = layout = QVBoxLayout(self)
-        layout.setContentsMargins(0, 0, 0, 0)
-        layout.setSpacing(8)
-        layout.addWidget(numbers)
-        layout.addWidget(self.simulated)
-        layout.addWidget(self.said)
-        layout.addWidget(self.tabs)
+        numbers, figures = styled(QFrame(), role="card"), (*self.numbers.values(), self.vaf)
+        fill(QHBoxLayout(numbers), *((figure, 1) for figure in figures), spacing=8, margins=(10, 5, 10, 5))
+        self._layout = fill(QVBoxLayout(self), numbers, self.simulated, self.said, self.tabs, spacing=8)
 
     def resizeEvent(self, event: QResizeEvent) -> None:  # noqa: N802
         """Show as many plots as there is room for."""
@@ -383,20 +364,13 @@ class _Figure(QWidget):
     def __init__(self, label: str, role: str = "") -> None:
         super().__init__()
         self._label, self._role = label, role
-        self._text = QLabel(label)
+        self._text, self._value = styled(QLabel(label), role="field"), styled(QLabel(), role="headline")
+        self._rest = styled(QLabel(), role="muted")
         self._text.setTextFormat(Qt.TextFormat.RichText)
-        self._text.setProperty("role", "field")
-        self._text.setWordWrap(True)
-        self._value, self._rest = QLabel(), QLabel()
-        self._value.setProperty("role", "headline")
-        self._rest.setProperty("role", "muted")
-        self._rest.setWordWrap(True)
-        layout = QVBoxLayout(self)
-        layout.setContentsMargins(0, 0, 0, 0)
-        layout.setSpacing(0)
         for widget in (self._text, self._value, self._rest):
             widget.setMinimumWidth(1)
-            layout.addWidget(widget)
+            widget.setWordWrap(widget is not self._value)
+        fill(QVBoxLayout(self), self._text, self._value, self._rest, spacing=0)
         if role:
             appearance.follow(self._paint)
 

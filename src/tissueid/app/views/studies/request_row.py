@@ -11,7 +11,6 @@ from PySide6.QtWidgets import (
     QComboBox,
     QFileDialog,
     QFrame,
-    QHBoxLayout,
     QLineEdit,
     QMenu,
     QProgressBar,
@@ -21,6 +20,7 @@ from PySide6.QtWidgets import (
     QWidget,
 )
 
+from tissueid.app.build import button, fill, row, styled
 from tissueid.app.small_window import FoldingBox
 from tissueid.app.views.studies.protocol_dialog import OptionsDialog
 from tissueid.app.views.studies.study_data import StudyData
@@ -54,46 +54,39 @@ class RequestRow(QFrame):
 
     def __init__(self, parent: QWidget | None = None) -> None:
         super().__init__(parent)
-        self.setProperty("role", "card")
+        styled(self, role="card")
         self.path: Path | None = None
-        self.open = QPushButton(_("Open study…"))
-        self.open.setToolTip(_("A folder of sessions, with a protocol.json if sittings follow a protocol"))
-        self.new = QPushButton(_("New study…"))
-        self.new.setToolTip(_("Name a folder for a new study; it is made"))
+        opening = _("A folder of sessions, with a protocol.json if sittings follow a protocol")
+        self.open = button(_("Open study…"), tip=opening)
+        self.new = button(_("New study…"), tip=_("Name a folder for a new study; it is made"))
         self.folder = ElidedLabel()
-        self.engine = QComboBox()
-        self.engine.setAccessibleName(_("Engine of the study"))
+        self.engine = styled(QComboBox(), name=_("Engine of the study"))
         for name in engine_names():
             self.engine.addItem(engine_label(name), name)
-        self.recent = QPushButton(_("Recent"))
-        self.recent.setAccessibleName(_("Recent studies"))
+        self.recent = button(_("Recent"), name=_("Recent studies"))
         self.recent.setMenu(QMenu(self))
-        self.options = QPushButton()
-        self.options.setAccessibleName(_("Options of the engine"))
+        self.options = button("", name=_("Options of the engine"))
         self._options: tuple[str, ...] = ()
         self._studies: list[str] = []
-        self.held_out = QCheckBox(_("Score on held-out data"))
-        self.held_out.setToolTip(_("Fit three quarters of each test and score the rest; otherwise fit whole tests"))
-        self.analyse = QPushButton(_("Analyse"))
-        self.analyse.setToolTip(_("Sessions that are new or changed; after a cancellation it continues"))
-        self.report = QPushButton(_("Write report"))
-        self.report.setToolTip(_("Analyse what has changed, compute all statistics, and open the page"))
+        held_out = _("Fit three quarters of each test and score the rest; otherwise fit whole tests")
+        self.held_out = styled(QCheckBox(_("Score on held-out data")), tip=held_out)
+        analysing = _("Sessions that are new or changed; after a cancellation it continues")
+        self.analyse = button(_("Analyse"), tip=analysing)
+        reporting = _("Analyse what has changed, compute all statistics, and open the page")
+        self.report = button(_("Write report"), tip=reporting)
         self.protocol = plain_label("muted")
-        self.template = QPushButton()
-        self.template.setToolTip(_("Sites, repeats, conditions, and what a subject is asked for"))
-        self.subject = QLineEdit()
+        self.template = button("", tip=_("Sites, repeats, conditions, and what a subject is asked for"))
+        pseudonym = _("Pseudonym of the subject, never a name")
+        self.subject = styled(QLineEdit(), name=pseudonym, tip=pseudonym)
         self.subject.setPlaceholderText(_("Subject, such as P-001"))
-        self.subject.setAccessibleName(_("Pseudonym of the subject, never a name"))
-        self.subject.setToolTip(self.subject.accessibleName())
-        self.measure = QPushButton(_("Measure subject"))
-        self.measure.setToolTip(_("Lead through the sitting of this subject on the page Measure; nothing starts yet"))
-        self.doing = ElidedLabel()
-        self.doing.setProperty("role", "muted")
-        self.bar = QProgressBar()
+        leading = _("Lead through the sitting of this subject on the page Measure; nothing starts yet")
+        self.measure = button(_("Measure subject"), tip=leading)
+        self.doing = styled(ElidedLabel(), role="muted")
+        self.bar = styled(QProgressBar(), name=_("Progress of the study"))
         self.bar.setTextVisible(False)
-        self.bar.setAccessibleName(_("Progress of the study"))
-        self.stop = QPushButton(_("Cancel"))
-        self.stop.setAccessibleName(_("Cancel the work on the study"))
+        self.stop = button(_("Cancel"), name=_("Cancel the work on the study"))
+        self._of_analysis = self.engine, self.options, self.held_out, self.analyse, self.report
+        self._of_visit = self.protocol, self.template, self.subject, self.measure
         self._arrange()
         self.open.clicked.connect(self._choose)
         self.new.clicked.connect(self._name_new)
@@ -141,11 +134,7 @@ class RequestRow(QFrame):
         if data is not None:
             self._studies = list(dict.fromkeys([str(data.folder), *self._studies]))[:_MOST_RECENT]
         self._offer_recent()
-        of_analysis: tuple[QWidget, ...] = (self.engine, self.options, self.held_out, self.analyse, self.report)
-        for part in of_analysis:
-            part.setVisible(data is not None)
-        of_visit: tuple[QWidget, ...] = (self.template, self.subject, self.measure, self.protocol)
-        for part in of_visit:
+        for part in (*self._of_analysis, *self._of_visit):
             part.setVisible(data is not None)
         if data is None:
             return
@@ -214,40 +203,17 @@ class RequestRow(QFrame):
         return Path(kept) if kept and Path(kept).is_dir() else None
 
     def _arrange(self) -> None:
-        top = QHBoxLayout()
-        top.setSpacing(8)
-        top.addWidget(self.open)
-        top.addWidget(self.new)
-        top.addWidget(self.recent)
-        top.addWidget(self.folder, 1)
         chosen, led = QWidget(), QWidget()
-        how, who = FoldingBox(_ONE_ROW, chosen), FoldingBox(_ONE_ROW, led)
-        hows: tuple[QWidget, ...] = (self.engine, self.options, self.held_out, self.analyse, self.report)
-        for part in hows:
-            how.addWidget(part)
-        whos: tuple[QWidget, ...] = (self.protocol, self.template, self.subject, self.measure)
-        for part in whos:
-            who.addWidget(part)
-        for box in (how, who):
-            box.setContentsMargins(0, 0, 0, 0)
-            box.setSpacing(8)
+        fill(FoldingBox(_ONE_ROW, chosen), *self._of_analysis, spacing=8)
+        fill(FoldingBox(_ONE_ROW, led), *self._of_visit, spacing=8)
         self.engine.setSizeAdjustPolicy(QComboBox.SizeAdjustPolicy.AdjustToMinimumContentsLengthWithIcon)
         self.engine.setMinimumContentsLength(12)
         self.subject.setMaximumWidth(200)
-        for button in (self.measure, self.template):
-            button.setSizePolicy(QSizePolicy.Policy.Maximum, QSizePolicy.Policy.Fixed)
-        going = QHBoxLayout()
-        going.setSpacing(8)
-        going.addWidget(self.doing, 2)
-        going.addWidget(self.bar, 1)
-        going.addWidget(self.stop)
-        rows = QVBoxLayout(self)
-        rows.setContentsMargins(12, 8, 12, 8)
-        rows.setSpacing(6)
-        rows.addLayout(top)
-        rows.addWidget(chosen)
-        rows.addWidget(led)
-        rows.addLayout(going)
+        for part in (self.measure, self.template):
+            part.setSizePolicy(QSizePolicy.Policy.Maximum, QSizePolicy.Policy.Fixed)
+        top = row(self.open, self.new, self.recent, (self.folder, 1), spacing=8)
+        going = row((self.doing, 2), (self.bar, 1), self.stop, spacing=8)
+        fill(QVBoxLayout(self), top, chosen, led, going, margins=(12, 8, 12, 8))
 
     def _take_options(self, options: tuple[str, ...]) -> None:
         """Take options, as NAME=VALUE, of the engine."""
