@@ -103,5 +103,5 @@ class Guidance(QFrame):
                 state = "done"
             part.setProperty("state", state)
             part.setAccessibleName(f"{_(_NAMES[phase])}: {_(_STATES[state])}")
-            part.style().unpolish(label)
-            part.style().polish(label)
+            part.style().unpolish(part)
+            part.style().polish(part)
