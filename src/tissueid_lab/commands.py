@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING
 import typer
 
 from tissueid.cli.lazy_command import JsonFile, add_command
+from tissueid.errors import UnusableInputError
 from tissueid.messages import MISSING
 
 if TYPE_CHECKING:  # plans are imported when their command is used
@@ -30,9 +31,36 @@ def conformance(plan: ConformancePlan, json_file: JsonFile = None) -> None:
 
     Exit status 0: no clause failed; 1: a clause failed.
     """
-    from tissueid_lab.conformance.command import print_conformance
+    from tissueid.cli.output import at_terminal, check_json, console_control, human_output, table, write_json
+    from tissueid.procedures.instrument_access import audit_trail
+    from tissueid.procedures.output_files import check_different
+    from tissueid_lab.conformance.procedure import answer_of, run_conformance
 
-    print_conformance(plan, json_file)
+    check_different(plan.out, json_file)
+    check_json(json_file)
+    if plan.attended and not at_terminal():
+        raise UnusableInputError(
+            "conformance.no_terminal", "--attended needs a person at a terminal, and there is no terminal"
+        )
+    with console_control() as control:
+        found = run_conformance(plan, control, audit_trail("technician"))
+    out = human_output(json_file, width=120)
+    rows = table(f"Conformance of {found.device or found.url}", "clause", "what the device does", "result")
+    reasons: dict[str, list[str]] = {}
+    for item in found.results:
+        rows.add_row(item.id, item.title, "FAILED" if item.outcome == "failed" else item.outcome)
+        reasons.setdefault(item.reason, []).append(item.id)
+    for column in rows.columns:
+        column.justify = "left"
+    out.print(rows)
+    for reason, clauses in reasons.items():
+        if reason:
+            out.print(f"{', '.join(clauses)}: {reason}", markup=False, soft_wrap=True)
+    out.print(found.headline, markup=False)
+    if json_file is not None:
+        write_json(json_file, answer_of(found))
+    if not found.passed:
+        raise typer.Exit(1)
 
 
 def reproduce(plan: ReproductionPlan, json_file: JsonFile = None) -> None:

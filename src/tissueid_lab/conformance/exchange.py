@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections import deque
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from typing import Any
 
@@ -118,23 +118,26 @@ class Exchange:
         self.line.write(wire.encode_frame(wire.Frame(kind, sequence, payload=payload)))
         return sequence
 
+    def _received(self, send: Callable[[], object]) -> Iterator[wire.Frame]:
+        """Yield the frames that arrive after a request, which is sent again as a host does."""
+        for _ in range(_TRIES):
+            send()
+            end = self.line.clock() + ANSWER_S
+            while self.line.clock() < end:
+                yield from self.pump(0.0) or self.pump(_SLICE_S / 4)
+
     def ask(self, kind: int, payload: bytes = b"", *, sequence: int | None = None) -> Answer:
         """Send a request and return its answer; the same frame is repeated as a host does.
 
         Raises:
             ViolationError: no answer.
         """
-        number = self.send(kind, payload, sequence=sequence)
-        for _ in range(_TRIES):
-            end = self.line.clock() + ANSWER_S
-            while self.line.clock() < end:
-                for frame in self.pump(0.0) or self.pump(_SLICE_S / 4):
-                    if frame.type != MessageType.ACK:
-                        continue
-                    ack = _unpacked(wire.ACK, frame)
-                    if (ack["request_type"], ack["request_sequence"]) == (kind, number):
-                        return Answer(_result(ack["result"]), ack["detail"], frame.sample_index)
-            self.send(kind, payload, sequence=number)
+        number = (self._sequence + 1) & 0xFFFF if sequence is None else sequence
+        self._sequence = number if sequence is None else self._sequence
+        for frame in self._received(lambda: self.send(kind, payload, sequence=number)):
+            ack = _unpacked(wire.ACK, frame) if frame.type == MessageType.ACK else {}
+            if (ack.get("request_type"), ack.get("request_sequence")) == (kind, number):
+                return Answer(_result(ack["result"]), ack["detail"], frame.sample_index)
         raise violated(f"an answer to {_name(kind)}", "none")
 
     def expect(self, result: Result, kind: int, payload: bytes = b"", words: str = "") -> Answer:
@@ -150,6 +153,15 @@ class Exchange:
             getattr(answer.result, "name", answer.result),
         )
         return answer
+
+    def expect_each(self, result: Result, *requests: tuple[int, bytes, str]) -> None:
+        """Send requests, each with words that describe it.
+
+        Raises:
+            ViolationError: the result of one is another one.
+        """
+        for request in requests:
+            self.expect(result, *request)
 
     def expect_silence(self, data: bytes, words: str) -> None:
         """Send bytes that the device must drop without an answer, and count as refused.
@@ -170,13 +182,9 @@ class Exchange:
         Raises:
             ViolationError: there is none.
         """
-        for _ in range(_TRIES):
-            self.send(MessageType.STATUS_REQUEST)
-            end = self.line.clock() + ANSWER_S
-            while self.line.clock() < end:
-                for frame in self.pump(0.0) or self.pump(_SLICE_S / 4):
-                    if frame.type == MessageType.STATUS:
-                        return _status(frame)
+        for frame in self._received(lambda: self.send(MessageType.STATUS_REQUEST)):
+            if frame.type == MessageType.STATUS:
+                return _status(frame)
         raise violated("a STATUS", "none")
 
     def samples(self) -> NDArray[np.void]:
@@ -219,13 +227,9 @@ class Exchange:
             ViolationError: there is none.
         """
         payload = wire.pack(wire.HELLO, protocol_min=low, protocol_max=high, host=b"conformance") + tail
-        for _ in range(_TRIES):
-            self.send(MessageType.HELLO, payload)
-            end = self.line.clock() + ANSWER_S
-            while self.line.clock() < end:
-                for frame in self.pump(0.0) or self.pump(_SLICE_S / 4):
-                    if frame.type == MessageType.HELLO_ACK:
-                        return frame.payload
+        for frame in self._received(lambda: self.send(MessageType.HELLO, payload)):
+            if frame.type == MessageType.HELLO_ACK:
+                return frame.payload
         raise violated("HELLO_ACK", "no answer to HELLO")
 
 

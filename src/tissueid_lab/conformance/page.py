@@ -2,57 +2,22 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from typing import Protocol
+from typing import TYPE_CHECKING
 
 from tissueid.formatting import fixed
 from tissueid.language import _, marked
 from tissueid.messages import translated
 from tissueid.reports.stimulus_report import StimulusReport
 from tissueid.reports.tables import Table
-from tissueid_lab.conformance.clause import ClauseResult
+
+if TYPE_CHECKING:
+    from tissueid_lab.conformance.procedure import Conformance
 
 OUTCOMES = {"passed": marked("passed"), "failed": marked("FAILED"), "not tested": marked("not tested")}
 """Words of the outcomes."""
 
 
-class Tested(Protocol):
-    """A device and the results of its clauses, such as ``procedures.conformance.Conformance``."""
-
-    @property
-    def url(self) -> str:
-        """Address of the device."""
-
-    @property
-    def device(self) -> str:
-        """Model and serial number."""
-
-    @property
-    def firmware(self) -> str:
-        """Version of the firmware."""
-
-    @property
-    def attached(self) -> str:
-        """What was attached."""
-
-    @property
-    def force_n(self) -> float:
-        """Largest force of the runs."""
-
-    @property
-    def results(self) -> Sequence[ClauseResult]:
-        """Results of the clauses."""
-
-    @property
-    def passed(self) -> bool:
-        """Whether no clause failed."""
-
-    @property
-    def headline(self) -> str:
-        """The counts of the outcomes."""
-
-
-def conformance_report(tested: Tested) -> StimulusReport:
+def conformance_report(tested: Conformance) -> StimulusReport:
     """Return the report of a device: verdict, the table of clauses, the measured figures."""
     failed = [item for item in tested.results if item.outcome == "failed"]
     rows = tuple(

@@ -2,15 +2,16 @@
 
 from __future__ import annotations
 
+from collections import Counter
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Literal
 
 from pydantic import Field
 
 from tissueid.errors import UnusableInputError
-from tissueid.messages import Message, Verbatim
+from tissueid.messages import Message, Verbatim, stored
 from tissueid.plan_options import Option, Plan
 from tissueid.procedures.control import Control, counted
 from tissueid.procedures.output_files import HTML, check_output
@@ -72,19 +73,16 @@ class Conformance:
 
         return passed(self.results)
 
-    def count(self, outcome: str) -> int:
-        """Return the number of clauses with an outcome."""
-        return sum(item.outcome == outcome for item in self.results)
-
     @property
     def headline(self) -> Message:
         """The numbers of clauses that passed, failed and were not tested."""
+        counts = Counter(item.outcome for item in self.results)
         return Message(
             "conformance.headline",
             "{passed} clauses passed, {failed} failed, {open} not tested",
-            passed=self.count("passed"),
-            failed=self.count("failed"),
-            open=self.count("not tested"),
+            passed=counts["passed"],
+            failed=counts["failed"],
+            open=counts["not tested"],
         )
 
 
@@ -174,3 +172,16 @@ def run_conformance(
 
         conformance_report(found).write(plan.out)
     return found
+
+
+def answer_of(found: Conformance) -> dict[str, object]:
+    """Return the result for JSON."""
+    return {
+        "device": found.url,
+        "instrument": found.device,
+        "firmware_version": found.firmware,
+        "attached": found.attached,
+        "force_n": found.force_n,
+        "passed": found.passed,
+        "clauses": [asdict(item) | {"reason": item.reason, "message": stored(item.reason)} for item in found.results],
+    }

@@ -95,17 +95,24 @@ def _again(device: DeviceUnderTest) -> None:
 @clause("4.4a", marked("A request that does not fit the state is BAD_STATE and changes nothing"))
 def _states(device: DeviceUnderTest) -> None:
     start = struct.pack("<I", 7)
-    device.expect(Result.BAD_STATE, MessageType.ARM, device.arm_payload(), "in IDLE")
-    device.expect(Result.BAD_STATE, MessageType.START, start, "in IDLE")
+    device.expect_each(
+        Result.BAD_STATE, (MessageType.ARM, device.arm_payload(), "in IDLE"), (MessageType.START, start, "in IDLE")
+    )
     device.load(np.zeros(10, "<i2"))
-    device.expect(Result.BAD_STATE, MessageType.STIMULUS_CHUNK, struct.pack("<IIh", 1, 0, 0), "in LOADED")
-    device.expect(Result.BAD_STATE, MessageType.STIMULUS_COMMIT, struct.pack("<I", 1), "in LOADED")
-    device.expect(Result.BAD_STATE, MessageType.START, start, "in LOADED")
-    device.expect(Result.BAD_STATE, MessageType.ARM, device.arm_payload(stimulus_id=2), "of another stimulus")
+    device.expect_each(
+        Result.BAD_STATE,
+        (MessageType.STIMULUS_CHUNK, struct.pack("<IIh", 1, 0, 0), "in LOADED"),
+        (MessageType.STIMULUS_COMMIT, struct.pack("<I", 1), "in LOADED"),
+        (MessageType.START, start, "in LOADED"),
+        (MessageType.ARM, device.arm_payload(stimulus_id=2), "of another stimulus"),
+    )
     device.arm()
-    device.expect(Result.BAD_STATE, MessageType.ARM, device.arm_payload(), "in ARMED")
-    device.expect(Result.BAD_STATE, MessageType.STIMULUS_BEGIN, _begin(10), "in ARMED")
-    device.expect(Result.BAD_STATE, MessageType.START, struct.pack("<I", 8), "with another token")
+    device.expect_each(
+        Result.BAD_STATE,
+        (MessageType.ARM, device.arm_payload(), "in ARMED"),
+        (MessageType.STIMULUS_BEGIN, _begin(10), "in ARMED"),
+        (MessageType.START, struct.pack("<I", 8), "with another token"),
+    )
     device.send(MessageType.HEARTBEAT)
     device.require_state(State.ARMED)
 

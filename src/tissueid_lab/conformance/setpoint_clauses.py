@@ -66,15 +66,15 @@ def _wrong_blocks(device: DeviceUnderTest) -> None:
     follow = BUFFER + 1000
     _armed(device, stimulus=10, follow=follow)
     zeros = np.zeros(50, "<i2")
-    for payload, words in (
-        (_block(10, zeros[:0]), "without codes"),
-        (_block(10, zeros) + b"\0", "with half a code"),
-        (_block(9, zeros), "in the stimulus"),
-        (_block(10 + follow - 49, zeros), "beyond the announced end"),
-        (_block(2**32 - 1, zeros), "at the largest offset"),
-    ):
-        device.expect(Result.BAD_ARGUMENT, MessageType.SETPOINTS, payload, words)
-    device.expect(Result.BAD_ARGUMENT, MessageType.SETPOINTS, b"\7\0\0\0", "without an offset")
+    device.expect_each(
+        Result.BAD_ARGUMENT,
+        (MessageType.SETPOINTS, _block(10, zeros[:0]), "without codes"),
+        (MessageType.SETPOINTS, _block(10, zeros) + b"\0", "with half a code"),
+        (MessageType.SETPOINTS, _block(9, zeros), "in the stimulus"),
+        (MessageType.SETPOINTS, _block(10 + follow - 49, zeros), "beyond the announced end"),
+        (MessageType.SETPOINTS, _block(2**32 - 1, zeros), "at the largest offset"),
+        (MessageType.SETPOINTS, b"\7\0\0\0", "without an offset"),
+    )
     device.expect(Result.TOO_LARGE, MessageType.SETPOINTS, _block(10 + BUFFER - 49, zeros), "beyond the buffer")
     device.expect(Result.BAD_STATE, MessageType.SETPOINTS, _block(10, zeros, token=8), "with another token")
     answer = device.expect(Result.OK, MessageType.SETPOINTS, _block(10 + BUFFER - 50, zeros), "at the buffer's end")
