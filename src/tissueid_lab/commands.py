@@ -34,7 +34,8 @@ def conformance(plan: ConformancePlan, json_file: JsonFile = None) -> None:
     from tissueid.cli.output import at_terminal, check_json, console_control, human_output, table, write_json
     from tissueid.procedures.instrument_access import audit_trail
     from tissueid.procedures.output_files import check_different
-    from tissueid_lab.conformance.procedure import answer_of, run_conformance
+    from tissueid_lab.conformance.procedure import run_conformance
+    from tissueid_lab.conformance.suite import answer_of
 
     check_different(plan.out, json_file)
     check_json(json_file)

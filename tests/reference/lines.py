@@ -8,7 +8,7 @@ from firmware_sim.reference.emulator import EmulatedLockstep
 from firmware_sim.reference.lockstep import Disturbance, Lockstep
 from firmware_sim.tissue import FREE_AIR
 from tissueid_lab.conformance.device import Confirmed, DeviceUnderTest
-from tissueid_lab.conformance.line import Act
+from tissueid_lab.conformance.exchange import Act
 from tissueid_lab.conformance.suite import run_suite
 
 STEP = 4

@@ -16,7 +16,7 @@ from tissueid.errors import UnusableInputError
 from tissueid.procedures.control import Control
 from tissueid_lab.conformance.clause import CLAUSES
 from tissueid_lab.conformance.device import Confirmed, DeviceUnderTest
-from tissueid_lab.conformance.line import Unattended
+from tissueid_lab.conformance.exchange import Unattended
 from tissueid_lab.conformance.procedure import ConformancePlan, run_conformance
 from tissueid_lab.conformance.suite import run_suite
 

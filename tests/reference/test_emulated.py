@@ -12,7 +12,7 @@ from tissueid.instrument import SerialLink
 from tissueid.wire import Frame, FrameDecoder, MessageType, encode_frame
 from tissueid_lab.conformance.clause import CLAUSES
 from tissueid_lab.conformance.device import Confirmed, DeviceUnderTest
-from tissueid_lab.conformance.line import LinkLine
+from tissueid_lab.conformance.exchange import LinkLine
 from tissueid_lab.conformance.suite import run_suite
 
 QUICK = ("2a", "4.6c", "5.3a")

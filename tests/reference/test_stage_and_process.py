@@ -12,7 +12,7 @@ from firmware_sim.reference.lockstep import Disturbance
 from tissueid.instrument import SerialLink
 from tissueid.wire import Fault, Frame, MessageType, Result, State, encode_frame
 from tissueid_lab.conformance.device import Confirmed, DeviceUnderTest
-from tissueid_lab.conformance.line import LinkLine
+from tissueid_lab.conformance.exchange import LinkLine
 from tissueid_lab.conformance.suite import run_suite
 
 SLOW = ("--plant", "free", "--stage", "0.02")

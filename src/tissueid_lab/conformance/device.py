@@ -14,8 +14,7 @@ import tissueid.wire as wire
 from tissueid.instrument.handshake import Handshake, parse_hello
 from tissueid.wire import Flag, MessageType, Result, State
 from tissueid_lab.conformance.clause import NotTestedError, require
-from tissueid_lab.conformance.exchange import Exchange
-from tissueid_lab.conformance.line import Act, Attendant, Line, Unattended
+from tissueid_lab.conformance.exchange import Act, Attendant, Exchange, Line, Unattended
 
 GENTLE_N = 2.0
 """Largest force of the suite: with more, an end of the stroke is a fault, and a free coil lies there."""

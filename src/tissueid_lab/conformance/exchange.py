@@ -1,19 +1,22 @@
-"""Exchange of frames with a device under test, without any of the checks of the driver."""
+"""Exchange of frames with a device under test, without the checks of the driver; its line, and the person at it."""
 
 from __future__ import annotations
 
+import time
 from collections import deque
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
-from typing import Any
+from enum import Enum
+from typing import Any, Protocol
 
 import numpy as np
 from numpy.typing import NDArray
 
 import tissueid.wire as wire
-from tissueid.wire import MessageType, Result, State
+from tissueid.instrument.link import Link
+from tissueid.language import marked
+from tissueid.wire import Fault, MessageType, Result, State
 from tissueid_lab.conformance.clause import ViolationError, require, violated
-from tissueid_lab.conformance.line import Line
 
 ANSWER_S = 0.3
 """Time after which a request is repeated, as a host does (docs/protocol.md, 4.2)."""
@@ -23,6 +26,68 @@ _SLICE_S = 0.02
 _MOST_BYTES = 8_000_000
 """Largest number of bytes that are read for one clause: a device may send without end."""
 _KEPT_FRAMES = 2000
+
+
+class Line(Protocol):
+    """Bytes to and from the device, and the time in which they travel: real, or simulated in a test."""
+
+    def read(self, timeout_s: float) -> bytes:
+        """Return the bytes that have arrived; wait up to ``timeout_s`` for the first."""
+
+    def write(self, data: bytes) -> None:
+        """Send all of ``data``."""
+
+    def clock(self) -> float:
+        """Return the time in seconds."""
+
+    def pause(self, seconds: float) -> None:
+        """Let time pass without reading."""
+
+
+class LinkLine:
+    """A line over a port of this computer, in real time."""
+
+    def __init__(self, link: Link) -> None:
+        self._link = link
+
+    def read(self, timeout_s: float) -> bytes:  # noqa: D102
+        return self._link.read(timeout_s)
+
+    def write(self, data: bytes) -> None:  # noqa: D102
+        self._link.write(data)
+
+    def clock(self) -> float:  # noqa: D102
+        return time.monotonic()
+
+    def pause(self, seconds: float) -> None:  # noqa: D102
+        time.sleep(seconds)
+
+
+class Act(Enum):
+    """What a person does at the device for a clause; the value is the request to that person."""
+
+    PRESS_BUTTON = marked("Press the button of the instrument, and hold it")
+    RELEASE_BUTTON = marked("Release the button")
+    LOWER_SUPPLY = marked("Switch the amplifier's supply off")
+    RESTORE_SUPPLY = marked("Switch the amplifier's supply on")
+    DISCONNECT_COIL = marked("Disconnect the coil")
+    CONNECT_COIL = marked("Connect the coil")
+    DISCONNECT_POSITION = marked("Disconnect the position sensor")
+    CONNECT_POSITION = marked("Connect the position sensor")
+
+
+class Attendant(Protocol):
+    """The person at the device, or a test in place of one."""
+
+    def perform(self, act: Act) -> float:
+        """Request an act, and return the time in seconds within which it happens; 0: no person attends."""
+
+
+class Unattended:
+    """No person is at the device: clauses that need one are not begun."""
+
+    def perform(self, act: Act) -> float:  # noqa: D102
+        return 0.0
 
 
 @dataclass(frozen=True)
@@ -140,18 +205,18 @@ class Exchange:
                 return Answer(_result(ack["result"]), ack["detail"], frame.sample_index)
         raise violated(f"an answer to {_name(kind)}", "none")
 
-    def expect(self, result: Result, kind: int, payload: bytes = b"", words: str = "") -> Answer:
+    def expect(
+        self, result: Result, kind: int, payload: bytes = b"", words: str = "", *, detail: int | None = None
+    ) -> Answer:
         """Send a request and return its answer.
 
         Raises:
-            ViolationError: the result is another one; ``words`` describe the request.
+            ViolationError: the result, or the detail if one is given, is another one; ``words`` describe the request.
         """
         answer = self.ask(kind, payload)
-        require(
-            answer.result == result,
-            f"{result.name} to {_name(kind)}{' ' + words if words else ''}",
-            getattr(answer.result, "name", answer.result),
-        )
+        request = f"{_name(kind)}{' ' + words if words else ''}"
+        require(answer.result == result, f"{result.name} to {request}", getattr(answer.result, "name", answer.result))
+        require(detail in (None, answer.detail), f"detail {detail} to {request}", answer.detail)
         return answer
 
     def expect_each(self, result: Result, *requests: tuple[int, bytes, str]) -> None:
@@ -220,6 +285,15 @@ class Exchange:
         require(status["state"] == state, f"state {state.name} {words}".rstrip(), _state(status["state"]))
         return status
 
+    def wait_for_fault(self, fault: Fault, seconds: float, words: str = "") -> dict[str, Any]:
+        """Wait for a fault, and return the status that reports it.
+
+        Raises:
+            ViolationError: there is none within the time, or another one.
+        """
+        self.wait(lambda: self.newest_state == State.FAULT, seconds, f"fault {fault.name} {words}".rstrip())
+        return require_status(self.newest_status(), faults=fault)
+
     def hello(self, low: int = 1, high: int = 1, tail: bytes = b"") -> bytes:
         """Send HELLO and return the payload of HELLO_ACK.
 
@@ -231,6 +305,14 @@ class Exchange:
             if frame.type == MessageType.HELLO_ACK:
                 return frame.payload
         raise violated("HELLO_ACK", "no answer to HELLO")
+
+
+def require_status(status: dict[str, Any], **expected: int) -> dict[str, Any]:
+    """Return a status; raise ViolationError where a field is another one than expected."""
+    for name, value in expected.items():
+        text = {"state": _state, "faults": _faults}.get(name, str)
+        require(status[name] == value, f"{name} {text(value)}", text(status[name]))
+    return status
 
 
 def _unpacked(dtype: np.dtype, frame: wire.Frame) -> dict[str, Any]:
@@ -254,6 +336,10 @@ def _result(number: int) -> Result | int:
 
 def _state(number: int) -> str:
     return State(number).name if number in set(State) else str(number)
+
+
+def _faults(number: int) -> str:
+    return Fault(number).name or "none"
 
 
 def _name(kind: int) -> str:

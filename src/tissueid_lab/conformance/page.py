@@ -2,16 +2,12 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING
-
 from tissueid.formatting import fixed
 from tissueid.language import _, marked
 from tissueid.messages import translated
 from tissueid.reports.stimulus_report import StimulusReport
 from tissueid.reports.tables import Table
-
-if TYPE_CHECKING:
-    from tissueid_lab.conformance.procedure import Conformance
+from tissueid_lab.conformance.suite import Conformance
 
 OUTCOMES = {"passed": marked("passed"), "failed": marked("FAILED"), "not tested": marked("not tested")}
 """Words of the outcomes."""

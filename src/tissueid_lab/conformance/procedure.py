@@ -2,16 +2,14 @@
 
 from __future__ import annotations
 
-from collections import Counter
 from collections.abc import Callable
-from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Literal
 
 from pydantic import Field
 
 from tissueid.errors import UnusableInputError
-from tissueid.messages import Message, Verbatim, stored
+from tissueid.messages import Message, Verbatim
 from tissueid.plan_options import Option, Plan
 from tissueid.procedures.control import Control, counted
 from tissueid.procedures.output_files import HTML, check_output
@@ -19,8 +17,9 @@ from tissueid.procedures.output_files import HTML, check_output
 if TYPE_CHECKING:  # each takes long to import
     from tissueid.audit import AuditTrail
     from tissueid.instrument import Link
-    from tissueid_lab.conformance.clause import Clause, ClauseResult
-    from tissueid_lab.conformance.line import Act
+    from tissueid_lab.conformance.clause import Clause
+    from tissueid_lab.conformance.exchange import Act
+    from tissueid_lab.conformance.suite import Conformance
 
 Attached = Literal["coil-dummy", "free-coil"]
 
@@ -53,37 +52,6 @@ class ConformancePlan(Plan):
         bool, Option("--attended", help="also test the clauses that need a person at the instrument")
     ] = False
     out: Annotated[Path | None, Option("--out", metavar="PAGE", help="write the result as one HTML page")] = None
-
-
-@dataclass(frozen=True)
-class Conformance:
-    """Result of the clauses of a device; ``device`` is its model and serial number, "" if it did not answer."""
-
-    url: str
-    device: str
-    firmware: str
-    attached: str
-    force_n: float
-    results: tuple[ClauseResult, ...]
-
-    @property
-    def passed(self) -> bool:
-        """Whether clauses were tested and none failed."""
-        from tissueid_lab.conformance.suite import passed
-
-        return passed(self.results)
-
-    @property
-    def headline(self) -> Message:
-        """The numbers of clauses that passed, failed and were not tested."""
-        counts = Counter(item.outcome for item in self.results)
-        return Message(
-            "conformance.headline",
-            "{passed} clauses passed, {failed} failed, {open} not tested",
-            passed=counts["passed"],
-            failed=counts["failed"],
-            open=counts["not tested"],
-        )
 
 
 class _Person:
@@ -119,8 +87,8 @@ def run_conformance(
     from tissueid.instrument import SerialLink
     from tissueid_lab.conformance.clause import CLAUSES
     from tissueid_lab.conformance.device import Confirmed, DeviceUnderTest
-    from tissueid_lab.conformance.line import LinkLine, Unattended
-    from tissueid_lab.conformance.suite import in_order, run_suite
+    from tissueid_lab.conformance.exchange import LinkLine, Unattended
+    from tissueid_lab.conformance.suite import Conformance, in_order, run_suite
 
     if plan.attached is None:
         raise UnusableInputError(
@@ -172,16 +140,3 @@ def run_conformance(
 
         conformance_report(found).write(plan.out)
     return found
-
-
-def answer_of(found: Conformance) -> dict[str, object]:
-    """Return the result for JSON."""
-    return {
-        "device": found.url,
-        "instrument": found.device,
-        "firmware_version": found.firmware,
-        "attached": found.attached,
-        "force_n": found.force_n,
-        "passed": found.passed,
-        "clauses": [asdict(item) | {"reason": item.reason, "message": stored(item.reason)} for item in found.results],
-    }

@@ -13,6 +13,7 @@ from tissueid.language import marked
 from tissueid.wire import Fault, Flag, MessageType, Result, State
 from tissueid_lab.conformance.clause import clause, require
 from tissueid_lab.conformance.device import DeviceUnderTest, Run
+from tissueid_lab.conformance.exchange import require_status
 
 RAMP_S = 0.05
 STEP = 2
@@ -70,14 +71,13 @@ def _chunks(device: DeviceUnderTest) -> None:
     device.expect(Result.OK, MessageType.STIMULUS_BEGIN, _begin(100, zlib.crc32(codes)))
     for offset in (60, 0, 30, 60):
         data = codes[2 * offset : 2 * (offset + 40)]
-        answer = device.expect(Result.OK, MessageType.STIMULUS_CHUNK, struct.pack("<II", 1, offset) + data)
-        require(answer.detail == offset + len(data) // 2, f"detail {offset + len(data) // 2}", answer.detail)
+        payload = struct.pack("<II", 1, offset) + data
+        device.expect(Result.OK, MessageType.STIMULUS_CHUNK, payload, detail=offset + len(data) // 2)
     for identity, offset, data in ((1, 99, bytes(4)), (1, 2**32 - 1, bytes(2)), (1, 0, bytes(3)), (2, 0, bytes(2))):
         chunk = struct.pack("<II", identity, offset) + data
         device.expect(Result.BAD_ARGUMENT, MessageType.STIMULUS_CHUNK, chunk, f"{len(data)} bytes at {offset}")
     device.expect(Result.BAD_ARGUMENT, MessageType.STIMULUS_COMMIT, struct.pack("<I", 2), "of another stimulus")
-    answer = device.expect(Result.OK, MessageType.STIMULUS_COMMIT, struct.pack("<I", 1))
-    require(answer.detail == 100, "detail 100", answer.detail)
+    device.expect(Result.OK, MessageType.STIMULUS_COMMIT, struct.pack("<I", 1), detail=100)
 
 
 @clause("4.3d", marked("A loaded stimulus can be played again after a new ARM"), drives=True)
@@ -88,8 +88,7 @@ def _again(device: DeviceUnderTest) -> None:
     device.arm(token=8)
     device.expect(Result.BAD_STATE, MessageType.START, struct.pack("<I", 7), "with the token of the last run")
     run = device.finish_run(device.start(8), 2.0)
-    require(run.status["state"] == State.LOADED, "state LOADED", run.status["state"])
-    require(run.status["played_samples"] == 100, "100 played samples", run.status["played_samples"])
+    require_status(run.status, state=State.LOADED, played_samples=100)
 
 
 @clause("4.4a", marked("A request that does not fit the state is BAD_STATE and changes nothing"))
@@ -130,13 +129,12 @@ def _announced(device: DeviceUnderTest) -> None:
 def _played(device: DeviceUnderTest) -> None:
     codes = gentle(device, 0.6)
     run = device.play(codes)
-    require(run.status["state"] == State.LOADED, "state LOADED", run.status["state"])
+    require_status(run.status, state=State.LOADED, played_samples=codes.size)
     played = run.samples[: codes.size]
     changed = run.flagged(Flag.SOFT_START)[: codes.size] | run.flagged(Flag.LIMITED)[: codes.size]
     require(run.flagged(Flag.PLAYING)[: codes.size].all(), "flag 2 on every sample of the stimulus", "some without")
     different = (played["command"] != codes) & ~changed
     require(not different.any(), "the sent codes in the command channel", f"{np.count_nonzero(different)} others")
-    require(run.status["played_samples"] == codes.size, f"{codes.size} played", run.status["played_samples"])
 
 
 @clause("4.4d", marked("The end of a stimulus is a ramp to zero in 50 ms, then the amplifier is off"), drives=True)
@@ -168,16 +166,14 @@ def _finish(device: DeviceUnderTest) -> None:
     run = device.finish_run(first, 1.0)
     played = int(np.count_nonzero(run.flagged(Flag.PLAYING)))
     require(answer.detail == played, f"detail {played}, the number of samples with flag 2", answer.detail)
-    require(run.status["played_samples"] == played, f"{played} played", run.status["played_samples"])
-    require(run.status["state"] == State.LOADED, "state LOADED", run.status["state"])
+    require_status(run.status, state=State.LOADED, played_samples=played)
     require_released(device, run, played)
 
 
 @clause("4.6b", marked("FINISH disarms; after a run it returns the number of its samples"), drives=True)
 def _finish_elsewhere(device: DeviceUnderTest) -> None:
     device.play(np.zeros(100, "<i2"))
-    answer = device.expect(Result.OK, MessageType.FINISH)
-    require(answer.detail == 100, "detail 100", answer.detail)
+    device.expect(Result.OK, MessageType.FINISH, detail=100)
     device.arm()
     device.expect(Result.OK, MessageType.FINISH)
     device.require_state(State.LOADED, "after FINISH in ARMED")
@@ -191,7 +187,7 @@ def _stop(device: DeviceUnderTest) -> None:
     run = device.finish_run(first, 1.0)
     after = run.flagged(Flag.ENERGISED)[answer.detail + 2 :]
     require(not after.any(), "the amplifier off from the next sample on", f"{np.count_nonzero(after)} samples on")
-    require(run.status["state"] == State.LOADED, "state LOADED", run.status["state"])
+    require_status(run.status, state=State.LOADED)
 
 
 @clause("4.7a", marked("STAGE refuses infinite positions and those beyond the stroke, or there is no stage"))
@@ -211,7 +207,5 @@ def _stage_states(device: DeviceUnderTest) -> None:
     if answer.result == Result.UNKNOWN:
         return
     require(answer.result == Result.BAD_STATE, "BAD_STATE to STAGE in ARMED", answer.result)
-    device.wait(lambda: device.newest_state == State.FAULT, 1.5, "the watchdog")
-    answer = device.ask(MessageType.STAGE, centre)
-    require(answer.result == Result.FAULT_LATCHED, "FAULT_LATCHED to STAGE in FAULT", answer.result)
-    require(answer.detail == Fault.WATCHDOG, f"detail {int(Fault.WATCHDOG)}", answer.detail)
+    device.wait_for_fault(Fault.WATCHDOG, 1.5)
+    device.expect(Result.FAULT_LATCHED, MessageType.STAGE, centre, "in FAULT", detail=Fault.WATCHDOG)

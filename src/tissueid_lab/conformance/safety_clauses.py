@@ -11,9 +11,9 @@ from numpy.typing import NDArray
 from tissueid.instrument.interface import SIGNALS
 from tissueid.language import marked
 from tissueid.wire import Fault, Flag, MessageType, Result, State
-from tissueid_lab.conformance.clause import NotTestedError, clause, require, violated
+from tissueid_lab.conformance.clause import NotTestedError, clause, require
 from tissueid_lab.conformance.device import GENTLE_N, DeviceUnderTest, Run
-from tissueid_lab.conformance.line import Act
+from tissueid_lab.conformance.exchange import Act, require_status
 from tissueid_lab.conformance.run_clauses import STEP
 
 _LATER_S = 0.1
@@ -26,8 +26,7 @@ _SHARE = 0.8
 
 def _require_fault(run: Run, fault: Fault, last: int | None = None) -> None:
     """Require that a run ended by a fault, and that the amplifier was off after sample ``last`` of the run."""
-    got = Fault(run.status["faults"])
-    require(run.status["state"] == State.FAULT and got == fault, f"fault {fault.name}", got.name or "none")
+    require_status(run.status, faults=fault, state=State.FAULT)
     on = np.flatnonzero(run.flagged(Flag.ENERGISED))
     if last is not None:
         newest = int(on[-1]) if on.size else -1
@@ -60,9 +59,7 @@ def _watchdog_armed(device: DeviceUnderTest) -> None:
     device.load(_quiet(device, 0.01))
     answer = device.expect(Result.OK, MessageType.ARM, device.arm_payload())
     promised = device.known.watchdog_s
-    device.wait(lambda: device.newest_state == State.FAULT, promised + 0.5, "the watchdog in ARMED")
-    status = device.newest_status()
-    require(status["faults"] == Fault.WATCHDOG, "fault WATCHDOG", Fault(status["faults"]))
+    status = device.wait_for_fault(Fault.WATCHDOG, promised + 0.5, "in ARMED")
     seconds = (status["index"] - answer.index) / device.rate_hz
     device.measured = {"watchdog_s": seconds}
     within = promised - 0.05 <= seconds <= promised + _LATER_S
@@ -84,7 +81,7 @@ def _watchdog_running(device: DeviceUnderTest) -> None:
 @clause("5.2c", marked("Heartbeats keep a run alive; other frames do not"), drives=True)
 def _heartbeats(device: DeviceUnderTest) -> None:
     run = device.play(_quiet(device, 1.2))
-    require(run.status["state"] == State.LOADED, "a whole run with heartbeats", Fault(run.status["faults"]))
+    require_status(run.status, faults=Fault.NONE, state=State.LOADED)
     device.arm()
     first = device.start()
     device.keep_alive(False)
@@ -92,7 +89,7 @@ def _heartbeats(device: DeviceUnderTest) -> None:
         device.pump(0.1)
         device.send(MessageType.STATUS_REQUEST)
     run = device.finish_run(first, 0.5)
-    require(run.status["faults"] == Fault.WATCHDOG, "fault WATCHDOG despite requests", Fault(run.status["faults"]))
+    require_status(run.status, faults=Fault.WATCHDOG)
 
 
 @clause("5.3a", marked("NaN and infinite limits are refused"))
@@ -277,8 +274,7 @@ def _button(device: DeviceUnderTest) -> None:
     device.keep_alive(True)
     device.arm()
     seconds = device.act(Act.PRESS_BUTTON)
-    device.wait(lambda: device.newest_state == State.FAULT, seconds + 0.1, "fault BUTTON in ARMED")
-    require(device.newest_status()["faults"] == Fault.BUTTON, "fault BUTTON", Fault(device.newest_status()["faults"]))
+    device.wait_for_fault(Fault.BUTTON, seconds + 0.1, "in ARMED")
     device.expect(Result.OK, MessageType.CLEAR_FAULTS)
     device.load(_quiet(device, 0.1))
     for kind, payload in (
@@ -358,8 +354,7 @@ def _open_coil(device: DeviceUnderTest) -> None:
 def _supply(device: DeviceUnderTest) -> None:
     seconds = device.act(Act.LOWER_SUPPLY)
     device.wait(lambda: bool(device.statuses), seconds + 0.1, "fault BROWN_OUT in IDLE")
-    status = device.require_state(State.FAULT)
-    require(status["faults"] == Fault.BROWN_OUT, "fault BROWN_OUT", Fault(status["faults"]))
+    require_status(device.status(), faults=Fault.BROWN_OUT, state=State.FAULT)
     device.expect(Result.OK, MessageType.CLEAR_FAULTS)
     device.pump(0.05)
     device.require_state(State.FAULT, "while the supply is low")
@@ -372,10 +367,9 @@ def _supply(device: DeviceUnderTest) -> None:
 def _latched(device: DeviceUnderTest) -> None:
     device.load(np.zeros(10, "<i2"))
     device.arm()
-    device.wait(lambda: device.newest_state == State.FAULT, 1.5, "the watchdog")
+    device.wait_for_fault(Fault.WATCHDOG, 1.5)
     for kind in (*range(MessageType.STIMULUS_BEGIN, MessageType.SETPOINTS + 1), 0x20, 0x21, 0x25):
-        answer = device.expect(Result.FAULT_LATCHED, kind, bytes(12), "while a fault is latched")
-        require(answer.detail == Fault.WATCHDOG, f"detail {int(Fault.WATCHDOG)}", answer.detail)
+        device.expect(Result.FAULT_LATCHED, kind, bytes(12), "while a fault is latched", detail=Fault.WATCHDOG)
     device.expect(Result.OK, MessageType.STOP)
     device.hello()
     device.require_state(State.FAULT, "after STOP and HELLO")
@@ -396,16 +390,14 @@ def _unread(device: DeviceUnderTest) -> None:
         device.line.pause(0.5)
     device.pump(0.3)
     faults = [item for item in device.statuses if item["state"] == State.FAULT]
-    status = device.status()
-    require(status["state"] == State.FAULT, "the watchdog's fault although nothing was read", State(status["state"]))
+    status = device.require_state(State.FAULT, "by the watchdog although nothing was read")
     if faults:
         seconds = (faults[0]["index"] - answer.index) / device.rate_hz
         promised = device.known.watchdog_s
         require(seconds <= promised + _LATER_S, f"the fault after {promised:.2f} s", f"{seconds:.2f} s")
     size = device.properties["samples_per_frame"]
     indices = [index for index, _ in device.blocks]
-    if len(indices) < 2:
-        raise violated("DATA while streaming", "none")
+    require(len(indices) >= 2, "DATA while streaming", "none")
     missing = sum((b - a) // size - 1 for a, b in pairwise(indices))
     counted = status["dropped_frames"] - dropped
     device.measured = {"dropped_frames": float(counted)}

@@ -11,6 +11,7 @@ from tissueid.language import marked
 from tissueid.wire import Fault, Flag, MessageType, Result, State
 from tissueid_lab.conformance.clause import clause, require
 from tissueid_lab.conformance.device import DeviceUnderTest
+from tissueid_lab.conformance.exchange import require_status
 from tissueid_lab.conformance.run_clauses import STEP
 
 BUFFER = 8192
@@ -40,8 +41,7 @@ def _announced(device: DeviceUnderTest) -> None:
     device.load(np.zeros(10, "<i2"))
     device.expect(Result.BAD_STATE, MessageType.FOLLOW, _follow(10, identity=2), "for another stimulus")
     most = round(_MAX_RUN_S * device.rate_hz) - 10
-    answer = device.expect(Result.OK, MessageType.FOLLOW, _follow(100))
-    require(answer.detail == 110, "detail 110", answer.detail)
+    device.expect(Result.OK, MessageType.FOLLOW, _follow(100), detail=110)
     for samples in (most + 1, 2**32 - 1):
         device.expect(Result.TOO_LARGE, MessageType.FOLLOW, _follow(samples), f"with {samples} samples")
 
@@ -77,10 +77,9 @@ def _wrong_blocks(device: DeviceUnderTest) -> None:
     )
     device.expect(Result.TOO_LARGE, MessageType.SETPOINTS, _block(10 + BUFFER - 49, zeros), "beyond the buffer")
     device.expect(Result.BAD_STATE, MessageType.SETPOINTS, _block(10, zeros, token=8), "with another token")
-    answer = device.expect(Result.OK, MessageType.SETPOINTS, _block(10 + BUFFER - 50, zeros), "at the buffer's end")
-    require(answer.detail == 10, "next missing sample 10", answer.detail)
-    answer = device.expect(Result.OK, MessageType.SETPOINTS, _block(10, zeros))
-    require(answer.detail == 60, "next missing sample 60", answer.detail)
+    last = _block(10 + BUFFER - 50, zeros)
+    device.expect(Result.OK, MessageType.SETPOINTS, last, "at the buffer's end: next missing sample", detail=10)
+    device.expect(Result.OK, MessageType.SETPOINTS, _block(10, zeros), "before: next missing sample", detail=60)
 
 
 @clause("4.5d", marked("A block with one set-point above the force limit is refused as a whole"), drives=True)
@@ -96,7 +95,7 @@ def _too_strong(device: DeviceUnderTest) -> None:
         codes[-1] = device.codes(sign * 1.1 * low)[0]
         device.expect(Result.BEYOND_LIMITS, MessageType.SETPOINTS, _block(lead, codes), "10 % above the force limit")
     run = device.finish_run(device.start(), 2.0)
-    require(run.status["held_samples"] == 100, "100 held samples", run.status["held_samples"])
+    require_status(run.status, held_samples=100)
     require(not run.samples["command"].any(), "no set-point of a refused block", "a command")
 
 
@@ -118,7 +117,7 @@ def _played(device: DeviceUnderTest) -> None:
     limited = run.flagged(Flag.LIMITED)[lead : lead + 300]
     different = (played["command"] != wanted) & ~limited
     require(not different.any(), "the newest codes in the command channel", f"{np.count_nonzero(different)} others")
-    require(run.status["held_samples"] == 0, "no held samples", run.status["held_samples"])
+    require_status(run.status, held_samples=0)
 
 
 @clause("4.5f", marked("Missing set-points: a ramp to the hold level, and a return, all flagged"), drives=True)
@@ -146,8 +145,7 @@ def _held(device: DeviceUnderTest) -> None:
     held[:size] = held[back + fade : back + size] = False
     wrong = np.count_nonzero(run.flagged(Flag.HELD)[lead : lead + end] != held)
     require(wrong == 0, "flag 16 on every sample that is not the host's", f"{wrong} wrong")
-    count = int(np.count_nonzero(held))
-    require(run.status["held_samples"] == count, f"{count} held samples", run.status["held_samples"])
+    require_status(run.status, held_samples=int(np.count_nonzero(held)))
 
 
 @clause("4.5g", marked("A late block is LATE and counted, and its rest is played"), drives=True)
@@ -161,7 +159,7 @@ def _late(device: DeviceUnderTest) -> None:
     device.expect(Result.LATE, MessageType.SETPOINTS, _block(lead, np.full(most, level)))
     device.expect(Result.LATE, MessageType.SETPOINTS, _block(lead, np.full(10, level)))
     run = device.finish_run(first, 3.0)
-    require(run.status["late_blocks"] == 2, "2 late blocks", run.status["late_blocks"])
+    require_status(run.status, late_blocks=2)
     end = run.samples["command"][lead + most - 10 : lead + most]
     free = ~run.flagged(Flag.LIMITED)[lead + most - 10 : lead + most]
     require((end[free] == level).all(), "the rest of a late block to be played", end.tolist())
@@ -172,7 +170,7 @@ def _starved(device: DeviceUnderTest) -> None:
     lead = round(0.05 * device.rate_hz)
     _armed(device, stimulus=lead, follow=round(2.0 * device.rate_hz))
     run = device.finish_run(device.start(), 2.0)
-    require(run.status["faults"] == Fault.STARVED, "fault STARVED", Fault(run.status["faults"]))
+    require_status(run.status, faults=Fault.STARVED)
     held = int(np.count_nonzero(run.flagged(Flag.HELD)))
     expected = round(0.5 * device.rate_hz)
     require(abs(held - expected) <= 2, f"{expected} held samples", held)
@@ -186,10 +184,8 @@ def _over(device: DeviceUnderTest) -> None:
     _armed(device, stimulus=lead, follow=10)
     device.finish_run(device.start(), 2.0)
     device.expect(Result.LATE, MessageType.SETPOINTS, _block(lead, np.zeros(10)), "after the run")
-    status = device.require_state(State.LOADED)
-    require(status["late_blocks"] == 0, "no late block", status["late_blocks"])
+    require_status(device.require_state(State.LOADED), late_blocks=0)
     device.arm(max_samples=lead)
-    answer = device.ask(MessageType.SETPOINTS, _block(lead, np.zeros(10)))
-    require(answer.result == Result.BAD_ARGUMENT, "BAD_ARGUMENT without a new FOLLOW", answer.result)
+    device.expect(Result.BAD_ARGUMENT, MessageType.SETPOINTS, _block(lead, np.zeros(10)), "without a new FOLLOW")
     device.expect(Result.OK, MessageType.STOP)
     device.expect(Result.LATE, MessageType.SETPOINTS, struct.pack("<IIh", 7, lead, 0), "after STOP")

@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Sequence
+from collections import Counter
+from collections.abc import Callable, Iterable
 from contextlib import suppress
+from dataclasses import asdict, dataclass
 from string import ascii_lowercase
 
 from tissueid.errors import InstrumentError, LinkLostError, TissueIDError
-from tissueid.messages import Message, Verbatim
+from tissueid.messages import Message, Verbatim, stored
 from tissueid.wire import MessageType
 from tissueid_lab.conformance import frame_clauses, run_clauses, safety_clauses, setpoint_clauses
 from tissueid_lab.conformance.clause import CLAUSES, Clause, ClauseResult, NotTestedError, ViolationError
@@ -115,6 +117,44 @@ def _release_coil(device: DeviceUnderTest) -> None:
         device.send(MessageType.RELEASE)
 
 
-def passed(results: Sequence[ClauseResult]) -> bool:
-    """Return whether at least one clause was tested and none failed."""
-    return any(item.outcome == "passed" for item in results) and not any(item.outcome == "failed" for item in results)
+@dataclass(frozen=True)
+class Conformance:
+    """Result of the clauses of a device; ``device`` is its model and serial number, "" if it did not answer."""
+
+    url: str
+    device: str
+    firmware: str
+    attached: str
+    force_n: float
+    results: tuple[ClauseResult, ...]
+
+    @property
+    def passed(self) -> bool:
+        """Whether clauses were tested and none failed."""
+        outcomes = {item.outcome for item in self.results}
+        return "passed" in outcomes and "failed" not in outcomes
+
+    @property
+    def headline(self) -> Message:
+        """The numbers of clauses that passed, failed and were not tested."""
+        counts = Counter(item.outcome for item in self.results)
+        return Message(
+            "conformance.headline",
+            "{passed} clauses passed, {failed} failed, {open} not tested",
+            passed=counts["passed"],
+            failed=counts["failed"],
+            open=counts["not tested"],
+        )
+
+
+def answer_of(found: Conformance) -> dict[str, object]:
+    """Return the result for JSON."""
+    return {
+        "device": found.url,
+        "instrument": found.device,
+        "firmware_version": found.firmware,
+        "attached": found.attached,
+        "force_n": found.force_n,
+        "passed": found.passed,
+        "clauses": [asdict(item) | {"reason": item.reason, "message": stored(item.reason)} for item in found.results],
+    }
