@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable, Sequence
 from typing import Any, TypeVar
 
-from PySide6.QtCore import Qt, SignalInstance
+from PySide6.QtCore import QObject, Qt, QTimer, SignalInstance
 from PySide6.QtWidgets import (
     QBoxLayout,
     QHBoxLayout,
@@ -60,14 +60,17 @@ def column(
 def styled(widget: AnyWidget, **properties: Any) -> AnyWidget:
     """Set properties of a widget: ``tip``, ``name`` (for screen readers), those of the style sheet, and those of Qt.
 
-    ``word_wrap=True`` calls ``setWordWrap(True)``.
+    ``word_wrap=True`` calls ``setWordWrap(True)``, ``range=(0, 9)`` calls ``setRange(0, 9)``. ``clicked`` is called,
+    or sent, by a button.
     """
     for key, value in properties.items():
         if key in STYLE_PROPERTIES:
             widget.setProperty(key, value)
+        elif key == "clicked":
+            widget.clicked.connect(value)  # type: ignore[attr-defined]
         else:
-            setter = _SETTERS.get(key) or "set" + key.title().replace("_", "")
-            getattr(widget, setter)(value)
+            set_value = getattr(widget, _SETTERS.get(key) or "set" + key.title().replace("_", ""))
+            set_value(*value) if isinstance(value, tuple) else set_value(value)
     return widget
 
 
@@ -86,6 +89,15 @@ def button(text: str, clicked: Callable[[], object] | SignalInstance | None = No
     made = styled(QPushButton(text), **properties)
     if clicked is not None:
         made.clicked.connect(clicked)
+    return made
+
+
+def timer(parent: QObject, interval_ms: int, timeout: Callable[[], object], *, repeat: bool = False) -> QTimer:
+    """Return a timer that calls ``timeout`` once after each start, or again and again."""
+    made = QTimer(parent)
+    made.setSingleShot(not repeat)
+    made.setInterval(interval_ms)
+    made.timeout.connect(timeout)
     return made
 
 
