@@ -26,9 +26,13 @@ AnyWidget = TypeVar("AnyWidget", bound=QWidget)
 Box = TypeVar("Box", bound=QBoxLayout)
 
 
-def fill(box: Box, *items: Item | tuple[Item, int], spacing: int = 6, margins: Sequence[int] = (0,)) -> Box:
-    """Fill a box with items, each with its stretch if it has one. One margin is that of all sides."""
-    box.setSpacing(spacing)
+def fill(box: Box, *items: Item | tuple[Item, int], spacing: int | None = 6, margins: Sequence[int] = (0,)) -> Box:
+    """Fill a box with items, each with its stretch if it has one. One margin is that of all sides.
+
+    Without a ``spacing`` it takes that of the layout it is put into.
+    """
+    if spacing is not None:
+        box.setSpacing(spacing)
     box.setContentsMargins(*(margins if len(margins) == 4 else [margins[0]] * 4))
     for entry in items:
         item, stretch = entry if isinstance(entry, tuple) else (entry, 0)
@@ -42,7 +46,7 @@ def fill(box: Box, *items: Item | tuple[Item, int], spacing: int = 6, margins: S
 
 
 def row(
-    *items: Item | tuple[Item, int], spacing: int = 6, margins: Sequence[int] = (0,), parent: QWidget | None = None
+    *items: Item | tuple[Item, int], spacing: int | None = 6, margins: Sequence[int] = (0,), parent: QWidget | None = None
 ) -> QHBoxLayout:
     """Return a row of items, the layout of ``parent`` if there is one."""
     box = QHBoxLayout() if parent is None else QHBoxLayout(parent)
@@ -50,7 +54,7 @@ def row(
 
 
 def column(
-    *items: Item | tuple[Item, int], spacing: int = 6, margins: Sequence[int] = (0,), parent: QWidget | None = None
+    *items: Item | tuple[Item, int], spacing: int | None = 6, margins: Sequence[int] = (0,), parent: QWidget | None = None
 ) -> QVBoxLayout:
     """Return a column of items, the layout of ``parent`` if there is one."""
     box = QVBoxLayout() if parent is None else QVBoxLayout(parent)

@@ -91,9 +91,11 @@ class PlotCard(QFrame):
         self._heading = build.styled(ElidedLabel(), role="heading")
         self._legend = build.styled(QLabel(textFormat=Qt.TextFormat.RichText, wordWrap=True), role="muted")
         self._legend.setAlignment(Qt.AlignmentFlag.AlignRight | Qt.AlignmentFlag.AlignVCenter)
-        self._missing = build.label("muted", alignment=Qt.AlignmentFlag.AlignCenter)
-        self._missing.hide()
-        heading = build.row(self._heading, (self._legend, 1))
+        self._missing = build.styled(
+            QLabel(), role="muted", word_wrap=True, minimum_width=1, text_format=Qt.TextFormat.PlainText, hidden=True
+        )
+        self._missing.setAlignment(Qt.AlignmentFlag.AlignCenter)
+        heading = build.row(self._heading, (self._legend, 1), spacing=2)
         build.column(heading, (self.plot, 1), (self._missing, 1), spacing=2, margins=(10, 6, 10, 6), parent=self)
         self._head()
         self.plot.getAxis("bottom").setScale(shown_label(x_label)[1])

@@ -107,6 +107,7 @@ class PopulationView(QWidget):
         for choice in (self.engine, self.parameter, self.across, self.group, self.spread):
             choice.activated.connect(self._choose)
         appearance.changed.connect(self._show)
+        self._show()
         self.show_outcomes(())
 
     def show_outcomes(self, outcomes: Sequence[EngineOutcome]) -> None:
