@@ -46,7 +46,10 @@ def fill(box: Box, *items: Item | tuple[Item, int], spacing: int | None = 6, mar
 
 
 def row(
-    *items: Item | tuple[Item, int], spacing: int | None = 6, margins: Sequence[int] = (0,), parent: QWidget | None = None
+    *items: Item | tuple[Item, int],
+    spacing: int | None = 6,
+    margins: Sequence[int] = (0,),
+    parent: QWidget | None = None,
 ) -> QHBoxLayout:
     """Return a row of items, the layout of ``parent`` if there is one."""
     box = QHBoxLayout() if parent is None else QHBoxLayout(parent)
@@ -54,7 +57,10 @@ def row(
 
 
 def column(
-    *items: Item | tuple[Item, int], spacing: int | None = 6, margins: Sequence[int] = (0,), parent: QWidget | None = None
+    *items: Item | tuple[Item, int],
+    spacing: int | None = 6,
+    margins: Sequence[int] = (0,),
+    parent: QWidget | None = None,
 ) -> QVBoxLayout:
     """Return a column of items, the layout of ``parent`` if there is one."""
     box = QVBoxLayout() if parent is None else QVBoxLayout(parent)

@@ -7,7 +7,6 @@ from PySide6.QtCore import Qt, Signal
 from PySide6.QtWidgets import (
     QCheckBox,
     QFrame,
-    QHBoxLayout,
     QHeaderView,
     QLabel,
     QProgressBar,
@@ -15,10 +14,10 @@ from PySide6.QtWidgets import (
     QSizePolicy,
     QTableWidget,
     QTableWidgetItem,
-    QVBoxLayout,
     QWidget,
 )
 
+from tissueid.app import build
 from tissueid.app.calibration_state import figure_of
 from tissueid.app.live_signals import Array
 from tissueid.app.number_field import NumberField
@@ -75,36 +74,25 @@ class CalibrationPage(QWidget):
     def __init__(self, parent: QWidget | None = None) -> None:
         super().__init__(parent)
         self.begin: dict[Kind, QPushButton] = {}
-        self.step = QLabel()
-        self.step.setProperty("role", "muted")
-        self.step.setWordWrap(True)
-        self.step.setMinimumWidth(1)
-        self.bar = QProgressBar()
-        self.bar.setRange(0, _STEPS)
-        self.bar.setTextVisible(False)
-        self.bar.setAccessibleName(_("Progress of the calibration"))
-        self.done = BigButton(_("Done, go on"))
-        self.done.setProperty("role", "start")
+        self.step = build.styled(QLabel(), role="muted", word_wrap=True, minimum_width=1)
+        self.bar = build.styled(
+            QProgressBar(), range=(0, _STEPS), text_visible=False, name=_("Progress of the calibration")
+        )
+        self.done = build.styled(BigButton(_("Done, go on")), role="start", clicked=self.answered)
         # Its height is its minimum: a layout without room for more would take the rest from wrapped labels.
         self.done.setSizePolicy(QSizePolicy.Policy.Minimum, QSizePolicy.Policy.Fixed)
         self.done.setToolTip(_("Return does the same; Space and Escape stop"))
-        self.done.clicked.connect(self.answered)
         self.done.hide()
-        self.headline = QLabel()
-        self.headline.setProperty("role", "headline")
-        self.headline.setWordWrap(True)
-        self.said = QLabel()
-        self.said.setWordWrap(True)
-        self.said.setMinimumWidth(1)
-        self.said.setTextFormat(Qt.TextFormat.PlainText)
-        self.said.setTextInteractionFlags(Qt.TextInteractionFlag.TextSelectableByMouse)
+        self.headline = build.styled(QLabel(), role="headline", word_wrap=True)
+        self.said = build.label()
         self._has_report = False
-        self.report = QPushButton(_("Open its report"))
-        self.report.clicked.connect(self.report_wanted)
+        self.report = build.button(_("Open its report"), self.report_wanted)
         self._figures: dict[str, Quantity] = {}
-        self.figures = QTableWidget(0, 3)
-        self.figures.setHorizontalHeaderLabels([_("Quantity"), _("Value"), _("Unit")])
-        self.figures.setAccessibleName(_("Figures of the calibration"))
+        self.figures = build.styled(
+            QTableWidget(0, 3),
+            horizontal_header_labels=[_("Quantity"), _("Value"), _("Unit")],
+            name=_("Figures of the calibration"),
+        )
         self.figures.verticalHeader().hide()
         self.figures.setEditTriggers(QTableWidget.EditTrigger.NoEditTriggers)
         self.figures.setSelectionMode(QTableWidget.SelectionMode.NoSelection)
@@ -118,9 +106,11 @@ class CalibrationPage(QWidget):
         header.setStretchLastSection(True)
         header.setDefaultAlignment(Qt.AlignmentFlag.AlignLeft | Qt.AlignmentFlag.AlignVCenter)
         self.figures.verticalHeader().setDefaultSectionSize(_ROW)
-        self.fixed = QCheckBox(_("Spring fixed to the probe"))
-        self.fixed.setChecked(True)
-        self.fixed.setToolTip(_("Without it the probe only leans on the spring, and is pushed and never pulled"))
+        self.fixed = build.styled(
+            QCheckBox(_("Spring fixed to the probe")),
+            checked=True,
+            tip=_("Without it the probe only leans on the spring, and is pushed and never pulled"),
+        )
         self.room_known = QCheckBox(_("Room at"))
         self.room = NumberField()
         self.room.setAccessibleName(_("Temperature of the room"))
@@ -130,32 +120,23 @@ class CalibrationPage(QWidget):
         self.room.setValue(22.0)
         self.room.setEnabled(False)
         self.room_known.toggled.connect(self.room.setEnabled)
-        self.curve = PlotCard("", "", "mm")
-        self.curve.setMinimumHeight(_LEAST_CURVE)
+        self.curve = build.styled(PlotCard("", "", "mm"), minimum_height=_LEAST_CURVE)
         self._shown = -1
         self._points = self.curve.dots("measured", 6)
         self._kind: Kind = "static"
         self._result = self._make_result()
         content = QWidget()
-        layout = QVBoxLayout(content)
-        layout.setContentsMargins(0, 0, 0, 0)
-        layout.setSpacing(8)
         self._choices = QWidget()
-        choices = FoldingBox(_TWO_COLUMNS, self._choices)
-        choices.setContentsMargins(0, 0, 0, 0)
-        choices.setSpacing(8)
-        for kind in _KINDS:
-            choices.addWidget(self._make_choice(kind), 1)
-        layout.addWidget(self._result, 1)
-        layout.addWidget(self._choices)
-        layout.addWidget(self._make_progress())
-        layout.addWidget(self.curve, 1)
+        build.fill(
+            FoldingBox(_TWO_COLUMNS, self._choices), *[(self._make_choice(kind), 1) for kind in _KINDS], spacing=8
+        )
+        layout = build.column(
+            (self._result, 1), self._choices, self._make_progress(), (self.curve, 1), spacing=8, parent=content
+        )
         self._layout = layout
         layout.addStretch()
-        whole = QVBoxLayout(self)
-        whole.setContentsMargins(0, 0, 0, 0)
         self._scroll = PageScroll(content)
-        whole.addWidget(self._scroll)
+        build.column(self._scroll, parent=self)
         self.clear()
         self._show_result(False)
 
@@ -255,59 +236,41 @@ class CalibrationPage(QWidget):
 
     def _make_choice(self, kind: Kind) -> QFrame:
         title, words, begin = (_(text) for text in _KINDS[kind])
-        card = QFrame()
-        card.setProperty("role", "card")
-        heading = QLabel(title)
-        heading.setProperty("role", "headline")
-        about = QLabel(words)
-        about.setProperty("role", "muted")
-        about.setWordWrap(True)
-        about.setMinimumWidth(1)
-        about.setAlignment(Qt.AlignmentFlag.AlignTop)
+        card = build.styled(QFrame(), role="card")
+        heading = build.styled(QLabel(title), role="headline")
+        about = build.styled(
+            QLabel(words), role="muted", word_wrap=True, minimum_width=1, alignment=Qt.AlignmentFlag.AlignTop
+        )
         button = QPushButton(begin)
         button.clicked.connect(lambda: self.begun.emit(kind))
         self.begin[kind] = button
         options = FoldingBox(_OPTIONS_IN_A_ROW)
         if kind == "static":
-            room = QHBoxLayout()
-            for widget in (self.room_known, self.room):
-                room.addWidget(widget)
-            room.addStretch(1)
+            room = build.row(self.room_known, self.room, None, spacing=None)
             options.addWidget(self.fixed)
             options.addLayout(room, 1)
-        below = QHBoxLayout()
-        below.addWidget(button)
-        below.addStretch(1)
-        layout = QVBoxLayout(card)
-        layout.setContentsMargins(12, 8, 12, 10)
-        layout.addWidget(heading)
-        layout.addWidget(about, 1)
-        layout.addLayout(options)
-        layout.addLayout(below)
+        build.column(heading, (about, 1), options, build.row(button, None), margins=(12, 8, 12, 10), parent=card)
         return card
 
     def _make_progress(self) -> QFrame:
-        card = QFrame()
-        card.setProperty("role", "card")
-        card.setSizePolicy(QSizePolicy.Policy.Preferred, QSizePolicy.Policy.Maximum)
-        words = QVBoxLayout()
-        words.addWidget(self.step)
-        words.addWidget(self.bar)
-        layout = FoldingBox(_OPTIONS_IN_A_ROW, card)
-        layout.setContentsMargins(12, 8, 12, 10)
-        layout.addLayout(words, 1)
-        layout.addWidget(self.done)
+        card = build.styled(
+            QFrame(), role="card", size_policy=(QSizePolicy.Policy.Preferred, QSizePolicy.Policy.Maximum)
+        )
+        build.fill(
+            FoldingBox(_OPTIONS_IN_A_ROW, card),
+            (build.column(self.step, self.bar), 1),
+            self.done,
+            margins=(12, 8, 12, 10),
+        )
         return card
 
     def _make_result(self) -> QFrame:
-        frame = QFrame()
-        frame.setProperty("role", "verdict")
-        top = QHBoxLayout()
-        top.addWidget(self.headline, 1)
-        top.addWidget(self.report)
-        layout = QVBoxLayout(frame)
-        layout.setContentsMargins(12, 6, 10, 8)
-        layout.addLayout(top)
-        layout.addWidget(self.said)
-        layout.addWidget(self.figures, 1)
+        frame = build.styled(QFrame(), role="verdict")
+        build.column(
+            build.row((self.headline, 1), self.report),
+            self.said,
+            (self.figures, 1),
+            margins=(12, 6, 10, 8),
+            parent=frame,
+        )
         return frame

@@ -8,15 +8,13 @@ from dataclasses import replace
 from PySide6.QtCore import QModelIndex, QPersistentModelIndex, Qt, Signal
 from PySide6.QtWidgets import (
     QComboBox,
-    QHBoxLayout,
     QLabel,
-    QPushButton,
     QStyledItemDelegate,
     QStyleOptionViewItem,
-    QVBoxLayout,
     QWidget,
 )
 
+from tissueid.app import build
 from tissueid.app.calibration_state import CalibrationState
 from tissueid.app.form_choices import DEFAULT_URL
 from tissueid.formatting import clean
@@ -58,38 +56,23 @@ class InstrumentChooser(QWidget):
         self._found: dict[str, FoundInstrument] = {}
         self._doubted: set[str] = set()
         self._calibrations: dict[str, CalibrationState] = {}
-        self.choice = QComboBox()
-        self.choice.setEditable(True)
-        self.choice.setInsertPolicy(QComboBox.InsertPolicy.NoInsert)
+        self.choice = build.styled(QComboBox(), editable=True, insert_policy=QComboBox.InsertPolicy.NoInsert)
         # A completer would turn a typed /dev/ttyACM1 into a listed /dev/ttyACM10.
         self.choice.setCompleter(None)  # type: ignore[arg-type]
         self.choice.setAccessibleName(_("Instrument"))
         self.choice.setAccessibleDescription(_("A port, socket://HOST:PORT or simulated://TISSUE"))
         self.choice.setToolTip(_("A port, socket://HOST:PORT or simulated://TISSUE"))
         self.choice.setSizeAdjustPolicy(QComboBox.SizeAdjustPolicy.AdjustToMinimumContentsLengthWithIcon)
-        self.refresh = QPushButton(_("&Find"))
-        self.refresh.setAccessibleName(_("Find instruments"))
-        self.refresh.setToolTip(_("Look for an instrument at every port"))
-        self.about = QLabel()
-        self.about.setProperty("role", "field")
-        self.about.setWordWrap(True)
-        self.about.setMinimumWidth(1)
-        self.about.setTextFormat(Qt.TextFormat.PlainText)
-        self.calibration = QLabel()
-        self.calibration.setProperty("role", "readout")
-        self.calibration.setWordWrap(True)
-        self.calibration.setMinimumWidth(1)
-        self.calibration.setTextFormat(Qt.TextFormat.PlainText)
-        row = QHBoxLayout()
-        row.setSpacing(6)
-        row.addWidget(self.choice, 1)
-        row.addWidget(self.refresh)
-        layout = QVBoxLayout(self)
-        layout.setContentsMargins(0, 0, 0, 0)
-        layout.setSpacing(3)
-        layout.addLayout(row)
-        layout.addWidget(self.about)
-        layout.addWidget(self.calibration)
+        self.refresh = build.button(
+            _("&Find"), name=_("Find instruments"), tip=_("Look for an instrument at every port")
+        )
+        self.about = build.styled(
+            QLabel(), role="field", word_wrap=True, minimum_width=1, text_format=Qt.TextFormat.PlainText
+        )
+        self.calibration = build.styled(
+            QLabel(), role="readout", word_wrap=True, minimum_width=1, text_format=Qt.TextFormat.PlainText
+        )
+        build.column(build.row((self.choice, 1), self.refresh), self.about, self.calibration, spacing=3, parent=self)
         self._names = _Names(self)
         self.choice.setItemDelegate(self._names)
         self.choice.view().setTextElideMode(Qt.TextElideMode.ElideMiddle)

@@ -6,8 +6,9 @@ from collections.abc import Callable
 
 from PySide6.QtCore import QEvent, QObject, Qt, Signal
 from PySide6.QtGui import QFocusEvent, QKeyEvent, QKeySequence, QShortcut
-from PySide6.QtWidgets import QApplication, QFrame, QLineEdit, QListWidget, QListWidgetItem, QVBoxLayout, QWidget
+from PySide6.QtWidgets import QApplication, QFrame, QLineEdit, QListWidget, QListWidgetItem, QWidget
 
+from tissueid.app import build
 from tissueid.app.actions import PALETTE_KEY, Action
 from tissueid.language import _
 
@@ -66,15 +67,14 @@ class CommandPalette(QFrame):
         self.words.setMaxLength(100)
         self.words.setPlaceholderText(_("What do you want to do?"))
         self.words.setAccessibleName(_("Search all actions"))
-        self.list = QListWidget()
-        self.list.setAccessibleName(_("Actions"))
-        self.list.setFocusPolicy(Qt.FocusPolicy.NoFocus)
-        self.list.setHorizontalScrollBarPolicy(Qt.ScrollBarPolicy.ScrollBarAlwaysOff)
-        self.list.setTextElideMode(Qt.TextElideMode.ElideRight)
-        column = QVBoxLayout(self)
-        column.setContentsMargins(8, 8, 8, 8)
-        column.addWidget(self.words)
-        column.addWidget(self.list, 1)
+        self.list = build.styled(
+            QListWidget(),
+            name=_("Actions"),
+            focus_policy=Qt.FocusPolicy.NoFocus,
+            horizontal_scroll_bar_policy=Qt.ScrollBarPolicy.ScrollBarAlwaysOff,
+            text_elide_mode=Qt.TextElideMode.ElideRight,
+        )
+        build.column(self.words, (self.list, 1), margins=(8,), parent=self)
         self.words.textChanged.connect(self._fill)
         self.words.pressed.connect(self._take_key)
         self.words.left.connect(self.hide)

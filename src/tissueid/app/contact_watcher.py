@@ -6,12 +6,13 @@ import functools
 import threading
 
 import numpy as np
-from PySide6.QtCore import QObject, Qt, QTimer, Signal
+from PySide6.QtCore import QObject, Qt, Signal
 from PySide6.QtGui import QAccessible, QAccessibleEvent
-from PySide6.QtWidgets import QCheckBox, QHBoxLayout, QLabel, QPushButton, QWidget
+from PySide6.QtWidgets import QCheckBox, QLabel, QWidget
 
 from tissueid.acquisition.playback import Phase
 from tissueid.acquisition.surface_detection import MARGIN_M, RECENT_S, Contact, contact_at, finite
+from tissueid.app import build
 from tissueid.app.calibration_state import calibration_state
 from tissueid.app.context import AppContext
 from tissueid.app.form import PlanForm
@@ -59,19 +60,15 @@ class ContactLamp(QWidget):
             label.setTextFormat(Qt.TextFormat.PlainText)
         self.words.setWordWrap(True)
         self.words.setMinimumWidth(1)
-        self.watch = QPushButton(_("Watch contact"))
-        self.watch.setCheckable(True)
-        self.watch.setToolTip(_("Read the instrument before the test; its coil stays free"))
-        self.arm = QCheckBox(_("Start by the instrument's button"))
-        self.arm.setToolTip(_("Press the button and let go of it: the test starts. During the test it stops."))
-        self.arm.hide()
-        row = QHBoxLayout(self)
-        row.setContentsMargins(0, 0, 0, 0)
-        row.setSpacing(8)
-        row.addWidget(self.light)
-        row.addWidget(self.words, 1)
-        row.addWidget(self.arm)
-        row.addWidget(self.watch)
+        self.watch = build.button(
+            _("Watch contact"), checkable=True, tip=_("Read the instrument before the test; its coil stays free")
+        )
+        self.arm = build.styled(
+            QCheckBox(_("Start by the instrument's button")),
+            tip=_("Press the button and let go of it: the test starts. During the test it stops."),
+            hidden=True,
+        )
+        build.row(self.light, (self.words, 1), self.arm, self.watch, spacing=8, parent=self)
         self.setMinimumHeight(34)
         self.show_contact(Contact.UNWATCHED)
 
@@ -122,9 +119,7 @@ class Watcher(QObject):
         self._stop = threading.Event()
         self._url = ""
         self._start_next = False
-        self._looks = QTimer(self)
-        self._looks.setInterval(_LOOK_MS)
-        self._looks.timeout.connect(self._look)
+        self._looks = build.timer(self, _LOOK_MS, self._look, repeat=True)
         self._lamp.watch.clicked.connect(self._toggle)
         self._lamp.arm.toggled.connect(self._arm)
         form.instrument.choice.currentTextChanged.connect(self.cancel)

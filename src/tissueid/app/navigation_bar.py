@@ -7,8 +7,9 @@ from __future__ import annotations
 
 from PySide6.QtCore import Qt, Signal
 from PySide6.QtGui import QKeyEvent
-from PySide6.QtWidgets import QFrame, QToolButton, QVBoxLayout, QWidget
+from PySide6.QtWidgets import QFrame, QToolButton, QWidget
 
+from tissueid.app import build
 from tissueid.language import _
 
 WIDTH = 92
@@ -29,10 +30,7 @@ class NavigationBar(QFrame):
         self.buttons: dict[str, QToolButton] = {}
         self.keys: dict[str, str] = {}
         self.feet: list[QToolButton] = []
-        self._column = QVBoxLayout(self)
-        self._column.setContentsMargins(0, 8, 0, 8)
-        self._column.setSpacing(2)
-        self._column.addStretch(1)
+        self._column = build.column(None, spacing=2, margins=(0, 8, 0, 8), parent=self)
 
     def add(self, name: str, title: str) -> None:
         """Add a button for a page at the end."""

@@ -6,8 +6,9 @@ from collections.abc import Callable
 
 from PySide6.QtCore import QPoint, QRect, QSize, Qt, Signal
 from PySide6.QtGui import QAccessible, QAccessibleEvent, QMoveEvent, QResizeEvent
-from PySide6.QtWidgets import QAbstractButton, QFrame, QHBoxLayout, QLabel, QPushButton, QWidget
+from PySide6.QtWidgets import QAbstractButton, QFrame, QHBoxLayout, QPushButton, QWidget
 
+from tissueid.app import build
 from tissueid.language import _
 
 _MARGIN = 4
@@ -67,20 +68,15 @@ class Notice(QFrame):
         self._lasts = self._about_form = self._passed = False
         self._act: Callable[[], object] | None = None
         self.setProperty("role", "notice")
-        self.text = QLabel()
-        self.text.setWordWrap(True)
-        self.text.setMinimumWidth(1)
-        self.text.setTextFormat(Qt.TextFormat.PlainText)
-        self.text.setTextInteractionFlags(Qt.TextInteractionFlag.TextSelectableByMouse)
+        self.text = build.label()
         self.offer = QPushButton()
-        self.dismiss = QPushButton(_("Dis&miss"))
+        self.dismiss = build.button(_("Dis&miss"), self.retract)
         layout = self._row = QHBoxLayout(self)
         layout.setContentsMargins(10, 1, 2, 1)
         layout.addWidget(self.text, 1)
         layout.addWidget(self.offer, 0, Qt.AlignmentFlag.AlignTop)
         layout.addWidget(self.dismiss, 0, Qt.AlignmentFlag.AlignTop)
         self.offer.clicked.connect(self._accept)
-        self.dismiss.clicked.connect(self.retract)
         self.hide()
 
     def needed_height(self, width: int) -> int:

@@ -4,10 +4,11 @@ from __future__ import annotations
 
 import re
 
-from PySide6.QtCore import QPoint, Qt, QTimer, Signal
+from PySide6.QtCore import QPoint, Qt, Signal
 from PySide6.QtGui import QValidator
 from PySide6.QtWidgets import QDoubleSpinBox, QLabel, QSpinBox, QWidget
 
+from tissueid.app import build
 from tissueid.language import _, decimal
 
 _SHOWN_MS = 6000
@@ -23,10 +24,7 @@ class FieldHint(QLabel):
         self.setProperty("role", "hint")
         self.setTextFormat(Qt.TextFormat.PlainText)
         self.setAttribute(Qt.WidgetAttribute.WA_TransparentForMouseEvents)
-        self._over = QTimer(self)
-        self._over.setSingleShot(True)
-        self._over.setInterval(_SHOWN_MS)
-        self._over.timeout.connect(self.hide)
+        self._over = build.timer(self, _SHOWN_MS, self.hide)
         self.hide()
 
     def say(self, words: str, *, fading: bool = False) -> None:

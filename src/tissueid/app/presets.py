@@ -4,8 +4,9 @@ from __future__ import annotations
 
 from PySide6.QtCore import Qt, Signal
 from PySide6.QtGui import QStandardItemModel
-from PySide6.QtWidgets import QComboBox, QLabel, QVBoxLayout, QWidget
+from PySide6.QtWidgets import QComboBox, QLabel, QWidget
 
+from tissueid.app import build
 from tissueid.language import _
 from tissueid.messages import Message, translated
 from tissueid.procedures.test_presets import PRESETS, Preset
@@ -21,22 +22,14 @@ class PresetChooser(QWidget):
 
     def __init__(self, parent: QWidget | None = None) -> None:
         super().__init__(parent)
-        self.choice = QComboBox()
-        self.choice.setAccessibleName(_("Test"))
+        self.choice = build.styled(QComboBox(), name=_("Test"))
         for preset in PRESETS:
             self.choice.addItem(_(preset.title), preset.name)
         self.choice.addItem(_("Own settings"), OWN)
-        self.reason = QLabel()
-        self.reason.setProperty("role", "muted")
-        self.reason.setWordWrap(True)
-        self.reason.setMinimumWidth(1)
-        self.reason.setTextFormat(Qt.TextFormat.PlainText)
-        self.reason.hide()
-        layout = QVBoxLayout(self)
-        layout.setContentsMargins(0, 0, 0, 0)
-        layout.setSpacing(3)
-        layout.addWidget(self.choice)
-        layout.addWidget(self.reason)
+        self.reason = build.styled(
+            QLabel(), role="muted", word_wrap=True, minimum_width=1, text_format=Qt.TextFormat.PlainText, hidden=True
+        )
+        build.column(self.choice, self.reason, spacing=3, parent=self)
         self.choice.activated.connect(self._choose)
 
     def show_preset(self, preset: Preset | None) -> None:

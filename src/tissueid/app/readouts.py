@@ -6,6 +6,7 @@ from PySide6.QtCore import QCoreApplication, QEvent, QObject, Qt, Signal
 from PySide6.QtGui import QKeyEvent
 from PySide6.QtWidgets import QFrame, QGridLayout, QLabel, QWidget
 
+from tissueid.app import build
 from tissueid.app.safety import Safety
 from tissueid.formatting import fixed
 from tissueid.language import _
@@ -64,8 +65,7 @@ class SafetyReadouts(QFrame):
         grid.setVerticalSpacing(1)
         rows = ((_("Force"), self.force), (_("Coil"), self.coil), (_("Probe"), self.contact))
         for row, (name, value) in enumerate(rows):
-            label = QLabel(name)
-            label.setProperty("role", "field")
+            label = build.styled(QLabel(name), role="field")
             grid.addWidget(label, row, 0)
             grid.addWidget(value, row, 1)
         grid.addWidget(self.keys, len(rows), 0, 1, 2)

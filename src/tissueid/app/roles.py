@@ -6,6 +6,7 @@ from PySide6.QtCore import QSize, Qt, Signal
 from PySide6.QtGui import QResizeEvent
 from PySide6.QtWidgets import QComboBox, QLabel, QSizePolicy, QVBoxLayout, QWidget
 
+from tissueid.app import build
 from tissueid.app.widgets import BigButton, labelled_row
 from tissueid.audit import ROLES, Role
 from tissueid.language import _, marked
@@ -25,9 +26,9 @@ class RoleChooser(QWidget):
     def __init__(self, role: Role, parent: QWidget | None = None) -> None:
         super().__init__(parent)
         self._role: Role = role
-        self.choice = QComboBox()
-        self.choice.setAccessibleName(_("Role"))
-        self.choice.setToolTip(_("Actions are logged in this role; a technician can calibrate"))
+        self.choice = build.styled(
+            QComboBox(), name=_("Role"), tip=_("Actions are logged in this role; a technician can calibrate")
+        )
         for name in ROLES:
             self.choice.addItem(_(ROLE_NAMES[name]), name)
         self.choice.setCurrentIndex(self.choice.findData(role))
@@ -53,12 +54,13 @@ class RoleCard(BigButton):
         self.role: Role = role
         self._sentence = sentence
         self.setSizePolicy(QSizePolicy.Policy.Expanding, QSizePolicy.Policy.Minimum)
-        self._title = QLabel(_(ROLE_NAMES[role]))
-        self._title.setProperty("role", "headline")
-        self._text = QLabel(sentence)
-        self._text.setWordWrap(True)
-        self._text.setMinimumWidth(1)
-        self._text.setAlignment(Qt.AlignmentFlag.AlignTop | Qt.AlignmentFlag.AlignLeft)
+        self._title = build.styled(QLabel(_(ROLE_NAMES[role])), role="headline")
+        self._text = build.styled(
+            QLabel(sentence),
+            word_wrap=True,
+            minimum_width=1,
+            alignment=Qt.AlignmentFlag.AlignTop | Qt.AlignmentFlag.AlignLeft,
+        )
         layout = QVBoxLayout(self)
         layout.setContentsMargins(16, 10, 14, 12)
         layout.setSpacing(4)

@@ -16,6 +16,7 @@ from PySide6.QtCore import QObject, QTimer
 from PySide6.QtGui import QIcon
 from PySide6.QtWidgets import QApplication
 
+from tissueid.app import build
 from tissueid.app.main_window import MainWindow
 from tissueid.app.preferences import qt_texts
 from tissueid.app.window_state import show_window
@@ -54,9 +55,7 @@ class Housekeeping(QObject):
         gc.collect()
         gc.freeze()  # what was imported stays; later collections need not look at it
         gc.disable()
-        timer = QTimer(self)
-        timer.setInterval(_HOUSEKEEPING_MS)
-        timer.timeout.connect(self._visit)
+        timer = build.timer(self, _HOUSEKEEPING_MS, self._visit, repeat=True)
         timer.start()
 
     def _visit(self) -> None:

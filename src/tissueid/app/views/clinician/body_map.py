@@ -24,10 +24,10 @@ from PySide6.QtWidgets import (
     QGridLayout,
     QLabel,
     QRadioButton,
-    QVBoxLayout,
     QWidget,
 )
 
+from tissueid.app import build
 from tissueid.language import _, marked
 
 Side = Literal["front", "back"]
@@ -150,9 +150,11 @@ class BodyMap(QDialog):
         grid.setHorizontalSpacing(16)
         sides: tuple[Side, ...] = ("front", "back")
         for column, side in enumerate(sides):
-            heading = QLabel({"front": _("Front"), "back": _("Back")}[side])
-            heading.setProperty("role", "heading")
-            heading.setAlignment(Qt.AlignmentFlag.AlignCenter)
+            heading = build.styled(
+                QLabel({"front": _("Front"), "back": _("Back")}[side]),
+                role="heading",
+                alignment=Qt.AlignmentFlag.AlignCenter,
+            )
             figure = _Figure(side)
             grid.addWidget(heading, 0, column)
             grid.addWidget(figure, 1, column)
@@ -162,22 +164,14 @@ class BodyMap(QDialog):
                 spot.picked.connect(self._use)
                 spot.toggled.connect(self._name)
         grid.setRowStretch(1, 1)
-        self.name = QLabel()
-        self.name.setProperty("role", "headline")
-        self.name.setAlignment(Qt.AlignmentFlag.AlignCenter)
-        hint = QLabel(_(_HINT))
-        hint.setProperty("role", "muted")
-        hint.setAlignment(Qt.AlignmentFlag.AlignCenter)
+        self.name = build.styled(QLabel(), role="headline", alignment=Qt.AlignmentFlag.AlignCenter)
+        hint = build.styled(QLabel(_(_HINT)), role="muted", alignment=Qt.AlignmentFlag.AlignCenter)
         buttons = QDialogButtonBox(QDialogButtonBox.StandardButton.Ok | QDialogButtonBox.StandardButton.Cancel)
         self.use = buttons.button(QDialogButtonBox.StandardButton.Ok)
         self.use.setText(_("Use this site"))
         buttons.accepted.connect(self._use)
         buttons.rejected.connect(self.reject)
-        layout = QVBoxLayout(self)
-        layout.addLayout(grid, 1)
-        layout.addWidget(self.name)
-        layout.addWidget(hint)
-        layout.addWidget(buttons)
+        build.column((grid, 1), self.name, hint, buttons, margins=(11,), parent=self)
         self._name()
 
     def show_site(self, site: str) -> None:

@@ -41,8 +41,9 @@ class ComparisonCard(QFrame):
 
     def __init__(self, parent: QWidget | None = None) -> None:
         super().__init__(parent)
-        self.heading = styled(QLabel(_("Compared with the subject's other sites and sittings")), role="heading")
-        self.heading.setMinimumWidth(1)
+        self.heading = styled(
+            QLabel(_("Compared with the subject's other sites and sittings")), role="heading", minimum_width=1
+        )
         self.words, self.cancel = label("field"), button(_("Cancel comparison"))
         top = fill(FoldingBox(_ONE_ROW), self.heading, (self.words, 1), self.cancel, margins=(2, 0, 0, 0))
         self.cards: list[PlotCanvas] = []

@@ -5,10 +5,10 @@ from __future__ import annotations
 from collections.abc import Callable, Mapping, Sequence
 
 from PySide6.QtCore import Signal
-from PySide6.QtWidgets import QComboBox, QDialog, QDialogButtonBox, QFormLayout, QLineEdit, QVBoxLayout, QWidget
+from PySide6.QtWidgets import QComboBox, QDialog, QDialogButtonBox, QFormLayout, QLineEdit, QWidget
 
+from tissueid.app import build
 from tissueid.app.number_field import OptionalNumberField
-from tissueid.app.widgets import plain_label
 from tissueid.app.words import in_words
 from tissueid.errors import UnusableInputError
 from tissueid.language import _
@@ -29,11 +29,10 @@ class DemographicsDialog(QDialog):
     ) -> None:
         super().__init__(parent)
         self.setWindowTitle(translated(Message("study.subject", "Subject {subject}", subject=Verbatim(subject))))
-        about = plain_label("muted")
-        about.setText(_("For the statistics of the study. Leave empty what is not known. Never enter a name."))
-        self.problem = plain_label("readout")
-        self.problem.setProperty("level", "poor")
-        self.problem.hide()
+        about = build.label(
+            "muted", text=_("For the statistics of the study. Leave empty what is not known. Never enter a name.")
+        )
+        self.problem = build.label("readout", level="poor", hidden=True)
         self.fields: dict[str, QWidget] = {}
         self._read: dict[str, Callable[[], str]] = {}
         form = QFormLayout()
@@ -49,11 +48,7 @@ class DemographicsDialog(QDialog):
         buttons.button(QDialogButtonBox.StandardButton.Cancel).setText(_("Later"))
         buttons.accepted.connect(self.save)
         buttons.rejected.connect(self.reject)
-        layout = QVBoxLayout(self)
-        layout.addWidget(about)
-        layout.addLayout(form)
-        layout.addWidget(self.problem)
-        layout.addWidget(buttons)
+        build.column(about, form, self.problem, buttons, margins=(11,), parent=self)
         self.setMinimumWidth(360)
 
     def save(self) -> None:
@@ -88,6 +83,5 @@ def _field(kind: DemographicField, known: str) -> tuple[QWidget, Callable[[], st
             choice.addItem(known, known)
         choice.setCurrentIndex(choice.findData(known))
         return choice, lambda: str(choice.currentData())
-    text = QLineEdit(known)
-    text.setMaxLength(200)
+    text = build.styled(QLineEdit(known), max_length=200)
     return text, text.text

@@ -39,8 +39,7 @@ class SittingSummary(QFrame):
         grid.setHorizontalSpacing(22)
         grid.setVerticalSpacing(2)
         for column, head in enumerate(HEADS):
-            named = styled(QLabel(_(head)), role="field")
-            named.setMinimumWidth(1)
+            named = styled(QLabel(_(head)), role="field", minimum_width=1)
             self._heads.append(named)
             grid.addWidget(named, 0, column)
         self.cells: dict[str, list[QLabel]] = {}
@@ -116,8 +115,7 @@ class RepeatBar(QWidget):
         self._fits = False
         self._shown: tuple[str | None, ...] = ()
         self._left = 0
-        self.dots = QLabel()
-        self.dots.setTextFormat(Qt.TextFormat.RichText)
+        self.dots = styled(QLabel(), text_format=Qt.TextFormat.RichText)
         again = Message(
             "sitting.repeat_tip",
             "The same test once more, into a file of its own. Five are usual: their mean is steadier than one test",
@@ -128,13 +126,10 @@ class RepeatBar(QWidget):
             "sitting. No file is changed or deleted",
         )
         undo = _("Continue the sitting as if it had not been finished. Possible until the next test starts")
-        self.repeat = button(_again(2, NORM), tip=translated(again))
-        self.accept = button(translated(_FINISH_ONE), tip=translated(finish))
-        self.undo = button(_("Undo Finish"), tip=undo)
+        self.repeat = button(_again(2, NORM), self.again, tip=translated(again))
+        self.accept = button(translated(_FINISH_ONE), self.accepted, tip=translated(finish))
+        self.undo = button(_("Undo Finish"), self.undone, tip=undo)
         fill(FoldingBox(0, self), self.dots, self.repeat, self.accept, self.undo, spacing=8)
-        self.repeat.clicked.connect(self.again)
-        self.accept.clicked.connect(self.accepted)
-        self.undo.clicked.connect(self.undone)
         appearance.changed.connect(self._draw)
         self.hide()
 

@@ -40,8 +40,7 @@ class StudyCard(QFrame):
         self.site, self.test, self.condition = label("heading"), label(), label()
         self.remark = label("readout", level="check")
         self.map = SittingMap()
-        self.bar = styled(QProgressBar(), name=_("Progress of the sitting"))
-        self.bar.setTextVisible(False)
+        self.bar = styled(QProgressBar(), name=_("Progress of the sitting"), text_visible=False)
         self.data = button(_("Subject…"), role="small", name=_("Demographic values of the subject"))
         self.photograph = button(_("Photograph…"), role="small", name=_("Add a photograph of the site"))
         leaving = _("What is recorded is kept; the sitting continues when it is opened again")
@@ -51,8 +50,7 @@ class StudyCard(QFrame):
         words = column(self.progress_text, self.site, self.test, self.condition, self.remark, None, spacing=2)
         holder = QWidget()
         fill(FoldingBox(_BUTTONS_IN_A_ROW, holder), *self.buttons)
-        body = row(self.map, (words, 1), spacing=8)
-        fill(QVBoxLayout(self), self.heading, body, self.bar, holder, margins=(8,))
+        fill(QVBoxLayout(self), self.heading, row(self.map, (words, 1), spacing=8), self.bar, holder, margins=(8,))
         self.hide()
 
     def show_state(self, state: SittingState, *, moved: bool) -> None:

@@ -4,8 +4,9 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING
 
-from PySide6.QtWidgets import QFrame, QHBoxLayout, QScrollArea, QVBoxLayout, QWidget
+from PySide6.QtWidgets import QFrame, QScrollArea, QWidget
 
+from tissueid.app import build
 from tissueid.app.views.gap.bar_table import BarTable
 from tissueid.app.views.gap.displayed_text import STAGE_TITLES, as_sentence, as_title
 from tissueid.app.widgets import plain_label
@@ -42,12 +43,7 @@ class CandidatesTab(QWidget):
         self.figures = plain_label()
         self.table.itemSelectionChanged.connect(self._show_chosen)
         self._details = self._make_details()
-        columns = QHBoxLayout(self)
-        columns.setContentsMargins(0, 6, 0, 0)
-        columns.setSpacing(8)
-        columns.addWidget(self.table, 3)
-        columns.addWidget(self.none, 3)
-        columns.addWidget(self._details, 2)
+        build.row((self.table, 3), (self.none, 3), (self._details, 2), spacing=8, margins=(0, 6, 0, 0), parent=self)
 
     def show_story(self, story: PageContent) -> None:
         """List the candidates and choose the first."""
@@ -97,22 +93,15 @@ class CandidatesTab(QWidget):
 
     def _make_details(self) -> QWidget:
         inside = QWidget()
-        column = QVBoxLayout(inside)
-        column.setContentsMargins(12, 8, 12, 8)
-        column.setSpacing(6)
-        for widget in (self.title, self.alike, self.figures, self.remedy, self.leaves):
-            column.addWidget(widget)
-        column.addStretch(1)
-        scroll = QScrollArea()
-        scroll.setWidgetResizable(True)
-        scroll.setFrameShape(QFrame.Shape.NoFrame)
-        scroll.setAccessibleName(_("The chosen candidate"))
+        build.column(
+            self.title, self.alike, self.figures, self.remedy, self.leaves, None, margins=(12, 8, 12, 8), parent=inside
+        )
+        scroll = build.styled(
+            QScrollArea(), widget_resizable=True, frame_shape=QFrame.Shape.NoFrame, name=_("The chosen candidate")
+        )
         scroll.setWidget(inside)
-        card = QFrame()
-        card.setProperty("role", "card")
-        frame = QVBoxLayout(card)
-        frame.setContentsMargins(0, 0, 0, 0)
-        frame.addWidget(scroll)
+        card = build.styled(QFrame(), role="card")
+        build.column(scroll, parent=card)
         return card
 
 

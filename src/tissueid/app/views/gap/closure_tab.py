@@ -7,8 +7,9 @@ from typing import TYPE_CHECKING
 import numpy as np
 from PySide6.QtCore import QRectF, QSize, Qt
 from PySide6.QtGui import QColor, QPainter, QPaintEvent, QResizeEvent
-from PySide6.QtWidgets import QComboBox, QFrame, QHBoxLayout, QLabel, QSizePolicy, QVBoxLayout, QWidget
+from PySide6.QtWidgets import QComboBox, QFrame, QLabel, QSizePolicy, QWidget
 
+from tissueid.app import build
 from tissueid.app.plot_canvas import PlotCanvas
 from tissueid.app.small_window import FoldingBox
 from tissueid.app.theme import appearance
@@ -39,8 +40,7 @@ class ClosureTab(QWidget):
         self._overlays: tuple[SignalOverlay, ...] = ()
         self.bars = _GapBars()
         self.closing = plain_label()
-        self.channel = QComboBox()
-        self.channel.setAccessibleName(_("Signal to look at"))
+        self.channel = build.styled(QComboBox(), name=_("Signal to look at"))
         self.channel.currentIndexChanged.connect(self._show_chosen)
         self.signals = PlotCanvas()
         self._arrange()
@@ -67,31 +67,25 @@ class ClosureTab(QWidget):
             self.signals.show_plots(overlay_plots(self._overlays[place]))
 
     def _arrange(self) -> None:
-        label = QLabel(_("Signal"))
-        label.setBuddy(self.channel)
-        choice = QHBoxLayout()
-        choice.addWidget(label)
-        choice.addWidget(self.channel, 1)
-        side = QFrame()
-        side.setProperty("role", "card")
-        side.setMinimumWidth(_SIDE)
-        column = QVBoxLayout(side)
-        column.setContentsMargins(12, 8, 12, 10)
-        column.setSpacing(8)
-        heading = QLabel(_("Gap on held-out data"))
-        heading.setProperty("role", "heading")
-        heading.setWordWrap(True)
-        heading.setToolTip(_("Error of the free run over the signals' deviation"))
-        for widget in (heading, self.bars, self.closing):
-            column.addWidget(widget)
-        column.addStretch(1)
-        column.addLayout(choice)
+        choice = build.row(build.styled(QLabel(_("Signal")), buddy=self.channel), (self.channel, 1), spacing=8)
+        side = build.styled(QFrame(), role="card", minimum_width=_SIDE)
+        build.column(
+            build.styled(
+                QLabel(_("Gap on held-out data")),
+                role="heading",
+                word_wrap=True,
+                tip=_("Error of the free run over the signals' deviation"),
+            ),
+            self.bars,
+            self.closing,
+            None,
+            choice,
+            spacing=8,
+            margins=(12, 8, 12, 10),
+            parent=side,
+        )
         self.signals.setMinimumHeight(288)
-        row = FoldingBox(_ONE_ROW, self)
-        row.setContentsMargins(0, 6, 0, 0)
-        row.setSpacing(8)
-        row.addWidget(side)
-        row.addWidget(self.signals, 1)
+        build.fill(FoldingBox(_ONE_ROW, self), side, (self.signals, 1), spacing=8, margins=(0, 6, 0, 0))
 
 
 class _GapBars(QWidget):

@@ -6,9 +6,10 @@ from collections.abc import Sequence
 
 from PySide6.QtCore import Qt, Signal
 from PySide6.QtGui import QKeySequence, QShortcut
-from PySide6.QtWidgets import QLabel, QListWidget, QListWidgetItem, QVBoxLayout, QWidget
+from PySide6.QtWidgets import QLabel, QListWidget, QListWidgetItem, QWidget
 
-from tissueid.app.build import button
+from tissueid.app import build
+from tissueid.app.build import button, styled
 from tissueid.app.views.gap.diagnosis_result import DiagnosisResult, State
 from tissueid.app.views.gap.displayed_text import STAGE_TITLES, STATE_TITLES, VERDICT_TITLES, as_title
 from tissueid.formatting import clean
@@ -35,18 +36,20 @@ class DiagnosisList(QWidget):
         self.setMaximumWidth(_WIDTH)
         self._results: list[DiagnosisResult] = []
         self._states: list[State] = []
-        self.list = QListWidget()
-        self.list.setAccessibleName(_("Diagnoses, newest first"))
-        self.list.setWordWrap(True)
-        self.list.setSpacing(2)
-        self.list.setHorizontalScrollBarPolicy(Qt.ScrollBarPolicy.ScrollBarAlwaysOff)
+        self.list = styled(
+            QListWidget(),
+            name=_("Diagnoses, newest first"),
+            word_wrap=True,
+            spacing=2,
+            horizontal_scroll_bar_policy=Qt.ScrollBarPolicy.ScrollBarAlwaysOff,
+        )
         self.list.currentRowChanged.connect(self._tell)
         self.remove = button(
             _("Remove"),
+            self._remove,
             name=_("Remove the chosen diagnosis from the list"),
             tip=_("Delete does the same; Ctrl+Z brings it back"),
         )
-        self.remove.clicked.connect(self._remove)
         self._removed: tuple[int, DiagnosisResult] | None = None
         for keys, slot in (
             (QKeySequence.StandardKey.Delete, self._remove),
@@ -55,14 +58,7 @@ class DiagnosisList(QWidget):
             shortcut = QShortcut(QKeySequence(keys), self)
             shortcut.setContext(Qt.ShortcutContext.WidgetWithChildrenShortcut)
             shortcut.activated.connect(slot)
-        heading = QLabel(_("Diagnoses"))
-        heading.setProperty("role", "heading")
-        column = QVBoxLayout(self)
-        column.setContentsMargins(0, 0, 0, 0)
-        column.setSpacing(6)
-        column.addWidget(heading)
-        column.addWidget(self.list, 1)
-        column.addWidget(self.remove)
+        build.column(styled(QLabel(_("Diagnoses")), role="heading"), (self.list, 1), self.remove, parent=self)
         self._tell()
 
     @property

@@ -7,8 +7,8 @@ from collections.abc import Sequence
 from PySide6.QtCore import Signal
 from PySide6.QtWidgets import QCheckBox, QDialog, QDialogButtonBox, QVBoxLayout, QWidget
 
+from tissueid.app import build
 from tissueid.app.views.gap.displayed_text import as_title
-from tissueid.app.widgets import plain_label
 from tissueid.language import _
 
 
@@ -20,9 +20,8 @@ class EffectDialog(QDialog):
     def __init__(self, offered: Sequence[tuple[str, str, bool]], parent: QWidget | None = None) -> None:
         super().__init__(parent)
         self.setWindowTitle(_("Accept into twin"))
-        about = plain_label()
-        about.setText(
-            _(
+        about = build.label(
+            text=_(
                 "Which effects is the twin to have? Those that the diagnosis names are checked; another choice is "
                 "fitted to the session first."
             )
@@ -36,8 +35,7 @@ class EffectDialog(QDialog):
         for name, title, named in offered:
             if name in self.boxes:
                 continue
-            box = QCheckBox(as_title(title).replace("&", "&&"))
-            box.setChecked(named)
+            box = build.styled(QCheckBox(as_title(title).replace("&", "&&")), checked=named)
             box.toggled.connect(self._settle)
             self.boxes[name] = box
             column.addWidget(box)

@@ -5,8 +5,9 @@ from __future__ import annotations
 from typing import TYPE_CHECKING
 
 import numpy as np
-from PySide6.QtWidgets import QVBoxLayout, QWidget
+from PySide6.QtWidgets import QWidget
 
+from tissueid.app import build
 from tissueid.app.plot_canvas import PlotCanvas
 from tissueid.app.small_window import FoldingBox
 from tissueid.language import _, marked
@@ -32,17 +33,15 @@ class LocalisationTab(QWidget):
             "time_s": PlotCanvas(_("By time")),
         }
         self.cards: tuple[PlotCanvas, ...] = (self.frequency, *self.profiles.values())
-        rows = QVBoxLayout(self)
-        rows.setContentsMargins(0, 6, 0, 0)
-        rows.setSpacing(8)
-        across = FoldingBox(_ONE_ROW)
-        across.setSpacing(8)
         for card in self.cards:
             card.setMinimumHeight(165)
-        for card in self.profiles.values():
-            across.addWidget(card, 1)
-        rows.addWidget(self.frequency, 1)
-        rows.addLayout(across, 1)
+        build.column(
+            (self.frequency, 1),
+            (build.fill(FoldingBox(_ONE_ROW), *[(card, 1) for card in self.profiles.values()], spacing=8), 1),
+            spacing=8,
+            margins=(0, 6, 0, 0),
+            parent=self,
+        )
 
     def show_story(self, story: PageContent) -> None:
         """Draw the result of a diagnosis."""

@@ -5,9 +5,10 @@ from __future__ import annotations
 from typing import TYPE_CHECKING
 
 from PySide6.QtCore import Signal
-from PySide6.QtWidgets import QFrame, QHBoxLayout, QVBoxLayout, QWidget
+from PySide6.QtWidgets import QFrame, QWidget
 
-from tissueid.app.build import button
+from tissueid.app import build
+from tissueid.app.build import button, styled
 from tissueid.app.views.gap.bar_table import BarTable
 from tissueid.app.views.gap.displayed_text import as_sentence, as_title
 from tissueid.app.widgets import plain_label
@@ -39,6 +40,7 @@ class NextTestTab(QWidget):
         self.by_hand = plain_label()
         self.prepare = button(
             _("Prepare this test"),
+            self.wanted,
             tip=_("Fill in the form of the guided test; nothing moves before you start it there"),
         )
         self.gains = BarTable(_("What each test would be worth"), (_("Test"), _("Expected odds")), 1)
@@ -46,7 +48,6 @@ class NextTestTab(QWidget):
             head.setToolTip(
                 _("How clearly the test would separate the candidates: 20 to 1 is clear, less than 3 to 1 is little")
             )
-        self.prepare.clicked.connect(self.wanted)
         self._arrange()
 
     @property
@@ -80,20 +81,16 @@ class NextTestTab(QWidget):
         )
 
     def _arrange(self) -> None:
-        card = QFrame()
-        card.setProperty("role", "card")
-        column = QVBoxLayout(card)
-        column.setContentsMargins(12, 8, 12, 10)
-        column.setSpacing(8)
-        for label in (self.title, self.why, self.put, self.by_hand):
-            column.addWidget(label)
-        buttons = QHBoxLayout()
-        buttons.addWidget(self.prepare)
-        buttons.addStretch(1)
-        column.addLayout(buttons)
-        column.addStretch(1)
-        row = QHBoxLayout(self)
-        row.setContentsMargins(0, 6, 0, 0)
-        row.setSpacing(8)
-        row.addWidget(card, 1)
-        row.addWidget(self.gains, 1)
+        card = styled(QFrame(), role="card")
+        build.column(
+            self.title,
+            self.why,
+            self.put,
+            self.by_hand,
+            build.row(self.prepare, None, spacing=8),
+            None,
+            spacing=8,
+            margins=(12, 8, 12, 10),
+            parent=card,
+        )
+        build.row((card, 1), (self.gains, 1), spacing=8, margins=(0, 6, 0, 0), parent=self)

@@ -13,16 +13,15 @@ from PySide6.QtWidgets import (
     QComboBox,
     QFileDialog,
     QFrame,
-    QHBoxLayout,
     QLabel,
     QLineEdit,
     QProgressBar,
     QToolButton,
-    QVBoxLayout,
     QWidget,
 )
 
-from tissueid.app.build import button
+from tissueid.app import build
+from tissueid.app.build import button, styled
 from tissueid.app.small_window import FoldingBox
 from tissueid.app.views.gap.diagnosis_loader import unique_titles
 from tissueid.app.widgets import BigButton
@@ -62,26 +61,26 @@ class RequestPanel(QFrame):
         self.twin = _FileChoice(
             _("Baseline twin"), _("Open a twin"), _("Twins (*.toml);;All files (*)"), folder, first=_(NOMINAL)
         )
-        self.run = BigButton(_("Run"))
-        self.run.setAccessibleName(_("Run the diagnosis"))
-        self.run.setToolTip(_("Find out where simulated and recorded differ, and why (half a minute to some minutes)"))
-        self.stop = button(_("Cancel"), name=_("Cancel the diagnosis"))
-        self.fold = QToolButton()
-        self.fold.setText(_("Advanced"))
-        self.fold.setProperty("role", "fold")
-        self.fold.setCheckable(True)
-        self.fold.setToolButtonStyle(Qt.ToolButtonStyle.ToolButtonTextBesideIcon)
-        self.fold.setAccessibleName(_("Advanced: which tests to fit and to check"))
+        self.run = styled(
+            BigButton(_("Run")),
+            name=_("Run the diagnosis"),
+            tip=_("Find out where simulated and recorded differ, and why (half a minute to some minutes)"),
+            clicked=self.wanted,
+        )
+        self.stop = button(_("Cancel"), self.unwanted, name=_("Cancel the diagnosis"))
+        self.fold = styled(
+            QToolButton(),
+            text=_("Advanced"),
+            role="fold",
+            checkable=True,
+            tool_button_style=Qt.ToolButtonStyle.ToolButtonTextBesideIcon,
+            name=_("Advanced: which tests to fit and to check"),
+        )
         self.fit, self.check = QLineEdit(), QLineEdit()
         self.more = QWidget()
-        self.doing = QLabel()
-        self.doing.setProperty("role", "muted")
-        self.bar = QProgressBar()
-        self.bar.setTextVisible(False)
-        self.bar.setAccessibleName(_("Progress of the diagnosis"))
+        self.doing = styled(QLabel(), role="muted")
+        self.bar = styled(QProgressBar(), text_visible=False, name=_("Progress of the diagnosis"))
         self._arrange()
-        self.run.clicked.connect(self.wanted)
-        self.stop.clicked.connect(self.unwanted)
         self.fold.toggled.connect(self._unfold)
         self.session.changed.connect(self.changed)
         self._unfold(False)
@@ -196,46 +195,29 @@ class RequestPanel(QFrame):
         choices = FoldingBox(_ONE_ROW)
         choices.setSpacing(8)
         for choice, share in ((self.session, 3), (self.twin, 2)):
-            label = QLabel(choice.choice.accessibleName())
-            label.setProperty("role", "field")
-            row = QHBoxLayout()
-            row.setSpacing(6)
-            row.addWidget(choice.choice, 1)
-            row.addWidget(choice.open)
-            column = QVBoxLayout()
-            column.setSpacing(2)
-            column.addWidget(label)
-            column.addLayout(row)
+            label = styled(QLabel(choice.choice.accessibleName()), role="field")
+            column = build.column(label, build.row((choice.choice, 1), choice.open), spacing=2)
             choices.addLayout(column, share)
         choices.addWidget(self.run, 0, Qt.AlignmentFlag.AlignBottom | Qt.AlignmentFlag.AlignRight)
         inside = FoldingBox(_FIELDS_IN_A_ROW, self.more)
         inside.setContentsMargins(0, 0, 0, 0)
         for words, field in ((_("Tests to fit"), self.fit), (_("Tests to check"), self.check)):
-            label = QLabel(words)
-            label.setBuddy(field)
+            label = styled(QLabel(words), buddy=field)
             field.setAccessibleName(_("{field}, numbers with commas between").format(field=words))
             field.setPlaceholderText(_("chosen by itself"))
             field.setMaxLength(200)
             field.setFixedWidth(130)
-            pair = QHBoxLayout()
-            pair.addWidget(label)
-            pair.addWidget(field)
+            pair = build.row(label, field, spacing=None)
             pair.addSpacing(10)
             inside.addLayout(pair)
-        below = QHBoxLayout()
-        below.setSpacing(10)
-        below.addWidget(self.fold)
-        below.addWidget(self.more)
-        below.addStretch(1)
-        below.addWidget(self.doing)
         self.bar.setFixedWidth(150)
-        below.addWidget(self.bar)
-        below.addWidget(self.stop)
-        rows = QVBoxLayout(self)
-        rows.setContentsMargins(12, 6, 12, 6)
-        rows.setSpacing(4)
-        rows.addLayout(choices)
-        rows.addLayout(below)
+        build.column(
+            choices,
+            build.row(self.fold, self.more, None, self.doing, self.bar, self.stop, spacing=10),
+            spacing=4,
+            margins=(12, 6, 12, 6),
+            parent=self,
+        )
 
 
 class _FileChoice(QObject):
@@ -251,13 +233,14 @@ class _FileChoice(QObject):
         self._title, self._kinds, self._folder, self._first = title, kinds, folder, first
         self._titles: dict[Path, str] = {}
         self.recent: list[Path] = []
-        self.choice = QComboBox()
-        self.choice.setAccessibleName(name)
-        self.choice.setSizeAdjustPolicy(QComboBox.SizeAdjustPolicy.AdjustToMinimumContentsLengthWithIcon)
-        self.choice.setMinimumContentsLength(12)
-        self.choice.setPlaceholderText(_("No session: open one, or drop its file here"))
-        self.open = button(_("Open…"), name=f"{title}…")
-        self.open.clicked.connect(self._ask)
+        self.choice = styled(
+            QComboBox(),
+            name=name,
+            size_adjust_policy=QComboBox.SizeAdjustPolicy.AdjustToMinimumContentsLengthWithIcon,
+            minimum_contents_length=12,
+            placeholder_text=_("No session: open one, or drop its file here"),
+        )
+        self.open = button(_("Open…"), self._ask, name=f"{title}…")
         self.choice.currentIndexChanged.connect(self._tell)
         if first:
             self.choice.addItem(first, "")
@@ -335,9 +318,11 @@ class _FileChoice(QObject):
         self.changed.emit()
 
     def _ask(self) -> None:
-        dialog = QFileDialog(self.open, self._title, str((self.path or self._folder / "x").parent), self._kinds)
-        dialog.setFileMode(QFileDialog.FileMode.ExistingFile)
-        dialog.setAttribute(Qt.WidgetAttribute.WA_DeleteOnClose)
+        dialog = styled(
+            QFileDialog(self.open, self._title, str((self.path or self._folder / "x").parent), self._kinds),
+            file_mode=QFileDialog.FileMode.ExistingFile,
+            attribute=Qt.WidgetAttribute.WA_DeleteOnClose,
+        )
         dialog.fileSelected.connect(self._take)
         dialog.open()
 

@@ -5,8 +5,9 @@ from __future__ import annotations
 from typing import TYPE_CHECKING
 
 from PySide6.QtCore import Qt
-from PySide6.QtWidgets import QFrame, QHBoxLayout, QPushButton, QScrollArea, QTabWidget, QVBoxLayout, QWidget
+from PySide6.QtWidgets import QFrame, QPushButton, QScrollArea, QTabWidget, QWidget
 
+from tissueid.app import build
 from tissueid.app.small_window import FoldingBox
 from tissueid.app.views.gap.candidates_tab import CandidatesTab
 from tissueid.app.views.gap.closure_tab import ClosureTab
@@ -45,24 +46,21 @@ class ResultPage(QScrollArea):
         self.setFocusPolicy(Qt.FocusPolicy.NoFocus)
         self.setMinimumWidth(_LEAST_WIDTH)
         self.stale = plain_label()
-        self.again = QPushButton(_("Diagnose again"))
-        self.again.setToolTip(_("Run the same diagnosis on the session as it is now"))
+        self.again = build.button(_("Diagnose again"), tip=_("Run the same diagnosis on the session as it is now"))
         self.headline = plain_label("headline")
         self.means = plain_label()
         self.todo = plain_label()
         self.remarks = plain_label("muted")
-        self.accept = QPushButton(_("Accept into twin…"))
-        self.accept.setToolTip(_("Save a twin that has the named effect, for simulation and later diagnoses"))
-        self.report = QPushButton(_("Report"))
-        self.report.setToolTip(_("Write the report next to the session, and open it"))
-        self.export = QPushButton(_("Export JSON…"))
-        self.export.setToolTip(_("For scripts: the same answer as the command line gives"))
+        self.accept = build.button(
+            _("Accept into twin…"), tip=_("Save a twin that has the named effect, for simulation and later diagnoses")
+        )
+        self.report = build.button(_("Report"), tip=_("Write the report next to the session, and open it"))
+        self.export = build.button(_("Export JSON…"), tip=_("For scripts: the same answer as the command line gives"))
         self.chain = SignalChain()
         self.stage = plain_label("heading")
         self.evidence = plain_label()
         self.where, self.which, self.far, self.next = LocalisationTab(), CandidatesTab(), ClosureTab(), NextTestTab()
-        self.tabs = QTabWidget()
-        self.tabs.setDocumentMode(True)
+        self.tabs = build.styled(QTabWidget(), document_mode=True)
         self.tabs.tabBar().setDrawBase(False)
         # One stop of the tab key, not two: the second would lead back to the bar, and never past it.
         self.tabs.setFocusProxy(None)  # type: ignore[arg-type]
@@ -142,41 +140,29 @@ class ResultPage(QScrollArea):
         self.evidence.setAccessibleName(f"{self.stage.text()}. {self.evidence.text()}")
 
     def _arrange(self) -> None:
-        self._verdict = QFrame()
-        self._verdict.setProperty("role", "verdict")
-        offered = QHBoxLayout()
-        offered.setSpacing(6)
-        offered.addStretch(1)
+        self._verdict = build.styled(QFrame(), role="verdict")
+        offered = build.row(None)
         for button in self.buttons:
             offered.addWidget(button, 0, Qt.AlignmentFlag.AlignTop)
-        top = FoldingBox(_ONE_ROW)
-        top.setSpacing(6)
-        top.addWidget(self.headline, 1)
-        top.addLayout(offered)
-        verdict = QVBoxLayout(self._verdict)
-        verdict.setContentsMargins(12, 8, 10, 8)
-        verdict.setSpacing(3)
-        verdict.addLayout(top)
-        for label in (self.stale, self.means, self.todo, self.remarks):
-            verdict.addWidget(label)
-        card = QFrame()
-        card.setProperty("role", "card")
-        evidence = QVBoxLayout()
-        evidence.setSpacing(4)
-        evidence.addWidget(self.stage)
-        evidence.addWidget(self.evidence)
-        evidence.addStretch(1)
-        middle = FoldingBox(_ONE_ROW, card)
-        middle.setContentsMargins(8, 6, 12, 8)
-        middle.setSpacing(14)
-        middle.addWidget(self.chain, 5)
-        middle.addLayout(evidence, 3)
+        build.column(
+            build.fill(FoldingBox(_ONE_ROW), (self.headline, 1), offered),
+            self.stale,
+            self.means,
+            self.todo,
+            self.remarks,
+            spacing=3,
+            margins=(12, 8, 10, 8),
+            parent=self._verdict,
+        )
+        card = build.styled(QFrame(), role="card")
+        build.fill(
+            FoldingBox(_ONE_ROW, card),
+            (self.chain, 5),
+            (build.column(self.stage, self.evidence, None, spacing=4), 3),
+            spacing=14,
+            margins=(8, 6, 12, 8),
+        )
         self.tabs.setMinimumHeight(_TABS_HEIGHT)
         page = QWidget()
-        column = QVBoxLayout(page)
-        column.setContentsMargins(0, 0, 0, 0)
-        column.setSpacing(8)
-        column.addWidget(self._verdict)
-        column.addWidget(card)
-        column.addWidget(self.tabs, 1)
+        build.column(self._verdict, card, (self.tabs, 1), spacing=8, parent=page)
         self.setWidget(page)

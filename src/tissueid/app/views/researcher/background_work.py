@@ -2,10 +2,11 @@
 
 from __future__ import annotations
 
-from PySide6.QtCore import QSize, QTimer
-from PySide6.QtWidgets import QHBoxLayout, QProgressBar, QWidget
+from PySide6.QtCore import QSize
+from PySide6.QtWidgets import QProgressBar, QWidget
 
-from tissueid.app.build import button
+from tissueid.app import build
+from tissueid.app.build import button, styled, timer
 from tissueid.app.jobs import JobControl
 from tissueid.app.widgets import ElidedLabel
 from tissueid.language import _
@@ -39,22 +40,11 @@ class ProgressStrip(QWidget):
     def __init__(self, parent: QWidget | None = None) -> None:
         super().__init__(parent)
         self._errand: BackgroundWork | None = None
-        self._words = ElidedLabel()
-        self._words.setProperty("role", "muted")
-        self._bar = QProgressBar()
-        self._bar.setRange(0, _STEPS)
-        self._bar.setTextVisible(False)
-        self._bar.setAccessibleName(_("Progress"))
-        self.stop = button(_("Cancel"), role="small", name=_("Cancel the running work"))
-        self.stop.clicked.connect(self.cancel)
-        row = QHBoxLayout(self)
-        row.setContentsMargins(0, 0, 0, 0)
-        row.addWidget(self._words, 2)
-        row.addWidget(self._bar, 1)
-        row.addWidget(self.stop)
-        self._timer = QTimer(self)
-        self._timer.setInterval(_LOOK_MS)
-        self._timer.timeout.connect(self._look)
+        self._words = styled(ElidedLabel(), role="muted")
+        self._bar = styled(QProgressBar(), range=(0, _STEPS), text_visible=False, name=_("Progress"))
+        self.stop = button(_("Cancel"), self.cancel, role="small", name=_("Cancel the running work"))
+        build.row((self._words, 2), (self._bar, 1), self.stop, parent=self)
+        self._timer = timer(self, _LOOK_MS, self._look, repeat=True)
         keep = self.sizePolicy()
         keep.setRetainSizeWhenHidden(True)
         self.setSizePolicy(keep)

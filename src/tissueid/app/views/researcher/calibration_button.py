@@ -8,6 +8,7 @@ from PySide6.QtCore import Qt
 from PySide6.QtWidgets import QFileDialog, QPushButton
 
 from tissueid.analysis.curves.overlay_plots import calibration_curves
+from tissueid.app import build
 from tissueid.app.context import AppContext
 from tissueid.app.views.researcher.pictures import Pictures
 from tissueid.app.words import in_words
@@ -44,9 +45,11 @@ class CalibrationButton(QPushButton):
             folder = calibration_folder()
         except UnusableInputError:
             folder = None
-        dialog = QFileDialog(self, _("Dynamic sweep"), "" if folder is None else str(folder), "TOML (*.toml)")
-        dialog.setFileMode(QFileDialog.FileMode.ExistingFile)
-        dialog.setAttribute(Qt.WidgetAttribute.WA_DeleteOnClose)
+        dialog = build.styled(
+            QFileDialog(self, _("Dynamic sweep"), "" if folder is None else str(folder), "TOML (*.toml)"),
+            file_mode=QFileDialog.FileMode.ExistingFile,
+            attribute=Qt.WidgetAttribute.WA_DeleteOnClose,
+        )
         dialog.fileSelected.connect(lambda name: self.draw_sweep(Path(name)))
         dialog.finished.connect(self._check)
         dialog.open()

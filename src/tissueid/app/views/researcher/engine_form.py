@@ -13,14 +13,12 @@ from PySide6.QtWidgets import (
     QComboBox,
     QFrame,
     QGridLayout,
-    QHBoxLayout,
     QLabel,
-    QPushButton,
     QScrollArea,
-    QVBoxLayout,
     QWidget,
 )
 
+from tissueid.app import build
 from tissueid.app.option_field import OptionField
 from tissueid.app.views.researcher.preparation_form import PreparationForm
 from tissueid.app.views.researcher.selected_test import signal_title
@@ -45,40 +43,39 @@ class EngineForm(QWidget):
         self._fields: dict[str, OptionField] = {}
         self._stack = QUndoStack(self)
         self._stack.setUndoLimit(_UNDOABLE)
-        self.engine = QComboBox()
-        self.engine.setAccessibleName(_("Identification engine"))
+        self.engine = build.styled(QComboBox(), name=_("Identification engine"))
         for name in engine_names():
             self.engine.addItem(engine_label(name), name)
             self.engine.setItemData(self.engine.count() - 1, _about(name), Qt.ItemDataRole.ToolTipRole)
-        self.about = QLabel()
-        self.about.setProperty("role", "field")
-        self.about.setWordWrap(True)
-        self.about.setMinimumWidth(1)
-        self.about.setTextFormat(Qt.TextFormat.PlainText)
+        self.about = build.styled(
+            QLabel(), role="field", word_wrap=True, minimum_width=1, text_format=Qt.TextFormat.PlainText
+        )
         self.input, self.output = _signals(_("Input"), INPUTS), _signals(_("Output"), OUTPUTS)
-        self.together = QCheckBox(_("Fit tests of a file together"))
-        self.together.setToolTip(_("One model for all chosen tests of a session; otherwise one for each test"))
+        self.together = build.styled(
+            QCheckBox(_("Fit tests of a file together")),
+            tip=_("One model for all chosen tests of a session; otherwise one for each test"),
+        )
         self.preparation = PreparationForm()
-        self.defaults = QPushButton(_("&Defaults"))
-        self.defaults.setToolTip(_("All options of this engine as they are when nothing is chosen"))
-        self.undo = QPushButton(_("Undo"))
-        self.redo = QPushButton(_("Redo"))
-        self.undo.setToolTip(_("Take the last change back (Ctrl+Z)"))
-        self.redo.setToolTip(_("Make it again (Ctrl+Shift+Z)"))
-        self.problem = QLabel()
-        self.problem.setProperty("role", "readout")
-        self.problem.setProperty("level", "poor")
-        self.problem.setWordWrap(True)
-        self.problem.setMinimumWidth(1)
-        self.problem.setTextFormat(Qt.TextFormat.PlainText)
-        self.problem.hide()
+        self.defaults = build.button(
+            _("&Defaults"), self._take_defaults, tip=_("All options of this engine as they are when nothing is chosen")
+        )
+        self.undo = build.button(_("Undo"), tip=_("Take the last change back (Ctrl+Z)"))
+        self.redo = build.button(_("Redo"), tip=_("Make it again (Ctrl+Shift+Z)"))
+        self.problem = build.styled(
+            QLabel(),
+            role="readout",
+            level="poor",
+            word_wrap=True,
+            minimum_width=1,
+            text_format=Qt.TextFormat.PlainText,
+            hidden=True,
+        )
         self._arrange()
         self.engine.currentIndexChanged.connect(self._choose_engine)
         for combo in (self.input, self.output):
             combo.currentIndexChanged.connect(self.changed)
         self.together.toggled.connect(self.changed)
         self.preparation.changed.connect(self.changed)
-        self.defaults.clicked.connect(self._take_defaults)
         self.undo.clicked.connect(self._stack.undo)
         self.redo.clicked.connect(self._stack.redo)
         self._stack.canUndoChanged.connect(self.undo.setEnabled)
@@ -244,10 +241,12 @@ class EngineForm(QWidget):
         for row, (name, info) in enumerate(kind.model_fields.items()):
             field = OptionField(name, info, self)
             field.setPalette(self.palette())  # a field that comes late does not get the page's colours by itself
-            label = QLabel(field.label)
-            label.setProperty("role", "field")
-            label.setTextFormat(Qt.TextFormat.PlainText)
-            label.setToolTip(f"<qt>{html.escape(_(info.description))}</qt>" if info.description else "")
+            label = build.styled(
+                QLabel(field.label),
+                role="field",
+                text_format=Qt.TextFormat.PlainText,
+                tip=f"<qt>{html.escape(_(info.description))}</qt>" if info.description else "",
+            )
             self._grid.addWidget(label, 2 * row, 0)
             self._grid.addWidget(field, 2 * row + 1, 0)
             field.edited.connect(self._edited)
@@ -276,38 +275,30 @@ class EngineForm(QWidget):
         signals = QGridLayout()
         signals.setVerticalSpacing(2)
         for column, (name, combo) in enumerate(((_("Input"), self.input), (_("Output"), self.output))):
-            label = QLabel(name)
-            label.setProperty("role", "field")
+            label = build.styled(QLabel(name), role="field")
             signals.addWidget(label, 0, column)
             signals.addWidget(combo, 1, column)
             signals.setColumnStretch(column, 1)
         content = QWidget()
-        inside = QVBoxLayout(content)
-        inside.setContentsMargins(0, 0, 8, 0)
-        inside.setSpacing(6)
-        inside.addWidget(self.about)
-        inside.addLayout(self._grid)
-        inside.addWidget(self.problem)
-        buttons = QHBoxLayout()
-        buttons.setSpacing(4)
-        for button in (self.defaults, self.undo, self.redo):
-            buttons.addWidget(button)
-        inside.addLayout(buttons)
-        inside.addLayout(signals)
-        inside.addWidget(self.together)
-        inside.addWidget(self.preparation)
-        inside.addStretch(1)
+        build.column(
+            self.about,
+            self._grid,
+            self.problem,
+            build.row(self.defaults, self.undo, self.redo, spacing=4),
+            signals,
+            self.together,
+            self.preparation,
+            None,
+            margins=(0, 0, 8, 0),
+            parent=content,
+        )
         scroll = QScrollArea()
         scroll.setWidget(content)
         scroll.setWidgetResizable(True)
         scroll.setFrameShape(QFrame.Shape.NoFrame)
         scroll.setHorizontalScrollBarPolicy(Qt.ScrollBarPolicy.ScrollBarAlwaysOff)
         scroll.setFocusPolicy(Qt.FocusPolicy.NoFocus)
-        rows = QVBoxLayout(self)
-        rows.setContentsMargins(0, 0, 0, 0)
-        rows.setSpacing(4)
-        rows.addWidget(self.engine)
-        rows.addWidget(scroll, 1)
+        build.column(self.engine, (scroll, 1), spacing=4, parent=self)
 
 
 class _Change(QUndoCommand):
@@ -334,10 +325,12 @@ def _about(engine: str) -> str:
 
 
 def _signals(name: str, offered: tuple[str, ...]) -> QComboBox:
-    combo = QComboBox()
-    combo.setAccessibleName(_("{name} of the model").format(name=name))
-    combo.setMinimumContentsLength(5)
-    combo.setSizeAdjustPolicy(QComboBox.SizeAdjustPolicy.AdjustToMinimumContentsLengthWithIcon)
+    combo = build.styled(
+        QComboBox(),
+        name=_("{name} of the model").format(name=name),
+        minimum_contents_length=5,
+        size_adjust_policy=QComboBox.SizeAdjustPolicy.AdjustToMinimumContentsLengthWithIcon,
+    )
     for signal in offered:
         combo.addItem(signal_title(signal), signal)
     return combo

@@ -9,6 +9,7 @@ from pathlib import Path
 from PySide6.QtCore import Qt
 from PySide6.QtWidgets import QFileDialog, QMenu, QPushButton, QWidget
 
+from tissueid.app import build
 from tissueid.app.context import AppContext
 from tissueid.app.views.researcher.background_work import BackgroundWork, ProgressStrip
 from tissueid.app.views.researcher.selected_test import SelectedTest
@@ -114,10 +115,12 @@ class ExportButton(QPushButton):
         chosen = list(self._chosen())
         if not chosen:
             return
-        dialog = QFileDialog(self.window(), _("Export into a new folder in"), str(chosen[0].path.parent))
-        dialog.setFileMode(QFileDialog.FileMode.Directory)
-        dialog.setOption(QFileDialog.Option.ShowDirsOnly)
-        dialog.setAttribute(Qt.WidgetAttribute.WA_DeleteOnClose)
+        dialog = build.styled(
+            QFileDialog(self.window(), _("Export into a new folder in"), str(chosen[0].path.parent)),
+            file_mode=QFileDialog.FileMode.Directory,
+            option=QFileDialog.Option.ShowDirsOnly,
+            attribute=Qt.WidgetAttribute.WA_DeleteOnClose,
+        )
         dialog.fileSelected.connect(partial(self._export, chosen, kind))
         dialog.open()
 

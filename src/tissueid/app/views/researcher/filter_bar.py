@@ -5,9 +5,9 @@ from __future__ import annotations
 from collections.abc import Iterable
 
 from PySide6.QtCore import Qt, Signal
-from PySide6.QtWidgets import QComboBox, QHBoxLayout, QLineEdit, QVBoxLayout, QWidget
+from PySide6.QtWidgets import QComboBox, QHBoxLayout, QLineEdit, QWidget
 
-from tissueid.app.build import button
+from tissueid.app.build import button, column, row, styled
 from tissueid.app.views.researcher.session_search import SessionEntry
 from tissueid.app.widgets import plain_tip
 from tissueid.formatting import clean, subject_text
@@ -26,15 +26,17 @@ class FilterBar(QWidget):
 
     def __init__(self, parent: QWidget | None = None) -> None:
         super().__init__(parent)
-        self.words = QLineEdit()
-        self.words.setMaxLength(_LONGEST)
-        self.words.setPlaceholderText(_("Search in all columns"))
-        self.words.setAccessibleName(_("Search in all columns"))
-        self.words.setToolTip(_("Rows that have every word (Ctrl+F)"))
-        self.words.setClearButtonEnabled(True)
+        self.words = styled(
+            QLineEdit(),
+            max_length=_LONGEST,
+            placeholder_text=_("Search in all columns"),
+            name=_("Search in all columns"),
+            tip=_("Rows that have every word (Ctrl+F)"),
+            clear_button_enabled=True,
+        )
         self.choices = tuple(QComboBox() for _name in _NAMES)
         self.subject, self.site, self.kind = self.choices
-        self.clear = button(_("Clear"), name=_("Clear search and filters"))
+        self.clear = button(_("Clear"), self._clear, name=_("Clear search and filters"))
         choices = QHBoxLayout()
         choices.setSpacing(6)
         for choice, name, anything in zip(self.choices, _NAMES, _ALL, strict=True):
@@ -46,17 +48,8 @@ class FilterBar(QWidget):
             choice.setItemData(0, _(anything), Qt.ItemDataRole.ToolTipRole)
             choice.currentIndexChanged.connect(self._chosen)
             choices.addWidget(choice, 1)
-        first = QHBoxLayout()
-        first.setSpacing(6)
-        first.addWidget(self.words, 1)
-        first.addWidget(self.clear)
-        rows = QVBoxLayout(self)
-        rows.setContentsMargins(0, 0, 0, 0)
-        rows.setSpacing(6)
-        rows.addLayout(first)
-        rows.addLayout(choices)
+        column(row((self.words, 1), self.clear), choices, parent=self)
         self.words.textChanged.connect(self._chosen)
-        self.clear.clicked.connect(self._clear)
         self._chosen()
 
     @property

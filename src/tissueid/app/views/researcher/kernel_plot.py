@@ -7,8 +7,9 @@ from dataclasses import replace
 from typing import TYPE_CHECKING
 
 import numpy as np
-from PySide6.QtWidgets import QButtonGroup, QComboBox, QHBoxLayout, QPushButton, QVBoxLayout, QWidget
+from PySide6.QtWidgets import QButtonGroup, QComboBox, QPushButton, QWidget
 
+from tissueid.app import build
 from tissueid.app.plot_canvas import PlotCanvas
 from tissueid.app.views.researcher.engine_outcome import EngineOutcome
 from tissueid.language import _, marked
@@ -30,8 +31,7 @@ class KernelPlot(QWidget):
 
     def __init__(self, parent: QWidget | None = None) -> None:
         super().__init__(parent)
-        self.choice = QComboBox()
-        self.choice.setAccessibleName(_("Result whose kernel is shown"))
+        self.choice = build.styled(QComboBox(), name=_("Result whose kernel is shown"))
         # As wide as there is room: a long name must not widen the page.
         self.choice.setSizeAdjustPolicy(QComboBox.SizeAdjustPolicy.AdjustToMinimumContentsLengthWithIcon)
         self.choice.setMinimumContentsLength(10)
@@ -39,17 +39,13 @@ class KernelPlot(QWidget):
         self.canvas = PlotCanvas()
         self._plots: list[Plot] = []
         self._groups: list[tuple[Plot, ...]] = []
-        self.back = QPushButton(_("Reset view"))
-        self.back.setToolTip(_("Look at it as at first (Home)"))
+        self.back = build.button(_("Reset view"), tip=_("Look at it as at first (Home)"))
         self.back.clicked.connect(self.canvas.show_everything)
         self.flat, self.raised = QPushButton(_("Image")), QPushButton(_("Surface"))
         self.flat.setToolTip(_("Seen from above, every value a colour"))
         self.raised.setToolTip(_("In space, every value a height; it can be turned"))
         self._ways = QButtonGroup(self)
-        top = QHBoxLayout()
-        top.setSpacing(4)
-        top.addWidget(self.choice, 1)
-        top.addWidget(self.back)
+        top = build.row((self.choice, 1), self.back, spacing=4)
         for button in (self.flat, self.raised):
             button.setCheckable(True)
             button.setProperty("role", "toggle")
@@ -57,11 +53,7 @@ class KernelPlot(QWidget):
             top.addWidget(button)
         self.flat.setChecked(True)
         self.raised.toggled.connect(self._show)
-        layout = QVBoxLayout(self)
-        layout.setContentsMargins(0, 0, 0, 0)
-        layout.setSpacing(4)
-        layout.addLayout(top)
-        layout.addWidget(self.canvas, 1)
+        build.column(top, (self.canvas, 1), spacing=4, parent=self)
         self._show()
 
     @property

@@ -7,9 +7,10 @@ from collections.abc import Mapping, Sequence
 
 from PySide6.QtCore import Qt
 from PySide6.QtGui import QResizeEvent
-from PySide6.QtWidgets import QComboBox, QHBoxLayout, QLabel, QStackedWidget, QVBoxLayout, QWidget
+from PySide6.QtWidgets import QComboBox, QLabel, QStackedWidget, QVBoxLayout, QWidget
 
 from tissueid.analysis.curves.plot import Curve
+from tissueid.app import build
 from tissueid.app.plot_canvas import PlotCanvas
 from tissueid.app.theme import appearance
 from tissueid.app.views.researcher.engine_outcome import EngineOutcome, keys_of
@@ -38,9 +39,7 @@ class Pictures(QWidget):
 
     def __init__(self, parent: QWidget | None = None) -> None:
         super().__init__(parent)
-        self.choice = QComboBox()
-        self.choice.setAccessibleName(_("Picture"))
-        self.choice.setMinimumWidth(_CHOICE)
+        self.choice = build.styled(QComboBox(), name=_("Picture"), minimum_width=_CHOICE)
         for name in PICTURES:
             self.choice.addItem(_(name), name)
         self._drawn: list[EngineOutcome] = []
@@ -52,12 +51,14 @@ class Pictures(QWidget):
         self._pages = QStackedWidget()
         self._pages.addWidget(self.plots)
         self._pages.addWidget(self.kernel)
-        self.legend = QLabel()
-        self.legend.setTextFormat(Qt.TextFormat.RichText)
-        self.legend.setWordWrap(True)
-        self.legend.setAlignment(Qt.AlignmentFlag.AlignTop)
-        self.legend.setMinimumWidth(1)
-        self.legend.setAccessibleName(_("Key of the plots"))
+        self.legend = build.styled(
+            QLabel(),
+            text_format=Qt.TextFormat.RichText,
+            word_wrap=True,
+            alignment=Qt.AlignmentFlag.AlignTop,
+            minimum_width=1,
+            name=_("Key of the plots"),
+        )
         self.choice.currentIndexChanged.connect(self._show)
         appearance.changed.connect(self._show_legend)
         self.canvas = QWidget()
@@ -66,14 +67,8 @@ class Pictures(QWidget):
         inside.setSpacing(4)
         inside.addWidget(self.legend)
         inside.addWidget(self._pages, 1)
-        self.tools = QHBoxLayout()
-        self.tools.setSpacing(4)
-        self.tools.addWidget(self.choice)
-        layout = QVBoxLayout(self)
-        layout.setContentsMargins(0, 0, 0, 0)
-        layout.setSpacing(4)
-        layout.addLayout(self.tools)
-        layout.addWidget(self.canvas, 1)
+        self.tools = build.row(self.choice, spacing=4)
+        build.column(self.tools, (self.canvas, 1), spacing=4, parent=self)
         self.show_outcomes(())
 
     def show_outcomes(self, outcomes: Sequence[EngineOutcome], total: int = 0) -> list[EngineOutcome]:

@@ -7,10 +7,11 @@ from collections.abc import Sequence
 
 import numpy as np
 import pyqtgraph as pg
-from PySide6.QtCore import QEvent, QObject, QPoint, Qt, QTimer, Signal
+from PySide6.QtCore import QEvent, QObject, QPoint, Qt, Signal
 from PySide6.QtGui import QMouseEvent, QResizeEvent
-from PySide6.QtWidgets import QLabel, QVBoxLayout, QWidget
+from PySide6.QtWidgets import QLabel, QWidget
 
+from tissueid.app import build
 from tissueid.app.plotting import PlotCard
 from tissueid.app.theme import appearance, faint
 from tissueid.app.views.researcher.colours import series
@@ -45,17 +46,11 @@ class PlotStack(QWidget):
         self._held: tuple[float, float] | None = None
         self._grip = ""
         self._pressed_on: _Plot | None = None
-        self._frame = QTimer(self)
-        self._frame.setSingleShot(True)
-        self._frame.setInterval(_FRAME_MS)
-        self._frame.timeout.connect(self.draw)
-        self._axis = QLabel(_("Time from the start of the test (s)"))
-        self._axis.setProperty("role", "field")
-        self._axis.setAlignment(Qt.AlignmentFlag.AlignCenter)
-        self._column = QVBoxLayout(self)
-        self._column.setContentsMargins(0, 0, 0, 0)
-        self._column.setSpacing(4)
-        self._column.addWidget(self._axis)
+        self._frame = build.timer(self, _FRAME_MS, self.draw)
+        self._axis = build.styled(
+            QLabel(_("Time from the start of the test (s)")), role="field", alignment=Qt.AlignmentFlag.AlignCenter
+        )
+        self._column = build.column(self._axis, spacing=4, parent=self)
         appearance.changed.connect(self._paint)
 
     @property
@@ -202,9 +197,9 @@ class _Plot:
     """Plot of one signal of every test over the times in ``view``."""
 
     def __init__(self, parent: QWidget) -> None:
-        self.card = PlotCard(_("Signal"), "", "", parent=parent)
-        self.card.setToolTip(
-            _("Drag to select a time interval: the other plots show it. A double click shows everything")
+        self.card = build.styled(
+            PlotCard(_("Signal"), "", "", parent=parent),
+            tip=_("Drag to select a time interval: the other plots show it. A double click shows everything"),
         )
         self.view = (0.0, 1.0)
         self._channel = Channel("", "")

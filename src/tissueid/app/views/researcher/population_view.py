@@ -10,9 +10,9 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 from PySide6.QtCore import Qt, Signal
-from PySide6.QtWidgets import QComboBox, QGridLayout, QLabel, QVBoxLayout, QWidget
+from PySide6.QtWidgets import QComboBox, QGridLayout, QLabel, QWidget
 
-from tissueid.app.build import button
+from tissueid.app.build import button, column, styled
 from tissueid.app.plot_canvas import PlotCanvas, Point
 from tissueid.app.theme import LIGHT, appearance
 from tissueid.app.views.researcher.engine_outcome import EngineOutcome, variant_of
@@ -80,13 +80,14 @@ class PopulationView(QWidget):
         )
         self.card = PlotCanvas(_("Population"))
         self.card.pick, self.card.tip = self._clicked, self._tip
-        self.key = QLabel()
-        self.key.setTextFormat(Qt.TextFormat.RichText)
-        self.key.setWordWrap(True)
-        self.key.setMinimumWidth(1)
-        self.key.setAccessibleName(_("Groups and their means"))
-        self.count = ElidedLabel()
-        self.count.setProperty("role", "muted")
+        self.key = styled(
+            QLabel(),
+            text_format=Qt.TextFormat.RichText,
+            word_wrap=True,
+            minimum_width=1,
+            name=_("Groups and their means"),
+        )
+        self.count = styled(ElidedLabel(), role="muted")
         self.named = ElidedLabel()
         top = QGridLayout()
         top.setSpacing(4)
@@ -96,14 +97,7 @@ class PopulationView(QWidget):
         top.addWidget(self.save_figure, 0, 2)
         top.setColumnStretch(0, 1)
         top.setColumnStretch(1, 1)
-        rows = QVBoxLayout(self)
-        rows.setContentsMargins(0, 6, 0, 0)
-        rows.setSpacing(4)
-        rows.addLayout(top)
-        rows.addWidget(self.key)
-        rows.addWidget(self.card, 1)
-        rows.addWidget(self.count)
-        rows.addWidget(self.named)
+        column(top, self.key, (self.card, 1), self.count, self.named, spacing=4, margins=(0, 6, 0, 0), parent=self)
         for choice in (self.engine, self.parameter, self.across, self.group, self.spread):
             choice.activated.connect(self._choose)
         appearance.changed.connect(self._show)
@@ -270,12 +264,13 @@ class PopulationView(QWidget):
 
 
 def _choice(name: str) -> QComboBox:
-    choice = QComboBox()
-    choice.setAccessibleName(name)
-    choice.setToolTip(name)
-    choice.setSizeAdjustPolicy(QComboBox.SizeAdjustPolicy.AdjustToMinimumContentsLengthWithIcon)
-    choice.setMinimumContentsLength(_CHARACTERS)
-    return choice
+    return styled(
+        QComboBox(),
+        name=name,
+        tip=name,
+        size_adjust_policy=QComboBox.SizeAdjustPolicy.AdjustToMinimumContentsLengthWithIcon,
+        minimum_contents_length=_CHARACTERS,
+    )
 
 
 def _heading(parameter: str) -> str:

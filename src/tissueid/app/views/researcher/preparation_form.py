@@ -5,6 +5,7 @@ from __future__ import annotations
 from PySide6.QtCore import Signal
 from PySide6.QtWidgets import QCheckBox, QGridLayout, QLabel, QWidget
 
+from tissueid.app import build
 from tissueid.app.number_field import NumberField
 from tissueid.app.views.researcher.analysis_task import Preparation
 from tissueid.language import _
@@ -34,8 +35,7 @@ class PreparationForm(QWidget):
         layout.setContentsMargins(0, 0, 0, 0)
         layout.setVerticalSpacing(2)
         for column, edge in enumerate((self.low, self.high)):
-            label = QLabel(edge.accessibleName())
-            label.setProperty("role", "field")
+            label = build.styled(QLabel(edge.accessibleName()), role="field")
             layout.addWidget(label, 0, column)
             layout.addWidget(edge, 1, column)
             layout.setColumnStretch(column, 1)
@@ -64,8 +64,7 @@ class PreparationForm(QWidget):
         self.tissue_alone.setChecked(value.tissue_alone)
 
     def _box(self, label: str, what: str) -> QCheckBox:
-        box = QCheckBox(label)
-        box.setToolTip(what)
+        box = build.styled(QCheckBox(label), tip=what)
         box.toggled.connect(self.changed)
         return box
 

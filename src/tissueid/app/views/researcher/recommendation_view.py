@@ -35,8 +35,11 @@ class RecommendationView(QWidget):
     def __init__(self, parent: QWidget | None = None) -> None:
         super().__init__(parent)
         self._verdicts: dict[str, ComparisonSummary] = {}
-        self.choice = styled(QComboBox(), name=_("Test whose comparison is shown"))
-        self.choice.setSizeAdjustPolicy(QComboBox.SizeAdjustPolicy.AdjustToMinimumContentsLengthWithIcon)
+        self.choice = styled(
+            QComboBox(),
+            name=_("Test whose comparison is shown"),
+            size_adjust_policy=QComboBox.SizeAdjustPolicy.AdjustToMinimumContentsLengthWithIcon,
+        )
         self.choice.currentIndexChanged.connect(self._show)
         self.engines = button(_("En&gines compared"))
         menu = QMenu(self.engines)
@@ -46,16 +49,15 @@ class RecommendationView(QWidget):
             self._prepare(action)
         self.save = button(_("Table…"), name=_("Save the recommendation"), tip=_("Save table and reasons as CSV"))
         self.headline = label("headline")
-        self.words = styled(QPlainTextEdit(), name=_("Reasons of the recommendation"))
-        self.words.setReadOnly(True)
-        self.words.setTabChangesFocus(True)
+        self.words = styled(
+            QPlainTextEdit(), name=_("Reasons of the recommendation"), read_only=True, tab_changes_focus=True
+        )
         self.standings = table([in_two_lines(_(name)) for name in COLUMNS], _("Engines by how well they do"))
         self.standings.setWordWrap(True)  # the last column has the reason of a refusal
         header = self.standings.horizontalHeader()
         header.setSectionResizeMode(len(COLUMNS) - 1, QHeaderView.ResizeMode.Stretch)
         header.sectionResized.connect(self.standings.resizeRowsToContents)
-        parts = QSplitter(Qt.Orientation.Vertical)
-        parts.setChildrenCollapsible(False)
+        parts = styled(QSplitter(Qt.Orientation.Vertical), children_collapsible=False)
         for place, (part, stretch) in enumerate(((self.words, 2), (self.standings, 3))):
             parts.addWidget(part)
             parts.setStretchFactor(place, stretch)

@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING, Protocol
 from PySide6.QtCore import QObject, Qt
 from PySide6.QtWidgets import QFileDialog, QMessageBox, QWidget
 
+from tissueid.app import build
 from tissueid.app.context import AppContext
 from tissueid.language import _, marked
 
@@ -116,8 +117,9 @@ class SaveDialog(QObject):
     def _ask(self, title: str, kinds: Mapping[str, str], name: str, folder: Path | None = None) -> None:
         where, endings = folder or self._context.services.folder, list(kinds)
         words = {_(text): ending for ending, text in kinds.items()}
-        dialog = QFileDialog(self._over, title, str(where), ";;".join(words))
-        dialog.setAcceptMode(QFileDialog.AcceptMode.AcceptSave)
+        dialog = build.styled(
+            QFileDialog(self._over, title, str(where), ";;".join(words)), accept_mode=QFileDialog.AcceptMode.AcceptSave
+        )
         dialog.setOption(QFileDialog.Option.DontConfirmOverwrite)  # asked here, the same way on every system
         dialog.setDefaultSuffix(endings[0][1:])
         dialog.selectFile(free_name(where, name, endings[0]))
@@ -131,14 +133,16 @@ class SaveDialog(QObject):
         if not self._path.exists():
             self._begin()
             return
-        question = QMessageBox(
-            QMessageBox.Icon.Warning,
-            _("Replace the file?"),
-            _("{name} is there already. Replace it?").format(name=self._path.name),
-            QMessageBox.StandardButton.Cancel,
-            self._over,
+        question = build.styled(
+            QMessageBox(
+                QMessageBox.Icon.Warning,
+                _("Replace the file?"),
+                _("{name} is there already. Replace it?").format(name=self._path.name),
+                QMessageBox.StandardButton.Cancel,
+                self._over,
+            ),
+            text_format=Qt.TextFormat.PlainText,
         )
-        question.setTextFormat(Qt.TextFormat.PlainText)
         replace = question.addButton(_("Replace"), QMessageBox.ButtonRole.DestructiveRole)
         question.setDefaultButton(QMessageBox.StandardButton.Cancel)
         question.setAttribute(Qt.WidgetAttribute.WA_DeleteOnClose)

@@ -9,6 +9,7 @@ from PySide6.QtCore import QModelIndex, QObject, QPersistentModelIndex, QPoint, 
 from PySide6.QtGui import QKeyEvent, QPainter, QPaintEvent, QResizeEvent
 from PySide6.QtWidgets import QAbstractItemView, QApplication, QMenu, QTreeView, QWidget
 
+from tissueid.app import build
 from tissueid.app.views.researcher.session_model import (
     CONFIGURATION,
     DATE,
@@ -163,8 +164,7 @@ class SessionTree(QTreeView):
 
     def columns_menu(self) -> QMenu:
         """Return the menu of the header, with an entry for each column that can be hidden."""
-        menu = QMenu(self)
-        menu.setAttribute(Qt.WidgetAttribute.WA_DeleteOnClose)
+        menu = build.styled(QMenu(self), attribute=Qt.WidgetAttribute.WA_DeleteOnClose)
         for column in range(1, self.header().count()):
             title = str(self.model().headerData(column, Qt.Orientation.Horizontal))
             action = menu.addAction(title, functools.partial(self._want, column))

@@ -4,18 +4,18 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 
-from PySide6.QtCore import Qt, QTimer, Signal
+from PySide6.QtCore import Qt, Signal
 from PySide6.QtWidgets import (
     QHBoxLayout,
     QLabel,
     QMenu,
     QPushButton,
     QSplitter,
-    QVBoxLayout,
     QWidget,
 )
 
-from tissueid.app.build import button
+from tissueid.app import build
+from tissueid.app.build import button, column, timer
 from tissueid.app.context import AppContext
 from tissueid.app.number_field import NumberField
 from tissueid.app.small_window import FoldingBox
@@ -115,24 +115,22 @@ class SignalsPanel(QWidget):
         self.channels = ChannelButton(load_texts(context.settings, _SIGNALS))
         self.low, self.high = NumberField(), NumberField()
         self.whole = button(_("Whole test"), tip=_("Show everything again (a double click on a plot does the same)"))
-        self.save = button(_("Save figure…"), tip=_("What is shown, as PDF, SVG or PNG with 300 dpi"))
+        self.save = button(
+            _("Save figure…"), self._choose_figure, tip=_("What is shown, as PDF, SVG or PNG with 300 dpi")
+        )
         self._saver = SaveDialog(context, self)
         self.about = ElidedLabel()
         self.stack = PlotStack()
         self.table = StatisticsTable()
         self.spectrum = SpectrumCard()
         self.empty = QLabel(_(NOTHING))
-        self._figures = QTimer(self)
-        self._figures.setSingleShot(True)
-        self._figures.setInterval(_FIGURES_MS)
-        self._figures.timeout.connect(self._show_figures)
+        self._figures = timer(self, _FIGURES_MS, self._show_figures)
         self._arrange()
         self.channels.changed.connect(self._redraw)
         self.stack.brushed.connect(self._brushed)
         self.low.valueChanged.connect(self._typed)
         self.high.valueChanged.connect(self._typed)
         self.whole.clicked.connect(self.stack.show_whole)
-        self.save.clicked.connect(self._choose_figure)
         self.table.currentCellChanged.connect(self.stack.bring_forward)
         self._redraw()
 
@@ -287,16 +285,14 @@ class SignalsPanel(QWidget):
         top.addLayout(looked_at)
         top.addLayout(kept, 1)
         below = QWidget()
-        row = QHBoxLayout(below)
-        row.setContentsMargins(0, 4, 0, 0)
-        row.setSpacing(8)
-        figures = QVBoxLayout()
-        figures.setSpacing(4)
         self.about.setFixedHeight(self.spectrum.choice.sizeHint().height())
-        figures.addWidget(self.about)
-        figures.addWidget(self.table, 1)
-        row.addLayout(figures, 5)
-        row.addWidget(self.spectrum, 4)
+        build.row(
+            (column(self.about, (self.table, 1), spacing=4), 5),
+            (self.spectrum, 4),
+            spacing=8,
+            margins=(0, 4, 0, 0),
+            parent=below,
+        )
         self.parts = QSplitter(Qt.Orientation.Vertical)
         self.parts.addWidget(self.stack)
         self.parts.addWidget(below)
@@ -304,9 +300,4 @@ class SignalsPanel(QWidget):
         self.parts.setStretchFactor(0, 3)
         self.parts.setStretchFactor(1, 1)
         self.parts.setSizes(list(_HEIGHTS))
-        rows = QVBoxLayout(self)
-        rows.setContentsMargins(0, 6, 0, 0)
-        rows.setSpacing(6)
-        rows.addLayout(top)
-        rows.addWidget(self.parts, 1)
-        rows.addWidget(self.empty, 1)
+        column(top, (self.parts, 1), (self.empty, 1), margins=(0, 6, 0, 0), parent=self)

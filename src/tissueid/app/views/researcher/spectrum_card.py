@@ -5,8 +5,9 @@ from __future__ import annotations
 from collections.abc import Sequence
 from typing import TYPE_CHECKING
 
-from PySide6.QtWidgets import QComboBox, QVBoxLayout, QWidget
+from PySide6.QtWidgets import QComboBox, QWidget
 
+from tissueid.app import build
 from tissueid.app.plot_canvas import PlotCanvas
 from tissueid.app.theme import appearance
 from tissueid.app.views.researcher.colours import series
@@ -22,18 +23,16 @@ class SpectrumCard(QWidget):
 
     def __init__(self, parent: QWidget | None = None) -> None:
         super().__init__(parent)
-        self.choice = QComboBox()
-        self.choice.setAccessibleName(_("Signal of the spectrum"))
-        self.choice.setSizeAdjustPolicy(QComboBox.SizeAdjustPolicy.AdjustToMinimumContentsLengthWithIcon)
-        self.choice.setMinimumContentsLength(10)
+        self.choice = build.styled(
+            QComboBox(),
+            name=_("Signal of the spectrum"),
+            size_adjust_policy=QComboBox.SizeAdjustPolicy.AdjustToMinimumContentsLengthWithIcon,
+            minimum_contents_length=10,
+        )
         self.card = PlotCanvas(_("Power spectrum"))
         self._shown: tuple[Sequence[LoadedTest], tuple[float, float]] = ((), (0.0, 1.0))
         self._wanted = "position"
-        rows = QVBoxLayout(self)
-        rows.setContentsMargins(0, 0, 0, 0)
-        rows.setSpacing(4)
-        rows.addWidget(self.choice)
-        rows.addWidget(self.card, 1)
+        build.column(self.choice, (self.card, 1), spacing=4, parent=self)
         self.choice.activated.connect(self._choose)
         appearance.changed.connect(self._show_again)
 

@@ -157,5 +157,6 @@ def brief(health: str) -> str:
 def under_heading(title: str, about: QLabel, table: Rows, *buttons: QWidget) -> QBoxLayout:
     """A table under a heading with buttons next to the heading."""
     about.setProperty("role", "muted")
-    top = build.row(build.styled(QLabel(title), role="heading"), (about, 1), *buttons, spacing=8)
-    return build.column(top, (table, 1), spacing=4)
+    return build.column(
+        build.row(build.styled(QLabel(title), role="heading"), (about, 1), *buttons, spacing=8), (table, 1), spacing=4
+    )

@@ -22,7 +22,7 @@ class FiguresTab(QWidget):
     def __init__(self, parent: QWidget | None = None) -> None:
         super().__init__(parent)
         self.figures = StudyFigures()
-        self.compute = button(_("Compute figures"), tip=_("Statistics and figures of the table as it is"))
+        self.compute = button(_("Compute figures"), self.wanted, tip=_("Statistics and figures of the table as it is"))
         self.save = button(_("Save figure…"), tip=_("Save the figure as PNG, SVG or PDF, or its numbers as CSV"))
         self.kind, self.parameter = QComboBox(), QComboBox()
         self.kind.setAccessibleName(_("Kind of the figure"))
@@ -34,7 +34,6 @@ class FiguresTab(QWidget):
             choice.setMinimumContentsLength(10)
         top = row((self.kind, 1), (self.parameter, 1), self.save, self.compute)
         self.setLayout(column(top, (self.canvas, 1), self.remarks, margins=(0, 8, 0, 0)))
-        self.compute.clicked.connect(self.wanted)
         self.save.clicked.connect(self.canvas.ask_where_to_save)
         self.kind.currentIndexChanged.connect(self._choose_kind)
         self.parameter.currentIndexChanged.connect(self._draw)

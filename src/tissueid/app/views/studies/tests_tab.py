@@ -15,11 +15,11 @@ from PySide6.QtWidgets import (
     QLineEdit,
     QMenu,
     QTableView,
-    QVBoxLayout,
     QWidget,
 )
 
-from tissueid.app.build import button
+from tissueid.app import build
+from tissueid.app.build import button, fill, styled
 from tissueid.app.small_window import FoldingBox
 from tissueid.app.views.studies.study_data import StudyData
 from tissueid.app.views.studies.tests_model import SUBJECT, WITHOUT, TestsModel
@@ -47,11 +47,13 @@ class TestsTab(QWidget):
         super().__init__(parent)
         self.model = TestsModel(self)
         self._data: StudyData | None = None
-        self.words = QLineEdit()
-        self.words.setPlaceholderText(_("Search in all columns"))
-        self.words.setAccessibleName(_("Search in all columns"))
-        self.words.setToolTip(_("Rows that have every word (Ctrl+F)"))
-        self.words.setClearButtonEnabled(True)
+        self.words = styled(
+            QLineEdit(),
+            placeholder_text=_("Search in all columns"),
+            name=_("Search in all columns"),
+            tip=_("Rows that have every word (Ctrl+F)"),
+            clear_button_enabled=True,
+        )
         self.choices = tuple(QComboBox() for _name in _NAMES)
         self.subject, self.site, self.condition = self.choices
         for choice, name, everything in zip(self.choices, _NAMES, _ALL, strict=True):
@@ -60,28 +62,15 @@ class TestsTab(QWidget):
             choice.setMinimumContentsLength(len(_(everything)))
             choice.addItem(_(everything), "")
             choice.currentIndexChanged.connect(self._filter)
-        self.parameters = button(_("Parameters"), tip=_("Columns of the table"))
-        self.parameters.setMenu(QMenu(self))
-        self.count = QLabel()
-        self.count.setProperty("role", "muted")
-        self.count.setWordWrap(True)
-        self.count.setMinimumWidth(1)
+        self.parameters = button(_("Parameters"), tip=_("Columns of the table"), menu=QMenu(self))
+        self.count = styled(QLabel(), role="muted", word_wrap=True, minimum_width=1)
         self.table = QTableView()
         self._dress()
         holder = QWidget()
-        first = FoldingBox(_FILTERS_IN_A_ROW, holder)
-        first.setContentsMargins(0, 0, 0, 0)
-        first.setSpacing(6)
-        for part in (self.words, *self.choices, self.parameters):
-            first.addWidget(part)
-        rows = QVBoxLayout(self)
-        rows.setContentsMargins(0, 8, 0, 0)
-        rows.setSpacing(6)
-        rows.addWidget(holder)
-        rows.addWidget(self.table, 1)
+        fill(FoldingBox(_FILTERS_IN_A_ROW, holder), self.words, *self.choices, self.parameters)
         foot = QHBoxLayout()
         foot.addWidget(self.count, 1)
-        rows.addLayout(foot)
+        build.column(holder, (self.table, 1), foot, margins=(0, 8, 0, 0), parent=self)
         self.words.textChanged.connect(self._filter)
         self.model.modelReset.connect(self._span)
         self.model.layoutChanged.connect(self._span)

@@ -8,9 +8,10 @@ from dataclasses import dataclass, field
 from pathlib import Path
 
 from PySide6.QtCore import Qt
-from PySide6.QtWidgets import QComboBox, QFileDialog, QFrame, QHBoxLayout, QLineEdit, QVBoxLayout, QWidget
+from PySide6.QtWidgets import QComboBox, QFileDialog, QFrame, QLineEdit, QWidget
 
-from tissueid.app.build import button
+from tissueid.app import build
+from tissueid.app.build import button, label, row, styled
 from tissueid.app.context import AppContext
 from tissueid.app.jobs import PageJob
 from tissueid.app.views.technician.events import moment
@@ -94,34 +95,34 @@ class AuditTab(Tab):
         super().__init__(context, page_job, parent)
         self._read = Read(LogPage(), (), ())
         self._csv: Path | None = None
-        self.role = QComboBox()
-        self.role.setAccessibleName(_("Role whose lines are shown"))
+        self.role = styled(QComboBox(), name=_("Role whose lines are shown"))
         self.role.addItem(_(_ALL_ROLES), "")
         for role in ROLES:
             self.role.addItem(role, role)
         self.role.setCurrentIndex(max(0, self.role.findData(str(context.settings.value(_ROLE, "")))))
-        self.act = QComboBox()
-        self.act.setAccessibleName(_("Which acts are shown"))
+        self.act = styled(QComboBox(), name=_("Which acts are shown"))
         self.act.addItem(_(_ALL_ACTS))
         self.act.setMinimumContentsLength(20)
-        self.search = QLineEdit(str(context.settings.value(_SEARCH, ""))[:200])
-        self.search.setPlaceholderText(_("Search"))
-        self.search.setToolTip(_("Search (Ctrl+F)"))
-        self.search.setAccessibleName(_("Search the audit log"))
-        self.search.setClearButtonEnabled(True)
-        self.search.setMaxLength(200)
-        self.again = button(_("Read again"), name=_("Read the audit log again"))
-        self.again.clicked.connect(self.load)
-        self.verify = button(_("Verify"), tip=_("Checks every line of the log for changes, from the first to the last"))
-        self.verify.clicked.connect(self.begin_verifying)
-        self.export = button(_("Export CSV…"), tip=_("Writes the lines that are shown, for a spreadsheet"))
-        self.export.clicked.connect(self._choose_csv)
-        self.verdict = QFrame()
-        self.verdict.setProperty("role", "verdict")
+        self.search = styled(
+            QLineEdit(str(context.settings.value(_SEARCH, ""))[:200]),
+            placeholder_text=_("Search"),
+            tip=_("Search (Ctrl+F)"),
+            name=_("Search the audit log"),
+            clear_button_enabled=True,
+            max_length=200,
+        )
+        self.again = button(_("Read again"), self.load, name=_("Read the audit log again"))
+        self.verify = button(
+            _("Verify"),
+            self.begin_verifying,
+            tip=_("Checks every line of the log for changes, from the first to the last"),
+        )
+        self.export = button(
+            _("Export CSV…"), self._choose_csv, tip=_("Writes the lines that are shown, for a spreadsheet")
+        )
+        self.verdict = styled(QFrame(), role="verdict")
         self.words = plain_label(_("Not verified yet: press Verify to see whether every line is as it was written."))
-        inside = QHBoxLayout(self.verdict)
-        inside.setContentsMargins(12, 6, 10, 6)
-        inside.addWidget(self.words)
+        row(self.words, margins=(12, 6, 10, 6), parent=self.verdict)
         self.count = plain_label(role="muted")
         self.model = PiecesModel(
             (_("Line"), _("Time (UTC)"), _("Role"), _("Who"), _("What"), _("About"), _("Old"), _("New")),
@@ -129,24 +130,26 @@ class AuditTab(Tab):
             right=(0,),
         )
         self.list = table_of(self.model, _("Audit log"), (60, 138, 82, 80, 150, 190, 100))
-        self.full = plain_label()
-        self.full.setTextInteractionFlags(Qt.TextInteractionFlag.TextSelectableByMouse)
+        self.full = label(text_interaction_flags=Qt.TextInteractionFlag.TextSelectableByMouse)
         self.list.selectionModel().selectionChanged.connect(self._show_full)
         self.role.currentIndexChanged.connect(self._show)
         self.act.currentIndexChanged.connect(self._show)
         self.search.textChanged.connect(self._show)
-        top = QHBoxLayout()
-        top.setSpacing(8)
-        for widget in (self.role, self.act, self.search, self.again, self.verify, self.export):
-            top.addWidget(widget, 1 if widget is self.search else 0)
-        layout = QVBoxLayout(self)
-        layout.setContentsMargins(0, 8, 0, 0)
-        layout.setSpacing(6)
-        layout.addLayout(top)
-        layout.addWidget(self.verdict)
-        layout.addWidget(self.list, 1)
-        layout.addWidget(self.full)
-        layout.addWidget(self.count)
+        build.column(
+            row(
+                *[
+                    (widget, 1 if widget is self.search else 0)
+                    for widget in (self.role, self.act, self.search, self.again, self.verify, self.export)
+                ],
+                spacing=8,
+            ),
+            self.verdict,
+            (self.list, 1),
+            self.full,
+            self.count,
+            margins=(0, 8, 0, 0),
+            parent=self,
+        )
         self._show()
 
     # -- work ---------------------------------------------------------------------------------------------
@@ -209,10 +212,12 @@ class AuditTab(Tab):
     def _choose_csv(self) -> None:
         if self.context.busy:
             return
-        dialog = QFileDialog(self, _("Export the audit log"), str(Path.home() / "audit.csv"), _("Spreadsheets (*.csv)"))
-        dialog.setAcceptMode(QFileDialog.AcceptMode.AcceptSave)
-        dialog.setDefaultSuffix("csv")
-        dialog.setAttribute(Qt.WidgetAttribute.WA_DeleteOnClose)
+        dialog = styled(
+            QFileDialog(self, _("Export the audit log"), str(Path.home() / "audit.csv"), _("Spreadsheets (*.csv)")),
+            accept_mode=QFileDialog.AcceptMode.AcceptSave,
+            default_suffix="csv",
+            attribute=Qt.WidgetAttribute.WA_DeleteOnClose,
+        )
         dialog.fileSelected.connect(self.export_to)
         dialog.open()
 

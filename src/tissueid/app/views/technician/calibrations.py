@@ -9,9 +9,10 @@ from datetime import UTC, datetime
 from pathlib import Path
 
 from PySide6.QtCore import Qt
-from PySide6.QtWidgets import QHBoxLayout, QSplitter, QStackedWidget, QVBoxLayout, QWidget
+from PySide6.QtWidgets import QSplitter, QStackedWidget, QWidget
 
-from tissueid.app.build import button
+from tissueid.app import build
+from tissueid.app.build import button, label, styled
 from tissueid.app.context import AppContext
 from tissueid.app.jobs import PageJob
 from tissueid.app.views.technician.statics_panel import StaticsPanel
@@ -152,30 +153,22 @@ class CalibrationsTab(Tab):
         super().__init__(context, page_job, parent)
         self._stored: tuple[Stored, ...] = ()
         self._nominal: DeviceDescription | None = None
-        self.calibrate = button(_("Calibrate…"), tip=_("Shows the page Measure, where calibrations are made"))
-        self.calibrate.clicked.connect(self._go)
-        self.again = button(_("Read again"), name=_("Read the folder of calibrations again"))
-        self.again.clicked.connect(self.load)
+        self.calibrate = button(_("Calibrate…"), self._go, tip=_("Shows the page Measure, where calibrations are made"))
+        self.again = button(_("Read again"), self.load, name=_("Read the folder of calibrations again"))
         self.about = plain_label(role="muted")
         self.model = PiecesModel(tuple(_(head) for head in HEADERS), Row.cell, level=lambda row: row.level, marked=4)
         self.list = table_of(self.model, _("Calibrations"), (82, 66, 74, 70, 180))
         self.list.selectionModel().selectionChanged.connect(self._show_selected)
         self.why = plain_label(role="muted")
-        self.hint = plain_label(_(_HINT), "muted")
-        self.hint.setAlignment(Qt.AlignmentFlag.AlignCenter)
+        self.hint = label(_(_HINT), "muted", alignment=Qt.AlignmentFlag.AlignCenter)
         self.sweeps = SweepsPanel()
         self.statics = StaticsPanel()
         self.detail = QStackedWidget()
         for page in (self.hint, self.sweeps, self.statics):
             self.detail.addWidget(page)
         left = QWidget()
-        column = QVBoxLayout(left)
-        column.setContentsMargins(0, 0, 6, 0)
-        column.setSpacing(6)
-        column.addWidget(self.list, 1)
-        column.addWidget(self.why)
-        self.split = QSplitter(Qt.Orientation.Horizontal)
-        self.split.setChildrenCollapsible(False)
+        build.column((self.list, 1), self.why, margins=(0, 0, 6, 0), parent=left)
+        self.split = styled(QSplitter(Qt.Orientation.Horizontal), children_collapsible=False)
         self.split.addWidget(left)
         self.split.addWidget(self.detail)
         self.split.setStretchFactor(0, 2)
@@ -183,16 +176,12 @@ class CalibrationsTab(Tab):
         self.split.setSizes([450, 600])
         if (state := context.settings.value(_SPLIT)) is not None:
             self.split.restoreState(state)
-        top = QHBoxLayout()
-        top.setSpacing(8)
-        top.addWidget(self.calibrate)
-        top.addWidget(self.again)
-        top.addWidget(self.about, 1)
-        layout = QVBoxLayout(self)
-        layout.setContentsMargins(0, 8, 0, 0)
-        layout.setSpacing(6)
-        layout.addLayout(top)
-        layout.addWidget(self.split, 1)
+        build.column(
+            build.row(self.calibrate, self.again, (self.about, 1), spacing=8),
+            (self.split, 1),
+            margins=(0, 8, 0, 0),
+            parent=self,
+        )
         self._show()
 
     # -- work ---------------------------------------------------------------------------------------------

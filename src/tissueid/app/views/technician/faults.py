@@ -6,9 +6,10 @@ import functools
 from collections.abc import Callable
 from pathlib import Path
 
-from PySide6.QtWidgets import QComboBox, QFrame, QHBoxLayout, QLineEdit, QVBoxLayout, QWidget
+from PySide6.QtWidgets import QComboBox, QFrame, QLineEdit, QWidget
 
-from tissueid.app.build import button
+from tissueid.app import build
+from tissueid.app.build import button, styled
 from tissueid.app.context import AppContext
 from tissueid.app.jobs import PageJob
 from tissueid.app.views.technician.checkup import newest_first
@@ -41,58 +42,56 @@ class FaultsTab(Tab):
     def __init__(self, context: AppContext, page_job: PageJob, parent: QWidget | None = None) -> None:
         super().__init__(context, page_job, parent)
         self.events = Events(())
-        self.kind = QComboBox()
-        self.kind.setAccessibleName(_("Which events are shown"))
+        self.kind = styled(QComboBox(), name=_("Which events are shown"))
         for name in (_CONCERNS, _ALL, *KINDS):
             self.kind.addItem(_(name), name)
         self.kind.setCurrentIndex(max(0, self.kind.findData(str(context.settings.value(_FILTER, _CONCERNS)))))
-        self.search = QLineEdit(str(context.settings.value(_SEARCH, ""))[:200])
-        self.search.setPlaceholderText(_("Search"))
-        self.search.setToolTip(_("Search (Ctrl+F)"))
-        self.search.setAccessibleName(_("Search the events"))
-        self.search.setClearButtonEnabled(True)
-        self.search.setMaxLength(200)
-        self.again = button(_("Read again"), name=_("Read the events again"))
-        self.again.clicked.connect(self.load)
+        self.search = styled(
+            QLineEdit(str(context.settings.value(_SEARCH, ""))[:200]),
+            placeholder_text=_("Search"),
+            tip=_("Search (Ctrl+F)"),
+            name=_("Search the events"),
+            clear_button_enabled=True,
+            max_length=200,
+        )
+        self.again = button(_("Read again"), self.load, name=_("Read the events again"))
         self.count = plain_label(role="muted")
         self.model = PiecesModel(
             (_("Time (UTC)"), _("Kind"), _("About"), _("Why")), _cell, level=lambda event: event.level, marked=1
         )
         self.list = table_of(self.model, _("Faults and events"), (140, 120, 260))
         self.list.selectionModel().selectionChanged.connect(self._show_selected)
-        self.open = button(_("Open session"), tip=_("Analyses the session of the selected event on the page Measure"))
-        self.open.clicked.connect(self._open)
+        self.open = button(
+            _("Open session"), self._open, tip=_("Analyses the session of the selected event on the page Measure")
+        )
         self.title = plain_label(role="headline")
         self.reason = plain_label()
         self.advice = plain_label()
         self.where = plain_label(role="muted")
         self.kind.currentIndexChanged.connect(self._show)
         self.search.textChanged.connect(self._show)
-        top = QHBoxLayout()
-        top.setSpacing(8)
-        for widget in (self.kind, self.search, self.again):
-            top.addWidget(widget, 1 if widget is self.search else 0)
-        layout = QVBoxLayout(self)
-        layout.setContentsMargins(0, 8, 0, 0)
-        layout.setSpacing(6)
-        layout.addLayout(top)
-        layout.addWidget(self.count)
-        layout.addWidget(self.list, 1)
-        layout.addWidget(self._make_detail())
+        build.column(
+            build.row(
+                *[(widget, 1 if widget is self.search else 0) for widget in (self.kind, self.search, self.again)],
+                spacing=8,
+            ),
+            self.count,
+            (self.list, 1),
+            self._make_detail(),
+            margins=(0, 8, 0, 0),
+            parent=self,
+        )
         self._busy = False
         self._show()
 
     def _make_detail(self) -> QFrame:
-        self.detail = QFrame()
-        self.detail.setProperty("role", "verdict")
-        words = QVBoxLayout()
-        words.setSpacing(3)
-        for label in (self.title, self.reason, self.advice, self.where):
-            words.addWidget(label)
-        row = QHBoxLayout(self.detail)
-        row.setContentsMargins(12, 6, 10, 8)
-        row.addLayout(words, 1)
-        row.addWidget(self.open)
+        self.detail = styled(QFrame(), role="verdict")
+        build.row(
+            (build.column(self.title, self.reason, self.advice, self.where, spacing=3), 1),
+            self.open,
+            margins=(12, 6, 10, 8),
+            parent=self.detail,
+        )
         self.detail.hide()
         return self.detail
 

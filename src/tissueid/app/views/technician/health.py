@@ -9,8 +9,9 @@ from datetime import UTC, datetime
 import numpy as np
 from PySide6.QtCore import QPointF, Qt
 from PySide6.QtGui import QColor, QPainter, QPaintEvent, QPen
-from PySide6.QtWidgets import QFrame, QHBoxLayout, QPushButton, QVBoxLayout, QWidget
+from PySide6.QtWidgets import QFrame, QWidget
 
+from tissueid.app import build
 from tissueid.app.calibration_state import calibration_state
 from tissueid.app.context import AppContext
 from tissueid.app.jobs import PageJob
@@ -88,9 +89,11 @@ class HealthTab(Tab):
         self.headline = plain_label(role="headline")
         self.reasons = plain_label()
         self.chosen = plain_label(role="muted")
-        self.ask = QPushButton(_("Check the instrument"))
-        self.ask.setToolTip(_("Opens the chosen instrument, listens for a second, closes it; the coil stays free (F5)"))
-        self.ask.clicked.connect(self.begin_asking)
+        self.ask = build.button(
+            _("Check the instrument"),
+            self.begin_asking,
+            tip=_("Opens the chosen instrument, listens for a second, closes it; the coil stays free (F5)"),
+        )
         self.identity = FactsCard(_("Instrument"))
         self.state = FactsCard(_("Active calibration"))
         self.link = FactsCard(_("Cable and samples"))
@@ -102,37 +105,27 @@ class HealthTab(Tab):
         )
         self._static = self.trend.dots("measured", 7)
         self._sweep = self.trend.dots("model", 7)
-        cards = QHBoxLayout()
-        cards.setSpacing(8)
-        for card in (self.identity, self.state, self.link):
-            cards.addWidget(card, 1)
-        layout = QVBoxLayout(self)
-        layout.setContentsMargins(0, 8, 0, 0)
-        layout.setSpacing(8)
-        layout.addWidget(self._make_verdict())
-        layout.addLayout(cards)
-        layout.addWidget(self.trend, 1)
+        build.column(
+            self._make_verdict(),
+            build.row(*[(card, 1) for card in (self.identity, self.state, self.link)], spacing=8),
+            (self.trend, 1),
+            spacing=8,
+            margins=(0, 8, 0, 0),
+            parent=self,
+        )
         self._show()
         self._show_trend()
 
     def _make_verdict(self) -> QFrame:
-        self.verdict = QFrame()
-        self.verdict.setProperty("role", "verdict")
-        words = QVBoxLayout()
-        words.setSpacing(3)
-        words.addWidget(self.headline)
-        words.addWidget(self.reasons)
-        words.addStretch(1)
-        words.addWidget(self.chosen)
-        button = QVBoxLayout()
-        button.addWidget(self.ask)
-        button.addStretch(1)
-        row = QHBoxLayout(self.verdict)
-        row.setContentsMargins(12, 8, 12, 8)
-        row.setSpacing(14)
-        row.addWidget(self.lamps)
-        row.addLayout(words, 1)
-        row.addLayout(button)
+        self.verdict = build.styled(QFrame(), role="verdict")
+        build.row(
+            self.lamps,
+            (build.column(self.headline, self.reasons, None, self.chosen, spacing=3), 1),
+            build.column(self.ask, None, spacing=14),
+            spacing=14,
+            margins=(12, 8, 12, 8),
+            parent=self.verdict,
+        )
         return self.verdict
 
     # -- work ---------------------------------------------------------------------------------------------

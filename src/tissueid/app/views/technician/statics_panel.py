@@ -5,9 +5,10 @@ from __future__ import annotations
 from collections.abc import Sequence
 from datetime import UTC, datetime
 
-from PySide6.QtWidgets import QComboBox, QHBoxLayout, QVBoxLayout, QWidget
+from PySide6.QtWidgets import QComboBox, QHBoxLayout, QWidget
 
 from tissueid.analysis.curves.calibration_plots import residual_plot, trend_plot
+from tissueid.app import build
 from tissueid.app.calibration_state import figure_of
 from tissueid.app.plot_canvas import PlotCanvas
 from tissueid.app.views.technician.tab import PiecesModel, mark_level, plain_label, table_of, tip
@@ -39,35 +40,25 @@ class StaticsPanel(QWidget):
             right=(1,),
         )
         self.figures = table_of(self.model, _("Figures of the static calibration"), (250, 175))
-        self.line = QComboBox()
-        self.line.setAccessibleName(_("Which line's residuals"))
-        self.line.setToolTip(_("Which line's residuals are shown"))
+        self.line = build.styled(
+            QComboBox(), name=_("Which line's residuals"), tip=_("Which line's residuals are shown")
+        )
         self.line.currentIndexChanged.connect(self._show_residuals)
-        self.figure = QComboBox()
-        self.figure.setAccessibleName(_("Figure whose trend is shown"))
-        self.figure.setToolTip(_("Figure whose trend over the dates is shown"))
+        self.figure = build.styled(
+            QComboBox(), name=_("Figure whose trend is shown"), tip=_("Figure whose trend over the dates is shown")
+        )
         self.figure.currentIndexChanged.connect(self._show_trend)
         for choice in (self.line, self.figure):
             choice.setSizeAdjustPolicy(QComboBox.SizeAdjustPolicy.AdjustToMinimumContentsLengthWithIcon)
             choice.setMinimumContentsLength(16)
         self.off, self.over_dates = PlotCanvas(), PlotCanvas()
         self.drift = plain_label(role="muted")
-        layout = QVBoxLayout(self)
-        layout.setContentsMargins(0, 0, 0, 0)
-        layout.setSpacing(4)
-        layout.addWidget(self.headline)
-        layout.addWidget(self.said)
-        layout.addWidget(self.figures, 3)
         below = QHBoxLayout()
         below.setSpacing(6)
         for choice, card in ((self.line, self.off), (self.figure, self.over_dates)):
-            column = QVBoxLayout()
-            column.setSpacing(4)
-            column.addWidget(choice)
-            column.addWidget(card, 1)
+            column = build.column(choice, (card, 1), spacing=4)
             below.addLayout(column, 1)
-        layout.addLayout(below, 3)
-        layout.addWidget(self.drift)
+        build.column(self.headline, self.said, (self.figures, 3), (below, 3), self.drift, spacing=4, parent=self)
 
     def show_statics(self, chosen: Sequence[Calibration], stored: Sequence[Calibration]) -> None:
         """Show the newest of the chosen; ``stored`` are all there are, for the trend."""

@@ -7,9 +7,10 @@ from collections.abc import Sequence
 
 import numpy as np
 from PySide6.QtCore import Qt
-from PySide6.QtWidgets import QComboBox, QFrame, QGridLayout, QHBoxLayout, QLabel, QTabWidget, QVBoxLayout, QWidget
+from PySide6.QtWidgets import QComboBox, QFrame, QGridLayout, QHBoxLayout, QLabel, QTabWidget, QWidget
 
 from tissueid.analysis.curves.calibration_plots import ALONG_STROKE, stroke_plot
+from tissueid.app import build
 from tissueid.app.calibration_state import figure_of
 from tissueid.app.plot_canvas import PlotCanvas
 from tissueid.app.theme import appearance
@@ -50,9 +51,11 @@ class SweepsPanel(QWidget):
         self.comparison: Comparison | None = None
         self.words = plain_label(role="headline")
         self.remarks = plain_label(role="muted")
-        self.against = QComboBox()
-        self.against.setAccessibleName(_("Compare the newest sweep with"))
-        self.against.setToolTip(_("Compare the newest of the selected sweeps with"))
+        self.against = build.styled(
+            QComboBox(),
+            name=_("Compare the newest sweep with"),
+            tip=_("Compare the newest of the selected sweeps with"),
+        )
         self.against.currentIndexChanged.connect(self._compare)
         appearance.changed.connect(self._show_key)
         self.cards = {name: PlotCanvas(_(axis.label)) for name, (axis, _scale) in ALONG_STROKE.items()}
@@ -68,8 +71,7 @@ class SweepsPanel(QWidget):
         self.figures = table_of(
             self.model, _("Figures of the sweeps and their differences"), (178, 75, 60, 165, 130, 130)
         )
-        self.tabs = QTabWidget()
-        self.tabs.setDocumentMode(True)
+        self.tabs = build.styled(QTabWidget(), document_mode=True)
         self.tabs.tabBar().setDrawBase(False)
         self.tabs.tabBar().setAccessibleName(_("Sweeps: along the stroke, or figures"))
         self.tabs.addTab(self._make_plots(), _("Along the stroke"))
@@ -77,26 +79,18 @@ class SweepsPanel(QWidget):
         top = QHBoxLayout()
         top.addWidget(self.words, 1)
         top.addWidget(self.against, 0, Qt.AlignmentFlag.AlignTop)
-        layout = QVBoxLayout(self)
-        layout.setContentsMargins(0, 0, 0, 0)
-        layout.setSpacing(4)
-        layout.addLayout(top)
-        layout.addWidget(self.remarks)
-        layout.addWidget(self.tabs, 1)
+        build.column(top, self.remarks, (self.tabs, 1), spacing=4, parent=self)
 
     def _make_plots(self) -> QWidget:
-        self.key = QLabel()
-        self.key.setTextFormat(Qt.TextFormat.RichText)
-        self.key.setWordWrap(True)
-        self.key.setMinimumWidth(1)
-        self.key.setAlignment(Qt.AlignmentFlag.AlignTop)
-        card = QFrame()
-        card.setProperty("role", "card")
-        inside = QVBoxLayout(card)
-        inside.setContentsMargins(12, 8, 12, 8)
-        inside.addWidget(plain_label(_("Legend"), "heading"))
-        inside.addWidget(self.key)
-        inside.addStretch(1)
+        self.key = build.styled(
+            QLabel(),
+            text_format=Qt.TextFormat.RichText,
+            word_wrap=True,
+            minimum_width=1,
+            alignment=Qt.AlignmentFlag.AlignTop,
+        )
+        card = build.styled(QFrame(), role="card")
+        build.column(plain_label(_("Legend"), "heading"), self.key, None, margins=(12, 8, 12, 8), parent=card)
         page = QWidget()
         grid = QGridLayout(page)
         grid.setContentsMargins(0, 6, 0, 0)

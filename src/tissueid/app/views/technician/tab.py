@@ -15,10 +15,10 @@ from PySide6.QtWidgets import (
     QHeaderView,
     QLabel,
     QTableView,
-    QVBoxLayout,
     QWidget,
 )
 
+from tissueid.app import build
 from tissueid.app.context import AppContext
 from tissueid.app.jobs import PageJob
 from tissueid.app.theme import appearance
@@ -164,10 +164,7 @@ class Tab(QWidget):
 
 def plain_label(text: str = "", role: str = "", name: str = "") -> QLabel:
     """A label that wraps and shows text as it stands."""
-    label = QLabel(text)
-    label.setTextFormat(Qt.TextFormat.PlainText)
-    label.setWordWrap(True)
-    label.setMinimumWidth(1)
+    label = build.styled(QLabel(text), text_format=Qt.TextFormat.PlainText, word_wrap=True, minimum_width=1)
     if role:
         label.setProperty("role", role)
     if name:
@@ -205,12 +202,7 @@ class FactsCard(QFrame):
         self._grid.setVerticalSpacing(3)
         self._grid.setColumnStretch(1, 1)
         self._cells: list[tuple[QLabel, QLabel]] = []
-        column = QVBoxLayout(self)
-        column.setContentsMargins(12, 8, 12, 8)
-        column.setSpacing(4)
-        column.addWidget(plain_label(title, "heading"))
-        column.addLayout(self._grid)
-        column.addStretch(1)
+        build.column(plain_label(title, "heading"), self._grid, None, spacing=4, margins=(12, 8, 12, 8), parent=self)
 
     @property
     def facts(self) -> dict[str, str]:
