@@ -18,8 +18,6 @@ from PySide6.QtWidgets import (
     QWidget,
 )
 
-from tissueid.app.widgets import plain_label
-
 Item = QWidget | QLayout | None
 """A part of a row or column; None is a stretch."""
 AnyWidget = TypeVar("AnyWidget", bound=QWidget)
@@ -91,7 +89,10 @@ _SETTERS = {"tip": "setToolTip", "name": "setAccessibleName"}
 
 def label(role: str = "", text: str = "", **properties: Any) -> QLabel:
     """Return a label that wraps plain text and allows copying."""
-    return styled(plain_label(role), text=text, **properties)
+    made = QLabel(text, wordWrap=True, textFormat=Qt.TextFormat.PlainText)
+    made.setMinimumWidth(1)
+    made.setTextInteractionFlags(Qt.TextInteractionFlag.TextSelectableByMouse)
+    return styled(made, role=role, **properties) if role else styled(made, **properties)
 
 
 def button(text: str, clicked: Callable[[], object] | SignalInstance | None = None, **properties: Any) -> QPushButton:

@@ -9,7 +9,6 @@ from PySide6.QtWidgets import QFrame, QScrollArea, QWidget
 from tissueid.app import build
 from tissueid.app.views.gap.bar_table import BarTable
 from tissueid.app.views.gap.displayed_text import STAGE_TITLES, as_sentence, as_title
-from tissueid.app.widgets import plain_label
 from tissueid.formatting import plus_minus, with_unit
 from tissueid.language import _
 from tissueid.messages import Message, translated
@@ -35,12 +34,12 @@ class CandidatesTab(QWidget):
         self.table = BarTable(
             _("Candidates, likeliest first"), (_("Effect"), _("Stage"), _("Probability"), _("Closed (95 %)")), 2
         )
-        self.none = plain_label("muted")
-        self.title = plain_label("heading")
-        self.alike = plain_label()
-        self.leaves = plain_label("muted")
-        self.remedy = plain_label()
-        self.figures = plain_label()
+        self.none = build.label("muted")
+        self.title = build.label("heading")
+        self.alike = build.label()
+        self.leaves = build.label("muted")
+        self.remedy = build.label()
+        self.figures = build.label()
         self.table.itemSelectionChanged.connect(self._show_chosen)
         self._details = self._make_details()
         build.row((self.table, 3), (self.none, 3), (self._details, 2), spacing=8, margins=(0, 6, 0, 0), parent=self)

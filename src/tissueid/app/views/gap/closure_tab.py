@@ -13,7 +13,6 @@ from tissueid.app import build
 from tissueid.app.plot_canvas import PlotCanvas
 from tissueid.app.small_window import FoldingBox
 from tissueid.app.theme import appearance
-from tissueid.app.widgets import plain_label
 from tissueid.formatting import number
 from tissueid.language import _
 from tissueid.messages import translated
@@ -39,7 +38,7 @@ class ClosureTab(QWidget):
         super().__init__(parent)
         self._overlays: tuple[SignalOverlay, ...] = ()
         self.bars = _GapBars()
-        self.closing = plain_label()
+        self.closing = build.label()
         self.channel = build.styled(QComboBox(), name=_("Signal to look at"))
         self.channel.currentIndexChanged.connect(self._show_chosen)
         self.signals = PlotCanvas()

@@ -11,7 +11,6 @@ from tissueid.app import build
 from tissueid.app.build import button, styled
 from tissueid.app.views.gap.bar_table import BarTable
 from tissueid.app.views.gap.displayed_text import as_sentence, as_title
-from tissueid.app.widgets import plain_label
 from tissueid.language import _, marked
 
 if TYPE_CHECKING:
@@ -34,10 +33,10 @@ class NextTestTab(QWidget):
 
     def __init__(self, parent: QWidget | None = None) -> None:
         super().__init__(parent)
-        self.title = plain_label("headline")
-        self.why = plain_label()
-        self.put = plain_label()
-        self.by_hand = plain_label()
+        self.title = build.label("headline")
+        self.why = build.label()
+        self.put = build.label()
+        self.by_hand = build.label()
         self.prepare = button(
             _("Prepare this test"),
             self.wanted,

@@ -15,7 +15,7 @@ from tissueid.app.views.gap.displayed_text import STAGE_TITLES, as_sentence, as_
 from tissueid.app.views.gap.localisation_tab import LocalisationTab
 from tissueid.app.views.gap.next_test_tab import NextTestTab
 from tissueid.app.views.gap.signal_chain import SignalChain
-from tissueid.app.widgets import plain_label, show_level
+from tissueid.app.widgets import show_level
 from tissueid.language import _, marked
 
 if TYPE_CHECKING:
@@ -45,20 +45,20 @@ class ResultPage(QScrollArea):
         self.setFrameShape(QFrame.Shape.NoFrame)
         self.setFocusPolicy(Qt.FocusPolicy.NoFocus)
         self.setMinimumWidth(_LEAST_WIDTH)
-        self.stale = plain_label()
+        self.stale = build.label()
         self.again = build.button(_("Diagnose again"), tip=_("Run the same diagnosis on the session as it is now"))
-        self.headline = plain_label("headline")
-        self.means = plain_label()
-        self.todo = plain_label()
-        self.remarks = plain_label("muted")
+        self.headline = build.label("headline")
+        self.means = build.label()
+        self.todo = build.label()
+        self.remarks = build.label("muted")
         self.accept = build.button(
             _("Accept into twin…"), tip=_("Save a twin that has the named effect, for simulation and later diagnoses")
         )
         self.report = build.button(_("Report"), tip=_("Write the report next to the session, and open it"))
         self.export = build.button(_("Export JSON…"), tip=_("For scripts: the same answer as the command line gives"))
         self.chain = SignalChain()
-        self.stage = plain_label("heading")
-        self.evidence = plain_label()
+        self.stage = build.label("heading")
+        self.evidence = build.label()
         self.where, self.which, self.far, self.next = LocalisationTab(), CandidatesTab(), ClosureTab(), NextTestTab()
         self.tabs = build.styled(QTabWidget(), document_mode=True)
         self.tabs.tabBar().setDrawBase(False)

@@ -19,6 +19,7 @@ from PySide6.QtWidgets import (
     QWidget,
 )
 
+from tissueid.app.build import label
 from tissueid.app.context import AppContext, View
 from tissueid.app.jobs import JobControl
 from tissueid.app.views.gap.diagnosis_list import DiagnosisList
@@ -37,7 +38,7 @@ from tissueid.app.views.gap.effect_dialog import EffectDialog
 from tissueid.app.views.gap.next_test import prepared_words, session_url
 from tissueid.app.views.gap.request_panel import RequestPanel
 from tissueid.app.views.gap.result_page import ResultPage
-from tissueid.app.widgets import plain_label, show_disabled_reason
+from tissueid.app.widgets import show_disabled_reason
 from tissueid.app.window_state import RESEARCH_FOLDERS, load_texts
 from tissueid.app.words import in_words
 from tissueid.errors import CancelledError, UnusableInputError
@@ -81,7 +82,7 @@ class GapView(View):
         )
         self.history = DiagnosisList()
         self.result = ResultPage()
-        self.welcome = plain_label("muted")
+        self.welcome = label("muted")
         self.welcome.setText(_(_WELCOME))
         self.welcome.setAlignment(Qt.AlignmentFlag.AlignTop)
         self._stack = QStackedWidget()

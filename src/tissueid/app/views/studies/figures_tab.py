@@ -5,10 +5,10 @@ from __future__ import annotations
 from PySide6.QtCore import Signal
 from PySide6.QtWidgets import QComboBox, QWidget
 
+from tissueid.app import build
 from tissueid.app.build import button, column, row
 from tissueid.app.plot_canvas import PlotCanvas
 from tissueid.app.views.studies.study_figures import StudyFigures
-from tissueid.app.widgets import plain_label
 from tissueid.language import _
 
 _MOST_REMARKS = 6
@@ -28,7 +28,7 @@ class FiguresTab(QWidget):
         self.kind.setAccessibleName(_("Kind of the figure"))
         self.parameter.setAccessibleName(_("Parameter of the figure"))
         self.canvas = PlotCanvas(_("Figure of the study"))
-        self.remarks = plain_label("muted")
+        self.remarks = build.label("muted")
         for choice in (self.kind, self.parameter):
             choice.setSizeAdjustPolicy(QComboBox.SizeAdjustPolicy.AdjustToMinimumContentsLengthWithIcon)
             choice.setMinimumContentsLength(10)

@@ -24,7 +24,8 @@ from tissueid.app.views.technician.log_reading import (
     shown,
     write_csv,
 )
-from tissueid.app.views.technician.tab import PiecesModel, Tab, mark_level, plain_label, table_of
+from tissueid.app.views.technician.tab import PiecesModel, Tab, table_of
+from tissueid.app.widgets import show_level
 from tissueid.app.words import sentence
 from tissueid.audit import ROLES, Line, Verification, verify
 from tissueid.errors import UnusableInputError
@@ -121,9 +122,11 @@ class AuditTab(Tab):
             _("Export CSV…"), self._choose_csv, tip=_("Writes the lines that are shown, for a spreadsheet")
         )
         self.verdict = styled(QFrame(), role="verdict")
-        self.words = plain_label(_("Not verified yet: press Verify to see whether every line is as it was written."))
+        self.words = build.label(
+            text=_("Not verified yet: press Verify to see whether every line is as it was written.")
+        )
         row(self.words, margins=(12, 6, 10, 6), parent=self.verdict)
-        self.count = plain_label(role="muted")
+        self.count = build.label("muted")
         self.model = PiecesModel(
             (_("Line"), _("Time (UTC)"), _("Role"), _("Who"), _("What"), _("About"), _("Old"), _("New")),
             lambda line, column: _cell(line, column, self._read.names),
@@ -205,7 +208,7 @@ class AuditTab(Tab):
             self._tell("check" if found.remarks else "good", " ".join(filter(None, [words, remarks, _(_BLIND)])))
 
     def _tell(self, level: str, words: str) -> None:
-        mark_level(self.verdict, level)
+        show_level(self.verdict, level)
         self.words.setText(clean(words))
         self.verdict.setAccessibleName(clean(words))
 

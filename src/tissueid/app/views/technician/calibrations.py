@@ -17,7 +17,7 @@ from tissueid.app.context import AppContext
 from tissueid.app.jobs import PageJob
 from tissueid.app.views.technician.statics_panel import StaticsPanel
 from tissueid.app.views.technician.sweeps_panel import SweepsPanel
-from tissueid.app.views.technician.tab import PiecesModel, Tab, plain_label, table_of
+from tissueid.app.views.technician.tab import PiecesModel, Tab, table_of
 from tissueid.app.words import sentence
 from tissueid.calibration.active import apply_calibrations
 from tissueid.calibration.file import Calibration
@@ -155,12 +155,12 @@ class CalibrationsTab(Tab):
         self._nominal: DeviceDescription | None = None
         self.calibrate = button(_("Calibrate…"), self._go, tip=_("Shows the page Measure, where calibrations are made"))
         self.again = button(_("Read again"), self.load, name=_("Read the folder of calibrations again"))
-        self.about = plain_label(role="muted")
+        self.about = build.label("muted")
         self.model = PiecesModel(tuple(_(head) for head in HEADERS), Row.cell, level=lambda row: row.level, marked=4)
         self.list = table_of(self.model, _("Calibrations"), (82, 66, 74, 70, 180))
         self.list.selectionModel().selectionChanged.connect(self._show_selected)
-        self.why = plain_label(role="muted")
-        self.hint = label(_(_HINT), "muted", alignment=Qt.AlignmentFlag.AlignCenter)
+        self.why = build.label("muted")
+        self.hint = label("muted", _(_HINT), alignment=Qt.AlignmentFlag.AlignCenter)
         self.sweeps = SweepsPanel()
         self.statics = StaticsPanel()
         self.detail = QStackedWidget()

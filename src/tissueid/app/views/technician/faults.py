@@ -15,7 +15,8 @@ from tissueid.app.jobs import PageJob
 from tissueid.app.views.technician.checkup import newest_first
 from tissueid.app.views.technician.events import COMPLETED, KINDS, LEVELS, Event, Events, read_events
 from tissueid.app.views.technician.log_reading import read_log
-from tissueid.app.views.technician.tab import PiecesModel, Tab, mark_level, plain_label, table_of
+from tissueid.app.views.technician.tab import PiecesModel, Tab, table_of
+from tissueid.app.widgets import show_level
 from tissueid.formatting import clean, grouped
 from tissueid.language import _, marked
 
@@ -55,7 +56,7 @@ class FaultsTab(Tab):
             max_length=200,
         )
         self.again = button(_("Read again"), self.load, name=_("Read the events again"))
-        self.count = plain_label(role="muted")
+        self.count = build.label("muted")
         self.model = PiecesModel(
             (_("Time (UTC)"), _("Kind"), _("About"), _("Why")), _cell, level=lambda event: event.level, marked=1
         )
@@ -64,10 +65,10 @@ class FaultsTab(Tab):
         self.open = button(
             _("Open session"), self._open, tip=_("Analyses the session of the selected event on the page Measure")
         )
-        self.title = plain_label(role="headline")
-        self.reason = plain_label()
-        self.advice = plain_label()
-        self.where = plain_label(role="muted")
+        self.title = build.label("headline")
+        self.reason = build.label()
+        self.advice = build.label()
+        self.where = build.label("muted")
         self.kind.currentIndexChanged.connect(self._show)
         self.search.textChanged.connect(self._show)
         build.column(
@@ -146,7 +147,7 @@ class FaultsTab(Tab):
         self._settle_open()
         if event is None:
             return
-        mark_level(self.detail, event.level)
+        show_level(self.detail, event.level)
         self.title.setText(f"{_(event.kind)}, {event.time} UTC")
         self.reason.setText(event.reason or _("No reason was recorded."))
         self.advice.setText(_("What to do: {advice}").format(advice=event.advice) if event.advice else "")

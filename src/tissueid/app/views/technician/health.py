@@ -19,7 +19,8 @@ from tissueid.app.plotting import PlotCard
 from tissueid.app.theme import appearance, faint
 from tissueid.app.views.technician.checkup import Background, LastTest, Light, background, light
 from tissueid.app.views.technician.events import moment
-from tissueid.app.views.technician.tab import FactsCard, Tab, mark_level, plain_label, tip
+from tissueid.app.views.technician.tab import FactsCard, Tab
+from tissueid.app.widgets import plain_tip, show_level
 from tissueid.calibration.active import apply_calibrations
 from tissueid.calibration.file import Calibration
 from tissueid.formatting import clean, figure_text, fixed, grouped, number
@@ -86,9 +87,9 @@ class HealthTab(Tab):
         self._problem, self._failed_url = "", ""
         self._known = Background(None, ())
         self.lamps = Lamps()
-        self.headline = plain_label(role="headline")
-        self.reasons = plain_label()
-        self.chosen = plain_label(role="muted")
+        self.headline = build.label("headline")
+        self.reasons = build.label()
+        self.chosen = build.label("muted")
         self.ask = build.button(
             _("Check the instrument"),
             self.begin_asking,
@@ -207,10 +208,10 @@ class HealthTab(Tab):
         more = len(reasons) - _MOST_REASONS
         lines = [*reasons[:_MOST_REASONS], *([_("… and {count} more.").format(count=more)] if more > 0 else [])]
         self.reasons.setText("\n".join(clean(line) for line in lines))
-        self.reasons.setToolTip(tip("\n".join(clean(line) for line in reasons[:40])))
+        self.reasons.setToolTip(plain_tip("\n".join(clean(line) for line in reasons[:40])))
         self.verdict.setAccessibleName(" ".join([_(found.headline), *reasons]))
         for widget in (self.verdict, self.headline):
-            mark_level(widget, found.level)
+            show_level(widget, found.level)
         self._name_chosen()
         self.identity.show_facts(_identity(self.checkup))
         self.state.show_facts(_calibration(self.checkup, self._known))

@@ -11,7 +11,8 @@ from tissueid.analysis.curves.calibration_plots import residual_plot, trend_plot
 from tissueid.app import build
 from tissueid.app.calibration_state import figure_of
 from tissueid.app.plot_canvas import PlotCanvas
-from tissueid.app.views.technician.tab import PiecesModel, mark_level, plain_label, table_of, tip
+from tissueid.app.views.technician.tab import PiecesModel, table_of
+from tissueid.app.widgets import plain_tip, show_level
 from tissueid.app.words import sentence
 from tissueid.calibration.comparison import Residuals, residuals, trend
 from tissueid.calibration.file import Calibration
@@ -32,8 +33,8 @@ class StaticsPanel(QWidget):
         self._all: tuple[Calibration, ...] = ()
         self._shown: Calibration | None = None
         self._residuals: tuple[Residuals, ...] = ()
-        self.headline = plain_label(role="headline")
-        self.said = plain_label(role="muted")
+        self.headline = build.label("headline")
+        self.said = build.label("muted")
         self.model = PiecesModel(
             (_("Quantity"), _("Value"), _("Unit")),
             lambda row, column: figure_of(*row)[column],
@@ -52,7 +53,7 @@ class StaticsPanel(QWidget):
             choice.setSizeAdjustPolicy(QComboBox.SizeAdjustPolicy.AdjustToMinimumContentsLengthWithIcon)
             choice.setMinimumContentsLength(16)
         self.off, self.over_dates = PlotCanvas(), PlotCanvas()
-        self.drift = plain_label(role="muted")
+        self.drift = build.label("muted")
         below = QHBoxLayout()
         below.setSpacing(6)
         for choice, card in ((self.line, self.off), (self.figure, self.over_dates)):
@@ -74,10 +75,10 @@ class StaticsPanel(QWidget):
         self.headline.setText(
             sentence(f"{newest.date[:10]}, {clean(newest.serial_number)[:40]} – {translated(verdict_of(newest))}")
         )
-        mark_level(self.headline, "good" if newest.verdict == "passed" else "poor")
+        show_level(self.headline, "good" if newest.verdict == "passed" else "poor")
         lines = [sentence(clean(translated(line))) for line in (*problems_of(newest), *notes_of(newest))]
         self.said.setText("\n".join(lines[:_MOST_LINES]))
-        self.said.setToolTip(tip("\n".join(lines)))
+        self.said.setToolTip(plain_tip("\n".join(lines)))
         self.said.setVisible(bool(lines))
         self.model.show_rows(list(newest.quantities.items()))
         self._residuals = residuals(newest)

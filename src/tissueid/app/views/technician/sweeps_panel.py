@@ -14,7 +14,8 @@ from tissueid.app import build
 from tissueid.app.calibration_state import figure_of
 from tissueid.app.plot_canvas import PlotCanvas
 from tissueid.app.theme import appearance
-from tissueid.app.views.technician.tab import PiecesModel, mark_level, plain_label, table_of
+from tissueid.app.views.technician.tab import PiecesModel, table_of
+from tissueid.app.widgets import show_level
 from tissueid.calibration.comparison import (
     SIGNIFICANT_STD,
     Comparison,
@@ -49,8 +50,8 @@ class SweepsPanel(QWidget):
         super().__init__(parent)
         self._sweeps: tuple[Calibration, ...] = ()
         self.comparison: Comparison | None = None
-        self.words = plain_label(role="headline")
-        self.remarks = plain_label(role="muted")
+        self.words = build.label("headline")
+        self.remarks = build.label("muted")
         self.against = build.styled(
             QComboBox(),
             name=_("Compare the newest sweep with"),
@@ -90,7 +91,7 @@ class SweepsPanel(QWidget):
             alignment=Qt.AlignmentFlag.AlignTop,
         )
         card = build.styled(QFrame(), role="card")
-        build.column(plain_label(_("Legend"), "heading"), self.key, None, margins=(12, 8, 12, 8), parent=card)
+        build.column(build.label("heading", _("Legend")), self.key, None, margins=(12, 8, 12, 8), parent=card)
         page = QWidget()
         grid = QGridLayout(page)
         grid.setContentsMargins(0, 6, 0, 0)
@@ -128,7 +129,7 @@ class SweepsPanel(QWidget):
             self.words.setText(
                 _("Sweep of {date}: select another with Ctrl to compare the two.").format(date=newest.date[:10])
             )
-            mark_level(self.words, "")
+            show_level(self.words, "")
             self.remarks.setText(_region_words(newest))
             self.model.show_rows(list(newest.quantities.items()))
             return
@@ -136,7 +137,7 @@ class SweepsPanel(QWidget):
         self.comparison = found
         self.words.setText(translated(found.words))
         drift = next((item for item in found.differences if item.name == "force_constant_n_per_a"), None)
-        mark_level(self.words, "check" if drift is not None and drift.verdict == "beyond" else "")
+        show_level(self.words, "check" if drift is not None and drift.verdict == "beyond" else "")
         self.remarks.setText(" ".join([_profile_words(found), *map(translated, found.remarks)]).strip())
         self.model.show_rows(found.differences)
 

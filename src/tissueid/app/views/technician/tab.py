@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import html
 from collections.abc import Callable, Sequence
 from typing import Any
 
@@ -162,32 +161,9 @@ class Tab(QWidget):
             self.context.say(words, problem=True)
 
 
-def plain_label(text: str = "", role: str = "", name: str = "") -> QLabel:
-    """A label that wraps and shows text as it stands."""
-    label = build.styled(QLabel(text), text_format=Qt.TextFormat.PlainText, word_wrap=True, minimum_width=1)
-    if role:
-        label.setProperty("role", role)
-    if name:
-        label.setAccessibleName(name)
-    return label
-
-
-def tip(text: str) -> str:
-    """A tool tip that shows text as it stands, line by line."""
-    return f"<qt>{html.escape(text).replace(chr(10), '<br>')}</qt>" if text else ""
-
-
 def unmarked(text: str) -> str:
     """Return a text whose tags are not interpreted as markup in a heading."""
     return clean(text).replace("<", "‹")
-
-
-def mark_level(widget: QWidget, level: str) -> None:
-    """Give a widget the colour of a level."""
-    if widget.property("level") != level:
-        widget.setProperty("level", level)
-        widget.style().unpolish(widget)
-        widget.style().polish(widget)
 
 
 class FactsCard(QFrame):
@@ -202,7 +178,7 @@ class FactsCard(QFrame):
         self._grid.setVerticalSpacing(3)
         self._grid.setColumnStretch(1, 1)
         self._cells: list[tuple[QLabel, QLabel]] = []
-        build.column(plain_label(title, "heading"), self._grid, None, spacing=4, margins=(12, 8, 12, 8), parent=self)
+        build.column(build.label("heading", title), self._grid, None, spacing=4, margins=(12, 8, 12, 8), parent=self)
 
     @property
     def facts(self) -> dict[str, str]:
@@ -213,7 +189,7 @@ class FactsCard(QFrame):
         """Show these rows, and no others."""
         while len(self._cells) < len(facts):
             row = len(self._cells)
-            name, value = plain_label(role="muted"), plain_label()
+            name, value = build.label("muted"), build.label()
             name.setWordWrap(False)
             value.setTextInteractionFlags(Qt.TextInteractionFlag.TextSelectableByMouse)
             value.setAlignment(Qt.AlignmentFlag.AlignTop)
