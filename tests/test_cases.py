@@ -174,7 +174,7 @@ def test_09_a_late_channel_is_no_mass(late: int, tmp_path: Path) -> None:
 
 def test_10_the_band_takes_a_decimal_comma(qtbot: Any) -> None:
     from tissueid.app.number_field import NumberField
-    from tissueid.app.views.researcher.preparation_form import PreparationForm
+    from tissueid.app.views.researcher.engine_form import PreparationForm
 
     default = QLocale()
     QLocale.setDefault(QLocale.c())

@@ -8,7 +8,7 @@ from PySide6.QtWidgets import QDoubleSpinBox
 
 from tissueid.app import number_field
 from tissueid.app.number_field import NumberField, WholeNumberField
-from tissueid.app.views.researcher.preparation_form import PreparationForm
+from tissueid.app.views.researcher.engine_form import PreparationForm
 
 pytestmark = [pytest.mark.qt_log_level_fail("WARNING"), pytest.mark.qt_log_ignore("This plugin does not support")]
 

@@ -19,15 +19,14 @@ from tissueid.app.views.clinician.comparing import Comparison, Sighting
 from tissueid.app.views.clinician.comparison_card import ComparisonCard
 from tissueid.app.views.clinician.repeat_bar import SittingSummary
 from tissueid.app.views.clinician.sitting import Repeat, Sitting, standing
-from tissueid.app.views.gap.candidates_tab import CandidatesTab
 from tissueid.app.views.gap.page_content import Fitted, Rival
+from tissueid.app.views.gap.result_tabs import CandidatesTab
 from tissueid.app.views.researcher.save_dialog import write_figure
 from tissueid.app.views.researcher.selected_test import SelectedTest
-from tissueid.app.views.researcher.signal_figure import SignalFigure
 from tissueid.app.views.researcher.signal_loading import Channel, LoadedTest, RecordedSignal
+from tissueid.app.views.researcher.signals import SignalFigure, StatisticsTable
 from tissueid.app.views.researcher.spectrum_card import SpectrumCard
-from tissueid.app.views.researcher.statistics_table import StatisticsTable
-from tissueid.app.views.technician.sweeps_panel import SweepsPanel
+from tissueid.app.views.technician.calibration_panels import SweepsPanel
 from tissueid.calibration import Quantity
 from tissueid.calibration.labels import label_of
 from tissueid.formatting import figure_text, value_and_rest

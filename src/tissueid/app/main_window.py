@@ -14,11 +14,10 @@ from PySide6.QtGui import QCloseEvent, QDragEnterEvent, QDropEvent, QKeySequence
 from PySide6.QtWidgets import QApplication, QFileDialog, QMainWindow, QWidget
 
 from tissueid.acquisition.playback import Phase
-from tissueid.app.actions import Action, declare, install_shortcuts
 from tissueid.app.calibration_controller import CalibrationController
 from tissueid.app.calibration_state import calibration_state
 from tissueid.app.clinician import Clinician
-from tissueid.app.command_palette import CommandPalette
+from tissueid.app.command_palette import Action, CommandPalette, declare, install_shortcuts
 from tissueid.app.context import AppContext
 from tissueid.app.deliberate_press import DeliberatePress
 from tissueid.app.device_search import DeviceSearch

@@ -12,9 +12,9 @@ from coded import made, part_of, reads, says
 from gap_records import observed, recorded
 
 from tissueid.app.views.gap.displayed_text import as_title
-from tissueid.app.views.gap.next_test_tab import _NONE, _NONE_SEPARATES, NextTestTab
 from tissueid.app.views.gap.page_content_builder import page_content_of
 from tissueid.app.views.gap.result_page import ResultPage
+from tissueid.app.views.gap.result_tabs import _NONE, _NONE_SEPARATES, NextTestTab
 from tissueid.cli.gap_diagnosis import summary_lines
 from tissueid.gap.closed_share import Budget, BudgetStep
 from tissueid.gap.diagnosis import Diagnosis, diagnose

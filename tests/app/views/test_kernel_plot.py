@@ -6,7 +6,7 @@ from PySide6.QtCore import QPoint, Qt
 
 from tissueid import units
 from tissueid.analysis.curves import Axis, Plot, Surface
-from tissueid.app.views.researcher.kernel_plot import KernelPlot
+from tissueid.app.views.researcher.pictures import KernelPlot
 
 pytestmark = [pytest.mark.qt_log_level_fail("WARNING"), pytest.mark.qt_log_ignore("This plugin does not support")]
 

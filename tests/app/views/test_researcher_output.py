@@ -15,7 +15,7 @@ from tissueid.app.views.researcher.pictures import in_the_middle
 from tissueid.app.views.researcher.plot_data import OUTPUT
 from tissueid.app.views.researcher.selected_test import SelectedTest, distinguishing_labels, short_label, timestamp_of
 from tissueid.app.views.researcher.signal_loading import Channel, LoadedTest, RecordedSignal
-from tissueid.app.views.researcher.statistics_table import StatisticsTable
+from tissueid.app.views.researcher.signals import StatisticsTable
 from tissueid.identification.validation import vaf_percent
 from tissueid.sessions import read_session
 

@@ -3,34 +3,186 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from typing import TYPE_CHECKING
 
 from PySide6.QtCore import Qt, Signal
+from PySide6.QtGui import QColor, QPixmap, QResizeEvent
 from PySide6.QtWidgets import (
     QHBoxLayout,
+    QHeaderView,
     QLabel,
     QMenu,
     QPushButton,
     QSplitter,
+    QTableWidget,
+    QTableWidgetItem,
     QWidget,
 )
 
 from tissueid.app import build
-from tissueid.app.build import button, column, timer
 from tissueid.app.context import AppContext
 from tissueid.app.number_field import NumberField
 from tissueid.app.small_window import FoldingBox
+from tissueid.app.theme import LIGHT, appearance
 from tissueid.app.views.researcher.background_work import ProgressStrip
+from tissueid.app.views.researcher.colours import series
 from tissueid.app.views.researcher.plot_stack import MOST_PLOTS, SHORTEST_S, PlotStack
 from tissueid.app.views.researcher.save_dialog import SaveDialog
-from tissueid.app.views.researcher.selected_test import SelectedTest
-from tissueid.app.views.researcher.signal_figure import SignalFigure
+from tissueid.app.views.researcher.selected_test import SelectedTest, distinguishing_labels
 from tissueid.app.views.researcher.signal_loading import MOST_TESTS, Channel, LoadedTest, SignalLoading
-from tissueid.app.views.researcher.spectrum_card import SpectrumCard
-from tissueid.app.views.researcher.statistics_table import StatisticsTable
-from tissueid.app.widgets import ElidedLabel
+from tissueid.app.views.researcher.spectrum_card import SpectrumCard, spectrum_of
+from tissueid.app.widgets import ElidedLabel, plain_tip
 from tissueid.app.window_state import load_texts, save_texts
-from tissueid.formatting import fixed, grouped
+from tissueid.formatting import fixed, grouped, plus_minus
 from tissueid.language import _, marked
+from tissueid.messages import MISSING
+from tissueid.records import Estimate
+from tissueid.units import shown, shown_si
+
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
+
+    from tissueid.analysis.curves import Plot
+
+_WIDTH, _PANEL, _REST = 7.2, 1.7, 1.1
+"""Inches."""
+_COLUMNS = 1200
+
+
+@dataclass(frozen=True)
+class SignalFigure:
+    """Signals of tests between two times (s), and the spectrum of one signal below."""
+
+    loaded: Sequence[LoadedTest]
+    channels: Sequence[Channel]
+    low_s: float
+    high_s: float
+    spectrum: Channel | None
+
+    @property
+    def title(self) -> str:
+        """Title of the figure, from which the file name is made."""
+        common, labels = distinguishing_labels([[test.chosen] for test in self.loaded])
+        return f"{_('Signals')} {common or ' '.join(labels[:1])}"
+
+    @property
+    def plots(self) -> list[Plot]:
+        """The signals from the top, and the spectrum."""
+        from tissueid.analysis.curves.signals import time_plot
+
+        ends_s, colours = (self.low_s, self.high_s), series(LIGHT)
+        labels = distinguishing_labels([[test.chosen] for test in self.loaded])[1]
+        made = []
+        for channel in self.channels:
+            tracks = [test.tracks.get(channel) for test in self.loaded]
+            lines = [track.outline(*ends_s, _COLUMNS) if track else None for track in tracks]
+            made.append(time_plot(channel.title, channel.unit, lines, colours, labels, ends_s))
+        if self.spectrum is not None:
+            plot = spectrum_of(self.spectrum, self.loaded, ends_s, colours)
+            made.append(replace(plot, title=_("Power spectrum of {title}").format(title=self.spectrum.title)))
+        return made
+
+    def draw(self) -> Figure:
+        """Draw a panel per signal, and the spectrum below."""
+        from tissueid.reports.plot_renderer import draw_plots
+        from tissueid.reports.style import new_figure
+
+        plots = self.plots
+        figure = new_figure(_WIDTH, _PANEL * len(plots) + _REST)
+        every, _long = draw_plots(figure, plots, units=shown, key=False)
+        for axes in every[: len(self.channels) - 1]:
+            axes.set_xlabel("")
+        common = distinguishing_labels([[test.chosen] for test in self.loaded])[0]
+        handles, labels = every[0].get_legend_handles_labels()
+        figure.legend(handles, labels, title=common, loc="outside lower center", ncols=1 + (len(labels) > 3))
+        return figure
+
+
+_ROW = 22
+_NAME_WIDTH = 150
+_SWATCH = 10
+
+
+class StatisticsTable(QTableWidget):
+    """Mean and standard deviation of every drawn signal."""
+
+    def __init__(self, parent: QWidget | None = None) -> None:
+        super().__init__(0, 1, parent)
+        self._stretch: tuple[Sequence[LoadedTest], Sequence[Channel], float, float] = (), (), 0.0, 0.0
+        self.setAccessibleName(_("Mean and standard deviation of the brushed stretch"))
+        self.setEditTriggers(QTableWidget.EditTrigger.NoEditTriggers)
+        self.setSelectionMode(QTableWidget.SelectionMode.SingleSelection)
+        self.setTabKeyNavigation(False)
+        self.setShowGrid(False)
+        self.setWordWrap(False)
+        self.setTextElideMode(Qt.TextElideMode.ElideMiddle)
+        self.verticalHeader().hide()
+        self.verticalHeader().setDefaultSectionSize(_ROW)
+        header = self.horizontalHeader()
+        header.setDefaultAlignment(Qt.AlignmentFlag.AlignLeft | Qt.AlignmentFlag.AlignVCenter)
+        header.setSectionResizeMode(QHeaderView.ResizeMode.ResizeToContents)
+        header.setHighlightSections(False)
+        self.setToolTip(_("The selected test is drawn over the others"))
+        appearance.follow(self._colour)
+
+    def show_stretch(
+        self, loaded: Sequence[LoadedTest], channels: Sequence[Channel], low_s: float, high_s: float
+    ) -> None:
+        """Show the statistics between two times, s."""
+        self._stretch = loaded, channels, low_s, high_s
+        self.setColumnCount(1 + len(channels))
+        self.setRowCount(len(loaded))
+        titles = [f"{channel.title} ({unit})" if unit else channel.title for channel, unit in _units(channels)]
+        self.setHorizontalHeaderLabels([_("Mean ± SD"), *titles])
+        _common, labels = distinguishing_labels([[test.chosen] for test in loaded])
+        for row, test in enumerate(loaded):
+            name = QTableWidgetItem(labels[row])
+            name.setToolTip(plain_tip(distinguishing_labels([[test.chosen]])[1][0]))
+            self.setItem(row, 0, name)
+            for column, channel in enumerate(channels, 1):
+                self.setItem(row, column, _figure(test, channel, low_s, high_s))
+        self._colour()
+        self.horizontalHeader().setSectionResizeMode(0, QHeaderView.ResizeMode.Fixed)
+        self._give_room()
+
+    def resizeEvent(self, event: QResizeEvent) -> None:  # noqa: N802
+        """Fit the width of the names."""
+        super().resizeEvent(event)
+        self._give_room()
+
+    def take_units(self) -> None:
+        """Show the values in the active unit system."""
+        self.show_stretch(*self._stretch)
+
+    def _give_room(self) -> None:
+        """Fit the width of the names to the available room, but not below a minimum."""
+        others = sum(self.columnWidth(column) for column in range(1, self.columnCount()))
+        room = max(_NAME_WIDTH, self.viewport().width() - others)
+        self.horizontalHeader().resizeSection(0, min(room, self.sizeHintForColumn(0) + _SWATCH))
+
+    def _colour(self) -> None:
+        for row, colour in zip(range(self.rowCount()), series(appearance.theme), strict=False):
+            swatch = QPixmap(_SWATCH, _SWATCH)
+            swatch.fill(QColor(colour))
+            if (item := self.item(row, 0)) is not None:
+                item.setData(Qt.ItemDataRole.DecorationRole, swatch)
+
+
+def _units(channels: Sequence[Channel]) -> list[tuple[Channel, str]]:
+    return [(channel, shown_si(channel.unit)[0]) for channel in channels]
+
+
+def _figure(test: LoadedTest, channel: Channel, low_s: float, high_s: float) -> QTableWidgetItem:
+    track = test.tracks.get(channel)
+    if track is None:
+        return QTableWidgetItem(MISSING)
+    stretch = track.stretch(low_s, high_s)
+    item = QTableWidgetItem(plus_minus(Estimate(stretch.mean, stretch.std), shown_si(channel.unit)[1]))
+    lost = _(", {lost} lost").format(lost=stretch.lost) if stretch.lost else ""
+    item.setToolTip(_("{samples} samples{lost}").format(samples=stretch.samples, lost=lost))
+    return item
+
 
 _FIRST = ("force", "position", "voltage", "input", "output", "current")
 """Signals drawn by default: the first three of these that exist."""
@@ -114,8 +266,10 @@ class SignalsPanel(QWidget):
         self.loaded: list[LoadedTest] = []
         self.channels = ChannelButton(load_texts(context.settings, _SIGNALS))
         self.low, self.high = NumberField(), NumberField()
-        self.whole = button(_("Whole test"), tip=_("Show everything again (a double click on a plot does the same)"))
-        self.save = button(
+        self.whole = build.button(
+            _("Whole test"), tip=_("Show everything again (a double click on a plot does the same)")
+        )
+        self.save = build.button(
             _("Save figure…"), self._choose_figure, tip=_("What is shown, as PDF, SVG or PNG with 300 dpi")
         )
         self._saver = SaveDialog(context, self)
@@ -124,7 +278,7 @@ class SignalsPanel(QWidget):
         self.table = StatisticsTable()
         self.spectrum = SpectrumCard()
         self.empty = QLabel(_(NOTHING))
-        self._figures = timer(self, _FIGURES_MS, self._show_figures)
+        self._figures = build.timer(self, _FIGURES_MS, self._show_figures)
         self._arrange()
         self.channels.changed.connect(self._redraw)
         self.stack.brushed.connect(self._brushed)
@@ -287,7 +441,7 @@ class SignalsPanel(QWidget):
         below = QWidget()
         self.about.setFixedHeight(self.spectrum.choice.sizeHint().height())
         build.row(
-            (column(self.about, (self.table, 1), spacing=4), 5),
+            (build.column(self.about, (self.table, 1), spacing=4), 5),
             (self.spectrum, 4),
             spacing=8,
             margins=(0, 4, 0, 0),
@@ -300,4 +454,4 @@ class SignalsPanel(QWidget):
         self.parts.setStretchFactor(0, 3)
         self.parts.setStretchFactor(1, 1)
         self.parts.setSizes(list(_HEIGHTS))
-        column(top, (self.parts, 1), (self.empty, 1), margins=(0, 6, 0, 0), parent=self)
+        build.column(top, (self.parts, 1), (self.empty, 1), margins=(0, 6, 0, 0), parent=self)

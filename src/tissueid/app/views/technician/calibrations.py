@@ -15,8 +15,7 @@ from tissueid.app import build
 from tissueid.app.build import button, label, styled
 from tissueid.app.context import AppContext
 from tissueid.app.jobs import PageJob
-from tissueid.app.views.technician.statics_panel import StaticsPanel
-from tissueid.app.views.technician.sweeps_panel import SweepsPanel
+from tissueid.app.views.technician.calibration_panels import StaticsPanel, SweepsPanel
 from tissueid.app.views.technician.tab import PiecesModel, Tab, table_of
 from tissueid.app.words import sentence
 from tissueid.calibration.active import apply_calibrations
