@@ -100,9 +100,7 @@ class LiveAnalysis(QWidget):
         self.vaf = styled(_Figure(_("Explained, linear")), tip=explained)
         self.simulated, self.said = label("heading"), label("muted")
         self.simulated.setText(_(SIMULATED_LINE))
-        self.tabs = styled(QTabBar(), name=_("Plots of the running test"))
-        self.tabs.setDrawBase(False)
-        self.tabs.setExpanding(False)
+        self.tabs = styled(QTabBar(), name=_("Plots of the running test"), draw_base=False, expanding=False)
         self._arrange()
         self._offer(_WIDE)
         self.tabs.currentChanged.connect(self._show_part)
@@ -216,26 +214,34 @@ class LiveAnalysis(QWidget):
     def _build_plots(self) -> None:
         if self.cards:
             return
-        self.impulse = PlotCard(_("Impulse response"), _("Lag (ms)"), "mm/(N·s)")
-        self.bode = PlotCard(_("Bode magnitude"), "", "mm/N", log_axes=("bottom", "left"))
-        self.phase = PlotCard(_("Bode phase"), _("Frequency (Hz)"), "°", log_axes=("bottom",))
-        self.coherence = PlotCard(_("Coherence"), _("Frequency (Hz)"), "", log_axes=("bottom",))
-        self.curve = PlotCard(_("Static nonlinearity"), _("Linear prediction (mm)"), "mm")
-        self.course = PlotCard(_("Parameter change"), _("Time (s)"), "%")
+        self.impulse = styled(
+            PlotCard(_("Impulse response"), _("Lag (ms)"), "mm/(N·s)"),
+            tip=f"{_('Band: one standard deviation to either side')}. {_(_ORANGE)}",
+        )
+        self.bode = styled(
+            PlotCard(_("Bode magnitude"), "", "mm/N", log_axes=("bottom", "left")),
+            tip=f"{_('Of the impulse response')}. {_(_ORANGE)}",
+        )
+        self.phase = styled(
+            PlotCard(_("Bode phase"), _("Frequency (Hz)"), "°", log_axes=("bottom",)),
+            tip=f"{_('Of the impulse response')}. {_(_ORANGE)}",
+        )
+        self.coherence = styled(
+            PlotCard(_("Coherence"), _("Frequency (Hz)"), "", log_axes=("bottom",)),
+            tip=_("Share of the motion that the force explains at each frequency; below the dotted line none"),
+        )
+        self.curve = styled(
+            PlotCard(_("Static nonlinearity"), _("Linear prediction (mm)"), "mm"),
+            tip=_("Measured position against the linear prediction; a linear tissue lies on the dotted line"),
+        )
+        self.course = styled(
+            PlotCard(_("Parameter change"), _("Time (s)"), "%"),
+            tip=_("Parameters against their newest value; bands: one standard deviation to either side"),
+        )
         self.force_spectrum = PlotCard(_("Force spectrum"), _("Frequency (Hz)"), "N²/Hz", log_axes=("bottom", "left"))
         self.position_spectrum = PlotCard(
             _("Position spectrum"), _("Frequency (Hz)"), "mm²/Hz", log_axes=("bottom", "left")
         )
-        self.impulse.setToolTip(f"{_('Band: one standard deviation to either side')}. {_(_ORANGE)}")
-        self.bode.setToolTip(f"{_('Of the impulse response')}. {_(_ORANGE)}")
-        self.phase.setToolTip(f"{_('Of the impulse response')}. {_(_ORANGE)}")
-        self.coherence.setToolTip(
-            _("Share of the motion that the force explains at each frequency; below the dotted line none")
-        )
-        self.curve.setToolTip(
-            _("Measured position against the linear prediction; a linear tissue lies on the dotted line")
-        )
-        self.course.setToolTip(_("Parameters against their newest value; bands: one standard deviation to either side"))
         for card in (self.force_spectrum, self.position_spectrum):
             card.setToolTip(_("Power spectral density; flat parts at high frequency are noise of the sensor"))
         model = self.impulse, self.bode, self.curve, self.phase, self.course, self.coherence

@@ -20,11 +20,11 @@ from PySide6.QtWidgets import (
     QWidget,
 )
 
-from tissueid.app.build import button, fill, row, styled
+from tissueid.app.build import button, fill, label, row, styled
 from tissueid.app.small_window import FoldingBox
 from tissueid.app.views.studies.protocol_dialog import OptionsDialog
 from tissueid.app.views.studies.study_data import StudyData
-from tissueid.app.widgets import ElidedLabel, plain_label, plain_tip, show_level
+from tissueid.app.widgets import ElidedLabel, plain_tip, show_level
 from tissueid.app.window_state import load_texts, save_texts
 from tissueid.formatting import clean
 from tissueid.identification import engine_label, engine_names
@@ -57,45 +57,36 @@ class RequestRow(QFrame):
         styled(self, role="card")
         self.path: Path | None = None
         opening = _("A folder of sessions, with a protocol.json if sittings follow a protocol")
-        self.open = button(_("Open study…"), tip=opening)
-        self.new = button(_("New study…"), tip=_("Name a folder for a new study; it is made"))
+        self.open = button(_("Open study…"), self._choose, tip=opening)
+        self.new = button(_("New study…"), self._name_new, tip=_("Name a folder for a new study; it is made"))
         self.folder = ElidedLabel()
         self.engine = styled(QComboBox(), name=_("Engine of the study"))
         for name in engine_names():
             self.engine.addItem(engine_label(name), name)
-        self.recent = button(_("Recent"), name=_("Recent studies"))
-        self.recent.setMenu(QMenu(self))
-        self.options = button("", name=_("Options of the engine"))
+        self.recent = button(_("Recent"), name=_("Recent studies"), menu=QMenu(self))
+        self.options = button("", self._edit_options, name=_("Options of the engine"))
         self._options: tuple[str, ...] = ()
         self._studies: list[str] = []
         held_out = _("Fit three quarters of each test and score the rest; otherwise fit whole tests")
         self.held_out = styled(QCheckBox(_("Score on held-out data")), tip=held_out)
         analysing = _("Sessions that are new or changed; after a cancellation it continues")
-        self.analyse = button(_("Analyse"), tip=analysing)
+        self.analyse = button(_("Analyse"), self.wanted, tip=analysing)
         reporting = _("Analyse what has changed, compute all statistics, and open the page")
-        self.report = button(_("Write report"), tip=reporting)
-        self.protocol = plain_label("muted")
-        self.template = button("", tip=_("Sites, repeats, conditions, and what a subject is asked for"))
+        self.report = button(_("Write report"), self.report_wanted, tip=reporting)
+        self.protocol = label("muted")
+        self.template = button(
+            "", self.protocol_wanted, tip=_("Sites, repeats, conditions, and what a subject is asked for")
+        )
         pseudonym = _("Pseudonym of the subject, never a name")
-        self.subject = styled(QLineEdit(), name=pseudonym, tip=pseudonym)
-        self.subject.setPlaceholderText(_("Subject, such as P-001"))
+        self.subject = styled(QLineEdit(), name=pseudonym, tip=pseudonym, placeholder_text=_("Subject, such as P-001"))
         leading = _("Lead through the sitting of this subject on the page Measure; nothing starts yet")
-        self.measure = button(_("Measure subject"), tip=leading)
+        self.measure = button(_("Measure subject"), self._ask_sitting, tip=leading)
         self.doing = styled(ElidedLabel(), role="muted")
-        self.bar = styled(QProgressBar(), name=_("Progress of the study"))
-        self.bar.setTextVisible(False)
-        self.stop = button(_("Cancel"), name=_("Cancel the work on the study"))
+        self.bar = styled(QProgressBar(), name=_("Progress of the study"), text_visible=False)
+        self.stop = button(_("Cancel"), self.unwanted, name=_("Cancel the work on the study"))
         self._of_analysis = self.engine, self.options, self.held_out, self.analyse, self.report
         self._of_visit = self.protocol, self.template, self.subject, self.measure
         self._arrange()
-        self.open.clicked.connect(self._choose)
-        self.new.clicked.connect(self._name_new)
-        self.analyse.clicked.connect(self.wanted)
-        self.report.clicked.connect(self.report_wanted)
-        self.template.clicked.connect(self.protocol_wanted)
-        self.options.clicked.connect(self._edit_options)
-        self.stop.clicked.connect(self.unwanted)
-        self.measure.clicked.connect(self._ask_sitting)
         self.subject.returnPressed.connect(self._ask_sitting)
         self.engine.currentIndexChanged.connect(lambda: self._take_options(()))
         self.engine.setCurrentIndex(self.engine.findData(StudyPlan.model_fields["engine"].default))
@@ -211,9 +202,14 @@ class RequestRow(QFrame):
         self.subject.setMaximumWidth(200)
         for part in (self.measure, self.template):
             part.setSizePolicy(QSizePolicy.Policy.Maximum, QSizePolicy.Policy.Fixed)
-        top = row(self.open, self.new, self.recent, (self.folder, 1), spacing=8)
-        going = row((self.doing, 2), (self.bar, 1), self.stop, spacing=8)
-        fill(QVBoxLayout(self), top, chosen, led, going, margins=(12, 8, 12, 8))
+        fill(
+            QVBoxLayout(self),
+            row(self.open, self.new, self.recent, (self.folder, 1), spacing=8),
+            chosen,
+            led,
+            row((self.doing, 2), (self.bar, 1), self.stop, spacing=8),
+            margins=(12, 8, 12, 8),
+        )
 
     def _take_options(self, options: tuple[str, ...]) -> None:
         """Take options, as NAME=VALUE, of the engine."""
@@ -236,16 +232,20 @@ class RequestRow(QFrame):
         self.recent.setVisible(bool(self._studies))
 
     def _choose(self) -> None:
-        dialog = QFileDialog(self.window(), _("Open a study"), "" if self.path is None else str(self.path))
-        dialog.setFileMode(QFileDialog.FileMode.Directory)
-        dialog.setOption(QFileDialog.Option.ShowDirsOnly)
+        dialog = styled(
+            QFileDialog(self.window(), _("Open a study"), "" if self.path is None else str(self.path)),
+            file_mode=QFileDialog.FileMode.Directory,
+            option=QFileDialog.Option.ShowDirsOnly,
+        )
         dialog.fileSelected.connect(lambda path: self.chosen.emit(Path(path)))
         dialog.open()
 
     def _name_new(self) -> None:
         near = None if self.path is None else self.path.parent
-        dialog = QFileDialog(self.window(), _("New study: name its folder"), "" if near is None else str(near))
-        dialog.setAcceptMode(QFileDialog.AcceptMode.AcceptSave)
+        dialog = styled(
+            QFileDialog(self.window(), _("New study: name its folder"), "" if near is None else str(near)),
+            accept_mode=QFileDialog.AcceptMode.AcceptSave,
+        )
         dialog.setOption(QFileDialog.Option.DontConfirmOverwrite)  # a folder that is there is opened
         dialog.setLabelText(QFileDialog.DialogLabel.Accept, _("Create"))
         dialog.fileSelected.connect(lambda path: self.made.emit(Path(path)))
