@@ -29,7 +29,7 @@ def tool(name: str, monkeypatch: pytest.MonkeyPatch):
 
 def test_the_version_is_in_one_place():
     assert PROJECT["project"]["dynamic"] == ["version"]
-    assert PROJECT["tool"]["hatch"]["version"]["path"] == "src/tissueid/__init__.py"
+    assert PROJECT["tool"]["hatch"]["version"]["path"] == "src/tissueid/version.py"
     citation = (ROOT / "CITATION.cff").read_text(encoding="utf-8")
     assert re.findall(r"^version: (.+)$", citation, re.MULTILINE) == [tissueid.__version__]
 

@@ -13,6 +13,7 @@ from coded import shows
 from reports.page_check import checked
 
 from tissueid.cli import main
+from tissueid.procedures.control import Control
 from tissueid.stimuli import get_stimulus, stimulus_names
 
 SHORT: dict[str, tuple[str, ...]] = {
@@ -240,7 +241,7 @@ def test_interrupted_while_designing_leaves_nothing(
     def interrupted(*_: object) -> None:
         raise KeyboardInterrupt
 
-    monkeypatch.setattr("tissueid.procedures.stimulus_design._share", interrupted)
+    monkeypatch.setattr(Control, "check", interrupted)
     arguments = ("--seconds", "0.5", "--option", "spectrum=band", "--option", "lags=50", "--option", "tolerance=1e-9")
     assert main(["stimulus", "interchange", *arguments, "--out", str(tmp_path / "a.json")]) == 130
     assert capsys.readouterr().err.strip().splitlines()[-1].startswith("tissueid: interrupted")
