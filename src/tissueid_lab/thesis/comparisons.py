@@ -167,14 +167,6 @@ def _lobes(found: Overlay, source: str) -> Lobes:
     return kernel_lobes(model.kernel2, model.lag_spacing / model.sample_rate_hz)
 
 
-def rate_rows(found: Overlay) -> list[Row]:
-    """Return the VAF at two sample rates (Fig. 4.8)."""
-    return [
-        Row(marked("VAF, every 3rd sample"), "94.8 % (4.3.1), 95 %", shown_vaf(found, fit="667 Hz")),
-        Row(marked("VAF, every 5th sample"), "96.4 %", shown_vaf(found, fit="400 Hz")),
-    ]
-
-
 def site_kernel_rows(found: Overlay) -> list[Row]:
     """Return the peaks of the first-order kernels of the sites (Figs. 4.12, 4.14)."""
     peaks = []
@@ -189,33 +181,6 @@ def site_kernel_rows(found: Overlay) -> list[Row]:
             ", ".join(peaks),
         )
     ]
-
-
-_INPUT_ROWS = (
-    ("LMS", "74.3 %", "79.6 %"),
-    ("Wiener", "+5", "+3"),
-    ("first kernel", "85.5 %", "76 %"),
-    ("second kernel", "94.6 %", "94.5 %"),
-    ("filtered", "-4 to -5", "92.6 %"),
-)
-"""Fit, and VAF of low-passed and white input in the thesis (4.3.3)."""
-
-
-def input_rows(found: Overlay) -> list[Row]:
-    """Return the VAF of each fit with a low-passed and with a white input (Fig. 4.13)."""
-    rows = []
-    for place, (source, rate) in enumerate((("low-passed", 667), ("white", 500))):
-        for fit, *thesis in _INPUT_ROWS:
-            label = f"{fit} at {rate} Hz" if fit in ORDERS else fit
-            rows.append(Row(f"VAF, {source}, {fit}", thesis[place], shown_vaf(found, source, label)))
-    return rows
-
-
-def strategy_rows(found: Overlay) -> list[Row]:
-    """Return the VAF of each strategy against noise (Fig. 4.15)."""
-    thesis = {"raw": "94.8 %", "filtered": "90.4 %", "downsampled": "96.4 %", "white": "94.5 %"}
-    rows = [Row(f"VAF, {fit}", said, shown_vaf(found, fit=fit)) for fit, said in thesis.items()]
-    return [*rows, Row("VAF, regularised", "not in the thesis", shown_vaf(found, fit="regularised"))]
 
 
 def partition_study(quick: bool) -> Outcome:
@@ -250,15 +215,6 @@ def partition_study(quick: bool) -> Outcome:
             marked("falls with both"),
             f"{percent(longest.mean_percent)} at {longest.points}",
         ),
-    ]
-
-
-def six_rows(found: Overlay) -> list[Row]:
-    """Return the VAF of six partitions of two systems and of skin (Figs. 5.6 to 5.8)."""
-    return [
-        Row(marked("VAF, Wiener system"), marked("near 96 %, 240 parameters"), shown_vaf(found, "Wiener")),
-        Row(marked("VAF, DPN system"), marked("not given"), shown_vaf(found, "DPN")),
-        Row(marked("VAF, skin"), "90.3 %", shown_vaf(found, SITES[POSTERIOR])),
     ]
 
 
@@ -300,11 +256,8 @@ def frequency_rows(found: Overlay) -> list[Row]:
 
 
 def direction_rows(found: Overlay) -> list[Row]:
-    """Return VAF of partitions by depth and by direction, and parameters in over out (Fig. 5.11)."""
-    rows = [
-        Row(marked("VAF, 10 depth partitions"), "91.9 %", shown_vaf(found, fit="depth")),
-        Row(marked("VAF, 5 partitions a direction"), "91.2 %", shown_vaf(found, fit="direction")),
-    ]
+    """Return parameters of partitions by direction, in over out (Fig. 5.11)."""
+    rows = []
     profile = next(p for key, p in series_profiles(found).items() if key[1] == "direction")
     into, out = (profile.direction == way for way in (1, -1))
     for what, name, said in (

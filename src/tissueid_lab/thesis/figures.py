@@ -31,7 +31,6 @@ from tissueid_lab.thesis.comparisons import (
     correlation_rows,
     direction_rows,
     frequency_rows,
-    input_rows,
     lobe_rows,
     localized_rows,
     loop_rows,
@@ -40,11 +39,8 @@ from tissueid_lab.thesis.comparisons import (
     partition_rows,
     partition_study,
     range_rows,
-    rate_rows,
     repeat_rows,
     site_kernel_rows,
-    six_rows,
-    strategy_rows,
     technique_rows,
 )
 from tissueid_lab.thesis.inputs import INPUT_FIGURES
@@ -105,6 +101,22 @@ def _repeats(count: int) -> tuple[Source, ...]:
     )
 
 
+_INPUTS = (
+    ("LMS", "74.3 %", "79.6 %"),
+    ("Wiener", "+5", "+3"),
+    ("first kernel", "85.5 %", "76 %"),
+    ("second kernel", "94.6 %", "94.5 %"),
+    ("filtered", "-4 to -5", "92.6 %"),
+)
+"""Fit, and VAF of low-passed and white input in the thesis (4.3.3)."""
+_STRATEGIES = {
+    "raw": "94.8 %",
+    "filtered": "90.4 %",
+    "downsampled": "96.4 %",
+    "white": "94.5 %",
+    "regularised": "not in the thesis",
+}
+"""Fit, and VAF in the thesis (Fig. 4.15)."""
 _TEN = 10
 _COMPARED: tuple[ThesisFigure, ...] = (
     ThesisFigure(
@@ -170,7 +182,10 @@ _COMPARED: tuple[ThesisFigure, ...] = (
             f"400 Hz={EXACT},{LAGS_5}",
         ),
         ("second-kernels",),
-        rate_rows,
+        vafs=(
+            (marked("VAF, every 3rd sample"), "94.8 % (4.3.1), 95 %", "", "667 Hz"),
+            (marked("VAF, every 5th sample"), "96.4 %", "", "400 Hz"),
+        ),
     ),
     ThesisFigure(
         "4.12",
@@ -197,7 +212,11 @@ _COMPARED: tuple[ThesisFigure, ...] = (
             ),
         ),
         ("second-kernels", "scores"),
-        input_rows,
+        vafs=tuple(
+            (f"VAF, {source}, {fit}", said[place], source, f"{fit} at {rate} Hz" if fit in ORDERS else fit)
+            for place, (source, rate) in enumerate((("low-passed", 667), ("white", 500)))
+            for fit, *said in _INPUTS
+        ),
     ),
     ThesisFigure(
         "4.14",
@@ -222,7 +241,7 @@ _COMPARED: tuple[ThesisFigure, ...] = (
             "regularised=volterra",
         ),
         ("second-kernels",),
-        strategy_rows,
+        vafs=tuple((f"VAF, {fit}", said, "", fit) for fit, said in _STRATEGIES.items()),
     ),
     ThesisFigure(
         "5.2",
@@ -239,8 +258,12 @@ _COMPARED: tuple[ThesisFigure, ...] = (
         ),
         ("depth,partitions=6,correct=false,memory=0.08,downsample=1",),
         ("partitions",),
-        six_rows,
         downsample=4,
+        vafs=(
+            (marked("VAF, Wiener system"), marked("near 96 %, 240 parameters"), "Wiener", ""),
+            (marked("VAF, DPN system"), marked("not given"), "DPN", ""),
+            (marked("VAF, skin"), "90.3 %", SITES[POSTERIOR], ""),
+        ),
     ),
     ThesisFigure(
         "5.9",
@@ -272,6 +295,10 @@ _COMPARED: tuple[ThesisFigure, ...] = (
         ("depth,partitions=10", "direction,partitions=5"),
         ("depth",),
         direction_rows,
+        vafs=(
+            (marked("VAF, 10 depth partitions"), "91.9 %", "", "depth"),
+            (marked("VAF, 5 partitions a direction"), "91.2 %", "", "direction"),
+        ),
     ),
     ThesisFigure(
         "8.1",

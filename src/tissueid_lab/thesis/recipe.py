@@ -90,13 +90,15 @@ class ThesisFigure(Published):
 
     ``pictures`` are keys of ``reports.overlay``. One function compares: ``rows`` or ``drawn``, which makes further
     pictures, from the fits; ``recorded`` from the sessions by label; or ``study`` without tests, whose argument is
-    whether the run is quick. The other arguments are those of ``analysis.overlay.overlay``.
+    whether the run is quick. ``vafs`` are rows of a VAF, before the others: quantity, value of the thesis, source
+    and fit, "" for the first. The other arguments are those of ``analysis.overlay.overlay``.
     """
 
     sources: tuple[Source, ...] = ()
     fits: tuple[str, ...] = ()
     pictures: tuple[str, ...] = ()
     rows: Callable[[Overlay], Sequence[Row]] | None = None
+    vafs: tuple[tuple[str, str, str, str], ...] = ()
     whole: bool = True
     downsample: int = 1
     sweep: tuple[str, tuple[float, ...]] = ("", ())

@@ -235,7 +235,7 @@ def _reproduced(
     from tissueid.analysis.overlay import TestSource, overlay
     from tissueid.reports.overlay import overlay_report
     from tissueid.sessions import read_session
-    from tissueid_lab.thesis.recipe import ReproducedFigure
+    from tissueid_lab.thesis.recipe import ReproducedFigure, Row, shown_vaf
 
     if figure.study is not None:
         drawn, rows = figure.study(quick)
@@ -266,7 +266,8 @@ def _reproduced(
         for entry in found.entries
         for warning in entry.analysis.model.report.warnings
     }
-    return ReproducedFigure(figure, tuple(rows), report=report, warnings=tuple(warnings.values()))
+    vafs = (Row(what, said, shown_vaf(found, source, fit)) for what, said, source, fit in figure.vafs)
+    return ReproducedFigure(figure, (*vafs, *rows), report=report, warnings=tuple(warnings.values()))
 
 
 def _write(plan: ReproductionPlan, out: Path, made: Sequence[ReproducedFigure], began: float) -> None:
