@@ -10,7 +10,7 @@ from firmware_sim.firmware import Firmware
 from firmware_sim.local_values import local_values
 from firmware_sim.presets import load_preset
 from firmware_sim.scenario import load_scenario
-from tissueid.acquisition import GuidedTest, NoiseChoice, SessionRecorder, run_guided_test
+from tissueid.acquisition import GuidedTest, SessionRecorder, run_guided_test, usual_noise
 from tissueid.acquisition.surface_detection import place
 from tissueid.analysis import analyse
 from tissueid.errors import LimitError, UnusableInputError
@@ -32,10 +32,10 @@ def session(tmp_path_factory):
         recorder = SessionRecorder(path, instrument.device)
         placement = place(instrument)
         for mean_n in (-3.5, 3.5):
-            noise = NoiseChoice(min_force_n=mean_n - 0.75, max_force_n=mean_n + 0.75, seconds=1.5)
-            test = GuidedTest(noise.stimulus(2000.0), ATTACHED)
+            noise = usual_noise(2000.0, force_min_n=mean_n - 0.75, force_max_n=mean_n + 0.75, seconds=1.5)
+            test = GuidedTest(noise, ATTACHED)
             run_guided_test(instrument, test, recorder, surface_m=placement)
-        beyond = NoiseChoice(min_force_n=-13.0, max_force_n=-1.0, seconds=1.5).stimulus(2000.0)
+        beyond = usual_noise(2000.0, force_min_n=-13.0, force_max_n=-1.0, seconds=1.5)
         with pytest.raises(LimitError):  # the limits hold for pulling as well
             run_guided_test(instrument, GuidedTest(beyond, ATTACHED), recorder)
         recorder.write()

@@ -10,7 +10,7 @@ from support import LoopbackLink
 
 from firmware_sim.bench import Bench
 from firmware_sim.firmware import Firmware
-from tissueid.acquisition import GuidedTest, NoiseChoice, SessionRecorder, run_guided_test
+from tissueid.acquisition import GuidedTest, SessionRecorder, run_guided_test, usual_noise
 from tissueid.acquisition.live import LiveIdentification
 from tissueid.acquisition.surface_detection import place
 from tissueid.analysis import analyse, analyse_all
@@ -33,7 +33,7 @@ def sliding(tmp_path_factory):
     with SerialInstrument(link, clock=link.clock) as instrument:
         recorder = SessionRecorder(path, instrument.device)
         settings = TestSettings(site="forearm", configuration="surface", external_spring_n_per_m=SPRING)
-        stimulus = NoiseChoice(min_force_n=-4.0, max_force_n=4.0).stimulus(RATE)
+        stimulus = usual_noise(RATE, force_min_n=-4.0, force_max_n=4.0)
         test = GuidedTest(stimulus, settings)
         run_guided_test(instrument, test, recorder, surface_m=place(instrument))
         recorder.write()

@@ -14,14 +14,14 @@ import tissueid.test_settings
 
 SOURCE = Path(tissueid.test_settings.__file__)
 FIELDS = {
-    "class StimulusSettings(": """
+    "    configuration: Annotated[": """
     hydration: Annotated[
         float | None,
         Setting("--hydration", metavar="SHARE", help="water of the skin", choices=NOT_RECORDED),
         Field(title="Hydration", description="Water content of the skin", ge=0.0, le=1.0),
     ] = None
 """,
-    "class SetUp(": """
+    "    minutes_since_application: Annotated[": """
     posture: Annotated[
         str | None,
         Setting("--posture", help="lying or sitting", choices=NOT_RECORDED | {"lying": "Lying", "sitting": "Sitting"}),
@@ -29,16 +29,15 @@ FIELDS = {
     ] = None
 """,
 }
-"""Source of two properties, by the class before which each is added."""
+"""Source of two properties, by the field before which each is added."""
 
 
 def extended() -> types.ModuleType:
     """Return the module of the settings with two more properties."""
     source = SOURCE.read_text(encoding="utf-8")
     for following, field in FIELDS.items():
-        before, name, after = source.partition(f"\n\n{following}")
-        assert name
-        source = before.rstrip("\n") + field + name + after
+        assert source.count(following) == 1
+        source = source.replace(following, field + following)
     module = types.ModuleType("tissueid.test_settings")
     sys.modules[module.__name__] = module
     exec(compile(source, str(SOURCE), "exec"), module.__dict__)

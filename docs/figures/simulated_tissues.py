@@ -27,7 +27,7 @@ from firmware_sim.presets import DEFAULT, load_preset
 from firmware_sim.probe import Probe
 from firmware_sim.scenario import load_scenario
 from firmware_sim.tissue import Tissue
-from tissueid.acquisition import GuidedTest, NoiseChoice, SessionRecorder, run_guided_test
+from tissueid.acquisition import GuidedTest, SessionRecorder, run_guided_test, usual_noise
 from tissueid.acquisition.surface_detection import place
 from tissueid.analysis import analyse
 from tissueid.identification.depth_profile import DepthProfile
@@ -61,8 +61,8 @@ def recorded(preset: str, loads: tuple[float, ...], coupling: str = "none", angl
             recorder = SessionRecorder(path, instrument.device)
             placement = place(instrument)
             for load in loads:
-                noise = NoiseChoice(min_force_n=load - 0.75, max_force_n=load + 0.75, seconds=2.0)
-                test = GuidedTest(noise.stimulus(2000.0), settings)
+                noise = usual_noise(2000.0, force_min_n=load - 0.75, force_max_n=load + 0.75, seconds=2.0)
+                test = GuidedTest(noise, settings)
                 run_guided_test(instrument, test, recorder, surface_m=placement)
                 cooled = link.now + 10.0
                 while link.now < cooled:
@@ -289,7 +289,7 @@ def steps_table() -> str:
     }
     rows = []
     for name, (tissue, low, high) in cases.items():
-        noise = NoiseChoice(min_force_n=low, max_force_n=high, distribution="uniform").stimulus(2000.0)
+        noise = usual_noise(2000.0, force_min_n=low, force_max_n=high, distribution="uniform")
         volts = 4.0 * noise.values
         coarse, fine = (Plant(PlantParameters(), tissue, substeps=k * SUBSTEPS).advance(volts) for k in (1, 2))
         cells = []

@@ -18,7 +18,7 @@ from firmware_sim.presets import load_preset
 from firmware_sim.tissue import Tissue
 from firmware_sim.variation import Variation
 from tissueid.acquisition.guided import place, play
-from tissueid.acquisition.stimulus_choice import NoiseChoice
+from tissueid.acquisition.stimulus_choice import usual_noise
 from tissueid.acquisition.surface_detection import CONTACT_FORCES_N
 from tissueid.identification import get_engine
 from tissueid.instrument import CLINICAL, join_blocks, open_instrument
@@ -72,7 +72,7 @@ def played(bench: Bench, force_n: np.ndarray, preload: int) -> Record:
 def guided(bench: Bench, seed: int = 1, distribution: str = "gaussian") -> Record:
     """The default guided test, 0.5 to 10.5 N."""
     bench.begin_test()
-    return played(bench, NoiseChoice(seed=seed, distribution=distribution).stimulus(2000.0).values, 1000)
+    return played(bench, usual_noise(2000.0, seed=seed, distribution=distribution).values, 1000)
 
 
 def noise(seed: int, rate_hz: float, cutoff_hz: float) -> tuple[np.ndarray, int]:
@@ -273,7 +273,7 @@ def first_table(subjects: int) -> str:
 
 def in_process_table(subjects: int) -> str:
     """Sittings with the in-process simulation, by its address with subject and variation."""
-    volts = 4.0 * NoiseChoice().stimulus(2000.0).values
+    volts = 4.0 * usual_noise(2000.0).values
     people = []
     for subject in range(subjects):
         instrument = open_instrument(f"simulated://forearm?seed={subject}&subject={subject}&variation=1")

@@ -197,6 +197,14 @@ class SetUp(_Settings):
     ] = None
 
 
+USUAL_FORCE_N = 0.5, 10.5
+"""Range of force of noise that keeps the probe on the skin throughout, N."""
+USUAL_SECONDS = 4.0
+USUAL_SEED = 1
+SECONDS = 0.5, 29.5
+"""Shortest and longest stimulus of a form or protocol, s."""
+
+
 class StimulusSettings(_Settings):
     """The stimulus, as far as all kinds share it; None leaves a value to the stimulus.
 
@@ -211,18 +219,38 @@ class StimulusSettings(_Settings):
         Option("--distribution", help="distribution of amplitudes, such as gaussian (noise) or uniform"),
     ] = None
     min_force_n: Annotated[
-        float | None, Option("--min-force", metavar="NEWTON", help="lower end of the force range; noise: 0.5")
+        float | None,
+        Option("--min-force", metavar="NEWTON", help=f"lower end of the force range; noise: {USUAL_FORCE_N[0]:g}"),
     ] = None
     max_force_n: Annotated[
-        float | None, Option("--max-force", metavar="NEWTON", help="upper end of the force range; noise: 10.5")
+        float | None,
+        Option("--max-force", metavar="NEWTON", help=f"upper end of the force range; noise: {USUAL_FORCE_N[1]:g}"),
     ] = None
     seconds: Annotated[
-        float | None, Option("--seconds", metavar="SECONDS", help="length after 0.5 s of preload; noise: 4")
+        float | None,
+        Option("--seconds", metavar="SECONDS", help=f"length after 0.5 s of preload; noise: {USUAL_SECONDS:g}"),
     ] = None
     seed: Annotated[int | None, Option("--seed", help="seed of the stimulus"), Field(ge=0, le=2**31 - 1)] = None
     kind: Annotated[str | None, Option("--kind", metavar="NAME", help="spring or free_air: a test without tissue")] = (
         None
     )
+
+
+class FilePlayback(_Settings):
+    """How a stimulus from a file is played.
+
+    ``scale`` and ``offset``, in the unit of the stimulus, apply to every sample; None for 1 and 0. ``file_rate_hz`` is
+    the sample rate of a waveform without times; None for that of the instrument.
+    """
+
+    scale: Annotated[float | None, Option("--scale", help="of a file: factor of the whole stimulus")] = None
+    offset: Annotated[
+        float | None, Option("--offset", metavar="NEWTON", help="of a file: added to the whole stimulus")
+    ] = None
+    file_rate_hz: Annotated[
+        float | None,
+        Option("--file-rate", metavar="HZ", help="sample rate of a waveform without times; default: the instrument's"),
+    ] = None
 
 
 PROPERTIES = tuple(

@@ -8,7 +8,7 @@ from dataclasses import replace
 import numpy as np
 
 from firmware_sim.bench import Bench
-from tissueid.acquisition import NoiseChoice
+from tissueid.acquisition import usual_noise
 from tissueid.device import DeviceDescription
 from tissueid.sessions import Test
 from tissueid.stimuli.base import Stimulus
@@ -30,7 +30,7 @@ class Desk:
 
     def run(self, stimulus: Stimulus | None = None, hook: Callable[[Bench, int], None] | None = None) -> Test:
         """One test; ``hook`` gets the bench and the sample before every block of 250 ms."""
-        chosen = stimulus or NoiseChoice(seed=self.seed, seconds=3.0).stimulus(RATE)
+        chosen = stimulus or usual_noise(RATE, seed=self.seed, seconds=3.0)
         volts = 4.0 * chosen.values
         blocks = []
         for first in range(0, volts.size, BLOCK):

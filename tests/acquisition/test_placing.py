@@ -14,7 +14,7 @@ from firmware_sim.firmware import Firmware
 from firmware_sim.kernel import POSITION
 from firmware_sim.limits import LIFT_S
 from firmware_sim.tissue import FREE_AIR
-from tissueid.acquisition import GuidedTest, NoiseChoice, SessionRecorder, run_guided_test
+from tissueid.acquisition import GuidedTest, SessionRecorder, run_guided_test, usual_noise
 from tissueid.acquisition.quality import quality_of
 from tissueid.acquisition.surface_detection import Orientation, Placement, orientation_of, place, place_in_air
 from tissueid.errors import FirmwareFaultError, LimitError, UnusableInputError
@@ -23,7 +23,7 @@ from tissueid.messages import code_of
 from tissueid.test_settings import TestSettings
 
 RATE = 2000.0
-GENTLE = NoiseChoice(min_force_n=1.5, max_force_n=6.0, seconds=1.0).stimulus(RATE)
+GENTLE = usual_noise(RATE, force_min_n=1.5, force_max_n=6.0, seconds=1.0)
 
 
 def held(tilt_deg, model="desktop", tissue="left-posterior-forearm"):
@@ -157,7 +157,7 @@ def test_in_free_air_nothing_is_pressed_and_the_probe_is_where_it_lies(tmp_path)
     assert placement.surface_m == pytest.approx(0.016, abs=1e-4)
     assert placement.orientation.tilt_deg == pytest.approx(90.0, abs=1.0)
     recorder = SessionRecorder(tmp_path / "s.h5", instrument.device)
-    shaken = NoiseChoice(min_force_n=-1.5, max_force_n=1.5, seconds=0.6).stimulus(RATE)
+    shaken = usual_noise(RATE, force_min_n=-1.5, force_max_n=1.5, seconds=0.6)
     run_guided_test(
         instrument, GuidedTest(shaken, TestSettings(site="free air"), "free_air"), recorder, surface_m=placement
     )

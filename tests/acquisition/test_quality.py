@@ -12,7 +12,7 @@ from acquisition.simulated_tests import DEVICE, RATE, Desk, move, with_signal
 from coded import made, says
 from support import connect
 
-from tissueid.acquisition import GuidedTest, NoiseChoice, SessionRecorder, run_guided_test
+from tissueid.acquisition import GuidedTest, SessionRecorder, run_guided_test, usual_noise
 from tissueid.acquisition.quality import Quality, QualityFinding, QualityGate, gate, judge, judge_session, quality_of
 from tissueid.acquisition.quality.prepared_test import AIR, SPRING, TISSUE
 from tissueid.device import DeviceDescription
@@ -490,9 +490,7 @@ def test_the_session_file_holds_the_result(tmp_path):
     instrument = connect()
     recorder = SessionRecorder(tmp_path / "s.h5", instrument.device)
     for _ in range(2):
-        run_guided_test(
-            instrument, GuidedTest(NoiseChoice(seconds=1.0).stimulus(RATE), TestSettings(site="arm")), recorder
-        )
+        run_guided_test(instrument, GuidedTest(usual_noise(RATE, seconds=1.0), TestSettings(site="arm")), recorder)
     recorder.finish()
     session = read_session(tmp_path / "s.h5")
     for test, again in judge_session(session):

@@ -8,7 +8,7 @@ from coded import coded, says, shows
 from support import LONG_TICK_S, connect, connect_scenario
 
 from firmware_sim.scenario import Scenario
-from tissueid.acquisition import NoiseChoice
+from tissueid.acquisition import usual_noise
 from tissueid.acquisition.rest_periods import predict_heating, rest, temperature_c
 from tissueid.cli import main
 from tissueid.device import DESKTOP, HANDHELD
@@ -19,7 +19,7 @@ from tissueid.stimuli.base import to_voltage
 
 
 def command(device, most_n=10.5, seconds=4.0):
-    stimulus = NoiseChoice(max_force_n=most_n, seconds=seconds).stimulus(device.sample_rate_hz)
+    stimulus = usual_noise(device.sample_rate_hz, force_max_n=most_n, seconds=seconds)
     return to_voltage(stimulus.values, device)
 
 

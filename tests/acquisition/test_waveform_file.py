@@ -11,13 +11,20 @@ import numpy as np
 import pytest
 from coded import coded
 
-from tissueid.acquisition.stimulus_choice import FileChoice, load_stimulus, playable_file, save_stimulus, test_kind
+from tissueid.acquisition.stimulus_choice import (
+    load_stimulus,
+    playable_file,
+    save_stimulus,
+    stimulus_from_file,
+    test_kind,
+)
 from tissueid.acquisition.waveform_file import load_waveform
 from tissueid.cli import main
 from tissueid.errors import UnusableInputError
 from tissueid.procedures.test_plan import TestPlan
 from tissueid.sessions import read_session
 from tissueid.stimuli import Stimulus, get_stimulus, rebuild, stimulus_names
+from tissueid.test_settings import FilePlayback
 
 RATE = 2000.0
 WAVE = 2.0 + np.sin(2.0 * np.pi * 5.0 * np.arange(2000) / RATE)
@@ -61,7 +68,7 @@ def test_samples_are_those_of_the_file(tmp_path: Path, name: str, content: str |
 
 def test_scale_and_offset_and_the_preload_at_the_first_sample(tmp_path: Path):
     path = written(tmp_path / "a.txt", column(WAVE))
-    played = playable_file(FileChoice(path=path, scale=-0.5, offset=6.0), RATE)
+    played = playable_file(path, RATE, FilePlayback(scale=-0.5, offset=6.0))
     assert isinstance(played, Stimulus)
     np.testing.assert_allclose(played.values[1000:], 6.0 - 0.5 * WAVE, atol=1e-12)
     assert played.values[999] == pytest.approx(5.0)
@@ -152,17 +159,17 @@ def test_a_saved_stimulus_is_scaled_saved_and_scaled_again(tmp_path: Path):
     path = saved(tmp_path / "a.json", force_max_n=8.0, seed=4)
     first = load_stimulus(path)
     assert isinstance(first, Stimulus)
-    half = FileChoice(path=path, scale=0.5, offset=1.0).stimulus(RATE)
+    half = stimulus_from_file(path, RATE, FilePlayback(scale=0.5, offset=1.0))
     assert isinstance(half, Stimulus)
     np.testing.assert_allclose(half.values, 0.5 * first.values + 1.0)
     np.testing.assert_array_equal(rebuild(json.loads(json.dumps(half.description))).values, half.values)
     save_stimulus(tmp_path / "b.json", half)
-    again = FileChoice(path=tmp_path / "b.json", scale=2.0).stimulus(RATE)
+    again = stimulus_from_file(tmp_path / "b.json", RATE, FilePlayback(scale=2.0))
     assert isinstance(again, Stimulus)
     np.testing.assert_allclose(again.values, first.values + 2.0)
     assert again.description["stimulus"]["type"] == "noise"
     ramp = saved(tmp_path / "ramp.json", "slow_ramp", force_min_n=1.0, force_max_n=4.0)
-    scaled = playable_file(FileChoice(path=ramp, scale=2.0), RATE)
+    scaled = playable_file(ramp, RATE, FilePlayback(scale=2.0))
     assert isinstance(scaled, Stimulus)
     assert scaled.values[999] == pytest.approx(2.0)
     assert test_kind(scaled) == "slow_ramp"
@@ -171,9 +178,9 @@ def test_a_saved_stimulus_is_scaled_saved_and_scaled_again(tmp_path: Path):
 def test_what_cannot_be_scaled_or_saved_is_refused(tmp_path: Path):
     feedback = saved(tmp_path / "rtig.json", "rtig")
     with pytest.raises(UnusableInputError, check=coded("scaled.feedback")):
-        FileChoice(path=feedback, scale=2.0).stimulus(RATE)
+        stimulus_from_file(feedback, RATE, FilePlayback(scale=2.0))
     with pytest.raises(UnusableInputError, check=coded("stimulus.file_rate")):
-        FileChoice(path=feedback, file_rate_hz=1000.0).stimulus(RATE)
+        stimulus_from_file(feedback, RATE, FilePlayback(file_rate_hz=1000.0))
     waveform = load_waveform(written(tmp_path / "a.txt", column(WAVE)), RATE)
     with pytest.raises(UnusableInputError, check=coded("stimulus.waveform_saved")):
         save_stimulus(tmp_path / "w.json", waveform)

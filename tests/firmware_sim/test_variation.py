@@ -10,7 +10,7 @@ from firmware_sim.bench import Bench
 from firmware_sim.presets import load_preset
 from firmware_sim.scenario import Scenario, load_scenario
 from firmware_sim.variation import Variation, compressed_share
-from tissueid.acquisition.stimulus_choice import NoiseChoice
+from tissueid.acquisition.stimulus_choice import usual_noise
 from tissueid.identification import get_engine
 from tissueid.instrument import CLINICAL
 from tissueid.records import Record
@@ -21,10 +21,10 @@ PRELOAD = 1000
 CHANNELS = {channel.name: (k, channel) for k, channel in enumerate(Bench().channels)}
 
 
-def guided(bench, choice=NoiseChoice()):  # noqa: B008 - frozen
+def guided(bench, **options):
     """Force and position of a guided test on a bench."""
     bench.begin_test()
-    volts = VOLTS_PER_NEWTON * choice.stimulus(bench.sample_rate_hz).values
+    volts = VOLTS_PER_NEWTON * usual_noise(bench.sample_rate_hz, **options).values
     codes = bench.block(volts, energised=True).codes[PRELOAD:]
     current, position = (CHANNELS[name][1].decode(codes[:, CHANNELS[name][0]]) for name in ("current", "position"))
     return Record(3.0 * current, position, bench.sample_rate_hz)
@@ -212,7 +212,7 @@ def test_repeats_vary_and_the_first_test_differs():
         bench = Bench("skin-posterior", seed=seed, variation=Variation(seed, 1.0, seed))
         found = []
         for _ in range(4):
-            record = guided(bench, NoiseChoice(seconds=2.0))
+            record = guided(bench, seconds=2.0)
             found.append(skin_parameters(record, bench.tissue.surface_m))
             bench.block(np.zeros(1000), energised=False)
         values = np.array([[one[name] for name in table] for one in found])

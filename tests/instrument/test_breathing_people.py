@@ -10,7 +10,7 @@ import pytest
 from firmware_sim.bench import Bench
 from firmware_sim.variation import Variation
 from tissueid.acquisition.guided import place, play
-from tissueid.acquisition.stimulus_choice import NoiseChoice
+from tissueid.acquisition.stimulus_choice import usual_noise
 from tissueid.identification import get_engine
 from tissueid.instrument import CLINICAL, SimulatedInstrument, join_blocks, open_instrument
 from tissueid.instrument.tissues import TISSUES
@@ -20,7 +20,7 @@ from tissueid.twin.chain_parameters import Instrument
 from tissueid.twin.player import Player
 from tissueid.twin.simulation import ActiveEffect, Start, values_by_name
 
-VOLTS = 4.0 * NoiseChoice().stimulus(2000.0).values
+VOLTS = 4.0 * usual_noise(2000.0).values
 PRELOAD = 1000
 
 

@@ -10,7 +10,7 @@ import pytest
 from coded import coded, holding
 
 from tissueid import instrument as instruments
-from tissueid.acquisition import GuidedTest, NoiseChoice, SessionRecorder, run_guided_test
+from tissueid.acquisition import GuidedTest, SessionRecorder, run_guided_test, usual_noise
 from tissueid.acquisition.background_work import run_while_polling
 from tissueid.acquisition.surface_detection import place
 from tissueid.analysis import analyse_all
@@ -67,7 +67,7 @@ def sitting(path, tests):
     instrument = open_instrument("simulated://forearm?seed=6")
     recorder = SessionRecorder(path, instrument.device)
     surface_m = place(instrument).surface_m
-    test = GuidedTest(NoiseChoice().stimulus(2000.0), TestSettings(site="left forearm"))
+    test = GuidedTest(usual_noise(2000.0), TestSettings(site="left forearm"))
     for _ in range(tests):
         run_guided_test(instrument, test, recorder, surface_m=surface_m)
     return recorder.finish()

@@ -16,7 +16,7 @@ from firmware_sim.identity import Identity
 from firmware_sim.presets import preset_names
 from firmware_sim.thermal import WindingModel
 from tissueid import wire
-from tissueid.acquisition.stimulus_choice import NoiseChoice
+from tissueid.acquisition.stimulus_choice import usual_noise
 from tissueid.device import DESKTOP, HANDHELD, DeviceDescription
 from tissueid.errors import FirmwareFaultError, InstrumentError, LimitError
 from tissueid.instrument import Limits, SerialInstrument
@@ -25,7 +25,7 @@ from tissueid.instrument.thermal import WindingTemperature
 from tissueid.wire import Fault
 
 ROOM = np.full(200, 23.0)
-ORDINARY = NoiseChoice().stimulus(RATE)
+ORDINARY = usual_noise(RATE)
 
 
 # What a coil has, by the wire it is wound with: ohm, J/K, K/W. 12 ohm of 28 gage are 56 m, 9.5 ohm are 44 m.

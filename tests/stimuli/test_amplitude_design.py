@@ -97,13 +97,6 @@ def test_a_tissue_that_does_not_bend_takes_all_the_range():
     assert straight.amplitude_n == pytest.approx(5.0)
 
 
-def test_a_file_of_an_earlier_version_names_the_asymmetry_of_the_damping_differently():
-    described = Designed(damping_asymmetry_n_s2_per_m2=50.0).describe()
-    earlier = described | {"damping_turn_n_s2_per_m2": described["damping_asymmetry_n_s2_per_m2"]}
-    del earlier["damping_asymmetry_n_s2_per_m2"]
-    assert rebuild(earlier).description == described
-
-
 def test_four_times_as_long_is_twice_as_good():
     design = predicted_precision(TISSUE, CUTOFF, DENSITY)
     np.testing.assert_allclose(design.std(0.3, 1.0), 2.0 * design.std(0.3, 4.0))

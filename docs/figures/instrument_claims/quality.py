@@ -18,7 +18,7 @@ from firmware_sim.bench import Bench
 from firmware_sim.device_models import MODELS
 from firmware_sim.firmware import Firmware
 from firmware_sim.presets import load_preset, preset_names
-from tissueid.acquisition import GuidedTest, NoiseChoice, SessionRecorder, run_guided_test
+from tissueid.acquisition import GuidedTest, SessionRecorder, run_guided_test, usual_noise
 from tissueid.acquisition.quality import judge
 from tissueid.acquisition.surface_detection import place
 from tissueid.device import DeviceDescription
@@ -63,7 +63,7 @@ class Desk:
 
     def run(self, stimulus: Stimulus | None = None, hook: Hook | None = None) -> Test:
         """One test; ``hook`` is called with the bench and the sample before every block of 250 ms."""
-        chosen = stimulus or NoiseChoice(seed=self.seed + 1).stimulus(RATE)
+        chosen = stimulus or usual_noise(RATE, seed=self.seed + 1)
         volts = chosen.values * DEVICE.voltage_for_force(1.0)
         touching: list[np.ndarray] = []
         advance = self.bench.plant.advance
@@ -282,7 +282,7 @@ def tilted(model: str, tilt_deg: float) -> tuple[float, float, float, str]:
     tissue = load_preset("left-posterior-forearm")
     bench = Bench(tissue, seed=3, tilt_deg=tilt_deg, parameters=device.plant, frame_mass_kg=device.frame_mass_kg)
     link = LoopbackLink(Firmware(bench, seed=3))
-    stimulus = NoiseChoice(min_force_n=1.5, max_force_n=6.0).stimulus(RATE)
+    stimulus = usual_noise(RATE, force_min_n=1.5, force_max_n=6.0)
     with SerialInstrument(link, clock=link.clock) as instrument, tempfile.TemporaryDirectory() as folder:
         placement = place(instrument)
         recorder = SessionRecorder(Path(folder) / "session.h5", instrument.device)

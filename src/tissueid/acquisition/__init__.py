@@ -12,12 +12,12 @@ if TYPE_CHECKING:
     from tissueid.acquisition.multistep import MultistepTest, Step, check_multistep, run_multistep
     from tissueid.acquisition.recorder import SessionRecorder
     from tissueid.acquisition.recovery import recover
-    from tissueid.acquisition.stimulus_choice import PRELOAD_S, NoiseChoice
+    from tissueid.acquisition.stimulus_choice import PRELOAD_S, usual_noise
 else:
     __getattr__ = lazy_attributes(
         __name__,
         {
-            "stimulus_choice": ("PRELOAD_S", "NoiseChoice"),
+            "stimulus_choice": ("PRELOAD_S", "usual_noise"),
             "guided": ("GuidedTest", "Phase", "Progress", "play", "run_guided_test"),
             "journal": ("JournalError", "journal_path"),
             "multistep": ("MultistepTest", "Step", "check_multistep", "run_multistep"),
@@ -31,7 +31,6 @@ __all__ = [
     "GuidedTest",
     "JournalError",
     "MultistepTest",
-    "NoiseChoice",
     "Phase",
     "Progress",
     "SessionRecorder",
@@ -42,4 +41,5 @@ __all__ = [
     "recover",
     "run_guided_test",
     "run_multistep",
+    "usual_noise",
 ]

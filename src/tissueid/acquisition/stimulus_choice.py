@@ -5,7 +5,6 @@ from __future__ import annotations
 import hashlib
 import json
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
@@ -20,6 +19,7 @@ from tissueid.stimuli.base import GUIDED, OpenLoopKind, Stimulus, StimulusKind, 
 from tissueid.stimuli.feedback import FeedbackKind
 from tissueid.stimuli.kinds.noise import Noise
 from tissueid.stimuli.kinds.waveform import Scaled, Waveform
+from tissueid.test_settings import USUAL_FORCE_N, USUAL_SECONDS, USUAL_SEED, FilePlayback
 from tissueid.untrusted_input import json_value
 from tissueid.version import SOFTWARE
 
@@ -175,40 +175,27 @@ def _verify(path: Path, content: Mapping[str, Any], built: Stimulus) -> None:
         )
 
 
+_AS_IT_IS = FilePlayback()
 FIXTURES = ("spring", "free_air")
 """Kinds of test in which the probe is not on tissue, as stored in a session."""
 PRELOAD_S = 0.5
 """Default length of the preload, s, in which the tissue settles at the mean load (thesis 7.1.1)."""
 
 
-@dataclass(frozen=True, kw_only=True)
-class NoiseChoice:
-    """Noise over a range of force, N. The defaults keep the probe on the skin throughout."""
+def usual_noise(sample_rate_hz: float, **options: Any) -> Stimulus:
+    """Return noise with its preload; without ``options`` of the kind it is the usual one.
 
-    distribution: str = "gaussian"
-    min_force_n: float = 0.5
-    max_force_n: float = 10.5
-    seconds: float = 4.0
-    seed: int = 1
+    Raises:
+        UnusableInputError: an option is not valid.
+    """
+    return with_preload(Noise.from_options(usual_options(sample_rate_hz) | options).build(), PRELOAD_S)
 
-    def stimulus(self, sample_rate_hz: float) -> Stimulus:
-        """Return the stimulus with its preload.
 
-        Raises:
-            UnusableInputError: the values are invalid.
-        """
-        return with_preload(Noise.from_options(self.noise_options(sample_rate_hz)).build(), PRELOAD_S)
-
-    def noise_options(self, sample_rate_hz: float) -> dict[str, float | str]:
-        """Return the values under the option names of the kinds of stimulus, SI."""
-        return {
-            "distribution": self.distribution,
-            "force_min_n": self.min_force_n,
-            "force_max_n": self.max_force_n,
-            "seconds": self.seconds,
-            "seed": self.seed,
-            "sample_rate": sample_rate_hz,
-        }
+def usual_options(sample_rate_hz: float) -> dict[str, Any]:
+    """Return the options of the usual noise, SI."""
+    low_n, high_n = USUAL_FORCE_N
+    force = {"force_min_n": low_n, "force_max_n": high_n}
+    return force | {"seconds": USUAL_SECONDS, "seed": USUAL_SEED, "sample_rate": sample_rate_hz}
 
 
 def playable(
@@ -229,54 +216,41 @@ def playable(
     return with_preload(build(specification), PRELOAD_S)
 
 
-@dataclass(frozen=True, kw_only=True)
-class FileChoice:
-    """A stimulus from a file, and how it is played.
+def stimulus_from_file(path: Path, sample_rate_hz: float, played: FilePlayback = _AS_IT_IS) -> Stimulus | FeedbackKind:
+    """Return the waveform or the saved stimulus, without a preload that it does not have itself.
 
-    ``scale`` and ``offset``, in the unit of the stimulus, apply to every sample; None for 1 and 0. ``file_rate_hz`` is
-    the sample rate of a waveform without times; None for that of the instrument.
+    Raises:
+        UnusableInputError: the file cannot be read or holds no stimulus, or it cannot be played so.
     """
-
-    path: Path
-    scale: float | None = None
-    offset: float | None = None
-    file_rate_hz: float | None = None
-
-    def stimulus(self, sample_rate_hz: float) -> Stimulus | FeedbackKind:
-        """Return the waveform or the saved stimulus, without a preload that it does not have itself.
-
-        Raises:
-            UnusableInputError: the file cannot be read or holds no stimulus, or it cannot be played so.
-        """
-        scale, offset = 1.0 if self.scale is None else self.scale, 0.0 if self.offset is None else self.offset
-        if is_waveform(self.path):
-            return load_waveform(self.path, sample_rate_hz, file_rate_hz=self.file_rate_hz, scale=scale, offset=offset)
-        if self.file_rate_hz is not None:
-            raise UnusableInputError(
-                "stimulus.file_rate",
-                "{path} is a saved stimulus and has its sample rate: leave out --file-rate",
-                path=str(self.path),
-            )
-        loaded = load_stimulus(self.path)
-        if self.scale is None and self.offset is None:
-            return loaded
-        described = loaded.describe() if isinstance(loaded, FeedbackKind) else loaded.description
-        inner = dict(described.get("stimulus", described)) if described.get("type") == GUIDED else dict(described)
-        if inner.get("type") == Scaled.name:  # scaled twice: a (b x + c) + d
-            scale, offset = scale * inner["scale"], scale * inner["offset"] + offset
-            inner = dict(inner["stimulus"])
-        scaled = Scaled.from_options({"stimulus": inner, "scale": scale, "offset": offset})
-        preload_s = 0.0 if isinstance(loaded, FeedbackKind) else loaded.preload_s
-        return build_from_specification(scaled, preload_s or None)
+    scale, offset = 1.0 if played.scale is None else played.scale, 0.0 if played.offset is None else played.offset
+    if is_waveform(path):
+        return load_waveform(path, sample_rate_hz, file_rate_hz=played.file_rate_hz, scale=scale, offset=offset)
+    if played.file_rate_hz is not None:
+        raise UnusableInputError(
+            "stimulus.file_rate",
+            "{path} is a saved stimulus and has its sample rate: leave out --file-rate",
+            path=str(path),
+        )
+    loaded = load_stimulus(path)
+    if played.scale is None and played.offset is None:
+        return loaded
+    described = loaded.describe() if isinstance(loaded, FeedbackKind) else loaded.description
+    inner = dict(described.get("stimulus", described)) if described.get("type") == GUIDED else dict(described)
+    if inner.get("type") == Scaled.name:  # scaled twice: a (b x + c) + d
+        scale, offset = scale * inner["scale"], scale * inner["offset"] + offset
+        inner = dict(inner["stimulus"])
+    scaled = Scaled.from_options({"stimulus": inner, "scale": scale, "offset": offset})
+    preload_s = 0.0 if isinstance(loaded, FeedbackKind) else loaded.preload_s
+    return build_from_specification(scaled, preload_s or None)
 
 
-def playable_file(choice: FileChoice, sample_rate_hz: float) -> Stimulus | FeedbackKind:
+def playable_file(path: Path, sample_rate_hz: float, played: FilePlayback = _AS_IT_IS) -> Stimulus | FeedbackKind:
     """Return a stimulus from a file for an instrument of this sample rate; adds a preload if it has none.
 
     Raises:
         UnusableInputError: the file cannot be read, or contains no stimulus that this version can build.
     """
-    loaded = choice.stimulus(sample_rate_hz)
+    loaded = stimulus_from_file(path, sample_rate_hz, played)
     if isinstance(loaded, FeedbackKind) or loaded.preload_s > 0.0:
         return loaded
     return with_preload(loaded, PRELOAD_S)

@@ -25,7 +25,6 @@ from PySide6.QtWidgets import (
     QWidget,
 )
 
-from tissueid.acquisition.stimulus_choice import NoiseChoice
 from tissueid.app.build import button, column, fill, label, row, styled
 from tissueid.app.chooser import InstrumentChooser
 from tissueid.app.configuring import ConfigurationChooser
@@ -48,6 +47,7 @@ from tissueid.procedures.pseudonyms import reads_like_name
 from tissueid.procedures.test_plan import TestPlan
 from tissueid.procedures.test_presets import PRESETS, Preset
 from tissueid.stimuli.kinds.noise import Noise
+from tissueid.test_settings import SECONDS, USUAL_FORCE_N, USUAL_SECONDS, USUAL_SEED
 
 _CALLED = {
     "clinical": marked("Clinical"),
@@ -67,7 +67,6 @@ _UNDER_PROBE = {
     "free_air": marked("Nothing: free air"),
 }
 _MOST_REPEATS = 20
-_SHORTEST_S = 0.5
 _MOST_MINUTES = 1e6
 _MINUTES_WIDTH = 96
 """Pixels."""
@@ -91,7 +90,7 @@ class PlanForm(QWidget):
         self._own_path = False
         self._own_force = False
         self._applying = self._plain = False
-        self._usual_force_n = NoiseChoice.max_force_n
+        self._usual_force_n = USUAL_FORCE_N[1]
         self._forces_n: dict[str, float] = {}
         self.instrument = InstrumentChooser()
         self.subject = QLineEdit()
@@ -313,13 +312,13 @@ class PlanForm(QWidget):
         for name in DISTRIBUTIONS:
             self.distribution.addItem(_(_CALLED.get(name, name.capitalize())), name)
         self.distribution.setCurrentIndex(self.distribution.findData(Noise.model_fields["distribution"].default))
-        self.min_force = _number(" N", -15.0, 14.5, 0.5, 0.5)
+        self.min_force = _number(" N", -15.0, 14.5, 0.5, USUAL_FORCE_N[0])
         self.min_force.setToolTip(_("Below zero the coil pulls: tissue that is not attached to the probe is left"))
-        self.max_force = _number(" N", 0.5, 15.0, 0.5, 10.5)
-        self.seconds = _number(" s", _SHORTEST_S, 29.5, 1.0, 4.0)
+        self.max_force = _number(" N", 0.5, 15.0, 0.5, USUAL_FORCE_N[1])
+        self.seconds = _number(" s", *SECONDS, 1.0, USUAL_SECONDS)
         self.seed = WholeNumberField()
         self.seed.setRange(0, _MOST_SEED)
-        self.seed.setValue(1)
+        self.seed.setValue(USUAL_SEED)
         self.repeats = WholeNumberField()
         self.repeats.setRange(1, _MOST_REPEATS)
         self.repeats.setToolTip(_("Tests one after another, in one session file"))

@@ -15,6 +15,7 @@ from tissueid.plan_options import Option, Plan, name_and_value, named_values
 from tissueid.procedures.control import Control
 from tissueid.procedures.output_files import check_different, check_output, unwritable, write_text
 from tissueid.procedures.test_plan import design_stimulus
+from tissueid.test_settings import FilePlayback
 
 if TYPE_CHECKING:  # each takes long to import
     from tissueid.analysis.stimulus_design import StimulusDesign
@@ -39,7 +40,7 @@ _FIELDS = {
 """Option of a stimulus: field of the plan."""
 
 
-class StimulusPlan(Plan):
+class StimulusPlan(FilePlayback, Plan):
     """A kind of stimulus with its options, or a saved stimulus; None to list all kinds.
 
     ``options`` are options of the kind without a field here. With ``list_options`` nothing is designed. ``device`` None
@@ -78,14 +79,6 @@ class StimulusPlan(Plan):
     seconds: Annotated[float | None, Option("--seconds", metavar="SECONDS", help="length without preload")] = None
     seed: Annotated[
         int | None, Option("--seed", help="seed; the same seed gives the same samples"), Field(ge=0, le=2**63 - 1)
-    ] = None
-    scale: Annotated[float | None, Option("--scale", help="of a file: factor of the whole stimulus")] = None
-    offset: Annotated[
-        float | None, Option("--offset", metavar="NEWTON", help="of a file: added to the whole stimulus")
-    ] = None
-    file_rate_hz: Annotated[
-        float | None,
-        Option("--file-rate", metavar="HZ", help="sample rate of a waveform without times; default: the instrument's"),
     ] = None
     out: Annotated[Path | None, Option("--out", metavar="FILE", help="save the stimulus for 'tissueid test'")] = None
     csv: Annotated[Path | None, Option("--csv", metavar="FILE", help="write the samples as CSV")] = None
@@ -175,7 +168,7 @@ class StimulusPlan(Plan):
         Raises:
             UnusableInputError: the kind, the file or an option cannot be used.
         """
-        from tissueid.acquisition.stimulus_choice import FileChoice
+        from tissueid.acquisition.stimulus_choice import stimulus_from_file
         from tissueid.procedures.test_plan import saved_stimulus_options, specified
         from tissueid.stimuli import get_stimulus
 
@@ -183,8 +176,7 @@ class StimulusPlan(Plan):
         if self.from_file:
             if self.options or self.given:
                 raise saved_stimulus_options(Path(what))
-            choice = FileChoice(path=Path(what), scale=self.scale, offset=self.offset, file_rate_hz=self.file_rate_hz)
-            return choice.stimulus(sample_rate_hz)
+            return stimulus_from_file(Path(what), sample_rate_hz, self)
         if all(any(getattr(self, field) is not None for field in ends) for ends in _RANGES):
             raise UnusableInputError("stimulus.two_ranges", "give the range either as force or as voltage")
         return specified(get_stimulus(what), list(self.options), self.given)

@@ -35,7 +35,7 @@ from tissueid.procedures.pseudonyms import reads_like_name
 from tissueid.procedures.study_plans import RESULTS
 from tissueid.procedures.test_plan import MAX_TEXT, TestPlan
 from tissueid.procedures.test_presets import PRESETS, Preset
-from tissueid.test_settings import Circumstances, SetUp
+from tissueid.test_settings import SECONDS, Circumstances, SetUp
 from tissueid.untrusted_input import json_value
 
 PROTOCOL_FILE = "protocol.json"
@@ -90,7 +90,7 @@ class Protocol(SetUp):
     order: Literal["fixed", "randomised"] = "fixed"
     seed: Annotated[int, Field(ge=0, lt=2**31)] = 0
     stimulus: str = PRESETS[0].name
-    seconds: Annotated[float, Field(ge=0.5, le=29.5)] | None = None
+    seconds: Annotated[float, Field(ge=SECONDS[0], le=SECONDS[1])] | None = None
     limits: str = "clinical"
     attempts: Annotated[int, Field(ge=1, le=20)] = 3
     photograph: bool = False

@@ -16,10 +16,9 @@ from tissueid.messages import Message, Verbatim
 from tissueid.plan_options import Option, name_and_value, named_values
 from tissueid.procedures.control import Control
 from tissueid.procedures.pseudonyms import PseudonymConfirmed, check_subject
-from tissueid.test_settings import TestSettings
+from tissueid.test_settings import USUAL_FORCE_N, USUAL_SECONDS, FilePlayback, TestSettings
 
 if TYPE_CHECKING:  # each takes long to import
-    from tissueid.acquisition.stimulus_choice import FileChoice
     from tissueid.identification.live.stopping import StopRule
     from tissueid.instrument.limits import Limits
     from tissueid.stimuli import OpenLoopKind, Stimulus, StimulusKind
@@ -70,7 +69,7 @@ def depth_range(text: str) -> tuple[float, float]:
     return depths
 
 
-class TestPlan(TestSettings):
+class TestPlan(FilePlayback, TestSettings):
     """One or several tests at one place, in one session; ``None`` leaves a value to the stimulus.
 
     ``options`` are options of the stimulus without a field here, by name. ``stop_when`` are targets in the notation of
@@ -104,15 +103,6 @@ class TestPlan(TestSettings):
             metavar="FILE",
             help="stimulus saved by 'tissueid stimulus', or a waveform: .csv, .txt or .npy, in N",
         ),
-    ] = None
-    scale: Annotated[float | None, Option("--scale", help="with --stimulus-file: factor of the whole stimulus")] = None
-    offset: Annotated[
-        float | None,
-        Option("--offset", metavar="NEWTON", help="with --stimulus-file: added to the whole stimulus"),
-    ] = None
-    file_rate_hz: Annotated[
-        float | None,
-        Option("--file-rate", metavar="HZ", help="sample rate of a waveform without times; default: the instrument's"),
     ] = None
     depth_range_m: Annotated[
         tuple[float, float] | None,
@@ -279,15 +269,6 @@ class TestPlan(TestSettings):
             )
 
     @property
-    def file_choice(self) -> FileChoice | None:
-        """The stimulus from a file, and how it is played; None for a plan without one."""
-        from tissueid.acquisition.stimulus_choice import FileChoice
-
-        if self.stimulus_file is None:
-            return None
-        return FileChoice(path=self.stimulus_file, scale=self.scale, offset=self.offset, file_rate_hz=self.file_rate_hz)
-
-    @property
     def _own_stimulus(self) -> bool:
         return bool(self.stimulus or self.options or self.distribution)
 
@@ -309,7 +290,7 @@ class TestPlan(TestSettings):
         Raises:
             UnusableInputError: the stimulus or an option is unknown, not valid, or given twice.
         """
-        from tissueid.acquisition.stimulus_choice import NoiseChoice
+        from tissueid.acquisition.stimulus_choice import usual_options
         from tissueid.stimuli import get_stimulus
         from tissueid.stimuli.kinds.noise import Noise
 
@@ -322,8 +303,7 @@ class TestPlan(TestSettings):
             pairs += zip(("depth_min_m", "depth_max_m"), self.depth_range_m, strict=True)
         usual: dict[str, Any] = {"sample_rate": sample_rate_hz}
         if noise:
-            usual |= NoiseChoice().noise_options(sample_rate_hz)
-            usual.pop("distribution")
+            usual = usual_options(sample_rate_hz)
         return specified(kind, pairs, self._given(), usual)
 
     def depth_design(self, sample_rate_hz: float) -> DepthDesign:
@@ -332,12 +312,10 @@ class TestPlan(TestSettings):
         Raises:
             UnusableInputError: an option is not valid.
         """
-        from tissueid.acquisition.stimulus_choice import NoiseChoice
         from tissueid.stimuli.depth_uniform import DepthDesign
 
         assert self.depth_range_m is not None
-        usual = NoiseChoice()
-        options: dict[str, Any] = {"force_min_n": usual.min_force_n, "force_max_n": usual.max_force_n}
+        options: dict[str, Any] = dict(zip(("force_min_n", "force_max_n"), USUAL_FORCE_N, strict=True))
         options |= {name: value for name, (_, value) in self._given().items() if name != "seed"}
         least_m, most_m = self.depth_range_m
         return DepthDesign.from_options(
@@ -350,13 +328,12 @@ class TestPlan(TestSettings):
 
     def within(self, greatest_n: float) -> Self:
         """Return this plan for an instrument with a maximum force of ``greatest_n``, N: the usual force is lowered."""
-        from tissueid.acquisition.stimulus_choice import NoiseChoice
         from tissueid.stimuli.kinds.noise import Noise
 
         wanted, lower = self.max_force_n, self.lower_force
         usual = self.stimulus_file is None and self.stimulus in (None, Noise.name)
         if wanted is None and usual and "force_max_n" not in dict(self.options):
-            wanted, lower = NoiseChoice().max_force_n, True
+            wanted, lower = USUAL_FORCE_N[1], True
         if wanted is None or not lower or wanted <= greatest_n:
             return self
         return self.model_copy(update={"max_force_n": greatest_n})
@@ -369,17 +346,14 @@ class TestPlan(TestSettings):
     @property
     def force_range_n(self) -> tuple[float, float]:
         """Expected range of force, N. A saved stimulus has its own."""
-        from tissueid.acquisition.stimulus_choice import NoiseChoice
-
-        usual, low_n, high_n = NoiseChoice(), self.min_force_n, self.max_force_n
-        return usual.min_force_n if low_n is None else low_n, usual.max_force_n if high_n is None else high_n
+        given = self.min_force_n, self.max_force_n
+        low_n, high_n = (usual if n is None else n for n, usual in zip(given, USUAL_FORCE_N, strict=True))
+        return low_n, high_n
 
     @property
     def stimulus_s(self) -> float:
         """Expected duration of one stimulus after its preload, s. A saved stimulus has its own."""
-        from tissueid.acquisition.stimulus_choice import NoiseChoice
-
-        return NoiseChoice().seconds if self.seconds is None else self.seconds
+        return USUAL_SECONDS if self.seconds is None else self.seconds
 
     @property
     def total_s(self) -> float:

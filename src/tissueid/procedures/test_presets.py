@@ -5,10 +5,10 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import Any
 
-from tissueid.acquisition.stimulus_choice import NoiseChoice
 from tissueid.language import marked
 from tissueid.procedures.demo import LARGE_CLIPPED, LARGE_N
 from tissueid.stimuli.kinds.noise import Noise
+from tissueid.test_settings import USUAL_FORCE_N, USUAL_SECONDS
 
 
 @dataclass(frozen=True)
@@ -44,21 +44,20 @@ class Preset:
         }
 
 
-_USUAL = NoiseChoice()
 PRESETS = (
     Preset(
         "standard",
         marked("Standard skin test"),
         Noise.name,
-        (_USUAL.min_force_n, _USUAL.max_force_n),
-        _USUAL.seconds,
+        USUAL_FORCE_N,
+        USUAL_SECONDS,
     ),
     Preset(
         "thesis",
         marked("Thesis test, −5 to 12 N"),
         Noise.name,
         LARGE_N,
-        _USUAL.seconds,
+        USUAL_SECONDS,
         (("clipped", LARGE_CLIPPED),),
         lowered=False,
     ),

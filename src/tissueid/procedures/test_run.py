@@ -19,7 +19,7 @@ from tissueid.acquisition.multistep import PLACING, MultistepTest, Step, check_m
 from tissueid.acquisition.playback import Phase
 from tissueid.acquisition.recorder import SessionRecorder, log_no_recording
 from tissueid.acquisition.rest_periods import predict_heating, rest, temperature_c
-from tissueid.acquisition.stimulus_choice import NoiseChoice, playable, playable_file, test_kind
+from tissueid.acquisition.stimulus_choice import playable, playable_file, test_kind
 from tissueid.acquisition.surface_detection import Placement, place_in_air
 from tissueid.audit import AuditTrail
 from tissueid.calibration.active import ActiveCalibration, activate_calibration
@@ -35,6 +35,7 @@ from tissueid.procedures.test_plan import TestPlan, design_stimulus
 from tissueid.sessions import Session, Subject, Test
 from tissueid.stimuli import FeedbackKind, Stimulus
 from tissueid.stimuli.kinds.noise import Noise
+from tissueid.test_settings import USUAL_FORCE_N, USUAL_SEED
 from tissueid.wire import Fault
 
 if TYPE_CHECKING:
@@ -245,7 +246,7 @@ class _Run:
         most = min(self._instrument.device.greatest_force_n, math.floor(10.0 * self._limits.max_force_n) / 10.0)
         lowered = plan.within(most)
         if lowered is not plan:
-            usual = NoiseChoice().max_force_n if plan.max_force_n is None else plan.max_force_n
+            usual = USUAL_FORCE_N[1] if plan.max_force_n is None else plan.max_force_n
             self._control.notice(
                 Message(
                     "test.force_lowered",
@@ -410,8 +411,8 @@ def _guided_test(
 
 def _stimulus(plan: TestPlan, sample_rate_hz: float, control: Control) -> Stimulus | FeedbackKind:
     """Return the stimulus with its preload, or a feedback stimulus."""
-    if (choice := plan.file_choice) is not None:
-        return playable_file(choice, sample_rate_hz)
+    if plan.stimulus_file is not None:
+        return playable_file(plan.stimulus_file, sample_rate_hz, plan)
     specification = plan.specification(sample_rate_hz)
     if isinstance(specification, Noise):  # needs no progress
         return playable(specification)
@@ -425,7 +426,7 @@ def _multistep_test(plan: TestPlan, device: DeviceDescription, limits: Limits) -
         plan.depth_design(device.sample_rate_hz),
         plan,
         steps=plan.multistep,
-        seed=NoiseChoice().seed if plan.seed is None else plan.seed,
+        seed=USUAL_SEED if plan.seed is None else plan.seed,
         limits=limits,
         **({} if plan.target is None else {"target": plan.target}),
     )

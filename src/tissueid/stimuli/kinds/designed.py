@@ -15,7 +15,7 @@ from typing import ClassVar, Self
 
 import numpy as np
 from numpy.typing import NDArray
-from pydantic import AliasChoices, Field, model_validator
+from pydantic import Field, model_validator
 from scipy import fft, optimize
 
 from tissueid.errors import UnusableInputError
@@ -220,8 +220,6 @@ class Designed(OpenLoopKind):
     )
     damping_asymmetry_n_s2_per_m2: float = Field(
         70.0,
-        # files of earlier versions have the second name
-        validation_alias=AliasChoices("damping_asymmetry_n_s2_per_m2", "damping_turn_n_s2_per_m2"),
         ge=0.0,
         le=1e4,
         description=marked("Asymmetry of the damping between indentation and retraction, N s2/m2"),
