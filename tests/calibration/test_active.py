@@ -2,6 +2,7 @@
 
 import json
 from dataclasses import replace
+from datetime import timedelta
 from pathlib import Path
 
 import numpy as np
@@ -60,6 +61,8 @@ def test_the_newest_that_passed_is_used():
     stored = [made(40), made(20), made(3, verdict="failed", problems=("too noisy",)), made(9, "sweep")]
     device = apply_calibrations(DEVICE, stored, NOW)
     assert device.calibration["static_file"] == "static-20.toml"
+    due = NOW + timedelta(days=90 - 20)
+    assert device.calibration["valid_until"] == f"{due:%Y-%m-%d}"
     (warning,) = warnings_of(device)
     assert says(warning, "calibration.about", file="static-3.toml")
     assert says(warning.values["warning"], "calibration.failed_because", problem="too noisy")

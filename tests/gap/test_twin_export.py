@@ -69,6 +69,7 @@ def test_a_twin_comes_back_as_it_was_written(content, tmp_path):
 
 def test_a_twin_of_an_earlier_version_keeps_its_creeping_loops(content, tmp_path):
     (friction,) = content.effects
+    assert friction.title == effect("dry_friction").title
     earlier = {name: value for name, value in friction.parameters.items() if name != "spread"} | {"bristle_share": 0.5}
     path = tmp_path / "arm.toml"
     write_twin(path, content.model_copy(update={"effects": (friction.model_copy(update={"parameters": earlier}),)}))

@@ -21,11 +21,15 @@ UNKNOWN = marked("Calibration: not known yet")
 
 @dataclass(frozen=True)
 class CalibrationState:
-    """State in one line, ``level`` of its colour ("good", "check", or "" if not known), and ``warnings``."""
+    """State in one line, ``level`` of its colour ("good", "check", or "" if not known), and ``warnings``.
+
+    ``until`` is the date of the next calibration, "" if it is not known.
+    """
 
     words: str = UNKNOWN
     level: str = ""
     warnings: tuple[str, ...] = ()
+    until: str = ""
 
 
 def calibration_state(device: DeviceDescription, now: datetime | None = None) -> CalibrationState:
@@ -33,7 +37,8 @@ def calibration_state(device: DeviceDescription, now: datetime | None = None) ->
     good = device.calibration.get("state") == "valid"
     warnings = tuple(sentence(translated(line)) for line in warnings_of(device))
     words = sentence(translated(calibration_summary(device, now))).removesuffix(".")
-    return CalibrationState(words, "good" if good else "check", warnings)
+    until = str(device.calibration.get("valid_until", ""))
+    return CalibrationState(words, "good" if good else "check", warnings, until)
 
 
 def figure_of(name: str, found: Quantity) -> tuple[str, str, str]:

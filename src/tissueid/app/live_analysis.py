@@ -235,7 +235,7 @@ class LiveAnalysis(QWidget):
             tip=_("Measured position against the linear prediction; a linear tissue lies on the dotted line"),
         )
         self.course = styled(
-            PlotCard(_("Parameter change"), _("Time (s)"), "%"),
+            PlotCard(_("Change of the values"), _("Time (s)"), "%"),
             tip=_("Parameters against their newest value; bands: one standard deviation to either side"),
         )
         self.force_spectrum = PlotCard(_("Force spectrum"), _("Frequency (Hz)"), "N²/Hz", log_axes=("bottom", "left"))

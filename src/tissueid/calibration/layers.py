@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
-from datetime import datetime
+from datetime import datetime, timedelta
 
 import numpy as np
 
@@ -40,6 +40,11 @@ class UsedCalibration:
     def made(self) -> datetime:
         """Date of the calibration."""
         return self.calibration.made
+
+    @property
+    def valid_until(self) -> datetime:
+        """When the next calibration is due."""
+        return self.made + timedelta(days=self.calibration.valid_days)
 
     def differs(self, other: Calibration) -> bool:
         """Return whether another calibration has other quantities."""
@@ -81,7 +86,10 @@ def merge_calibrations(
     if base is not None:
         known |= {"static_file": base.file, "static_date": base.calibration.date}
         warnings += _completion_warnings(base, found)
-    for item in (*([base] if base is not None else []), *sweeps):
+    used = [*([base] if base is not None else []), *sweeps]
+    if used:
+        known["valid_until"] = min(item.valid_until for item in used).strftime("%Y-%m-%d")
+    for item in used:
         if item.state == "stale":
             known["state"] = "stale"
             warnings.append(file_warning(item.file, item.words))

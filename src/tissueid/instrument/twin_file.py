@@ -75,6 +75,8 @@ class EffectPart(_Part):
     """An effect with its parameters and their standard deviations, SI."""
 
     name: _Figure
+    title: _Line = ""
+    """What the effect is, in words; for readers of the file."""
     parameters: Annotated[dict[_Figure, _Finite], Field(max_length=64)]
     stds: Annotated[dict[_Figure, _Std], Field(max_length=64)] = Field(default_factory=dict)
 
@@ -218,6 +220,7 @@ def content_of(twin: NamedTwin, source: Source, created: str, software: str) -> 
     effects = tuple(
         EffectPart(
             name=item.effect.name,
+            title=item.effect.title,
             parameters={p.name: float(v) for p, v in zip(item.effect.parameters, item.values, strict=True)},
             stds={
                 p.name: twin.stds[f"{item.effect.name}.{p.name}"]

@@ -120,8 +120,8 @@ def test_the_calibration_of_a_typed_address_is_shown(open_start):
     window = open_start()
     chooser = window.ui.form.instrument
     chooser.choose("socket://127.0.0.1:7000")
-    chooser.tell_calibration(chooser.url, CalibrationState("Calibrated today", "good"))
-    assert said(window.pages.start.instruments)[0][2] == "Calibrated today"
+    chooser.tell_calibration(chooser.url, CalibrationState("Calibrated today", "good", until="2026-04-01"))
+    assert said(window.pages.start.instruments)[0][2] == "Calibrated today; next by 2026-04-01"
 
 
 def test_finding_asks_every_port_and_says_how_each_stands(qtbot, open_start):

@@ -378,4 +378,5 @@ def _calibration(state: CalibrationState) -> str:
     said = _(state.words)
     for word in ("Calibration", _("Calibration")):
         said = said.removeprefix(f"{word}: ")
-    return said[:1].upper() + said[1:]
+    said = said[:1].upper() + said[1:]
+    return _("{calibration}; next by {date}").format(calibration=said, date=state.until) if state.until else said
