@@ -21,9 +21,8 @@ sys.path[:0] = [str(HERE.parents[1] / "tests" / "stimuli")]
 import simulated_plants  # noqa: E402
 
 from tissueid.cli import main as tissueid  # noqa: E402
-from tissueid.reports.feedback_panels import feedback_panels  # noqa: E402
-from tissueid.reports.feedback_run import run_from_report  # noqa: E402
 from tissueid.reports.page import draw_sheet  # noqa: E402
+from tissueid.reports.stimulus_page import feedback_panels, run_from_report  # noqa: E402
 from tissueid.reports.style import plain_image  # noqa: E402
 from tissueid.stimuli.kinds.rtig import Rtig  # noqa: E402
 

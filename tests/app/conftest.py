@@ -74,7 +74,7 @@ def _plots_without_pixels(plots_rendered, plots_laid_out, monkeypatch):
         from pyqtgraph import GraphicsView
 
         monkeypatch.setattr(GraphicsView, "paintEvent", lambda _view, _event: None)
-        monkeypatch.setattr("tissueid.reports.plot_layout.lay_out", lambda _figure: None)
+        monkeypatch.setattr("tissueid.reports.plot_axes.lay_out", lambda _figure: None)
 
 
 @pytest.fixture

@@ -139,7 +139,7 @@ def test_a_calibration_whose_report_cannot_be_written_is_not_called_failed(
     def fails(*_):
         raise error
 
-    monkeypatch.setattr("tissueid.reports.calibration_static.static_report", fails)
+    monkeypatch.setattr("tissueid.reports.calibration_page.static_report", fails)
     window = technicians(opener=lambda _: spring())
     page = page_of(window)
     press(qtbot, page.begin["static"])

@@ -17,7 +17,7 @@ from tissueid.gap.answer import as_answer
 from tissueid.gap.diagnosis import diagnose
 from tissueid.gap.preparation import prepare
 from tissueid.gap.workers import SerialExecutor
-from tissueid.reports.gap import gap_html
+from tissueid.reports.gap_page import gap_html
 from tissueid.sessions import Session, Test
 from tissueid.twin import effects
 from tissueid.twin.catalogue import all_effects, effect

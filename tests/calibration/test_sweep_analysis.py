@@ -20,7 +20,7 @@ from tissueid.device import DeviceDescription
 from tissueid.errors import UnusableInputError
 from tissueid.identification.engines.lms import Lms
 from tissueid.records import Record
-from tissueid.reports.calibration import sweep_report
+from tissueid.reports.calibration_page import sweep_report
 from tissueid.sessions import Test
 
 NOMINAL = DeviceDescription()

@@ -12,7 +12,7 @@ from reports.page_check import checked
 from reports.synthetic_sitting import make_session, make_test
 
 from tissueid.cli import main
-from tissueid.reports import comparison
+from tissueid.reports import comparison_page
 from tissueid.sessions import read_session, write_session
 
 
@@ -36,7 +36,7 @@ def test_page_and_figures_are_written(session_file: Path, tmp_path: Path, capsys
 def test_pictures_of_an_earlier_comparison_stay_and_are_named(
     session_file: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(comparison, "plain_image", lambda _figure, target, _form: target.write_bytes(b"drawn"))
+    monkeypatch.setattr(comparison_page, "plain_image", lambda _figure, target, _form: target.write_bytes(b"drawn"))
     folder = tmp_path / "figures"
     folder.mkdir()
     names = [*(f"dpn-{number}.svg" for number in range(4)), "holiday.png"]

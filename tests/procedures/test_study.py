@@ -21,8 +21,7 @@ from tissueid.procedures.study_demo import PopulationPlan, Series, measure_serie
 from tissueid.procedures.study_plans import NOT_ANALYSED_FILE, RESULTS, SUBJECTS_FILE, StudyPlan, StudyReportPlan
 from tissueid.procedures.study_report import report_study
 from tissueid.procedures.study_run import run_study
-from tissueid.reports.study import study_html
-from tissueid.reports.study_pdf import write_study_pdf
+from tissueid.reports.study_page import study_html, write_study_pdf
 from tissueid.sessions import Subject, write_session
 from tissueid.studies.study_statistics import study_statistics
 from tissueid.studies.study_table import parameters_of, read_subjects, study_table
@@ -31,8 +30,8 @@ from tissueid.studies.study_table import parameters_of, read_subjects, study_tab
 @pytest.fixture(autouse=True)
 def _quick(monkeypatch):
     # Figures, resamples and permutations take most of the time.
-    monkeypatch.setattr("tissueid.reports.study.MOST_DRAWN", 1)
-    monkeypatch.setattr("tissueid.reports.study.MOST_COMPARED", 1)
+    monkeypatch.setattr("tissueid.reports.study_page.MOST_DRAWN", 1)
+    monkeypatch.setattr("tissueid.reports.study_page.MOST_COMPARED", 1)
     monkeypatch.setattr("tissueid.studies.repeatability.RESAMPLES", 20)
     monkeypatch.setattr("tissueid.studies.multivariate.PERMUTATIONS", 3)
 

@@ -20,8 +20,8 @@ from tissueid.studies.sampled_curves import curves_of
 
 @pytest.fixture(autouse=True)
 def _quick(monkeypatch):
-    monkeypatch.setattr("tissueid.reports.study.MOST_DRAWN", 1)
-    monkeypatch.setattr("tissueid.reports.study.MOST_COMPARED", 1)
+    monkeypatch.setattr("tissueid.reports.study_page.MOST_DRAWN", 1)
+    monkeypatch.setattr("tissueid.reports.study_page.MOST_COMPARED", 1)
     monkeypatch.setattr("tissueid.studies.repeatability.RESAMPLES", 20)
     monkeypatch.setattr("tissueid.studies.multivariate.PERMUTATIONS", 3)
 

@@ -10,8 +10,7 @@ from reports.page_check import checked
 
 from tissueid.calibration import Calibration, Quantity
 from tissueid.errors import UnusableInputError
-from tissueid.reports.calibration import sweep_report
-from tissueid.reports.calibration_panels import NO_RESPONSES
+from tissueid.reports.calibration_page import NO_RESPONSES, sweep_report
 from tissueid.units import display_unit
 
 PLACES = 1e-3 * np.arange(2, 31, 4)

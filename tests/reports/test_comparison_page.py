@@ -19,7 +19,7 @@ from tissueid.analysis.curves.comparison_plots import FEW_IMPULSE_RESPONSES, NO_
 from tissueid.errors import UnusableInputError
 from tissueid.reports import ComparisonReport, comparison_report
 from tissueid.reports import page as blocks
-from tissueid.reports.comparison import NO_DEPTH_ENGINE
+from tissueid.reports.comparison_page import NO_DEPTH_ENGINE
 from tissueid.reports.page import absent
 from tissueid.sessions import Session
 from tissueid.stimuli import with_preload

@@ -19,7 +19,7 @@ from tissueid.gap.diagnosis import Diagnosis, NextExperiment, diagnose
 from tissueid.gap.diagnosis_plots import largest_held_out_error
 from tissueid.gap.preparation import prepare
 from tissueid.gap.workers import SerialExecutor
-from tissueid.reports.gap import Origin, gap_html, headline_of, next_steps_of, write_gap_report
+from tissueid.reports.gap_page import Origin, gap_html, headline_of, next_steps_of, write_gap_report
 from tissueid.reports.gap_panels import gap_panels
 from tissueid.sessions import Session, Subject, Test
 

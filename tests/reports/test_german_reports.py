@@ -5,8 +5,8 @@ from matplotlib.backends.backend_pdf import FigureCanvasPdf
 from matplotlib.text import Text
 from reports.in_german import SAME, in_both, in_each_language, shown
 
-from tissueid.reports.html import report_html
 from tissueid.reports.pdf import write_pdf
+from tissueid.reports.session_page import report_html
 
 
 @pytest.fixture

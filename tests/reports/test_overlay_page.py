@@ -12,7 +12,7 @@ from reports.synthetic_sitting import make_session, make_test
 from tissueid.analysis.overlay import NamedFit, Overlay, TestSource, overlay
 from tissueid.identification import get_engine
 from tissueid.reports import page as blocks
-from tissueid.reports.overlay import overlay_report
+from tissueid.reports.overlay_page import overlay_report
 
 FITS = {
     "lms": {"memory": 0.05},

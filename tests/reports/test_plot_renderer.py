@@ -13,8 +13,7 @@ from tissueid.analysis.curves.comparison_plots import rows_plot
 from tissueid.analysis.curves.plot import as_csv, depth_roles, histogram
 from tissueid.errors import UnusableInputError
 from tissueid.messages import Message
-from tissueid.reports.plot_axes import PAGE, Look
-from tissueid.reports.plot_layout import lay_out
+from tissueid.reports.plot_axes import PAGE, Look, lay_out
 from tissueid.reports.plot_renderer import draw_grid, draw_plot, draw_plots, draw_relief, draw_row
 
 NO_FORCE = Message("plot.test", "no {what} was recorded", what="force")

@@ -25,9 +25,9 @@ from tissueid.device import SIMULATED_LINE, DeviceDescription
 from tissueid.errors import UnusableInputError
 from tissueid.messages import MISSING, code_of
 from tissueid.records import Estimate
-from tissueid.reports import Comparison, ComparisonRow, html, report_html, write_report
+from tissueid.reports import Comparison, ComparisonRow, report_html, session_page, write_report
 from tissueid.reports.pdf import PageWriter, write_pdf
-from tissueid.reports.record_pictures import signals_figure
+from tissueid.reports.session_page import signals_figure
 from tissueid.reports.style import to_svg
 from tissueid.reports.tables import parameter_table, readable_date, score_table, settings_tables
 from tissueid.reports.verdict import FROM_ELSEWHERE, NOT_JUDGED, judge, key_numbers
@@ -344,7 +344,7 @@ def test_written_whole_or_not_at_all(
 
 def test_template_refuses_what_it_does_not_know() -> None:
     with pytest.raises(UndefinedError):
-        html.template("report.html.j2").render(title="only this")
+        session_page.template("report.html.j2").render(title="only this")
 
 
 def test_users_own_settings_neither_matter_nor_change(session: Session) -> None:

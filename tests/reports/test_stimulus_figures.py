@@ -21,11 +21,16 @@ from tissueid.device import DeviceDescription
 from tissueid.errors import UnusableInputError
 from tissueid.identification.second_order import SecondOrder
 from tissueid.messages import code_of
-from tissueid.reports.feedback_panels import feedback_panels
-from tissueid.reports.feedback_run import feedback_run, run_from_report
 from tissueid.reports.page import Panel, draw_sheet
-from tissueid.reports.stimulus_panels import stimulus_panels
-from tissueid.reports.stimulus_report import feedback_report, option_rows, stimulus_report
+from tissueid.reports.stimulus_page import (
+    feedback_panels,
+    feedback_report,
+    feedback_run,
+    option_rows,
+    run_from_report,
+    stimulus_panels,
+    stimulus_report,
+)
 from tissueid.sessions import Test
 from tissueid.stimuli import get_stimulus, stimulus_names, with_preload
 from tissueid.stimuli.kinds.designed import Designed

@@ -16,8 +16,7 @@ from tissueid.messages import Verbatim
 from tissueid.reports.pdf import PageWriter
 from tissueid.reports.plot_axes import turn_names
 from tissueid.reports.plot_renderer import draw_plot
-from tissueid.reports.study import study_facts, study_html
-from tissueid.reports.study_pdf import _figures, _parts, _with_broken_heads
+from tissueid.reports.study_page import _figures, _parts, _with_broken_heads, study_facts, study_html
 from tissueid.reports.study_tables import study_table, study_tables
 from tissueid.reports.tables import Table
 from tissueid.studies.curve_plots import surface_plot
@@ -201,14 +200,14 @@ def statistics(used):
 
 @pytest.mark.parametrize(("simulated", "words"), [(True, SIMULATED_LINE), (False, None)])
 def test_the_report_says_that_tests_are_simulated(monkeypatch, simulated, words):
-    monkeypatch.setattr("tissueid.reports.study.MOST_DRAWN", 0)
+    monkeypatch.setattr("tissueid.reports.study_page.MOST_DRAWN", 0)
     page = study_html("Lotion trial", "wiener", statistics(table(simulated=simulated)), {})
     assert (SIMULATED_LINE in page) == (words is not None)
     assert "<h1>Study Lotion trial</h1>" in page
 
 
 def test_the_report_counts_simulated_tests_among_others(monkeypatch):
-    monkeypatch.setattr("tissueid.reports.study.MOST_DRAWN", 0)
+    monkeypatch.setattr("tissueid.reports.study_page.MOST_DRAWN", 0)
     used = table()
     used.loc[0, "simulated"] = False
     assert f"{len(used) - 1} of {len(used)} tests are simulated" in study_html("A", "wiener", statistics(used), {})

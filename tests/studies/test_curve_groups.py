@@ -8,7 +8,7 @@ from scipy import stats
 
 from tissueid.analysis.curves.plot import as_csv
 from tissueid.analysis.curves.samples import GRIDS, KERNEL1, KERNEL2, LAGS, MAGNITUDE, PARTITIONS, STIFFNESS, trimmed
-from tissueid.reports.study import study_html, study_plots, tables_of
+from tissueid.reports.study_page import study_html, study_plots, tables_of
 from tissueid.studies.curve_groups import chosen, group_curves, group_labels, mean_and_interval
 from tissueid.studies.curve_plots import curve_plot, kernel_panel, scores_plot, shared_limit
 from tissueid.studies.kernel_components import component_table, kernel_components, score_table

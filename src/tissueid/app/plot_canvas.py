@@ -41,7 +41,7 @@ if TYPE_CHECKING:
     from tissueid.analysis.curves import Plot
     from tissueid.analysis.curves.plot import Array
     from tissueid.reports.plot_axes import Look
-    from tissueid.reports.plot_parts import DrawnLine
+    from tissueid.reports.plot_renderer import DrawnLine
 
 Point = tuple[float, float]
 """A place on a canvas, in pixels of the figure from its lower left corner."""
@@ -440,7 +440,7 @@ class PlotCanvas(QFrame):
 
     def _lay_out(self) -> None:
         """Make room for labels once, not in every frame."""
-        from tissueid.reports.plot_layout import lay_out
+        from tissueid.reports.plot_axes import lay_out
 
         canvas = self._canvas
         self._unsettled = False

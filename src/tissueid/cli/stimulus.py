@@ -20,7 +20,7 @@ from tissueid.cli.output import check_json, console_control, human_output, messa
 from tissueid.procedures.output_files import check_different
 from tissueid.procedures.simulated_feedback import FeedbackTrial
 from tissueid.procedures.stimulus_design import StimulusPlan, run_stimulus
-from tissueid.reports.feedback_run import REPORT_NOTE
+from tissueid.reports.stimulus_page import REPORT_NOTE
 from tissueid.stimuli import FeedbackKind, StimulusKind, get_stimulus, stimulus_names
 
 _BOUNDS = (("ge", "{} or more"), ("gt", "over {}"), ("le", "up to {}"), ("lt", "under {}"))

@@ -114,7 +114,6 @@ def write_calibration_report(calibration: Calibration, path: Path) -> None:
     Raises:
         OSError: it cannot be written.
     """
-    from tissueid.reports.calibration import sweep_report
-    from tissueid.reports.calibration_static import static_report
+    from tissueid.reports.calibration_page import static_report, sweep_report
 
     (sweep_report if calibration.kind == "sweep" else static_report)(calibration).write(path)

@@ -74,7 +74,7 @@ class DiagnosedSession:
     @property
     def report_html(self) -> str:
         """The report as HTML, in the language in force."""
-        from tissueid.reports.gap import Origin, gap_html
+        from tissueid.reports.gap_page import Origin, gap_html
 
         return gap_html(self.found, origin=Origin(self.session, self.plan.session))
 

@@ -51,7 +51,7 @@ class WatchedFolder:
     @property
     def report_html(self) -> str:
         """The report as HTML, in the language in force."""
-        from tissueid.reports.gap_watch import watch_html
+        from tissueid.reports.gap_page import watch_html
 
         return watch_html(self.history, self.twin)
 

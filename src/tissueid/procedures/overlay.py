@@ -113,7 +113,7 @@ def run_overlay(plan: OverlayPlan, control: Control) -> Overlaid:
     found = fitted(plan, control, sweep=_sweep(plan.sweep))
     if plan.page is None and plan.figures is None and plan.csv is None:
         return Overlaid(found)
-    from tissueid.reports.overlay import overlay_report
+    from tissueid.reports.overlay_page import overlay_report
 
     control.progress(None, Message("report.drawing", "Drawing the figures"))
     report = overlay_report(found, calibration)

@@ -18,7 +18,7 @@ from tissueid.language import marked
 from tissueid.messages import Verbatim
 from tissueid.procedures.control import Control
 from tissueid.procedures.depth_coverage import out_of_reach
-from tissueid.reports.feedback_run import feedback_run
+from tissueid.reports.stimulus_page import feedback_run
 from tissueid.sessions import Test
 from tissueid.stimuli import FeedbackKind
 from tissueid.test_settings import TestSettings

@@ -22,7 +22,7 @@ if TYPE_CHECKING:  # each takes long to import
     from tissueid.device import DeviceDescription
     from tissueid.instrument import Limits
     from tissueid.procedures.simulated_feedback import FeedbackTrial
-    from tissueid.reports.stimulus_report import StimulusReport
+    from tissueid.reports.stimulus_page import StimulusReport
     from tissueid.stimuli import FeedbackKind, Stimulus, StimulusKind
     from tissueid.stimuli.interchange import InterchangeResult
 
@@ -136,7 +136,7 @@ class StimulusPlan(FilePlayback, Plan):
             check_new(self.out)
         if self.plot is not None:
             # imported here because it imports Matplotlib
-            from tissueid.reports.stimulus_report import FORMS, output_suffix
+            from tissueid.reports.stimulus_page import FORMS, output_suffix
 
             check_output(self.plot, FORMS[output_suffix(self.plot)])
         from tissueid.acquisition.waveform_file import check_file_option
@@ -219,7 +219,7 @@ def run_stimulus(plan: StimulusPlan, control: Control) -> DesignedStimulus:
         )
     design = _checked(plan, stimulus, device, search)
     if plan.plot is not None:
-        from tissueid.reports.stimulus_report import stimulus_report
+        from tissueid.reports.stimulus_page import stimulus_report
 
         _draw(plan.plot, stimulus_report(design))
     if plan.csv is not None:
@@ -252,7 +252,7 @@ def _checked(
 
 def _tried(plan: StimulusPlan, kind: FeedbackKind, control: Control) -> FeedbackTrial:
     from tissueid.procedures.simulated_feedback import try_on_tissue
-    from tissueid.reports.stimulus_report import feedback_report
+    from tissueid.reports.stimulus_page import feedback_report
 
     if plan.csv is not None:
         raise UnusableInputError(

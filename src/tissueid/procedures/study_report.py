@@ -65,8 +65,7 @@ def report_study(plan: StudyReportPlan, control: Control) -> StudyReport:
     from tissueid.studies.study_table import subgroup
 
     run = replace(run, table=subgroup(run.table, plan.only))
-    from tissueid.reports.study import study_html
-    from tissueid.reports.study_pdf import write_study_pdf
+    from tissueid.reports.study_page import study_html, write_study_pdf
     from tissueid.studies.study_statistics import study_statistics
 
     control.progress(0.0, _COMPUTING)

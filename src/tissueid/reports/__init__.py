@@ -1,7 +1,7 @@
 """Reports: figures, and one self-contained HTML page for a session (docs/report.md)."""
 
-from tissueid.reports.comparison import ComparisonReport, comparison_report
-from tissueid.reports.html import report_html, write_report
+from tissueid.reports.comparison_page import ComparisonReport, comparison_report
+from tissueid.reports.session_page import report_html, write_report
 from tissueid.reports.tables import Comparison, ComparisonRow
 
 __all__ = ["Comparison", "ComparisonReport", "ComparisonRow", "comparison_report", "report_html", "write_report"]

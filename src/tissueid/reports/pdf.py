@@ -26,11 +26,10 @@ from tissueid.errors import UnusableInputError
 from tissueid.formatting import clean, subject_text
 from tissueid.language import _
 from tissueid.messages import translated
-from tissueid.reports.html import NOTHING_ANALYSED
 from tissueid.reports.page import RESEARCH_LINE, surface_of
-from tissueid.reports.plot_axes import turn_names
-from tissueid.reports.plot_layout import wrap_label
+from tissueid.reports.plot_axes import turn_names, wrap_label
 from tissueid.reports.plot_renderer import draw_plot
+from tissueid.reports.session_page import NOTHING_ANALYSED
 from tissueid.reports.style import GREEN, INK, LOST, MUTED, drawing
 from tissueid.reports.tables import readable_date, status_text
 from tissueid.reports.verdict import judge, key_numbers, linear_engine, visited

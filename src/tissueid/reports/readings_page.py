@@ -1,4 +1,4 @@
-"""Plots of the readings of commercial probes: the step with Ue, Uv, Ur and Uf, and the free decay."""
+"""Readings of commercial probes in reports: table, step, decay, and a page of their own (docs/readings.md)."""
 
 from __future__ import annotations
 

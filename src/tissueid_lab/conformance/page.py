@@ -5,7 +5,7 @@ from __future__ import annotations
 from tissueid.formatting import fixed
 from tissueid.language import _, marked
 from tissueid.messages import translated
-from tissueid.reports.stimulus_report import StimulusReport
+from tissueid.reports.stimulus_page import StimulusReport
 from tissueid.reports.tables import Table
 from tissueid_lab.conformance.suite import Conformance
 

@@ -29,9 +29,8 @@ from tissueid.formatting import fixed, grouped, number
 from tissueid.identification.engines.als import AlsModel
 from tissueid.identification.engines.dpn import Dpn
 from tissueid.language import marked
-from tissueid.reports.feedback_panels import feedback_panels
-from tissueid.reports.feedback_run import REPORT_NOTE, feedback_run
-from tissueid.reports.overlay import DrawnFigures
+from tissueid.reports.overlay_page import DrawnFigures
+from tissueid.reports.stimulus_page import REPORT_NOTE, feedback_panels, feedback_run
 from tissueid.sessions import Session
 from tissueid.stimuli.interchange import autocorrelation, interchange
 from tissueid.stimuli.kinds.interchange import Interchange

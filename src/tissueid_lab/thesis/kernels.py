@@ -30,7 +30,7 @@ from tissueid.identification.volterra.model import VolterraModel
 from tissueid.identification.volterra.prior import roughness
 from tissueid.language import marked
 from tissueid.records import Record
-from tissueid.reports.overlay import DrawnFigures
+from tissueid.reports.overlay_page import DrawnFigures
 from tissueid_lab.thesis.comparisons import EXACT, LAGS_3, POSTERIOR, SITES
 from tissueid_lab.thesis.recipe import (
     Outcome,

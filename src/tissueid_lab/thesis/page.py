@@ -10,7 +10,7 @@ from typing import Any
 from tissueid.formatting import fixed
 from tissueid.language import _
 from tissueid.messages import translated
-from tissueid.reports.overlay import OverlayReport, overlay_scores
+from tissueid.reports.overlay_page import OverlayReport, overlay_scores
 from tissueid.reports.page import RESEARCH_LINE, FigureGroup, template, write_text_atomically
 from tissueid.reports.tables import Table
 from tissueid.version import SOFTWARE

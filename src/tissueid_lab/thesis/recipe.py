@@ -12,7 +12,7 @@ from tissueid.formatting import fixed
 from tissueid.identification.base import Model
 from tissueid.language import _, marked
 from tissueid.records import Record
-from tissueid.reports.overlay import DrawnFigures, grid_figure
+from tissueid.reports.overlay_page import DrawnFigures, grid_figure
 from tissueid.reports.page import picture
 from tissueid.sessions import Session
 
@@ -88,7 +88,7 @@ class Published:
 class ThesisFigure(Published):
     """A figure or table: tests, fits ([LABEL=]ENGINE,OPTION=VALUE), pictures, and the comparison.
 
-    ``pictures`` are keys of ``reports.overlay``. One function compares: ``rows`` or ``drawn``, which makes further
+    ``pictures`` are keys of ``reports.overlay_page``. One function compares: ``rows`` or ``drawn``, which makes further
     pictures, from the fits; ``recorded`` from the sessions by label; or ``study`` without tests, whose argument is
     whether the run is quick. ``vafs`` are rows of a VAF, before the others: quantity, value of the thesis, source
     and fit, "" for the first. The other arguments are those of ``analysis.overlay.overlay``.

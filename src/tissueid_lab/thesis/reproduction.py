@@ -233,7 +233,7 @@ def _reproduced(
 ) -> ReproducedFigure:
     """Return a figure from its sessions, or the reason why it could not be made."""
     from tissueid.analysis.overlay import TestSource, overlay
-    from tissueid.reports.overlay import overlay_report
+    from tissueid.reports.overlay_page import overlay_report
     from tissueid.sessions import read_session
     from tissueid_lab.thesis.recipe import ReproducedFigure, Row, shown_vaf
 

@@ -22,8 +22,8 @@ from tissueid.identification.engines.lms import LmsModel
 from tissueid.identification.engines.spectral import Spectral, SpectralModel
 from tissueid.identification.engines.wiener import WienerModel
 from tissueid.language import marked
-from tissueid.reports.calibration_panels import sweep_panels
-from tissueid.reports.overlay import DrawnFigures
+from tissueid.reports.calibration_page import sweep_panels
+from tissueid.reports.overlay_page import DrawnFigures
 from tissueid.sessions import Session
 from tissueid_lab.thesis.comparisons import POSTERIOR
 from tissueid_lab.thesis.recipe import (

@@ -22,7 +22,7 @@ from tissueid.gap.statement import LIKELY, effect_title, headline_of, members_of
 from tissueid.gap.twin_export import twin_of, with_prior_twin
 from tissueid.gap.workers import SerialExecutor
 from tissueid.messages import MISSING, code_of, messages_in
-from tissueid.reports.gap import gap_html
+from tissueid.reports.gap_page import gap_html
 from tissueid.reports.gap_panels import gap_panels
 from tissueid.twin.effect import STAGE_NAMES
 

@@ -1,4 +1,4 @@
-"""Plots of calibrations: residuals of a line, a figure over the dates, and figures along the stroke."""
+"""Plots of calibrations: residuals, values by date, along the stroke, and of a dynamic sweep (Chen 2010, 2.5)."""
 
 from __future__ import annotations
 

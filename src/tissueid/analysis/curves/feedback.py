@@ -1,4 +1,4 @@
-"""Plots of tests with a feedback stimulus: time series, distributions, linear response."""
+"""Plots of tests with a feedback stimulus, their settling time, and the response during a test (Chen 2010, 6.2)."""
 
 from __future__ import annotations
 

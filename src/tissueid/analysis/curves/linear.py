@@ -1,4 +1,4 @@
-"""Plots of linear dynamics: impulse response, frequency response, coherence."""
+"""Plots of linear dynamics: impulse and frequency response, coherence; of the levels of a stepped record too."""
 
 from __future__ import annotations
 

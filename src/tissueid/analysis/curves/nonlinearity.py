@@ -1,4 +1,4 @@
-"""Plots of static nonlinearities."""
+"""Plots of static nonlinearities, and of cascades: blocks in signal order, passes of iterations (Chen 2010, 3.2)."""
 
 from __future__ import annotations
 

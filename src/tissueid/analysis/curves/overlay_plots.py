@@ -1,4 +1,4 @@
-"""Plots of fits of several tests: responses, nonlinearities, scores; colours and line styles of all of them."""
+"""Plots of fits of several tests: responses, nonlinearities, scores, by depth; correlations of their signals."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Numbers for figures: spectra of signals, correlations of residuals, thinning."""
+"""Numbers for figures, plots of predictions on held-out data, measured and simulated output, residuals."""
 
 from __future__ import annotations
 

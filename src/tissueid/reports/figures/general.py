@@ -21,9 +21,8 @@ from tissueid.identification.validation.residual_tests import ResidualTest, resi
 from tissueid.language import _, marked
 from tissueid.messages import translated
 from tissueid.reports import captions
-from tissueid.reports.depth_panels import depth_panels
 from tissueid.reports.figures.registry import Drawn, Subject, figure
-from tissueid.reports.plot_renderer import column_figure, draw_plot, row_figure
+from tissueid.reports.plot_renderer import column_figure, depth_panels, draw_plot, row_figure
 from tissueid.reports.style import (
     FULL_WIDTH,
     new_figure,

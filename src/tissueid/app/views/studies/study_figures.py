@@ -39,7 +39,7 @@ class StudyFigures:
 
 def figures_of(found: StudyStatistics) -> StudyFigures:
     """Compute the figures of the statistics."""
-    from tissueid.reports.study import OF_SEVERAL, simulated_line, study_plots
+    from tissueid.reports.study_page import OF_SEVERAL, simulated_line, study_plots
 
     groups = []
     for _key, heading, plots in study_plots(found):

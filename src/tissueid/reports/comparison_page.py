@@ -19,9 +19,7 @@ from tissueid.identification.base import Model
 from tissueid.language import _, marked
 from tissueid.messages import MISSING, Message, translated
 from tissueid.reports import captions
-from tissueid.reports.depth_panels import depth_panels
 from tissueid.reports.figures.registry import Group, Subject, figures_of
-from tissueid.reports.material import Material
 from tissueid.reports.page import (
     RESEARCH_LINE,
     FigureGroup,
@@ -33,8 +31,9 @@ from tissueid.reports.page import (
     template,
     write_text_atomically,
 )
-from tissueid.reports.plot_renderer import column_figure, row_figure
-from tissueid.reports.record_pictures import (
+from tissueid.reports.plot_renderer import column_figure, depth_panels, row_figure
+from tissueid.reports.session_page import (
+    Material,
     correlations_picture,
     distributions_picture,
     power_picture,

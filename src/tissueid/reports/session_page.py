@@ -3,10 +3,14 @@
 from __future__ import annotations
 
 from collections.abc import Iterator, Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from pathlib import Path
 
+from matplotlib.figure import Figure
+
 from tissueid.analysis import Analysis
+from tissueid.analysis.curves.overlay_plots import signal_correlations
+from tissueid.analysis.curves.signals import distribution_plots, recording_plots, recording_spectra
 from tissueid.analysis.curves.validation import (
     Prediction,
     correlation_plots,
@@ -18,12 +22,14 @@ from tissueid.analysis.device_readings import STEP_KIND, recorded_readings
 from tissueid.device import SIMULATED_LINE
 from tissueid.errors import UnusableInputError
 from tissueid.identification import engine_label, report_engines
+from tissueid.identification.base import Model
+from tissueid.identification.engines.spectral import SpectralModel
 from tissueid.identification.engines.wiener import WienerModel
 from tissueid.language import _
 from tissueid.messages import Message, Verbatim, translated
+from tissueid.records import Record
 from tissueid.reports import captions
-from tissueid.reports.figures.registry import Group, all_figures, figures_of
-from tissueid.reports.material import Material
+from tissueid.reports.figures.registry import Group, Subject, all_figures, figures_of
 from tissueid.reports.page import (
     RESEARCH_LINE,
     FigureGroup,
@@ -37,7 +43,6 @@ from tissueid.reports.page import (
     write_text_atomically,
 )
 from tissueid.reports.plot_renderer import column_figure, row_figure
-from tissueid.reports.record_pictures import distributions_picture, power_picture, signals_picture
 from tissueid.reports.tables import (
     Comparison,
     Table,
@@ -335,3 +340,94 @@ def write_report(
         OSError: the folder is missing, or the disk is full or not writable; nothing is left behind.
     """
     write_text_atomically(path, report_html(session, analyses, comparison=comparison, title=title, refused=refused))
+
+
+def signals_figure(test: Test, held_out_s: tuple[float, float] | None = None) -> Figure:
+    """Voltage, force and position over time; arguments as :func:`recording_plots`.
+
+    Raises:
+        UnusableInputError: none of the signals to be drawn was received.
+    """
+    plots = recording_plots(test, held_out_s)
+    return column_figure(plots, 0.7 + 1.45 * len(plots), wide=True, over=True)
+
+
+def signals_picture(test: Test, held_out_s: tuple[float, float] | None, key: str) -> Picture:
+    """The signals over time."""
+    return picture(
+        f"{key}-signals",
+        _("Signals"),
+        _("Line plots over time of coil voltage, coil force and probe position, with the preload shaded."),
+        lambda: (signals_figure(test, held_out_s), captions.signals(test)),
+    )
+
+
+def power_picture(test: Test, spectra: SpectralModel | None, key: str) -> Picture:
+    """The power spectra."""
+    return picture(
+        f"{key}-power",
+        _("Power spectra"),
+        _("Power spectral densities of voltage, force and position against frequency, both axes logarithmic."),
+        lambda: (column_figure([recording_spectra(test)], 3.3), captions.power(spectra)),
+        wide=False,
+    )
+
+
+def correlations_picture(record: Record, key: str) -> Picture:
+    """The correlations of input and output."""
+    return picture(
+        f"{key}-correlations",
+        _("Correlations of input and output"),
+        _("Autocorrelations of input and output and their cross-correlation over both signs of the lag."),
+        lambda: (row_figure(signal_correlations({"": record}), 2.7), _(captions.CORRELATIONS)),
+    )
+
+
+def distributions_picture(record: Record, key: str) -> Picture:
+    """The distributions of input and output."""
+    return picture(
+        f"{key}-distributions",
+        _("Distributions of input and output"),
+        _("Histograms of {input} and {output}, each with a Gaussian curve.").format(
+            input=_(record.input_name), output=_(record.output_name)
+        ),
+        lambda: (row_figure(distribution_plots(record), 2.5), captions.distributions(record)),
+    )
+
+
+@dataclass(frozen=True)
+class Material:
+    """A test, its analyses, and what several figures share."""
+
+    session: Session
+    test: Test
+    analyses: Mapping[str, Analysis]
+    predictions: tuple[Prediction, ...]
+    refused: Mapping[str, str] = field(default_factory=dict)
+    """Engines that could not use the test, and why."""
+
+    @property
+    def spectra(self) -> SpectralModel | None:
+        """The spectra, when that engine was run."""
+        return next((a.model for a in self.analyses.values() if isinstance(a.model, SpectralModel)), None)
+
+    @property
+    def subjects(self) -> list[Subject[Model]]:
+        """The models, to be drawn."""
+        surface = surface_of(self.test)
+        return [Subject(name, a.model, a, surface) for name, a in self.analyses.items()]
+
+    @property
+    def any(self) -> Analysis | None:
+        """Any analysis, for what all of them share."""
+        return next(iter(self.analyses.values()), None)
+
+    @property
+    def held_out_s(self) -> tuple[float, float] | None:
+        """When the held-out part begins and ends, if it is a part of this test."""
+        analysis = self.any
+        if analysis is None or analysis.held_out_record is not analysis.record:
+            return None
+        start = round(self.test.preload_s * self.test.sample_rate_hz)
+        first, end, _ = analysis.held_out.indices(len(analysis.record))
+        return (start + first) / self.test.sample_rate_hz, (start + end) / self.test.sample_rate_hz
