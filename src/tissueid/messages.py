@@ -147,7 +147,7 @@ def codes_in(text: str) -> frozenset[str]:
     return frozenset(message.code for message in messages_in(text))
 
 
-def stored(text: str) -> dict[str, Any] | None:
+def stored(text: str | None) -> dict[str, Any] | None:
     """Return code, template and values of a message for JSON; None for a text that is none."""
     return text.as_dict() if isinstance(text, Message) else None
 

@@ -58,7 +58,6 @@ def save_window_state(
     settings.setValue(_ROLE, role)
     settings.setValue(_FOLD, "yes" if form.fold.isChecked() else "no")
     settings.setValue(_INSTRUMENT, form.instrument.url)
-    settings.remove("test/subject")  # kept by earlier versions
     settings.setValue(_LIMITS, form.limits.currentData())
     settings.setValue(_LIVE_METHOD, form.stimulus.live_method.currentData())
 

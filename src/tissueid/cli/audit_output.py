@@ -7,8 +7,9 @@ from pathlib import Path
 from typing import Any
 
 from tissueid.audit.line import fields_of
-from tissueid.cli.output import check_json, human_output, message_json, table, write_json
+from tissueid.cli.output import check_json, human_output, table, write_json
 from tissueid.errors import UnusableInputError
+from tissueid.messages import stored
 from tissueid.procedures.audit_queries import LogPlan, VerifiedLog, VerifyLogPlan, newest_lines, verify_log
 
 
@@ -71,7 +72,7 @@ def _answer(verified: VerifiedLog) -> dict[str, Any]:
             "place": broken.place,
             "damage": broken.damage.value,
             "words": broken.words,
-            "message": message_json(broken.words),
+            "message": stored(broken.words),
         },
         "remarks": list(verified.remarks),
     }

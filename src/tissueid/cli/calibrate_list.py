@@ -5,7 +5,8 @@ from __future__ import annotations
 from pathlib import Path
 
 from tissueid.calibration.labels import headline_of, notes_of, readable
-from tissueid.cli.output import check_json, human_output, message_json, table, write_json
+from tissueid.cli.output import check_json, human_output, table, write_json
+from tissueid.messages import stored
 from tissueid.procedures.calibration_queries import (
     CalibrationListPlan,
     ListedCalibration,
@@ -57,7 +58,7 @@ def _answer(item: ListedCalibration) -> dict[str, object]:
         "verdict": found.verdict if found else None,
         "state": status.state,
         "words": status.words,
-        "message": message_json(status.words),
+        "message": stored(status.words),
         "newest_that_passed": item.newest,
     }
 

@@ -11,12 +11,12 @@ from rich.table import Table
 
 from tissueid.analysis import EngineComparison, Entry, SweepRow
 from tissueid.analysis.distortion import described_levels, distortion_of, is_multisine
-from tissueid.cli.output import check_json, console_control, human_output, message_json, table, write_json
+from tissueid.cli.output import check_json, console_control, human_output, table, write_json
 from tissueid.cli.quality import repeat_warnings
 from tissueid.errors import UnusableInputError
 from tissueid.formatting import fixed, grouped
 from tissueid.identification.recommendation import Recommendation
-from tissueid.messages import MISSING, Message
+from tissueid.messages import MISSING, Message, stored
 from tissueid.procedures.comparison import ComparePlan, run_comparison
 from tissueid.sessions import Session
 
@@ -94,7 +94,7 @@ def compare_answer(found: EngineComparison) -> dict[str, Any]:
 def _entry_answer(entry: Entry) -> dict[str, Any]:
     about = {"engine": entry.engine, "family": str(entry.family), "interpretability": entry.family.interpretability}
     if entry.scored is None:
-        return about | {"refused": entry.refused, "refused_message": message_json(entry.refused)}
+        return about | {"refused": entry.refused, "refused_message": stored(entry.refused)}
     return (
         entry.scored.analysis.as_answer()
         | about

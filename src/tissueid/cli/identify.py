@@ -10,12 +10,13 @@ from rich.console import Console
 from rich.table import Table
 
 from tissueid.analysis import Analysis
-from tissueid.cli.output import check_json, human_output, messages_json, table, write_json
+from tissueid.cli.output import check_json, human_output, table, write_json
 from tissueid.cli.quality import repeat_warnings
 from tissueid.configuration import travel_word
 from tissueid.formatting import fixed, label_and_unit, plus_minus
 from tissueid.identification.depth_profile import DepthProfile
 from tissueid.identification.validation.residual_tests import ResidualTests
+from tissueid.messages import stored
 from tissueid.procedures.control import Control
 from tissueid.procedures.identification import IdentificationPlan, run_identification
 from tissueid.records import Estimate
@@ -55,7 +56,7 @@ def _tests_answer(tests: ResidualTests | None) -> dict[str, Any] | None:
         "n_samples": tests.n_samples,
         "tests": p_values,
         "findings": list(tests.findings),
-        "finding_messages": messages_json(tests.findings),
+        "finding_messages": list(map(stored, tests.findings)),
     }
 
 

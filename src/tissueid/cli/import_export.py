@@ -10,12 +10,12 @@ from tissueid.cli.output import (
     ConsoleControl,
     check_json,
     human_output,
-    messages_json,
     progress_bars,
     table,
     write_json,
 )
 from tissueid.formatting import clean, number
+from tissueid.messages import stored
 from tissueid.procedures.import_export import ExportPlan, ImportPlan, run_export, run_import
 from tissueid.procedures.instrument_access import audit_trail
 from tissueid.procedures.output_files import check_different
@@ -43,7 +43,7 @@ def import_files(plan: ImportPlan, json_file: Path | None) -> None:
             "session_id": made.session.session_id,
             "tests": tests,
             "notices": list(made.notices),
-            "notice_messages": messages_json(made.notices),
+            "notice_messages": list(map(stored, made.notices)),
         }
         write_json(json_file, answer)
 
@@ -75,7 +75,7 @@ def _answer(item: Imported, test: Test) -> dict[str, Any]:
         "sample_rate_hz": test.sample_rate_hz,
         "signals": signals,
         "notices": list(item.notices),
-        "notice_messages": messages_json(item.notices),
+        "notice_messages": list(map(stored, item.notices)),
     }
 
 

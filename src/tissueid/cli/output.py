@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import sys
 import time
-from collections.abc import Callable, Iterable, Iterator
+from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
@@ -62,16 +62,6 @@ def at_terminal() -> bool:
 def check_json(target: Path | None) -> None:
     """Check the target of JSON output as ``check_output`` does."""
     check_output(target, ("{", "["))
-
-
-def message_json(text: str | None) -> dict[str, Any] | None:
-    """Return code, template and values of a text for JSON; None if it has no code."""
-    return text.as_dict() if isinstance(text, Message) else None
-
-
-def messages_json(texts: Iterable[str]) -> list[dict[str, Any] | None]:
-    """Return code, template and values of several texts for JSON."""
-    return [message_json(text) for text in texts]
 
 
 def write_json(target: Path, value: Any) -> None:

@@ -6,9 +6,9 @@ from pathlib import Path
 from typing import Any
 
 from tissueid.analysis.overlay import Overlay, OverlayEntry, quantity_label, repeated_values
-from tissueid.cli.output import check_json, console_control, human_output, message_json, table, write_json
+from tissueid.cli.output import check_json, console_control, human_output, table, write_json
 from tissueid.formatting import fixed, grouped, number
-from tissueid.messages import MISSING
+from tissueid.messages import MISSING, stored
 from tissueid.procedures.output_files import check_different
 from tissueid.procedures.overlay import OverlayPlan, RepeatsPlan, run_overlay, run_repeats
 from tissueid.units import display_unit
@@ -102,4 +102,4 @@ def _entry_answer(found: Overlay, entry: OverlayEntry) -> dict[str, Any]:
 
 
 def _refused(found: Overlay) -> dict[str, Any]:
-    return {"refused": list(found.refused), "refused_messages": [message_json(text) for text in found.refused]}
+    return {"refused": list(found.refused), "refused_messages": list(map(stored, found.refused))}

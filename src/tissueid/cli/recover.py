@@ -4,7 +4,8 @@ from __future__ import annotations
 
 from pathlib import Path
 
-from tissueid.cli.output import ConsoleControl, check_json, human_output, messages_json, progress_bars, write_json
+from tissueid.cli.output import ConsoleControl, check_json, human_output, progress_bars, write_json
+from tissueid.messages import stored
 from tissueid.procedures.instrument_access import audit_trail
 from tissueid.procedures.recovery import RecoveryPlan, run_recovery
 
@@ -28,6 +29,6 @@ def recover_session(plan: RecoveryPlan, json_file: Path | None) -> None:
                 "session": str(recovered.path),
                 "tests": answer,
                 "warnings": list(recovered.warnings),
-                "warning_messages": messages_json(recovered.warnings),
+                "warning_messages": list(map(stored, recovered.warnings)),
             },
         )

@@ -16,7 +16,8 @@ from rich.table import Table
 
 from tissueid.acquisition.stimulus_choice import checksum
 from tissueid.analysis.stimulus_design import StimulusDesign
-from tissueid.cli.output import check_json, console_control, human_output, message_json, table, write_json
+from tissueid.cli.output import check_json, console_control, human_output, table, write_json
+from tissueid.messages import stored
 from tissueid.procedures.output_files import check_different
 from tissueid.procedures.simulated_feedback import FeedbackTrial
 from tissueid.procedures.stimulus_design import StimulusPlan, run_stimulus
@@ -205,7 +206,7 @@ def _open_loop_answer(design: StimulusDesign) -> dict[str, Any]:
         "heating_most_k": found.heating.most_k,
         "heating_bound_k": found.heating.bound_k,
         "concerns": [
-            {"severity": concern.severity, "words": concern.words, "message": message_json(concern.words)}
+            {"severity": concern.severity, "words": concern.words, "message": stored(concern.words)}
             for concern in found.concerns
         ],
     } | design.answer()

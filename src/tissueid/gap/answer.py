@@ -6,12 +6,7 @@ from typing import Any
 
 from tissueid.gap.diagnosis import Diagnosis
 from tissueid.gap.statement import alternatives_of, headline_of, members_of, ordered_candidates
-from tissueid.messages import Message
-
-
-def message_dict(text: str) -> dict[str, Any] | None:
-    """Return code, template and values of a message; None for a text without a code."""
-    return text.as_dict() if isinstance(text, Message) else None
+from tissueid.messages import stored
 
 
 def as_answer(found: Diagnosis) -> dict[str, Any]:
@@ -59,7 +54,7 @@ def as_answer(found: Diagnosis) -> dict[str, Any]:
         else {
             "kind": found.next_experiment.kind,
             "why": str(found.next_experiment.why),
-            "message": message_dict(found.next_experiment.why),
+            "message": stored(found.next_experiment.why),
             "separates": list(found.next_experiment.separates),
             "gain_nats": found.next_experiment.gain_nats,
             "separation": found.next_experiment.separation,
@@ -68,8 +63,8 @@ def as_answer(found: Diagnosis) -> dict[str, Any]:
         },
         "ceiling": found.ceiling,
         "remarks": [str(remark) for remark in found.remarks],
-        "remark_messages": [message_dict(remark) for remark in found.remarks],
-        "statement": message_dict(headline_of(found)[0]),
+        "remark_messages": list(map(stored, found.remarks)),
+        "statement": stored(headline_of(found)[0]),
         "seconds": found.seconds,
     }
 
