@@ -22,7 +22,8 @@ from support import connect_scenario  # noqa: E402
 
 from firmware_sim.scenario import Scenario  # noqa: E402
 from tissueid.acquisition import SessionRecorder  # noqa: E402
-from tissueid.calibration.sweep import Sweep, SweepPlan, sweep_tests  # noqa: E402
+from tissueid.calibration.plans import SweepPlan  # noqa: E402
+from tissueid.calibration.sweep import Sweep, sweep_tests  # noqa: E402
 from tissueid.calibration.sweep_analysis import analyse_sweep  # noqa: E402
 from tissueid.calibration.sweep_file import as_calibration  # noqa: E402
 from tissueid.reports.calibration_page import sweep_report  # noqa: E402

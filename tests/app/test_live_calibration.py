@@ -8,7 +8,8 @@ from firmware_sim.identity import Identity
 from tissueid.acquisition import SessionRecorder
 from tissueid.app.operator_prompts import LiveCalibration
 from tissueid.calibration import StaticPlan, calibrate_static
-from tissueid.calibration.sweep import Sweep, SweepPlan
+from tissueid.calibration.plans import SweepPlan
+from tissueid.calibration.sweep import Sweep
 
 
 @pytest.fixture

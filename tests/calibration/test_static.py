@@ -9,10 +9,10 @@ from support import connect
 from firmware_sim.converters import ChannelError
 from firmware_sim.plant import STANDARD_GRAVITY, PlantParameters
 from tissueid.calibration import StaticPlan, calibrate_static, read_calibration, write_calibration
-from tissueid.calibration.coil import Spring
 from tissueid.calibration.file import Quantity
 from tissueid.calibration.findings import Findings, mean_of_repeats
 from tissueid.calibration.labels import problems_of
+from tissueid.calibration.plans import Spring
 from tissueid.calibration.sensors import mains, position_findings
 from tissueid.calibration.static_procedure import PUSH_ONLY
 from tissueid.calibration.step_levels import straight_line
@@ -115,7 +115,7 @@ def test_known_weights_need_no_known_spring():
 
 def test_turned_over_the_accelerometers_zero_is_known_too():
     instrument = rig()
-    plan = StaticPlan(steps=("acceleration",), turn_over=True)
+    plan = StaticPlan(steps=("acceleration",), orientations=2)
     figures = values(calibrate_static(instrument, plan, ask=Person(instrument)).calibration)
     assert figures["acceleration_gain"] == pytest.approx(1.03, abs=1e-3)
     assert figures["acceleration_offset_m_s2"] == pytest.approx(0.2, abs=0.01)
@@ -261,8 +261,7 @@ def test_another_fixture_than_the_spring_is_asked_for_on_an_instrument_too():
     ("wrong", "code"),
     [
         ({"steps": ("dance",)}, "calibration.step"),
-        ({"steps": ()}, "calibration.no_step"),
-        ({"repeats": 0}, "calibration.repeats"),
+        ({"repeats": 0}, "option.refused"),
         ({"spring": Spring(1.0, 0.02)}, "calibration.spring"),
         ({"weights_kg": (2.0,)}, "calibration.weights"),
         ({"gauges_m": (0.01, 0.01, 0.02)}, "calibration.gauges"),

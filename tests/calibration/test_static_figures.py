@@ -6,9 +6,10 @@ import numpy as np
 import pytest
 from coded import coded, codes, message, says
 
-from tissueid.calibration.coil import Spring, electrical_findings, force_by_spring, force_by_weights
+from tissueid.calibration.coil import electrical_findings, force_by_spring, force_by_weights
 from tissueid.calibration.file import Quantity
 from tissueid.calibration.findings import Findings, mean_of_repeats, quantity
+from tissueid.calibration.plans import Spring, StaticPlan
 from tissueid.calibration.sensors import (
     acceleration_findings,
     position_findings,
@@ -16,7 +17,7 @@ from tissueid.calibration.sensors import (
     supply_findings,
     temperature_findings,
 )
-from tissueid.calibration.static_procedure import LEVELS_V, StaticPlan
+from tissueid.calibration.static_procedure import LEVELS_V
 from tissueid.calibration.step_levels import Levels, noise_of_mean
 from tissueid.calibration.stroke import Crossing, range_findings
 from tissueid.device import GRAVITY_M_S2, DeviceDescription

@@ -17,8 +17,9 @@ from tissueid.acquisition import SessionRecorder
 from tissueid.calibration import apply_calibrations, read_calibration, write_calibration
 from tissueid.calibration import sweep as procedure
 from tissueid.calibration.manual_positioning import wait_for_position
+from tissueid.calibration.plans import SweepPlan
 from tissueid.calibration.store import Stored
-from tissueid.calibration.sweep import Sweep, SweepPlan, sweep_tests
+from tissueid.calibration.sweep import Sweep, sweep_tests
 from tissueid.calibration.sweep_analysis import analyse_sweep
 from tissueid.calibration.sweep_file import as_calibration
 from tissueid.errors import CancelledError, FirmwareFaultError, UnusableInputError
@@ -226,7 +227,7 @@ def test_a_spring_that_only_pushes_is_refused(tmp_path):
         ({"step_m": 1e-4}, "sweep.step"),
         ({"to_m": 0.1, "step_m": 0.5e-3, "from_m": 0.0}, None),
         ({"seconds": 0.1}, "sweep.seconds"),
-        ({"repeats": 0}, "sweep.repeats"),
+        ({"repeats": 0}, "option.refused"),
         ({"swing_m": 0.02}, "sweep.swing"),
     ],
 )

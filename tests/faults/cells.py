@@ -18,8 +18,8 @@ from firmware_sim.faults import PlannedFault
 from firmware_sim.line_faults import LINE_KINDS
 from tissueid.acquisition import GuidedTest, run_guided_test
 from tissueid.calibration import check_coil
+from tissueid.calibration.plans import StaticPlan
 from tissueid.calibration.static import calibrate_static
-from tissueid.calibration.static_procedure import StaticPlan
 from tissueid.errors import TissueIDError
 from tissueid.instrument import Instrument
 from tissueid.messages import codes_in

@@ -19,8 +19,9 @@ from firmware_sim.scenario import Scenario
 from tissueid.acquisition import SessionRecorder
 from tissueid.calibration.flux import fit_flux
 from tissueid.calibration.force_balance import fit_balance
+from tissueid.calibration.plans import SweepPlan
 from tissueid.calibration.spline_basis import SplineBasis
-from tissueid.calibration.sweep import Sweep, SweepPlan, sweep_tests
+from tissueid.calibration.sweep import Sweep, sweep_tests
 from tissueid.calibration.sweep_analysis import SpringMass, SweepResult, analyse_sweep
 from tissueid.device import DeviceDescription
 from tissueid.identification.engines.lms import Lms

@@ -16,8 +16,8 @@ if TYPE_CHECKING:
     )
     from tissueid.calibration.coil_check import ElectricalCheck, check_coil
     from tissueid.calibration.file import Calibration, Quantity, read_calibration, save_calibration, write_calibration
+    from tissueid.calibration.plans import StaticPlan
     from tissueid.calibration.static import StaticCalibration, calibrate_static
-    from tissueid.calibration.static_procedure import StaticPlan
     from tissueid.calibration.store import (
         Stored,
         calibration_folder,
@@ -39,7 +39,7 @@ else:
                 "apply_calibrations",
                 "warnings_of",
             ),
-            "static_procedure": ("StaticPlan",),
+            "plans": ("StaticPlan",),
             "static": ("StaticCalibration", "calibrate_static"),
             "store": (
                 "Stored",

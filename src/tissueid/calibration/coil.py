@@ -3,12 +3,12 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
 
 from tissueid.calibration.findings import Findings, column, quantity
+from tissueid.calibration.plans import Spring
 from tissueid.calibration.status import IMPLAUSIBLE
 from tissueid.calibration.step_levels import Levels, Line, mean, noise_of_mean, straight_line
 from tissueid.device import GRAVITY_M_S2, DeviceDescription
@@ -33,23 +33,6 @@ _SPRING_LINE = marked("position against current")
 _RESISTANCE = marked("the coil resistance")
 _VOLTAGE = marked("the voltage per volt of command")
 _FORCE = marked("the force constant")
-
-
-@dataclass(frozen=True)
-class Spring:
-    """Calibration spring: stiffness, N/m, and its relative standard deviation."""
-
-    stiffness_n_per_m: float = 1000.0
-    relative_std: float = 0.02
-
-    def check(self) -> None:
-        """Raise for a spring that is not usable for calibration.
-
-        Raises:
-            UnusableInputError: the stiffness or its uncertainty is out of range.
-        """
-        if not (10.0 <= self.stiffness_n_per_m <= 1e5 and 0.0 <= self.relative_std < 0.5):
-            raise UnusableInputError("calibration.spring", "a spring has 10 to 100000 N/m, known to better than 50 %")
 
 
 def electrical_findings(levels: Levels, rest: NDArray[np.void], device: DeviceDescription) -> Findings:

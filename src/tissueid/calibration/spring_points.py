@@ -126,8 +126,6 @@ REST_S = 0.1
 """Time at 0 V before the gentle test, s: longer than the soft start of the device."""
 STROKE_MARGIN_M = 0.5e-3
 """Distance of the swing from the stroke limits, m: the error of a linear prediction."""
-MIN_SWING_M = 0.3e-3
-"""Minimum swing to either side at a position that is measured, m."""
 USED_SHARE = 0.9
 """Share of the available swing, force limit and amplifier range that is used."""
 _MIN_VAF = 0.5

@@ -13,7 +13,8 @@ from datetime import UTC, datetime
 from tissueid.calibration.file import Calibration, stored_messages, utc_date
 from tissueid.calibration.findings import mean_of_repeats
 from tissueid.calibration.labels import stored_text
-from tissueid.calibration.static_procedure import Ask, Procedure, Show, StaticPlan
+from tissueid.calibration.plans import StaticPlan
+from tissueid.calibration.static_procedure import Ask, Procedure, Show
 from tissueid.calibration.status import first_implausible
 from tissueid.instrument import Instrument
 from tissueid.messages import Message

@@ -3,14 +3,14 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, field
 
 import numpy as np
 from numpy.typing import NDArray
 
 from tissueid.acquisition.background_work import run_while_polling
-from tissueid.calibration.coil import Spring, electrical_findings, force_by_spring, force_by_weights, spring_line
+from tissueid.calibration.coil import electrical_findings, force_by_spring, force_by_weights, spring_line
 from tissueid.calibration.findings import Findings
+from tissueid.calibration.plans import StaticPlan
 from tissueid.calibration.sensors import (
     acceleration_findings,
     position_findings,
@@ -22,9 +22,9 @@ from tissueid.calibration.step_levels import Levels, Line, hold_levels, mean, re
 from tissueid.calibration.stroke import Crossing, balancing_current, cross_stroke, range_findings
 from tissueid.device import GRAVITY_M_S2
 from tissueid.errors import FirmwareFaultError, LimitError, UnusableInputError
-from tissueid.instrument import CLINICAL, Instrument, Limits
+from tissueid.instrument import Instrument
 from tissueid.language import marked
-from tissueid.messages import Action, Listing, Message, Quantity
+from tissueid.messages import Action, Message, Quantity
 from tissueid.records import Estimate
 from tissueid.wire import Fault
 
@@ -44,11 +44,8 @@ PLACES = 9
 """Positions along the stroke with a motorised stage."""
 WEIGHT_STD = 0.1
 """Relative standard deviation of the nominal weight of the moving part if it was not measured."""
-STEPS = ("electrical", "force", "position", "range", "temperature", "acceleration", "supply")
 _MAX_GRAVITY = 10.5
 """Largest gravity, m/s², accepted from the accelerometer."""
-_MAX_GAUGE_M = 0.2
-"""Largest height of a gauge block, m."""
 _RELEASED_S = 0.05
 """Time after a run until its release ramp is over, s."""
 _MIN_CLEARANCE_M = 4.0e-3
@@ -96,64 +93,6 @@ PUSH_ONLY = Action(
     "tissueid calibrate static --push-only",
     marked("clear “Spring fixed to the probe” on the page Calibration"),
 )
-
-
-@dataclass(frozen=True)
-class StaticPlan:
-    """Steps and references of a static calibration.
-
-    ``gauges_m`` are heights of gauge blocks, for instruments without a stage. With ``in_place`` the spring is already
-    under the probe and no instructions are shown: steps that need an operator are skipped. With ``push_only`` the probe
-    only pushes the spring and is not fixed to it. With ``turn_over`` the accelerometer is also read upside down.
-
-    Raises:
-        UnusableInputError: a step is unknown, or a value is out of range.
-    """
-
-    steps: tuple[str, ...] = STEPS
-    spring: Spring = field(default_factory=Spring)
-    weights_kg: tuple[float, ...] = ()
-    gauges_m: tuple[float, ...] = ()
-    ambient_c: float | None = None
-    turn_over: bool = False
-    in_place: bool = False
-    push_only: bool = False
-    repeats: int = 1
-    valid_days: int = 90
-    limits: Limits = CLINICAL
-
-    def __post_init__(self) -> None:
-        steps = Listing(STEPS)
-        for step in self.steps:
-            if step not in STEPS:
-                raise UnusableInputError(
-                    "calibration.step", "there is no step '{step}': choose from {steps}", step=step, steps=steps
-                )
-        if not self.steps:
-            raise UnusableInputError("calibration.no_step", "choose at least one step of {steps}", steps=steps)
-        if not 1 <= self.repeats <= 100:
-            raise UnusableInputError("calibration.repeats", "the number of repeats must be 1 to 100")
-        self.spring.check()
-        if any(not 0.001 <= mass <= 0.3 for mass in self.weights_kg) or len(self.weights_kg) > 20:
-            raise UnusableInputError("calibration.weights", "give at most 20 weights of 1 to 300 g")
-        if self.gauges_m and (len(set(self.gauges_m)) < 3 or len(self.gauges_m) > 50):
-            raise UnusableInputError("calibration.gauges", "give gauge blocks of 3 to 50 different heights")
-        if not all(0.0 <= height <= _MAX_GAUGE_M for height in self.gauges_m):
-            raise UnusableInputError(
-                "calibration.gauge_height",
-                "the height of a gauge block must be 0 to {limit:g} mm",
-                limit=1e3 * _MAX_GAUGE_M,
-            )
-        if self.ambient_c is not None and not -10.0 <= self.ambient_c <= 50.0:
-            raise UnusableInputError("calibration.ambient", "the room temperature must be -10 to 50 °C")
-
-    @property
-    def shown_steps(self) -> int:
-        """Number of steps of one repeat whose progress is shown, at most."""
-        weighing = len(self.weights_kg) if "force" in self.steps else 0
-        turning = int(self.turn_over and "acceleration" in self.steps)
-        moving = sum(name in self.steps for name in ("position", "range"))
-        return 2 + weighing + turning + moving + (2 if "supply" in self.steps else 0)
 
 
 class Procedure:

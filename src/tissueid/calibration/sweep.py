@@ -9,19 +9,19 @@ from __future__ import annotations
 
 import contextlib
 from collections.abc import Callable
-from dataclasses import dataclass
 
 import numpy as np
 
 from tissueid.acquisition import GuidedTest, Progress, SessionRecorder, run_guided_test
 from tissueid.acquisition.playback import never_stop
 from tissueid.acquisition.surface_detection import Orientation, Placement, find_orientation
-from tissueid.calibration.spring_points import MIN_SWING_M, gentle_test_model, max_swing, noise, noise_amplitude
+from tissueid.calibration.plans import MIN_SWING_M, SweepPlan
+from tissueid.calibration.spring_points import gentle_test_model, max_swing, noise, noise_amplitude
 from tissueid.calibration.step_levels import mean, rest_samples
 from tissueid.calibration.sweep_test import SweepTest
 from tissueid.device import GRAVITY_M_S2
 from tissueid.errors import CancelledError, FirmwareFaultError, LimitError, TissueIDError, UnusableInputError
-from tissueid.instrument import CLINICAL, Instrument, Limits, SerialInstrument
+from tissueid.instrument import Instrument, SerialInstrument
 from tissueid.messages import Message, Quantity
 from tissueid.sessions import Session
 from tissueid.stimuli import with_preload
@@ -40,60 +40,11 @@ _AT_END_M = 0.3e-3
 """Distance from a position limit, m, at which the probe counts as having reached it."""
 _MAX_SAG_M = 3.0e-3
 """Maximum extension of the spring by the weight of the coil, m."""
-_MAX_POSITIONS = 200
-"""Largest number of positions of a sweep."""
 _RETRY_SHARE = 0.5
 """Amplitude of the second attempt relative to the first."""
 
 MoveSpring = Callable[[float], None]
 """Function that asks the operator to move the spring to a position, m, and returns when it is reached."""
-
-
-@dataclass(frozen=True, kw_only=True)
-class SweepPlan:
-    """Positions, duration and amplitude of a sweep.
-
-    ``swing_m`` is the largest amplitude to either side, m; it is reduced near the ends of the stroke.
-
-    Raises:
-        UnusableInputError: a value is out of range.
-    """
-
-    from_m: float = 0.002
-    to_m: float = 0.030
-    step_m: float = 0.002
-    seconds: float = 4.0
-    swing_m: float = 2.5e-3
-    repeats: int = 1
-    seed: int = 1
-    limits: Limits = CLINICAL
-
-    def __post_init__(self) -> None:
-        if not 0.0 <= self.from_m < self.to_m <= 0.1:
-            raise UnusableInputError(
-                "sweep.range", "a sweep must end at a larger position than it starts, both on the stroke, in mm"
-            )
-        if not 0.5e-3 <= self.step_m <= 5.0e-3:
-            raise UnusableInputError("sweep.step", "the step of a sweep must be 0.5 to 5 mm")
-        if (self.to_m - self.from_m) / self.step_m > _MAX_POSITIONS:
-            raise UnusableInputError(
-                "sweep.positions", "a sweep may have at most {limit} positions: widen the step", limit=_MAX_POSITIONS
-            )
-        if not 1.0 <= self.seconds <= 20.0:
-            raise UnusableInputError("sweep.seconds", "each test of a sweep must last 1 to 20 s")
-        if not 1 <= self.repeats <= 100:
-            raise UnusableInputError("sweep.repeats", "the number of repeats of a sweep must be 1 to 100")
-        if not MIN_SWING_M <= self.swing_m <= 5.0e-3:
-            raise UnusableInputError(
-                "sweep.swing", "the swing of a sweep must be {least:g} to 5 mm", least=1e3 * MIN_SWING_M
-            )
-
-    @property
-    def positions_m(self) -> tuple[float, ...]:
-        """Positions of the probe, rising, m."""
-        count = 1 + round((self.to_m - self.from_m) / self.step_m - 1e-6)
-        places = self.from_m + self.step_m * np.arange(count)
-        return tuple(float(place) for place in places[places <= self.to_m + 1e-9])
 
 
 class Sweep:

@@ -7,12 +7,12 @@ from dataclasses import dataclass, field, replace
 
 import numpy as np
 
-from tissueid.calibration.coil import Spring
 from tissueid.calibration.file import Calibration, Quantity, utc_date
 from tissueid.calibration.findings import quantity
 from tissueid.calibration.flux import FluxFit, fit_flux
 from tissueid.calibration.force_balance import BalanceFit, fit_balance
 from tissueid.calibration.force_constant_profile import ForceConstant, LinearRegion, combine_profiles, linear_region
+from tissueid.calibration.plans import Spring
 from tissueid.calibration.scale_agreement import ELECTRICAL_STD, Agreement, compare
 from tissueid.calibration.spline_basis import MIN_SPACING_M, SplineBasis
 from tissueid.calibration.spring_points import SpringPoint, identify_point

@@ -3,16 +3,13 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, ClassVar, Literal
+from typing import TYPE_CHECKING, Annotated, ClassVar, Literal, Self
 
-from pydantic import Field
-
+from tissueid.calibration.plans import Spring, StaticPlan, SweepPlan
 from tissueid.errors import UnusableInputError
 from tissueid.plan_options import Option, Plan
 
 if TYPE_CHECKING:
-    from tissueid.calibration.static_procedure import StaticPlan
-    from tissueid.calibration.sweep import SweepPlan
     from tissueid.calibration.sweep_analysis import SpringMass
     from tissueid.device import DeviceDescription
 
@@ -51,10 +48,6 @@ class CalibrationPlan(Plan):
         float | None,
         Option("--spring-uncertainty", metavar="PERCENT", scale=1e-2, help="relative uncertainty of the stiffness"),
     ] = None
-    repeats: Annotated[int, Option("--repeats", metavar="N", help="number of runs"), Field(ge=1, le=100)] = 1
-    valid_days: Annotated[
-        int, Option("--valid-days", metavar="DAYS", help="validity in days"), Field(ge=1, le=3650)
-    ] = 90
 
     @property
     def outputs(self) -> tuple[Path | None, ...]:
@@ -70,79 +63,27 @@ class CalibrationPlan(Plan):
         )
 
 
-class StaticCalibrationPlan(CalibrationPlan):
-    """A static calibration. Without ``steps`` all steps are run."""
+class StaticCalibrationPlan(StaticPlan, CalibrationPlan):
+    """A static calibration and its files. Without ``steps`` all steps are run."""
 
     kind: ClassVar[Kind] = "static"
 
-    steps: Annotated[
-        tuple[str, ...],
-        Option("--steps", metavar="A,B", separator=",", help="only these steps; an unknown name lists all"),
-    ] = ()
-    weights_kg: Annotated[
-        tuple[float, ...],
-        Option("--weight", metavar="GRAMS", scale=1e-3, help="a known weight; may be repeated"),
-    ] = ()
-    gauges_m: Annotated[
-        tuple[float, ...],
-        Option(
-            "--gauge", metavar="MM", scale=1e-3, help="height of a gauge block, if there is no stage; three or more"
-        ),
-    ] = ()
-    ambient_c: Annotated[float | None, Option("--ambient", metavar="DEGC", help="room temperature")] = None
-    orientations: Annotated[
-        int,
-        Option("--orientations", metavar="N", help="2: also upside down, for the zero of the accelerometer"),
-        Field(ge=1, le=2),
-    ] = 1
-    in_place: Annotated[
-        bool, Option("--in-place", help="the spring is under the probe; skip steps that need a person")
-    ] = False
-    push_only: Annotated[bool, Option("--push-only", help="the probe pushes on the spring and is not fixed to it")] = (
-        False
-    )
-
-    def calibration(self, device: DeviceDescription) -> StaticPlan:
-        """Return steps and references for a device.
+    def on(self, device: DeviceDescription) -> Self:
+        """Return the plan with the calibration spring of a device, where no other is given.
 
         Raises:
-            UnusableInputError: an option cannot be used.
+            UnusableInputError: the spring is not usable for calibration.
         """
-        from tissueid.calibration.coil import Spring
-        from tissueid.calibration.static_procedure import STEPS, StaticPlan
-
-        if self.in_place and (self.weights_kg or self.gauges_m or self.orientations > 1):
-            raise UnusableInputError(
-                "calibration.in_place",
-                "--in-place runs without a person: leave out --weight, --gauge and --orientations",
-            )
-        return StaticPlan(
-            steps=self.steps or STEPS,
-            spring=Spring(*self._stiffness(device)),
-            weights_kg=self.weights_kg,
-            gauges_m=self.gauges_m,
-            ambient_c=self.ambient_c,
-            turn_over=self.orientations > 1,
-            in_place=self.in_place,
-            push_only=self.push_only,
-            repeats=self.repeats,
-            valid_days=self.valid_days,
-        )
+        spring = Spring(*self._stiffness(device))
+        spring.check()
+        return self.model_copy(update={"spring": spring})
 
 
-class DynamicSweepPlan(CalibrationPlan):
+class DynamicSweepPlan(SweepPlan, CalibrationPlan):
     """A dynamic sweep with an instrument, or the analysis of the recording ``kept``."""
 
     kind: ClassVar[Kind] = "sweep"
 
-    from_m: Annotated[float, Option("--from", metavar="MM", scale=1e-3, help="first position on the stroke")] = 0.002
-    to_m: Annotated[float, Option("--to", metavar="MM", scale=1e-3, help="last position")] = 0.030
-    step_m: Annotated[float, Option("--step", metavar="MM", scale=1e-3, help="distance between positions")] = 0.002
-    seconds: Annotated[float, Option("--seconds", metavar="S", help="length of the test at each position")] = 4.0
-    swing_m: Annotated[float, Option("--swing", metavar="MM", scale=1e-3, help="largest amplitude to either side")] = (
-        2.5e-3
-    )
-    seed: Annotated[int, Option("--seed", help="seed of the noise"), Field(ge=0, le=2**31 - 1)] = 1
     spring_kg: Annotated[float, Option("--spring-mass", metavar="GRAMS", scale=1e-3, help="mass of the spring")] = 0.018
     session: Annotated[Path | None, Option("--session", metavar="FILE", help="save all recordings as a session")] = None
     kept: Annotated[
@@ -154,25 +95,7 @@ class DynamicSweepPlan(CalibrationPlan):
         """Files that are named for output, and the recording that is read."""
         return self.out, self.report, self.session, self.kept
 
-    def sweep(self) -> SweepPlan:
-        """Return positions, duration and amplitude.
-
-        Raises:
-            UnusableInputError: an option cannot be used.
-        """
-        from tissueid.calibration.sweep import SweepPlan
-
-        return SweepPlan(
-            from_m=self.from_m,
-            to_m=self.to_m,
-            step_m=self.step_m,
-            seconds=self.seconds,
-            swing_m=self.swing_m,
-            repeats=self.repeats,
-            seed=self.seed,
-        )
-
-    def spring(self, device: DeviceDescription) -> SpringMass:
+    def spring_of(self, device: DeviceDescription) -> SpringMass:
         """Return the calibration spring.
 
         Raises:

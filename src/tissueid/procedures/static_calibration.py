@@ -36,7 +36,7 @@ def run_static_calibration(
         UnusableInputError: an option cannot be used, a file exists, or the calibration cannot be made as it is.
         CancelledError, InstrumentError, LimitError, AuditError: there is no calibration.
     """
-    plan.calibration(DeviceDescription())  # checks the options before anything moves
+    plan.on(DeviceDescription())  # checks the options before anything moves
     check_files(plan)
     if not control.attended and (plan.weights_kg or plan.orientations > 1):
         raise UnusableInputError(
@@ -53,7 +53,7 @@ def run_static_calibration(
         with audit_failure(trail, control, "calibration", subject=serial_number):
             found = calibrate_static(
                 instrument,
-                plan.calibration(instrument.device),
+                plan.on(instrument.device),
                 ask=control.ask if control.attended else None,
                 progress=lambda step, fraction: control.progress(fraction, step),
                 cancelled=control.check,

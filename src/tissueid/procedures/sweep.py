@@ -74,8 +74,7 @@ def run_sweep(
         UnusableInputError: an option cannot be used, a file exists, or the recording cannot be analysed.
         CancelledError, InstrumentError, LimitError, AuditError, JournalError: there is no calibration.
     """
-    plan.sweep()
-    plan.spring(DeviceDescription())  # checks the options before anything moves
+    plan.spring_of(DeviceDescription())  # checks the options before anything moves
     if (plan.device is None) == (plan.kept is None):
         raise UnusableInputError("sweep.device_or_kept", "give either --device, or --kept for a saved sweep")
     if plan.kept is not None and plan.session is not None:
@@ -93,7 +92,7 @@ def run_sweep(
     session = recorded.session
     with logged:
         result = analyse_sweep(
-            sweep_tests(session), session.instrument, plan.spring(session.instrument), remarks=recorded.remarks
+            sweep_tests(session), session.instrument, plan.spring_of(session.instrument), remarks=recorded.remarks
         )
         calibration = as_calibration(
             result,
@@ -163,7 +162,7 @@ def _record(
             recorder = SessionRecorder(file, instrument.device, trail=trail)
             sweep = Sweep(
                 instrument,
-                plan.sweep(),
+                plan,
                 recorder,
                 bring=(lambda position_m: _bring(instrument, position_m, control)) if control.attended else None,
                 progress=lambda fraction: control.progress(fraction, _SWEEPING),

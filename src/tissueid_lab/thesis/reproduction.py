@@ -196,7 +196,8 @@ def _play(instrument: Instrument, recording: Recording, path: Path, control: Con
     """Record a test, or a sweep, into its session; without a complete one there is no file."""
     from tissueid.acquisition import GuidedTest, SessionRecorder, journal_path, run_guided_test
     from tissueid.acquisition.guided import find_surface
-    from tissueid.calibration.sweep import Sweep, SweepPlan
+    from tissueid.calibration.plans import SweepPlan
+    from tissueid.calibration.sweep import Sweep
     from tissueid.instrument import CLINICAL
     from tissueid.sessions import Subject
     from tissueid.stimuli.base import with_preload
