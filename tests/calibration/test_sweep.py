@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
 from datetime import UTC, datetime
 from pathlib import Path
 
@@ -129,7 +128,7 @@ def test_an_end_that_is_hit_is_tried_again_at_half_and_then_left_out(tmp_path, m
         return 44.0 if len(asked) == 1 else 4.0
 
     monkeypatch.setattr(procedure, "noise_amplitude", too_strong)
-    rehearsed = Rehearsed(tmp_path, replace(SHORT, from_m=0.0015, to_m=0.0055))
+    rehearsed = Rehearsed(tmp_path, SHORT.model_copy(update=dict(from_m=0.0015, to_m=0.0055)))
     tests = rehearsed.tests()
     assert [test.mean_position_m for test in tests] == pytest.approx([0.0055], abs=3e-4)
     (remark,) = rehearsed.sweep.remarks
@@ -206,7 +205,7 @@ def test_the_stop_button_is_not_taken_for_an_end_of_the_stroke(tmp_path):
 
 
 def test_a_repeat_goes_the_other_way(tmp_path):
-    tests = Rehearsed(tmp_path, replace(SHORT, repeats=2)).tests()
+    tests = Rehearsed(tmp_path, SHORT.model_copy(update=dict(repeats=2))).tests()
     assert [test.sweep for test in tests] == [0, 0, 1, 1]
     places = [test.mean_position_m for test in tests]
     assert places == pytest.approx([0.014, 0.018, 0.018, 0.014], abs=1e-3)

@@ -3,15 +3,15 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Iterable, Iterator, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping
 from contextlib import contextmanager
 from dataclasses import dataclass, replace
-from typing import Any
+from typing import Any, Unpack
 
 from numba.core.event import install_timer
 
 from tissueid.analysis.actuator import NOMINAL_RELATIVE_STD, Actuator
-from tissueid.analysis.split import Split, split
+from tissueid.analysis.split import Selection, Split, split
 from tissueid.errors import UnusableInputError
 from tissueid.identification.base import Engine, Model, refused_if_not_computed
 from tissueid.identification.depth_profile import DepthProfile
@@ -96,14 +96,8 @@ def analyse(
     engine: str,
     options: Mapping[str, Any] | None = None,
     *,
-    test: int | None = None,
-    also: Sequence[int] = (),
-    validate: int | None = None,
-    input_name: str = "force",
-    output_name: str = "position",
     tissue_alone: bool = False,
-    detrend: bool = False,
-    band_hz: tuple[float | None, float | None] = (None, None),
+    **selection: Unpack[Selection],
 ) -> Analysis:
     """Fit one engine and score its free-run simulation on held-out data.
 
@@ -111,30 +105,16 @@ def analyse(
         session: the session that holds the tests.
         engine: name of the engine.
         options: options of the engine by name.
-        test: number of the fitted test; by default the first stochastic one.
-        also: numbers of tests that are fitted together with it.
-        validate: number of the held-out test; by default the last quarter of every fitted test is held out.
-        input_name: signal that is the input.
-        output_name: signal that is the output.
         tissue_alone: also report mass and damping without those of the actuator.
-        detrend: subtract the linear drift of the output.
-        band_hz: edges of a band filter for input and output.
+        selection: tests and signals, as for :func:`split`.
 
     Raises:
         UnusableInputError: unknown engine, option, test or signal, or a record that cannot carry the fit.
     """
     specification = get_engine(engine).from_options(options or {})
-    parts = split(
-        session,
-        test=test,
-        also=also,
-        validate=validate,
-        input_name=input_name,
-        output_name=output_name,
-        detrend=detrend,
-        band_hz=band_hz,
-    )
-    if tissue_alone and (input_name, output_name) == ("force", "position"):
+    parts = split(session, **selection)
+    signals = selection.get("input_name", "force"), selection.get("output_name", "position")
+    if tissue_alone and signals == ("force", "position"):
         parts = replace(parts, actuator=Actuator.of(session.instrument))
     return fit_split(specification, parts)
 

@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from itertools import pairwise
+from typing import TypedDict
 
 import numpy as np
 
@@ -97,6 +98,18 @@ class Split:
         Every ``held_out_record`` is as long as this one's, so that errors on all quarters can be joined.
         """
         return tuple(_hold_out(self.records, quarter, self.tests) for quarter in range(QUARTERS - 1) if self.records)
+
+
+class Selection(TypedDict, total=False):
+    """Tests and signals of an analysis, as keyword arguments of :func:`split`."""
+
+    test: int | None
+    also: Sequence[int]
+    validate: int | None
+    input_name: str
+    output_name: str
+    detrend: bool
+    band_hz: tuple[float | None, float | None]
 
 
 def split(

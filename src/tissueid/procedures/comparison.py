@@ -7,7 +7,7 @@ import os
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any
+from typing import TYPE_CHECKING, Annotated, Any, Unpack
 
 from tissueid.errors import UnusableInputError
 from tissueid.language import marked
@@ -20,6 +20,7 @@ from tissueid.procedures.output_files import HTML, check_output, check_report, u
 
 if TYPE_CHECKING:  # each takes long to import
     from tissueid.analysis import Analysis, EngineComparison, Split
+    from tissueid.analysis.split import Selection
     from tissueid.identification import Engine
     from tissueid.sessions import Session
 
@@ -83,15 +84,9 @@ def run_comparison(plan: ComparePlan, control: Control) -> ComparedTests:
         session,
         engines,
         control,
-        test=plan.test,
-        also=plan.also,
-        validate=plan.validation_test,
-        input_name=plan.input_name,
-        output_name=plan.output_name,
         sweep=plan.sweep,
-        detrend=plan.detrend,
-        band_hz=(plan.low_hz, plan.high_hz),
         cluster=plan,
+        **plan.selection,
     )
     figures = _draw(compared, plan.page, plan.figures, control)
     return ComparedTests(session, compared.found, compared.no_ceiling, figures)
@@ -102,17 +97,11 @@ def compare_engines(
     engines: Sequence[Engine],
     control: Control,
     *,
-    test: int | None = None,
-    also: Sequence[int] = (),
-    validate: int | None = None,
-    input_name: str = "force",
-    output_name: str = "position",
     sweep: bool = False,
-    detrend: bool = False,
-    band_hz: tuple[float | None, float | None] = (None, None),
     cluster: ClusterPlan | None = None,
+    **selection: Unpack[Selection],
 ) -> ComparedTests:
-    """Fit engines to one test, or to several jointly, and compare them; arguments as the options of ``ComparePlan``.
+    """Fit engines to one test, or to several jointly, and compare them; ``selection`` is as for ``split``.
 
     With a ``cluster`` that has a scheduler its workers fit the engines, each one at a time. The control shows the
     name of each engine, and other steps, with the completed share of the step.
@@ -123,16 +112,7 @@ def compare_engines(
     """
     from tissueid.analysis import compare, known_ceiling, split
 
-    parts = split(
-        session,
-        test=test,
-        also=also,
-        validate=validate,
-        input_name=input_name,
-        output_name=output_name,
-        detrend=detrend,
-        band_hz=band_hz,
-    )
+    parts = split(session, **selection)
     no_ceiling = ""
     try:
         ceiling = known_ceiling(session, parts)

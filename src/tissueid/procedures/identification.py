@@ -13,6 +13,7 @@ from tissueid.procedures.control import Control
 
 if TYPE_CHECKING:  # each takes long to import
     from tissueid.analysis import Analysis
+    from tissueid.analysis.split import Selection
     from tissueid.identification import Engine
     from tissueid.identification.validation.residual_tests import ResidualTests
     from tissueid.sessions import Session
@@ -45,6 +46,19 @@ class FitPlan(Plan):
     high_hz: Annotated[
         float | None, Option("--band-high", metavar="HZ", help="remove higher frequencies from both signals")
     ] = None
+
+    @property
+    def selection(self) -> Selection:
+        """Tests and signals for an analysis or a comparison."""
+        return {
+            "test": self.test,
+            "also": self.also,
+            "validate": self.validation_test,
+            "input_name": self.input_name,
+            "output_name": self.output_name,
+            "detrend": self.detrend,
+            "band_hz": (self.low_hz, self.high_hz),
+        }
 
 
 class IdentificationPlan(FitPlan):
@@ -121,14 +135,8 @@ def run_identification(plan: IdentificationPlan, control: Control) -> Identified
         session,
         plan.engine,
         options,
-        test=plan.test,
-        also=plan.also,
-        validate=plan.validation_test,
-        input_name=plan.input_name,
-        output_name=plan.output_name,
         tissue_alone=plan.tissue_alone,
-        detrend=plan.detrend,
-        band_hz=(plan.low_hz, plan.high_hz),
+        **plan.selection,
     )
     try:
         tests = residual_tests(analysis.model, analysis.held_out_record, analysis.held_out)

@@ -2,14 +2,18 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from pathlib import Path
-from typing import Annotated, Any, Literal
+from typing import TYPE_CHECKING, Annotated, Any, Literal
 
 from pydantic import BaseModel, ConfigDict, Field
 
 from tissueid.app.views.researcher.selected_test import SelectedTest, ShortText
 from tissueid.identification import Engine, get_engine
 from tissueid.stored_values import Name
+
+if TYPE_CHECKING:  # takes long to import
+    from tissueid.analysis.split import Selection
 
 MOST_TESTS = 5000
 
@@ -27,11 +31,6 @@ class Preparation(_Specification):
     low_hz: Annotated[float | None, Field(gt=0.0)] = None
     high_hz: Annotated[float | None, Field(gt=0.0)] = None
     tissue_alone: bool = False
-
-    @property
-    def of_signals(self) -> dict[str, Any]:
-        """The arguments of an analysis or of a comparison for its signals."""
-        return {"detrend": self.detrend, "band_hz": (self.low_hz, self.high_hz)}
 
     @property
     def without_actuator(self) -> Preparation:
@@ -72,6 +71,18 @@ class AnalysisTask(_Specification):
         for test in chosen:
             by_file.setdefault(test.path, []).append(test)
         return [tuple(tests) for tests in by_file.values()]
+
+    def selection(self, group: Sequence[SelectedTest]) -> Selection:
+        """Return tests and signals of a group for an analysis or a comparison."""
+        first, *others = group
+        return {
+            "test": first.number,
+            "also": [test.number for test in others],
+            "input_name": self.input_name,
+            "output_name": self.output_name,
+            "detrend": self.preparation.detrend,
+            "band_hz": (self.preparation.low_hz, self.preparation.high_hz),
+        }
 
     def specification(self) -> Engine:
         """Return the engine with its options.

@@ -187,39 +187,21 @@ class _ComparisonControl(Control):
 def _run_one(
     task: AnalysisTask, group: tuple[SelectedTest, ...], read: Callable[[Path], Session], control: Control
 ) -> tuple[list[EngineOutcome], list[ComparisonSummary]]:
-    first, *others = group
-    signals = task.input_name, task.output_name
-    analysis = analyse(
-        read(first.path),
-        task.engines[0],
-        dict(task.options),
-        test=first.number,
-        also=[test.number for test in others],
-        input_name=signals[0],
-        output_name=signals[1],
-        tissue_alone=task.preparation.tissue_alone,
-        **task.preparation.of_signals,
-    )
+    alone = task.preparation.tissue_alone
+    session, options = read(group[0].path), dict(task.options)
+    analysis = analyse(session, task.engines[0], options, tissue_alone=alone, **task.selection(group))
     control.progress(0.8, _("drawing"))
     control.check()
-    return [EngineOutcome.of(analysis, dict(task.options), group, signals, task.preparation)], []
+    signals = task.input_name, task.output_name
+    return [EngineOutcome.of(analysis, options, group, signals, task.preparation)], []
 
 
 def _compare_one(
     task: AnalysisTask, group: tuple[SelectedTest, ...], read: Callable[[Path], Session], control: Control
 ) -> tuple[list[EngineOutcome], list[ComparisonSummary]]:
-    first, *others = group
-    signals = task.input_name, task.output_name
-    found = compare_engines(
-        read(first.path),
-        specifications(task.engines),
-        _ComparisonControl(control, task.engines),
-        test=first.number,
-        also=[test.number for test in others],
-        input_name=signals[0],
-        output_name=signals[1],
-        **task.preparation.of_signals,
-    ).found
+    shown = _ComparisonControl(control, task.engines)
+    specified = specifications(task.engines)
+    found = compare_engines(read(group[0].path), specified, shown, **task.selection(group)).found
     control.progress(0.96, _("drawing"))
     control.check()
     return list(_outcomes(found, group, task)), [summary_of(found, group)]
