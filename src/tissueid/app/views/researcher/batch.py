@@ -66,7 +66,8 @@ def run(task: AnalysisTask, history: AnalysisHistory, moment: str, control: Cont
                 raise
             except Exception as error:  # noqa: BLE001 - one test that fails must not cost the others
                 problems.append(f"{clean(group[0].label)}: {in_words(error)}")
-                done += [_refused(task, name, group, in_words(error)) for name in task.engines[:1]]
+                done.append(_refused(task, task.engines[0], group, in_words(error)))
+                control.finished(done[-1:])
                 continue
             found = [replace(outcome, stamp=stamp) for outcome in found]
             done += found if len(done) < _MOST_DRAWN else [outcome.bare() for outcome in found]
