@@ -70,15 +70,16 @@ def reproduce(plan: ReproductionPlan, json_file: JsonFile = None) -> None:
     Shows its numbers and those found here. Without --out, lists them.
     """
     from tissueid.cli.output import check_json, console_control, human_output, table, write_json
-    from tissueid_lab.thesis.reproduction import answer_of, listed_figures, run_reproduction
+    from tissueid_lab.thesis.figures import FIGURES
+    from tissueid_lab.thesis.reproduction import answer_of, run_reproduction
 
     check_json(json_file)
     out = human_output(json_file, width=150)
     if plan.out is None and not plan.numbers:
-        answers = [{"number": number, "title": title} for number, title in listed_figures()]
+        answers = [{"number": figure.number, "title": str(figure.title)} for figure in FIGURES]
         rows = table("Figures and tables of the thesis", "number", "content")
-        for one in answers:
-            rows.add_row(*one.values())
+        for answer in answers:
+            rows.add_row(*answer.values())
         out.print(rows)
         out.print("--out DIR makes them; name some to make only those")
     else:
@@ -86,11 +87,9 @@ def reproduce(plan: ReproductionPlan, json_file: JsonFile = None) -> None:
             made = run_reproduction(plan, control)
         answers = [answer_of(one) for one in made]
         rows = table("Thesis and simulated instrument", "figure", "quantity", "thesis", "here")
-        for figure in made:
-            for row in figure.rows:
-                rows.add_row(figure.figure.number, *row)
-            if figure.why:
-                rows.add_row(figure.figure.number, figure.why, "", "")
+        for one in made:
+            for row in (*one.rows, *([(one.why, "", "")] if one.why else [])):
+                rows.add_row(one.figure.number, *row)
         out.print(rows)
         out.print(f"report: {(plan.out or Path()) / 'report.html'}", markup=False)
     if json_file is not None:

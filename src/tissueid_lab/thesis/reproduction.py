@@ -72,13 +72,6 @@ class ReproductionPlan(Plan):
     ] = False
 
 
-def listed_figures() -> tuple[tuple[str, str], ...]:
-    """Return number and title of every figure."""
-    from tissueid_lab.thesis.figures import FIGURES
-
-    return tuple((figure.number, figure.title) for figure in FIGURES)
-
-
 def run_reproduction(plan: ReproductionPlan, control: Control) -> tuple[ReproducedFigure, ...]:
     """Record the tests of the figures, fit them, and write figures, numbers, page and results.
 
