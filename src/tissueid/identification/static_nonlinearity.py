@@ -17,7 +17,7 @@ from numba import njit
 from numpy.polynomial import legendre
 from scipy import interpolate, optimize
 
-from tissueid.identification.base import Array
+from tissueid.identification.base import Array, option
 from tissueid.language import marked
 
 _SERIES_LIMIT = 1e-4
@@ -69,6 +69,14 @@ def exponential_sums(
 
 
 Form = Literal["exponential", "polynomial", "spline"]
+CURVE = option(
+    "polynomial", marked("Nonlinearity"), marked("A polynomial, a spline, or C1 (1 - exp(-C2 x)) with an offset")
+)
+DEGREE = option(5, marked("Degree"), marked("Degree of the polynomial, or pieces of the spline"), ge=1, le=20)
+REFINE = option(
+    True, marked("Refinement"), marked("Refine the best pass by minimising the simulation error over both stages")
+)
+"""Options that engines share."""
 _FORMS = (marked("exponential"), marked("polynomial"), marked("spline"))
 """Choices of the option as a form shows them, for translation."""
 

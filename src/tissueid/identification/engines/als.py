@@ -6,10 +6,9 @@ from dataclasses import dataclass
 from typing import ClassVar
 
 import numpy as np
-from pydantic import Field
 
 from tissueid.errors import UnusableInputError
-from tissueid.identification.base import Array
+from tissueid.identification.base import Array, option
 from tissueid.identification.correlation import convolve_at_rest
 from tissueid.identification.impulse_response import memory_warnings
 from tissueid.identification.model_family import Family
@@ -153,26 +152,22 @@ class Als(OnlineEngine):
     family: ClassVar[Family] = Family.LINEAR
     identifier: ClassVar[type[AlsIdentifier]] = AlsIdentifier
 
-    step: float = Field(
-        0.2,
-        gt=0.0,
-        lt=2.0,
-        title=marked("Step"),
-        description=marked("Share of the error that one sample corrects; unstable above 2"),
+    step: float = option(
+        0.2, marked("Step"), marked("Share of the error that one sample corrects; unstable above 2"), gt=0.0, lt=2.0
     )
-    change_factor: float | None = Field(
+    change_factor: float | None = option(
         None,
+        marked("Change factor"),
+        marked("Change factor of Eq. 6.8, in one over the input's unit squared; replaces the step"),
         gt=0.0,
         le=1e12,
-        title=marked("Change factor"),
-        description=marked("Change factor of Eq. 6.8, in one over the input's unit squared; replaces the step"),
     )
-    levels: int = Field(
+    levels: int = option(
         8,
+        marked("Levels"),
+        marked("Number of depth ranges, with equal counts of samples, for which responses are averaged"),
         ge=1,
         le=50,
-        title=marked("Levels"),
-        description=marked("Number of depth ranges, with equal counts of samples, for which responses are averaged"),
     )
 
     def fit(self, record: Record, fit_part: slice | None = None) -> AlsModel:

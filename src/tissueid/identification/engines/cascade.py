@@ -6,10 +6,9 @@ from dataclasses import dataclass
 from typing import ClassVar, Literal
 
 import numpy as np
-from pydantic import Field
 
 from tissueid.errors import UnusableInputError
-from tissueid.identification.base import Array, Model
+from tissueid.identification.base import Array, Model, option
 from tissueid.identification.cascades.blocks import (
     STRUCTURES,
     Blocks,
@@ -41,7 +40,7 @@ from tissueid.identification.model_family import Family
 from tissueid.identification.preparation import memory_in_samples
 from tissueid.identification.registry import engine
 from tissueid.identification.second_order_fit import SecondOrderFit
-from tissueid.identification.static_nonlinearity import Form, StaticNonlinearity, coefficient_count
+from tissueid.identification.static_nonlinearity import CURVE, DEGREE, Form, StaticNonlinearity, coefficient_count
 from tissueid.language import marked
 from tissueid.messages import Message
 from tissueid.records import Record
@@ -98,19 +97,13 @@ class Cascade(MemoryEngine):
     )
     family: ClassVar[Family] = Family.STATIC
 
-    structure: Literal["auto", "linear", "wiener", "hammerstein", "lnl", "nln"] = Field(
+    structure: Literal["auto", "linear", "wiener", "hammerstein", "lnl", "nln"] = option(
         "auto",
-        title=marked("Structure"),
-        description=marked("Structure of the blocks; auto compares all and takes the one that the record supports"),
+        marked("Structure"),
+        marked("Structure of the blocks; auto compares all and takes the one that the record supports"),
     )
-    nonlinearity: Form = Field(
-        "polynomial",
-        title=marked("Nonlinearity"),
-        description=marked("A polynomial, a spline, or C1 (1 - exp(-C2 x)) with an offset"),
-    )
-    degree: int = Field(
-        5, ge=1, le=20, title=marked("Degree"), description=marked("Degree of the polynomial, or pieces of the spline")
-    )
+    nonlinearity: Form = CURVE
+    degree: int = DEGREE
 
     def fit(self, record: Record, fit_part: slice | None = None) -> CascadeModel:
         """Fit the structure, or all of them, to a record or to a contiguous part of it.

@@ -6,10 +6,9 @@ from dataclasses import dataclass
 from typing import ClassVar, Literal, Self
 
 import numpy as np
-from pydantic import Field
 
 from tissueid.errors import UnusableInputError
-from tissueid.identification.base import Array, Engine, Mask, Model
+from tissueid.identification.base import Array, Engine, Mask, Model, option
 from tissueid.identification.depth_profile import DepthProfile
 from tissueid.identification.dpn.confidence_bands import EstimatedCurves, coefficient_covariance
 from tissueid.identification.dpn.curves import LogCurves
@@ -112,60 +111,54 @@ class Dpn(Engine):
     )
     family: ClassVar[Family] = Family.PARAMETRIC
 
-    memory: float | None = Field(
+    memory: float | None = option(
         None,
+        marked("Memory"),
+        marked("Duration of initial conditions, s; from the slower time constant if not given"),
         gt=0.0,
         le=1e7,
-        title=marked("Memory"),
-        description=marked("Duration of initial conditions, s; from the slower time constant if not given"),
     )
-    mass_degree: int | None = Field(
+    mass_degree: int | None = option(
         None,
+        marked("Degree of mass"),
+        marked("Degree of log M(y): 0 constant, 1 exponential; selected if not given"),
         ge=0,
         le=12,
-        title=marked("Degree of mass"),
-        description=marked("Degree of log M(y): 0 constant, 1 exponential; selected if not given"),
     )
-    damping_degree: int | None = Field(
+    damping_degree: int | None = option(
         None,
+        marked("Degree of damping"),
+        marked("Degree of log B(y): 0 constant, 1 exponential; selected if not given"),
         ge=0,
         le=12,
-        title=marked("Degree of damping"),
-        description=marked("Degree of log B(y): 0 constant, 1 exponential; selected if not given"),
     )
-    stiffness_degree: int | None = Field(
+    stiffness_degree: int | None = option(
         None,
+        marked("Degree of stiffness"),
+        marked("Degree of log dF/dy: 0 constant, 1 exponential; selected if not given"),
         ge=0,
         le=12,
-        title=marked("Degree of stiffness"),
-        description=marked("Degree of log dF/dy: 0 constant, 1 exponential; selected if not given"),
     )
-    max_degree: int = Field(
-        6, ge=0, le=12, title=marked("Largest degree"), description=marked("Largest degree that is selected")
-    )
-    spare_degree: int = Field(
+    max_degree: int = option(6, marked("Largest degree"), marked("Largest degree that is selected"), ge=0, le=12)
+    spare_degree: int = option(
         2,
+        marked("Spare degree"),
+        marked("Degrees above the selected ones, so that the confidence bands include changes below the noise"),
         ge=0,
         le=3,
-        title=marked("Spare degree"),
-        description=marked(
-            "Degrees above the selected ones, so that the confidence bands include changes below the noise"
-        ),
     )
-    direction: Literal["auto", "on", "off"] = Field(
-        "auto", title=marked("Direction"), description=marked("Different damping of inward and outward motion")
+    direction: Literal["auto", "on", "off"] = option(
+        "auto", marked("Direction"), marked("Different damping of inward and outward motion")
     )
-    inertia: Literal["auto", "on", "off"] = Field(
-        "auto",
-        title=marked("Inertia"),
-        description=marked("Term with the squared speed where the mass changes; Eq. 3.33 has none"),
+    inertia: Literal["auto", "on", "off"] = option(
+        "auto", marked("Inertia"), marked("Term with the squared speed where the mass changes; Eq. 3.33 has none")
     )
-    surface_position_m: float | None = Field(
+    surface_position_m: float | None = option(
         None,
+        marked("Surface"),
+        marked("Position of the tissue surface, m; if given, the stiffness of Eq. 3.33 is also reported"),
         ge=-1.0,
         le=1.0,
-        title=marked("Surface"),
-        description=marked("Position of the tissue surface, m; if given, the stiffness of Eq. 3.33 is also reported"),
     )
     hold: Hold = HOLD
 

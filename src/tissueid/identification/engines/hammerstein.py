@@ -6,10 +6,9 @@ from dataclasses import dataclass, replace
 from typing import ClassVar
 
 import numpy as np
-from pydantic import Field
 
 from tissueid.errors import UnusableInputError
-from tissueid.identification.base import Array, Mask, Model
+from tissueid.identification.base import Array, Mask, Model, option
 from tissueid.identification.cascades.blocks import Blocks, CascadeData, cascade_data, input_levels, prepare_cascade
 from tissueid.identification.cascades.curves import with_offset
 from tissueid.identification.cascades.fit import Fitted, fit_linear, hammerstein_passes, refine
@@ -22,7 +21,14 @@ from tissueid.identification.preparation import memory_in_samples
 from tissueid.identification.registry import engine
 from tissueid.identification.second_order import Hold
 from tissueid.identification.second_order_fit import SecondOrderFit, fit_second_order
-from tissueid.identification.static_nonlinearity import Form, StaticNonlinearity, coefficient_count
+from tissueid.identification.static_nonlinearity import (
+    CURVE,
+    DEGREE,
+    REFINE,
+    Form,
+    StaticNonlinearity,
+    coefficient_count,
+)
 from tissueid.identification.validation import vaf_percent
 from tissueid.identification.wiener.refinement import derived, wiener_parameters
 from tissueid.language import marked
@@ -166,22 +172,12 @@ class Hammerstein(MemoryEngine):
     )
     family: ClassVar[Family] = Family.STATIC
 
-    nonlinearity: Form = Field(
-        "polynomial",
-        title=marked("Nonlinearity"),
-        description=marked("A polynomial, a spline, or C1 (1 - exp(-C2 x)) with an offset"),
+    nonlinearity: Form = CURVE
+    degree: int = DEGREE
+    iterations: int = option(
+        6, marked("Iterations"), marked("Number of passes of alternating least squares"), ge=1, le=50
     )
-    degree: int = Field(
-        5, ge=1, le=20, title=marked("Degree"), description=marked("Degree of the polynomial, or pieces of the spline")
-    )
-    iterations: int = Field(
-        6, ge=1, le=50, title=marked("Iterations"), description=marked("Number of passes of alternating least squares")
-    )
-    refine: bool = Field(
-        True,
-        title=marked("Refinement"),
-        description=marked("Refine the best pass by minimising the simulation error over both stages"),
-    )
+    refine: bool = REFINE
 
     def fit(self, record: Record, fit_part: slice | None = None) -> HammersteinModel:
         """Fit the cascade to a record, or to a contiguous part of it.

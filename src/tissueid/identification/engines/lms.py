@@ -6,9 +6,8 @@ from dataclasses import dataclass
 from typing import ClassVar, Literal
 
 import numpy as np
-from pydantic import Field
 
-from tissueid.identification.base import Array, Model
+from tissueid.identification.base import Array, Model, option
 from tissueid.identification.correlation import convolve_at_rest
 from tissueid.identification.impulse_response import (
     factor_input,
@@ -62,40 +61,38 @@ class Lms(MemoryEngine):
     family: ClassVar[Family] = Family.LINEAR
     in_report: ClassVar[bool] = True
 
-    method: Literal["toeplitz", "svd"] = Field(
+    method: Literal["toeplitz", "svd"] = option(
         "toeplitz",
-        title=marked("Method"),
-        description=marked("Levinson's recursion (toeplitz), or the pseudo-inverse of the correlation matrix (svd)"),
+        marked("Method"),
+        marked("Levinson's recursion (toeplitz), or the pseudo-inverse of the correlation matrix (svd)"),
     )
-    tolerance: float = Field(
+    tolerance: float = option(
         1e-12,
+        marked("Tolerance"),
+        marked("With svd: singular values below this share of the largest are dropped"),
         ge=0.0,
         lt=1.0,
-        title=marked("Tolerance"),
-        description=marked("With svd: singular values below this share of the largest are dropped"),
     )
-    taper: float = Field(
+    taper: float = option(
         0.05,
+        marked("Taper"),
+        marked("Share of the samples over which both signals fade in and out (C.1.1)"),
         ge=0.0,
         le=1.0,
-        title=marked("Taper"),
-        description=marked("Share of the samples over which both signals fade in and out (C.1.1)"),
     )
-    segment: float | None = Field(
+    segment: float | None = option(
         None,
+        marked("Segments"),
+        marked("Length of segments, s, whose responses are averaged as in C.1.1; the whole record if not given"),
         gt=0.0,
         le=100.0,
-        title=marked("Segments"),
-        description=marked(
-            "Length of segments, s, whose responses are averaged as in C.1.1; the whole record if not given"
-        ),
     )
-    most_condition: float = Field(
+    most_condition: float = option(
         1e7,
+        marked("Largest condition number"),
+        marked("With segments: those with a larger condition number are rejected"),
         gt=1.0,
         le=1e18,
-        title=marked("Largest condition number"),
-        description=marked("With segments: those with a larger condition number are rejected"),
     )
 
     def fit(self, record: Record, fit_part: slice | None = None) -> LmsModel:

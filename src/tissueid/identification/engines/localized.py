@@ -5,9 +5,9 @@ from __future__ import annotations
 from typing import ClassVar
 
 import numpy as np
-from pydantic import Field
 
 from tissueid.formatting import number
+from tissueid.identification.base import option
 from tissueid.identification.depth_levels import find_levels, localized_levels
 from tissueid.identification.localized import (
     LevelFit,
@@ -45,17 +45,15 @@ class Localized(MemoryEngine):
     )
     family: ClassVar[Family] = Family.PARAMETRIC
 
-    settle: float = Field(
+    settle: float = option(
         0.25,
+        marked("Settling time"),
+        marked("Time after a step in which the tissue creeps, s; excluded, up to half of each level"),
         ge=0.0,
         le=10.0,
-        title=marked("Settling time"),
-        description=marked("Time after a step in which the tissue creeps, s; excluded, up to half of each level"),
     )
-    levels: tuple[float, ...] | None = Field(
-        None,
-        title=marked("Levels"),
-        description=marked("Levels of the input, in its unit; from its steps if not given"),
+    levels: tuple[float, ...] | None = option(
+        None, marked("Levels"), marked("Levels of the input, in its unit; from its steps if not given")
     )
 
     @classmethod

@@ -6,9 +6,8 @@ from dataclasses import dataclass
 from typing import ClassVar
 
 import numpy as np
-from pydantic import Field
 
-from tissueid.identification.base import Array
+from tissueid.identification.base import Array, option
 from tissueid.identification.correlation import convolve_at_rest
 from tissueid.identification.impulse_response import kernel_std, memory_warnings
 from tissueid.identification.model_family import Family
@@ -96,19 +95,19 @@ class Rls(OnlineEngine):
     family: ClassVar[Family] = Family.LINEAR
     identifier: ClassVar[type[RlsIdentifier]] = RlsIdentifier
 
-    forgetting: float = Field(
+    forgetting: float = option(
         1.0,
+        marked("Forgetting factor"),
+        marked("Weight of each sample relative to the next; 1 forgets nothing"),
         ge=0.9,
         le=1.0,
-        title=marked("Forgetting factor"),
-        description=marked("Weight of each sample relative to the next; 1 forgets nothing"),
     )
-    covariance: float = Field(
+    covariance: float = option(
         200.0,
+        marked("Initial variance"),
+        marked("Initial variance of the response, relative to the ratio of noise and input variance"),
         gt=0.0,
         le=1e6,
-        title=marked("Initial variance"),
-        description=marked("Initial variance of the response, relative to the ratio of noise and input variance"),
     )
 
     def fit(self, record: Record, fit_part: slice | None = None) -> RlsModel:

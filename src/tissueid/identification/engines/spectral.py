@@ -8,11 +8,10 @@ from typing import ClassVar, Literal, Self
 
 import numpy as np
 from numpy.typing import NDArray
-from pydantic import Field
 from scipy import fft, signal
 
 from tissueid.errors import UnusableInputError
-from tissueid.identification.base import Array, Model
+from tissueid.identification.base import Array, Model, option
 from tissueid.identification.correlation import convolve_at_rest
 from tissueid.identification.memory import MemoryEngine
 from tissueid.identification.model_family import Family
@@ -110,29 +109,17 @@ class Spectral(MemoryEngine):
     family: ClassVar[Family] = Family.LINEAR
     in_report: ClassVar[bool] = True
 
-    window: float | None = Field(
-        None,
-        gt=0.0,
-        le=1e7,
-        title=marked("Window"),
-        description=marked("Length of a segment, s; from the record if not given"),
+    window: float | None = option(
+        None, marked("Window"), marked("Length of a segment, s; from the record if not given"), gt=0.0, le=1e7
     )
-    overlap: float = Field(
-        0.5,
-        ge=0.0,
-        le=0.9,
-        title=marked("Overlap"),
-        description=marked("Share of a segment that overlaps the next"),
-    )
-    taper: Literal["hann", "hamming", "blackman", "boxcar"] = Field(
-        "hann", title=marked("Taper"), description=marked("Window function")
-    )
-    range_db: float = Field(
+    overlap: float = option(0.5, marked("Overlap"), marked("Share of a segment that overlaps the next"), ge=0.0, le=0.9)
+    taper: Literal["hann", "hamming", "blackman", "boxcar"] = option("hann", marked("Taper"), marked("Window function"))
+    range_db: float = option(
         30.0,
+        marked("Range"),
+        marked("Simulation uses frequencies whose input power is within this range below its peak, dB"),
         gt=0.0,
         le=300.0,
-        title=marked("Range"),
-        description=marked("Simulation uses frequencies whose input power is within this range below its peak, dB"),
     )
 
     def for_record(self, record: Record, fit_part: slice | None) -> Self:

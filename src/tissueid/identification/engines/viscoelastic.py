@@ -13,11 +13,10 @@ from dataclasses import dataclass, replace
 from typing import ClassVar, Literal, Self
 
 import numpy as np
-from pydantic import Field
 from scipy import fft
 
 from tissueid.errors import UnusableInputError
-from tissueid.identification.base import Array, Curve, Engine, LineFigure, Mask, Model
+from tissueid.identification.base import Array, Curve, Engine, LineFigure, Mask, Model, option
 from tissueid.identification.correlation import Correlator, dependence_samples
 from tissueid.identification.levenberg_marquardt import Bounds, ErrorPoint, minimise
 from tissueid.identification.model_family import Family
@@ -324,15 +323,15 @@ class ViscoelasticEngine(Engine):
         ),
     )
 
-    structure: Choice = Field(
+    structure: Choice = option(
         "auto",
-        title=marked("Structure"),
-        description=marked(
+        marked("Structure"),
+        marked(
             "Arrangement of springs and dampers (Fig. 2.1); auto takes the smallest one whose AICc is within 4 "
             "of the lowest"
         ),
     )
-    hold: Hold = Field("band-limited", title=HOLD_TITLE, description=HOLD_DESCRIPTION)
+    hold: Hold = option("band-limited", HOLD_TITLE, HOLD_DESCRIPTION)
 
     def common(self, details: Sequence[Mapping[str, float]]) -> Self:
         """Return the specification with the structure whose mean AICc over tests is lowest, chosen as for one test."""

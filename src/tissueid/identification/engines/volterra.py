@@ -7,10 +7,9 @@ from dataclasses import replace
 from typing import ClassVar, Literal
 
 import numpy as np
-from pydantic import Field
 
 from tissueid.errors import UnusableInputError
-from tissueid.identification.base import PARAMETRIC, Array
+from tissueid.identification.base import PARAMETRIC, Array, option
 from tissueid.identification.impulse_response import memory_warnings
 from tissueid.identification.memory import MemoryEngine
 from tissueid.identification.model_family import Family
@@ -73,33 +72,31 @@ class Volterra(MemoryEngine):
     usual_memory_s: ClassVar[float] = 0.06
     memory_margin: ClassVar[float] = 1.0
 
-    order: int = Field(2, ge=0, le=3, title=marked("Order"), description=marked("Highest order of the kernels"))
-    method: Literal["regularised", "exact", "laguerre"] = Field(
+    order: int = option(2, marked("Order"), marked("Highest order of the kernels"), ge=0, le=3)
+    method: Literal["regularised", "exact", "laguerre"] = option(
         "regularised",
-        title=marked("Method"),
-        description=marked(
+        marked("Method"),
+        marked(
             "Smooth, decaying kernels by regularisation (regularised), plain least squares (exact), or sums of "
             "Laguerre functions (laguerre)"
         ),
     )
-    downsample: int | None = Field(
+    downsample: int | None = option(
         None,
+        marked("Downsampling"),
+        marked("Samples between the lags of the kernels; from the input if not given"),
         ge=1,
         le=1000,
-        title=marked("Downsampling"),
-        description=marked("Samples between the lags of the kernels; from the input if not given"),
     )
-    rows: Literal["every", "downsampled"] = Field(
-        "every",
-        title=marked("Rows"),
-        description=marked("Fit every sample, or only one sample per lag, as in the thesis"),
+    rows: Literal["every", "downsampled"] = option(
+        "every", marked("Rows"), marked("Fit every sample, or only one sample per lag, as in the thesis")
     )
-    smoothing: float | None = Field(
+    smoothing: float | None = option(
         None,
+        marked("Smoothing"),
+        marked("Standard deviation of the Gaussian filter of the second-order kernel, lags; thesis: 1"),
         gt=0.0,
         le=10.0,
-        title=marked("Smoothing"),
-        description=marked("Standard deviation of the Gaussian filter of the second-order kernel, lags; thesis: 1"),
     )
 
     def fit(

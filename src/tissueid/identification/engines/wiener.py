@@ -6,10 +6,9 @@ from dataclasses import dataclass, replace
 from typing import ClassVar, Self
 
 import numpy as np
-from pydantic import Field
 from scipy import fft
 
-from tissueid.identification.base import Array, Model
+from tissueid.identification.base import Array, Model, option
 from tissueid.identification.impulse_response import factor_input, memory_warnings, with_extra_memory
 from tissueid.identification.memory import MemoryEngine
 from tissueid.identification.model_family import Family
@@ -17,7 +16,14 @@ from tissueid.identification.preparation import memory_in_samples, prepare
 from tissueid.identification.registry import engine
 from tissueid.identification.second_order import Hold, SecondOrder, sampled_response_at
 from tissueid.identification.second_order_fit import SecondOrderFit
-from tissueid.identification.static_nonlinearity import Exponential, Form, StaticNonlinearity, coefficient_count
+from tissueid.identification.static_nonlinearity import (
+    DEGREE,
+    REFINE,
+    Exponential,
+    Form,
+    StaticNonlinearity,
+    coefficient_count,
+)
 from tissueid.identification.validation import vaf_percent
 from tissueid.identification.wiener.iteration import (
     Cascade,
@@ -162,52 +168,42 @@ class Wiener(MemoryEngine):
     family: ClassVar[Family] = Family.STATIC
     in_report: ClassVar[bool] = True
 
-    nonlinearity: Form = Field(
+    nonlinearity: Form = option(
         "exponential",
-        title=marked("Nonlinearity"),
-        description=marked("C1 (1 - exp(-C2 z)) with an offset, a polynomial, or a monotone spline"),
+        marked("Nonlinearity"),
+        marked("C1 (1 - exp(-C2 z)) with an offset, a polynomial, or a monotone spline"),
     )
-    degree: int = Field(
-        5, ge=1, le=20, title=marked("Degree"), description=marked("Degree of the polynomial, or pieces of the spline")
+    degree: int = DEGREE
+    iterations: int = option(
+        6, marked("Iterations"), marked("Number of passes of linear and nonlinear estimation"), ge=1, le=50
     )
-    iterations: int = Field(
-        6,
-        ge=1,
-        le=50,
-        title=marked("Iterations"),
-        description=marked("Number of passes of linear and nonlinear estimation"),
-    )
-    refine: bool = Field(
-        True,
-        title=marked("Refinement"),
-        description=marked("Refine the best pass by minimising the simulation error over both stages"),
-    )
-    scaling: float = Field(
+    refine: bool = REFINE
+    scaling: float = option(
         1.0,
+        marked("Linear stiffness"),
+        marked("Stiffness of the linear stage, by definition; 1000 N/m as in the thesis"),
         gt=0.0,
         le=1e9,
-        title=marked("Linear stiffness"),
-        description=marked("Stiffness of the linear stage, by definition; 1000 N/m as in the thesis"),
     )
-    c3_n: float | None = Field(
+    c3_n: float | None = option(
         None,
-        ge=-100.0,
-        le=100.0,
-        title=marked("Load C3"),
-        description=marked(
+        marked("Load C3"),
+        marked(
             "Load in addition to the measured one, N; if not given, it is estimated where the surface is known, and "
             "else the weight of the moving part where the test has it, or 0"
         ),
+        ge=-100.0,
+        le=100.0,
     )
-    surface_position_m: float | None = Field(
+    surface_position_m: float | None = option(
         None,
-        ge=-1.0,
-        le=1.0,
-        title=marked("Surface"),
-        description=marked(
+        marked("Surface"),
+        marked(
             "Position of the tissue surface, m, which fixes the offset, so that C3 is estimated; if neither it nor C3 "
             "is given, that of the test"
         ),
+        ge=-1.0,
+        le=1.0,
     )
 
     def with_test_values(self, surface_position_m: float | None, weight_n: float | None) -> Self:
