@@ -13,7 +13,7 @@ from tissueid.gap.fitting import fit
 from tissueid.gap.preparation import prepare
 from tissueid.sessions import Session, Test
 from tissueid.twin.catalogue import effect
-from tissueid.twin.chain_parameters import Instrument, Tissue
+from tissueid.twin.chain_parameters import InstrumentParameters, Tissue
 from tissueid.twin.simulation import ActiveEffect, Start, simulate
 
 RATE = 2000.0
@@ -29,7 +29,7 @@ def comparisons() -> Iterable[Comparison]:
     command = 14.0 + 14.0 * np.convolve(rng.uniform(-1.0, 1.0, SAMPLES), np.ones(5) / 5.0, "same")
     drag = effect("quadratic_drag")
     acting = [ActiveEffect(drag, np.array([TRUE[5], 2.0]))]
-    instrument, tissue = Instrument(weight_n=0.0), Tissue(SURFACE, *TRUE[:5])
+    instrument, tissue = InstrumentParameters(weight_n=0.0), Tissue(SURFACE, *TRUE[:5])
     start = Start(float(command[0]) / plain_gap.RESISTANCE, SURFACE)
 
     def compiled() -> np.ndarray:

@@ -9,7 +9,7 @@ from benchmarks.base import Comparison
 from tissueid.identification.engines.wiener import Wiener
 from tissueid.identification.impulse_response import factor_input
 from tissueid.identification.preparation import prepare
-from tissueid.identification.static_nonlinearity import Exponential
+from tissueid.identification.static_nonlinearity import ExponentialCurve
 from tissueid.identification.wiener.iteration import LinearStage, hunter_korenberg
 from tissueid_lab.thesis import published_algorithms as published
 
@@ -24,7 +24,7 @@ def comparisons() -> Iterable[Comparison]:
     def iterated() -> tuple[float, float]:
         stage = LinearStage(factor_input(prepare(record, None, memory)))
         last = hunter_korenberg(stage, "exponential", 1, PASSES)[-1].cascade.nonlinearity
-        assert isinstance(last, Exponential)
+        assert isinstance(last, ExponentialCurve)
         return last.thesis_constants(None, 0.0)[:2]
 
     def fitted() -> tuple[float, float]:

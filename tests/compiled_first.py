@@ -11,7 +11,7 @@ from firmware_sim.second_laboratory.integrator import simulate as simulate_secon
 from firmware_sim.second_laboratory.parameters import PlantModel
 from tissueid.identification import engine_names, get_engine
 from tissueid.twin.catalogue import all_effects
-from tissueid.twin.chain_parameters import Instrument, spring
+from tissueid.twin.chain_parameters import InstrumentParameters, spring
 from tissueid.twin.simulation import Start, compiled, simulate
 
 
@@ -23,7 +23,7 @@ def main() -> None:
     for name in ("resistance_ohm", "inductance_h", "mass_kg"):
         second.values[name] = 1.0
     simulate_second(second, 25e-6, (np.zeros(10), np.zeros(10)), np.zeros(11), np.zeros(11))
-    simulate(np.zeros(10), 2000.0, Instrument(), spring(0.012, 1000.0, 0.005, 0.4), Start(0.0, 0.012))
+    simulate(np.zeros(10), 2000.0, InstrumentParameters(), spring(0.012, 1000.0, 0.005, 0.4), Start(0.0, 0.012))
     for effect in all_effects().values():
         if effect.hook is not None:
             compiled(effect.hook)

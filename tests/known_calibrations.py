@@ -5,7 +5,7 @@ from __future__ import annotations
 from datetime import UTC, datetime, timedelta
 from pathlib import Path
 
-from tissueid.calibration import Calibration, Quantity, Stored
+from tissueid.calibration import CalibratedQuantity, Calibration, Stored
 from tissueid.calibration.file import utc_date
 from tissueid.device import DeviceDescription
 
@@ -14,7 +14,7 @@ DEVICE = DeviceDescription(serial_number="A-1")
 
 
 def quantities(**figures):
-    return {name: Quantity(value=value, std=abs(value) * 1e-3) for name, value in figures.items()}
+    return {name: CalibratedQuantity(value=value, std=abs(value) * 1e-3) for name, value in figures.items()}
 
 
 def made(days_ago=10.0, kind="static", **changes):

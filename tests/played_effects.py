@@ -7,13 +7,13 @@ from scipy import signal
 
 from tissueid.twin import bus
 from tissueid.twin.catalogue import effect
-from tissueid.twin.chain_parameters import Instrument, Tissue
+from tissueid.twin.chain_parameters import InstrumentParameters, Tissue
 from tissueid.twin.simulation import ActiveEffect, Start, simulate
 
 RATE = 2000.0
 SURFACE = 0.0095
 TISSUE = Tissue(SURFACE, 0.015, 5.0, 200.0, 400.0, 250.0)
-DEVICE = Instrument(weight_n=0.2)
+DEVICE = InstrumentParameters(weight_n=0.2)
 
 
 def noise(seconds=0.5, mean=15.0, amplitude=26.0, seed=1):

@@ -78,7 +78,7 @@ PLUG_IN_CLASSES = (
     "tissueid.identification.FitReport",
     "tissueid.identification.LineFigure",
     "tissueid.identification.Curve",
-    "tissueid.identification.preparation.Prepared",
+    "tissueid.identification.preparation.PreparedRecord",
     "tissueid.stimuli.OpenLoopKind",
     "tissueid.twin.effect.Parameter",
     "tissueid.twin.effect.Readings",

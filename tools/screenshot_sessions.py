@@ -21,7 +21,7 @@ from tissueid.app.live_signals import LiveSignals
 from tissueid.app.live_test import LiveTest
 from tissueid.app.user_files import dated_path
 from tissueid.audit import AuditLog, AuditTrail
-from tissueid.calibration import Calibration, Quantity, write_calibration
+from tissueid.calibration import CalibratedQuantity, Calibration, write_calibration
 from tissueid.calibration.file import utc_date
 from tissueid.device import DeviceDescription
 from tissueid.errors import CancelledError
@@ -222,19 +222,19 @@ def write_calibrations(folder: Path) -> Path:
     return folder
 
 
-def _static(share: float) -> dict[str, Quantity]:
+def _static(share: float) -> dict[str, CalibratedQuantity]:
     return {
-        "coil_resistance_ohm": Quantity(value=12.0 + 3.0 * (1.0 - share), std=0.003, unit="ohm"),
-        "force_constant_n_per_a": Quantity(value=3.0 * share, std=0.004, unit="N/A"),
-        "current_offset_a": Quantity(value=0.001, std=1e-4, unit="A"),
+        "coil_resistance_ohm": CalibratedQuantity(value=12.0 + 3.0 * (1.0 - share), std=0.003, unit="ohm"),
+        "force_constant_n_per_a": CalibratedQuantity(value=3.0 * share, std=0.004, unit="N/A"),
+        "current_offset_a": CalibratedQuantity(value=0.001, std=1e-4, unit="A"),
     }
 
 
-def _sweep(share: float) -> dict[str, Quantity]:
+def _sweep(share: float) -> dict[str, CalibratedQuantity]:
     return {
-        "force_constant_n_per_a": Quantity(value=3.0 * share, std=0.006, unit="N/A"),
-        "linear_region_min_m": Quantity(value=0.004, std=5e-5, unit="m"),
-        "linear_region_max_m": Quantity(value=0.0275, std=5e-5, unit="m"),
+        "force_constant_n_per_a": CalibratedQuantity(value=3.0 * share, std=0.006, unit="N/A"),
+        "linear_region_min_m": CalibratedQuantity(value=0.004, std=5e-5, unit="m"),
+        "linear_region_max_m": CalibratedQuantity(value=0.0275, std=5e-5, unit="m"),
     }
 
 

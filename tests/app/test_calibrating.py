@@ -14,7 +14,7 @@ from tissueid.app.emergency import BY_BUTTON, EmergencyStop
 from tissueid.app.operator_prompts import CalibrationOutcome, OperatorPrompts
 from tissueid.app.words import sentence
 from tissueid.audit import AuditLog, last_lines
-from tissueid.calibration import Calibration, Quantity, read_calibration
+from tissueid.calibration import CalibratedQuantity, Calibration, read_calibration
 from tissueid.calibration.store import free_name
 from tissueid.errors import CancelledError
 from tissueid.procedures.control import BY_KEY
@@ -253,7 +253,7 @@ def test_a_failed_calibration_is_shown_as_one(qtbot, technicians, tmp_path):
         software="x",
         verdict="failed",
         problems=(PROBLEM,),
-        quantities={"force_constant_n_per_a": Quantity(value=2.9, std=0.01, unit="N/A")},
+        quantities={"force_constant_n_per_a": CalibratedQuantity(value=2.9, std=0.01, unit="N/A")},
     )
     page.show_outcome(CalibrationOutcome(calibration, tmp_path / "c.toml", tmp_path / "c.html", (REMARK,)))
     assert page.headline.text().startswith("Dynamic sweep failed")

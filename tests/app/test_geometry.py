@@ -42,7 +42,7 @@ from tissueid.app.services import AppServices
 from tissueid.app.small_window import FoldingBox
 from tissueid.app.views.gap.diagnosis_run import result_of
 from tissueid.app.widgets import ElidedLabel
-from tissueid.calibration import Calibration, Quantity
+from tissueid.calibration import CalibratedQuantity, Calibration
 from tissueid.calibration.active import activate_calibration
 from tissueid.gap import diagnose, prepare
 from tissueid.gap.workers import SerialExecutor
@@ -511,7 +511,7 @@ def outcome_of(part, folder):
         software="1",
         verdict="failed" if failed else "passed",
         problems=(LONG, LONG) if failed else (),
-        quantities={name: Quantity(value=2.9, std=0.01, unit="N/A") for name in figures},
+        quantities={name: CalibratedQuantity(value=2.9, std=0.01, unit="N/A") for name in figures},
     )
     return CalibrationOutcome(calibration, folder / "calibration.toml", folder / "calibration.html", (LONG,))
 

@@ -21,7 +21,7 @@ from tissueid.reports.gap_page import gap_html
 from tissueid.sessions import Session, Test
 from tissueid.twin import effects
 from tissueid.twin.catalogue import all_effects, effect
-from tissueid.twin.chain_parameters import Instrument, Tissue
+from tissueid.twin.chain_parameters import InstrumentParameters, Tissue
 from tissueid.twin.player import Player
 from tissueid.twin.simulation import ActiveEffect, Start, simulate
 from tissueid_lab.blind_check.answers import with_labels
@@ -82,7 +82,7 @@ def session() -> Session:
     command = 14.0 + 14.0 * np.convolve(random.uniform(-1, 1, 4000), np.ones(5) / 5, "same")
     acting = [ActiveEffect(effect(NAME), VALUES)]
     read = simulate(
-        command, RATE, Instrument(weight_n=0.0), Tissue(SURFACE), Start(14.0 / 12.0, SURFACE), acting
+        command, RATE, InstrumentParameters(weight_n=0.0), Tissue(SURFACE), Start(14.0 / 12.0, SURFACE), acting
     ).readings
     noise = random.standard_normal((3, command.size))
     signals = {
@@ -106,10 +106,10 @@ def test_it_is_listed_at_the_command_line(tmp_path: Path, capsys: pytest.Capture
 def test_it_is_simulated_at_once_and_in_pieces(session: Session):
     command = session.tests[0].signals["command"][:600]
     start, acting = Start(14.0 / 12.0, SURFACE), [ActiveEffect(effect(NAME), VALUES)]
-    plain = simulate(command, RATE, Instrument(), Tissue(SURFACE), start).readings.position
-    with_it = simulate(command, RATE, Instrument(), Tissue(SURFACE), start, acting).readings.position
+    plain = simulate(command, RATE, InstrumentParameters(), Tissue(SURFACE), start).readings.position
+    with_it = simulate(command, RATE, InstrumentParameters(), Tissue(SURFACE), start, acting).readings.position
     assert np.std(with_it - plain) > 0.05 * np.std(plain)
-    player = Player(Instrument(), Tissue(SURFACE), start, acting, sample_rate_hz=RATE)
+    player = Player(InstrumentParameters(), Tissue(SURFACE), start, acting, sample_rate_hz=RATE)
     pieces = np.concatenate([player.play(command[:250])[2], player.play(command[250:])[2]])
     assert np.std(pieces - with_it) < 0.02 * np.std(with_it - plain)
 

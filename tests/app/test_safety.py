@@ -16,9 +16,9 @@ from tissueid.acquisition.quality import Quality, QualityFinding
 from tissueid.app.calibration_state import UNKNOWN, calibration_state
 from tissueid.app.quality_gate import MOST_SHOWN, UNJUDGED, QualityGate
 from tissueid.app.readouts import KEYS_LOST, KEYS_REACH, SafetyReadouts
-from tissueid.app.safety import Region, Safety, SafetyWatch, linear_region
+from tissueid.app.safety import LinearRange, Safety, SafetyWatch, linear_region
 from tissueid.app.signals import LINEAR, OUTSIDE
-from tissueid.calibration import Calibration, Quantity, write_calibration
+from tissueid.calibration import CalibratedQuantity, Calibration, write_calibration
 from tissueid.device import DeviceDescription
 from tissueid.instrument import CLINICAL, SAMPLE, SimulatedInstrument
 from tissueid.instrument.thermal import WindingTemperature
@@ -44,7 +44,7 @@ def samples(count, **signals):
 
 def test_force_and_temperature_are_those_of_the_newest_quarter_of_a_second():
     watch = SafetyWatch(DEVICE, CLINICAL)
-    assert watch.snapshot() == Safety(CLINICAL, region=Region(0.004, 0.0275))
+    assert watch.snapshot() == Safety(CLINICAL, region=LinearRange(0.004, 0.0275))
     watch.take(samples(500, current=3.0))
     watch.take(samples(400, current=-1.0, temperature=40.0))
     assert watch.snapshot().force_n == pytest.approx(9.0)
@@ -194,10 +194,10 @@ def put(folder, *, days=12, verdict="passed", low_m=0.004, high_m=0.0275, serial
         "verdict": verdict,
         "problems": ("too much scatter",) if verdict == "failed" else (),
     }
-    resistance = {"coil_resistance_ohm": Quantity(value=12.0, unit="ohm")}
+    resistance = {"coil_resistance_ohm": CalibratedQuantity(value=12.0, unit="ohm")}
     region = {
-        "linear_region_min_m": Quantity(value=low_m, unit="m"),
-        "linear_region_max_m": Quantity(value=high_m, unit="m"),
+        "linear_region_min_m": CalibratedQuantity(value=low_m, unit="m"),
+        "linear_region_max_m": CalibratedQuantity(value=high_m, unit="m"),
     }
     write_calibration(folder / "static.toml", Calibration(kind="static", quantities=resistance, **about))
     write_calibration(folder / "sweep.toml", Calibration(kind="sweep", quantities=region, **about))

@@ -15,7 +15,7 @@ from tissueid import units
 from tissueid.app.calibration_state import figure_of
 from tissueid.app.live_analysis import LiveAnalysis
 from tissueid.app.plotting import PlotCard
-from tissueid.app.views.clinician.comparing import Comparison, Sighting
+from tissueid.app.views.clinician.comparing import Sighting, SittingComparison
 from tissueid.app.views.clinician.comparison_card import ComparisonCard
 from tissueid.app.views.clinician.repeat_bar import SittingSummary
 from tissueid.app.views.clinician.sitting import Repeat, Sitting, standing
@@ -27,7 +27,7 @@ from tissueid.app.views.researcher.signal_loading import Channel, LoadedTest, Re
 from tissueid.app.views.researcher.signals import SignalFigure, StatisticsTable
 from tissueid.app.views.researcher.spectrum_card import SpectrumCard
 from tissueid.app.views.technician.calibration_panels import SweepsPanel
-from tissueid.calibration import Quantity
+from tissueid.calibration import CalibratedQuantity
 from tissueid.calibration.labels import label_of
 from tissueid.formatting import figure_text, value_and_rest
 from tissueid.procedures.test_plan import TestPlan
@@ -185,7 +185,7 @@ def test_a_comparison_changes_the_axis_along_which_its_dots_lie(qtbot):
     qtbot.addWidget(card)
     card.resize(900, 200)
     values = {"mass_kg": Estimate(0.08, 0.001)}
-    card.show_comparison(Comparison(tuple(Sighting(k, "2026-01-01", "left calf", values) for k in "ab")))
+    card.show_comparison(SittingComparison(tuple(Sighting(k, "2026-01-01", "left calf", values) for k in "ab")))
     units.use("si")
     for part in card.cards:
         part.take_units()
@@ -284,8 +284,8 @@ def test_sweeps_are_compared_in_the_units(qtbot):
 
 
 def test_a_figure_of_a_calibration_keeps_small_units_and_loses_large_ones():
-    hysteresis, place = Quantity(value=3e-5, unit="m"), Quantity(value=0.012, std=1e-4, unit="m")
-    slope = Quantity(value=0.0021, unit="m/A")
+    hysteresis, place = CalibratedQuantity(value=3e-5, unit="m"), CalibratedQuantity(value=0.012, std=1e-4, unit="m")
+    slope = CalibratedQuantity(value=0.0021, unit="m/A")
     assert figure_of("force_position_m", place)[1:] == ("12.00 ± 0.10", "mm")
     units.use("si")
     assert figure_of("force_position_m", place)[1:] == ("0.01200 ± 0.00010", "m")

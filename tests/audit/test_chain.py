@@ -17,7 +17,7 @@ from hypothesis import strategies as st
 
 from tissueid.audit import (
     AuditLog,
-    Damage,
+    LogDamage,
     active_role,
     default_path,
     last_lines,
@@ -155,7 +155,7 @@ def test_every_removal_of_lines_is_found(path):
         for last in range(first + 1, len(lines)):
             path.write_bytes(b"".join(lines[:first] + lines[last:]))
             broken = verify(path).broken
-            assert broken.damage is Damage.REMOVED
+            assert broken.damage is LogDamage.REMOVED
             assert broken.place == first + 1
 
 
@@ -167,7 +167,7 @@ def test_every_swap_of_lines_is_found(path):
             swapped[first], swapped[second] = lines[second], lines[first]
             path.write_bytes(b"".join(swapped))
             broken = verify(path).broken
-            assert broken.damage is Damage.REORDERED
+            assert broken.damage is LogDamage.REORDERED
             assert broken.place == first + 1
 
 
@@ -177,7 +177,7 @@ def test_every_copy_of_a_line_that_is_put_in_is_found(path):
         for place in range(copied + 1, len(lines) + 1):
             path.write_bytes(b"".join([*lines[:place], lines[copied], *lines[place:]]))
             broken = verify(path).broken
-            assert broken.damage is Damage.INSERTED
+            assert broken.damage is LogDamage.INSERTED
             assert broken.place == place + 1
 
 
@@ -191,12 +191,12 @@ def test_a_line_made_up_and_put_in_is_found(path):
         forged = body + f',"hash":"{sha256(body).hexdigest()}"}}\n'.encode()
         path.write_bytes(b"".join([*lines[:place], forged, *lines[place:]]))
         broken = verify(path).broken
-        assert broken.damage is Damage.INSERTED
+        assert broken.damage is LogDamage.INSERTED
         assert says(broken.words, "audit.twice", line=place + 1)
         path.write_bytes(b"".join([*lines[:place], forged, *lines[place + 1 :]]))
         if place < len(lines) - 1:
             broken = verify(path).broken
-            assert broken.damage is Damage.CHANGED
+            assert broken.damage is LogDamage.CHANGED
             assert broken.place == place + 1
             assert broken.words.code == "audit.exchanged"
 
@@ -207,7 +207,7 @@ def test_rubbish_between_two_lines_is_found(path):
         for rubbish in (b"hello\n", b"\n", b"{}\n", b'{"number":2,"time":"\x18\n', b"\x18\n", b"x" * 200_000 + b"\n"):
             path.write_bytes(b"".join([*lines[:place], rubbish, *lines[place:]]))
             broken = verify(path).broken
-            assert broken.damage is Damage.INSERTED, rubbish[:30]
+            assert broken.damage is LogDamage.INSERTED, rubbish[:30]
             assert broken.place <= place + 1
 
 

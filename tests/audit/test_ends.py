@@ -14,7 +14,7 @@ from tissueid.audit import (
     AuditError,
     AuditLog,
     AuditTrail,
-    Damage,
+    LogDamage,
     check_head,
     last_lines,
     verification,
@@ -32,9 +32,9 @@ def test_a_log_that_is_cut_off_is_detected_by_a_head_from_another_file(path):
         path.write_bytes(b"".join(lines[:kept]))
         assert verify(path).whole
         broken = verify(path, {head: "session.h5"}).broken
-        assert broken.damage is Damage.CUT
+        assert broken.damage is LogDamage.CUT
         assert says(broken.words, "audit.cut_off", where="session.h5", number=5, lines=kept)
-        assert verify(path, {head.partition(":")[2]: "it"}).broken.damage is Damage.CUT
+        assert verify(path, {head.partition(":")[2]: "it"}).broken.damage is LogDamage.CUT
 
 
 def test_a_new_log_is_detected_by_a_head_from_another_file(path):
@@ -48,7 +48,7 @@ def test_a_new_log_is_detected_by_a_head_from_another_file(path):
     for _ in range(9):
         log.record("clinician", "test.begun")
     broken = verify(path, {head: "session.h5"}).broken
-    assert broken.damage is Damage.FOREIGN
+    assert broken.damage is LogDamage.FOREIGN
     assert broken.words.code == "audit.other_log"
 
 
@@ -123,7 +123,7 @@ def test_what_was_closed_off_cannot_be_changed(tmp_path):
     place = raw.index(b"2026\x18")
     path.write_bytes(raw[:place] + b"2027" + raw[place + 4 :])
     broken = verify(path).broken
-    assert broken.damage is Damage.INSERTED
+    assert broken.damage is LogDamage.INSERTED
     assert broken.words.code == "audit.foreign_bytes"
 
 
@@ -148,7 +148,7 @@ def test_nothing_is_added_to_another_file(tmp_path, foreign):
     with pytest.raises(AuditError, check=damaged_log):
         AuditLog(path).record("clinician", "test.begun")
     assert path.read_bytes() == foreign
-    assert verify(path).broken.damage is Damage.FOREIGN
+    assert verify(path).broken.damage is LogDamage.FOREIGN
 
 
 def test_a_log_that_was_moved_away_is_begun_again_and_says_so(path):
@@ -159,10 +159,10 @@ def test_a_log_that_was_moved_away_is_begun_again_and_says_so(path):
     assert [line.what for line in lines] == ["audit.started", "audit.lines_missing", "test.begun"]
     assert lines[1].old == head
     broken = verify(path).broken
-    assert (broken.place, broken.damage) == (2, Damage.CUT)
+    assert (broken.place, broken.damage) == (2, LogDamage.CUT)
     assert verify(path, after=[moved]).whole
     moved.write_bytes(b"".join(rows(moved)[:-1]))
-    assert verify(path, after=[moved]).broken.damage is Damage.CUT
+    assert verify(path, after=[moved]).broken.damage is LogDamage.CUT
     moved.write_bytes(b"something else\n")
     with pytest.raises(UnusableInputError, check=holding("audit.earlier_damaged", path=str(moved))):
         verify(path, after=[moved])
@@ -172,10 +172,10 @@ def test_a_log_that_was_moved_away_is_begun_again_and_says_so(path):
 def test_a_log_that_is_cut_off_or_emptied_is_found_by_the_note_of_its_newest_line(path, kept):
     path.write_bytes(b"".join(rows(path)[:kept]))
     broken = verify(path).broken
-    assert broken.damage is Damage.CUT
+    assert broken.damage is LogDamage.CUT
     assert says(broken.words, "audit.cut_off", number=5, lines=kept)
     AuditLog(path).record("clinician", "test.begun")  # which hides nothing
-    assert verify(path).broken.damage is Damage.CUT
+    assert verify(path).broken.damage is LogDamage.CUT
     assert "audit.lines_missing" in [line.what for line in last_lines(path, 9)]
 
 
@@ -216,7 +216,7 @@ def test_what_is_no_file_is_not_waited_for(tmp_path):
 def test_a_log_that_is_too_large_is_refused_and_one_of_zeros_ends(path, monkeypatch):
     with path.open("ab") as file:
         file.truncate(path.stat().st_size + 40_000_000)
-    assert verify(path).broken.damage is Damage.CHANGED
+    assert verify(path).broken.damage is LogDamage.CHANGED
     monkeypatch.setattr(verification, "MAX_BYTES", 1_000_000)
     with pytest.raises(UnusableInputError, check=coded("audit.too_large", most=1.0)):
         verify(path)

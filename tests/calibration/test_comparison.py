@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 from coded import coded, codes, is_german, says
 
-from tissueid.calibration import Calibration, Quantity
+from tissueid.calibration import CalibratedQuantity, Calibration
 from tissueid.calibration.comparison import (
     compare_sweeps,
     drift_text,
@@ -26,10 +26,10 @@ def sweep(days=0, share=1.0, *, std=0.015, noise=0.004, low=0.004, high=0.027, *
     """A sweep so many days after the first of March, whose force constant is 3 N/A by a share, rounded off outwards."""
     shape = [3.0 * share * (1.0 - 40.0 * max(0.0, abs(place - 0.016) - 0.011)) for place in PLACES]
     q = {
-        "force_constant_n_per_a": Quantity(value=3.0 * share, std=std, unit="N/A"),
-        "linear_region_min_m": Quantity(value=low, std=5e-5, unit="m"),
-        "linear_region_max_m": Quantity(value=high, std=5e-5, unit="m"),
-        "moving_mass_kg": Quantity(value=0.060, unit="kg"),
+        "force_constant_n_per_a": CalibratedQuantity(value=3.0 * share, std=std, unit="N/A"),
+        "linear_region_min_m": CalibratedQuantity(value=low, std=5e-5, unit="m"),
+        "linear_region_max_m": CalibratedQuantity(value=high, std=5e-5, unit="m"),
+        "moving_mass_kg": CalibratedQuantity(value=0.060, unit="kg"),
     }
     tables = {
         "force_constant": {
@@ -60,7 +60,7 @@ def sweep(days=0, share=1.0, *, std=0.015, noise=0.004, low=0.004, high=0.027, *
 
 
 def static(days, value, **changes):
-    figures = {"coil_resistance_ohm": Quantity(value=value, std=0.003, unit="ohm")}
+    figures = {"coil_resistance_ohm": CalibratedQuantity(value=value, std=0.003, unit="ohm")}
     return sweep(days, kind="static", quantities=figures, tables=changes.pop("tables", {}), **changes)
 
 
@@ -114,7 +114,7 @@ def test_ends_of_the_linear_region_are_compared_in_millimetres():
 
 
 def test_what_has_no_deviation_is_not_judged():
-    heavier = {"moving_mass_kg": Quantity(value=0.066, unit="kg")}
+    heavier = {"moving_mass_kg": CalibratedQuantity(value=0.066, unit="kg")}
     found = compare_sweeps(sweep(0), sweep(1, quantities=sweep().quantities | heavier))
     mass = next(item for item in found.differences if item.name == "moving_mass_kg")
     assert mass.verdict == "unknown"

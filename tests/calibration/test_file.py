@@ -10,12 +10,12 @@ from coded import coded, codes, says
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from tissueid.calibration import Calibration, Quantity, read_calibration, write_calibration
+from tissueid.calibration import CalibratedQuantity, Calibration, read_calibration, write_calibration
 from tissueid.calibration.file import MAX_BYTES, to_toml, utc_date
 from tissueid.calibration.labels import notes_of, problems_of
 from tissueid.errors import UnusableInputError
+from tissueid.messages import CalibratedQuantity as ShownQuantity
 from tissueid.messages import Message, code_of
-from tissueid.messages import Quantity as ShownQuantity
 
 
 def calibration(**changes):
@@ -27,7 +27,7 @@ def calibration(**changes):
         "software": "tissueid 0",
         "verdict": "passed",
         "conditions": {"ambient_c": 23.0, "by": 'a "person" \\ at a bench, 21 °C'},
-        "quantities": {"coil_resistance_ohm": Quantity(value=12.31, std=0.01, unit="ohm")},
+        "quantities": {"coil_resistance_ohm": CalibratedQuantity(value=12.31, std=0.01, unit="ohm")},
         "tables": {"position": {"position_m": (0.1 + 0.2, 1e-300), "reading_m": (-0.0, 5e-324)}},
     }
     return Calibration(**figures | changes)
@@ -51,7 +51,7 @@ def test_every_number_and_text_comes_back(tmp_path_factory, value, std, note, co
     path = tmp_path_factory.mktemp("files") / "a.toml"
     made = calibration(
         conditions={"note": note},
-        quantities={"mass_kg": Quantity(value=value, std=std, unit="kg")},
+        quantities={"mass_kg": CalibratedQuantity(value=value, std=std, unit="kg")},
         tables={"x": {"y": tuple(column)}},
     )
     write_calibration(path, made)

@@ -14,14 +14,14 @@ from firmware_sim.firmware import Firmware
 from tissueid import wire
 from tissueid.calibration import StaticPlan, apply_calibrations, calibrate_static, write_calibration
 from tissueid.calibration.active import activate_calibration, corrections, use_static_calibration, warnings_of
-from tissueid.calibration.file import Quantity, utc_date
+from tissueid.calibration.file import CalibratedQuantity, utc_date
 from tissueid.calibration.labels import label_of, problems_of
 from tissueid.calibration.layers import NO_REGION
 from tissueid.calibration.status import first_implausible
 from tissueid.errors import InstrumentError
 from tissueid.instrument import Correction, SerialInstrument, SimulatedInstrument
 from tissueid.instrument.handshake import parse_hello
-from tissueid.messages import Quantity as Shown
+from tissueid.messages import CalibratedQuantity as Shown
 
 pytestmark = pytest.mark.usefixtures("long_frames")
 
@@ -40,7 +40,7 @@ CHANNELS = {
 def partial(days_ago, **figures):
     """A static calibration of a few steps."""
     item = made(days_ago)
-    found = {name: Quantity(value=value) for name, value in figures.items()}
+    found = {name: CalibratedQuantity(value=value) for name, value in figures.items()}
     return replace(item, calibration=item.calibration.model_copy(update={"quantities": found}))
 
 

@@ -9,8 +9,8 @@ from support import connect
 from firmware_sim.converters import ChannelError
 from firmware_sim.plant import STANDARD_GRAVITY, PlantParameters
 from tissueid.calibration import StaticPlan, calibrate_static, read_calibration, write_calibration
-from tissueid.calibration.file import Quantity
-from tissueid.calibration.findings import Findings, mean_of_repeats
+from tissueid.calibration.file import CalibratedQuantity
+from tissueid.calibration.findings import CalibrationFindings, mean_of_repeats
 from tissueid.calibration.labels import problems_of
 from tissueid.calibration.plans import Spring
 from tissueid.calibration.sensors import mains, position_findings
@@ -181,8 +181,8 @@ def test_repeats_are_averaged_and_their_spread_is_kept():
 
 
 def test_a_repeat_that_fails_fails_all():
-    one = Findings({"coil_resistance_ohm": Quantity(value=12.0, std=0.1)})
-    other = Findings({"coil_resistance_ohm": Quantity(value=12.4, std=0.1)}, problems=("hot",))
+    one = CalibrationFindings({"coil_resistance_ohm": CalibratedQuantity(value=12.0, std=0.1)})
+    other = CalibrationFindings({"coil_resistance_ohm": CalibratedQuantity(value=12.4, std=0.1)}, problems=("hot",))
     both = mean_of_repeats([one, other])
     assert both.problems == ("hot",)
     assert both.quantities["coil_resistance_ohm"].value == pytest.approx(12.2)

@@ -7,8 +7,8 @@ import pytest
 from coded import coded, codes, message, says
 
 from tissueid.calibration.coil import electrical_findings, force_by_spring, force_by_weights
-from tissueid.calibration.file import Quantity
-from tissueid.calibration.findings import Findings, mean_of_repeats, quantity
+from tissueid.calibration.file import CalibratedQuantity
+from tissueid.calibration.findings import CalibrationFindings, mean_of_repeats, quantity
 from tissueid.calibration.plans import Spring, StaticPlan
 from tissueid.calibration.sensors import (
     acceleration_findings,
@@ -244,7 +244,9 @@ def test_drift_of_the_supplies_is_bounded(name, drift, quantity):
     exact = {key: found.model_copy(update={"std": 0.0}) for key, found in first.quantities.items()}
     for share, said in ((0.95, False), (1.05, True)):
         moved = exact[name].model_copy(update={"value": exact[name].value + share * drift})
-        found = supply_findings(Findings(exact), Findings(exact | {name: moved}), still(), still(), DEVICE)
+        found = supply_findings(
+            CalibrationFindings(exact), CalibrationFindings(exact | {name: moved}), still(), still(), DEVICE
+        )
         drifts = [
             problem.values["quantity"] for problem in found.problems if problem.code == "calibration.supply_drift"
         ]
@@ -313,8 +315,8 @@ def test_repeats_make_only_what_is_random_smaller():
 
 
 def test_a_later_step_replaces_the_common_uncertainty():
-    one = Findings({"a": Quantity(value=1.0, std=0.5)}, shared={"a": 0.5})
-    both = one + Findings({"a": Quantity(value=2.0, std=0.1)})
+    one = CalibrationFindings({"a": CalibratedQuantity(value=1.0, std=0.5)}, shared={"a": 0.5})
+    both = one + CalibrationFindings({"a": CalibratedQuantity(value=2.0, std=0.1)})
     assert both.shared == {}
     assert mean_of_repeats([both] * 4).quantities["a"].std == pytest.approx(0.05)
 

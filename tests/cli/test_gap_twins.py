@@ -8,7 +8,7 @@ import tomli_w
 from tissueid.cli import main
 from tissueid.twin.bus import MOST_EFFECTS
 from tissueid.twin.catalogue import all_effects
-from tissueid.twin.chain_parameters import Instrument, Tissue
+from tissueid.twin.chain_parameters import InstrumentParameters, Tissue
 
 TWIN = {
     "format": "tissueid-twin",
@@ -17,7 +17,7 @@ TWIN = {
     "version": 3,
     "sample_rate_hz": 2000.0,
     "source": {"closed": 0.97},
-    "instrument": vars(Instrument()),
+    "instrument": vars(InstrumentParameters()),
     "tissue": vars(Tissue()),
     "effects": [{"name": "reluctance_force", "parameters": {}}],
 }

@@ -31,7 +31,7 @@ from tissueid.sessions import read_session
 from tissueid.sessions.imports import Choices, Source, export_session, import_test
 from tissueid.stimuli import get_stimulus
 from tissueid.twin.catalogue import effect
-from tissueid.twin.chain_parameters import Instrument, Tissue
+from tissueid.twin.chain_parameters import InstrumentParameters, Tissue
 from tissueid.twin.named_twin import NamedTwin
 from tissueid.twin.simulation import ActiveEffect
 from tissueid.untrusted_input import MEMORY_BYTES, SECONDS
@@ -108,7 +108,7 @@ def _twin(folder: Path) -> Path:
     path = folder / "a.toml"
     known = effect("dry_friction")
     acting = ActiveEffect(known, np.array([(item.low + item.high) / 2 for item in known.parameters]))
-    twin = NamedTwin("arm", 1, Instrument(), Tissue(), (acting,), 2000.0, {"mass_kg": 0.01})
+    twin = NamedTwin("arm", 1, InstrumentParameters(), Tissue(), (acting,), 2000.0, {"mass_kg": 0.01})
     write_twin(path, content_of(twin, TwinSource(session_id="s", tests=(1, 2)), "2026-03-01", "tissueid 0"))
     return path
 

@@ -9,18 +9,18 @@ import pytest
 from coded import shows
 
 from tissueid.gap.diagnosis_plots import history_plot
-from tissueid.gap.history import GapHistory, HistoryEntry, history_headline
+from tissueid.gap.history import GapHistory, GapHistoryEntry, history_headline
 from tissueid.messages import Message
 
 
-def entry(file: str, created: str, gap: float = 0.0, *named: str, verdict: str = "") -> HistoryEntry:
+def entry(file: str, created: str, gap: float = 0.0, *named: str, verdict: str = "") -> GapHistoryEntry:
     verdict = verdict or ("effect" if named else "no_gap")
     figures = {"before": gap, "after": gap, "floor": 0.01, "closed": None, "closed_ci": [None, None]}
     answer: dict[str, Any] = {"verdict": verdict, "gap": figures, "combination": list(named)}
-    return HistoryEntry(file, created, answer)
+    return GapHistoryEntry(file, created, answer)
 
 
-UNUSABLE = HistoryEntry("d.h5", "2026-01-03T09:00:00Z", None, Message("gap.no_tests", "it holds no tests"))
+UNUSABLE = GapHistoryEntry("d.h5", "2026-01-03T09:00:00Z", None, Message("gap.no_tests", "it holds no tests"))
 SESSIONS = [
     entry("c.h5", "2026-01-05T09:00:00Z", 0.04, "sensor_lag"),
     entry("b.h5", "2026-01-04T09:00:00Z", 0.03, verdict="unexplained"),
@@ -68,7 +68,7 @@ def test_the_plot_shows_gap_and_floor_over_time_and_marks_the_first_that_grew():
         ([entry("a", "", 0.01), entry("b", "2026-01-01", 0.01)], "", [1.0, 2.0]),
     ],
 )
-def test_the_axis_of_time_follows_the_sessions(sessions: list[HistoryEntry], unit: str, x: list[float]):
+def test_the_axis_of_time_follows_the_sessions(sessions: list[GapHistoryEntry], unit: str, x: list[float]):
     plot = history_plot(GapHistory.of(sessions))
     assert plot.x.unit == unit
     np.testing.assert_allclose(plot.curve("noise floor").x, x)

@@ -9,7 +9,7 @@ import pytest
 from firmware_sim.effects import LISTED
 from firmware_sim.laboratory.scenario_generation import NOMINAL, draw_scenario
 from tissueid.device import DeviceDescription
-from tissueid.gap.error_regions import Profile
+from tissueid.gap.error_regions import ErrorProfile
 from tissueid.gap.fitting import fit
 from tissueid.gap.localisation import Localisation, localise
 from tissueid.gap.noise import lost_samples, mains_lines, quiet_motion
@@ -128,7 +128,7 @@ def test_settling_is_not_quiet_motion():
 
 
 def test_connected_bins_are_one_interval():
-    profile = Profile(np.arange(6.0), np.ones(5), np.array([True, True, False, False, True]))
+    profile = ErrorProfile(np.arange(6.0), np.ones(5), np.array([True, True, False, False, True]))
     assert profile.intervals() == ((0.0, 2.0), (4.0, 5.0))
 
 

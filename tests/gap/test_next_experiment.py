@@ -15,7 +15,7 @@ from tissueid.gap.scoring import score_candidate
 from tissueid.sessions import Session, Test
 from tissueid.stimuli import get_stimulus
 from tissueid.twin.catalogue import effect
-from tissueid.twin.chain_parameters import Instrument, Tissue
+from tissueid.twin.chain_parameters import InstrumentParameters, Tissue
 from tissueid.twin.simulation import ActiveEffect, Start, simulate
 
 RATE = 2000.0
@@ -28,7 +28,7 @@ def observed():
     smooth = np.convolve(random.uniform(-1, 1, 4000), np.ones(5) / 5, "same")
     command = 14.0 + 14.0 * smooth
     acting = [ActiveEffect(effect("dry_friction"), np.array([0.25, 3e-5, 0.2, 0.0, 1.0]))]
-    instrument, start = Instrument(weight_n=0.0), Start(14.0 / 12.0, SURFACE)
+    instrument, start = InstrumentParameters(weight_n=0.0), Start(14.0 / 12.0, SURFACE)
     read = simulate(command, RATE, instrument, Tissue(SURFACE), start, acting).readings
     noise = random.standard_normal((3, command.size))
     signals = {

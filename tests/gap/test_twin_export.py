@@ -22,7 +22,7 @@ from tissueid.instrument.twin_list import MOST_BYTES
 from tissueid.messages import code_of
 from tissueid.sessions import Session, Test
 from tissueid.twin.catalogue import effect
-from tissueid.twin.chain_parameters import Instrument, Tissue
+from tissueid.twin.chain_parameters import InstrumentParameters, Tissue
 from tissueid.twin.simulation import ActiveEffect, Start, simulate
 
 RATE = 2000.0
@@ -35,7 +35,7 @@ def observed():
     random = np.random.default_rng(5)
     command = 14.0 + 14.0 * np.convolve(random.uniform(-1, 1, 3000), np.ones(5) / 5, "same")
     acting = [ActiveEffect(effect("dry_friction"), np.array([0.25, 3e-5, 0.2, 0.0, 1.0]))]
-    device = Instrument(weight_n=0.2, resistance_ohm=12.2)
+    device = InstrumentParameters(weight_n=0.2, resistance_ohm=12.2)
     read = simulate(command, RATE, device, Tissue(SURFACE), Start(14.0 / 12.2, SURFACE), acting).readings
     noise = random.standard_normal((3, command.size))
     signals = {

@@ -17,7 +17,7 @@ from tissueid.analysis import compare, specifications, split_records
 from tissueid.errors import UnusableInputError
 from tissueid.identification import Family
 from tissueid.identification import recommendation_messages as messages
-from tissueid.identification.candidates import Difference, difference
+from tissueid.identification.candidates import VafDifference, difference
 from tissueid.identification.recommendation import (
     Candidate,
     Recommendation,
@@ -401,7 +401,7 @@ def every_basis() -> Iterator[messages.Basis]:
     fitted = Record(time, 1e-3 * np.sin(time), 1000.0)
     names = ("position", "force", "acceleration_x")
     unseen = [Record(time, size * np.sin(time), 1000.0, output_name=name) for size in (2e-4, 5e-3) for name in names]
-    leads = [Difference(points, 2.5, chance, 0.02, 900) for points in (0.05, 1.0) for chance in (0.0001, 0.3, None)]
+    leads = [VafDifference(points, 2.5, chance, 0.02, 900) for points in (0.05, 1.0) for chance in (0.0001, 0.3, None)]
     short = Record(time[:500], time[:500], 1000.0)
     for family, record, lead in itertools.product(Family, [*unseen, short], leads):
         usual = Standing("wiener", family, False, 80.0, 90.0, None, 12.0, lead, lead, True)

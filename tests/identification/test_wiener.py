@@ -12,7 +12,7 @@ from tissueid.errors import UnusableInputError
 from tissueid.identification import validated
 from tissueid.identification.engines.lms import Lms
 from tissueid.identification.engines.wiener import Wiener
-from tissueid.identification.static_nonlinearity import Exponential
+from tissueid.identification.static_nonlinearity import ExponentialCurve
 from tissueid.records import Record
 
 
@@ -262,7 +262,7 @@ def test_other_units_get_plain_names(record: Record):
     parameters = Wiener().fit(volts).report.parameters
     assert {"c1", "c2", "c3", "offset", "gain", "scaled_mass_s2"} <= set(parameters)
     assert "mass_kg" not in parameters
-    assert isinstance(Wiener().fit(volts).nonlinearity, Exponential)
+    assert isinstance(Wiener().fit(volts).nonlinearity, ExponentialCurve)
 
 
 def test_the_last_lags_of_a_cascade_carry_nothing_of_their_own(record: Record):

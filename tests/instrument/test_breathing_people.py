@@ -16,7 +16,7 @@ from tissueid.instrument import CLINICAL, SimulatedInstrument, join_blocks, open
 from tissueid.instrument.tissues import TISSUES
 from tissueid.records import Record
 from tissueid.twin.catalogue import effect
-from tissueid.twin.chain_parameters import Instrument
+from tissueid.twin.chain_parameters import InstrumentParameters
 from tissueid.twin.player import Player
 from tissueid.twin.simulation import ActiveEffect, Start, values_by_name
 
@@ -88,7 +88,9 @@ def test_the_motion_of_the_next_test_does_not_hit_the_probe():
     random = np.random.default_rng(1)
     _, effects = simulated.drawn(random)
     surface_m = simulated.tissue.surface_m
-    under_way = Player(Instrument(), simulated.tissue, Start(0.0, surface_m), acting_of(effects), sample_rate_hz=2000.0)
+    under_way = Player(
+        InstrumentParameters(), simulated.tissue, Start(0.0, surface_m), acting_of(effects), sample_rate_hz=2000.0
+    )
     under_way.play(np.zeros(4000))
     for _ in range(10):
         _, effects = simulated.drawn(random)

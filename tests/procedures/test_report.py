@@ -10,7 +10,7 @@ from reports.synthetic_sitting import make_session, make_test
 
 from tissueid.app.report_opener import write_paper
 from tissueid.app.session_jobs import find
-from tissueid.app.views.clinician.comparing import Comparison
+from tissueid.app.views.clinician.comparing import SittingComparison
 from tissueid.cli import main
 from tissueid.errors import CancelledError, UnusableInputError
 from tissueid.procedures.control import Control
@@ -32,7 +32,7 @@ def test_the_same_page(session_file: Path, tmp_path: Path, monkeypatch: pytest.M
     findings = find(session_file)
     write_page(window, findings.analysed)
     assert window.read_text(encoding="utf-8") == command.read_text(encoding="utf-8")
-    paper = write_paper(findings, None, Comparison())
+    paper = write_paper(findings, None, SittingComparison())
     assert paper.stat().st_size == pytest.approx((tmp_path / "command.pdf").stat().st_size, rel=0.02)
 
 

@@ -8,7 +8,7 @@ from golden.golden_page import check_golden_page, lines_of_html
 from reports.in_german import english_in, in_german, shown, texts_of
 from reports.page_check import checked
 
-from tissueid.calibration import Calibration, Quantity
+from tissueid.calibration import CalibratedQuantity, Calibration
 from tissueid.errors import UnusableInputError
 from tissueid.reports.calibration_page import NO_RESPONSES, sweep_report
 from tissueid.units import display_unit
@@ -64,10 +64,10 @@ def made(repeats: int = 0, verdict: str = "passed", **without: bool) -> Calibrat
         }
     tables = {name: columns for name, columns in tables.items() if not without.get(name)}
     figures = {
-        "force_constant_n_per_a": Quantity(value=2.99, std=0.015, unit="N/A"),
-        "linear_region_min_m": Quantity(value=2e-3, std=1e-4, unit="m"),
-        "linear_region_max_m": Quantity(value=25.1e-3, std=1e-4, unit="m"),
-        "spring_over_flux": Quantity(value=1.002, std=0.003),
+        "force_constant_n_per_a": CalibratedQuantity(value=2.99, std=0.015, unit="N/A"),
+        "linear_region_min_m": CalibratedQuantity(value=2e-3, std=1e-4, unit="m"),
+        "linear_region_max_m": CalibratedQuantity(value=25.1e-3, std=1e-4, unit="m"),
+        "spring_over_flux": CalibratedQuantity(value=1.002, std=0.003),
     }
     return Calibration(
         kind="sweep",

@@ -19,7 +19,7 @@ from tissueid.identification.registry import engine_names, get_engine
 from tissueid.messages import Message, code_of
 from tissueid.records import Record, joined
 from tissueid.reports import page
-from tissueid.reports.figures.registry import Declared, Subject, all_figures, figure, figures_of
+from tissueid.reports.figures.registry import Declared, FigureSubject, all_figures, figure, figures_of
 from tissueid.reports.page import Picture
 from tissueid.reports.plot_axes import PAGE
 from tissueid.reports.style import DEPTHS, DIVERGING, to_svg
@@ -57,11 +57,11 @@ def record() -> Record:
 
 
 @pytest.fixture(scope="module")
-def subjects(record: Record) -> dict[str, Subject[Model]]:
+def subjects(record: Record) -> dict[str, FigureSubject[Model]]:
     found = {}
     for name in engine_names():
         analysis = analysed(name, stepped() if name == "localized" else record)
-        found[name] = Subject(name, analysis.model, analysis, 0.010)
+        found[name] = FigureSubject(name, analysis.model, analysis, 0.010)
     return found
 
 
@@ -69,14 +69,14 @@ def ours() -> list[Declared]:
     return [one for one in all_figures() if one.model.__module__.startswith("tissueid.")]
 
 
-def drawn(subject: Subject[Model], key: str) -> tuple[Figure | None, str]:
+def drawn(subject: FigureSubject[Model], key: str) -> tuple[Figure | None, str]:
     one = next(one for one in figures_of(subject) if one.key == key)
     picture = one.picture(subject)
     return picture.figure, picture.caption or picture.missing
 
 
 @pytest.fixture(scope="module")
-def german_pictures(subjects: dict[str, Subject[Model]]) -> list[tuple[Subject[Model], Declared, Picture]]:
+def german_pictures(subjects: dict[str, FigureSubject[Model]]) -> list[tuple[FigureSubject[Model], Declared, Picture]]:
     """All figures of all engines, made once; in German, so that texts can be checked too."""
     with warnings.catch_warnings():
         warnings.simplefilter("error")
@@ -87,7 +87,9 @@ def german_pictures(subjects: dict[str, Subject[Model]]) -> list[tuple[Subject[M
         )
 
 
-def test_every_engine_draws_all_its_figures(german_pictures: list[tuple[Subject[Model], Declared, Picture]]) -> None:
+def test_every_engine_draws_all_its_figures(
+    german_pictures: list[tuple[FigureSubject[Model], Declared, Picture]],
+) -> None:
     untried = set(ours())
     for subject, one, picture in german_pictures:
         assert picture.figure is not None, (subject.name, one.key, picture.missing)
@@ -102,14 +104,14 @@ def test_every_engine_draws_all_its_figures(german_pictures: list[tuple[Subject[
 
 
 def test_figures_of_every_engine_say_nothing_in_english(
-    german_pictures: list[tuple[Subject[Model], Declared, Picture]], monkeypatch: pytest.MonkeyPatch
+    german_pictures: list[tuple[FigureSubject[Model], Declared, Picture]], monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr(page, "to_svg", lambda _figure, _key, alt: alt)
     texts = in_german(lambda: [text for _, _, picture in german_pictures for text in texts_of(picture)])
     assert english_in(texts) == []
 
 
-def test_settings_and_scores_of_every_engine_say_nothing_in_english(subjects: dict[str, Subject[Model]]) -> None:
+def test_settings_and_scores_of_every_engine_say_nothing_in_english(subjects: dict[str, FigureSubject[Model]]) -> None:
     analyses = {name: subject.analysis for name, subject in subjects.items()}
     session = make_session()
     tables = in_german(
@@ -127,7 +129,7 @@ def test_settings_and_scores_of_every_engine_say_nothing_in_english(subjects: di
     assert english_in(texts, data) == []
 
 
-def test_figures_become_svg_in_the_colours_of_the_page(subjects: dict[str, Subject[Model]]) -> None:
+def test_figures_become_svg_in_the_colours_of_the_page(subjects: dict[str, FigureSubject[Model]]) -> None:
     alternative = "what it shows"
     for name, key in (("volterra", "second-kernel"), ("depth", "kernels"), ("hammerstein", "blocks")):
         figure_, _ = drawn(subjects[name], key)
@@ -140,10 +142,10 @@ def test_figures_become_svg_in_the_colours_of_the_page(subjects: dict[str, Subje
 
 def test_third_order_kernel_is_drawn_as_slices(record: Record) -> None:
     analysis = analysed("volterra", record, order=3, memory=0.006, downsample=1, method="exact")
-    figure_, caption = drawn(Subject("volterra", analysis.model, analysis), "third-kernel")
+    figure_, caption = drawn(FigureSubject("volterra", analysis.model, analysis), "third-kernel")
     assert figure_ is not None
     assert len(caption) > 40
-    figure_, _ = drawn(Subject("volterra", analysis.model, analysis), "contributions")
+    figure_, _ = drawn(FigureSubject("volterra", analysis.model, analysis), "contributions")
     assert figure_ is not None
     assert [axes.get_title(loc="left") for axes in figure_.axes][-1] == made("volterra.third_order")
 
@@ -162,7 +164,7 @@ def test_figures_that_cannot_be_drawn_say_why(
     record: Record, name: str, options: dict[str, object], key: str, reason: str
 ) -> None:
     analysis = analysed(name, record, **options)
-    figure_, said = drawn(Subject(name, analysis.model, analysis), key)
+    figure_, said = drawn(FigureSubject(name, analysis.model, analysis), key)
     assert figure_ is None
     assert isinstance(said, Message)
     assert said.code == "report.left_out"
@@ -175,7 +177,7 @@ def test_gaps_and_joined_records_are_drawn(record: Record) -> None:
         holed.input[first : first + 20] = np.nan
         holed.output[first : first + 20] = np.nan
     analysis = analysed("depth", joined([holed, record]))
-    subject = Subject("depth", analysis.model, analysis)
+    subject = FigureSubject("depth", analysis.model, analysis)
     missing = {one.key: one.picture(subject).missing for one in figures_of(subject) if one.key != "residual-tests"}
     assert not any(missing.values()), missing
 
@@ -195,7 +197,7 @@ class _StillEngine(Engine):
 
 def test_an_engine_without_figures_gets_the_general_ones(record: Record) -> None:
     analysis = fit_split(_StillEngine(), split_records([record]))
-    subject = Subject("still", analysis.model, analysis)
+    subject = FigureSubject("still", analysis.model, analysis)
     keys = [one.key for one in figures_of(subject)]
     assert keys == ["prediction", "scatter", "horizon", "residual-tests"]
     for key in keys[:2]:
@@ -203,7 +205,7 @@ def test_an_engine_without_figures_gets_the_general_ones(record: Record) -> None
 
 
 def test_a_figure_declared_twice_is_refused() -> None:
-    def other(subject: Subject[_Still]) -> tuple[Figure, str]:
+    def other(subject: FigureSubject[_Still]) -> tuple[Figure, str]:
         raise UnusableInputError("never drawn")
 
     declare = figure(_Still, "same", "Same", "nothing", group="linear", applies=lambda _subject: False)
@@ -236,4 +238,4 @@ def test_keys_and_headings_fit_a_page() -> None:
 def test_split_of_a_session_can_be_drawn() -> None:
     session = make_session(make_test(seconds=1.5))
     analysis = fit_split(get_engine("lms").from_options({"memory": 0.03}), split(session))
-    assert drawn(Subject("lms", analysis.model, analysis), "impulse")[0] is not None
+    assert drawn(FigureSubject("lms", analysis.model, analysis), "impulse")[0] is not None

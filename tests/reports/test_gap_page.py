@@ -19,7 +19,7 @@ from tissueid.gap.diagnosis import Diagnosis, NextExperiment, diagnose
 from tissueid.gap.diagnosis_plots import largest_held_out_error
 from tissueid.gap.preparation import prepare
 from tissueid.gap.workers import SerialExecutor
-from tissueid.reports.gap_page import Origin, gap_html, headline_of, next_steps_of, write_gap_report
+from tissueid.reports.gap_page import DiagnosisOrigin, gap_html, headline_of, next_steps_of, write_gap_report
 from tissueid.reports.gap_panels import gap_panels
 from tissueid.sessions import Session, Subject, Test
 
@@ -124,7 +124,7 @@ def test_the_page_says_what_was_diagnosed_and_what_to_type():
     found = as_effect()
     tests = tuple(Test(number, "stochastic", {}, 2000.0, site=f"site {number}") for number in (1, 2))
     session = Session(found.dataset.instrument, Subject("P-007"), tests, created="2026-03-01T10:00:00")
-    origin = Origin(session, Path("some where/third.h5"))
+    origin = DiagnosisOrigin(session, Path("some where/third.h5"))
     text = checked(gap_html(found, origin=origin)).text
     for words in ("third.h5", "1 March 2026, 10:00", "P-007", "site 1", "1 stochastic"):
         assert words in text

@@ -25,7 +25,7 @@ from tissueid.device import SIMULATED_LINE, DeviceDescription
 from tissueid.errors import UnusableInputError
 from tissueid.messages import MISSING, code_of
 from tissueid.records import Estimate
-from tissueid.reports import Comparison, ComparisonRow, report_html, session_page, write_report
+from tissueid.reports import ComparisonRow, ComparisonTable, report_html, session_page, write_report
 from tissueid.reports.pdf import PageWriter, write_pdf
 from tissueid.reports.session_page import signals_figure
 from tissueid.reports.style import to_svg
@@ -37,7 +37,7 @@ from tissueid.sessions.quality import HEADLINES, Quality
 Analyses = dict[int, dict[str, Analysis]]
 
 WARNING = "mind the gap"
-COMPARISON = Comparison(
+COMPARISON = ComparisonTable(
     0.0148,
     (
         ComparisonRow("mass_kg", "kg", Estimate(0.0912, 0.0011), 0.0902, Estimate(0.0870, 0.0030)),

@@ -16,7 +16,7 @@ from tissueid.stimuli.spectra import (
     Butterworth,
     ExponentialDecay,
     PowerTable,
-    SecondOrder,
+    SecondOrderSpectrum,
     Spectrum,
     White,
 )
@@ -29,7 +29,7 @@ SMOOTH = (
     Butterworth(200.0),
     Butterworth(30.0, order=3),
     ExponentialDecay(0.005),
-    SecondOrder(40.0, 0.3),
+    SecondOrderSpectrum(40.0, 0.3),
     TRIANGLE,
 )
 
@@ -77,7 +77,7 @@ def test_the_forms_of_the_thesis():
     np.testing.assert_allclose(ExponentialDecay(0.01).autocorrelation(100, RATE), np.exp(-100.0 * t), rtol=1e-12)
     w, z = 2.0 * np.pi * 16.0, 0.3
     expected = np.exp(-w * z * t) * np.cos(w * np.sqrt(1.0 - z**2) * t)
-    np.testing.assert_allclose(SecondOrder(16.0, 0.3).autocorrelation(100, RATE), expected, atol=1e-12)
+    np.testing.assert_allclose(SecondOrderSpectrum(16.0, 0.3).autocorrelation(100, RATE), expected, atol=1e-12)
 
 
 def test_a_table_of_an_autocorrelation_gives_the_power_of_what_it_was_taken_from():
@@ -125,8 +125,8 @@ def test_rounding_to_three_digits_does_not_make_an_autocorrelation_impossible():
             Butterworth(0.0159, order=1),
             coded("spectrum.low_cutoff", cutoff_hz=0.0159, sample_rate_hz=2000.0, reason="spectrum.settling"),
         ),
-        (SecondOrder(1e-300, 0.3), coded("spectrum.slow", natural_hz=1e-300, damping=0.3)),
-        (SecondOrder(40.0, 1e-9), coded("spectrum.slow", natural_hz=40.0, damping=1e-09)),
+        (SecondOrderSpectrum(1e-300, 0.3), coded("spectrum.slow", natural_hz=1e-300, damping=0.3)),
+        (SecondOrderSpectrum(40.0, 1e-9), coded("spectrum.slow", natural_hz=40.0, damping=1e-09)),
         (ExponentialDecay(1e-320), coded("spectrum.time_constant", time_constant_s=1e-320, limit=5000000)),
         (ExponentialDecay(1e6), coded("spectrum.time_constant", limit=5000000)),
         (AutocorrelationTable((0.0, 1e306), (1.0, 0.0)), coded("autocorrelation.long", limit=5000000)),
@@ -136,7 +136,7 @@ def test_rounding_to_three_digits_does_not_make_an_autocorrelation_impossible():
             coded("spectrum.nyquist", what="a cutoff", frequency_hz=1500.0, needed=3000.0, sample_rate_hz=2000.0),
         ),
         (
-            SecondOrder(1000.0, 0.3),
+            SecondOrderSpectrum(1000.0, 0.3),
             coded(
                 "spectrum.nyquist",
                 what="a natural frequency",

@@ -6,14 +6,14 @@ import numpy as np
 import pytest
 from scipy import signal
 
-from tissueid.twin import Instrument, Player, Start, Tissue, bus
+from tissueid.twin import InstrumentParameters, Player, Start, Tissue, bus
 from tissueid.twin.effects.contact_loss import EFFECT as CONTACT_LOSS
 from tissueid.twin.effects.dry_friction import EFFECT as DRY_FRICTION
 from tissueid.twin.effects.quantization import EFFECT as QUANTIZATION
 from tissueid.twin.simulation import ActiveEffect, simulate
 
 RATE = 2000.0
-DEVICE = Instrument()
+DEVICE = InstrumentParameters()
 TISSUE = Tissue()
 SPRING = Tissue(stiffness_growth_per_m=0.0, damping_growth_per_m=0.0, stiffness_n_per_m=1000.0)
 
@@ -118,7 +118,7 @@ def test_the_most_effects_and_the_end_bumpers_fit_and_one_more_does_not():
 def test_readings_are_those_of_first_order_filters(time_s):
     """Check against a fine simulation of a filter of the time constant of the coil, of a shorter and a longer one."""
     volts = 10.0 * np.sign(np.sin(np.arange(400) / 7.0))
-    start, instrument = Start(0.0, 0.01), Instrument(inductance_h=1e-3, resistance_ohm=12.0)
+    start, instrument = Start(0.0, 0.01), InstrumentParameters(inductance_h=1e-3, resistance_ohm=12.0)
     found = simulate(volts, RATE, replace(instrument, filter_time_s=time_s), Tissue(), start, substeps=4).readings
     times = 200
     fine = simulate(np.repeat(volts, times), times * RATE, instrument, Tissue(), start, substeps=1).readings

@@ -15,7 +15,7 @@ from tissueid.twin.effect import STAGES, Effect, Readings, nested
 
 RATE = 2000.0
 SURFACE = 0.009
-INSTRUMENT = chain_parameters.Instrument(weight_n=0.2)
+INSTRUMENT = chain_parameters.InstrumentParameters(weight_n=0.2)
 TISSUE = chain_parameters.Tissue(SURFACE, 0.015, 5.0, 150.0, 350.0, 250.0)
 NOISE = {"voltage": 2e-3, "current": 0.95e-3, "position": 1.9e-6}
 EVERY = pytest.mark.parametrize("one", all_effects().values(), ids=lambda one: one.name)

@@ -12,8 +12,8 @@ from tissueid.twin.catalogue import all_effects
 
 RATE = 2000.0
 NOISE = {"voltage": 2e-3, "current": 0.95e-3, "position": 1.9e-6}
-PLAIN = chain_parameters.Instrument(weight_n=0.0)
-BLOCKED = chain_parameters.Instrument(weight_n=0.0, force_constant_n_per_a=1e-12)
+PLAIN = chain_parameters.InstrumentParameters(weight_n=0.0)
+BLOCKED = chain_parameters.InstrumentParameters(weight_n=0.0, force_constant_n_per_a=1e-12)
 """Without force constant there is no back-EMF."""
 TISSUE = chain_parameters.Tissue(0.009, 0.015, 5.0, 150.0, 350.0, 250.0)
 DRIVE = ("latency", "amplifier_lag", "amplifier_clipping", "amplifier_deadband", "amplifier_drift")

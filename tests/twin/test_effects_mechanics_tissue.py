@@ -12,7 +12,7 @@ from scipy.integrate import solve_ivp
 
 from tissueid.twin import bus
 from tissueid.twin.catalogue import all_effects, effect
-from tissueid.twin.chain_parameters import Instrument, Tissue, spring
+from tissueid.twin.chain_parameters import InstrumentParameters, Tissue, spring
 from tissueid.twin.simulation import ActiveEffect, Start, simulate
 
 MOST_PARAMETERS = 7
@@ -209,7 +209,7 @@ def test_starts_for_the_stop_are_read_from_the_record():
 )
 def test_masses_on_springs_move_as_an_independent_solution_has_them(second, share, together, direction):
     hertz, ratio, frame, lossy = 25.0, 0.04, 0.8, 0.5 if direction == 0.0 else 6.0
-    device, rest = Instrument(weight_n=0.0), spring(0.012, 1000.0, 0.004, lossy)
+    device, rest = InstrumentParameters(weight_n=0.0), spring(0.012, 1000.0, 0.004, lossy)
     volts = noise(0.1, 0.0, 20.0)
     values = (hertz, ratio, frame, second, share, together)
     acting = [ActiveEffect(effect("mount_resonance"), np.array(values))]
@@ -253,7 +253,9 @@ def test_a_frame_that_moves_lifts_the_probe_only_where_the_contact_force_ends(me
     soft = Tissue(SURFACE, 0.03, 4.0, 300.0, 300.0, 400.0)
     frame = ActiveEffect(effect("mount_resonance"), np.array((64.0, 0.024, 0.35, 2.5, 0.0, 0.0)))
     loose, stuck = (
-        simulate(volts, RATE, Instrument(), soft, Start(mean / 12.0, SURFACE), [frame, held]).readings.position
+        simulate(
+            volts, RATE, InstrumentParameters(), soft, Start(mean / 12.0, SURFACE), [frame, held]
+        ).readings.position
         for held in (ActiveEffect(effect("contact_loss"), np.array((0.1, adhesion_n))) for adhesion_n in (1e-3, 20.0))
     )
     assert bool(np.abs(loose - stuck).max() > 1e-5) is lifts

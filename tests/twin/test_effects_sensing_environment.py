@@ -43,7 +43,7 @@ def triangle(size=9000):
 def played(command, seed=1, acting=(), **given):
     """Return a test with noise, and the clean simulation of the baseline."""
     start = simulation.Start(command[0] / 12.0, SURFACE)
-    instrument = chain_parameters.Instrument(weight_n=0.1)
+    instrument = chain_parameters.InstrumentParameters(weight_n=0.1)
     clean = simulation.simulate(command, RATE, instrument, TISSUE, start, acting, **given).readings
     rng = np.random.default_rng(seed)
     signals = {name: getattr(clean, name) + std * rng.normal(size=command.size) for name, std in NOISE.items()}

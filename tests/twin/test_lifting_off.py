@@ -12,13 +12,13 @@ from scipy.integrate import solve_ivp
 
 from tissueid.twin import bus
 from tissueid.twin.catalogue import effect
-from tissueid.twin.chain_parameters import Instrument
+from tissueid.twin.chain_parameters import InstrumentParameters
 from tissueid.twin.simulation import ActiveEffect, Start, simulate
 
 
 def test_a_probe_that_lifts_off_flies_and_comes_down_on_a_surface_that_returns():
     volts = np.zeros(3000)
-    hanging = Instrument(weight_n=-0.3)
+    hanging = InstrumentParameters(weight_n=-0.3)
     attached = play(None, None, volts, device=hanging).readings.position
     free = play("contact_loss", (0.1, 1e-3), volts, device=hanging).readings.position
     assert attached[-1] > SURFACE - 0.002
@@ -101,7 +101,9 @@ def thrown(seconds, slowing_s, adhesion_n):
 @pytest.mark.parametrize(("slowing_s", "adhesion_n"), [(10.0, 1e-3), (0.02, 0.05)])
 def test_lifting_off_and_landing_follow_the_law_of_two_bodies(slowing_s, adhesion_n):
     expected, lifts = thrown(0.15, slowing_s, adhesion_n)
-    device = Instrument(weight_n=1.0, force_constant_n_per_a=1e-9, moving_mass_kg=0.3, bearing_damping_n_s_per_m=0.5)
+    device = InstrumentParameters(
+        weight_n=1.0, force_constant_n_per_a=1e-9, moving_mass_kg=0.3, bearing_damping_n_s_per_m=0.5
+    )
     acting = [ActiveEffect(effect("contact_loss"), np.array([slowing_s, adhesion_n]))]
     start = Start(0.0, SURFACE + 0.005, -0.2)
     found = simulate(np.zeros(expected.size), RATE, device, TISSUE, start, acting).readings.position - SURFACE

@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 from tissueid.acquisition.background_work import run_while_polling
 from tissueid.acquisition.playback import Phase, Progress, ignore_progress, never_stop, play
 from tissueid.acquisition.quality import Quality
-from tissueid.acquisition.recorder import Preparation, SessionRecorder
+from tissueid.acquisition.recorder import RecordingPreparation, SessionRecorder
 from tissueid.acquisition.recovery import OpenTest
 from tissueid.acquisition.set_points import SetPoints, preload_stimulus, rehearse, set_point_count
 from tissueid.acquisition.stimulus_choice import PRELOAD_S
@@ -175,7 +175,7 @@ class _Recording:
         self._progress = progress
         self._gaps_before = len(instrument.gaps)
         self._open: OpenTest | None = None
-        self._preparation = Preparation()
+        self._preparation = RecordingPreparation()
 
     def prepare(self) -> None:
         """Check, before the coil is energised, that the test can be recorded and logged.

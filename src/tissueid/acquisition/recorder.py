@@ -68,7 +68,7 @@ _Result = TypeVar("_Result")
 
 
 @dataclass
-class Preparation:
+class RecordingPreparation:
     """State of the preparation of one test. An abandoned test is not logged as begun afterwards."""
 
     logged: bool = False
@@ -145,7 +145,7 @@ class SessionRecorder:
         samples: int,
         *,
         limits: Limits = CLINICAL,
-        preparation: Preparation | None = None,
+        preparation: RecordingPreparation | None = None,
         **about: str | float,
     ) -> None:
         """Check, before a test of ``samples`` samples, that it can be recorded, and log it; waits for the disk.
@@ -168,7 +168,7 @@ class SessionRecorder:
             )
         self._check_disk_space(samples)
         if self.trail is not None:
-            step = preparation or Preparation()
+            step = preparation or RecordingPreparation()
             if limits != CLINICAL:
                 with self._unless_abandoned(step):
                     answer = self.trail.submit(
@@ -237,7 +237,7 @@ class SessionRecorder:
         self._journal.append_unchecked(encode_json(Entry.TEST_END, entry))
         self._log_end(self.tests_begun, _end_name(status, cause), self._run_samples, reason_of(notes))
 
-    def log_not_begun(self, cause: BaseException, reason: str, preparation: Preparation | None = None) -> None:
+    def log_not_begun(self, cause: BaseException, reason: str, preparation: RecordingPreparation | None = None) -> None:
         """Log that the prepared test did not begin. Never raises and never waits.
 
         If the thread of ``preparation`` has not yet logged the beginning, it will not do so, and no end is logged.
@@ -250,7 +250,7 @@ class SessionRecorder:
             self._log_end(self.tests_begun + 1, _end_name("aborted", cause), 0, reason)
 
     @contextlib.contextmanager
-    def _unless_abandoned(self, preparation: Preparation) -> Iterator[None]:
+    def _unless_abandoned(self, preparation: RecordingPreparation) -> Iterator[None]:
         """Hold the lock while an entry is logged, unless the test was abandoned.
 
         Raises:

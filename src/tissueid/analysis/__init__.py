@@ -1,7 +1,7 @@
 """From saved tests to fitted, validated and compared models: what the command line, the window and reports share."""
 
 from tissueid.analysis.ceiling import known_ceiling, repeats
-from tissueid.analysis.comparison import EngineComparison, Entry, compare, specifications
+from tissueid.analysis.comparison import ComparisonEntry, EngineComparison, compare, specifications
 from tissueid.analysis.fitting import Analysis, analyse, analyse_all, engines_of, fit_split
 from tissueid.analysis.option_sweeps import SWEPT_MEMORY_S, SweepRow
 from tissueid.analysis.scoring import Scored
@@ -11,8 +11,8 @@ __all__ = [
     "FIT_SHARE",
     "SWEPT_MEMORY_S",
     "Analysis",
+    "ComparisonEntry",
     "EngineComparison",
-    "Entry",
     "Scored",
     "Split",
     "SweepRow",

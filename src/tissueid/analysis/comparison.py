@@ -26,7 +26,7 @@ Fits = Callable[[Sequence[Engine], Split], "list[Analysis | str]"]
 
 
 @dataclass(frozen=True)
-class Entry:
+class ComparisonEntry:
     """One row of the table: an engine with its scores, or the reason why it refused the record."""
 
     engine: str
@@ -39,7 +39,7 @@ class Entry:
 class EngineComparison:
     """Result of ``tissueid compare``. ``entries`` are in the order of the requested engines."""
 
-    entries: tuple[Entry, ...]
+    entries: tuple[ComparisonEntry, ...]
     split: Split
     recommendation: Recommendation
     ceiling: Ceiling | None
@@ -139,7 +139,7 @@ def compare(
         ceiling_percent=None if ceiling is None else ceiling.vaf_percent.value,
     )
     return EngineComparison(
-        entries=tuple(Entry(e.name, e.family, rows.get(e.name), refused.get(e.name)) for e in engines),
+        entries=tuple(ComparisonEntry(e.name, e.family, rows.get(e.name), refused.get(e.name)) for e in engines),
         split=parts,
         recommendation=sized(found, specified[found.engine], parts, progress),
         ceiling=ceiling,

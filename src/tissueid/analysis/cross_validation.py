@@ -12,7 +12,7 @@ from tissueid.analysis.scoring import held_out_error
 from tissueid.analysis.split import Split
 from tissueid.errors import UnusableInputError
 from tissueid.identification.base import Array, Engine
-from tissueid.identification.candidates import Candidate, difference
+from tissueid.identification.candidates import ModelCandidate, difference
 from tissueid.identification.recommendation import beaten
 from tissueid.language import marked
 from tissueid.records import Record, joined
@@ -28,8 +28,8 @@ _STEP = marked("fitting again with each quarter held out")
 
 
 def cross_validated(
-    candidates: Sequence[Candidate], engines: Mapping[str, Engine], parts: Split, progress: Progress
-) -> tuple[list[Candidate], Record]:
+    candidates: Sequence[ModelCandidate], engines: Mapping[str, Engine], parts: Split, progress: Progress
+) -> tuple[list[ModelCandidate], Record]:
     """Return candidates with their errors on every quarter of the tests, and the record (n,) of those errors.
 
     ``engines`` holds the specifications by name. Each engine is refitted without each of the other quarters. Engines
@@ -59,12 +59,12 @@ def _centred_output(error: Array, quarters: Sequence[Array]) -> Array:
     return np.asarray(np.nansum([_without_mean(quarter) for quarter in known], axis=0), dtype=np.float64)
 
 
-def _is_far_behind(candidate: Candidate, candidates: Sequence[Candidate], unseen: Record) -> bool:
+def _is_far_behind(candidate: ModelCandidate, candidates: Sequence[ModelCandidate], unseen: Record) -> bool:
     leads = (difference(c.error, candidate.error, unseen.output, unseen.sample_rate_hz) for c in candidates)
     return any(beaten(lead, _OUT_OF_REACH) for lead in leads)
 
 
-def _add(specification: Engine, quarter: Split, candidates: Sequence[Candidate], errors: list[Array]) -> None:
+def _add(specification: Engine, quarter: Split, candidates: Sequence[ModelCandidate], errors: list[Array]) -> None:
     try:
         model, _ = timed_fit(specification, quarter.record, quarter.fit_part)
     except UnusableInputError:

@@ -11,7 +11,7 @@ import numpy as np
 from tissueid.analysis.fitting import Analysis
 from tissueid.analysis.split import Split
 from tissueid.identification.base import Array, FitReport, Mask, Model
-from tissueid.identification.candidates import Candidate
+from tissueid.identification.candidates import ModelCandidate
 from tissueid.identification.model_family import Family
 from tissueid.identification.preparation import scored_samples
 from tissueid.identification.second_order_fit import SecondOrderFit
@@ -112,10 +112,10 @@ def scored(analyses: Sequence[Analysis], parts: Split) -> list[Scored]:
     return found
 
 
-def candidates(rows: Sequence[Scored], families: Sequence[Family], parts: Split) -> list[Candidate]:
+def candidates(rows: Sequence[Scored], families: Sequence[Family], parts: Split) -> list[ModelCandidate]:
     """Return the candidates of a recommendation: every model, and the second-order system of the best linear one."""
     found = [
-        Candidate(
+        ModelCandidate(
             engine=row.analysis.model.report.engine,
             family=family,
             error=row.error,
@@ -135,13 +135,13 @@ def candidates(rows: Sequence[Scored], families: Sequence[Family], parts: Split)
     return found if best is None else [*found, _second_order(best, parts)]
 
 
-def _second_order(row: Scored, parts: Split) -> Candidate:
+def _second_order(row: Scored, parts: Split) -> ModelCandidate:
     """Return the second-order system of a linear model as a separate candidate."""
     model = row.analysis.model
     assert isinstance(model, Reducible)
     residual = _second_order_error(model, parts.record, np.isfinite(row.residual))
     error = held_out_error(model, parts, second_order=True)
-    return Candidate(
+    return ModelCandidate(
         engine=model.report.engine,
         family=Family.LINEAR,
         error=np.where(np.isfinite(row.error), error, np.nan),

@@ -26,7 +26,7 @@ from tissueid.app.plotting import PlotCard
 from tissueid.app.small_window import FoldingBox, PageScroll
 from tissueid.app.widgets import BigButton
 from tissueid.app.words import sentence
-from tissueid.calibration.file import Quantity
+from tissueid.calibration.file import CalibratedQuantity
 from tissueid.calibration.labels import headline_of, problems_of
 from tissueid.language import _, marked
 from tissueid.messages import translated
@@ -87,7 +87,7 @@ class CalibrationPage(QWidget):
         self.said = build.label()
         self._has_report = False
         self.report = build.button(_("Open its report"), self.report_wanted)
-        self._figures: dict[str, Quantity] = {}
+        self._figures: dict[str, CalibratedQuantity] = {}
         self.figures = build.styled(
             QTableWidget(0, 3),
             horizontal_header_labels=[_("Quantity"), _("Value"), _("Unit")],

@@ -7,7 +7,7 @@ from datetime import datetime
 
 from tissueid.app.words import sentence
 from tissueid.calibration.active import calibration_summary, warnings_of
-from tissueid.calibration.file import Quantity
+from tissueid.calibration.file import CalibratedQuantity
 from tissueid.calibration.labels import readable
 from tissueid.device import DeviceDescription
 from tissueid.formatting import plus_minus
@@ -41,7 +41,7 @@ def calibration_state(device: DeviceDescription, now: datetime | None = None) ->
     return CalibrationState(words, "good" if good else "check", warnings, until)
 
 
-def figure_of(name: str, found: Quantity) -> tuple[str, str, str]:
+def figure_of(name: str, found: CalibratedQuantity) -> tuple[str, str, str]:
     """Return label, value with its deviation, and unit."""
     label, value, unit = readable(name, found)
     label = translated(label)

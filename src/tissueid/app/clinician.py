@@ -19,7 +19,7 @@ from tissueid.app.live_signals import Snapshot
 from tissueid.app.navigation_bar import MEASURE
 from tissueid.app.report_opener import write_paper
 from tissueid.app.views.clinician.body_map import BodyMap
-from tissueid.app.views.clinician.comparing import Comparison, Shelf, compare_with
+from tissueid.app.views.clinician.comparing import Shelf, SittingComparison, compare_with
 from tissueid.app.views.clinician.sitting import Repeat, Sitting, Standing, repeat_of, standing
 from tissueid.device import DeviceDescription
 from tissueid.formatting import ANONYMOUS
@@ -48,7 +48,7 @@ class Clinician(QObject):
         self._reopened: Sitting | None = None
         self._shelf = Shelf()
         self._cancelled = threading.Event()
-        self._comparison = Comparison()
+        self._comparison = SittingComparison()
         self._found: Findings | None = None
         self._by_hand = True  # what is accepted next
         self._accepted = False  # just now: what comes next is the report, once it is logged
@@ -103,7 +103,7 @@ class Clinician(QObject):
             key = sitting_of(findings.test) or ""
             repeats = list(map(repeat_of, findings.repeats))
             self._reopened = Sitting(None, key, repeats, wanted=sum(repeat.counts for repeat in repeats))
-        self._found, self._comparison = findings, Comparison()
+        self._found, self._comparison = findings, SittingComparison()
         self._show_sitting()
         if sitting is not None and new and done and sitting.counted:
             self._accept(sitting, by_hand=False)
@@ -116,7 +116,7 @@ class Clinician(QObject):
 
     def clear(self) -> None:
         """Forget the shown test: it is of another subject than the next one."""
-        self._found, self._comparison, self._paper = None, Comparison(), None
+        self._found, self._comparison, self._paper = None, SittingComparison(), None
         self._cancelled.set()
         self._ui.result.comparison.clear()
 
@@ -232,7 +232,7 @@ class Clinician(QObject):
         why = _("Earlier sittings are being compared on Measure: cancel that there, or wait.")
         self._context.jobs.do(work, self._compared, self._not_compared, why=why)
 
-    def _compared(self, comparison: Comparison) -> None:
+    def _compared(self, comparison: SittingComparison) -> None:
         if self._found is None:
             return
         self._comparison, self._paper = comparison, None

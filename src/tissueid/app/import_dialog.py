@@ -44,7 +44,7 @@ from tissueid.sessions.imports import (
     parse_map,
 )
 from tissueid.sessions.imports.export_attributes import attributes_beside
-from tissueid.sessions.imports.imported_table import Column, Rows
+from tissueid.sessions.imports.imported_table import Column, RowRange
 from tissueid.sessions.imports.stated_units import unit_of
 from tissueid.sessions.model import SIGNAL_UNITS
 
@@ -119,11 +119,11 @@ def _preview_of(paths: Sequence[Path], decimal: str | None) -> Preview:
     file = open_foreign(paths[0], decimal)
     places = range(min(len(file.columns), _MOST_COLUMNS))
     try:
-        values = file.load(list(places), Rows(0, _SHOWN_ROWS))[0]
+        values = file.load(list(places), RowRange(0, _SHOWN_ROWS))[0]
     except UnusableInputError as error:  # a short record, or variables of different lengths
         if error.code == "import.thousands":
             raise
-        values = [file.load([place], Rows())[0][0] for place in places]
+        values = [file.load([place], RowRange())[0][0] for place in places]
     columns = []
     taken: set[str] = set()
     for place, numbers in zip(places, values, strict=True):
@@ -192,8 +192,8 @@ class ImportDialog(QDialog):
                 if role:
                     mapping.append(f"{role}={row + 1}:{unit}" if unit else f"{role}={row + 1}")
             parse_map(mapping)
-        rows = Rows(_whole(self.first), _whole(self.last))
-        suffix = "" if rows == Rows() else f"@{rows}"
+        rows = RowRange(_whole(self.first), _whole(self.last))
+        suffix = "" if rows == RowRange() else f"@{rows}"
         kind, site, configuration = self.kind.currentData(), self.site.text().strip(), self.configuration.currentData()
         return ImportPlan(
             files=tuple(Path(f"{path}{suffix}") for path in self._preview.paths),

@@ -12,7 +12,7 @@ from tissueid.app.context import AppContext
 from tissueid.app.findings import Findings
 from tissueid.app.guidance import Guidance
 from tissueid.app.notice import Notice
-from tissueid.app.views.clinician.comparing import Comparison
+from tissueid.app.views.clinician.comparing import SittingComparison
 from tissueid.app.views.clinician.sitting import HEADS, QUANTITIES, VALUE_HEAD, Standing
 from tissueid.atomic_write import unused_path
 from tissueid.formatting import label_and_unit, plus_minus
@@ -27,7 +27,7 @@ THIS = marked("This:")
 Table = tuple[str, Sequence[str], Sequence[Sequence[str]]]
 
 
-def write_paper(findings: Findings, standing: Standing | None, comparison: Comparison) -> Path:
+def write_paper(findings: Findings, standing: Standing | None, comparison: SittingComparison) -> Path:
     """Write the PDF of a test under an unused name; return its path.
 
     Raises:

@@ -20,7 +20,7 @@ _LIFTED_SHARE = 0.05
 
 
 @dataclass(frozen=True)
-class Region:
+class LinearRange:
     """Range of position in which the coil is linear, m."""
 
     low_m: float
@@ -32,11 +32,11 @@ class Region:
         return not known.size or (self.low_m <= float(known.min()) and float(known.max()) <= self.high_m)
 
 
-def linear_region(device: DeviceDescription) -> Region | None:
+def linear_region(device: DeviceDescription) -> LinearRange | None:
     """Return the linear region of the active calibration; None if there is none."""
     ends = [device.calibration.get(f"linear_region_{end}_m") for end in ("min", "max")]
     low, high = (float(end) if isinstance(end, int | float) else math.nan for end in ends)
-    return Region(low, high) if low < high else None
+    return LinearRange(low, high) if low < high else None
 
 
 @dataclass(frozen=True)
@@ -53,7 +53,7 @@ class Safety:
     temperature_c: float | None = None
     model_c: float | None = None
     contact: bool | None = None
-    region: Region | None = None
+    region: LinearRange | None = None
     left_region: bool = False
 
 

@@ -10,7 +10,7 @@ from tissueid.acquisition.stimulus_choice import PRELOAD_S
 from tissueid.acquisition.surface_detection import PLACE_S
 from tissueid.app.live_signals import Array, Snapshot, decimated
 from tissueid.app.plotting import PlotCard
-from tissueid.app.safety import Region, linear_region
+from tissueid.app.safety import LinearRange, linear_region
 from tissueid.configuration import has_depth
 from tissueid.device import DeviceDescription
 from tissueid.language import _, marked
@@ -41,7 +41,7 @@ class SignalPlots(QWidget):
         for card in (self.voltage, self.force):
             card.plot.setXLink(self.position.plot)
         self._region_edges = self.position.band("good", alpha=30)
-        self._region: Region | None = None
+        self._region: LinearRange | None = None
         self._drawn: tuple[object, ...] = ()
         self._voltage_drawn: tuple[object, ...] = ()
         self._frame = 0
@@ -111,7 +111,7 @@ class SignalPlots(QWidget):
             mark.setValue(MM * test.surface_position_m)
             mark.show()
 
-    def show_region(self, region: Region | None) -> None:
+    def show_region(self, region: LinearRange | None) -> None:
         """Shade the linear region of the coil; None takes the shade away."""
         self._region = region
         ends = (np.zeros(0),) * 2 if region is None else (np.full(2, MM * region.low_m), np.full(2, MM * region.high_m))

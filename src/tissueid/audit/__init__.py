@@ -1,9 +1,9 @@
 """Audit log: who did what and when, with old and new values. Append-only, each line linked to the one before."""
 
-from tissueid.audit.line import HEAD_ATTRIBUTE, Line
+from tissueid.audit.line import HEAD_ATTRIBUTE, LogLine
 from tissueid.audit.log import ENVIRONMENT, AuditError, AuditLog, default_path
 from tissueid.audit.trail import ROLE_ENVIRONMENT, ROLES, AuditTrail, Role, active_role
-from tissueid.audit.verification import Broken, Damage, Verification, check_head, last_lines, verify
+from tissueid.audit.verification import Broken, LogDamage, Verification, check_head, last_lines, verify
 
 __all__ = [
     "ENVIRONMENT",
@@ -14,8 +14,8 @@ __all__ = [
     "AuditLog",
     "AuditTrail",
     "Broken",
-    "Damage",
-    "Line",
+    "LogDamage",
+    "LogLine",
     "Role",
     "Verification",
     "active_role",

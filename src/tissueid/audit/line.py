@@ -32,7 +32,7 @@ _MAX_TEXT = 2_000
 
 
 @dataclass(frozen=True)
-class Line:
+class LogLine:
     """One line: action ``what``, such as ``test.begun``, on ``subject``, with the value before and after it."""
 
     number: int
@@ -55,7 +55,7 @@ class Line:
         return f"{self.number}:{self.hash}"
 
 
-def make_line(**fields: Any) -> tuple[Line, bytes]:
+def make_line(**fields: Any) -> tuple[LogLine, bytes]:
     """Return a line and its bytes, with newline, from all other fields. The hash of a long value replaces it."""
     fields = {name: plain(value) for name, value in fields.items()}
     body = _body(fields)
@@ -65,20 +65,20 @@ def make_line(**fields: Any) -> tuple[Line, bytes]:
             fields[name] = f"{len(text)} bytes that are not kept here, SHA-256 {hashlib.sha256(text).hexdigest()}"
         body = _body(fields)
     own = hashlib.sha256(body).hexdigest()
-    return Line(**fields, hash=own), body + f',"hash":"{own}"}}\n'.encode()
+    return LogLine(**fields, hash=own), body + f',"hash":"{own}"}}\n'.encode()
 
 
 def _body(fields: dict[str, Any]) -> bytes:
     return json.dumps(fields, separators=(",", ":"), allow_nan=False).encode()[:-1]
 
 
-def read_line(raw: bytes) -> Line | None:
+def read_line(raw: bytes) -> LogLine | None:
     """Return the line of these bytes, without newline; None if its hash is wrong."""
     tail = _HASH.fullmatch(raw, max(0, len(raw) - _HASH_LENGTH))
     if tail is None or hashlib.sha256(raw[: tail.start()]).hexdigest().encode() != tail[1]:
         return None
     try:
-        line = Line(**json.loads(raw))
+        line = LogLine(**json.loads(raw))
     except (ValueError, TypeError, RecursionError):
         return None
     return line if isinstance(line.number, int) and isinstance(line.previous, str) else None
@@ -92,7 +92,7 @@ def is_torn(raw: bytes, number: int) -> bool:
     return raw[: len(start)] == start[: len(raw)] and _HASH.search(raw) is None
 
 
-def fields_of(line: Line) -> dict[str, Any]:
+def fields_of(line: LogLine) -> dict[str, Any]:
     """Return the fields of a line for JSON."""
     return asdict(line)
 

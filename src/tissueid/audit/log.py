@@ -27,7 +27,7 @@ from tissueid.audit.line import (
     MAX_LINE,
     NOTHING_BEFORE,
     STARTED,
-    Line,
+    LogLine,
     is_torn,
     make_line,
     read_line,
@@ -77,7 +77,7 @@ def now() -> datetime:
 class _End:
     """End of a log: its newest complete line, and unfinished bytes after it."""
 
-    line: Line | None
+    line: LogLine | None
     size: int
     leftover: bytes = b""
     closed: bool = True

@@ -19,7 +19,7 @@ from tissueid.audit.line import (
     MAX_LINE,
     NOTHING_BEFORE,
     STARTED,
-    Line,
+    LogLine,
     is_torn,
     read_line,
 )
@@ -37,7 +37,7 @@ _MOST_TORN = 4 * MAX_LINE
 _HEAD = re.compile(r"(?:(\d{1,12}):)?([0-9a-f]{64})")
 
 
-class Damage(Enum):
+class LogDamage(Enum):
     """Kind of damage of a log."""
 
     CHANGED = marked("changed")
@@ -53,7 +53,7 @@ class Broken:
     """The first damage of a log: ``place`` is a line of the file, counted from 1, and ``words`` describe it."""
 
     place: int
-    damage: Damage
+    damage: LogDamage
     words: str
 
 
@@ -90,7 +90,7 @@ def check_head(text: str) -> tuple[int | None, str]:
     return None if match[1] is None else int(match[1]), match[2]
 
 
-def read_lines(path: Path) -> Iterator[Line]:
+def read_lines(path: Path) -> Iterator[LogLine]:
     """Yield the lines of a log whose hash is correct, in the order of the file. Other lines are skipped.
 
     Raises:
@@ -181,7 +181,7 @@ def _not_in(walk: _Walk, known: set[str]) -> Broken | None:
                     number=number,
                     action=name_file,
                 )
-            return Broken(place, Damage.CUT, words)
+            return Broken(place, LogDamage.CUT, words)
     return None
 
 
@@ -195,7 +195,7 @@ def _missing(number: int | None, walk: _Walk, where: str) -> Broken:
             where=where,
             lines=lines,
         )
-        return Broken(lines + 1, Damage.CUT, words)
+        return Broken(lines + 1, LogDamage.CUT, words)
     if number <= lines:
         words = Message(
             "audit.other_log",
@@ -203,7 +203,7 @@ def _missing(number: int | None, walk: _Walk, where: str) -> Broken:
             where=where,
             number=number,
         )
-        return Broken(number, Damage.FOREIGN, words)
+        return Broken(number, LogDamage.FOREIGN, words)
     words = Message(
         "audit.cut_off",
         "{where} was written when the log had line {number}, and it ends with line {lines}: its end was cut off",
@@ -211,7 +211,7 @@ def _missing(number: int | None, walk: _Walk, where: str) -> Broken:
         number=number,
         lines=lines,
     )
-    return Broken(lines + 1, Damage.CUT, words)
+    return Broken(lines + 1, LogDamage.CUT, words)
 
 
 class _Walk:
@@ -219,7 +219,7 @@ class _Walk:
 
     def __init__(self, path: Path, cancelled: Callable[[], object]) -> None:
         self._cancelled = cancelled
-        self.last: Line | None = None
+        self.last: LogLine | None = None
         self.hashes: set[str] = set()
         self.remarks: list[str] = []
         self.missing: list[tuple[int, int | None, str]] = []
@@ -272,7 +272,7 @@ class _Walk:
                     count=len(self._torn),
                     line=number,
                 )
-                return Broken(self._place - 1, Damage.INSERTED, words)
+                return Broken(self._place - 1, LogDamage.INSERTED, words)
             self.remarks.append(
                 Message(
                     "audit.closed_off", "before line {line} a line was left unfinished, and closed off", line=number
@@ -280,7 +280,7 @@ class _Walk:
             )
             self._torn = b""
         if number == 1 and line.what not in (STARTED, CLOSED_OFF):
-            return Broken(1, Damage.FOREIGN, Message("audit.no_start", "its first line does not begin an audit log"))
+            return Broken(1, LogDamage.FOREIGN, Message("audit.no_start", "its first line does not begin an audit log"))
         if self.last is not None and line.time < self.last.time:
             self.remarks.append(
                 Message(
@@ -305,7 +305,7 @@ class _Walk:
         self.hashes.add(line.hash)
         return None
 
-    def _damage(self, raw: bytes, number: int, line: Line | None) -> Broken:
+    def _damage(self, raw: bytes, number: int, line: LogLine | None) -> Broken:
         """Return the damage where ``raw`` stands in place of line ``number``; ``line`` is None if its hash is wrong."""
         place = self._place
         later = {item.number: item for item in self._after(place)}
@@ -318,7 +318,7 @@ class _Walk:
                 copied=line.number,
                 line=number,
             )
-            return Broken(place, Damage.INSERTED, words)
+            return Broken(place, LogDamage.INSERTED, words)
         if line.number > number:
             if number in later:
                 words = Message(
@@ -327,45 +327,47 @@ class _Walk:
                     found=line.number,
                     line=number,
                 )
-                return Broken(place, Damage.REORDERED, words)
+                return Broken(place, LogDamage.REORDERED, words)
             if line.number == number + 1:
                 words = Message("audit.removed", "line {line} is missing", line=number)
             else:
                 words = Message(
                     "audit.removed", "lines {line} to {last} are missing", line=number, last=line.number - 1
                 )
-            return Broken(place, Damage.REMOVED, words)
+            return Broken(place, LogDamage.REMOVED, words)
         if line.number < number:
             words = Message(
                 "audit.twice", "two lines have number {line}: one of them is not part of the log", line=line.number
             )
-            return Broken(place - 1, Damage.INSERTED, words)
+            return Broken(place - 1, LogDamage.INSERTED, words)
         words = Message(
             "audit.exchanged",
             "line {line} does not continue the line before it: one of the two was replaced",
             line=number,
         )
-        return Broken(max(1, place - 1), Damage.CHANGED, words)
+        return Broken(max(1, place - 1), LogDamage.CHANGED, words)
 
-    def _without_hash(self, raw: bytes, number: int, later: dict[int, Line]) -> Broken:
+    def _without_hash(self, raw: bytes, number: int, later: dict[int, LogLine]) -> Broken:
         """Return the damage where the bytes in place of line ``number`` do not have a correct hash."""
         place = self._place
         following = later.get(number)
         if following is not None and self._continues(following):
             words = Message("audit.inserted", "the text before line {line} is not part of the log", line=number)
-            return Broken(place, Damage.INSERTED, words)
+            return Broken(place, LogDamage.INSERTED, words)
         if number == 1 and not later:
-            return Broken(1, Damage.FOREIGN, Message("audit.foreign", "it does not begin with a line of an audit log"))
+            return Broken(
+                1, LogDamage.FOREIGN, Message("audit.foreign", "it does not begin with a line of an audit log")
+            )
         if not raw.endswith(b"\n") and b'"hash"' not in raw:
             words = Message("audit.cut_short", "line {line} was cut short: its hash is missing", line=number)
         else:
             words = Message("audit.changed", "line {line} was changed: its hash is wrong", line=number)
-        return Broken(place, Damage.CHANGED, words)
+        return Broken(place, LogDamage.CHANGED, words)
 
-    def _continues(self, line: Line) -> bool:
+    def _continues(self, line: LogLine) -> bool:
         return line.previous == (NOTHING_BEFORE if self.last is None else self.last.hash)
 
-    def _after(self, place: int) -> Iterator[Line]:
+    def _after(self, place: int) -> Iterator[LogLine]:
         """Yield the lines with a correct hash after a place."""
         for count, raw in enumerate(_raw_lines(self._path), start=1):
             if count > place and (line := read_line(raw.removesuffix(b"\n"))) is not None:
@@ -396,7 +398,7 @@ def _raw_lines(path: Path) -> Iterator[bytes]:
             yield raw
 
 
-def last_lines(path: Path, count: int) -> list[Line]:
+def last_lines(path: Path, count: int) -> list[LogLine]:
     """Return the newest lines of a log, oldest first.
 
     Raises:

@@ -15,7 +15,13 @@ if TYPE_CHECKING:
         warnings_of,
     )
     from tissueid.calibration.coil_check import ElectricalCheck, check_coil
-    from tissueid.calibration.file import Calibration, Quantity, read_calibration, save_calibration, write_calibration
+    from tissueid.calibration.file import (
+        CalibratedQuantity,
+        Calibration,
+        read_calibration,
+        save_calibration,
+        write_calibration,
+    )
     from tissueid.calibration.plans import StaticPlan
     from tissueid.calibration.static import StaticCalibration, calibrate_static
     from tissueid.calibration.store import (
@@ -31,7 +37,7 @@ else:
         __name__,
         {
             "coil_check": ("ElectricalCheck", "check_coil"),
-            "file": ("Calibration", "Quantity", "save_calibration", "read_calibration", "write_calibration"),
+            "file": ("Calibration", "CalibratedQuantity", "save_calibration", "read_calibration", "write_calibration"),
             "active": (
                 "ActiveCalibration",
                 "activate_calibration",
@@ -54,9 +60,9 @@ else:
 
 __all__ = [
     "ActiveCalibration",
+    "CalibratedQuantity",
     "Calibration",
     "ElectricalCheck",
-    "Quantity",
     "StaticCalibration",
     "StaticPlan",
     "Stored",

@@ -7,10 +7,10 @@ from collections.abc import Sequence
 import numpy as np
 from numpy.typing import NDArray
 
-from tissueid.calibration.findings import Findings, column, quantity
+from tissueid.calibration.findings import CalibrationFindings, column, quantity
 from tissueid.calibration.plans import Spring
 from tissueid.calibration.status import IMPLAUSIBLE
-from tissueid.calibration.step_levels import Levels, Line, mean, noise_of_mean, straight_line
+from tissueid.calibration.step_levels import Levels, StraightLine, mean, noise_of_mean, straight_line
 from tissueid.device import GRAVITY_M_S2, DeviceDescription
 from tissueid.errors import UnusableInputError
 from tissueid.language import marked
@@ -35,7 +35,7 @@ _VOLTAGE = marked("the voltage per volt of command")
 _FORCE = marked("the force constant")
 
 
-def electrical_findings(levels: Levels, rest: NDArray[np.void], device: DeviceDescription) -> Findings:
+def electrical_findings(levels: Levels, rest: NDArray[np.void], device: DeviceDescription) -> CalibrationFindings:
     """Return resistance, channel offsets and voltage gain, from current against voltage against command.
 
     All are in the units of the uncalibrated channels. ``rest`` are samples with the coil free, which give the offsets
@@ -65,7 +65,7 @@ def electrical_findings(levels: Levels, rest: NDArray[np.void], device: DeviceDe
                 current=Quantity(1e3 * leak, "mA"),
             )
         )
-    return Findings(
+    return CalibrationFindings(
         quantities={
             "coil_resistance_ohm": quantity(resistance, "ohm"),
             "current_offset_a": quantity(zeros["current"], "A"),
@@ -88,7 +88,7 @@ def electrical_findings(levels: Levels, rest: NDArray[np.void], device: DeviceDe
     )
 
 
-def resistance_of(line: Line, device: DeviceDescription) -> Estimate:
+def resistance_of(line: StraightLine, device: DeviceDescription) -> Estimate:
     """Return the coil resistance, ohm, from the line of current against voltage.
 
     Raises:
@@ -107,7 +107,7 @@ def resistance_of(line: Line, device: DeviceDescription) -> Estimate:
     return Estimate(1.0 / conductance.value, (conductance.std or 0.0) / conductance.value**2)
 
 
-def spring_line(levels: Levels, zero_a: float) -> Line:
+def spring_line(levels: Levels, zero_a: float) -> StraightLine:
     """Fit position readings, m, against offset-corrected current.
 
     Raises:
@@ -124,7 +124,7 @@ def force_by_spring(
     zero_a: float,
     *,
     known: bool = True,
-) -> Findings:
+) -> CalibrationFindings:
     """Return the force constant, N per ampere reading, from the line of position against current with a spring.
 
     The slope of the line is gain * force constant / stiffness, with the gain of the position channel. The hysteresis is
@@ -165,7 +165,7 @@ def force_by_spring(
                 swing=Quantity(1e3 * swing, "mm", 1),
             )
         )
-    return Findings(
+    return CalibrationFindings(
         quantities={
             "force_constant_n_per_a": quantity(value, "N/A", abs(value) * float(np.hypot(repeatability, scale))),
             "calibration_relative_uncertainty": quantity(
@@ -195,7 +195,7 @@ def force_by_spring(
 
 def force_by_weights(
     series: Sequence[Levels], weights_kg: Sequence[float], device: DeviceDescription, along: float, zero_a: float
-) -> Findings:
+) -> CalibrationFindings:
     """Return the force constant from known weights on the probe.
 
     A weight shifts the line of position against current; the current that compensates the shift balances the weight.
@@ -233,7 +233,7 @@ def force_by_weights(
             )
         )
     stiffness = constant / slope
-    return Findings(
+    return CalibrationFindings(
         quantities={
             "force_constant_n_per_a": quantity(Estimate(constant, abs(constant) * relative), "N/A"),
             "calibration_relative_uncertainty": quantity(relative, ""),
@@ -259,7 +259,7 @@ def _hysteresis(levels: Levels) -> float:
     return max(apart)
 
 
-def _line_problems(line: Line, values: NDArray[np.float64], what: str) -> list[str]:
+def _line_problems(line: StraightLine, values: NDArray[np.float64], what: str) -> list[str]:
     """Return the problems of a line fit: nonlinearity and too many outliers."""
     share = line.worst / float(np.ptp(values)) if np.ptp(values) else 0.0
     found: list[str] = []
@@ -285,7 +285,7 @@ def _line_problems(line: Line, values: NDArray[np.float64], what: str) -> list[s
     return found
 
 
-def _clipping_problem(gain: Line, levels: Levels) -> list[str]:
+def _clipping_problem(gain: StraightLine, levels: Levels) -> list[str]:
     """Return a problem if the voltage is clipped at the largest command of either sign."""
     for number in (int(np.argmax(levels.command_v)), int(np.argmin(levels.command_v))):
         command, voltage = levels.command_v[number], levels.voltage_v[number]
@@ -303,7 +303,7 @@ def _clipping_problem(gain: Line, levels: Levels) -> list[str]:
     return []
 
 
-def _outlier_notes(line: Line, what: str) -> list[str]:
+def _outlier_notes(line: StraightLine, what: str) -> list[str]:
     count = int(np.count_nonzero(line.outliers))
     if not count:
         return []

@@ -16,7 +16,7 @@ from typing import Literal
 import numpy as np
 from numpy.typing import NDArray
 
-from tissueid.calibration.file import Calibration, Quantity
+from tissueid.calibration.file import CalibratedQuantity, Calibration
 from tissueid.calibration.labels import label_of
 from tissueid.errors import UnusableInputError
 from tissueid.formatting import clean, fixed
@@ -85,12 +85,12 @@ class Profile:
 
 
 @dataclass(frozen=True)
-class Difference:
+class CalibrationDifference:
     """Difference of one quantity. ``noise`` and ``uncertainty`` are standard deviations of ``absolute``, or None."""
 
     name: str
-    before: Quantity
-    now: Quantity
+    before: CalibratedQuantity
+    now: CalibratedQuantity
     noise: float | None
     uncertainty: float | None
 
@@ -118,7 +118,7 @@ class Difference:
 
 
 @dataclass(frozen=True, eq=False)
-class Comparison:
+class CalibrationComparison:
     """Comparison of two sweeps, the earlier one first.
 
     ``profile`` is the mean relative difference of the force constant over the common linear region ``common_m``,
@@ -127,7 +127,7 @@ class Comparison:
 
     before: Calibration
     now: Calibration
-    differences: tuple[Difference, ...]
+    differences: tuple[CalibrationDifference, ...]
     common_m: tuple[float, float] | None
     profile: float
     largest: float
@@ -143,7 +143,7 @@ class Comparison:
         return drift_text(found, self.before.date[:10])
 
 
-def drift_text(found: Difference, date: str) -> Message:
+def drift_text(found: CalibrationDifference, date: str) -> Message:
     """Return a difference as a sentence: its size, the earlier date, and its significance."""
     if math.isnan(found.relative):
         scale, unit = (1e3, "mm") if found.before.unit == "m" else (1.0, found.before.unit)
@@ -203,7 +203,7 @@ def linear_region(calibration: Calibration) -> tuple[float, float] | None:
     return low.value, high.value
 
 
-def compare_sweeps(first: Calibration, second: Calibration) -> Comparison:
+def compare_sweeps(first: Calibration, second: Calibration) -> CalibrationComparison:
     """Compare two sweeps, in either order.
 
     Raises:
@@ -218,17 +218,17 @@ def compare_sweeps(first: Calibration, second: Calibration) -> Comparison:
         if name in before.quantities and name in now.quantities and _is_comparable(before, now, name)
     )
     common, mean, largest, where = _profile_difference(before, now)
-    return Comparison(before, now, found, common, mean, largest, where, tuple(_remarks(before, now)))
+    return CalibrationComparison(before, now, found, common, mean, largest, where, tuple(_remarks(before, now)))
 
 
 def _is_comparable(before: Calibration, now: Calibration, name: str) -> bool:
     return max(abs(before.quantities[name].value), abs(now.quantities[name].value)) < _MAX_VALUE
 
 
-def _difference(name: str, before: Calibration, now: Calibration) -> Difference:
+def _difference(name: str, before: Calibration, now: Calibration) -> CalibrationDifference:
     one, other = before.quantities[name], now.quantities[name]
     uncertainty = None if one.std is None or other.std is None else math.hypot(one.std, other.std)
-    return Difference(name, one, other, _noise(name, before, now), uncertainty)
+    return CalibrationDifference(name, one, other, _noise(name, before, now), uncertainty)
 
 
 def _noise(name: str, before: Calibration, now: Calibration) -> float | None:

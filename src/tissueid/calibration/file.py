@@ -32,7 +32,7 @@ Sentence = Annotated[str, Field(max_length=500, pattern=r"^[^\x00-\x1f\x7f]*$")]
 Column = Annotated[tuple[Finite, ...], Field(max_length=MAX_ROWS)]
 
 
-class Quantity(BaseModel):
+class CalibratedQuantity(BaseModel):
     """A value with its standard deviation and unit."""
 
     model_config = ConfigDict(frozen=True, extra="forbid")
@@ -66,7 +66,7 @@ class Calibration(BaseModel):
     conditions: Annotated[dict[Name, Finite | Sentence], Field(max_length=100)] = Field(default_factory=dict)
     verdict: Literal["passed", "failed"]
     problems: Annotated[tuple[Sentence, ...], Field(max_length=100)] = ()
-    quantities: Annotated[dict[Name, Quantity], Field(max_length=200)] = Field(default_factory=dict)
+    quantities: Annotated[dict[Name, CalibratedQuantity], Field(max_length=200)] = Field(default_factory=dict)
     tables: Annotated[dict[Name, dict[Name, Column]], Field(max_length=100)] = Field(default_factory=dict)
     messages: tuple[dict[str, Any], ...] = ()
 

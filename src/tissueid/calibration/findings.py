@@ -8,20 +8,20 @@ from dataclasses import dataclass, field
 import numpy as np
 from numpy.typing import ArrayLike
 
-from tissueid.calibration.file import Quantity
+from tissueid.calibration.file import CalibratedQuantity
 from tissueid.errors import UnusableInputError
 from tissueid.records import Estimate
 
 
 @dataclass(frozen=True)
-class Findings:
+class CalibrationFindings:
     """Results of one step. ``problems`` make the verdict a failure; ``notes`` do not.
 
     ``shared`` is the part of a quantity's standard deviation that is common to all repeats, in the quantity's unit,
     such as the uncertainty of the spring.
     """
 
-    quantities: dict[str, Quantity] = field(default_factory=dict)
+    quantities: dict[str, CalibratedQuantity] = field(default_factory=dict)
     tables: dict[str, dict[str, tuple[float, ...]]] = field(default_factory=dict)
     problems: tuple[str, ...] = ()
     notes: tuple[str, ...] = ()
@@ -37,8 +37,8 @@ class Findings:
             raise UnusableInputError("calibration.no_quantity", "the calibration does not contain {name}", name=name)
         return self.quantities[name].value
 
-    def __add__(self, other: Findings) -> Findings:
-        return Findings(
+    def __add__(self, other: CalibrationFindings) -> CalibrationFindings:
+        return CalibrationFindings(
             self.quantities | other.quantities,
             self.tables | other.tables,
             self.problems + other.problems,
@@ -47,14 +47,14 @@ class Findings:
         )
 
 
-def quantity(estimate: Estimate | float, unit: str, std: float | None = None) -> Quantity:
+def quantity(estimate: Estimate | float, unit: str, std: float | None = None) -> CalibratedQuantity:
     """Return a quantity of a calibration file. A standard deviation that is not finite is omitted.
 
     Standard deviations of an inverted channel, scaled by a negative value, are made positive.
     """
     found = estimate if isinstance(estimate, Estimate) else Estimate(estimate, std)
     known = None if found.std is None or not np.isfinite(found.std) else abs(float(found.std))
-    return Quantity(value=float(found.value), std=known, unit=unit)
+    return CalibratedQuantity(value=float(found.value), std=known, unit=unit)
 
 
 def column(values: ArrayLike) -> tuple[float, ...]:
@@ -62,7 +62,7 @@ def column(values: ArrayLike) -> tuple[float, ...]:
     return tuple(float(f"{value:.7g}") for value in np.asarray(values, np.float64))
 
 
-def mean_of_repeats(runs: Sequence[Findings]) -> Findings:
+def mean_of_repeats(runs: Sequence[CalibrationFindings]) -> CalibrationFindings:
     """Return the mean of several runs of the same steps.
 
     The random part of the standard deviation of a mean is the larger of the runs' own estimate and their scatter,
@@ -85,7 +85,7 @@ def mean_of_repeats(runs: Sequence[Findings]) -> Findings:
     repeats = {"run": column(np.arange(1, len(runs) + 1))} | {
         name: column([run.quantities[name].value for run in runs]) for name in names
     }
-    return Findings(
+    return CalibrationFindings(
         quantities,
         first.tables | {"repeats": dict(list(repeats.items())[:50])},
         tuple(dict.fromkeys(problem for run in runs for problem in run.problems)),

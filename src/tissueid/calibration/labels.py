@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from tissueid.calibration.file import Calibration, Quantity
+from tissueid.calibration.file import CalibratedQuantity, Calibration
 from tissueid.formatting import label_and_unit, plus_minus
 from tissueid.language import marked
 from tissueid.messages import Message, message_from
@@ -76,13 +76,13 @@ def label_of(name: str) -> str:
     return _LABELS.get(name) or label_and_unit(name)[0]
 
 
-def readable(name: str, found: Quantity) -> tuple[str, str, str]:
+def readable(name: str, found: CalibratedQuantity) -> tuple[str, str, str]:
     """Return label, value with standard deviation, and display unit of a quantity."""
     unit, scale = unit_of_quantity(name, found)
     return label_of(name), plus_minus(Estimate(found.value, found.std), scale), unit
 
 
-def unit_of_quantity(name: str, found: Quantity) -> tuple[str, float]:
+def unit_of_quantity(name: str, found: CalibratedQuantity) -> tuple[str, float]:
     """Return the display unit of a quantity, with a prefix for small values, and the factor to it."""
     if name == "calibration_relative_uncertainty":
         return "%", 100.0

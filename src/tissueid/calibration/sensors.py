@@ -9,9 +9,9 @@ from collections.abc import Sequence
 import numpy as np
 from numpy.typing import NDArray
 
-from tissueid.calibration.findings import Findings, column, quantity
+from tissueid.calibration.findings import CalibrationFindings, column, quantity
 from tissueid.calibration.labels import CHANNELS
-from tissueid.calibration.step_levels import Levels, Line, mean, noise_of_mean, straight_line
+from tissueid.calibration.step_levels import Levels, StraightLine, mean, noise_of_mean, straight_line
 from tissueid.device import GRAVITY_M_S2, DeviceDescription
 from tissueid.errors import UnusableInputError
 from tissueid.language import marked
@@ -49,7 +49,7 @@ _SHOWN = {"degC": "°C", "m/s^2": "m/s²"}
 _SUFFIX = {"voltage": "v", "current": "a", "position": "m", "temperature": "c", "acceleration_x": "m_s2"}
 
 
-def position_line(truth_m: NDArray[np.float64], rests: Sequence[NDArray[np.void]]) -> Line:
+def position_line(truth_m: NDArray[np.float64], rests: Sequence[NDArray[np.void]]) -> StraightLine:
     """Fit readings at rest, one set of samples per position, against known positions (n,), m.
 
     Raises:
@@ -66,7 +66,9 @@ def position_line(truth_m: NDArray[np.float64], rests: Sequence[NDArray[np.void]
     return line
 
 
-def position_findings(truth_m: NDArray[np.float64], line: Line, offset_m: Estimate | None) -> Findings:
+def position_findings(
+    truth_m: NDArray[np.float64], line: StraightLine, offset_m: Estimate | None
+) -> CalibrationFindings:
     """Return gain, offset and nonlinearity of the position channel.
 
     Args:
@@ -100,7 +102,7 @@ def position_findings(truth_m: NDArray[np.float64], line: Line, offset_m: Estima
     }
     if offset_m is not None:
         quantities["position_offset_m"] = quantity(offset_m, "m")
-    return Findings(
+    return CalibrationFindings(
         quantities=quantities,
         tables={
             "position": {
@@ -124,7 +126,7 @@ def position_findings(truth_m: NDArray[np.float64], line: Line, offset_m: Estima
     )
 
 
-def temperature_findings(rest: NDArray[np.void], levels: Levels, ambient_c: float | None) -> Findings:
+def temperature_findings(rest: NDArray[np.void], levels: Levels, ambient_c: float | None) -> CalibrationFindings:
     """Return offset and rise of the thermometer, and its problems.
 
     Args:
@@ -177,7 +179,7 @@ def temperature_findings(rest: NDArray[np.void], levels: Levels, ambient_c: floa
                     room=Quantity(ambient_c, "°C", 1),
                 )
             )
-    return Findings(quantities=quantities, problems=tuple(problems), notes=notes)
+    return CalibrationFindings(quantities=quantities, problems=tuple(problems), notes=notes)
 
 
 def _largest_jump(temperature: NDArray[np.float64], levels: Levels) -> float:
@@ -190,7 +192,7 @@ def _largest_jump(temperature: NDArray[np.float64], levels: Levels) -> float:
     return found
 
 
-def acceleration_findings(rest: NDArray[np.void], turned: NDArray[np.void] | None) -> Findings:
+def acceleration_findings(rest: NDArray[np.void], turned: NDArray[np.void] | None) -> CalibrationFindings:
     """Return gain and offset of the accelerometer along the stroke, relative to gravity.
 
     Args:
@@ -228,18 +230,18 @@ def acceleration_findings(rest: NDArray[np.void], turned: NDArray[np.void] | Non
     quantities["acceleration_gain"] = quantity(Estimate(gain, std), "")
     gravity = (along - offset) / (gain or 1.0)
     quantities["gravity_along_stroke_m_s2"] = quantity(Estimate(gravity, noise), "m/s^2")
-    return Findings(quantities=quantities, problems=tuple(problems), notes=tuple(notes))
+    return CalibrationFindings(quantities=quantities, problems=tuple(problems), notes=tuple(notes))
 
 
 def supply_findings(
-    first: Findings,
-    last: Findings,
+    first: CalibrationFindings,
+    last: CalibrationFindings,
     rest: NDArray[np.void],
     again: NDArray[np.void],
     device: DeviceDescription,
     *,
     same_place: bool = True,
-) -> Findings:
+) -> CalibrationFindings:
     """Return the drift from the first to the last electrical step, and noise and mains interference of the channels.
 
     Args:
@@ -311,7 +313,7 @@ def supply_findings(
                     frequency=hertz,
                 )
             )
-    return Findings(quantities=quantities, problems=tuple(problems), notes=tuple(notes))
+    return CalibrationFindings(quantities=quantities, problems=tuple(problems), notes=tuple(notes))
 
 
 def mains(values: NDArray[np.float64], rate_hz: float) -> tuple[float, float]:

@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 
 from tissueid.acquisition.background_work import run_while_polling
 from tissueid.calibration.coil import electrical_findings, force_by_spring, force_by_weights, spring_line
-from tissueid.calibration.findings import Findings
+from tissueid.calibration.findings import CalibrationFindings
 from tissueid.calibration.plans import StaticPlan
 from tissueid.calibration.sensors import (
     acceleration_findings,
@@ -18,7 +18,7 @@ from tissueid.calibration.sensors import (
     supply_findings,
     temperature_findings,
 )
-from tissueid.calibration.step_levels import Levels, Line, hold_levels, mean, rest_samples
+from tissueid.calibration.step_levels import Levels, StraightLine, hold_levels, mean, rest_samples
 from tissueid.calibration.stroke import Crossing, balancing_current, cross_stroke, range_findings
 from tissueid.device import GRAVITY_M_S2
 from tissueid.errors import FirmwareFaultError, LimitError, UnusableInputError
@@ -112,7 +112,7 @@ class Procedure:
         self._shown: tuple[int, str] = 1, ""
         self._begun = 0
 
-    def run(self, number: int) -> Findings:
+    def run(self, number: int) -> CalibrationFindings:
         """Execute all requested and possible steps once; ``number`` counts the repeats from 1.
 
         Raises:
@@ -125,7 +125,7 @@ class Procedure:
         rest = self._rest(Message("calibration.step.rest", "at rest"))
         levels = self._levels(Message("calibration.step.levels", "voltage to current to force"))
         electrical = electrical_findings(levels, rest, self._device)
-        found = electrical if "electrical" in wanted else Findings()
+        found = electrical if "electrical" in wanted else CalibrationFindings()
         zero_a = electrical.value("current_offset_a")
         if "temperature" in wanted:
             found += temperature_findings(rest, levels, plan.ambient_c)
@@ -146,13 +146,13 @@ class Procedure:
         if line is not None:
             offset, shared = self._offset(line, crossings, slope, gravity, zero_a)
             found += position_findings(places, line, offset)
-            found += Findings(shared={"position_offset_m": shared})
+            found += CalibrationFindings(shared={"position_offset_m": shared})
         force = force_by_spring(levels, self._device, plan.spring, gain, zero_a, known=not weighed)
         if weighed:
             along = gravity / GRAVITY_M_S2
             force += force_by_weights(weighed, (0.0, *plan.weights_kg), self._device, along, zero_a)
         if "force" in wanted:
-            zero = Findings(
+            zero = CalibrationFindings(
                 {"current_offset_a": electrical.quantities["current_offset_a"]}
             )  # the force constant was measured with it
             found += force + zero
@@ -282,7 +282,7 @@ class Procedure:
         self._ask_person(BARE_INSTRUCTION)
         return series
 
-    def _position_readings(self) -> tuple[NDArray[np.float64], Line | None]:
+    def _position_readings(self) -> tuple[NDArray[np.float64], StraightLine | None]:
         """Return known positions (n,), m, rising with the reading, and the line fit of the readings."""
         stroke, gauges = self._device.stroke_m, self._plan.gauges_m
         if self.has_stage:
@@ -323,7 +323,7 @@ class Procedure:
             ) from error
 
     def _offset(
-        self, line: Line, crossings: Sequence[Crossing], slope_m_per_a: float, gravity: float, zero_a: float
+        self, line: StraightLine, crossings: Sequence[Crossing], slope_m_per_a: float, gravity: float, zero_a: float
     ) -> tuple[Estimate | None, float]:
         """Return the reading at position zero, corrected for the extension of the spring by the weight of the coil.
 
@@ -342,7 +342,7 @@ class Procedure:
         std = float(np.hypot(line.intercept.std or 0.0, slope_m_per_a * current_std))
         return Estimate(line.intercept.value + slope_m_per_a * current, std), shared
 
-    def _skipped_notes(self, line: Line | None, crossings: Sequence[Crossing]) -> Findings:
+    def _skipped_notes(self, line: StraightLine | None, crossings: Sequence[Crossing]) -> CalibrationFindings:
         """Return notes on the requested steps that were not possible."""
         notes = []
         if "position" in self._plan.steps and line is None:
@@ -357,4 +357,4 @@ class Procedure:
             notes.append(
                 Message("calibration.skipped.range", "the range of motion was left out: the spring stays in place")
             )
-        return Findings(notes=tuple(notes))
+        return CalibrationFindings(notes=tuple(notes))

@@ -22,7 +22,7 @@ _NORMAL = 1.4826
 
 
 @dataclass(frozen=True, eq=False)
-class Line:
+class StraightLine:
     """y = intercept + slope x, with residuals (n,) and outlier flags (n,) of all points."""
 
     slope: Estimate
@@ -45,7 +45,7 @@ class Line:
         return self.intercept.value + self.slope.value * x
 
 
-def straight_line(x: NDArray[np.float64], y: NDArray[np.float64], noise: float = 0.0) -> Line:
+def straight_line(x: NDArray[np.float64], y: NDArray[np.float64], noise: float = 0.0) -> StraightLine:
     """Fit a line to points (x, y), shape (n,) each; ``noise`` is the known standard deviation of y.
 
     The Theil-Sen estimator (Theil 1950, Sen 1968) identifies the inliers; least squares through them gives slope,
@@ -63,7 +63,7 @@ def straight_line(x: NDArray[np.float64], y: NDArray[np.float64], noise: float =
     if np.ptp(x[~outliers]) == 0.0 or np.count_nonzero(~outliers) < 3:
         raise UnusableInputError("line.none", "the points do not lie on a line")
     line = stats.linregress(x[~outliers], y[~outliers])
-    return Line(
+    return StraightLine(
         slope=Estimate(float(line.slope), float(line.stderr)),
         intercept=Estimate(float(line.intercept), float(line.intercept_stderr)),
         residuals=y - line.intercept - line.slope * x,

@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from tissueid.acquisition import play
-from tissueid.calibration.findings import Findings, column, quantity
+from tissueid.calibration.findings import CalibrationFindings, column, quantity
 from tissueid.calibration.step_levels import Cancelled, OnProgress
 from tissueid.device import DeviceDescription
 from tissueid.errors import UnusableInputError
@@ -143,7 +143,7 @@ def range_findings(
     position_offset: Estimate,
     force_constant_n_per_a: float,
     zero_a: float,
-) -> Findings:
+) -> CalibrationFindings:
     """Return the ends of the stroke on the corrected position scale, and the weight of the moving part."""
     ends = np.array([(crossing.end_m - position_offset.value) / position_gain for crossing in crossings])
     low, high = ends[0::2], ends[1::2]
@@ -160,7 +160,7 @@ def range_findings(
                 nominal=Quantity(1e3 * device.stroke_m, "mm", 1),
             )
         )
-    return Findings(
+    return CalibrationFindings(
         quantities={
             "stroke_min_m": quantity(float(low.mean()), "m", float(np.hypot(unsure, np.ptp(low) / 2.0))),
             "stroke_max_m": quantity(float(high.mean()), "m", float(np.hypot(unsure, np.ptp(high) / 2.0))),

@@ -7,7 +7,7 @@ from dataclasses import dataclass, field, replace
 
 import numpy as np
 
-from tissueid.calibration.file import Calibration, Quantity, utc_date
+from tissueid.calibration.file import CalibratedQuantity, Calibration, utc_date
 from tissueid.calibration.findings import quantity
 from tissueid.calibration.flux import FluxFit, fit_flux
 from tissueid.calibration.force_balance import BalanceFit, fit_balance
@@ -256,7 +256,7 @@ def _repeats(
     return tuple(results), tuple(weak)
 
 
-def quantities_of(result: SweepResult) -> dict[str, Quantity]:
+def quantities_of(result: SweepResult) -> dict[str, CalibratedQuantity]:
     """Return the quantities of a sweep as stored in its calibration."""
     region, agreement = result.region, result.agreement
     resistances = np.array([found.value for found in result.flux.resistance_ohm])
@@ -353,7 +353,7 @@ def _problems(result: SweepResult) -> tuple[str, ...]:
     return tuple(problems)
 
 
-def _quantities_only(device: DeviceDescription, quantities: dict[str, Quantity]) -> Calibration:
+def _quantities_only(device: DeviceDescription, quantities: dict[str, CalibratedQuantity]) -> Calibration:
     """Return a calibration with quantities only, for the plausibility check."""
     return Calibration(
         kind="sweep",

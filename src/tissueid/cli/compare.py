@@ -9,7 +9,7 @@ from typing import Any
 from rich.console import Console
 from rich.table import Table
 
-from tissueid.analysis import EngineComparison, Entry, SweepRow
+from tissueid.analysis import ComparisonEntry, EngineComparison, SweepRow
 from tissueid.analysis.distortion import described_levels, distortion_of, is_multisine
 from tissueid.cli.output import check_json, console_control, human_output, table, write_json
 from tissueid.cli.quality import repeat_warnings
@@ -91,7 +91,7 @@ def compare_answer(found: EngineComparison) -> dict[str, Any]:
     }
 
 
-def _entry_answer(entry: Entry) -> dict[str, Any]:
+def _entry_answer(entry: ComparisonEntry) -> dict[str, Any]:
     about = {"engine": entry.engine, "family": str(entry.family), "interpretability": entry.family.interpretability}
     if entry.scored is None:
         return about | {"refused": entry.refused, "refused_message": stored(entry.refused)}
@@ -174,7 +174,7 @@ def _score_table(found: EngineComparison, notes: dict[str, int]) -> Table:
     return rows
 
 
-def _notes(entry: Entry) -> Iterator[str]:
+def _notes(entry: ComparisonEntry) -> Iterator[str]:
     if entry.refused is not None:
         yield f"refused: {entry.refused}"
     if entry.scored is None:

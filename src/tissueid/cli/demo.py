@@ -12,7 +12,7 @@ from tissueid.cli.output import check_json, console_control, human_output, table
 from tissueid.procedures.demo import DemoPlan, run_demo
 from tissueid.procedures.instrument_access import audit_trail
 from tissueid.records import Estimate
-from tissueid.reports import Comparison
+from tissueid.reports import ComparisonTable
 
 
 def demonstrate(plan: DemoPlan, json_file: Path | None) -> None:
@@ -25,7 +25,7 @@ def demonstrate(plan: DemoPlan, json_file: Path | None) -> None:
         write_json(json_file, result.answer)
 
 
-def _print_result(page: Path, main: dict[str, Analysis], comparison: Comparison, console: Console) -> None:
+def _print_result(page: Path, main: dict[str, Analysis], comparison: ComparisonTable, console: Console) -> None:
     rows = table("Main test", "engine", "VAF fitted %", "VAF held out %", "seconds")
     for engine, analysis in main.items():
         report = analysis.model.report

@@ -7,7 +7,7 @@ from pathlib import Path
 from rich.table import Table
 
 from tissueid.cli.output import check_json, console_control, human_output, table, write_json
-from tissueid.gap.history import GapHistory, HistoryEntry, history_headline
+from tissueid.gap.history import GapHistory, GapHistoryEntry, history_headline
 from tissueid.messages import MISSING
 from tissueid.procedures.gap_folder import watch_folder
 from tissueid.procedures.gap_plans import WatchPlan
@@ -43,11 +43,11 @@ def _history_table(history: GapHistory) -> Table:
     return rows
 
 
-def _date(entry: HistoryEntry) -> str:
+def _date(entry: GapHistoryEntry) -> str:
     return MISSING if entry.time is None else f"{entry.time:%Y-%m-%d %H:%M}"
 
 
-def _result(entry: HistoryEntry) -> str:
+def _result(entry: GapHistoryEntry) -> str:
     if entry.answer is None:
         return entry.reason
     return " + ".join(entry.combination) or str(entry.answer["verdict"]).replace("_", " ")

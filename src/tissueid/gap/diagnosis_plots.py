@@ -12,8 +12,8 @@ from tissueid.formatting import label_and_unit, number
 from tissueid.gap.dataset import DatasetTest
 from tissueid.gap.diagnosis import Diagnosis, Ranked
 from tissueid.gap.diagnosis_curves import BudgetRow, GapProfile, GapSpectrum, SignalOverlay
-from tissueid.gap.error_regions import Profile, Spectrum
-from tissueid.gap.history import GapHistory, HistoryEntry
+from tissueid.gap.error_regions import ErrorProfile, ErrorSpectrum
+from tissueid.gap.history import GapHistory, GapHistoryEntry
 from tissueid.gap.preparation import BLOCK_S
 from tissueid.gap.scoring import Candidate
 from tissueid.gap.statement import effect_title
@@ -62,7 +62,7 @@ _MOVES = 0.5
 """A signal moves where its deviation is at least this share of the upper quartile over all stretches."""
 
 
-def spectrum_lines(found: Spectrum) -> dict[str, Array]:
+def spectrum_lines(found: ErrorSpectrum) -> dict[str, Array]:
     """Return the amplitude densities of a spectrum by the name of the line; NaN where they are not shown."""
     scale = UNITS[found.channel][3]
     least = 0.1 * scale * float(np.sqrt(found.noise[0]))
@@ -89,7 +89,7 @@ def spectrum_plot(spectrum: GapSpectrum) -> Plot:
     )
 
 
-def profile_values(name: str, found: Profile) -> GapProfile:
+def profile_values(name: str, found: ErrorProfile) -> GapProfile:
     """Return the profile of a name in its display unit; bins without data are left out."""
     known = np.isfinite(found.error)
     middle = 0.5 * PROFILES[name][2] * (found.edges[1:] + found.edges[:-1])
@@ -308,7 +308,7 @@ def history_plot(history: GapHistory) -> Plot:
     return Plot(title, x_axis, Axis(y_axis.label, y_axis.unit, log=log, limits=limits), tuple(parts))
 
 
-def _times(entries: Sequence[HistoryEntry]) -> tuple[Array, Axis]:
+def _times(entries: Sequence[GapHistoryEntry]) -> tuple[Array, Axis]:
     # Time since the first session, or the number of the session where a time is unknown.
     times = [entry.time for entry in entries]
     known = [time for time in times if time is not None]

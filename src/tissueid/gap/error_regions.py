@@ -42,7 +42,7 @@ _POINTS = 70
 
 
 @dataclass(frozen=True)
-class Profile:
+class ErrorProfile:
     """Profile of the error along a quantity, in floors (root mean square), by bin.
 
     ``edges``, shape (bins + 1,), SI; ``error``, shape (bins,), NaN for bins without data; ``above`` marks bins
@@ -62,7 +62,7 @@ class Profile:
 
 
 @dataclass(frozen=True)
-class Spectrum:
+class ErrorSpectrum:
     """Residual by frequency, shape (frequencies,): power densities, SI squared per Hz.
 
     ``linear``, ``even`` and ``odd`` are the parts coherent with the input, its square and its cube; ``noise`` is the
@@ -80,7 +80,7 @@ class Spectrum:
 
 
 @dataclass(frozen=True)
-class Surface:
+class ErrorSurface:
     """Mean residual over depth (columns) and velocity (rows), in floors; NaN without data."""
 
     depth_m: FloatArray
@@ -102,9 +102,9 @@ class ErrorRegions:
     current_a: tuple[tuple[float, float], ...]
     direction: Direction
     time_s: tuple[tuple[float, float], ...]
-    profiles: dict[str, Profile] = field(repr=False)
-    spectra: tuple[Spectrum, ...] = field(repr=False)
-    surface: Surface | None = field(repr=False)
+    profiles: dict[str, ErrorProfile] = field(repr=False)
+    spectra: tuple[ErrorSpectrum, ...] = field(repr=False)
+    surface: ErrorSurface | None = field(repr=False)
     amplitude_n: tuple[tuple[float, float], ...] = ()
     """Root mean square of the stimulus in the last 0.1 s, as a force at rest, N."""
     mains_hz: float = 0.0
@@ -221,7 +221,7 @@ def _shown_in(dataset: Dataset, baseline: Fit) -> tuple[DatasetTest | None, str]
     return worst[1], worst[2]
 
 
-def _profile(residual: FloatArray, along: FloatArray, test: DatasetTest, name: str) -> Profile:
+def _profile(residual: FloatArray, along: FloatArray, test: DatasetTest, name: str) -> ErrorProfile:
     known = np.isfinite(residual)
     if name == "time_s":
         edges = np.arange(0.0, along[-1] + _BLOCK_S, _BLOCK_S)
@@ -240,7 +240,7 @@ def _profile(residual: FloatArray, along: FloatArray, test: DatasetTest, name: s
             continue
         error[k] = float(np.sqrt(np.mean(residual[inside] ** 2)))
         p_values[k] = _p_value(residual[inside] ** 2, block[inside])
-    return Profile(edges, error, _holm(p_values))
+    return ErrorProfile(edges, error, _holm(p_values))
 
 
 def _block_numbers(size: int, rate_hz: float, seconds: float) -> NDArray[np.int64]:
@@ -294,7 +294,7 @@ def _segments(values: FloatArray, rate_hz: float) -> tuple[FloatArray, NDArray[n
 
 def _bands(
     residual: FloatArray, floor: float, test: DatasetTest, mains_hz: float
-) -> tuple[tuple[tuple[float, float], ...], Profile]:
+) -> tuple[tuple[tuple[float, float], ...], ErrorProfile]:
     values = np.where(np.isfinite(residual), residual, 0.0)
     hz, spectra, norm = _segments(values, test.sample_rate_hz)
     level = floor**2 / (test.sample_rate_hz / 2.0)
@@ -311,12 +311,12 @@ def _bands(
         # Half-overlapping blocks with this window are almost independent.
         spread = max(float(np.std(logs, ddof=1)), 1.0 / np.sqrt(inside.sum())) / np.sqrt(0.9 * means.size)
         p_values[k] = float(student.sf(float(np.mean(logs)) / spread, max(means.size - 1, 1)))
-    profile = Profile(edges, error, _holm(p_values))
+    profile = ErrorProfile(edges, error, _holm(p_values))
     narrow = ((mains_hz - 0.5, mains_hz + 0.5),) if mains_hz in MAINS_HZ else ()
     return (*profile.intervals(), *narrow), profile
 
 
-def spectrum(dataset: Dataset, baseline: Fit, test: DatasetTest, channel: str) -> Spectrum:
+def spectrum(dataset: Dataset, baseline: Fit, test: DatasetTest, channel: str) -> ErrorSpectrum:
     """Return the residual of a channel by frequency, in its parts."""
     residual = _residual(baseline, test, channel)
     values = np.where(np.isfinite(residual), residual, 0.0)
@@ -336,7 +336,7 @@ def spectrum(dataset: Dataset, baseline: Fit, test: DatasetTest, channel: str) -
         rest = rest - explained
     noise = np.full_like(hz, dataset.noise[channel] ** 2 / (test.sample_rate_hz / 2.0))
     rows = (hz, np.mean(np.abs(recorded) ** 2, axis=0) / norm, power, *parts, noise)
-    return Spectrum(channel, *(_gathered(row, hz) for row in rows))
+    return ErrorSpectrum(channel, *(_gathered(row, hz) for row in rows))
 
 
 def _gathered(values: FloatArray, hz: FloatArray) -> FloatArray:
@@ -345,7 +345,7 @@ def _gathered(values: FloatArray, hz: FloatArray) -> FloatArray:
     return np.array([values[first:end].mean() for first, end in pairwise(edges)])
 
 
-def _surface(residual: FloatArray, depth: FloatArray, velocity: FloatArray) -> Surface | None:
+def _surface(residual: FloatArray, depth: FloatArray, velocity: FloatArray) -> ErrorSurface | None:
     known = np.isfinite(residual)
     if known.sum() < 100:
         return None
@@ -356,7 +356,7 @@ def _surface(residual: FloatArray, depth: FloatArray, velocity: FloatArray) -> S
     count, *_ = np.histogram2d(velocity[known], depth[known], (along, across))
     total, *_ = np.histogram2d(velocity[known], depth[known], (along, across), weights=residual[known])
     mean = np.where(count >= 5, total / np.maximum(count, 1), np.nan)
-    return Surface(0.5 * (across[1:] + across[:-1]), 0.5 * (along[1:] + along[:-1]), mean)
+    return ErrorSurface(0.5 * (across[1:] + across[:-1]), 0.5 * (along[1:] + along[:-1]), mean)
 
 
 def _grid(values: FloatArray, off: float) -> FloatArray:

@@ -23,7 +23,7 @@ from tissueid.gap.equivalent_oscillator import VELOCITY_TIME_S, Equivalent, resa
 from tissueid.gap.parameters import DELAY, Parametrisation
 from tissueid.twin import bus
 from tissueid.twin._interpolation import interpolate
-from tissueid.twin.chain_parameters import Instrument, Tissue, nothing
+from tissueid.twin.chain_parameters import InstrumentParameters, Tissue, nothing
 from tissueid.twin.effect import Readings
 from tissueid.twin.simulation import (
     NOTHING_MEASURED,
@@ -140,7 +140,7 @@ def _driven(force: FloatArray, rate_hz: float, acting: list[ActiveEffect], about
     # The input after an amplifier; its zero is that of the recorded input.
     middle = about.input_middle_n
     volts = about.volts_per_newton * (force + middle)
-    amplifier = Instrument(amplifier_gain=1.0, amplifier_limit_v=1e9)
+    amplifier = InstrumentParameters(amplifier_gain=1.0, amplifier_limit_v=1e9)
     found = simulated_motion(volts, rate_hz, amplifier, nothing(), Start(0.0, 0.0), acting, on_tissue=False, substeps=1)
     return found.readings.voltage / about.volts_per_newton - middle
 
@@ -282,7 +282,7 @@ class _MotionCache:
     def motion(
         self,
         test: DatasetTest,
-        instrument: Instrument,
+        instrument: InstrumentParameters,
         met: Tissue,
         hooked: Sequence[ActiveEffect],
         given: MeasuredSignals,

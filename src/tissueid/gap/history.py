@@ -13,7 +13,7 @@ from tissueid.messages import Listing, Message, Verbatim
 
 
 @dataclass(frozen=True)
-class HistoryEntry:
+class GapHistoryEntry:
     """One session: its file, its time of recording (ISO 8601; "" where unknown) and its diagnosis.
 
     ``answer`` is the JSON of ``gap diagnose`` against the twin; None where the session cannot be used, for the
@@ -64,16 +64,16 @@ class HistoryEntry:
 class GapHistory:
     """Sessions in order of time; those without a time come last, by name."""
 
-    entries: tuple[HistoryEntry, ...]
+    entries: tuple[GapHistoryEntry, ...]
 
     @classmethod
-    def of(cls, entries: Sequence[HistoryEntry]) -> GapHistory:
+    def of(cls, entries: Sequence[GapHistoryEntry]) -> GapHistory:
         """Return the history of sessions in any order."""
         last = datetime.max.replace(tzinfo=UTC)
         return cls(tuple(sorted(entries, key=lambda entry: (entry.time or last, entry.file))))
 
     @property
-    def first_grown(self) -> HistoryEntry | None:
+    def first_grown(self) -> GapHistoryEntry | None:
         """The first session in which the gap grew; None where it grew in none."""
         return next((entry for entry in self.entries if entry.grew), None)
 

@@ -38,7 +38,7 @@ SETTLING_S = 0.5
 
 
 @dataclass(frozen=True)
-class Lines:
+class MainsLines:
     """Mains in a signal: ``mains_hz`` (0 where there is none), its waveform, shape (n,), and its standard deviation.
 
     ``exact_hz`` is the frequency at which it was found.
@@ -50,9 +50,9 @@ class Lines:
     exact_hz: float = 0.0
 
 
-def mains_lines(residual: FloatArray, rate_hz: float) -> Lines:
+def mains_lines(residual: FloatArray, rate_hz: float) -> MainsLines:
     """Return the mains frequency and its harmonics in a residual, shape (n,)."""
-    none = Lines(0.0, np.zeros_like(residual), 0.0)
+    none = MainsLines(0.0, np.zeros_like(residual), 0.0)
     known = np.isfinite(residual)
     if known.sum() < 0.5 * residual.size or residual.size < 512:
         return none
@@ -76,7 +76,7 @@ def mains_lines(residual: FloatArray, rate_hz: float) -> Lines:
     # The mains differs slightly from its nominal frequency.
     waves = [(waveform(hz + off), hz + off) for off in np.linspace(-_OFF_HZ, _OFF_HZ, 21)]
     best, exact = max(waves, key=lambda wave: float(np.var(wave[0])))
-    return Lines(hz, best, float(np.std(best)), float(exact))
+    return MainsLines(hz, best, float(np.std(best)), float(exact))
 
 
 def _standing(values: FloatArray, hz: float, rate_hz: float) -> list[tuple[float, int]]:

@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 from tissueid.gap.dataset import Dataset, DatasetTest, Prior, Purpose
 from tissueid.gap.equivalent_oscillator import FORCE_N, MOST_DELAY_SAMPLES
 from tissueid.twin._coupling import COUPLING
-from tissueid.twin.chain_parameters import STANDARD_GRAVITY, Instrument, Tissue, nothing, spring
+from tissueid.twin.chain_parameters import STANDARD_GRAVITY, InstrumentParameters, Tissue, nothing, spring
 from tissueid.twin.effect import Effect, Parameter
 from tissueid.twin.simulation import ActiveEffect
 
@@ -127,11 +127,11 @@ class Parametrisation:
         """Return one property of every coordinate, shape (size,)."""
         return np.array([getattr(item, what) for item in self.coordinates], np.float64)
 
-    def instrument(self, theta: FloatArray) -> Instrument:
+    def instrument(self, theta: FloatArray) -> InstrumentParameters:
         """Return the instrument of a vector."""
         device = self.dataset.instrument
         figures = {ours: getattr(device, theirs) * np.exp(self._at(theta, ours)) for ours, theirs in _INSTRUMENT}
-        return Instrument(
+        return InstrumentParameters(
             amplifier_limit_v=device.amplifier_limit_v,
             weight_n=self._at(theta, "weight_n"),
             stroke_m=device.stroke_m,

@@ -14,7 +14,7 @@ from tissueid.gap.dataset import Dataset, Prior, Purpose
 from tissueid.gap.fitting import Fit
 from tissueid.gap.parameters import INSTRUMENT_COORDINATES, LOGARITHMIC_TISSUE, TISSUE_COORDINATES, WITHIN_STDS
 from tissueid.gap.scoring import Candidate, errors
-from tissueid.instrument.twin_file import Source, TwinFile, content_of
+from tissueid.instrument.twin_file import TwinFile, TwinSource, content_of
 from tissueid.messages import Verbatim
 from tissueid.twin.effect import Effect
 from tissueid.twin.named_twin import NamedTwin
@@ -126,7 +126,7 @@ def twin_file_of(
     Raises:
         UnusableInputError: the twin cannot be simulated.
     """
-    source = Source(
+    source = TwinSource(
         session_id=session_id,
         tests=tuple(test.number for test in candidate.fit.parameters.dataset.tests),
         verdict=verdict,

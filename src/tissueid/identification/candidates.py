@@ -17,7 +17,7 @@ FEWEST = 50
 
 
 @dataclass(frozen=True)
-class Difference:
+class VafDifference:
     """VAF of one model minus that of another on the same ``n_samples``, in percentage points.
 
     ``std_points`` accounts for autocorrelated errors; None with too few samples. ``p_value`` is the one-sided
@@ -32,7 +32,7 @@ class Difference:
     n_samples: int
 
 
-def difference(error: Array, other: Array, measured: Array, sample_rate_hz: float) -> Difference:
+def difference(error: Array, other: Array, measured: Array, sample_rate_hz: float) -> VafDifference:
     """Compare two models by their squared errors, sample by sample (Diebold and Mariano 1995).
 
     ``error`` and ``other`` are measured minus simulated of the two, (n,); ``measured`` (n,) sets the scale. Samples
@@ -43,7 +43,7 @@ def difference(error: Array, other: Array, measured: Array, sample_rate_hz: floa
     n = int(used.sum())
     variance = float(np.var(measured[used])) if n > 1 else 0.0
     if variance == 0.0:
-        return Difference(float("nan"), None, None, float("nan"), n)
+        return VafDifference(float("nan"), None, None, float("nan"), n)
     ours, theirs = (np.square(e[used] - np.mean(e[used])) for e in (error, other))
     gain = 100.0 * (theirs - ours) / variance  # (n,) points of VAF
     points = float(np.mean(gain))
@@ -51,14 +51,14 @@ def difference(error: Array, other: Array, measured: Array, sample_rate_hz: floa
     reduction = 1.0 - float(np.mean(ours)) / left if left > 0.0 else 0.0
     terms = gain - points
     if n < FEWEST or not np.any(terms):
-        return Difference(points, None, None, reduction, n)
+        return VafDifference(points, None, None, reduction, n)
     covariance = long_run_covariance(terms[:, None], dependence_samples(terms, sample_rate_hz))
     std = math.sqrt(float(covariance[0, 0])) / n
-    return Difference(points, std, float(special.ndtr(-points / std)), reduction, n)
+    return VafDifference(points, std, float(special.ndtr(-points / std)), reduction, n)
 
 
 @dataclass(frozen=True, eq=False)
-class Candidate:
+class ModelCandidate:
     """An engine fitted to the record.
 
     ``error`` (n,) is measured minus free-run simulated output on the held-out record, NaN where it is not scored.
@@ -80,8 +80,8 @@ class Candidate:
 
 
 @dataclass(frozen=True)
-class Standing:
-    """Scores of a candidate, as in :class:`Candidate`, and their differences from other candidates on held-out samples.
+class ModelStanding:
+    """Scores of a :class:`ModelCandidate`, and their differences from other candidates on held-out samples.
 
     ``behind`` is the lead of the best candidate over this one, ``below`` the lead of the recommended one; ``beaten`` is
     true if any candidate has a significant and relevant lead over it.
@@ -94,8 +94,8 @@ class Standing:
     vaf_fitted_percent: float
     scheduled_percent: float | None
     aicc: float | None
-    behind: Difference
-    below: Difference
+    behind: VafDifference
+    below: VafDifference
     beaten: bool
 
 

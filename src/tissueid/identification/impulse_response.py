@@ -21,7 +21,7 @@ from tissueid.identification.correlation import (
     toeplitz_inverse,
     toeplitz_solve,
 )
-from tissueid.identification.preparation import Prepared, scored_samples, typical_samples
+from tissueid.identification.preparation import PreparedRecord, scored_samples, typical_samples
 from tissueid.messages import Message
 
 RIDGE = 1e-3
@@ -61,7 +61,7 @@ class ImpulseResponses:
     second. ``ridge`` was added to its diagonal.
     """
 
-    prepared: Prepared
+    prepared: PreparedRecord
     input: Array
     correlator: Correlator
     fade: Array
@@ -101,7 +101,7 @@ class ImpulseResponses:
         return toeplitz_inverse(self.column)
 
 
-def with_extra_memory(prepared: Prepared) -> Prepared:
+def with_extra_memory(prepared: PreparedRecord) -> PreparedRecord:
     """Return the record prepared for a response longer by ``EXTRA_MEMORY_S``, or less if there are too few samples."""
     record, part = prepared.record, prepared.part
     spare = part.stop - part.start - prepared.memory_samples
@@ -114,7 +114,7 @@ def with_extra_memory(prepared: Prepared) -> Prepared:
 
 
 def factor_input(
-    prepared: Prepared, *, pseudo_inverse: bool = False, tolerance: float = 1e-12, taper: float = 0.0
+    prepared: PreparedRecord, *, pseudo_inverse: bool = False, tolerance: float = 1e-12, taper: float = 0.0
 ) -> ImpulseResponses:
     """Factor the input side of Eq. 3.2: biased correlations without gaps, sums over complete windows with gaps.
 
@@ -226,7 +226,9 @@ class SegmentAverage:
     rejected: int
 
 
-def segment_average(prepared: Prepared, segment: float, most_condition: float, tolerance: float) -> SegmentAverage:
+def segment_average(
+    prepared: PreparedRecord, segment: float, most_condition: float, tolerance: float
+) -> SegmentAverage:
     """Average the responses of segments that overlap by half; ill-conditioned ones are rejected (Chen 2010, C.1.1).
 
     Each response is the pseudo-inverse solution for the correlations of its segment about the means. The deviations are

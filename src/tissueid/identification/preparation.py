@@ -138,7 +138,7 @@ SAMPLES_PER_PARAMETER = 3
 
 
 @dataclass(frozen=True)
-class Prepared:
+class PreparedRecord:
     """A record prepared for a fit.
 
     ``part`` is the part to fit. ``used`` (n,) marks the outputs that can be fitted: in that part, received, and with
@@ -191,7 +191,7 @@ def checked_samples(u: Array, y: Array) -> tuple[Array, Array]:
     return u, y
 
 
-def prepare(record: Record, fit_part: slice | None, memory: float, n_parameters: int | None = None) -> Prepared:
+def prepare(record: Record, fit_part: slice | None, memory: float, n_parameters: int | None = None) -> PreparedRecord:
     """Select the samples that can be fitted, and check that there are enough.
 
     Args:
@@ -252,7 +252,7 @@ def prepare(record: Record, fit_part: slice | None, memory: float, n_parameters:
                 length=length,
             )
         )
-    return Prepared(
+    return PreparedRecord(
         record=record,
         part=part,
         used=used,

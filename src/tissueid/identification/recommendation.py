@@ -18,7 +18,13 @@ import numpy as np
 from tissueid.errors import UnusableInputError
 from tissueid.identification import recommendation_messages as messages
 from tissueid.identification.base import Array
-from tissueid.identification.candidates import Candidate, Difference, Standing, SufficientOption, difference
+from tissueid.identification.candidates import (
+    ModelCandidate,
+    ModelStanding,
+    SufficientOption,
+    VafDifference,
+    difference,
+)
 from tissueid.identification.model_family import Family
 from tissueid.identification.validation import vaf_percent
 from tissueid.language import marked
@@ -52,7 +58,7 @@ class Recommendation:
     reasons: tuple[str, ...]
     doubts: tuple[str, ...]
     experiments: tuple[str, ...]
-    standings: tuple[Standing, ...]
+    standings: tuple[ModelStanding, ...]
     choices: tuple[SufficientOption, ...] = field(default=())
 
     @property
@@ -108,7 +114,7 @@ class Recommendation:
 
 
 def recommend(
-    candidates: Sequence[Candidate],
+    candidates: Sequence[ModelCandidate],
     held_out: Record,
     fitted: Record,
     *,
@@ -154,7 +160,7 @@ def recommend(
     )
 
 
-def beaten(lead: Difference, level: float = LEVEL) -> bool:
+def beaten(lead: VafDifference, level: float = LEVEL) -> bool:
     """Return whether a lead is significant at ``level`` and relevant."""
     sure = lead.p_value is not None and lead.p_value < level
     return sure and lead.reduction > RELEVANT_REDUCTION and lead.points > RELEVANT_POINTS
@@ -176,12 +182,14 @@ def sufficient(trials: Sequence[tuple[float, Array]], held_out: Record) -> float
     return min(v for v, error in scored if not beaten(difference(best, error, held_out.output, rate)))
 
 
-def _lead(candidate: Candidate, other: Candidate, held_out: Record) -> Difference:
+def _lead(candidate: ModelCandidate, other: ModelCandidate, held_out: Record) -> VafDifference:
     measured = held_out.output if other.measured is None else other.measured
     return difference(candidate.error, other.error, measured, held_out.sample_rate_hz)
 
 
-def _unbeaten(scored: Sequence[Candidate], leads: Mapping[tuple[Candidate, Candidate], Difference]) -> list[Candidate]:
+def _unbeaten(
+    scored: Sequence[ModelCandidate], leads: Mapping[tuple[ModelCandidate, ModelCandidate], VafDifference]
+) -> list[ModelCandidate]:
     """Return the candidates that no other beats and that lead every beaten candidate.
 
     The second condition excludes models with very large errors in one stretch: these errors also widen the standard
@@ -196,9 +204,9 @@ def _unbeaten(scored: Sequence[Candidate], leads: Mapping[tuple[Candidate, Candi
 
 
 def _standing(
-    candidate: Candidate, behind: Difference, below: Difference, is_beaten: bool, held_out: Record
-) -> Standing:
-    return Standing(
+    candidate: ModelCandidate, behind: VafDifference, below: VafDifference, is_beaten: bool, held_out: Record
+) -> ModelStanding:
+    return ModelStanding(
         engine=candidate.engine,
         family=candidate.family,
         second_order=candidate.second_order,
@@ -212,13 +220,13 @@ def _standing(
     )
 
 
-def _simplicity(candidate: Candidate) -> tuple[int, bool, float]:
+def _simplicity(candidate: ModelCandidate) -> tuple[int, bool, float]:
     """Return the sort key of candidates that are not beaten: simpler family first, then lower AICc."""
     aicc = math.inf if candidate.aicc is None or math.isnan(candidate.aicc) else candidate.aicc
     return candidate.family.rank, not candidate.second_order, aicc
 
 
-def _score(candidate: Candidate, held_out: Record) -> float:
+def _score(candidate: ModelCandidate, held_out: Record) -> float:
     """Return the held-out VAF of a candidate, %."""
     if candidate.measured is None:
         return _vaf(candidate.error, held_out)

@@ -8,7 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from tissueid.formatting import fixed, number, with_unit
-from tissueid.identification.candidates import Standing, SufficientOption
+from tissueid.identification.candidates import ModelStanding, SufficientOption
 from tissueid.identification.model_family import Family
 from tissueid.identification.registry import label_of
 from tissueid.language import marked
@@ -58,19 +58,19 @@ _FAMILIES = {
 class Basis:
     """Input of the texts: the recommended model, all models best first, and the fitted and held-out records."""
 
-    chosen: Standing
-    standings: tuple[Standing, ...]
+    chosen: ModelStanding
+    standings: tuple[ModelStanding, ...]
     held_out: Record
     fitted: Record
     ceiling_percent: float | None
 
     @property
-    def best(self) -> Standing:
+    def best(self) -> ModelStanding:
         """The model with the highest held-out VAF."""
         return self.standings[0]
 
     @property
-    def lowest_aicc(self) -> Standing | None:
+    def lowest_aicc(self) -> ModelStanding | None:
         """The model with the lowest AICc; None if none has one."""
         scored = [s for s in self.standings if s.aicc is not None and np.isfinite(s.aicc)]
         return min(scored, key=lambda s: s.aicc or 0.0, default=None)
@@ -214,7 +214,7 @@ def reasons(basis: Basis) -> Iterator[Message]:
         )
 
 
-def _lead_over(chosen: Standing, standing: Standing) -> Message:
+def _lead_over(chosen: ModelStanding, standing: ModelStanding) -> Message:
     below = standing.below
     values = {
         "name": _name(chosen),
@@ -238,7 +238,7 @@ def _lead_over(chosen: Standing, standing: Standing) -> Message:
     )
 
 
-def _why_left(chosen: Standing) -> Message:
+def _why_left(chosen: ModelStanding) -> Message:
     lead = chosen.behind
     if lead.p_value is None:
         return Message("recommendation.by_chance", "is within chance ({points:.2f} points)", points=lead.points)
@@ -407,7 +407,7 @@ def _ranges(basis: Basis) -> Iterator[Message]:
         )
 
 
-def _name(standing: Standing) -> str:
+def _name(standing: ModelStanding) -> str:
     label = label_of(standing.engine)
     if not standing.second_order:
         return label

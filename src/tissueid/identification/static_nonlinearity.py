@@ -156,7 +156,7 @@ class StaticNonlinearity(ABC):
 
 
 @dataclass(frozen=True, eq=False)
-class Exponential(StaticNonlinearity):
+class ExponentialCurve(StaticNonlinearity):
     """y = y0 + s (1 - exp(-C2 (z - z0))) / C2: Eq. 3.26 about the middle of the data.
 
     The coefficients are y0, s (the slope at z0) and C2. In this form a straight line is the regular case C2 = 0, and
@@ -197,7 +197,7 @@ class Exponential(StaticNonlinearity):
             bend = np.log1p(np.maximum(-c2 * bend, 1e-15 - 1.0)) / -c2  # limited at the asymptote
         return np.asarray(np.clip(self.centre + bend, low, high))
 
-    def refit(self, z: Array, y: Array) -> Exponential:
+    def refit(self, z: Array, y: Array) -> ExponentialCurve:
         """Return the exponential fitted to z (n,) and y (n,), starting from the present C2."""
         return fit_exponential(z, y, start=self.coefficients[2])
 
@@ -309,7 +309,7 @@ def fit_nonlinearity(form: Form, z: Array, y: Array, degree: int) -> StaticNonli
     return fit_spline(z, y, degree)
 
 
-def fit_exponential(z: Array, y: Array, start: float | None = None) -> Exponential:
+def fit_exponential(z: Array, y: Array, start: float | None = None) -> ExponentialCurve:
     """Fit the exponential of Eq. 3.26 with a free offset, by a grid over C2 (or a start) and Gauss-Newton.
 
     For a given C2 the other two coefficients follow by linear regression, so that only C2 is searched (variable
@@ -336,7 +336,7 @@ def fit_exponential(z: Array, y: Array, start: float | None = None) -> Exponenti
             step *= 0.5
         if not improved or abs(step) < _BEND_TOLERANCE / reach:
             break
-    return Exponential(np.array([mean_y - line.s * line.mean_bend, line.s, line.c2]), low, high, centre)
+    return ExponentialCurve(np.array([mean_y - line.s * line.mean_bend, line.s, line.c2]), low, high, centre)
 
 
 def fit_polynomial(z: Array, y: Array, degree: int) -> Polynomial:

@@ -19,7 +19,7 @@ from tissueid.instrument.tissues import COMPRESSING_N, COMPRESSING_S, TISSUES, E
 from tissueid.instrument.twin_file import TwinFile, device_of
 from tissueid.messages import Verbatim, joined
 from tissueid.twin.catalogue import effect
-from tissueid.twin.chain_parameters import Instrument
+from tissueid.twin.chain_parameters import InstrumentParameters
 from tissueid.twin.player import Player
 from tissueid.twin.simulation import ActiveEffect, Start, values_by_name
 
@@ -91,7 +91,7 @@ class SimulatedInstrument(HostPlayedInstrument):
             surface_m = self._placed_m = self._varying.placed(self._random)
             figures, effects = self._varying.drawn(self._random)
             player = Player(
-                Instrument(),
+                InstrumentParameters(),
                 replace(figures, surface_m=surface_m),
                 Start(0.0, surface_m),
                 _acting(effects),

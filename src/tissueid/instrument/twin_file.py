@@ -21,7 +21,7 @@ from tissueid.messages import Message, Verbatim, joined
 from tissueid.option_errors import validation_reason
 from tissueid.twin.bus import MOST_EFFECTS
 from tissueid.twin.catalogue import all_effects
-from tissueid.twin.chain_parameters import Instrument, Tissue
+from tissueid.twin.chain_parameters import InstrumentParameters, Tissue
 from tissueid.twin.named_twin import NamedTwin
 from tissueid.twin.player import SUBSTEPS
 from tissueid.twin.simulation import ActiveEffect, values_by_name
@@ -56,7 +56,7 @@ class _Part(BaseModel):
     model_config = ConfigDict(frozen=True, extra="forbid")
 
 
-class Source(_Part):
+class TwinSource(_Part):
     """Diagnosis from which a twin was accepted."""
 
     session_id: _Line = ""
@@ -102,7 +102,7 @@ class TwinFile(_Part):
     created: _Line = ""
     software: _Line = ""
     sample_rate_hz: Annotated[float, Field(gt=0.0, le=1e6, allow_inf_nan=False)]
-    source: Source = Source()
+    source: TwinSource = TwinSource()
     instrument: dict[_Figure, _Finite]
     tissue: dict[_Figure, _Finite]
     stds: Annotated[dict[_Figure, _Std], Field(max_length=64)] = Field(default_factory=dict)
@@ -113,7 +113,7 @@ class TwinFile(_Part):
     @field_validator("instrument")
     @classmethod
     def _is_an_instrument(cls, figures: dict[str, float]) -> dict[str, float]:
-        _complete("instrument", figures, {item.name for item in fields(Instrument)})
+        _complete("instrument", figures, {item.name for item in fields(InstrumentParameters)})
         for name in _POSITIVE:
             if not _LEAST <= figures[name] <= _MOST.get(name, 1e6):
                 raise ValueError(_outside(name, _LEAST, _MOST.get(name, 1e6), figures[name]))
@@ -156,7 +156,7 @@ class TwinFile(_Part):
         return NamedTwin(
             self.name,
             self.version,
-            Instrument(**self.instrument),
+            InstrumentParameters(**self.instrument),
             Tissue(**self.tissue),
             tuple(_acting(item) for item in self.effects),
             self.sample_rate_hz,
@@ -204,7 +204,7 @@ def _acting(part: EffectPart) -> ActiveEffect:
     return ActiveEffect(known, np.clip(values, low, high))
 
 
-def content_of(twin: NamedTwin, source: Source, created: str, software: str) -> TwinFile:
+def content_of(twin: NamedTwin, source: TwinSource, created: str, software: str) -> TwinFile:
     """Return the content of the file of a twin.
 
     Raises:

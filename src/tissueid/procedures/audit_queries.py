@@ -18,7 +18,7 @@ from tissueid.plan_options import Option, Plan
 from tissueid.untrusted_input import toml_table
 
 if TYPE_CHECKING:
-    from tissueid.audit.line import Line
+    from tissueid.audit.line import LogLine
 
 _MOST_TOML = 10_000_000
 """Number of bytes of a calibration that are read."""
@@ -75,7 +75,7 @@ def verify_log(plan: VerifyLogPlan) -> VerifiedLog:
     return VerifiedLog(path, result, len(heads), (*result.remarks, *without))
 
 
-def newest_lines(plan: LogPlan) -> tuple[Path, Sequence[Line]]:
+def newest_lines(plan: LogPlan) -> tuple[Path, Sequence[LogLine]]:
     """Return the path of a log and its newest lines, which are not verified.
 
     Raises:

@@ -30,7 +30,7 @@ if TYPE_CHECKING:  # each takes long to import
     from tissueid.audit import AuditTrail
     from tissueid.calibration import ElectricalCheck
     from tissueid.instrument import Instrument
-    from tissueid.reports import Comparison
+    from tissueid.reports import ComparisonTable
     from tissueid.sessions import Session
 
 LARGE_N = (-5.0, 11.8)
@@ -68,7 +68,7 @@ class DemoResult:
 
     page: Path
     analyses: dict[int, dict[str, Analysis]]
-    comparison: Comparison
+    comparison: ComparisonTable
     answer: dict[str, Any]
 
 
@@ -184,9 +184,9 @@ def _measure(instrument: Instrument, path: Path, plan: DemoPlan, control: Contro
     return recorder.finish(), check
 
 
-def _compare(session: Session, analyses: dict[int, dict[str, Analysis]], preset: str) -> Comparison:
+def _compare(session: Session, analyses: dict[int, dict[str, Analysis]], preset: str) -> ComparisonTable:
     """Return the estimates of both tests and the known values of the plant at the depth of the small test."""
-    from tissueid.reports import Comparison, ComparisonRow
+    from tissueid.reports import ComparisonRow, ComparisonTable
 
     position = float(np.nanmean(session.test(2).record().output))
     command = ("-m", "firmware_sim", "--preset", preset, "--local-values", repr(position))
@@ -197,7 +197,7 @@ def _compare(session: Session, analyses: dict[int, dict[str, Analysis]], preset:
         for name, unit in _COMPARED.items()
         if name in small and name in large
     )
-    return Comparison(position, rows)
+    return ComparisonTable(position, rows)
 
 
 def _answer(
@@ -205,7 +205,7 @@ def _answer(
     session: Session,
     check: ElectricalCheck,
     analyses: dict[int, dict[str, Analysis]],
-    comparison: Comparison,
+    comparison: ComparisonTable,
 ) -> dict[str, Any]:
     return {
         "made_by": "tissueid demo",

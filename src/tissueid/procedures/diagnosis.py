@@ -74,9 +74,9 @@ class DiagnosedSession:
     @property
     def report_html(self) -> str:
         """The report as HTML, in the language in force."""
-        from tissueid.reports.gap_page import Origin, gap_html
+        from tissueid.reports.gap_page import DiagnosisOrigin, gap_html
 
-        return gap_html(self.found, origin=Origin(self.session, self.plan.session))
+        return gap_html(self.found, origin=DiagnosisOrigin(self.session, self.plan.session))
 
 
 def diagnose_session(plan: DiagnosisPlan, control: Control) -> DiagnosedSession:

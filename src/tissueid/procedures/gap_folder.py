@@ -21,7 +21,7 @@ from tissueid.atomic_write import open_regular
 from tissueid.errors import CancelledError, UnusableInputError
 from tissueid.gap import Diagnosis, as_answer, diagnose, prepare
 from tissueid.gap.answer_store import store_answer, stored_answer
-from tissueid.gap.history import GapHistory, HistoryEntry
+from tissueid.gap.history import GapHistory, GapHistoryEntry
 from tissueid.gap.twin_export import against_twin
 from tissueid.gap.workers import SerialExecutor
 from tissueid.instrument.twin_file import TwinFile, read_twin
@@ -96,11 +96,11 @@ def diagnose_folder(
     return {path: answer.get(_REASON) or answer for path, answer in answers.items()}
 
 
-def _entry(path: Path, answer: dict[str, Any]) -> HistoryEntry:
+def _entry(path: Path, answer: dict[str, Any]) -> GapHistoryEntry:
     created = answer.pop(_CREATED)
     if (reason := answer.get(_REASON)) is not None:
-        return HistoryEntry(path.name, created, None, reason)
-    return HistoryEntry(path.name, created, answer)
+        return GapHistoryEntry(path.name, created, None, reason)
+    return GapHistoryEntry(path.name, created, answer)
 
 
 def _diagnosed(

@@ -99,7 +99,7 @@ def survey_instruments(
 
 
 @dataclass(frozen=True)
-class Link:
+class LinkStatistics:
     """Statistics of the link while the instrument was open; ``round_trip_s`` None if not measured."""
 
     frames: int
@@ -124,7 +124,7 @@ class Checkup:
     temperature_c: float
     resting_a: float
     faults: str
-    link: Link | None
+    link: LinkStatistics | None
 
 
 def run_checkup(url: str, opener: Opener, calibrate: Calibrate, check: Callable[[], object]) -> Checkup:
@@ -178,8 +178,8 @@ def _faults(instrument: Instrument) -> str:
     return describe_faults(status.faults) if status is not None and status.faults else ""
 
 
-def _link(instrument: Instrument) -> Link | None:
+def _link(instrument: Instrument) -> LinkStatistics | None:
     if not isinstance(instrument, SerialInstrument):
         return None
     frames = instrument.statistics
-    return Link(frames.accepted, frames.refused, instrument.repeated_requests, instrument.round_trip_s)
+    return LinkStatistics(frames.accepted, frames.refused, instrument.repeated_requests, instrument.round_trip_s)

@@ -2,6 +2,6 @@
 
 from tissueid.reports.comparison_page import ComparisonReport, comparison_report
 from tissueid.reports.session_page import report_html, write_report
-from tissueid.reports.tables import Comparison, ComparisonRow
+from tissueid.reports.tables import ComparisonRow, ComparisonTable
 
-__all__ = ["Comparison", "ComparisonReport", "ComparisonRow", "comparison_report", "report_html", "write_report"]
+__all__ = ["ComparisonReport", "ComparisonRow", "ComparisonTable", "comparison_report", "report_html", "write_report"]

@@ -20,7 +20,7 @@ from tissueid.analysis.curves.calibration_plots import (
     sweep_repeat_plots,
 )
 from tissueid.calibration.comparison import Residuals, residuals
-from tissueid.calibration.file import Calibration, Quantity
+from tissueid.calibration.file import CalibratedQuantity, Calibration
 from tissueid.calibration.labels import headline_of, label_of, notes_of, problems_of, readable, verdict_of
 from tissueid.errors import UnusableInputError
 from tissueid.formatting import fixed, number
@@ -160,7 +160,7 @@ def calibration_facts(calibration: Calibration) -> tuple[tuple[str, str], ...]:
     )
 
 
-def quantity_row(name: str, found: Quantity) -> tuple[str, str, str]:
+def quantity_row(name: str, found: CalibratedQuantity) -> tuple[str, str, str]:
     """Return label, value with its deviation, and unit of a quantity of a calibration."""
     label, value, unit = readable(name, found)
     return translated(label), value, _(unit)

@@ -8,7 +8,7 @@ from pathlib import Path
 
 from matplotlib.figure import Figure
 
-from tissueid.analysis import EngineComparison, Entry
+from tissueid.analysis import ComparisonEntry, EngineComparison
 from tissueid.analysis.curves.comparison_plots import distortion_plot, memory_plots, response_plots, score_plots
 from tissueid.analysis.distortion import described_levels, distortion_of, is_multisine
 from tissueid.atomic_write import atomic_file, private_folder
@@ -19,7 +19,7 @@ from tissueid.identification.base import Model
 from tissueid.language import _, marked
 from tissueid.messages import MISSING, Message, translated
 from tissueid.reports import captions
-from tissueid.reports.figures.registry import Group, Subject, figures_of
+from tissueid.reports.figures.registry import FigureSubject, Group, figures_of
 from tissueid.reports.page import (
     RESEARCH_LINE,
     FigureGroup,
@@ -89,7 +89,7 @@ def notes_of(found: EngineComparison) -> tuple[str, ...]:
     return tuple(dict.fromkeys(note for entry in found.entries for note in _notes(entry)))
 
 
-def _notes(entry: Entry) -> Iterator[str]:
+def _notes(entry: ComparisonEntry) -> Iterator[str]:
     if entry.refused is not None:
         yield Message("report.refused", "refused: {why}", why=entry.refused)
     if entry.scored is not None:
@@ -263,7 +263,7 @@ def _distortion(material: Material) -> Picture:
     return picture("distortion", _(_DISTORTION), alt, make)
 
 
-def _of_engine(subject: Subject[Model]) -> Section:
+def _of_engine(subject: FigureSubject[Model]) -> Section:
     """Return the figures of an engine, group by group."""
     declared = sorted(figures_of(subject), key=lambda one: (_ORDER.index(one.group), one.place))
     report = subject.model.report
@@ -312,7 +312,7 @@ def _scores_caption(found: EngineComparison) -> str:
     return captions.joined(*parts)
 
 
-def _refused(entries: tuple[Entry, ...]) -> Iterator[str]:
+def _refused(entries: tuple[ComparisonEntry, ...]) -> Iterator[str]:
     return (entry.engine for entry in entries if entry.refused is not None)
 
 

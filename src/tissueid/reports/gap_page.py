@@ -13,7 +13,7 @@ from tissueid.errors import UnusableInputError
 from tissueid.formatting import fixed, label_and_unit, number, subject_text, with_unit
 from tissueid.gap.diagnosis import Diagnosis, Ranked, effect_in, parameters_of
 from tissueid.gap.diagnosis_plots import history_plot
-from tissueid.gap.history import GapHistory, HistoryEntry, history_headline
+from tissueid.gap.history import GapHistory, GapHistoryEntry, history_headline
 from tissueid.gap.scoring import Candidate
 from tissueid.gap.statement import (
     effect_title,
@@ -149,14 +149,14 @@ _LISTED = 8
 
 
 @dataclass(frozen=True)
-class Origin:
+class DiagnosisOrigin:
     """What was diagnosed: the session and the file that it was read from."""
 
     session: Session
     file: Path
 
 
-def gap_html(found: Diagnosis, title: str = "", origin: Origin | None = None) -> str:
+def gap_html(found: Diagnosis, title: str = "", origin: DiagnosisOrigin | None = None) -> str:
     """The page as HTML text: where, which, how far, and what to do next.
 
     Args:
@@ -193,7 +193,7 @@ def gap_html(found: Diagnosis, title: str = "", origin: Origin | None = None) ->
     )
 
 
-def write_gap_report(found: Diagnosis, path: Path, title: str = "", origin: Origin | None = None) -> None:
+def write_gap_report(found: Diagnosis, path: Path, title: str = "", origin: DiagnosisOrigin | None = None) -> None:
     """Write the page so that ``path`` is whole or untouched.
 
     Raises:
@@ -218,7 +218,7 @@ def _interval(item: tuple[float, float]) -> str:
     return _("{low} to {high} %").format(low=fixed(100 * low, 0), high=fixed(100 * high, 0))
 
 
-def _facts(found: Diagnosis, origin: Origin | None) -> Iterator[tuple[str, str]]:
+def _facts(found: Diagnosis, origin: DiagnosisOrigin | None) -> Iterator[tuple[str, str]]:
     device, tests = found.dataset.instrument, found.dataset.tests
     if origin is not None:
         numbers = {test.number for test in tests}
@@ -362,7 +362,7 @@ def _rows(history: GapHistory) -> Iterator[Row]:
         yield entry.file, date, gap, floor, translated(_result(entry))
 
 
-def _result(entry: HistoryEntry) -> str:
+def _result(entry: GapHistoryEntry) -> str:
     if entry.answer is not None and not entry.combination:
         return _VERDICTS[entry.answer["verdict"]]
     return joined([effect_title(name) for name in entry.combination])

@@ -29,7 +29,7 @@ from tissueid.language import _
 from tissueid.messages import Message, Verbatim, translated
 from tissueid.records import Record
 from tissueid.reports import captions
-from tissueid.reports.figures.registry import Group, Subject, all_figures, figures_of
+from tissueid.reports.figures.registry import FigureSubject, Group, all_figures, figures_of
 from tissueid.reports.page import (
     RESEARCH_LINE,
     FigureGroup,
@@ -44,7 +44,7 @@ from tissueid.reports.page import (
 )
 from tissueid.reports.plot_renderer import column_figure, row_figure
 from tissueid.reports.tables import (
-    Comparison,
+    ComparisonTable,
     Table,
     comparison_table,
     parameter_table,
@@ -286,7 +286,7 @@ def report_html(
     session: Session,
     analyses: Mapping[int, Mapping[str, Analysis]],
     *,
-    comparison: Comparison | None = None,
+    comparison: ComparisonTable | None = None,
     title: str | None = None,
     refused: Mapping[str, str] | None = None,
 ) -> str:
@@ -330,7 +330,7 @@ def write_report(
     session: Session,
     analyses: Mapping[int, Mapping[str, Analysis]],
     *,
-    comparison: Comparison | None = None,
+    comparison: ComparisonTable | None = None,
     title: str | None = None,
     refused: Mapping[str, str] | None = None,
 ) -> None:
@@ -412,10 +412,10 @@ class Material:
         return next((a.model for a in self.analyses.values() if isinstance(a.model, SpectralModel)), None)
 
     @property
-    def subjects(self) -> list[Subject[Model]]:
+    def subjects(self) -> list[FigureSubject[Model]]:
         """The models, to be drawn."""
         surface = surface_of(self.test)
-        return [Subject(name, a.model, a, surface) for name, a in self.analyses.items()]
+        return [FigureSubject(name, a.model, a, surface) for name, a in self.analyses.items()]
 
     @property
     def any(self) -> Analysis | None:

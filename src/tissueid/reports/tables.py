@@ -69,7 +69,7 @@ class ComparisonRow:
 
 
 @dataclass(frozen=True)
-class Comparison:
+class ComparisonTable:
     """A small-amplitude test about ``position_m`` on the actuator, held against a plant that knows its own values."""
 
     position_m: float
@@ -180,7 +180,7 @@ def held_out_cell(report: FitReport, decimals: int = 2) -> str:
     return _("{score}, predicts nothing").format(score=text) if report.predicts_nothing else text
 
 
-def comparison_table(comparison: Comparison) -> Table:
+def comparison_table(comparison: ComparisonTable) -> Table:
     """Return a comparison with its errors as a table."""
     rows = []
     for row in comparison.rows:

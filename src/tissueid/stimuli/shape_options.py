@@ -157,7 +157,7 @@ class Shaped(Ranged):
             case "exponential":
                 return spectra.ExponentialDecay(self.time_constant_s)
             case "second_order":
-                return spectra.SecondOrder(self.natural_hz, self.damping)
+                return spectra.SecondOrderSpectrum(self.natural_hz, self.damping)
             case "power":
                 return spectra.PowerTable(self.frequencies_hz, self.densities)
             case "autocorrelation":

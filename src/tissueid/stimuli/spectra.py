@@ -227,7 +227,7 @@ class ExponentialDecay(Spectrum):
 
 
 @dataclass(frozen=True)
-class SecondOrder(Spectrum):
+class SecondOrderSpectrum(Spectrum):
     """Autocorrelation exp(-z w t) cos(w sqrt(1 - z^2) t) of a damped oscillator: "order2" of C.4.1."""
 
     natural_hz: float

@@ -11,7 +11,7 @@ STANDARD_GRAVITY = 9.80665
 
 
 @dataclass(frozen=True)
-class Instrument:
+class InstrumentParameters:
     """Amplifier, coil and moving part, SI (thesis 2.2.1, 2.3, Table 2.1). The order is the compiled loop's.
 
     ``weight_n`` is the moving part's weight along the stroke, positive into the tissue.

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass, field
 
-from tissueid.twin.chain_parameters import Instrument, Tissue
+from tissueid.twin.chain_parameters import InstrumentParameters, Tissue
 from tissueid.twin.simulation import ActiveEffect
 
 
@@ -19,7 +19,7 @@ class NamedTwin:
 
     name: str
     version: int
-    instrument: Instrument
+    instrument: InstrumentParameters
     tissue: Tissue
     acting: tuple[ActiveEffect, ...]
     sample_rate_hz: float

@@ -8,9 +8,9 @@ from dataclasses import replace
 import numpy as np
 
 from tissueid.twin import bus
-from tissueid.twin.chain_parameters import Instrument, Tissue
+from tissueid.twin.chain_parameters import InstrumentParameters, Tissue
 from tissueid.twin.effect import ActsOn, Effect, FloatArray, Parameter, Readings
-from tissueid.twin.simulation import ActiveEffect, Prepared, Start, in_order, prepared, recorded, run
+from tissueid.twin.simulation import ActiveEffect, PreparedEffects, Start, in_order, prepared, recorded, run
 
 RUBBER_N_PER_M = 1.0e5
 RUBBER_N_S_PER_M = 50.0
@@ -87,7 +87,7 @@ class Player:
 
     def __init__(
         self,
-        instrument: Instrument,
+        instrument: InstrumentParameters,
         tissue: Tissue,
         start: Start,
         acting: Sequence[ActiveEffect] = (),
@@ -102,7 +102,7 @@ class Player:
         self._acting = in_order((*acting, self._bumpers))
         self._instrument, self._tissue = instrument, tissue
         self._rate, self._substeps, self._on_tissue = sample_rate_hz, substeps, on_tissue
-        self._prepared: Prepared = prepared(self._acting, on_tissue)
+        self._prepared: PreparedEffects = prepared(self._acting, on_tissue)
         self._state = np.array([start.current_a, start.position_m, start.velocity_m_s, 0.0])
         self._samples = 0
         self._past = np.empty((3, 0))

@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from tissueid.twin import _kernel, bus
-from tissueid.twin.chain_parameters import Instrument, Tissue
+from tissueid.twin.chain_parameters import InstrumentParameters, Tissue
 from tissueid.twin.effect import Effect, Hook, Readings
 
 SUBSTEPS = 5
@@ -75,7 +75,7 @@ class Simulated:
 def simulate(
     command_v: NDArray[np.float64],
     sample_rate_hz: float,
-    instrument: Instrument,
+    instrument: InstrumentParameters,
     tissue: Tissue,
     start: Start,
     acting: Sequence[ActiveEffect] = (),
@@ -117,7 +117,7 @@ def simulate(
 def simulated_motion(
     command_v: NDArray[np.float64],
     sample_rate_hz: float,
-    instrument: Instrument,
+    instrument: InstrumentParameters,
     tissue: Tissue,
     start: Start,
     acting: Sequence[ActiveEffect] = (),
@@ -145,7 +145,7 @@ def recorded(met: Readings, acting: Sequence[ActiveEffect], on_tissue: bool = Tr
 
 
 @dataclass(frozen=True)
-class Prepared:
+class PreparedEffects:
     """Effects ``in_order``, in the form of the compiled loop: addresses of their hooks, shape (bus.SLOTS,), where each
     is called, their parameters, and in ``states`` their states and the bus."""
 
@@ -160,7 +160,7 @@ def in_order(acting: Iterable[ActiveEffect]) -> list[ActiveEffect]:
     return sorted(acting, key=lambda item: item.effect.evaluation)
 
 
-def prepared(acting: Sequence[ActiveEffect], on_tissue: bool) -> Prepared:
+def prepared(acting: Sequence[ActiveEffect], on_tissue: bool) -> PreparedEffects:
     """Return effects in the form of the compiled loop, at the start of a test.
 
     Raises:
@@ -177,13 +177,13 @@ def prepared(acting: Sequence[ActiveEffect], on_tissue: bool) -> Prepared:
             parameters[k, : item.values.size] = item.values
             hooks[k] = compiled(item.effect.hook).address
     states = np.zeros((bus.SLOTS + 1, bus.MOST_STATES))
-    return Prepared(hooks, places, parameters, states)
+    return PreparedEffects(hooks, places, parameters, states)
 
 
 def run(
-    effects: Prepared,
+    effects: PreparedEffects,
     command: NDArray[np.float64],
-    instrument: Instrument,
+    instrument: InstrumentParameters,
     tissue: Tissue,
     sample_rate_hz: float,
     substeps: int,

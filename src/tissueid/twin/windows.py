@@ -9,8 +9,8 @@ from numba import njit
 from numpy.typing import NDArray
 
 from tissueid.twin import _kernel, bus
-from tissueid.twin.chain_parameters import Instrument, Tissue
-from tissueid.twin.simulation import Prepared
+from tissueid.twin.chain_parameters import InstrumentParameters, Tissue
+from tissueid.twin.simulation import PreparedEffects
 
 FloatArray = NDArray[np.float64]
 
@@ -56,10 +56,10 @@ def _integrate(  # type: ignore[no-untyped-def]
 
 
 def simulate_windows(
-    effects: Prepared,
+    effects: PreparedEffects,
     force_n: FloatArray,
     sample_rate_hz: float,
-    instrument: Instrument,
+    instrument: InstrumentParameters,
     tissue: Tissue,
     edges: NDArray[np.int64],
     starts: FloatArray,

@@ -6,7 +6,7 @@ from app.test_window import idle
 from PySide6.QtCore import QItemSelectionModel, Qt
 
 from tissueid.audit import AuditLog
-from tissueid.calibration import Calibration, Quantity
+from tissueid.calibration import CalibratedQuantity, Calibration
 from tissueid.calibration.file import utc_date
 
 HEALTH, CALIBRATIONS, FAULTS, AUDIT = range(4)
@@ -15,9 +15,9 @@ PLACES = tuple(0.002 * k for k in range(1, 16))
 
 def sweep(share=1.0, date="", **changes):
     figures = {
-        "force_constant_n_per_a": Quantity(value=3.0 * share, std=0.015, unit="N/A"),
-        "linear_region_min_m": Quantity(value=0.004, std=5e-5, unit="m"),
-        "linear_region_max_m": Quantity(value=0.027, std=5e-5, unit="m"),
+        "force_constant_n_per_a": CalibratedQuantity(value=3.0 * share, std=0.015, unit="N/A"),
+        "linear_region_min_m": CalibratedQuantity(value=0.004, std=5e-5, unit="m"),
+        "linear_region_max_m": CalibratedQuantity(value=0.027, std=5e-5, unit="m"),
     }
     row = tuple(1.0 for _ in PLACES)
     tables = {
@@ -39,9 +39,9 @@ def sweep(share=1.0, date="", **changes):
 
 def static(date="", resistance=12.0):
     figures = {
-        "coil_resistance_ohm": Quantity(value=resistance, std=0.003, unit="ohm"),
-        "force_constant_n_per_a": Quantity(value=3.01, std=0.001, unit="N/A"),
-        "current_offset_a": Quantity(value=0.001, std=1e-4, unit="A"),
+        "coil_resistance_ohm": CalibratedQuantity(value=resistance, std=0.003, unit="ohm"),
+        "force_constant_n_per_a": CalibratedQuantity(value=3.01, std=0.001, unit="N/A"),
+        "current_offset_a": CalibratedQuantity(value=0.001, std=1e-4, unit="A"),
     }
     tables = {"electrical": {"voltage_v": (-1.0, 0.0, 1.0), "residual_a": (1e-3, -2e-3, 1e-3)}}
     return sweep(date=date, kind="static", quantities=figures, tables=tables)

@@ -10,7 +10,7 @@ from app.benches import WAIT_MS
 from app.views.test_clinician import idle, press, run_test, seeded
 from coded import code_of, codes, made, reads, shows
 
-from tissueid.app.views.clinician.comparing import STUDY, Comparison, Shelf, Sighting, compare_with, of_study
+from tissueid.app.views.clinician.comparing import STUDY, Shelf, Sighting, SittingComparison, compare_with, of_study
 from tissueid.app.views.clinician.comparison_card import THIS
 from tissueid.app.views.clinician.sitting import Repeat, Sitting, together
 from tissueid.instrument import SimulatedInstrument
@@ -232,7 +232,7 @@ def test_a_result_of_a_study_is_compared_with_the_other_subjects_at_the_site(tmp
 
 
 def test_nobody_is_compared_with_everybody(saved):
-    assert compared(saved.parent, saved.name) == Comparison()
+    assert compared(saved.parent, saved.name) == SittingComparison()
 
 
 def test_an_opened_session_is_compared_and_printed(qtbot, open_window, shelf_of):

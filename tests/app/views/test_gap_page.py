@@ -29,7 +29,7 @@ from tissueid.device import DeviceDescription
 from tissueid.gap.candidate_tests import candidate_tests
 from tissueid.gap.next_experiment import NextExperiment, settings_of
 from tissueid.instrument import open_instrument
-from tissueid.instrument.twin_file import Source, content_of, device_of, read_twin, write_twin
+from tissueid.instrument.twin_file import TwinSource, content_of, device_of, read_twin, write_twin
 from tissueid.instrument.twin_list import twins_in
 from tissueid.language import current_language, set_language
 from tissueid.messages import translated
@@ -38,7 +38,7 @@ from tissueid.procedures.gap_plans import DiagnosisPlan
 from tissueid.sessions import read_session, write_session
 from tissueid.test_settings import TestSettings
 from tissueid.twin import catalogue as shelf
-from tissueid.twin.chain_parameters import Instrument, Tissue
+from tissueid.twin.chain_parameters import InstrumentParameters, Tissue
 from tissueid.twin.effects.dry_friction import EFFECT as FRICTION
 from tissueid.twin.named_twin import NamedTwin
 
@@ -465,7 +465,7 @@ def test_every_candidate_test_is_prepared_on_the_form(qtbot, diagnosed, answers,
 
 
 def test_the_simulated_twin_of_a_session_is_found_by_the_name_it_states(tmp_path):
-    content = content_of(NamedTwin("bench", 1, Instrument(), Tissue(), (), 2000.0), Source(), "", "")
+    content = content_of(NamedTwin("bench", 1, InstrumentParameters(), Tissue(), (), 2000.0), TwinSource(), "", "")
     write_twin(tmp_path / "bench 1.toml", content)
     (tmp_path / "settings.toml").write_text("name = 'bench'\nversion = 1\n")
     (tmp_path / "broken.toml").write_text("[")

@@ -23,7 +23,7 @@ from tissueid.analysis.curves.plot import (
 )
 from tissueid.analysis.curves.validation import KINDS, ROLES
 from tissueid.calibration.comparison import Residuals, Trend, linear_region, profile_of
-from tissueid.calibration.file import Calibration, Quantity
+from tissueid.calibration.file import CalibratedQuantity, Calibration
 from tissueid.calibration.labels import label_of, unit_of_quantity
 from tissueid.errors import UnusableInputError
 from tissueid.formatting import clean
@@ -95,7 +95,7 @@ def static_repeat_plot(columns: Mapping[str, Array]) -> Plot:
 
 def trend_plot(found: Trend, now: datetime) -> Plot:
     """Return a figure of calibrations over the days before ``now``, with one standard deviation."""
-    unit, scale = unit_of_quantity(found.name, Quantity(value=float(found.value[-1]), unit=found.unit))
+    unit, scale = unit_of_quantity(found.name, CalibratedQuantity(value=float(found.value[-1]), unit=found.unit))
     days = np.array([(made - now).total_seconds() / 86400.0 for made in found.dates])
     value, std = scale * found.value, np.nan_to_num(scale * found.std)
     low, high = float((value - std).min()), float((value + std).max())

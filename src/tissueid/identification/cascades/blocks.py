@@ -17,7 +17,7 @@ from scipy import fft, interpolate, signal
 
 from tissueid.identification.base import Array, Mask
 from tissueid.identification.cascades.curves import curve_slopes
-from tissueid.identification.preparation import Prepared, prepare
+from tissueid.identification.preparation import PreparedRecord, prepare
 from tissueid.identification.static_nonlinearity import StaticNonlinearity
 from tissueid.records import Record
 
@@ -186,7 +186,7 @@ class CascadeData:
     samples apart.
     """
 
-    prepared: Prepared
+    prepared: PreparedRecord
     input: Array
     output: Array
     rows: NDArray[np.intp]
@@ -223,7 +223,7 @@ class CascadeData:
 
 def prepare_cascade(
     record: Record, fit_part: slice | None, lags: int, whole: int, n_parameters: Callable[[int], int]
-) -> tuple[Prepared, float]:
+) -> tuple[PreparedRecord, float]:
     """Prepare a record for cascades whose blocks have ``lags`` lags each, and choose the spacing of their basis.
 
     Args:
@@ -247,13 +247,13 @@ def prepare_cascade(
     return prepare(record, fit_part, whole / rate, n_parameters(lag_basis(lags, spacing).shape[1])), spacing
 
 
-def input_levels(prepared: Prepared) -> int:
+def input_levels(prepared: PreparedRecord) -> int:
     """Return the number of different input values in the fitted part: the most coefficients of an inner curve."""
     x = prepared.record.input[prepared.part]
     return int(np.unique(x[np.isfinite(x)]).size)
 
 
-def cascade_data(prepared: Prepared, lags: int, spacing: float) -> CascadeData:
+def cascade_data(prepared: PreparedRecord, lags: int, spacing: float) -> CascadeData:
     """Return the data for fits of cascades whose linear blocks have ``lags`` lags each.
 
     ``spacing`` is the distance of the first knots of their basis, in samples.

@@ -8,7 +8,7 @@ import numpy as np
 
 from tissueid.identification.base import Array
 from tissueid.identification.static_nonlinearity import (
-    Exponential,
+    ExponentialCurve,
     Form,
     Spline,
     StaticNonlinearity,
@@ -61,7 +61,7 @@ def curve_slopes(curve: StaticNonlinearity, z: Array) -> Array:
     """Return the derivatives of a curve at z (n,) with respect to its coefficients, shape (p, n), also where it is
     extrapolated.
     """
-    if isinstance(curve, Exponential):
+    if isinstance(curve, ExponentialCurve):
         return np.ascontiguousarray(curve.jacobian(z).T)
     inside = np.clip(z, curve.low, curve.high)
     slopes = np.ascontiguousarray(curve.jacobian(inside).T)
@@ -87,7 +87,7 @@ def with_offset(curve: StaticNonlinearity, by: float) -> StaticNonlinearity:
 def multiplied(curve: StaticNonlinearity, factor: float) -> StaticNonlinearity:
     """Return the curve times ``factor``; the curvature constant of an exponential does not change."""
     factors = np.full(curve.coefficients.size, factor)
-    if isinstance(curve, Exponential):
+    if isinstance(curve, ExponentialCurve):
         factors[2] = 1.0
     return curve.with_coefficients(curve.coefficients * factors)
 
@@ -96,7 +96,7 @@ def with_scaled_argument(curve: StaticNonlinearity, factor: float) -> StaticNonl
     """Return the curve of a scaled argument: its value at ``factor * z`` equals the value of the given curve at z."""
     low, high = sorted((factor * curve.low, factor * curve.high))
     mirrored = factor < 0.0
-    if isinstance(curve, Exponential):
+    if isinstance(curve, ExponentialCurve):
         y0, s, c2 = curve.coefficients
         return replace(
             curve,

@@ -39,7 +39,7 @@ _EXCEEDED, _UNDERFILLED = 0.02, 0.7
 
 
 @dataclass(frozen=True, eq=False)
-class Fitted:
+class FittedCascade:
     """Blocks with the sum of squared errors over the fitted rows."""
 
     blocks: Blocks
@@ -52,19 +52,19 @@ def squared_error(blocks: Blocks, data: CascadeData) -> float:
     return float(error @ error)
 
 
-def refine(blocks: Blocks, data: CascadeData, iterations: int = 40, tolerance: float = 1e-6) -> Fitted:
+def refine(blocks: Blocks, data: CascadeData, iterations: int = 40, tolerance: float = 1e-6) -> FittedCascade:
     """Minimise the simulation error over all blocks. The result is never worse than the start.
 
     ``tolerance`` is the relative decrease of the squared error below which the iteration ends. The damping is scaled by
     the sensitivities, so that it does not depend on the division of gains between blocks.
     """
     problem = _SimulationError(data)
-    best = Fitted(blocks, squared_error(blocks, data))
+    best = FittedCascade(blocks, squared_error(blocks, data))
     for _ in range(_ROUNDS):
         before = best.rss
         start = problem.point(_with_refitted_outer_curve(best, data).blocks)
         found = minimise(problem, start, most_steps=iterations, tolerance=tolerance, idle_steps=2).point
-        tried = Fitted(found.blocks, found.cost)
+        tried = FittedCascade(found.blocks, found.cost)
         if tried.rss < best.rss:
             best = tried
         if before - best.rss <= 10.0 * tolerance * before or _fits_range(best.blocks, data):
@@ -121,7 +121,7 @@ def _fits_range(blocks: Blocks, data: CascadeData) -> bool:
     )
 
 
-def _with_refitted_outer_curve(fitted: Fitted, data: CascadeData) -> Fitted:
+def _with_refitted_outer_curve(fitted: FittedCascade, data: CascadeData) -> FittedCascade:
     """Return the system with its outer curve refitted over the present range of its argument."""
     outer = fitted.blocks.outer
     if outer is None or _fits_range(fitted.blocks, data):
@@ -129,7 +129,7 @@ def _with_refitted_outer_curve(fitted: Fitted, data: CascadeData) -> Fitted:
     inside = run(fitted.blocks, data).inside[data.rows]
     target = outer(inside) if fitted.blocks.second is not None else data.measured
     blocks = with_outer(fitted.blocks, outer.refit(inside, target))
-    return Fitted(blocks, squared_error(blocks, data))
+    return FittedCascade(blocks, squared_error(blocks, data))
 
 
 def with_outer(blocks: Blocks, outer: StaticNonlinearity) -> Blocks:
@@ -151,13 +151,13 @@ _KNOT_SPACINGS = (1.5, 2.0, 3.0)
 _STEPS, _TOLERANCE = 25, 1e-4
 
 
-def fit_linear(data: CascadeData) -> Fitted:
+def fit_linear(data: CascadeData) -> FittedCascade:
     """Return the best linear approximation by least squares."""
     blocks = _with_fitted_offset(Blocks(None, linear_weights(data), None, None, 0.0), data)
-    return Fitted(blocks, squared_error(blocks, data))
+    return FittedCascade(blocks, squared_error(blocks, data))
 
 
-def hammerstein_passes(data: CascadeData, form: Form, degree: int, passes: int) -> list[Fitted]:
+def hammerstein_passes(data: CascadeData, form: Form, degree: int, passes: int) -> list[FittedCascade]:
     """Return the Hammerstein systems after each pass of alternating least squares, starting from Bai's estimate (1998).
 
     The passes use a polynomial; for another ``form``, that form is fitted to the polynomial of each pass.
@@ -167,23 +167,23 @@ def hammerstein_passes(data: CascadeData, form: Form, degree: int, passes: int) 
     for done in rank_one(curves, data, passes):
         inner = fit_curve(form, data.input, done.channels @ curves, degree)
         blocks = _with_fitted_offset(Blocks(inner, done.lags, None, None, 0.0), data)
-        found.append(Fitted(blocks, squared_error(blocks, data)))
+        found.append(FittedCascade(blocks, squared_error(blocks, data)))
     return found
 
 
-def fit_hammerstein(data: CascadeData, form: Form, degree: int) -> Fitted:
+def fit_hammerstein(data: CascadeData, form: Form, degree: int) -> FittedCascade:
     """Fit a Hammerstein (NL) cascade: refine the best pass of alternating least squares."""
     passes = hammerstein_passes(data, form, degree, 4)
     return refine(min(passes, key=lambda done: done.rss).blocks, data)
 
 
-def fit_wiener(data: CascadeData, form: Form, degree: int) -> Fitted:
+def fit_wiener(data: CascadeData, form: Form, degree: int) -> FittedCascade:
     """Fit a Wiener (LN) cascade, starting from the best linear approximation and from the second-order kernel."""
     starts = [linear_weights(data), *quadratic_weights(data, 2)]
     return _best([_wiener_blocks(weights, data, form, degree) for weights in starts], data)
 
 
-def fit_lnl(data: CascadeData, form: Form, degree: int, simpler: Iterable[Blocks]) -> Fitted:
+def fit_lnl(data: CascadeData, form: Form, degree: int, simpler: Iterable[Blocks]) -> FittedCascade:
     """Fit an LNL cascade: complete each of several first blocks to an LNL system by a Hammerstein fit, and refine the
     best.
     """
@@ -195,7 +195,7 @@ def fit_lnl(data: CascadeData, form: Form, degree: int, simpler: Iterable[Blocks
     return _best([blocks for _, blocks in finished[: _REFINED_STARTS + 1]], data)
 
 
-def fit_nln(data: CascadeData, form: Form, degree: int, simpler: Iterable[Blocks]) -> Fitted:
+def fit_nln(data: CascadeData, form: Form, degree: int, simpler: Iterable[Blocks]) -> FittedCascade:
     """Fit an NLN cascade, starting from a canonical correlation of curves of the output with lagged curves of the
     input.
     """
@@ -209,7 +209,9 @@ def fit_nln(data: CascadeData, form: Form, degree: int, simpler: Iterable[Blocks
     return _best(starts, data)
 
 
-def fit_structures(data: CascadeData, form: Form, degree: int, wanted: Iterable[Structure]) -> dict[Structure, Fitted]:
+def fit_structures(
+    data: CascadeData, form: Form, degree: int, wanted: Iterable[Structure]
+) -> dict[Structure, FittedCascade]:
     """Fit structures, and the simpler ones from which they start.
 
     Args:
@@ -219,7 +221,7 @@ def fit_structures(data: CascadeData, form: Form, degree: int, wanted: Iterable[
         wanted: the structures.
     """
     asked = set(wanted)
-    found: dict[Structure, Fitted] = {}
+    found: dict[Structure, FittedCascade] = {}
     if "linear" in asked:
         found["linear"] = fit_linear(data)
     if asked & {"hammerstein", "nln"}:
@@ -234,16 +236,16 @@ def fit_structures(data: CascadeData, form: Form, degree: int, wanted: Iterable[
     return found
 
 
-def over_whole_range(fitted: Fitted, data: CascadeData) -> Fitted:
+def over_whole_range(fitted: FittedCascade, data: CascadeData) -> FittedCascade:
     """Return a fit to a part of the data with its inner curve over the range of all inputs."""
     inner = fitted.blocks.inner
     if inner is None or (inner.low <= data.input.min() and data.input.max() <= inner.high):
         return fitted
     blocks = replace(fitted.blocks, inner=inner.refit(data.input, inner(data.input)))
-    return Fitted(blocks, squared_error(blocks, data))
+    return FittedCascade(blocks, squared_error(blocks, data))
 
 
-def refine_until_converged(fitted: Fitted, data: CascadeData) -> tuple[Blocks, CascadeData]:
+def refine_until_converged(fitted: FittedCascade, data: CascadeData) -> tuple[Blocks, CascadeData]:
     """Return the converged blocks, with the data in whose basis their weights are given.
 
     The division of an LNL system's dynamics between its blocks is weakly determined, and free lags overfit. Its blocks
@@ -270,7 +272,7 @@ def _aicc_of(blocks: Blocks, data: CascadeData) -> float:
     return aicc(error, blocks.n_parameters)
 
 
-def _best(starts: list[Blocks], data: CascadeData) -> Fitted:
+def _best(starts: list[Blocks], data: CascadeData) -> FittedCascade:
     """Refine every starting point by a few steps, refine the best ones until convergence, and return the best fit."""
     some = data.thinned(_SCREENING_ROWS_PER_PARAMETER * max(blocks.vector.size for blocks in starts))
     screened = sorted((refine(blocks, some, _SCREENING_STEPS, 1e-3) for blocks in starts), key=lambda done: done.rss)

@@ -28,7 +28,7 @@ from tissueid.identification.cascades.blocks import (
     run,
     slopes,
 )
-from tissueid.identification.cascades.fit import Fitted, fit_linear, refine
+from tissueid.identification.cascades.fit import FittedCascade, fit_linear, refine
 from tissueid.identification.cascades.starting_points import solve_with_ridge
 from tissueid.identification.correlation import dependence_samples, long_run_covariance
 from tissueid.identification.validation import aicc
@@ -209,7 +209,7 @@ class StructureChoice:
         return self.determined and self.complete
 
 
-def choose(found: Mapping[Structure, Fitted], data: CascadeData) -> StructureChoice:
+def choose(found: Mapping[Structure, FittedCascade], data: CascadeData) -> StructureChoice:
     """Choose a structure by cross-validation.
 
     Args:
@@ -339,7 +339,7 @@ def structure_warnings(choice: StructureChoice) -> tuple[str, ...]:
     )
 
 
-def _refitted(fitted: Fitted, data: CascadeData, folds: list[NDArray[np.intp]]) -> list[Blocks]:
+def _refitted(fitted: FittedCascade, data: CascadeData, folds: list[NDArray[np.intp]]) -> list[Blocks]:
     """Return the blocks refitted without each fold."""
     answers = []
     for fold in folds:

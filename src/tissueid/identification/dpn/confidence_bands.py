@@ -10,7 +10,7 @@ from tissueid.identification.base import Array
 from tissueid.identification.correlation import dependence_samples, long_run_covariance
 from tissueid.identification.depth_profile import DepthProfile
 from tissueid.identification.dpn.curves import LogCurves
-from tissueid.identification.dpn.fit import PRIOR, DpnData, Fitted, prior_weights
+from tissueid.identification.dpn.fit import PRIOR, DpnData, FittedDpn, prior_weights
 from tissueid.records import Estimate
 
 NORMAL_95 = 1.959964
@@ -172,7 +172,7 @@ def _as_positions(position: Array | float) -> Array:
     return np.atleast_1d(np.asarray(position, dtype=np.float64))
 
 
-def coefficient_covariance(data: DpnData, fitted: Fitted) -> Array:
+def coefficient_covariance(data: DpnData, fitted: FittedDpn) -> Array:
     """Return the covariance (p, p) of the coefficients; NaN if the fit did not converge.
 
     Sandwich estimate for a model that need not be complete (White 1982), with autocorrelated errors and the weak prior.

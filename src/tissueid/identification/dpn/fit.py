@@ -115,7 +115,7 @@ class DpnData:
         error = np.concatenate(errors)
         return Evaluation(float(error @ error), error, np.concatenate(projected), np.vstack(sensitivities), changes)
 
-    def speeds(self, fitted: Fitted) -> Array:
+    def speeds(self, fitted: FittedDpn) -> Array:
         """Return the simulated speed at every fitted sample, m/s, shape (m,)."""
         tables = fitted.curves.tables
         table, bounds = tables.table(), tables.bounds()
@@ -133,7 +133,7 @@ class DpnData:
 
 
 @dataclass(frozen=True, eq=False)
-class Fitted:
+class FittedDpn:
     """Curves with the least squared simulation error, the initial state of every run, and the derivatives at the
     solution.
     """
@@ -161,7 +161,7 @@ def prior_weights(curves: LogCurves, rss: float, samples: int) -> Array:
 
 def minimise(
     data: DpnData, curves: LogCurves, starts: list[Array], centre: Array, tolerance: float = TOLERANCE
-) -> Fitted | None:
+) -> FittedDpn | None:
     """Return the curves of the same degrees with the least squared simulation error; None if the start diverges.
 
     Every coefficient has the prior mean ``centre`` (p,), see :data:`PRIOR`. The iteration ends when a step decreases
@@ -172,7 +172,7 @@ def minimise(
     if start is None:
         return None
     found = levenberg_marquardt.minimise(problem, start, most_steps=_ITERATIONS, tolerance=tolerance, damping=1e-4)
-    return Fitted(found.point.curves, found.point.starts, found.point.evaluation, found.converged)
+    return FittedDpn(found.point.curves, found.point.starts, found.point.evaluation, found.converged)
 
 
 @dataclass(frozen=True, eq=False)

@@ -17,7 +17,7 @@ from tissueid.identification.base import Array
 from tissueid.identification.correlation import dependence_samples, long_run_covariance
 from tissueid.identification.dpn.confidence_bands import coefficient_covariance
 from tissueid.identification.dpn.curves import LogCurves
-from tissueid.identification.dpn.fit import TOLERANCE, DpnData, Fitted, minimise
+from tissueid.identification.dpn.fit import TOLERANCE, DpnData, FittedDpn, minimise
 
 SERIES = ("mass", "damping", "stiffness", "direction", "inertia")
 
@@ -37,7 +37,7 @@ _INERTIA_RANGE = (-0.5, 1.5)
 """Plausible range of the share of M'(y) y'^2: 0, 0.5 or 1, plus its uncertainty."""
 
 
-def score_gains(data: DpnData, fitted: Fitted, steps: dict[str, int]) -> dict[tuple[str, int], tuple[float, float]]:
+def score_gains(data: DpnData, fitted: FittedDpn, steps: dict[str, int]) -> dict[tuple[str, int], tuple[float, float]]:
     """Return the gain of each series from 1 to ``steps`` additional degrees.
 
     Returns for each series and number of degrees the score statistic, which is chi-squared with that many degrees of
@@ -74,7 +74,7 @@ def score_gains(data: DpnData, fitted: Fitted, steps: dict[str, int]) -> dict[tu
 
 def select_degrees(
     data: DpnData, start: LogCurves, degrees: dict[str, int], free: Collection[str], most: int, spare: int
-) -> tuple[Fitted, dict[str, int]] | None:
+) -> tuple[FittedDpn, dict[str, int]] | None:
     """Fit constant curves, then raise the degrees as far as the record supports.
 
     Args:
@@ -112,7 +112,9 @@ def select_degrees(
     return _refitted(data, fitted, wanted, start, TOLERANCE) or fitted, found
 
 
-def _without_insignificant_degrees(data: DpnData, fitted: Fitted, free: Collection[str], start: LogCurves) -> Fitted:
+def _without_insignificant_degrees(
+    data: DpnData, fitted: FittedDpn, free: Collection[str], start: LogCurves
+) -> FittedDpn:
     """Return the fit without highest degrees that are no longer significant by the Wald test."""
     while True:
         covariance = coefficient_covariance(data, fitted)
@@ -130,26 +132,30 @@ def _without_insignificant_degrees(data: DpnData, fitted: Fitted, free: Collecti
         fitted = lighter
 
 
-def _degree(fitted: Fitted, name: str) -> int:
+def _degree(fitted: FittedDpn, name: str) -> int:
     return int(getattr(fitted.curves, name).size) - 1
 
 
-def _degrees_to_test(fitted: Fitted, name: str, most: int) -> int:
+def _degrees_to_test(fitted: FittedDpn, name: str, most: int) -> int:
     """Return how many additional degrees of a series may be tested."""
     if name == "inertia":  # means nothing for a constant mass
         return 1 if fitted.curves.inertia.size == 0 and fitted.curves.mass.size > 1 else 0
     return max(0, min(_DEGREES_TESTED, most - _degree(fitted, name)))
 
 
-def _plausible(fitted: Fitted) -> bool:
+def _plausible(fitted: FittedDpn) -> bool:
     """Return False if the share of M'(y) y'^2 is not possible for any mass, so that another effect must cause it."""
     low, high = _INERTIA_RANGE
     return all(low < share < high for share in fitted.curves.inertia)
 
 
 def _refitted(
-    data: DpnData, fitted: Fitted, degrees: dict[str, int], start: LogCurves, tolerance: float = _INTERMEDIATE_TOLERANCE
-) -> Fitted | None:
+    data: DpnData,
+    fitted: FittedDpn,
+    degrees: dict[str, int],
+    start: LogCurves,
+    tolerance: float = _INTERMEDIATE_TOLERANCE,
+) -> FittedDpn | None:
     """Return the fit with series of other degrees; None if it cannot be simulated."""
     curves = fitted.curves.with_degrees(**degrees)
     every = {name: int(getattr(curves, name).size) - 1 for name in SERIES}

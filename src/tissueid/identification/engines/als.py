@@ -14,7 +14,7 @@ from tissueid.identification.impulse_response import memory_warnings
 from tissueid.identification.model_family import Family
 from tissueid.identification.online import adaptive_least_squares as adaptation
 from tissueid.identification.online.identifier import Identifier, OnlineEngine, OnlineModel
-from tissueid.identification.preparation import Prepared, prepare
+from tissueid.identification.preparation import PreparedRecord, prepare
 from tissueid.identification.registry import engine
 from tissueid.identification.second_order_fit import fit_second_order
 from tissueid.identification.validation import vaf_percent
@@ -185,7 +185,7 @@ class Als(OnlineEngine):
             raise UnusableInputError(identifier.warning)
         return self.model_of(identifier, prepared)
 
-    def model_of(self, identifier: AlsIdentifier, prepared: Prepared) -> AlsModel:
+    def model_of(self, identifier: AlsIdentifier, prepared: PreparedRecord) -> AlsModel:
         """Return the model of an identifier, scored on a prepared record."""
         record, used = prepared.record, prepared.used
         lags, rate = identifier.lags, identifier.sample_rate_hz
@@ -229,7 +229,7 @@ class Als(OnlineEngine):
         scheduled = model.simulate_scheduled(record)[used]
         return model.with_report(vaf_scheduled_percent=vaf_percent(record.output[used], scheduled))
 
-    def _check_step(self, prepared: Prepared) -> None:
+    def _check_step(self, prepared: PreparedRecord) -> None:
         """Raise for a change factor that is unstable for the input of the fitted part.
 
         Raises:

@@ -12,14 +12,14 @@ from tissueid.identification.base import Array, Engine, Mask, Model, option
 from tissueid.identification.depth_profile import DepthProfile
 from tissueid.identification.dpn.confidence_bands import EstimatedCurves, coefficient_covariance
 from tissueid.identification.dpn.curves import LogCurves
-from tissueid.identification.dpn.fit import DpnData, Fitted
+from tissueid.identification.dpn.fit import DpnData, FittedDpn
 from tissueid.identification.dpn.report import curve_warnings, dpn_parameters, findings, settling_samples
 from tissueid.identification.dpn.selection import score_gains, select_degrees
 from tissueid.identification.dpn.simulation import FreeRun, simulate_dpn
 from tissueid.identification.model_family import Family
 from tissueid.identification.preparation import (
     SAMPLES_PER_PARAMETER,
-    Prepared,
+    PreparedRecord,
     complete_windows,
     prepare,
     scored_samples,
@@ -211,8 +211,8 @@ class Dpn(Engine):
 
     def _model(
         self,
-        prepared: Prepared,
-        fitted: Fitted,
+        prepared: PreparedRecord,
+        fitted: FittedDpn,
         found: dict[str, int],
         known: EstimatedCurves,
         gains: dict[str, tuple[float, float]],
@@ -287,7 +287,7 @@ class Dpn(Engine):
         )
 
 
-def _constant_curves(prepared: Prepared, hold: Hold) -> tuple[LogCurves, tuple[str, ...]]:
+def _constant_curves(prepared: PreparedRecord, hold: Hold) -> tuple[LogCurves, tuple[str, ...]]:
     """Return the linear second-order system of the record as curves that do not depend on depth, and warnings.
 
     Raises:

@@ -11,7 +11,7 @@ from tissueid.errors import UnusableInputError
 from tissueid.identification.base import Array, Mask, Model, option
 from tissueid.identification.cascades.blocks import Blocks, CascadeData, cascade_data, input_levels, prepare_cascade
 from tissueid.identification.cascades.curves import with_offset
-from tissueid.identification.cascades.fit import Fitted, fit_linear, hammerstein_passes, refine
+from tissueid.identification.cascades.fit import FittedCascade, fit_linear, hammerstein_passes, refine
 from tissueid.identification.cascades.normalisation import FLAT, has_steady_gains, normalise_gains, uncertainty
 from tissueid.identification.correlation import convolve_at_rest
 from tissueid.identification.impulse_response import memory_warnings
@@ -278,7 +278,7 @@ class Hammerstein(MemoryEngine):
         )
 
     def _history(
-        self, record: Record, data: CascadeData, passes: list[Fitted], gains: tuple[bool, bool]
+        self, record: Record, data: CascadeData, passes: list[FittedCascade], gains: tuple[bool, bool]
     ) -> tuple[HammersteinPass, ...]:
         """Return each pass with the second-order system of its linear stage."""
         history: list[HammersteinPass] = []
@@ -300,6 +300,6 @@ class Hammerstein(MemoryEngine):
         return tuple(history)
 
 
-def _vaf(fitted: Fitted, data: CascadeData) -> float:
+def _vaf(fitted: FittedCascade, data: CascadeData) -> float:
     """Return the VAF of fitted blocks over the rows, in percent."""
     return 100.0 * (1.0 - fitted.rss / data.rows.size / float(np.var(data.measured)))

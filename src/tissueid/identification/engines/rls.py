@@ -13,7 +13,7 @@ from tissueid.identification.impulse_response import kernel_std, memory_warnings
 from tissueid.identification.model_family import Family
 from tissueid.identification.online import recursive_least_squares as recursion
 from tissueid.identification.online.identifier import Identifier, OnlineEngine, OnlineModel
-from tissueid.identification.preparation import SAMPLES_PER_PARAMETER, Prepared, prepare
+from tissueid.identification.preparation import SAMPLES_PER_PARAMETER, PreparedRecord, prepare
 from tissueid.identification.registry import engine
 from tissueid.identification.second_order_fit import fit_second_order
 from tissueid.language import marked
@@ -119,7 +119,7 @@ class Rls(OnlineEngine):
         prepared = prepare(record, fit_part, self.memory_s)
         return self.model_of(self.run(prepared), prepared)
 
-    def model_of(self, identifier: RlsIdentifier, prepared: Prepared) -> RlsModel:
+    def model_of(self, identifier: RlsIdentifier, prepared: PreparedRecord) -> RlsModel:
         """Return the model of an identifier, scored on a prepared record."""
         record, used = prepared.record, prepared.used
         lags, rate = identifier.lags, identifier.sample_rate_hz

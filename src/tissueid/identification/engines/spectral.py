@@ -16,7 +16,7 @@ from tissueid.identification.correlation import convolve_at_rest
 from tissueid.identification.memory import MemoryEngine
 from tissueid.identification.model_family import Family
 from tissueid.identification.preparation import (
-    Prepared,
+    PreparedRecord,
     finite_runs,
     memory_in_samples,
     part_length,
@@ -187,7 +187,7 @@ class Spectral(MemoryEngine):
             second_order=second_order,
         )
 
-    def spectra(self, prepared: Prepared) -> Spectra:
+    def spectra(self, prepared: PreparedRecord) -> Spectra:
         """Average the periodograms of all segments (segments, length) of the fitted part without a gap.
 
         Raises:

@@ -13,7 +13,7 @@ from tissueid.identification.base import PARAMETRIC, Array, option
 from tissueid.identification.impulse_response import memory_warnings
 from tissueid.identification.memory import MemoryEngine
 from tissueid.identification.model_family import Family
-from tissueid.identification.preparation import SAMPLES_PER_PARAMETER, Prepared, memory_in_samples, prepare
+from tissueid.identification.preparation import SAMPLES_PER_PARAMETER, PreparedRecord, memory_in_samples, prepare
 from tissueid.identification.registry import engine
 from tissueid.identification.second_order_fit import fit_second_order
 from tissueid.identification.volterra.lag_grid import LagGrid, automatic_grid, lag_grid, shortened, smoothed, whiteness
@@ -166,7 +166,7 @@ class Volterra(MemoryEngine):
         grid, prepared, _ = known._prepared(record, fit_part)
         return known._factored(record.input - prepared.input_mean, prepared, grid)
 
-    def _prepared(self, record: Record, fit_part: slice | None) -> tuple[LagGrid, Prepared, tuple[str, ...]]:
+    def _prepared(self, record: Record, fit_part: slice | None) -> tuple[LagGrid, PreparedRecord, tuple[str, ...]]:
         """Return the lags, the record prepared for the number of samples that they need, and warnings."""
         rate = record.sample_rate_hz
         first = prepare(record, fit_part, 1.0 / rate, 1)  # checks that the input varies
@@ -209,14 +209,14 @@ class Volterra(MemoryEngine):
         """Return the distance of the rows in samples."""
         return 1 if self.rows == "every" else grid.spacing
 
-    def _rows(self, prepared: Prepared, grid: LagGrid) -> int:
+    def _rows(self, prepared: PreparedRecord, grid: LagGrid) -> int:
         return int(prepared.used[:: self._step(grid)].sum())
 
     @property
     def _exact(self) -> bool:
         return self.method == "exact" or self.order == 0
 
-    def _factored(self, x: Array, prepared: Prepared, grid: LagGrid) -> VolterraStimulus:
+    def _factored(self, x: Array, prepared: PreparedRecord, grid: LagGrid) -> VolterraStimulus:
         coefficients = coefficient_count(grid.lags, self.order)
         if coefficients > _MOST_COEFFICIENTS:
             raise UnusableInputError(
@@ -233,7 +233,7 @@ class Volterra(MemoryEngine):
         x: Array,
         y: Array,
         rate: float,
-        prepared: Prepared,
+        prepared: PreparedRecord,
         grid: LagGrid,
         stimulus: VolterraStimulus | None,
     ) -> Solved:
@@ -252,7 +252,7 @@ class Volterra(MemoryEngine):
             )
         return exact_least_squares(stimulus, y[::step], rate / step)
 
-    def _whiteness(self, x: Array, prepared: Prepared, grid: LagGrid) -> float | None:
+    def _whiteness(self, x: Array, prepared: PreparedRecord, grid: LagGrid) -> float | None:
         if self.order == 0:
             return None
         products = VolterraRegressors(x, prepared.used, grid.lags, grid.spacing, 1).gram()
@@ -268,7 +268,7 @@ class Volterra(MemoryEngine):
             std = None
         return (kernel_structure(kernels.first, kernels.second, solved.kernel1_std, std).sentence,)
 
-    def _warnings(self, solved: Solved, white: float | None, prepared: Prepared, grid: LagGrid) -> list[str]:
+    def _warnings(self, solved: Solved, white: float | None, prepared: PreparedRecord, grid: LagGrid) -> list[str]:
         """Return warnings about the kernels."""
         doubts: list[str] = []
         rows, spent = self._rows(prepared, grid), math.ceil(solved.parameters)
@@ -304,7 +304,7 @@ def _scaled(values: Array | None, factor: float) -> Array | None:
     return None if values is None else values * factor
 
 
-def _scored(model: VolterraModel, record: Record, prepared: Prepared) -> VolterraModel:
+def _scored(model: VolterraModel, record: Record, prepared: PreparedRecord) -> VolterraModel:
     """Return the model with its scores on the fitted samples."""
     scored = model.with_fit_scores(record, prepared.used)
     return scored if model.order else scored.with_report(vaf_percent=0.0)

@@ -19,16 +19,16 @@ from tissueid.identification.second_order_fit import SecondOrderFit
 from tissueid.identification.static_nonlinearity import (
     DEGREE,
     REFINE,
-    Exponential,
+    ExponentialCurve,
     Form,
     StaticNonlinearity,
     coefficient_count,
 )
 from tissueid.identification.validation import vaf_percent
 from tissueid.identification.wiener.iteration import (
-    Cascade,
     LinearStage,
     Pass,
+    WienerCascade,
     cut_to_memory,
     hunter_korenberg,
     linear_output,
@@ -279,7 +279,7 @@ class Wiener(MemoryEngine):
             second_order=second_order,
         )
 
-    def _warnings(self, passes: list[Pass], chosen: int, cascade: Cascade) -> list[str]:
+    def _warnings(self, passes: list[Pass], chosen: int, cascade: WienerCascade) -> list[str]:
         """Return warnings about the iteration and the nonlinearity."""
         doubts: list[str] = []
         turned = any(one.feedback for one in passes)
@@ -342,7 +342,7 @@ class Wiener(MemoryEngine):
                 "scaled_mass_s2": self.scaling * system.mass / system.stiffness,
                 "scaled_damping_s": self.scaling * system.damping / system.stiffness,
             }
-            if isinstance(done.cascade.nonlinearity, Exponential):
+            if isinstance(done.cascade.nonlinearity, ExponentialCurve):
                 constants = done.cascade.nonlinearity.thesis_constants(self.surface_position_m, self.c3_n or 0.0)
                 found |= zip(("c1", "c2", "c3", "offset"), constants, strict=True)
             history.append(

@@ -24,7 +24,7 @@ from tissueid.identification.impulse_response import kernel_std
 from tissueid.identification.live.sliding import SlidingLms
 from tissueid.identification.live.stopping import PARAMETERS, Parameter, Precision
 from tissueid.identification.online.identifier import RECENT_S
-from tissueid.identification.preparation import Prepared, prepare
+from tissueid.identification.preparation import PreparedRecord, prepare
 from tissueid.identification.second_order import without_spring
 from tissueid.identification.second_order_fit import SecondOrderFit
 from tissueid.identification.static_nonlinearity import fit_exponential
@@ -221,7 +221,7 @@ class _Response:
     kernel: Array
     std: Array | None
     modelled: Array
-    prepared: Prepared
+    prepared: PreparedRecord
 
     @property
     def pairs(self) -> tuple[Array, Array]:
@@ -265,7 +265,7 @@ def _present_response(identifier: LiveIdentifier) -> _Response:
     return _Response(kernel, std, modelled, prepared)
 
 
-def _run(kernel: Array, prepared: Prepared, centre: float, offset: float) -> tuple[Array, Array, Array]:
+def _run(kernel: Array, prepared: PreparedRecord, centre: float, offset: float) -> tuple[Array, Array, Array]:
     """Return the input minus its centre, the free run, and the residuals (NaN for samples that are not scored); each
     (n,).
     """

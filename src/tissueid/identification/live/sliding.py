@@ -16,7 +16,13 @@ from tissueid.identification.correlation import condition_number, toeplitz_inver
 from tissueid.identification.engines.lms import Lms, LmsModel
 from tissueid.identification.impulse_response import EXTRA_MEMORY_S, RIDGE, factor_input, with_extra_memory
 from tissueid.identification.lagged_gram import LaggedRegressors
-from tissueid.identification.preparation import Prepared, checked_samples, memory_in_samples, prepare, typical_samples
+from tissueid.identification.preparation import (
+    PreparedRecord,
+    checked_samples,
+    memory_in_samples,
+    prepare,
+    typical_samples,
+)
 from tissueid.records import Record
 
 
@@ -96,7 +102,7 @@ class SlidingSolution:
     """
 
     kernel: Array
-    prepared: Prepared
+    prepared: PreparedRecord
     column: Array | None = None
     matrix: Array | None = None
     pseudo_inverse: Array | None = None
@@ -291,7 +297,7 @@ class SlidingLms:
 
     # -- solutions ----------------------------------------------------------------------------------------
 
-    def _from_sums(self, prepared: Prepared) -> SlidingSolution:
+    def _from_sums(self, prepared: PreparedRecord) -> SlidingSolution:
         """Return the Toeplitz solution from the sums, corrected for the means of the window and for the taper at its
         ends.
 
@@ -321,7 +327,7 @@ class SlidingLms:
         kernel = toeplitz_solve(column, cross / size)
         return SlidingSolution(kernel, prepared, column=column)
 
-    def _from_complete_memories(self, prepared: Prepared) -> SlidingSolution:
+    def _from_complete_memories(self, prepared: PreparedRecord) -> SlidingSolution:
         """Return the least-squares solution over the outputs with a complete memory."""
         x = prepared.record.input - prepared.input_mean
         regressors = LaggedRegressors(x[None, :], (prepared.memory_samples,), 1, prepared.used, constant=False)
@@ -332,7 +338,7 @@ class SlidingLms:
         kernel = np.asarray(linalg.solve(gram, right, assume_a="pos"))
         return SlidingSolution(kernel, prepared, matrix=gram)
 
-    def _from_dense_matrix(self, prepared: Prepared) -> SlidingSolution:
+    def _from_dense_matrix(self, prepared: PreparedRecord) -> SlidingSolution:
         """Return the solution by the dense correlation matrix, on request or if the input does not excite all lags."""
         options = self.options
         solved = factor_input(prepared, pseudo_inverse=True, tolerance=options.tolerance, taper=options.taper)

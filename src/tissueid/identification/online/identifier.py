@@ -18,7 +18,13 @@ from tissueid.errors import UnusableInputError
 from tissueid.identification.base import Array, Model
 from tissueid.identification.correlation import convolve_at_rest
 from tissueid.identification.memory import MemoryEngine
-from tissueid.identification.preparation import Prepared, checked_samples, memory_in_samples, prepare, typical_samples
+from tissueid.identification.preparation import (
+    PreparedRecord,
+    checked_samples,
+    memory_in_samples,
+    prepare,
+    typical_samples,
+)
 from tissueid.identification.second_order_fit import SecondOrderFit
 from tissueid.records import Record
 
@@ -272,7 +278,7 @@ class OnlineEngine(MemoryEngine):
         units = (input_unit, output_unit)
         return self.identifier(self, sample_rate_hz, input_std, (input_mean, output_mean), units)
 
-    def run(self, prepared: Prepared, **state: Any) -> Any:
+    def run(self, prepared: PreparedRecord, **state: Any) -> Any:
         """Return the identifier after the fitted part of a record; ``state`` is passed to its class."""
         record = prepared.record
         input_std = float(np.nanstd(record.input[prepared.part]))
@@ -285,16 +291,16 @@ class OnlineEngine(MemoryEngine):
         return identifier
 
     @abstractmethod
-    def model_of(self, identifier: Any, prepared: Prepared) -> OnlineModel:
+    def model_of(self, identifier: Any, prepared: PreparedRecord) -> OnlineModel:
         """Return the model of an identifier, scored on a prepared record."""
 
 
-def first_sample(prepared: Prepared) -> int:
+def first_sample(prepared: PreparedRecord) -> int:
     """Return the first sample in the memory of the first fitted output, at least 0."""
     return max(0, int(prepared.part.start) - prepared.memory_samples + 1)
 
 
-def prepared_recent(identifier: Identifier) -> Prepared:
+def prepared_recent(identifier: Identifier) -> PreparedRecord:
     """Return the latest samples of an identifier, prepared as for a fit.
 
     Raises:

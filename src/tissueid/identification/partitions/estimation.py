@@ -20,8 +20,8 @@ from tissueid.identification.correlation import dependence_samples, long_run_cov
 from tissueid.identification.partitions.cells import Partitions
 from tissueid.identification.partitions.parameters import LocalParameters, local_parameters
 from tissueid.identification.partitions.regression import PartitionedKernels, solve_along_lags
-from tissueid.identification.partitions.simulated_tissue import Contrast, SimulatedTissue
-from tissueid.identification.preparation import Prepared
+from tissueid.identification.partitions.simulated_tissue import Contrast, FittedTissue
+from tissueid.identification.preparation import PreparedRecord
 from tissueid.identification.second_order_fit import SecondOrderFit
 from tissueid.identification.volterra.lag_grid import LagGrid
 from tissueid.messages import Message
@@ -38,7 +38,7 @@ _WIDTH_STD = 1.0
 """Standard deviation of the prior of the logarithm of the width of the transition between the directions."""
 
 
-def fit_contrast(tissue: SimulatedTissue, log_parameters: Array, used: Mask) -> Contrast | None:
+def fit_contrast(tissue: FittedTissue, log_parameters: Array, used: Mask) -> Contrast | None:
     """Fit the contrasts of damping and stiffness as linear functions of depth, by the simulation error on a mask (n,).
 
     The restoring force is F(y) + G(y) in indentation and F(y) - G(y) in retraction, so that the stiffnesses are F' + G'
@@ -112,7 +112,7 @@ def _slopes(simulated: Callable[[Array], Array | None], theta: Array, run: Array
     return np.asarray(slopes - slopes.mean(axis=0), dtype=np.float64)
 
 
-def _contrast_root(tissue: SimulatedTissue, logs: int, parameters: int, slopes: Array, error: Array) -> Array:
+def _contrast_root(tissue: FittedTissue, logs: int, parameters: int, slopes: Array, error: Array) -> Array:
     """Return a square root (K, 2, m) of the covariance of the contrasts at the cells."""
     lines = tissue.lines
     error = error - error.mean()
@@ -175,7 +175,7 @@ class LocalEstimates:
 class DepthEstimator:
     """Estimator of parameters against depth from an output, for a fixed input. ``partitions`` are by depth only."""
 
-    prepared: Prepared
+    prepared: PreparedRecord
     used: Mask
     partitions: Partitions
     grid: LagGrid
@@ -216,7 +216,7 @@ class DepthEstimator:
             return seen
         if not seen.local.known.all():
             return replace(seen, warnings=(_UNCORRECTED,))
-        tissue = SimulatedTissue.through(seen.local, self.prepared, self.partitions, self.linear.hold, seen.rest)
+        tissue = FittedTissue.through(seen.local, self.prepared, self.partitions, self.linear.hold, seen.rest)
         found = fit_contrast(tissue, seen.local.log_parameters, self.used)
         seen = replace(seen, contrast=found)
         search = None if found is None else _Search.with_sensitivities(self, seen, tissue)
@@ -230,12 +230,12 @@ class _Search:
 
     estimator: DepthEstimator
     seen: LocalEstimates
-    tissue: SimulatedTissue
+    tissue: FittedTissue
     inverse: Array  # (6, 6), inverse of the derivatives of the estimated lines with respect to the true ones
 
     @classmethod
     def with_sensitivities(
-        cls, estimator: DepthEstimator, seen: LocalEstimates, tissue: SimulatedTissue
+        cls, estimator: DepthEstimator, seen: LocalEstimates, tissue: FittedTissue
     ) -> _Search | None:
         """Return a search with the sensitivities of the estimator; None if the tissue cannot be simulated."""
         lines = tissue.lines

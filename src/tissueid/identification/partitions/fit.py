@@ -25,7 +25,7 @@ from tissueid.identification.partitions.model import PartitionedModel, equilibri
 from tissueid.identification.partitions.parameters import local_parameters
 from tissueid.identification.partitions.regression import PartitionedKernels, solve_along_lags, solve_at_output
 from tissueid.identification.partitions.report import details_of, findings, fit_warnings, named_parameters, profile_of
-from tissueid.identification.preparation import SAMPLES_PER_PARAMETER, Prepared, complete_windows, prepare
+from tissueid.identification.preparation import SAMPLES_PER_PARAMETER, PreparedRecord, complete_windows, prepare
 from tissueid.identification.second_order_fit import SecondOrderFit, fit_second_order
 from tissueid.identification.volterra.lag_grid import LagGrid, automatic_grid, lag_grid, shortened
 from tissueid.language import marked
@@ -164,7 +164,7 @@ def fit_partitions(engine: PartitionEngine, record: Record, fit_part: slice | No
     return fitted.with_report(warnings=(*report.warnings, _STEPPED))
 
 
-def _grid(engine: PartitionEngine, first: Prepared) -> tuple[LagGrid, tuple[str, ...]]:
+def _grid(engine: PartitionEngine, first: PreparedRecord) -> tuple[LagGrid, tuple[str, ...]]:
     """Return the lags, and a warning if there are fewer than the memory needs."""
     rate = first.record.sample_rate_hz
     if engine.downsample is not None:
@@ -174,13 +174,13 @@ def _grid(engine: PartitionEngine, first: Prepared) -> tuple[LagGrid, tuple[str,
     return shortened(grid, max(_FEWEST_LAGS, _MOST_COEFFICIENTS // kernels), rate)
 
 
-def _part_mask(prepared: Prepared) -> Mask:
+def _part_mask(prepared: PreparedRecord) -> Mask:
     mask = np.zeros(len(prepared.record), dtype=np.bool_)
     mask[prepared.part] = True
     return mask
 
 
-def _usable(prepared: Prepared, cells: Cells, grid: LagGrid, n_parameters: int, at_output: bool) -> Mask:
+def _usable(prepared: PreparedRecord, cells: Cells, grid: LagGrid, n_parameters: int, at_output: bool) -> Mask:
     """Return the mask (n,) of the rows: prepared samples whose cell is known, along the lags throughout the memory."""
     known = cells != UNKNOWN
     used = prepared.used & (known if at_output else complete_windows(known, grid.memory_samples))
@@ -211,7 +211,7 @@ def _check_support(partitions: Partitions, cells: Cells, used: Mask, grid: LagGr
 
 
 def _assigned_by_model(
-    record: Record, prepared: Prepared, partitions: Partitions, cells: Cells, used: Mask, grid: LagGrid
+    record: Record, prepared: PreparedRecord, partitions: Partitions, cells: Cells, used: Mask, grid: LagGrid
 ) -> tuple[PartitionedKernels, Cells]:
     """Return the linear models of each cell, with samples assigned by the free run of a model, initially that of Eq.
     5.1.
@@ -248,7 +248,7 @@ def _assigned_by_model(
 
 
 def _free_run_cells(
-    record: Record, prepared: Prepared, partitions: Partitions, grid: LagGrid, solved: PartitionedKernels
+    record: Record, prepared: PreparedRecord, partitions: Partitions, grid: LagGrid, solved: PartitionedKernels
 ) -> tuple[Array, Cells]:
     """Return free-run output and cells, (n,) each, for the input of the record; missing inputs are replaced by the
     mean.
@@ -275,7 +275,7 @@ def _free_run_cells(
 
 def _local(
     engine: PartitionEngine,
-    prepared: Prepared,
+    prepared: PreparedRecord,
     partitions: Partitions,
     solved: PartitionedKernels,
     assigned: Cells,
@@ -305,7 +305,7 @@ def _local(
 
 def _model(
     solved: PartitionedKernels,
-    prepared: Prepared,
+    prepared: PreparedRecord,
     partitions: Partitions,
     grid: LagGrid,
     local: LocalEstimates,
@@ -340,7 +340,7 @@ def _model(
 def _reported(
     model: PartitionedModel,
     record: Record,
-    prepared: Prepared,
+    prepared: PreparedRecord,
     used: Mask,
     solved: PartitionedKernels,
     local: LocalEstimates,

@@ -11,7 +11,7 @@ from tissueid.identification.base import Array
 from tissueid.identification.dpn.simulation import Curves, simulate_dpn
 from tissueid.identification.partitions.cells import Partitions
 from tissueid.identification.partitions.parameters import LocalParameters
-from tissueid.identification.preparation import Prepared
+from tissueid.identification.preparation import PreparedRecord
 from tissueid.identification.second_order import Hold
 
 _ROWS = 2049
@@ -50,7 +50,7 @@ class Contrast:
 
 
 @dataclass(frozen=True, eq=False)
-class Lines:
+class CellLines:
     """Curves through the values of the cells: parabolas for the simulation, and lines for the correction.
 
     Interpolating the cells' own values would amplify their noise. ``basis`` (K, lines) holds the lines at the cells,
@@ -63,7 +63,7 @@ class Lines:
     weight: Array
 
     @classmethod
-    def through(cls, local: LocalParameters) -> Lines:
+    def through(cls, local: LocalParameters) -> CellLines:
         """Return the lines for cells with known parameters."""
         position = local.position
         weight = 1.0 / np.sqrt(np.einsum("kim,kim->k", local.root, local.root) / 3.0 + _SCATTER**2)
@@ -108,14 +108,14 @@ class Lines:
 
 
 @dataclass(frozen=True, eq=False)
-class SimulatedTissue:
+class FittedTissue:
     """M(y) y'' + B(y) y' + F(y) = u with smooth curves, driven by the input of a record.
 
     ``rest`` is the output under the mean input, ``sign`` is -1 if the output decreases with increasing input.
     """
 
-    lines: Lines
-    prepared: Prepared
+    lines: CellLines
+    prepared: PreparedRecord
     low: float
     high: float
     rest: float
@@ -125,14 +125,14 @@ class SimulatedTissue:
 
     @classmethod
     def through(
-        cls, local: LocalParameters, prepared: Prepared, partitions: Partitions, hold: Hold, rest: float
-    ) -> SimulatedTissue:
+        cls, local: LocalParameters, prepared: PreparedRecord, partitions: Partitions, hold: Hold, rest: float
+    ) -> FittedTissue:
         """Return the tissue for a fit whose cells all have parameters."""
         low, high = (float(partitions.breakpoints[end]) for end in (0, -1))
         margin = _MARGIN * (high - low)
         speed = np.diff(prepared.record.output) * prepared.record.sample_rate_hz
         scale = _DIRECTION_SPEED_SHARE * float(np.nanstd(speed))
-        return cls(Lines.through(local), prepared, low - margin, high + margin, rest, local.sign, hold, scale)
+        return cls(CellLines.through(local), prepared, low - margin, high + margin, rest, local.sign, hold, scale)
 
     def output(self, coefficients: Array, contrast: Contrast) -> Array | None:
         """Return the output (n,), NaN where that of the record is; None if the curves cannot be simulated.

@@ -34,7 +34,7 @@ _LEADING_RATIO = 1.5
 
 
 @dataclass(frozen=True, eq=False)
-class Cascade:
+class WienerCascade:
     """A Wiener cascade: a kernel (lags,) that sums to 1, and g. ``rss`` is over the fitted samples."""
 
     kernel: Array
@@ -52,7 +52,7 @@ class Pass:
     of g that is not monotone. ``feedback``: the next pass uses the feedback form.
     """
 
-    cascade: Cascade
+    cascade: WienerCascade
     linear_vaf_percent: float
     nonlinear_vaf_percent: float
     clipped_percent: float
@@ -123,7 +123,7 @@ class LinearStage:
         target[self._stretch] = nonlinearity.inverse(self.output[self._stretch])
         return target
 
-    def feedback_target(self, cascade: Cascade, share: float) -> Array:
+    def feedback_target(self, cascade: WienerCascade, share: float) -> Array:
         """Return the linear output of a cascade plus a share of the output error times the slope of g, (n,)."""
         linear = self._correlator.convolve(cascade.kernel)
         z = self.input_mean + linear[self.used]
@@ -210,7 +210,7 @@ def _iterate(stage: LinearStage, form: Form, degree: int, passes: int, first: Ar
     spread = math.sqrt(_variance(stage.x))
     target = stage.output
     nonlinearity: StaticNonlinearity | None = None
-    best: Cascade | None = None
+    best: WienerCascade | None = None
     feedback = first is not None
     share = 1.0
     done: list[Pass] = []
@@ -233,7 +233,7 @@ def _iterate(stage: LinearStage, form: Form, degree: int, passes: int, first: Ar
         else:
             nonlinearity = nonlinearity.refit(z, stage.y)
         error = stage.y - nonlinearity(z)
-        cascade = Cascade(kernel / scale, nonlinearity, float(np.dot(error, error)))
+        cascade = WienerCascade(kernel / scale, nonlinearity, float(np.dot(error, error)))
         low, high = nonlinearity.monotone_range
         folded = 0.0 if nonlinearity.invertible else 100.0 * float(np.mean((z < low) | (z > high)))
         inverted_output = stage.inverted_output(nonlinearity)
@@ -258,7 +258,7 @@ def _iterate(stage: LinearStage, form: Form, degree: int, passes: int, first: Ar
     return done
 
 
-def cut_to_memory(longer: LinearStage, stage: LinearStage, cascade: Cascade) -> Cascade:
+def cut_to_memory(longer: LinearStage, stage: LinearStage, cascade: WienerCascade) -> WienerCascade:
     """Return the cascade with its kernel cut from the lags of ``longer`` to those of ``stage``.
 
     Components in directions that the input does not excite, which the refinement does not determine, are removed first,
@@ -268,10 +268,12 @@ def cut_to_memory(longer: LinearStage, stage: LinearStage, cascade: Cascade) -> 
     kernel = kernel / float(kernel.sum())
     z = stage.input_mean + stage.response(kernel)
     error = stage.y - cascade.nonlinearity(z)
-    return Cascade(kernel, cascade.nonlinearity, float(np.dot(error, error)))
+    return WienerCascade(kernel, cascade.nonlinearity, float(np.dot(error, error)))
 
 
-def _normalised(stage: LinearStage, cascade: Cascade) -> Cascade:
+def _normalised(stage: LinearStage, cascade: WienerCascade) -> WienerCascade:
     """Return the same cascade with a kernel that sums to 1, and g refitted to the scaled z."""
     kernel = cascade.kernel / float(cascade.kernel.sum())
-    return Cascade(kernel, cascade.nonlinearity.refit(stage.input_mean + stage.response(kernel), stage.y), cascade.rss)
+    return WienerCascade(
+        kernel, cascade.nonlinearity.refit(stage.input_mean + stage.response(kernel), stage.y), cascade.rss
+    )

@@ -18,8 +18,8 @@ from tissueid.identification.base import Array, Mask
 from tissueid.identification.correlation import dependence_samples, long_run_covariance
 from tissueid.identification.second_order import Hold
 from tissueid.identification.second_order_fit import SecondOrderFit, fit_second_order
-from tissueid.identification.static_nonlinearity import Exponential, StaticNonlinearity
-from tissueid.identification.wiener.iteration import Cascade, LinearStage
+from tissueid.identification.static_nonlinearity import ExponentialCurve, StaticNonlinearity
+from tissueid.identification.wiener.iteration import LinearStage, WienerCascade
 from tissueid.messages import Message
 from tissueid.records import Estimate, Record
 
@@ -76,7 +76,7 @@ def wiener_parameters(
         mechanical: the record is of N and m.
     """
     found: dict[str, Estimate] = {}
-    if isinstance(nonlinearity, Exponential):
+    if isinstance(nonlinearity, ExponentialCurve):
         in_m, per_n, in_n = ("_m", "_per_n", "_n") if mechanical else ("", "", "")
         for place, name in enumerate((f"c1{in_m}", f"c2{per_n}", f"c3{in_n}", f"offset{in_m}")):
             found[name] = derived(
@@ -102,7 +102,7 @@ def wiener_parameters(
 
 def straightness_warning(nonlinearity: StaticNonlinearity, parameters: dict[str, Estimate]) -> list[str]:
     """Return a warning if the curvature of an exponential is not significant."""
-    if not isinstance(nonlinearity, Exponential):
+    if not isinstance(nonlinearity, ExponentialCurve):
         return []
     bend = next(estimate for name, estimate in parameters.items() if name.startswith("c2"))
     if bend.std is not None and abs(bend.value) > _SIGNIFICANT_STD * bend.std:
@@ -155,7 +155,7 @@ class _Slopes:
     A change of the kernel's sum can be compensated by g, so only changes that keep the sum are considered.
     """
 
-    def __init__(self, stage: LinearStage, cascade: Cascade) -> None:
+    def __init__(self, stage: LinearStage, cascade: WienerCascade) -> None:
         z = stage.input_mean + stage.response(cascade.kernel)
         self.stage = stage
         self.by_g = cascade.nonlinearity.jacobian(z)  # (m, p)
@@ -204,7 +204,7 @@ class _Slopes:
         return np.asarray(answer - answer.mean(), dtype=np.float64)
 
 
-def refine(stage: LinearStage, cascade: Cascade) -> Cascade:
+def refine(stage: LinearStage, cascade: WienerCascade) -> WienerCascade:
     """Minimise the simulation error over kernel and g together. The result is never worse than the start."""
     for _ in range(_STEPS):
         slopes = _Slopes(stage, cascade)
@@ -223,7 +223,7 @@ def refine(stage: LinearStage, cascade: Cascade) -> Cascade:
             error = stage.y - nonlinearity(z)
             rss = float(np.dot(error, error))
             if rss < cascade.rss:
-                better = Cascade(kernel, nonlinearity, rss)
+                better = WienerCascade(kernel, nonlinearity, rss)
                 break
         if better is None:
             break
@@ -234,7 +234,7 @@ def refine(stage: LinearStage, cascade: Cascade) -> Cascade:
     return cascade
 
 
-def coefficient_covariance(stage: LinearStage, cascade: Cascade) -> Array:
+def coefficient_covariance(stage: LinearStage, cascade: WienerCascade) -> Array:
     """Return the covariance (p, p) of the coefficients of g, for an unknown kernel and coloured residuals.
 
     The component of each coefficient's effect that the kernel can explain is projected out.

@@ -26,7 +26,7 @@ from tissueid.identification.engines.wiener import Wiener, WienerModel
 from tissueid.language import _, marked
 from tissueid.records import Record
 from tissueid.reports import captions
-from tissueid.reports.figures.registry import Drawn, Subject, figure
+from tissueid.reports.figures.registry import Drawn, FigureSubject, figure
 from tissueid.reports.plot_renderer import draw_row, row_figure
 from tissueid.reports.style import FULL_WIDTH, INK, drawing, new_figure
 
@@ -94,7 +94,7 @@ def _draw_connections(drawn: Figure, every: list[Axes], source: str, drain: str)
     group="nonlinear",
     place=12,
 )
-def hammerstein(subject: Subject[HammersteinModel]) -> Drawn:
+def hammerstein(subject: FigureSubject[HammersteinModel]) -> Drawn:
     """Draw the two blocks of a Hammerstein cascade."""
     model, record = subject.model, subject.record
     blocks = hammerstein_blocks(model, record, subject.analysis.fit_part)
@@ -117,7 +117,7 @@ def hammerstein(subject: Subject[HammersteinModel]) -> Drawn:
     group="nonlinear",
     place=15,
 )
-def wiener(subject: Subject[WienerModel]) -> Drawn:
+def wiener(subject: FigureSubject[WienerModel]) -> Drawn:
     """Draw the two blocks of a Wiener cascade (Chen 2010, Fig. 3.6)."""
     record = subject.record
     blocks = wiener_blocks(subject.model, record, subject.analysis.fit_part)
@@ -135,7 +135,7 @@ def wiener(subject: Subject[WienerModel]) -> Drawn:
     group="nonlinear",
     place=14,
 )
-def cascade(subject: Subject[CascadeModel]) -> Drawn:
+def cascade(subject: FigureSubject[CascadeModel]) -> Drawn:
     """Draw the blocks of the chosen structure."""
     model, record = subject.model, subject.record
     blocks = cascade_blocks(model, record, subject.analysis.fit_part)
@@ -156,7 +156,7 @@ def cascade(subject: Subject[CascadeModel]) -> Drawn:
     group="nonlinear",
     place=22,
 )
-def iterations(subject: Subject[HammersteinModel]) -> Drawn:
+def iterations(subject: FigureSubject[HammersteinModel]) -> Drawn:
     """Draw VAF and parameters of the linear stage by pass (as Chen 2010, Fig. 3.9).
 
     Raises:
@@ -182,7 +182,7 @@ def iterations(subject: Subject[HammersteinModel]) -> Drawn:
     standard=Wiener.name,
     short=True,
 )
-def _nonlinearity(subject: Subject[WienerModel]) -> Drawn:
+def _nonlinearity(subject: FigureSubject[WienerModel]) -> Drawn:
     model, record, surface = subject.model, subject.record, subject.surface_position_m
     part = subject.analysis.fit_part
     plots = wiener_nonlinearity(model, record, part, surface), stiffness_plot(model, record, part, surface)
@@ -198,7 +198,7 @@ def _nonlinearity(subject: Subject[WienerModel]) -> Drawn:
     place=20,
     standard=Wiener.name,
 )
-def _iterations(subject: Subject[WienerModel]) -> Drawn:
+def _iterations(subject: FigureSubject[WienerModel]) -> Drawn:
     return row_figure(iteration_plots(subject.model), 2.9), _iterations_caption(subject.model)
 
 

@@ -21,7 +21,7 @@ from tissueid.identification.validation.residual_tests import ResidualTest, resi
 from tissueid.language import _, marked
 from tissueid.messages import translated
 from tissueid.reports import captions
-from tissueid.reports.figures.registry import Drawn, Subject, figure
+from tissueid.reports.figures.registry import Drawn, FigureSubject, figure
 from tissueid.reports.plot_renderer import column_figure, depth_panels, draw_plot, row_figure
 from tissueid.reports.style import (
     FULL_WIDTH,
@@ -47,7 +47,7 @@ _SMALL_GAIN = 2.0
     place=30,
     applies=lambda subject: subject.profile is not None,
 )
-def depth_profile(subject: Subject[Model]) -> Drawn:
+def depth_profile(subject: FigureSubject[Model]) -> Drawn:
     """Draw mass, damping and stiffness against depth of one engine (Chen 2010, Figs. 5.9 to 5.11)."""
     profile = subject.profile
     if profile is None:
@@ -70,7 +70,7 @@ def depth_profile(subject: Subject[Model]) -> Drawn:
     group="validation",
     place=10,
 )
-def prediction(subject: Subject[Model]) -> Drawn:
+def prediction(subject: FigureSubject[Model]) -> Drawn:
     """Draw a stretch of held-out samples (Chen 2010, Figs. 3.10, 4.7 and 5.5a)."""
     run = held_out_prediction(subject.label, subject.analysis)
     drawn = column_figure(prediction_plots([run], _STRETCH_S), 4.2, wide=True, heights=(2.2, 1.0), over=True)
@@ -88,7 +88,7 @@ def prediction(subject: Subject[Model]) -> Drawn:
     wide=False,
     place=12,
 )
-def scatter(subject: Subject[Model]) -> Drawn:
+def scatter(subject: FigureSubject[Model]) -> Drawn:
     """Draw all held-out samples (Chen 2010, Figs. 4.10 and 5.5b)."""
     run = held_out_prediction(subject.label, subject.analysis)
     drawn = row_figure([cloud_plot(run.predicted, run.measured, run.output_unit, x="predicted")], 3.9)
@@ -103,7 +103,7 @@ def scatter(subject: Subject[Model]) -> Drawn:
     group="validation",
     place=14,
 )
-def residuals(subject: Subject[Model]) -> Drawn:
+def residuals(subject: FigureSubject[Model]) -> Drawn:
     """Draw the tests of the held-out residual, each with its bands and verdict."""
     analysis = subject.analysis
     found = residual_tests(subject.model, analysis.held_out_record, analysis.held_out)
@@ -146,7 +146,7 @@ def _test_panel(axes: Axes, test: ResidualTest) -> None:
     wide=False,
     place=13,
 )
-def horizon(subject: Subject[Model]) -> Drawn:
+def horizon(subject: FigureSubject[Model]) -> Drawn:
     """Draw the score of n-step prediction on the held-out part, with that of the free run."""
     analysis, model = subject.analysis, subject.model
     noise = fit_noise(model, analysis.record, analysis.fit_part)
@@ -159,7 +159,7 @@ def horizon(subject: Subject[Model]) -> Drawn:
     return drawn, captions.joined(text, _gain_of_prediction(float(curve.vaf_percent[0]) - free, subject))
 
 
-def _gain_of_prediction(points: float, subject: Subject[Model]) -> str:
+def _gain_of_prediction(points: float, subject: FigureSubject[Model]) -> str:
     if points <= _SMALL_GAIN:
         return _("The two differ little: the residual is nearly uncorrelated in time.")
     return _(

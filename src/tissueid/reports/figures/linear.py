@@ -27,7 +27,7 @@ from tissueid.identification.localized import LocalizedModel
 from tissueid.identification.online.identifier import OnlineModel
 from tissueid.language import _, marked
 from tissueid.reports.captions import joined, second_order
-from tissueid.reports.figures.registry import Drawn, Subject, figure
+from tissueid.reports.figures.registry import Drawn, FigureSubject, figure
 from tissueid.reports.plot_renderer import column_figure, draw_plot, row_figure
 from tissueid.reports.style import HALF_WIDTH, MUTED, drawing, new_figure
 
@@ -42,7 +42,7 @@ from tissueid.reports.style import HALF_WIDTH, MUTED, drawing, new_figure
     place=40,
     standard=Lms.name,
 )
-def _impulse_response(subject: Subject[LmsModel]) -> Drawn:
+def _impulse_response(subject: FigureSubject[LmsModel]) -> Drawn:
     return column_figure([impulse_response(subject.model, subject.record)], 4.6), _caption(subject.model)
 
 
@@ -67,7 +67,7 @@ def _caption(model: LmsModel) -> str:
     standard=Spectral.name,
     short=True,
 )
-def _coherence(subject: Subject[SpectralModel]) -> Drawn:
+def _coherence(subject: FigureSubject[SpectralModel]) -> Drawn:
     return coherence_figure(subject.model), _coherence_caption(subject.model)
 
 
@@ -82,7 +82,7 @@ def _coherence(subject: Subject[SpectralModel]) -> Drawn:
     standard=Spectral.name,
     short=True,
 )
-def _bode(subject: Subject[SpectralModel]) -> Drawn:
+def _bode(subject: FigureSubject[SpectralModel]) -> Drawn:
     return column_figure(frequency_response(subject.model, subject.record), 4.6), _bode_caption(subject.model)
 
 
@@ -129,7 +129,7 @@ def _bode_caption(model: SpectralModel) -> str:
     wide=False,
     place=44,
 )
-def impulse_figure(subject: Subject[OnlineModel]) -> Drawn:
+def impulse_figure(subject: FigureSubject[OnlineModel]) -> Drawn:
     """Draw the response used in simulation: the last one of ``rls``, the mean of ``als`` (Chen 2010, Fig. 6.3a)."""
     model = subject.model
     drawn = column_figure([online_response(model, subject.record)], 3.9)
@@ -148,7 +148,7 @@ def impulse_figure(subject: Subject[OnlineModel]) -> Drawn:
     wide=False,
     place=46,
 )
-def convergence(subject: Subject[OnlineModel]) -> Drawn:
+def convergence(subject: FigureSubject[OnlineModel]) -> Drawn:
     """Draw the distance of the response from the last one, and its value at a few lags."""
     above, below = convergence_plots(subject.model, subject.record)
     drawn = column_figure((above, below), 3.9)
@@ -172,7 +172,7 @@ def convergence(subject: Subject[OnlineModel]) -> Drawn:
     group="nonlinear",
     place=62,
 )
-def over_time(subject: Subject[OnlineModel]) -> Drawn:
+def over_time(subject: FigureSubject[OnlineModel]) -> Drawn:
     """Draw the response over time, with the output above it (Chen 2010, Fig. 6.4a)."""
     plots = response_over_time(subject.model, subject.record)
     drawn = column_figure(plots, 4.6, wide=True, heights=(1.0, 1.7))
@@ -195,7 +195,7 @@ def over_time(subject: Subject[OnlineModel]) -> Drawn:
     group="nonlinear",
     place=63,
 )
-def online_by_depth(subject: Subject[AlsModel]) -> Drawn:
+def online_by_depth(subject: FigureSubject[AlsModel]) -> Drawn:
     """Draw the responses averaged by the output at which they were estimated (Chen 2010, Fig. 6.4b)."""
     plots = response_by_depth(subject.model, subject.record, subject.fitted_output)
     return row_figure(plots, 3.7), _(
@@ -213,7 +213,7 @@ def online_by_depth(subject: Subject[AlsModel]) -> Drawn:
     group="record",
     place=50,
 )
-def levels(subject: Subject[LocalizedModel]) -> Drawn:
+def levels(subject: FigureSubject[LocalizedModel]) -> Drawn:
     """Draw the levels found in the record (Chen 2010, Fig. 3.12)."""
     found = subject.model.levels
     drawn = column_figure(level_plots(subject.model, subject.record), 3.9, wide=True)
@@ -232,7 +232,7 @@ def levels(subject: Subject[LocalizedModel]) -> Drawn:
     group="linear",
     place=50,
 )
-def impulse_responses(subject: Subject[LocalizedModel]) -> Drawn:
+def impulse_responses(subject: FigureSubject[LocalizedModel]) -> Drawn:
     """Draw impulse responses by level, unscaled and divided by their area (Chen 2010, Fig. 3.12a)."""
     drawn = row_figure(level_impulse_plots(subject.model, subject.record), 3.7)
     return drawn, _(
@@ -249,7 +249,7 @@ def impulse_responses(subject: Subject[LocalizedModel]) -> Drawn:
     group="linear",
     place=52,
 )
-def bode(subject: Subject[LocalizedModel]) -> Drawn:
+def bode(subject: FigureSubject[LocalizedModel]) -> Drawn:
     """Draw the compliance by level (Chen 2010, Fig. 3.13)."""
     drawn = row_figure(level_response_plots(subject.model, subject.record), 3.7)
     natural = [one.fit.system.natural_frequency_rad_per_s / (2.0 * np.pi) for one in by_depth(subject.model)]

@@ -16,7 +16,7 @@ from tissueid.identification.engines.dpn import DpnModel
 from tissueid.identification.partitions.model import PartitionedModel
 from tissueid.language import _, marked
 from tissueid.reports import captions
-from tissueid.reports.figures.registry import Drawn, Subject, figure
+from tissueid.reports.figures.registry import Drawn, FigureSubject, figure
 from tissueid.reports.plot_renderer import column_figure, draw_kernel, draw_over_samples, row_figure
 from tissueid.reports.style import FULL_WIDTH, new_figure
 
@@ -31,7 +31,7 @@ _STEPS = 160
     group="nonlinear",
     place=30,
 )
-def curves(subject: Subject[DpnModel]) -> Drawn:
+def curves(subject: FigureSubject[DpnModel]) -> Drawn:
     """Draw M(y), B(y) and K(y) with their bands over the visited depths."""
     model = subject.model
     position, origin = _visited(subject)
@@ -57,7 +57,7 @@ def curves(subject: Subject[DpnModel]) -> Drawn:
     wide=False,
     place=32,
 )
-def static_force(subject: Subject[DpnModel]) -> Drawn:
+def static_force(subject: FigureSubject[DpnModel]) -> Drawn:
     """Draw F(y), the integral of the tangent stiffness, over the samples."""
     record = subject.record[subject.analysis.fit_part]
     plot = static_force_plot(subject.model, record, _visited(subject)[0], subject.surface_position_m)
@@ -67,7 +67,7 @@ def static_force(subject: Subject[DpnModel]) -> Drawn:
     )
 
 
-def _visited(subject: Subject[DpnModel]) -> tuple[Array, float]:
+def _visited(subject: FigureSubject[DpnModel]) -> tuple[Array, float]:
     """Return positions (k,), m, over the central part of the visited range, and the origin of depth, m.
 
     Raises:
@@ -91,7 +91,7 @@ def _visited(subject: Subject[DpnModel]) -> tuple[Array, float]:
     group="record",
     place=50,
 )
-def partitions(subject: Subject[PartitionedModel]) -> Drawn:
+def partitions(subject: FigureSubject[PartitionedModel]) -> Drawn:
     """Draw the output with the limits of the partitions (Chen 2010, Fig. 5.4a)."""
     model = subject.model
     output, samples = partition_plots(model, subject.record, subject.analysis.fit_part)
@@ -111,7 +111,7 @@ def partitions(subject: Subject[PartitionedModel]) -> Drawn:
     group="nonlinear",
     place=26,
 )
-def kernels(subject: Subject[PartitionedModel]) -> Drawn:
+def kernels(subject: FigureSubject[PartitionedModel]) -> Drawn:
     """Draw the fitted kernels, coloured by depth (Chen 2010, Fig. 5.4b)."""
     drawn = row_figure(kernel_curves(subject.model, subject.record), 3.7)
     text = _(
@@ -132,7 +132,7 @@ def kernels(subject: Subject[PartitionedModel]) -> Drawn:
     group="nonlinear",
     place=27,
 )
-def kernel_image(subject: Subject[PartitionedModel]) -> Drawn:
+def kernel_image(subject: FigureSubject[PartitionedModel]) -> Drawn:
     """Draw the kernels about the mean input as an image and as a surface (Chen 2010, Figs. 5.5c and d)."""
     model, record = subject.model, subject.record
     plot = kernels_by_depth(model, record)
@@ -156,7 +156,7 @@ def kernel_image(subject: Subject[PartitionedModel]) -> Drawn:
     group="validation",
     place=60,
 )
-def scheduled(subject: Subject[PartitionedModel]) -> Drawn:
+def scheduled(subject: FigureSubject[PartitionedModel]) -> Drawn:
     """Draw the residual nonlinearity of the scheduled and of the free run (Chen 2010, Fig. 5.5b)."""
     analysis, model = subject.analysis, subject.model
     record, part = analysis.held_out_record, analysis.held_out

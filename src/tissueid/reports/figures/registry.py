@@ -41,7 +41,7 @@ Drawn = tuple[Figure, str]
 
 
 @dataclass(frozen=True, eq=False)
-class Subject(Generic[M_co]):
+class FigureSubject(Generic[M_co]):
     """A model to be drawn, with what it was fitted to and tried on; ``name`` is its engine's."""
 
     name: str
@@ -74,9 +74,9 @@ class Subject(Generic[M_co]):
         """Output of the fitted part, (n,)."""
         return self.record.output[self.analysis.fit_part]
 
-    def with_model(self, model: M) -> Subject[M]:
+    def with_model(self, model: M) -> FigureSubject[M]:
         """Another model of the same record."""
-        return Subject(self.name, model, self.analysis, self.surface_position_m)
+        return FigureSubject(self.name, model, self.analysis, self.surface_position_m)
 
 
 @dataclass(frozen=True)
@@ -92,10 +92,10 @@ class Declared:
     place: int
     standard: str
     short: bool
-    applies: Callable[[Subject[Any]], bool]
-    draw: Callable[[Subject[Any]], Drawn]
+    applies: Callable[[FigureSubject[Any]], bool]
+    draw: Callable[[FigureSubject[Any]], Drawn]
 
-    def picture(self, subject: Subject[Model], prefix: str = "", *, suffix: str = "") -> Picture:
+    def picture(self, subject: FigureSubject[Model], prefix: str = "", *, suffix: str = "") -> Picture:
         """Draw it, under a key that begins with ``prefix``, or say why not."""
         make = drawing(self.draw)
         key = "-".join(part for part in (prefix, subject.name, self.key) if part)
@@ -116,8 +116,8 @@ def figure(
     place: int = 50,
     standard: str = "",
     short: bool = False,
-    applies: Callable[[Subject[M]], bool] = lambda _subject: True,
-) -> Callable[[Callable[[Subject[M]], Drawn]], Callable[[Subject[M]], Drawn]]:
+    applies: Callable[[FigureSubject[M]], bool] = lambda _subject: True,
+) -> Callable[[Callable[[FigureSubject[M]], Drawn]], Callable[[FigureSubject[M]], Drawn]]:
     """Declare a figure of a class of models; decorates the function that draws it and words its caption.
 
     The function raises :class:`~tissueid.errors.UnusableInputError` where this record does not hold what it takes;
@@ -139,7 +139,7 @@ def figure(
         ValueError: the class has a figure of that key already.
     """
 
-    def declare(draw: Callable[[Subject[M]], Drawn]) -> Callable[[Subject[M]], Drawn]:
+    def declare(draw: Callable[[FigureSubject[M]], Drawn]) -> Callable[[FigureSubject[M]], Drawn]:
         made = Declared(model, key, heading, alt, group, wide, place, standard, short, applies, draw)
         held = _declared.setdefault((model, key), made)
         if held is not made and held.draw.__qualname__ != draw.__qualname__:
@@ -149,7 +149,7 @@ def figure(
     return declare
 
 
-def figures_of(subject: Subject[Model]) -> tuple[Declared, ...]:
+def figures_of(subject: FigureSubject[Model]) -> tuple[Declared, ...]:
     """The figures that can be drawn of a model, in their order; one of a class overrides that of the classes above."""
     _load()
     found: dict[str, Declared] = {}
@@ -166,7 +166,7 @@ def figures_of(subject: Subject[Model]) -> tuple[Declared, ...]:
 def _of_engine(name: str, one: LineFigure) -> Declared:
     """Return the declaration of a figure that an engine describes by its curves."""
 
-    def draw(subject: Subject[Any]) -> Drawn:
+    def draw(subject: FigureSubject[Any]) -> Drawn:
         curves = [
             Curve(curve.x, curve.y, curve.label, ROLES[place % len(ROLES)], "points" if curve.points else "line")
             for place, curve in enumerate(one.curves(subject.model))

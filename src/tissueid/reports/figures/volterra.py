@@ -28,7 +28,7 @@ from tissueid.identification.volterra.lag_grid import THESIS_SIGMA
 from tissueid.identification.volterra.model import VolterraModel
 from tissueid.language import _, marked
 from tissueid.reports import captions
-from tissueid.reports.figures.registry import Drawn, Subject, figure
+from tissueid.reports.figures.registry import Drawn, FigureSubject, figure
 from tissueid.reports.plot_renderer import column_figure, draw_grid, draw_kernel, row_figure
 from tissueid.reports.style import FULL_WIDTH, new_figure
 from tissueid.units import display_unit
@@ -46,7 +46,7 @@ _HEIGHT = 2.0
     wide=False,
     place=60,
 )
-def first_kernel(subject: Subject[VolterraModel]) -> Drawn:
+def first_kernel(subject: FigureSubject[VolterraModel]) -> Drawn:
     """Draw h1 with its band (Chen 2010, Figs. 4.6a and 4.12)."""
     model = subject.model
     if model.kernel1 is None:
@@ -65,7 +65,7 @@ def first_kernel(subject: Subject[VolterraModel]) -> Drawn:
     group="nonlinear",
     place=60,
 )
-def second_kernel(subject: Subject[VolterraModel]) -> Drawn:
+def second_kernel(subject: FigureSubject[VolterraModel]) -> Drawn:
     """Draw h2 as an image and as a surface (Chen 2010, Figs. 4.3, 4.6b and 4.9)."""
     model = subject.model
     plot = second_order_kernel(model, subject.record)
@@ -99,7 +99,7 @@ def second_kernel(subject: Subject[VolterraModel]) -> Drawn:
     place=64,
     applies=lambda subject: subject.model.kernel3 is not None,
 )
-def third_kernel(subject: Subject[VolterraModel]) -> Drawn:
+def third_kernel(subject: FigureSubject[VolterraModel]) -> Drawn:
     """Draw slices of the third-order kernel at a few values of its third lag."""
     drawn = row_figure(third_order_slices(subject.model, subject.record), 2.7)
     return drawn, _(
@@ -117,7 +117,7 @@ def third_kernel(subject: Subject[VolterraModel]) -> Drawn:
     wide=False,
     place=66,
 )
-def impulse_contributions(subject: Subject[VolterraModel]) -> Drawn:
+def impulse_contributions(subject: FigureSubject[VolterraModel]) -> Drawn:
     """Draw the contribution of each order to the response to an impulse (Chen 2010, Eq. 4.15 and Fig. 4.3)."""
     model = subject.model
     height = _HEIGHT * float(np.nanstd(subject.fitted_input))
@@ -139,7 +139,7 @@ def impulse_contributions(subject: Subject[VolterraModel]) -> Drawn:
     group="nonlinear",
     place=68,
 )
-def contributions(subject: Subject[VolterraModel]) -> Drawn:
+def contributions(subject: FigureSubject[VolterraModel]) -> Drawn:
     """Draw the residual nonlinearity as orders are added (Chen 2010, Figs. 4.3 and 4.10)."""
     plots = contribution_plots(subject.model, subject.record, subject.analysis.fit_part)
     drawn = row_figure(plots, 3.7 if len(plots) < 4 else 3.1)
@@ -154,7 +154,7 @@ _STRETCH_S = 0.25
 _RAW, _FILTERED = marked("raw"), marked("filtered")
 
 
-def _has_second(subject: Subject[VolterraModel]) -> bool:
+def _has_second(subject: FigureSubject[VolterraModel]) -> bool:
     return subject.model.kernel2 is not None
 
 
@@ -167,7 +167,7 @@ def _has_second(subject: Subject[VolterraModel]) -> bool:
     place=61,
     applies=_has_second,
 )
-def processing(subject: Subject[VolterraModel]) -> Drawn:
+def processing(subject: FigureSubject[VolterraModel]) -> Drawn:
     """Draw the raw and smoothed kernels in time and frequency (Chen 2010, Figs. 4.8, 4.9, 4.13 and 4.15)."""
     models = _strategies(subject)
     columns = [kernel_and_spectrum(label, model, subject.record) for label, model in models]
@@ -192,7 +192,7 @@ def processing(subject: Subject[VolterraModel]) -> Drawn:
     place=70,
     applies=_has_second,
 )
-def processing_output(subject: Subject[VolterraModel]) -> Drawn:
+def processing_output(subject: FigureSubject[VolterraModel]) -> Drawn:
     """Draw the simulations over a stretch of held-out samples (Chen 2010, Figs. 4.7 and 4.11)."""
     plots = prediction_plots(_held_out_runs(subject), _STRETCH_S)[:1]
     drawn = column_figure(plots, 3.0, wide=True, over=True)
@@ -211,7 +211,7 @@ def processing_output(subject: Subject[VolterraModel]) -> Drawn:
     place=72,
     applies=_has_second,
 )
-def processing_residual(subject: Subject[VolterraModel]) -> Drawn:
+def processing_residual(subject: FigureSubject[VolterraModel]) -> Drawn:
     """Draw the residual nonlinearity before and after smoothing (Chen 2010, Fig. 4.10)."""
     drawn = row_figure(scatter_plots(_held_out_runs(subject), x="modelled", mean=True), 3.7)
     return drawn, _("All held-out samples. Smoothing should not make the clouds wider or more bent.")
@@ -226,7 +226,7 @@ def processing_residual(subject: Subject[VolterraModel]) -> Drawn:
     wide=False,
     place=60,
 )
-def spacing(subject: Subject[VolterraModel]) -> Drawn:
+def spacing(subject: FigureSubject[VolterraModel]) -> Drawn:
     """Draw spectra of the input at several sample rates (Chen 2010, Fig. 4.8)."""
     drawn = column_figure([spacing_plot(subject.model, subject.fitted_input, subject.record.input_unit)], 3.9)
     return drawn, _(
@@ -237,7 +237,7 @@ def spacing(subject: Subject[VolterraModel]) -> Drawn:
 
 
 @lru_cache(maxsize=2)
-def _strategies(subject: Subject[VolterraModel]) -> tuple[tuple[str, VolterraModel], ...]:
+def _strategies(subject: FigureSubject[VolterraModel]) -> tuple[tuple[str, VolterraModel], ...]:
     """Return the raw kernel, the filtered one, and the model itself where it is neither.
 
     Raises:
@@ -260,5 +260,5 @@ def _strategies(subject: Subject[VolterraModel]) -> tuple[tuple[str, VolterraMod
     return found if method == "exact" else (*found, ({"laguerre": "Laguerre"}.get(method, method), model))
 
 
-def _held_out_runs(subject: Subject[VolterraModel]) -> list[Prediction]:
+def _held_out_runs(subject: FigureSubject[VolterraModel]) -> list[Prediction]:
     return [held_out_prediction(label, replace(subject.analysis, model=model)) for label, model in _strategies(subject)]

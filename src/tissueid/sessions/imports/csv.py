@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 
 from tissueid.errors import UnusableInputError
 from tissueid.messages import Message
-from tissueid.sessions.imports.imported_table import DECIMAL, ROWS, Column, ImportedTable, Rows
+from tissueid.sessions.imports.imported_table import DECIMAL, ROWS, Column, ImportedTable, RowRange
 from tissueid.sessions.imports.stated_units import NO_UNIT, is_a_unit, unit_of
 from tissueid.sessions.imports.text_cells import (
     GROUPED,
@@ -73,7 +73,7 @@ def open_csv(path: Path, decimal: str | None = None) -> ImportedTable:
     encoding = encoding_of(path)
     layout = _layout(head_of(lines_of(path, encoding), _LOOKED_AT), decimal)
 
-    def load(places: Sequence[int], rows: Rows) -> tuple[list[NDArray[np.float64]], range]:
+    def load(places: Sequence[int], rows: RowRange) -> tuple[list[NDArray[np.float64]], range]:
         return _load(path, encoding, layout, places, rows)
 
     notices = []
@@ -207,7 +207,7 @@ def _data_lines(path: Path, encoding: str, start: int) -> Iterator[tuple[int, st
 
 
 def _load(
-    path: Path, encoding: str, layout: _Layout, places: Sequence[int], rows: Rows
+    path: Path, encoding: str, layout: _Layout, places: Sequence[int], rows: RowRange
 ) -> tuple[list[NDArray[np.float64]], range]:
     total = sum(1 for _ in _data_lines(path, encoding, layout.start))
     chosen = rows.of_a_test(total)

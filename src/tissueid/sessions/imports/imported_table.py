@@ -36,7 +36,7 @@ MAP = Action("import.map", "--map ROLE=COLUMN:UNIT", marked("the lists of the co
 
 
 @dataclass(frozen=True)
-class Rows:
+class RowRange:
     """A selection of rows like a slice: from 0, ``last`` exclusive, negative indices count from the end."""
 
     first: int | None = None
@@ -137,7 +137,7 @@ def is_named_like(role: str, name: str) -> bool:
     return name in TIME_NAMES if role == "time" else any(part in name for part in NAMED_LIKE.get(role, (role,)))
 
 
-Loader = Callable[[Sequence[int], Rows], tuple[list[NDArray[np.float64]], range]]
+Loader = Callable[[Sequence[int], RowRange], tuple[list[NDArray[np.float64]], range]]
 """Function of column indices, from 0, and a row selection that returns the columns, each (n,), and the rows."""
 
 

@@ -19,7 +19,7 @@ from tissueid.sessions.file_policy import checked_size, located
 from tissueid.sessions.imports.column_mapping import Mapped, doubts, mapped, time_column
 from tissueid.sessions.imports.csv import open_csv
 from tissueid.sessions.imports.export_attributes import Attributes, attributes_beside
-from tissueid.sessions.imports.imported_table import MAP, RATE, ROWS, TIME, ImportedTable, Rows, sha256_of
+from tissueid.sessions.imports.imported_table import MAP, RATE, ROWS, TIME, ImportedTable, RowRange, sha256_of
 from tissueid.sessions.imports.lvm import FIRST_LINE, open_lvm
 from tissueid.sessions.imports.mat import HDF5_MARK, MARK, open_mat
 from tissueid.sessions.imports.sample_clock import Clock, check_seconds, clock_of, resampled, steady
@@ -118,16 +118,16 @@ class Source:
     """A file and the selection of its rows."""
 
     path: Path
-    rows: Rows
+    rows: RowRange
 
     @classmethod
     def parsed(cls, text: str) -> Source:
         """Return the source for FILE or FILE@FIRST:LAST; an existing file with exactly this name takes precedence."""
         match = _SELECTED.fullmatch(text)
         if match is None or Path(text).exists():
-            return cls(Path(text), Rows())
+            return cls(Path(text), RowRange())
         ends = [None if match[end] is None else int(match[end]) for end in ("first", "last")]
-        return cls(Path(match["path"]), Rows(*ends))
+        return cls(Path(match["path"]), RowRange(*ends))
 
 
 @dataclass(frozen=True)
@@ -282,7 +282,7 @@ def _is_ramp(test: Test) -> bool:
 
 
 def _loaded(
-    file: ImportedTable, rows: Rows, signals: Sequence[Mapped], time: Mapped | None
+    file: ImportedTable, rows: RowRange, signals: Sequence[Mapped], time: Mapped | None
 ) -> tuple[list[NDArray[np.float64]], range]:
     """Return the columns in SI, time last, and the selected rows."""
     every = [*signals, time] if time is not None else list(signals)

@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 
 from tissueid.errors import UnusableInputError
 from tissueid.messages import Message, Verbatim
-from tissueid.sessions.imports.imported_table import Column, ImportedTable, Rows
+from tissueid.sessions.imports.imported_table import Column, ImportedTable, RowRange
 from tissueid.sessions.imports.text_cells import blocks_of, encoding_of, lines_of, numbers, shown
 from tissueid.untrusted_input import MAX_COLUMNS
 
@@ -125,7 +125,7 @@ def open_lvm(path: Path) -> ImportedTable:
                 )
             )
 
-    def load(places: Sequence[int], rows: Rows) -> tuple[list[NDArray[np.float64]], range]:
+    def load(places: Sequence[int], rows: RowRange) -> tuple[list[NDArray[np.float64]], range]:
         return _load(path, encoding, total, places, rows)
 
     return ImportedTable(
@@ -255,7 +255,7 @@ def _header(lines: Iterator[tuple[int, str]], separator: str) -> dict[str, list[
 
 
 def _load(
-    path: Path, encoding: str, total: int, places: Sequence[int], rows: Rows
+    path: Path, encoding: str, total: int, places: Sequence[int], rows: RowRange
 ) -> tuple[list[NDArray[np.float64]], range]:
     chosen = rows.of_a_test(total)
     blocks: list[list[NDArray[np.float64]]] = []

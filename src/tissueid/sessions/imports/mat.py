@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 from tissueid.errors import UnusableInputError
 from tissueid.messages import Message
 from tissueid.sessions.hdf5_mat import Place, holds_vectors, vector_parts
-from tissueid.sessions.imports.imported_table import Column, ImportedTable, Rows
+from tissueid.sessions.imports.imported_table import Column, ImportedTable, RowRange
 from tissueid.sessions.reader_process import read_in_child
 from tissueid.untrusted_input import MAX_COLUMNS, allowed_unpacked_bytes
 
@@ -272,7 +272,7 @@ def _in_child(task: str, path: Path, *arguments: Any) -> list[Any]:
 def _file(lengths: dict[str, int], read: Callable[[str, slice], NDArray[np.generic]]) -> ImportedTable:
     names = list(lengths)
 
-    def load(places: Sequence[int], rows: Rows) -> tuple[list[NDArray[np.float64]], range]:
+    def load(places: Sequence[int], rows: RowRange) -> tuple[list[NDArray[np.float64]], range]:
         chosen = [names[place] for place in places]
         if len({lengths[name] for name in chosen}) > 1:
             sizes = ", ".join(f"{name} {lengths[name]}" for name in chosen)

@@ -70,7 +70,7 @@ class Sighting:
 
 
 @dataclass(frozen=True)
-class Comparison:
+class SittingComparison:
     """Sightings, newest first, the test that is asked about among them. ``left_out`` says what was not read.
 
     ``changes`` says by quantity how the values differ from the sitting before at the same site.
@@ -97,18 +97,18 @@ class Shelf:
 
 def compare_with(
     folder: Path, session: Session, path: Path, test: Test, shelf: Shelf, cancelled: threading.Event
-) -> Comparison:
+) -> SittingComparison:
     """Return the sittings of the subject of a session in a folder; other files are ignored.
 
     A subject without a pseudonym is not compared: it could be anyone.
     """
     if session.subject.pseudonym == ANONYMOUS:
-        return Comparison()
+        return SittingComparison()
     mine, skipped = _files_of(folder, session.subject.pseudonym, path, cancelled)
     found: list[Sighting] = []
     for file in [path, *mine[:MOST_READ]]:
         if cancelled.is_set():
-            return Comparison(left_out=Message("comparison.cancelled", "The comparison was cancelled."))
+            return SittingComparison(left_out=Message("comparison.cancelled", "The comparison was cancelled."))
         try:
             state = file.stat()
             key = (file, state.st_mtime_ns, state.st_size)
@@ -138,7 +138,7 @@ def compare_with(
     if study is not None and this is not None:
         said |= {name: sentences(said.get(name, ""), text) for name, text in against(study, this).items()}
         shown.append(study)
-    return Comparison(tuple(shown), sentences(*words) if words else "", said)
+    return SittingComparison(tuple(shown), sentences(*words) if words else "", said)
 
 
 def of_study(path: Path, test: Test, shelf: Shelf, cancelled: threading.Event) -> Sighting | None:

@@ -14,7 +14,7 @@ from PySide6.QtWidgets import QFrame, QLabel, QVBoxLayout, QWidget
 from tissueid.app.build import button, fill, label, styled
 from tissueid.app.plot_canvas import PlotCanvas
 from tissueid.app.small_window import FoldingBox
-from tissueid.app.views.clinician.comparing import Comparison, Sighting
+from tissueid.app.views.clinician.comparing import Sighting, SittingComparison
 from tissueid.app.views.clinician.sitting import QUANTITIES
 from tissueid.formatting import label_and_unit
 from tissueid.language import _, marked
@@ -64,7 +64,7 @@ class ComparisonCard(QFrame):
         """There is nothing to compare with."""
         self.hide()
 
-    def show_comparison(self, comparison: Comparison) -> None:
+    def show_comparison(self, comparison: SittingComparison) -> None:
         """Show the sittings, the newest on top; nothing where there is but one."""
         sightings = comparison.sightings
         self.cancel.hide()

@@ -14,7 +14,7 @@ from tissueid.formatting import number
 from tissueid.gap.diagnosis import Diagnosis, Ranked, parameters_of
 from tissueid.gap.diagnosis_curves import GapSpectrum, SignalOverlay
 from tissueid.gap.diagnosis_plots import budget_rows, overlays_of, profile_values, spectrum_lines
-from tissueid.gap.error_regions import Spectrum
+from tissueid.gap.error_regions import ErrorSpectrum
 from tissueid.gap.noise import MARGIN
 from tissueid.gap.statement import (
     described,
@@ -126,7 +126,7 @@ def _no_evidence(found: Diagnosis, stage: Stage) -> str:
     )
 
 
-def _spectrum(found: Spectrum, bands_hz: tuple[tuple[float, float], ...]) -> GapSpectrum:
+def _spectrum(found: ErrorSpectrum, bands_hz: tuple[tuple[float, float], ...]) -> GapSpectrum:
     bands = tuple((max(low, _LEAST_HZ), max(high, _LEAST_HZ)) for low, high in bands_hz)
     return GapSpectrum(found.channel, np.maximum(found.frequency_hz, _LEAST_HZ), spectrum_lines(found), bands)
 

@@ -27,7 +27,7 @@ from tissueid.app.views.technician.log_reading import (
 from tissueid.app.views.technician.tab import PiecesModel, Tab, table_of
 from tissueid.app.widgets import show_level
 from tissueid.app.words import sentence
-from tissueid.audit import ROLES, Line, Verification, verify
+from tissueid.audit import ROLES, LogLine, Verification, verify
 from tissueid.errors import UnusableInputError
 from tissueid.formatting import clean, grouped
 from tissueid.language import _, marked
@@ -81,7 +81,7 @@ def check(path: Path, cancelled: Callable[[], object]) -> Verification:
     return verify(path, cancelled=cancelled)
 
 
-def _cell(line: Line, column: int, names: Mapping[str, str]) -> str:
+def _cell(line: LogLine, column: int, names: Mapping[str, str]) -> str:
     if column == 1:
         return moment(line.time)
     if column == 5:

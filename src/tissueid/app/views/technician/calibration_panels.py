@@ -20,15 +20,15 @@ from tissueid.app.widgets import plain_tip, show_level
 from tissueid.app.words import sentence
 from tissueid.calibration.comparison import (
     SIGNIFICANT_STD,
-    Comparison,
-    Difference,
+    CalibrationComparison,
+    CalibrationDifference,
     Residuals,
     compare_sweeps,
     linear_region,
     residuals,
     trend,
 )
-from tissueid.calibration.file import Calibration, Quantity
+from tissueid.calibration.file import CalibratedQuantity, Calibration
 from tissueid.calibration.labels import label_of, notes_of, problems_of, verdict_of
 from tissueid.formatting import clean, figure_text, fixed, plus_minus
 from tissueid.language import _, marked
@@ -155,7 +155,7 @@ class SweepsPanel(QWidget):
     def __init__(self, parent: QWidget | None = None) -> None:
         super().__init__(parent)
         self._sweeps: tuple[Calibration, ...] = ()
-        self.comparison: Comparison | None = None
+        self.comparison: CalibrationComparison | None = None
         self.words = build.label("headline")
         self.remarks = build.label("muted")
         self.against = build.styled(
@@ -171,7 +171,7 @@ class SweepsPanel(QWidget):
         self.model = PiecesModel(
             (_("Quantity"), _("Difference"), _("±2 std"), _("Which is"), _("Before"), _("Now"), _("Unit")),
             _cell,
-            level=lambda row: "check" if isinstance(row, Difference) and row.verdict == "beyond" else "",
+            level=lambda row: "check" if isinstance(row, CalibrationDifference) and row.verdict == "beyond" else "",
             marked=3,
             right=(1, 2, 4, 5),
         )
@@ -274,7 +274,7 @@ def _region_words(sweep: Calibration) -> str:
     )
 
 
-def _profile_words(found: Comparison) -> str:
+def _profile_words(found: CalibrationComparison) -> str:
     if found.common_m is None:
         return _("Their linear regions do not overlap.")
     low, high = (figure_text("position", end) for end in found.common_m)
@@ -288,7 +288,7 @@ def _profile_words(found: Comparison) -> str:
     ).format(low=low, high=high, unit=unit, mean=mean, largest=largest, where=where)
 
 
-def _cell(row: Difference | tuple[str, Quantity], column: int) -> str:
+def _cell(row: CalibrationDifference | tuple[str, CalibratedQuantity], column: int) -> str:
     if isinstance(row, tuple):
         label, value, unit = figure_of(*row)
         return (label, "", "", "", "", value, unit)[column]
@@ -299,7 +299,7 @@ def _cell(row: Difference | tuple[str, Quantity], column: int) -> str:
     return (translated(label_of(row.name)), *_sizes(row, scale), _(_SAID[row.verdict]), "", "", unit)[column]
 
 
-def _sizes(row: Difference, scale: float) -> tuple[str, str]:
+def _sizes(row: CalibrationDifference, scale: float) -> tuple[str, str]:
     """A difference and what it is not known better than, as shares where the figure has a scale."""
     known = None if row.uncertainty is None else SIGNIFICANT_STD * row.uncertainty
     if np.isfinite(row.relative):

@@ -9,7 +9,7 @@ from pathlib import Path
 
 from tissueid.app.views.technician.log_reading import LogPage, about, people_and_sites
 from tissueid.app.words import sentence
-from tissueid.audit import Line
+from tissueid.audit import LogLine
 from tissueid.errors import TissueIDError
 from tissueid.formatting import clean, plain_text
 from tissueid.instrument.replies import FAULT_TEXTS
@@ -142,7 +142,7 @@ def read_events(files: list[Path], log: LogPage, cancelled: Callable[[], object]
     return Events(tuple(found), tuple(remarks))
 
 
-def _of_failed_calibrations(lines: Sequence[Line]) -> set[int]:
+def _of_failed_calibrations(lines: Sequence[LogLine]) -> set[int]:
     """Return the places of the lines, newest first, that are written by a calibration whose failure has its own line.
 
     They lie between its end and its beginning.
@@ -159,7 +159,7 @@ def _of_failed_calibrations(lines: Sequence[Line]) -> set[int]:
     return inside
 
 
-def _of_line(line: Line, names: Mapping[str, str]) -> Event | None:
+def _of_line(line: LogLine, names: Mapping[str, str]) -> Event | None:
     what = line.what if isinstance(line.what, str) else ""
     kind = _LOGGED.get(what)
     new = line.new if isinstance(line.new, dict) else {}

@@ -25,7 +25,7 @@ from tissueid.calibration.active import apply_calibrations
 from tissueid.calibration.file import Calibration
 from tissueid.formatting import clean, figure_text, fixed, grouped, number
 from tissueid.language import _, marked
-from tissueid.procedures.instrument_queries import Checkup, Link, run_checkup
+from tissueid.procedures.instrument_queries import Checkup, LinkStatistics, run_checkup
 from tissueid.units import unit_of
 
 _LEVELS = ("poor", "check", "good")
@@ -324,7 +324,7 @@ def _link(checkup: Checkup | None, last: LastTest | None) -> dict[str, str]:
     return facts
 
 
-def _cable(link: Link | None) -> dict[str, str]:
+def _cable(link: LinkStatistics | None) -> dict[str, str]:
     if link is None:
         return {_("Cable"): _("none: it is a simulation in this program")}
     trip = _("not measured") if link.round_trip_s is None else f"{fixed(1e3 * link.round_trip_s, 1)} ms"

@@ -10,7 +10,7 @@ from pathlib import Path
 from typing import Any
 
 from tissueid.atomic_write import atomic_file
-from tissueid.audit import Line
+from tissueid.audit import LogLine
 from tissueid.audit.line import MAX_LINE, fields_of, read_line
 from tissueid.errors import UnusableInputError
 from tissueid.formatting import cell_text, clean, grouped, plain_text
@@ -29,7 +29,7 @@ COLUMNS = ("number", "time", "role", "who", "what", "subject", "old", "new", "so
 class LogPage:
     """The newest lines of a log, newest first. ``remarks`` are what is to be said of the rest."""
 
-    lines: tuple[Line, ...] = ()
+    lines: tuple[LogLine, ...] = ()
     remarks: tuple[str, ...] = ()
 
 
@@ -49,7 +49,7 @@ def read_log(path: Path, cancelled: Callable[[], object], most_bytes: int = MOST
             "audit.not_a_file", "the audit log {path} is not a file: name another with TISSUEID_AUDIT", path=str(path)
         )
     size = path.stat().st_size
-    kept: deque[Line] = deque(maxlen=MOST_LINES)
+    kept: deque[LogLine] = deque(maxlen=MOST_LINES)
     whole = damaged = 0
     with path.open("rb") as file:
         if size > most_bytes:
@@ -79,7 +79,7 @@ def read_log(path: Path, cancelled: Callable[[], object], most_bytes: int = MOST
     return LogPage(tuple(reversed(kept)), tuple(remarks))
 
 
-def people_and_sites(lines: Sequence[Line]) -> dict[str, str]:
+def people_and_sites(lines: Sequence[LogLine]) -> dict[str, str]:
     """Return pseudonyms by session and sites by test, as ``about`` takes them."""
     names = {}
     for line in lines:
@@ -89,7 +89,7 @@ def people_and_sites(lines: Sequence[Line]) -> dict[str, str]:
     return names
 
 
-def about(line: Line, names: Mapping[str, str]) -> str:
+def about(line: LogLine, names: Mapping[str, str]) -> str:
     """Return what a line is about: test, site and pseudonym where they are known, else its subject."""
     subject = shown(line.subject)
     if not subject and isinstance(line.new, dict):  # a test whose recording had not begun
@@ -110,13 +110,13 @@ def shown(value: Any) -> str:
     return text if len(text) <= _LONGEST else f"{text[:_LONGEST]}…"
 
 
-def haystack(line: Line) -> str:
+def haystack(line: LogLine) -> str:
     """Return the searchable text of a line."""
     parts = (line.time, line.role, line.who, line.what, line.subject, line.old, line.new)
     return " ".join(str(part) for part in parts if part is not None).casefold()
 
 
-def write_csv(path: Path, log: Path, lines: Sequence[Line], cancelled: Callable[[], object]) -> int:
+def write_csv(path: Path, log: Path, lines: Sequence[LogLine], cancelled: Callable[[], object]) -> int:
     """Write lines of ``log``, as they are given, for a spreadsheet, whole or not at all; returns their number.
 
     What a spreadsheet would take for a formula gets an apostrophe before it.
