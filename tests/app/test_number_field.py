@@ -97,9 +97,12 @@ def test_what_is_not_taken_is_explained_at_the_field(qtbot, window, typed, at_on
     below = field.mapTo(window, field.rect().bottomLeft())
     assert field.hint.y() >= below.y()
     assert window.rect().contains(field.hint.geometry())
+    assert field.toolTip() == field.hint.text()  # it stays when the hint has gone
+    assert field.property("level") == "check"
     field.selectAll()
     qtbot.keyClicks(field, "4")
     assert not field.hint.isVisible()
+    assert (field.toolTip(), field.property("level")) == ("", "")
 
 
 def type_into(qtbot, field, typed):

@@ -9,6 +9,7 @@ from PySide6.QtGui import QValidator
 from PySide6.QtWidgets import QDoubleSpinBox, QLabel, QSpinBox, QWidget
 
 from tissueid.app import build
+from tissueid.app.widgets import show_level
 from tissueid.language import _, decimal
 
 _SHOWN_MS = 6000
@@ -62,7 +63,8 @@ class NumberField(QDoubleSpinBox):
         self.setKeyboardTracking(False)
         self.hint = FieldHint(self)
         self.editingFinished.connect(self._look_back)
-        self._typed = ""
+        self._typed = self._tip = ""
+        self.valueChanged.connect(self._take_back)
         if (line := self.lineEdit()) is not None:
             line.textEdited.connect(self._look_at)
 
@@ -90,6 +92,7 @@ class NumberField(QDoubleSpinBox):
 
     def _look_at(self, text: str) -> None:
         """Say what may be typed as soon as what is typed cannot become it."""
+        self._take_back()
         number = self._number(text)
         wrong = bool(text.strip()) and (number is None or number > self.maximum())
         self.hint.say(self.range_words if wrong else "")
@@ -102,8 +105,19 @@ class NumberField(QDoubleSpinBox):
             return
         kept = self.textFromValue(self.value())
         said = _("{range}; {kept} is kept").format(range=self.range_words, kept=kept + self.suffix())
-        self.hint.say(said if kept else _("{range}; left empty").format(range=self.range_words), fading=True)
+        said = said if kept else _("{range}; left empty").format(range=self.range_words)
+        self.hint.say(said, fading=True)
+        self._tip = self._tip or self.toolTip()
+        self.setToolTip(said)
+        show_level(self, "check")
         self.refused.emit(typed)
+
+    def _take_back(self) -> None:
+        """The field is edited again: it is no longer marked as one that did not take what was typed."""
+        if self.property("level"):
+            self.setToolTip(self._tip)
+            show_level(self, "")
+            self._tip = ""
 
     def valueFromText(self, text: str) -> float:  # noqa: N802
         """The number that is typed; the value before where it is none."""

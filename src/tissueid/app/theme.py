@@ -128,6 +128,7 @@ QPushButton[role="small"] { padding: 0px 10px; min-height: 16px; }
 QPushButton[role="small"]:focus { padding: 0px 9px; }
 QPushButton[role="toggle"]:checked { border-color: $accent; color: $accent; background: $window; }
 QPushButton:disabled { color: $muted; background: $window; border-color: $line; }
+QAbstractSpinBox[level="check"] { color: $check; font-weight: 600; }
 QComboBox[level="poor"] { color: $poor; font-weight: 600; }
 QComboBox QAbstractItemView { background: $panel; color: $text; selection-background-color: $accent;
     selection-color: $accent_text; }
