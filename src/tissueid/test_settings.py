@@ -236,6 +236,13 @@ class StimulusSettings(_Settings):
     )
 
 
+LARGEST_SCALE = 1e6
+LARGEST_OFFSET = 1000.0
+FILE_RATES_HZ = 1.0, 1e6
+"""Lowest and highest sample rate of a file with a waveform, Hz."""
+_AS_IT_IS = {None: marked("as in the file")}
+
+
 class FilePlayback(_Settings):
     """How a stimulus from a file is played.
 
@@ -243,14 +250,32 @@ class FilePlayback(_Settings):
     the sample rate of a waveform without times; None for that of the instrument.
     """
 
-    scale: Annotated[float | None, Option("--scale", help="of a file: factor of the whole stimulus")] = None
+    scale: Annotated[
+        float | None,
+        Setting("--scale", help="of a file: factor of the whole stimulus", choices=_AS_IT_IS),
+        Field(ge=-LARGEST_SCALE, le=LARGEST_SCALE, description=marked("Factor of the whole stimulus")),
+    ] = None
     offset: Annotated[
-        float | None, Option("--offset", metavar="NEWTON", help="of a file: added to the whole stimulus")
+        float | None,
+        Setting("--offset", metavar="NEWTON", help="of a file: added to the whole stimulus", choices=_AS_IT_IS),
+        Field(
+            title=marked("Offset (N)"),
+            ge=-LARGEST_OFFSET,
+            le=LARGEST_OFFSET,
+            description=marked("Added to the whole stimulus, N"),
+        ),
     ] = None
     file_rate_hz: Annotated[
         float | None,
-        Option("--file-rate", metavar="HZ", help="sample rate of a waveform without times; default: the instrument's"),
+        Setting("--file-rate", metavar="HZ", help="sample rate of a waveform without times; default: the instrument's"),
+        Field(ge=FILE_RATES_HZ[0], le=FILE_RATES_HZ[1], description=marked("Sample rate of a file without times, Hz")),
     ] = None
+
+    @property
+    def file_options(self) -> list[str]:
+        """Names on the command line of the options that are given."""
+        given = (field for name, field in FilePlayback.model_fields.items() if getattr(self, name) is not None)
+        return [option.name for field in given if (option := option_of(field)) is not None]
 
 
 PROPERTIES = tuple(

@@ -224,7 +224,7 @@ def test_a_waveform_scaled_and_repeated(qtbot, open_window, tmp_path):
     saved = tmp_path / "wave.csv"
     wave = 2.0 + np.sin(np.arange(1000) / 50.0)
     np.savetxt(saved, wave)
-    form.stimulus.fill(FROM_FILE, {"scale": 2.0, "offset_n": 1.0})
+    form.stimulus.fill(FROM_FILE, {"scale": 2.0, "offset": 1.0})
     form.stimulus.file.setText(str(saved))
     form.fold.setChecked(True)
     assert form.stimulus._options["file_rate_hz"].isVisible()

@@ -17,12 +17,11 @@ from tissueid.atomic_write import open_regular
 from tissueid.errors import UnusableInputError
 from tissueid.messages import Message, Verbatim
 from tissueid.stimuli.base import MAX_SAMPLES, Stimulus, Unit
-from tissueid.stimuli.kinds.waveform import LARGEST_OFFSET, LARGEST_SCALE, Waveform
+from tissueid.stimuli.kinds.waveform import Waveform
+from tissueid.test_settings import FILE_RATES_HZ
 
 SUFFIXES = (".csv", ".txt", ".tsv", ".dat", ".npy")
 """Suffixes of files that are read as waveforms; any other file is read as a saved stimulus."""
-RATES_HZ = (1.0, 1e6)
-"""Lowest and highest sample rate of a file, Hz."""
 _MAX_BYTES = 128 * 1024 * 1024
 _LARGEST = 1e9
 """Largest magnitude of a time or value; more is no waveform."""
@@ -59,25 +58,6 @@ class _Columns:
 def is_waveform(path: Path) -> bool:
     """Return whether a file is read as a waveform, by its suffix."""
     return path.suffix.lower() in SUFFIXES
-
-
-def check_file_option(name: str, option: str, value: float) -> None:
-    """Check the scale, offset or sample rate of a stimulus from a file; ``option`` is its name on the command line.
-
-    Raises:
-        UnusableInputError: it is not finite or out of bounds.
-    """
-    bounds = {"scale": (-LARGEST_SCALE, LARGEST_SCALE), "offset": (-LARGEST_OFFSET, LARGEST_OFFSET)}
-    low, high = bounds.get(name, RATES_HZ)
-    if not low <= value <= high:
-        raise UnusableInputError(
-            "plan.file_option_bounds",
-            "{option} must be between {low:g} and {high:g}, got {value:g}",
-            option=Verbatim(option),
-            low=low,
-            high=high,
-            value=value,
-        )
 
 
 def load_waveform(
@@ -329,13 +309,13 @@ def _rate(path: Path, columns: _Columns, given_hz: float | None) -> float | None
                 row=int(np.argmax(away > _UNEVEN * max(step, 0.0))) + 1,
             )
         rate = 1.0 / step
-    if rate is not None and not RATES_HZ[0] <= rate <= RATES_HZ[1]:
+    if rate is not None and not FILE_RATES_HZ[0] <= rate <= FILE_RATES_HZ[1]:
         raise UnusableInputError(
             "waveform.rate",
             "{path}: the sample rate must be {low:g} to {high:g} Hz, got {rate:g} Hz",
             path=str(path),
-            low=RATES_HZ[0],
-            high=RATES_HZ[1],
+            low=FILE_RATES_HZ[0],
+            high=FILE_RATES_HZ[1],
             rate=rate,
         )
     return rate

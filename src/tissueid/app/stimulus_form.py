@@ -10,7 +10,7 @@ from pydantic import BaseModel, Field
 from PySide6.QtCore import Qt, Signal
 from PySide6.QtWidgets import QComboBox, QFileDialog, QGridLayout, QHBoxLayout, QLabel, QLineEdit, QPushButton, QWidget
 
-from tissueid.acquisition.waveform_file import RATES_HZ, SUFFIXES, is_waveform
+from tissueid.acquisition.waveform_file import SUFFIXES, is_waveform
 from tissueid.app.form_choices import FROM_FILE, MULTISTEP
 from tissueid.app.option_field import OptionField
 from tissueid.errors import UnusableInputError
@@ -18,7 +18,7 @@ from tissueid.language import _, marked
 from tissueid.procedures.test_plan import LIVE_METHODS
 from tissueid.stimuli import StimulusKind, get_stimulus, stimulus_names
 from tissueid.stimuli.kinds.noise import Noise
-from tissueid.stimuli.kinds.waveform import LARGEST_OFFSET, LARGEST_SCALE
+from tissueid.test_settings import FilePlayback
 
 TITLES = {MULTISTEP: marked("Equal depths, in steps"), FROM_FILE: marked("From a file")}
 """Titles of the choices that are no kinds of stimulus; a kind has its own title."""
@@ -35,18 +35,6 @@ class _Steps(BaseModel):
     depth_min_m: float = Field(0.001, ge=-0.05, le=0.05, description=marked("Least desired depth from the surface, m"))
     depth_max_m: float = Field(0.004, ge=-0.05, le=0.05, description=marked("Greatest desired depth, m"))
     target: float = Field(0.05, gt=0.0, le=1.0, description=marked("Distance from evenness at which it is enough"))
-
-
-class _Played(BaseModel):
-    """How a stimulus from a file is played, as the command line has it."""
-
-    scale: float = Field(1.0, ge=-LARGEST_SCALE, le=LARGEST_SCALE, description=marked("Factor of the whole stimulus"))
-    offset_n: float = Field(
-        0.0, ge=-LARGEST_OFFSET, le=LARGEST_OFFSET, description=marked("Added to the whole stimulus, N")
-    )
-    file_rate_hz: float | None = Field(
-        None, ge=RATES_HZ[0], le=RATES_HZ[1], description=marked("Sample rate of a file without times, Hz")
-    )
 
 
 _BETWEEN = re.compile(r"[;,]\s*(?=[^\d\s])")
@@ -200,13 +188,7 @@ class StimulusForm(QWidget):
             saved = self.file.text().strip()
             if not saved:
                 raise UnusableInputError("plan.no_stimulus_file", "choose the file of the stimulus")
-            played = dict(self.options())
-            return values | {
-                "stimulus_file": Path(saved),
-                "scale": None if played["scale"] == 1.0 else played["scale"],
-                "offset": played["offset_n"] or None,
-                "file_rate_hz": played.get("file_rate_hz"),
-            }
+            return values | {"stimulus_file": Path(saved)} | dict(self.options())
         return values | {"stimulus": self.chosen, "options": self.options()}
 
     def fill(self, kind: str, options: dict[str, Any] | None = None) -> None:
@@ -296,7 +278,7 @@ class StimulusForm(QWidget):
 def _model(kind: str) -> type[BaseModel]:
     """Return the model of the options of a choice, without looking for other kinds where it is noise."""
     if kind in (MULTISTEP, FROM_FILE):
-        return _Steps if kind == MULTISTEP else _Played
+        return _Steps if kind == MULTISTEP else FilePlayback
     return Noise if kind == Noise.name else get_stimulus(kind)
 
 

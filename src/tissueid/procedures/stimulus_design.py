@@ -139,17 +139,12 @@ class StimulusPlan(FilePlayback, Plan):
             from tissueid.reports.stimulus_page import FORMS, output_suffix
 
             check_output(self.plot, FORMS[output_suffix(self.plot)])
-        from tissueid.acquisition.waveform_file import check_file_option
-
-        from_file = named_values(self, {name: name for name in ("scale", "offset", "file_rate_hz")})
-        for name, (option, value) in from_file.items():
-            if not self.from_file:
-                raise UnusableInputError(
-                    "stimulus.file_options",
-                    "{option} is for a stimulus from a file: name the file",
-                    option=Verbatim(option),
-                )
-            check_file_option(name, option, value)
+        for option in () if self.from_file else self.file_options:
+            raise UnusableInputError(
+                "stimulus.file_options",
+                "{option} is for a stimulus from a file: name the file",
+                option=Verbatim(option),
+            )
         if self.lists and (self.options or self.given or any(self.outputs)):
             raise UnusableInputError("stimulus.no_name", "name a stimulus; 'tissueid stimulus' lists all")
 

@@ -227,17 +227,12 @@ class TestPlan(FilePlayback, TestSettings):
             )
 
     def _check_file(self) -> None:
-        from tissueid.acquisition.waveform_file import check_file_option
-
-        given = named_values(self, {name: name for name in ("scale", "offset", "file_rate_hz")})
-        for name, (option, value) in given.items():
-            if self.stimulus_file is None:
-                raise UnusableInputError(
-                    "plan.file_options",
-                    "{option} needs --stimulus-file: other stimuli have a range of force",
-                    option=Verbatim(option),
-                )
-            check_file_option(name, option, value)
+        for option in () if self.stimulus_file else self.file_options:
+            raise UnusableInputError(
+                "plan.file_options",
+                "{option} needs --stimulus-file: other stimuli have a range of force",
+                option=Verbatim(option),
+            )
 
     def _check_kind(self) -> None:
         from tissueid.acquisition.stimulus_choice import FIXTURES

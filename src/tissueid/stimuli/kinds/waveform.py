@@ -23,9 +23,7 @@ from tissueid.stimuli.base import (
     parse_description,
     stimulus,
 )
-
-LARGEST_SCALE = 1e6
-LARGEST_OFFSET = 1000.0
+from tissueid.test_settings import LARGEST_OFFSET, LARGEST_SCALE
 
 
 @stimulus
