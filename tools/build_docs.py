@@ -93,8 +93,8 @@ The effects that a diagnosis can name, in the order of the signal chain. `tissue
 def references() -> dict[str, str]:
     """Return the generated pages by name: the Python interface, the commands, engines, stimuli and effects."""
     import tissueid
+    from tissueid.cli.command_reference import manual_markdown
     from tissueid.cli.commands import app
-    from tissueid.cli.manual import manual_markdown
 
     engines, stimuli = tissueid.list_engines(), tissueid.list_stimuli()
     effects = [_effect(effect) for effect in tissueid.list_effects().values()]

@@ -38,9 +38,8 @@ def problem(package: str, folder: Path, extra: str = "dev") -> str:
 
 def write_generated(share: Path) -> None:
     """Write manual page and completions, made from the argument parsers."""
+    from tissueid.cli.command_reference import completion_script, manual_page
     from tissueid.cli.commands import app
-    from tissueid.cli.completion import completion_script
-    from tissueid.cli.manual import manual_page
 
     for name, text in {
         "man/man1/tissueid.1": manual_page(app),

@@ -9,9 +9,8 @@ import pytest
 from typer.main import get_command
 
 from tissueid.cli import main
-from tissueid.cli.command_reference import all_commands
+from tissueid.cli.command_reference import all_commands, manual_markdown
 from tissueid.cli.commands import app
-from tissueid.cli.manual import manual_markdown
 
 
 @pytest.fixture(scope="module")

@@ -88,7 +88,7 @@ def test_without_an_extra_one_line_names_the_command_that_installs_it(
 ):
     monkeypatch.chdir(tmp_path)
     monkeypatch.setitem(sys.modules, package, None)
-    monkeypatch.delitem(sys.modules, "tissueid.cli.study_output", raising=False)
+    monkeypatch.delitem(sys.modules, "tissueid.cli.study", raising=False)
     (tmp_path / "one.h5").touch()
     assert main(command) == 2
     (line,) = capsys.readouterr().err.splitlines()

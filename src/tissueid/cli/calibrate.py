@@ -1,56 +1,294 @@
-"""``tissueid calibrate``: calibrate instruments, and list and show calibrations."""
+"""``tissueid calibrate``: calibrate an instrument; list and show calibrations."""
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING
+import sys
+import time
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from pathlib import Path
+from typing import Any
 
-import typer
+import numpy as np
+from rich.live import Live
+from rich.text import Text
 
-from tissueid.cli.lazy_command import JsonFile, add_command
+from tissueid.calibration.labels import headline_of, notes_of, readable
+from tissueid.calibration.store import calibration_folder, is_in_calibration_folder
+from tissueid.calibration.sweep_analysis import SweepResult
+from tissueid.cli.output import (
+    ConsoleControl,
+    Output,
+    at_terminal,
+    console,
+    progress_bars,
+    table,
+)
+from tissueid.errors import UnusableInputError
+from tissueid.formatting import fixed, plus_minus
+from tissueid.messages import stored
+from tissueid.procedures.calibration_files import CalibrationResult
+from tissueid.procedures.calibration_plans import CalibrationPlan, DynamicSweepPlan, StaticCalibrationPlan
+from tissueid.procedures.calibration_queries import (
+    CalibrationListPlan,
+    ListedCalibration,
+    ShowCalibrationPlan,
+    listed_calibrations,
+    saved_calibration,
+)
+from tissueid.procedures.instrument_access import audit_trail
+from tissueid.procedures.output_files import check_different
+from tissueid.procedures.static_calibration import run_static_calibration
+from tissueid.procedures.sweep import run_sweep
+from tissueid.records import Estimate
 
-if TYPE_CHECKING:  # plans are imported when their command is used
-    from tissueid.procedures.calibration_plans import DynamicSweepPlan, StaticCalibrationPlan
-    from tissueid.procedures.calibration_queries import CalibrationListPlan, ShowCalibrationPlan
 
-calibrate = typer.Typer(help="Calibrate an instrument; list and show calibrations.", no_args_is_help=True)
+class TerminalControl(ConsoleControl):
+    """Asks the person at the terminal, if there is one, to do something."""
+
+    def __init__(self, show: Callable[[str, float | None], None]) -> None:
+        super().__init__(show)
+        self._live: Live | None = None
+
+    @property
+    def attended(self) -> bool:
+        """Whether input and messages are those of a terminal."""
+        return at_terminal()
+
+    def ask(self, prompt: str) -> None:
+        """Show an instruction and wait for Enter."""
+        console.print(Text.assemble((prompt, "bold"), " Then press Enter."))
+        if not sys.stdin.readline():
+            raise UnusableInputError("the terminal was closed; nothing was saved")
+
+    def instruct(self, prompt: str) -> None:
+        """Show an instruction, and below it steps of unknown share until the instruction is removed."""
+        if self._live is not None:
+            self._live.stop()
+            self._live = None
+        if prompt:
+            console.print(prompt, style="bold")
+            self._live = Live(Text(""), console=console, transient=True)
+            self._live.start()
+
+    def progress(self, fraction: float | None, step: str) -> None:
+        """Show a progress bar, or the step below an instruction."""
+        if self._live is not None and fraction is None:
+            self._live.update(Text(step))
+        else:
+            super().progress(fraction, step)
 
 
-@add_command(calibrate, "static", "calibration_plans")
-def static(plan: StaticCalibrationPlan, json_file: JsonFile = None) -> None:
-    """Calibrate channels, force constant and range of motion.
+@contextmanager
+def terminal_control() -> Iterator[TerminalControl]:
+    """Yield the control of a calibration in this command."""
+    with progress_bars() as show:
+        control = TerminalControl(show)
+        try:
+            yield control
+        finally:
+            control.instruct("")
 
-    Scales and zeros: voltage to current to force, position, temperature, acceleration.
+
+def check_outputs(plan: CalibrationPlan, out: Output) -> None:
+    """Check the JSON file against the files of the plan.
+
+    Raises:
+        UnusableInputError: it cannot be written, or is named for two outputs.
     """
-    from tissueid.cli.calibrate_static import print_static_calibration
-
-    print_static_calibration(plan, json_file)
+    check_different(*plan.outputs, out.json_file)
 
 
-@add_command(calibrate, "sweep", "calibration_plans")
-def sweep(plan: DynamicSweepPlan, json_file: JsonFile = None) -> None:
-    """Find the linear region of the coil by a dynamic sweep.
+def answer(result: CalibrationResult) -> dict[str, Any]:
+    """Return the result for JSON: all values in SI units, and the verdict."""
+    calibration = result.calibration
+    return {
+        "file": str(result.path),
+        "kind": calibration.kind,
+        "model": calibration.model,
+        "serial_number": calibration.serial_number,
+        "date": calibration.date,
+        "verdict": calibration.verdict,
+        "problems": list(calibration.problems),
+        "notes": list(result.notes),
+        "messages": list(calibration.messages),
+        "quantities": {name: quantity.model_dump() for name, quantity in calibration.quantities.items()},
+        "tables": {name: columns for name, columns in calibration.tables.items() if name != "response"},
+    }
 
-    The calibration spring and the force constant are identified at each position of the stroke.
+
+def print_verdict(out: Output, result: CalibrationResult) -> None:
+    """Print verdict, problems, notes and files, and what to do if tests will not find the calibration."""
+    out.print(headline_of(result.calibration))
+    for problem in result.calibration.problems:
+        out.print(f"- {problem}", soft_wrap=True)
+    for note in result.notes:
+        out.print(f"note: {note}", soft_wrap=True)
+    out.print(f"calibration: {result.path}", soft_wrap=True)
+    if not is_in_calibration_folder(result.path):
+        folder = calibration_folder()
+        where = "name its folder by --calibrations" if folder is None else f"copy it to {folder}"
+        out.print(f"Tests do not find it there: {where}, or leave out --out.", soft_wrap=True)
+    if result.session is not None:
+        out.print(f"session: {result.session}", soft_wrap=True)
+
+
+def check_result(result: CalibrationResult, out: Path | None) -> None:
+    """Raise an error if a calibration failed or has no report, after it was saved and printed.
+
+    Raises:
+        UnusableInputError: the calibration failed.
+        Exception: the error of the report.
     """
-    from tissueid.cli.calibrate_sweep import print_sweep
+    if result.report_error is not None:
+        raise result.report_error
+    if result.calibration.verdict == "passed":
+        return
+    kind, path = result.calibration.kind, str(result.path)
+    if out in (None, result.path):
+        raise UnusableInputError(
+            "calibration.failed_kept", "the {kind} calibration failed; it is saved in {path}", kind=kind, path=path
+        )
+    raise UnusableInputError(
+        "calibration.failed_beside",
+        "the {kind} calibration failed; it is saved in {path}; {passed}, which passed, is unchanged",
+        kind=kind,
+        path=path,
+        passed=str(out),
+    )
 
-    print_sweep(plan, json_file)
 
+def print_static_calibration(plan: StaticCalibrationPlan, out: Output) -> None:
+    """Calibrate and print the calibration.
 
-@add_command(calibrate, "list", "calibration_queries")
-def list_command(plan: CalibrationListPlan, json_file: JsonFile = None) -> None:
-    """List calibrations, newest first.
-
-    Marks the newest of each kind that passed.
+    Raises:
+        UnusableInputError: an option cannot be used, or the calibration failed.
     """
-    from tissueid.cli.calibrate_list import print_calibrations
+    check_outputs(plan, out)
+    with terminal_control() as control:
+        result = run_static_calibration(plan, control, audit_trail("technician"))
+    out.widen(120)
+    rows = table(f"Static calibration of {result.calibration.serial_number}", "quantity", "value", "unit")
+    for name, quantity in result.calibration.quantities.items():
+        rows.add_row(*readable(name, quantity))
+    out.print(rows)
+    print_verdict(out, result)
+    out.write_json(answer(result) | {"seconds": result.seconds})
+    check_result(result, plan.out)
 
-    print_calibrations(plan, json_file)
+
+def print_sweep(plan: DynamicSweepPlan, out: Output) -> None:
+    """Run a sweep or read a saved one, and print its calibration.
+
+    Raises:
+        UnusableInputError: an option cannot be used, or the calibration failed.
+    """
+    check_outputs(plan, out)
+    begin = time.perf_counter()
+    with terminal_control() as control:
+        result = run_sweep(plan, control, audit_trail("technician"))
+    if result.sweep is not None:
+        _print_profile(out, result.sweep, result.calibration.serial_number)
+    print_verdict(out, result)
+    seconds = {"seconds": time.perf_counter() - begin, "measuring_seconds": result.seconds}
+    out.write_json(answer(result) | seconds)
+    check_result(result, plan.out)
 
 
-@add_command(calibrate, "show", "calibration_queries")
-def show_command(plan: ShowCalibrationPlan, json_file: JsonFile = None) -> None:
-    """Show one calibration: instrument, date, verdict, all values."""
-    from tissueid.cli.calibrate_list import print_calibration
+def _print_profile(out: Output, result: SweepResult, serial_number: str) -> None:
+    columns = ("position (mm)", "VAF (%)", "M (g)", "B (N·s/m)", "K (N/m)", "k (N per A)")
+    rows = table(f"Dynamic sweep of {serial_number}", *columns)
+    profile = result.force_constant
+    for point in result.points:
+        at = np.array([point.position_m])
+        inside = result.region.min_m.value <= point.position_m <= result.region.max_m.value
+        rows.add_row(
+            f"{1e3 * point.position_m:.1f}{'' if inside else ' *'}",
+            fixed(point.vaf_percent, 1),
+            fixed(1e3 * point.mass_kg.value, 1),
+            fixed(point.damping_n_s_per_m.value, 2),
+            fixed(point.stiffness_n_per_m.value, 0),
+            plus_minus(Estimate(float(profile.at(at)[0]), float(profile.std_at(at)[0]))),
+        )
+    out.print(rows)
+    region = result.region
+    ends = [
+        f"{1e3 * end.value:.2f} mm{' or less' if open_end and first else ' or more' if open_end else ''}"
+        for end, open_end, first in (
+            (region.min_m, region.open_below, True),
+            (region.max_m, region.open_above, False),
+        )
+    ]
+    out.print(
+        f"linear from {ends[0]} to {ends[1]} (* is outside), "
+        f"force constant k {plus_minus(region.plateau_n_per_a)} N per A, "
+        f"moving mass {plus_minus(result.moving_mass_kg, 1e3)} g",
+        soft_wrap=True,
+    )
 
-    print_calibration(plan, json_file)
+
+def print_calibrations(plan: CalibrationListPlan, out: Output) -> None:
+    """Print all calibrations of a folder, newest first, with their status.
+
+    Raises:
+        UnusableInputError: the folder of the plan does not exist, or cannot be read.
+    """
+    folder, listed = listed_calibrations(plan)
+    out.widen(120)
+    rows = table(f"Calibrations in {folder}", "file", "serial number", "kind", "date", "status")
+    for column in rows.columns:
+        column.justify = "left"
+    for item in listed:
+        found, words = item.calibration, item.status.words
+        cells = ("", "", "") if found is None else (found.serial_number, found.kind, found.date[:10])
+        rows.add_row(item.path.name, *cells, f"{words}; the newest that passed" if item.newest else words)
+    if folder is None:
+        out.print(
+            "there are no calibrations yet: run 'tissueid calibrate static', or choose another folder by "
+            "--calibrations DIR",
+        )
+    elif not listed:
+        out.print(f"there are no calibrations in {folder}", soft_wrap=True)
+    else:
+        out.print(rows)
+    answers = [_answer(item) for item in listed]
+    out.write_json({"folder": None if folder is None else str(folder), "calibrations": answers})
+
+
+def _answer(item: ListedCalibration) -> dict[str, object]:
+    found, status = item.calibration, item.status
+    return {
+        "file": str(item.path),
+        "serial_number": found.serial_number if found else None,
+        "model": found.model if found else None,
+        "kind": found.kind if found else None,
+        "date": found.date if found else None,
+        "verdict": found.verdict if found else None,
+        "state": status.state,
+        "words": status.words,
+        "message": stored(status.words),
+        "newest_that_passed": item.newest,
+    }
+
+
+def print_calibration(plan: ShowCalibrationPlan, out: Output) -> None:
+    """Print one calibration: instrument, date, verdict, all values.
+
+    Raises:
+        UnusableInputError: the file is not a calibration, or the report cannot be written.
+    """
+    calibration = saved_calibration(plan)
+    out.widen(120)
+    out.print(
+        f"{calibration.kind} calibration of {calibration.model}, {calibration.serial_number}, {calibration.date}, "
+        f"by {calibration.software}",
+        soft_wrap=True,
+    )
+    rows = table("", "quantity", "value", "unit")
+    for name, quantity in calibration.quantities.items():
+        rows.add_row(*readable(name, quantity))
+    out.print(rows)
+    out.print(headline_of(calibration))
+    for line in (*calibration.problems, *notes_of(calibration)):
+        out.print(f"- {line}", soft_wrap=True)
+    out.write_json(calibration.model_dump(mode="json"))

@@ -1,36 +1,16 @@
-"""Commands of the first level; the plans of ``tissueid.procedures`` declare their options."""
+"""All commands, their groups and their help; the modules of the functions are imported when a command is used."""
 
 from __future__ import annotations
 
 import os
-from typing import TYPE_CHECKING, Annotated, Literal
+from typing import Annotated
 
 import typer
 
-from tissueid.cli.audit_commands import audit
-from tissueid.cli.calibrate import calibrate
-from tissueid.cli.gap import gap
-from tissueid.cli.lazy_command import JsonFile, add_command
-from tissueid.cli.study import study
-from tissueid.cli.twin_commands import twin
+from tissueid.cli.lazy_command import add_command
 from tissueid.errors import UnusableInputError
 from tissueid.plugins import load_plugins
 from tissueid.version import SOFTWARE
-
-if TYPE_CHECKING:  # plans are imported when their command is used
-    from tissueid.procedures.comparison import ComparePlan
-    from tissueid.procedures.demo import DemoPlan
-    from tissueid.procedures.identification import EnginesPlan, IdentificationPlan
-    from tissueid.procedures.import_export import ExportPlan, ImportPlan
-    from tissueid.procedures.instrument_queries import DevicesPlan
-    from tissueid.procedures.overlay import OverlayPlan, RepeatsPlan
-    from tissueid.procedures.quality import QualityPlan
-    from tissueid.procedures.readings import ReadingsPlan
-    from tissueid.procedures.recovery import RecoveryPlan
-    from tissueid.procedures.report import ReportPlan
-    from tissueid.procedures.samples import SamplesPlan
-    from tissueid.procedures.stimulus_design import StimulusPlan
-    from tissueid.procedures.test_plan import TestPlan
 
 app = typer.Typer(
     help="Measure living tissue with a voice coil and nonlinear system identification. Research use only.",
@@ -38,6 +18,11 @@ app = typer.Typer(
     rich_markup_mode=None,
     pretty_exceptions_enable=False,
 )
+calibrate = typer.Typer(help="Calibrate an instrument; list and show calibrations.", no_args_is_help=True)
+audit = typer.Typer(help="Show and verify the audit log.", no_args_is_help=True)
+gap = typer.Typer(help="Diagnose the gap between simulation and recording.", no_args_is_help=True)
+twin = typer.Typer(help="Show saved twins.", no_args_is_help=True)
+study = typer.Typer(help="Compare subjects, sites and conditions over many sessions.", no_args_is_help=True)
 app.add_typer(calibrate, name="calibrate")
 app.add_typer(audit, name="audit")
 app.add_typer(gap, name="gap")
@@ -84,193 +69,314 @@ def open_window(
     return open_application()
 
 
-@add_command(app, "import", "import_export")
-def import_command(plan: ImportPlan, json_file: JsonFile = None) -> None:
-    """Import CSV, MAT or LVM files as a session. Files of 'tissueid export' need no --map."""
-    from tissueid.cli.import_export import import_files
-
-    import_files(plan, json_file)
-
-
-@add_command(app, "export", "import_export")
-def export_command(plan: ExportPlan, json_file: JsonFile = None) -> None:
+add_command(
+    app,
+    "import",
+    "tissueid.cli.sessions:import_files",
+    "Import CSV, MAT or LVM files as a session. Files of 'tissueid export' need no --map.",
+)
+add_command(
+    app,
+    "export",
+    "tissueid.cli.sessions:export_tests",
     """Export a session for other programs, one file per test.
 
     The attributes of each test are written as JSON next to it.
-    """
-    from tissueid.cli.import_export import export_tests
-
-    export_tests(plan, json_file)
-
-
-@add_command(app, "demo", "demo")
-def demo(plan: DemoPlan, json_file: JsonFile = None) -> None:
+    """,
+)
+add_command(
+    app,
+    "demo",
+    "tissueid.cli.demo:demonstrate",
     """Run one guided test on a simulated forearm, without hardware.
 
     Includes recording, identification and report.
-    """
-    from tissueid.cli.demo import demonstrate
-
-    demonstrate(plan, json_file)
-
-
-@add_command(app, "samples", "samples")
-def samples(plan: SamplesPlan, json_file: JsonFile = None) -> None:
+    """,
+)
+add_command(
+    app,
+    "samples",
+    "tissueid.cli.sessions:print_samples",
     """Record small sample sessions of simulated tissues.
 
     The output says what each contains and what to try.
-    """
-    from tissueid.cli.samples import print_samples
-
-    print_samples(plan, json_file)
-
-
-@add_command(app, "devices", "instrument_queries")
-def devices(plan: DevicesPlan, json_file: JsonFile = None) -> None:
-    """List connected and simulated instruments."""
-    from tissueid.cli.devices import list_devices
-
-    list_devices(plan, json_file)
-
-
-@add_command(app, "test", "test_plan")
-def run_test(plan: TestPlan, json_file: JsonFile = None) -> None:
-    """Run a guided test: placement, preload, stimulus, release."""
-    from tissueid.cli.test import run_tests
-
-    run_tests(plan, json_file)
-
-
-@add_command(app, "quality", "quality")
-def quality(plan: QualityPlan, json_file: JsonFile = None) -> None:
+    """,
+)
+add_command(
+    app,
+    "devices",
+    "tissueid.cli.sessions:list_devices",
+    "List connected and simulated instruments.",
+)
+add_command(
+    app,
+    "test",
+    "tissueid.cli.test:run_tests",
+    "Run a guided test: placement, preload, stimulus, release.",
+)
+add_command(
+    app,
+    "quality",
+    "tissueid.cli.saved_tests:print_quality",
     """Check the quality of the tests of a saved session.
 
     The output says which tests to repeat, and why.
-    """
-    from tissueid.cli.quality import print_quality
-
-    print_quality(plan, json_file)
-
-
-@add_command(app, "stimulus", "stimulus_design")
-def stimulus(plan: StimulusPlan, json_file: JsonFile = None) -> None:
+    """,
+)
+add_command(
+    app,
+    "stimulus",
+    "tissueid.cli.stimulus:print_stimulus",
     """Design a stimulus, or check a saved one.
 
     Prints its properties and the load on the coil, and writes its figures.
-    """
-    from tissueid.cli.stimulus import print_stimulus
-
-    print_stimulus(plan, json_file)
-
-
-@add_command(app, "identify", "identification")
-def identify(plan: IdentificationPlan, json_file: JsonFile = None) -> None:
+    """,
+)
+add_command(
+    app,
+    "identify",
+    "tissueid.cli.saved_tests:print_identification",
     """Fit one engine to one saved test, and validate it.
 
     The validation uses held-out data.
-    """
-    from tissueid.cli.identify import print_identification
-
-    print_identification(plan, json_file)
-
-
-@add_command(app, "engines", "identification")
-def engines(plan: EnginesPlan, json_file: JsonFile = None) -> None:
-    """List the identification engines, or the options of one."""
-    from tissueid.cli.engines import list_engines
-
-    list_engines(plan, json_file)
-
-
-@add_command(app, "compare", "comparison")
-def compare(plan: ComparePlan, json_file: JsonFile = None) -> None:
+    """,
+)
+add_command(
+    app,
+    "engines",
+    "tissueid.cli.saved_tests:list_engines",
+    "List the identification engines, or the options of one.",
+)
+add_command(
+    app,
+    "compare",
+    "tissueid.cli.comparisons:compare_session",
     """Fit all engines to one saved test and compare their scores.
 
     Recommends the description that the test supports.
-    """
-    from tissueid.cli.compare import compare_session
-
-    compare_session(plan, json_file)
-
-
-@add_command(app, "readings", "readings")
-def readings(plan: ReadingsPlan, json_file: JsonFile = None) -> None:
+    """,
+)
+add_command(
+    app,
+    "readings",
+    "tissueid.cli.saved_tests:print_readings",
     """Compute the readings of commercial probes.
 
     Ue, Uv, Ur, Uf and R0 to R9 of suction probes; frequency, decrement and stiffness of tapping probes.
-    """
-    from tissueid.cli.readings import print_readings
-
-    print_readings(plan, json_file)
-
-
-@add_command(app, "overlay", "overlay")
-def overlay(plan: OverlayPlan, json_file: JsonFile = None) -> None:
+    """,
+)
+add_command(
+    app,
+    "overlay",
+    "tissueid.cli.comparisons:overlay_tests",
     """Draw several tests or several fits in one figure.
 
     The tests may be of one session or of several. Figures: depth profiles over the calibration, Bode diagrams,
     nonlinearities, kernels and scores.
-    """
-    from tissueid.cli.overlay import overlay_tests
-
-    overlay_tests(plan, json_file)
-
-
-@add_command(app, "repeats", "overlay")
-def repeats(plan: RepeatsPlan, json_file: JsonFile = None) -> None:
+    """,
+)
+add_command(
+    app,
+    "repeats",
+    "tissueid.cli.comparisons:repeated_tests",
     """Print mean, SD and CV of every parameter over tests.
 
     Tests are grouped by site. Without TESTS all stochastic tests of a session are taken.
-    """
-    from tissueid.cli.overlay import repeated_tests
-
-    repeated_tests(plan, json_file)
-
-
-@add_command(app, "recover", "recovery")
-def recover(plan: RecoveryPlan, json_file: JsonFile = None) -> None:
+    """,
+)
+add_command(
+    app,
+    "recover",
+    "tissueid.cli.sessions:recover_session",
     """Recover a session after a crash.
 
     All data that had reached the disk is kept.
-    """
-    from tissueid.cli.recover import recover_session
-
-    recover_session(plan, json_file)
-
-
-@add_command(app, "report", "report")
-def report(plan: ReportPlan) -> None:
+    """,
+)
+add_command(
+    app,
+    "report",
+    "tissueid.cli.saved_tests:report_test",
     """Write the report of one saved test as an HTML page.
 
     The page is self-contained. --pdf adds a short PDF.
-    """
-    from tissueid.cli.report import report_test
-
-    report_test(plan)
-
-
-@add_command(app, "completion")
-def completion(
-    shell: Annotated[Literal["bash", "zsh", "fish"], typer.Argument(metavar="SHELL", help="bash, zsh or fish")],
-) -> None:
+    """,
+)
+add_command(
+    app,
+    "completion",
+    "tissueid.cli.command_reference:print_completion",
     """Print the completion script of a shell.
 
     For bash: tissueid completion bash > ~/.local/share/bash-completion/completions/tissueid
-    """
-    from tissueid.cli.completion import completion_script
-
-    typer.echo(completion_script(shell, app), nl=False)
-
-
-@add_command(app, "manual")
-def manual() -> None:
+    """,
+)
+add_command(
+    app,
+    "manual",
+    "tissueid.cli.command_reference:print_manual",
     """Print the manual page of all commands.
 
     To read it: tissueid manual | man -l -
-    """
-    from tissueid.cli.manual import manual_page
+    """,
+)
 
-    typer.echo(manual_page(app), nl=False)
+add_command(
+    calibrate,
+    "static",
+    "tissueid.cli.calibrate:print_static_calibration",
+    """Calibrate channels, force constant and range of motion.
 
+    Scales and zeros: voltage to current to force, position, temperature, acceleration.
+    """,
+)
+add_command(
+    calibrate,
+    "sweep",
+    "tissueid.cli.calibrate:print_sweep",
+    """Find the linear region of the coil by a dynamic sweep.
+
+    The calibration spring and the force constant are identified at each position of the stroke.
+    """,
+)
+add_command(
+    calibrate,
+    "list",
+    "tissueid.cli.calibrate:print_calibrations",
+    """List calibrations, newest first.
+
+    Marks the newest of each kind that passed.
+    """,
+)
+add_command(
+    calibrate,
+    "show",
+    "tissueid.cli.calibrate:print_calibration",
+    "Show one calibration: instrument, date, verdict, all values.",
+)
+
+add_command(
+    audit,
+    "verify",
+    "tissueid.cli.audit:print_verification",
+    "Verify the log line by line. Exit status 2 and the first altered line if it was changed.",
+)
+add_command(
+    audit,
+    "show",
+    "tissueid.cli.audit:print_lines",
+    "Print the newest lines without verifying them.",
+)
+
+add_command(
+    gap,
+    "diagnose",
+    "tissueid.cli.gap:run_diagnose",
+    """Locate the gap of a session and name its cause.
+
+    Also reports how far the effect closes the gap on held-out data.
+    """,
+)
+add_command(
+    gap,
+    "batch",
+    "tissueid.cli.gap:run_batch",
+    """Diagnose every session of a folder.
+
+    For a file that cannot be used, the result is the reason. After a kill the same command continues.
+    """,
+)
+add_command(
+    gap,
+    "watch",
+    "tissueid.cli.gap:run_watch",
+    """Show the gap of sessions over time against a twin.
+
+    Names the first session of the folder in which the gap grew, and what grew. After a kill the same command continues.
+    """,
+)
+add_command(
+    gap,
+    "accept",
+    "tissueid.cli.gap:run_accept",
+    """Save a twin with diagnosed or given effects.
+
+    At a terminal you choose among the effects of a combination.
+    """,
+)
+add_command(
+    gap,
+    "effects",
+    "tissueid.cli.gap:list_effects",
+    "List the effects that a diagnosis can name.",
+)
+
+add_command(
+    twin,
+    "show",
+    "tissueid.cli.gap:show_twin",
+    "Show a twin: values, effects and origin.",
+)
+add_command(
+    twin,
+    "list",
+    "tissueid.cli.gap:list_twins",
+    "List the twins in a folder; other files are ignored.",
+)
+
+add_command(
+    study,
+    "run",
+    "tissueid.cli.study:print_run",
+    """Analyse the sessions of a study that have changed.
+
+    Writes the table with one row per test as CSV and Parquet. After a kill the same command continues.
+    """,
+)
+add_command(
+    study,
+    "table",
+    "tissueid.cli.study:print_table",
+    """Show mean, standard deviation and variation of each parameter by site and condition.
+
+    Analyses what has changed before.
+    """,
+)
+add_command(
+    study,
+    "report",
+    "tissueid.cli.study:print_report",
+    """Write the report of a study as an HTML page.
+
+    Repeatability, sites, groups, regressions, conditions and sample sizes.
+    """,
+)
+add_command(
+    study,
+    "demo",
+    "tissueid.cli.study:print_population",
+    """Measure a simulated population, analyse it and write its report.
+
+    16 subjects, 4 sites and 5 repeats by default, as in the thesis.
+    """,
+)
+add_command(
+    study,
+    "protocol",
+    "tissueid.cli.study:print_protocol",
+    """Check the protocol of a study, or write a template of one.
+
+    Sites, repeats, conditions, demographic values that are asked for, and the order of a sitting.
+    """,
+)
+add_command(
+    study,
+    "sitting",
+    "tissueid.cli.study:print_sitting",
+    """Run all tests of one subject by the protocol, on the simulator.
+
+    The same command continues a sitting that was interrupted; complete tests are kept.
+    """,
+)
 
 load_plugins("tissueid.commands", "command", lambda add_commands: add_commands(app, gap))

@@ -3,36 +3,38 @@
 from __future__ import annotations
 
 from pathlib import Path
-
-from rich.console import Console
+from typing import TYPE_CHECKING
 
 from tissueid.analysis import Analysis
-from tissueid.cli.identify import readable
-from tissueid.cli.output import check_json, console_control, human_output, table, write_json
+from tissueid.cli.output import (
+    Output,
+    table,
+)
+from tissueid.cli.saved_tests import readable
 from tissueid.procedures.demo import DemoPlan, run_demo
 from tissueid.procedures.instrument_access import audit_trail
 from tissueid.records import Estimate
 from tissueid.reports import ComparisonTable
 
+if TYPE_CHECKING:
+    pass
 
-def demonstrate(plan: DemoPlan, json_file: Path | None) -> None:
+
+def demonstrate(plan: DemoPlan, out: Output) -> None:
     """Run the demo, print its result and write the JSON."""
-    check_json(json_file)
-    with console_control() as control:
-        result = run_demo(plan, control, audit_trail())
-    _print_result(result.page, result.analyses[1], result.comparison, human_output(json_file))
-    if json_file is not None:
-        write_json(json_file, result.answer)
+    result = out.run(run_demo, plan, audit_trail())
+    _print_demo(result.page, result.analyses[1], result.comparison, out)
+    out.write_json(result.answer)
 
 
-def _print_result(page: Path, main: dict[str, Analysis], comparison: ComparisonTable, console: Console) -> None:
+def _print_demo(page: Path, main: dict[str, Analysis], comparison: ComparisonTable, out: Output) -> None:
     rows = table("Main test", "engine", "VAF fitted %", "VAF held out %", "seconds")
     for engine, analysis in main.items():
         report = analysis.model.report
         rows.add_row(
             engine, f"{report.vaf_percent:.1f}", f"{report.vaf_validation_percent:.1f}", f"{report.seconds:.2f}"
         )
-    console.print(rows)
+    out.print(rows)
     title = f"Small-amplitude test at {comparison.position_m * 1e3:.2f} mm, against the local values of the plant"
     rows = table(title, "quantity", "estimate", "plant", "error %", "main test", "unit")
     for row in comparison.rows:
@@ -41,5 +43,5 @@ def _print_result(page: Path, main: dict[str, Analysis], comparison: ComparisonT
         _, large, _ = readable(row.quantity, row.large)
         error = 100.0 * (row.small.value / row.truth - 1.0)
         rows.add_row(label, small, plant, f"{error:+.1f}", large, unit)
-    console.print(rows)
-    console.print(f"open {page} in a browser. Research use only.", markup=False)
+    out.print(rows)
+    out.print(f"open {page} in a browser. Research use only.")

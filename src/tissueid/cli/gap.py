@@ -1,74 +1,353 @@
-"""``tissueid gap``: diagnose differences between simulation and recording."""
+"""Commands of the sim-to-real gap and of twins: gap, twin."""
 
 from __future__ import annotations
 
+import sys
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
+from typing import Annotated, Any
 
+import numpy as np
 import typer
+from rich.table import Table
 
-from tissueid.cli.lazy_command import JsonFile, add_command
+from tissueid.cli.output import (
+    Output,
+    at_terminal,
+    console,
+    table,
+)
+from tissueid.errors import CancelledError, UnusableInputError
+from tissueid.formatting import number
+from tissueid.gap import Diagnosis, as_answer
+from tissueid.gap.accepting import NamedEffects
+from tissueid.gap.history import GapHistory, GapHistoryEntry, history_headline
+from tissueid.gap.statement import (
+    alternatives_of,
+    headline_of,
+    members_of,
+    ordered_candidates,
+    percent,
+    sentences_of,
+    shown_probability,
+)
+from tissueid.instrument.twin_file import TwinFile
+from tissueid.messages import MISSING
+from tissueid.procedures.accept_effects import accept_effects
+from tissueid.procedures.diagnosis import diagnose_session
+from tissueid.procedures.gap_folder import diagnose_folder, watch_folder
+from tissueid.procedures.gap_plans import AcceptPlan, DiagnosisPlan, FolderPlan, WatchPlan
+from tissueid.procedures.instrument_access import audit_trail
+from tissueid.procedures.output_files import check_different
+from tissueid.procedures.saved_twins import TwinFolderPlan, TwinPlan, saved_twin, saved_twins
+from tissueid.twin.catalogue import all_effects
+from tissueid.twin.effect import STAGE_NAMES, Effect
 
-if TYPE_CHECKING:  # plans are imported when their command is used
-    from tissueid.procedures.gap_plans import AcceptPlan, DiagnosisPlan, FolderPlan, WatchPlan
 
-gap = typer.Typer(help="Diagnose the gap between simulation and recording.", no_args_is_help=True)
+def run_diagnose(plan: DiagnosisPlan, out: Output) -> None:
+    """Diagnose a session, print the result and write the requested files.
 
-
-@add_command(gap, "diagnose", "gap_plans")
-def diagnose_command(plan: DiagnosisPlan, json_file: JsonFile = None) -> None:
-    """Locate the gap of a session and name its cause.
-
-    Also reports how far the effect closes the gap on held-out data.
+    Raises:
+        UnusableInputError: the session, the twin or an option cannot be used.
     """
-    from tissueid.cli.gap_diagnosis import run_diagnose
+    check_different(out.json_file, plan.report, plan.twin_out)
+    trail = audit_trail()
+    diagnosed = out.run(diagnose_session, plan)
+    found = diagnosed.found
+    for line in summary_lines(found):
+        out.print(line)
+    if ordered_candidates(found):
+        out.print(ranking_table(found))
+    out.write_json(as_answer(found))
+    if plan.report is not None:
+        out.print(f"report: {plan.report}")
+    if plan.twin_out is not None:
+        accepted = AcceptPlan(session=plan.session, out=plan.twin_out)
+        out.run(accept_effects, accepted, trail, diagnosed.named)
+        out.print(f"twin: {plan.twin_out}")
 
-    run_diagnose(plan, json_file)
 
-
-@add_command(gap, "batch", "gap_plans")
-def batch_command(
+def run_batch(
     plan: FolderPlan,
     json_file: Annotated[Path, typer.Option("--json", metavar="FILE", help="write the results by file name")],
 ) -> None:
-    """Diagnose every session of a folder.
+    """Diagnose every session of a folder, print a line for each and write the answers.
 
-    For a file that cannot be used, the result is the reason. After a kill the same command continues.
+    Raises:
+        UnusableInputError: there are no session files.
     """
-    from tissueid.cli.gap_diagnosis import run_batch
-
-    run_batch(plan, json_file)
-
-
-@add_command(gap, "watch", "gap_plans")
-def watch_command(plan: WatchPlan, json_file: JsonFile = None) -> None:
-    """Show the gap of sessions over time against a twin.
-
-    Names the first session of the folder in which the gap grew, and what grew. After a kill the same command continues.
-    """
-    from tissueid.cli.gap_watch import run_watch
-
-    run_watch(plan, json_file)
+    out = Output(json_file)
+    answers = out.run(diagnose_folder, plan, _line_and_answer)
+    written: dict[str, Any] = {}
+    for path, answer in answers.items():
+        line = answer if isinstance(answer, str) else answer.pop("line")
+        written[path.name] = {"error": answer} if isinstance(answer, str) else answer
+        out.print(f"{path.name}: {line}", soft_wrap=True)
+    out.write_json(written)
 
 
-@add_command(gap, "accept", "gap_plans")
-def accept_command(
+def _line_and_answer(found: Diagnosis) -> dict[str, Any]:
+    return {"line": _short(found)} | as_answer(found)
+
+
+def _short(found: Diagnosis) -> str:
+    named = " + ".join(found.combination) or found.verdict.replace("_", " ")
+    figures = found.gap
+    details = [f"stage {' and '.join(found.at_fault)}"] if found.at_fault else []
+    known = [
+        (member.effect, shown_probability(found, member.effect, member.probability)) for member in members_of(found)
+    ]
+    details += [f"{name} {percent(share)} %" for name, share in known if np.isfinite(share)]
+    about = f" ({', '.join(details)})" if details else ""
+    return (
+        f"{named}{about}; gap {figures.before:.2%} to {figures.after:.2%}, floor {figures.floor:.2%}, "
+        f"{found.seconds:.0f} s"
+    )
+
+
+def summary_lines(found: Diagnosis) -> list[str]:
+    """Return the diagnosis as a few lines."""
+    figures = found.gap
+    lines = [f"{headline_of(found)[0]}."]
+    lines.append(f"Gap on held-out data: {figures.before:.2%}; noise floor {figures.floor:.2%}.")
+    if found.verdict == "no_gap":
+        lines += map(str, sentences_of(found))
+    if found.combination:
+        lines.append(
+            f"With {' and '.join(found.combination)}: {figures.after:.2%}, {figures.closed:.0%} of the gap closed "
+            f"({_interval(figures.closed_ci)})."
+        )
+    if found.budget is not None and len(found.budget.steps) > 1:
+        alternatives = alternatives_of(found)
+        lines += [
+            f"  {step.effect}: closes {step.added:.0%} ({_interval(step.added_ci)}) when it is added, "
+            f"{step.removed:.0%} ({_interval(step.removed_ci)}) when it alone is removed"
+            + (f"; in its place possible: {', '.join(others)}." if (others := alternatives[step.effect]) else ".")
+            for step in found.budget.steps
+        ]
+    if np.isfinite(found.ceiling):
+        lines.append(f"Ceiling: {found.ceiling:.0%}, closed by a flexible regression or by the best candidate.")
+    if found.at_fault:
+        lines.append(f"Stage at fault: {' and '.join(STAGE_NAMES[stage] for stage in found.at_fault)}.")
+    if found.next_experiment is not None:
+        lines.append(f"Next: {found.next_experiment.kind}. {found.next_experiment.why}")
+        if found.next_experiment.command_line:
+            lines.append(f"      {found.next_experiment.command_line}")
+    lines += found.remarks
+    return lines
+
+
+def _interval(of: tuple[float, float]) -> str:
+    return f"{of[0]:.0%} to {of[1]:.0%}" if of[0] <= of[1] else MISSING
+
+
+def _share(of: float, form: str = ".0%") -> str:
+    return format(of, form) if np.isfinite(of) else MISSING
+
+
+def ranking_table(found: Diagnosis) -> Table:
+    """Return the table of candidates, best first."""
+    rows = table("Candidates", "Effect", "Stage", "Probability", "Closed", "Indistinguishable from")
+    for column in rows.columns[:4]:
+        column.no_wrap = True
+    for item in ordered_candidates(found):
+        interval = _interval(item.closed_ci)
+        rows.add_row(
+            item.effect,
+            item.stage,
+            _share(shown_probability(found, item.effect, item.probability), ".1%"),
+            f"{item.closed:.0%} ({interval})" if interval != MISSING else _share(item.closed),
+            ", ".join(item.indistinguishable),
+        )
+    return rows
+
+
+def run_accept(
     plan: AcceptPlan,
+    *,
     yes: Annotated[bool, typer.Option("--yes", help="accept all members of a combination, and do not ask")] = False,
-    json_file: JsonFile = None,
+    out: Output,
 ) -> None:
-    """Save a twin with diagnosed or given effects.
+    """Save the twin with the effects of a diagnosis, or with those of the plan.
 
-    At a terminal you choose among the effects of a combination.
+    At a terminal the user is asked which members of a combination to accept, except with ``yes``.
+
+    Raises:
+        UnusableInputError: the session, the twin, an effect or an option cannot be used, or there is nothing to accept.
+        CancelledError: no member was chosen; nothing was written.
     """
-    from tissueid.cli.gap_accept import run_accept
+    check_different(plan.out, out.json_file)
+    trail = audit_trail()
+    named: NamedEffects | None = None
+    if not plan.effects:
+        diagnosed = out.run(diagnose_session, plan.diagnosis)
+        named = diagnosed.named
+        for line in _odds(diagnosed.found):
+            out.print(line)
+        chosen = named.effects if yes else _chosen(named.effects)
+        plan = plan.model_copy(update={"effects": chosen})
+    content = out.run(accept_effects, plan, trail, named)
+    print_twin(plan.out, content, out)
 
-    run_accept(plan, json_file, yes=yes)
+
+def _odds(found: Diagnosis) -> list[str]:
+    """Return a line for each member of the combination: its probability, and the close rivals with theirs."""
+    lines = []
+    for place, member in enumerate(members_of(found), 1):
+        rivals = ", ".join(f"{name} {percent(share)} %" for name, share in member.rivals)
+        share = "unknown" if member.probability != member.probability else f"{percent(member.probability)} %"
+        lines.append(f"{place}. {member.effect}: probability {share}{f'; rivals: {rivals}' if rivals else ''}")
+    return lines
 
 
-@add_command(gap, "effects")
-def effects_command(json_file: JsonFile = None) -> None:
-    """List the effects that a diagnosis can name."""
-    from tissueid.cli.gap_effects import list_effects
+def _chosen(members: tuple[str, ...]) -> tuple[str, ...]:
+    """Ask at the terminal which members of a combination to accept; all of them if there is no terminal.
 
-    list_effects(json_file)
+    Raises:
+        UnusableInputError: the answer names something else.
+        CancelledError: the input ended.
+    """
+    if len(members) < 2 or not at_terminal():
+        return members
+    console.print("Which effects should the twin have? Numbers separated by commas; Enter selects all.")
+    line = sys.stdin.readline()
+    if not line:
+        raise CancelledError("cancelled; nothing was written")
+    numbers = line.replace(",", " ").split()
+    if not all(number.isdecimal() and 1 <= int(number) <= len(members) for number in numbers):
+        raise UnusableInputError(f"choose numbers from 1 to {len(members)}, not {line.strip()!r}; nothing was written")
+    wanted = {int(number) for number in numbers} or set(range(1, len(members) + 1))
+    return tuple(member for place, member in enumerate(members, 1) if place in wanted)
+
+
+def run_watch(plan: WatchPlan, out: Output) -> None:
+    """Diagnose the sessions, print them in order of time, and write the requested files.
+
+    Raises:
+        UnusableInputError: the twin, every session, or an option cannot be used.
+    """
+    check_different(out.json_file, plan.report)
+    watched = out.run(watch_folder, plan)
+    history = watched.history
+    out.print(_history_table(history))
+    out.print(f"{history_headline(history)[0]}.", soft_wrap=True)
+    out.write_json(history.as_answer())
+    if plan.report is not None:
+        out.print(f"report: {plan.report}")
+
+
+def _history_table(history: GapHistory) -> Table:
+    rows = table("Gap against the twin", "Session", "Recorded, UTC", "Gap", "Floor", "Result")
+    for entry in history.entries:
+        cells = [MISSING, MISSING]
+        if entry.answer is not None:
+            cells = [f"{entry.gap(name):.2%}" for name in ("before", "floor")]
+        rows.add_row(entry.file, _date(entry), *cells, _result(entry))
+    return rows
+
+
+def _date(entry: GapHistoryEntry) -> str:
+    return MISSING if entry.time is None else f"{entry.time:%Y-%m-%d %H:%M}"
+
+
+def _result(entry: GapHistoryEntry) -> str:
+    if entry.answer is None:
+        return entry.reason
+    return " + ".join(entry.combination) or str(entry.answer["verdict"]).replace("_", " ")
+
+
+def list_effects(out: Output) -> None:
+    """List the effects of the library, with their declarations as JSON.
+
+    Raises:
+        UnusableInputError: the file cannot be written.
+    """
+    rows = table("Effects", "Effect", "Stage", "Title")
+    for one in all_effects().values():
+        rows.add_row(one.name, STAGE_NAMES[one.stage], one.title)
+    out.print(rows)
+    out.write_json([declared(one) for one in all_effects().values()])
+
+
+def declared(one: Effect) -> dict[str, Any]:
+    """Return the declaration of an effect as plain values, SI.
+
+    ``scales_with`` is the property of the instrument with which a parameter's bounds scale, and its exponent.
+    """
+    return {
+        "effect": one.name,
+        "stage": one.stage,
+        "title": one.title,
+        "equation": one.equation,
+        "signature": one.signature,
+        "remedy": one.remedy,
+        "source": one.source,
+        "mistaken_for": list(one.mistaken_for),
+        "needs": sorted(one.needs),
+        "parameters": [
+            {
+                "name": item.name,
+                "unit": item.unit,
+                "meaning": str(item.meaning),
+                "low": item.low,
+                "high": item.high,
+                "scales_with": item.scales_with and dict([item.scales_with]),
+            }
+            for item in one.parameters
+        ],
+    }
+
+
+_PLAY = "simulated://"
+
+
+def show_twin(plan: TwinPlan, out: Output) -> None:
+    """Print a twin.
+
+    Raises:
+        UnusableInputError: the file is not a twin.
+    """
+    print_twin(plan.file, saved_twin(plan), out)
+
+
+def list_twins(plan: TwinFolderPlan, out: Output) -> None:
+    """Print the twins in a folder.
+
+    Raises:
+        UnusableInputError: the folder does not exist.
+    """
+    rows = table(str(plan.folder), "file", "name", "version", "effects", "closed", "made")
+    answers = []
+    for path, content in saved_twins(plan).items():
+        effects = ", ".join(item.name for item in content.effects)
+        share = MISSING if content.source.closed is None else f"{content.source.closed:.0%}"
+        rows.add_row(path.name, content.name, str(content.version), effects, share, content.created)
+        answers.append({"file": str(path), **_answer(content)})
+    out.print(rows if answers else f"there are no twins in {plan.folder}")
+    out.write_json({"twins": answers})
+
+
+def print_twin(path: Path, content: TwinFile, out: Output) -> None:
+    """Print a twin, and write it as JSON if requested."""
+    source = content.source
+    share = "" if source.closed is None else f", closes {source.closed:.0%} of the gap"
+    out.print(f"{path}: {content.name}, version {content.version}{share}")
+    if source.improves:
+        out.print(f"based on {source.improves}")
+    rows = table("Values, SI", "part", "quantity", "value", "std")
+    for part, figures, prefix in (
+        ("instrument", content.instrument, ""),
+        ("tissue", content.tissue, "tissue_"),
+        *((item.name, item.parameters, "") for item in content.effects),
+    ):
+        stds: dict[str, float] = next((item.stds for item in content.effects if item.name == part), content.stds)
+        for figure, value in figures.items():
+            std = stds.get(f"{prefix}{figure}")
+            rows.add_row(part, figure, number(value), MISSING if std is None else number(std))
+            part = ""
+    out.print(rows)
+    out.print(f"to play it: tissueid test --device {_PLAY}{path.absolute()} --site TEXT --out SESSION")
+    out.write_json({"file": str(path), **_answer(content)})
+
+
+def _answer(content: TwinFile) -> dict[str, Any]:
+    return content.model_dump(mode="json")

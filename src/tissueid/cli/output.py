@@ -7,10 +7,9 @@ import time
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from pathlib import Path
-from typing import Any
+from typing import Any, Concatenate, ParamSpec, TypeVar
 
 from rich.console import Console, RenderableType
-from rich.markup import escape
 from rich.progress import BarColumn, Progress, TextColumn, TimeElapsedColumn
 from rich.table import Table
 
@@ -20,12 +19,18 @@ from tissueid.messages import Message
 from tissueid.procedures.control import COUNTED, Control
 from tissueid.procedures.output_files import check_output, json_text, write_text
 
+_Plan = TypeVar("_Plan")
+_Result = TypeVar("_Result")
+_P = ParamSpec("_P")
 _SPACES = frozenset("\n\u00a0\u202f")
 """Characters that are not printable by Unicode category, but are used in tables and numbers."""
 
 
 class PlainConsole(Console):
-    """A console that removes control characters: names from files must not control the terminal."""
+    """A console that shows texts literally, without control characters, so that names cannot control the terminal."""
+
+    def __init__(self, *, stderr: bool = False) -> None:
+        super().__init__(stderr=stderr, highlight=False, markup=False)
 
     def print(self, *objects: Any, **options: Any) -> None:
         """Print as ``Console.print``; line ends are kept."""
@@ -38,48 +43,77 @@ def _lines_clean(text: str) -> str:
     return "".join(mark if mark in _SPACES else clean(mark) for mark in text)
 
 
-console = PlainConsole(stderr=True, highlight=False)
+console = PlainConsole(stderr=True)
 _BETWEEN_LINES_S = 3.0
 """Interval of progress lines where standard error is not a terminal."""
 
 
-def human_output(json_file: Path | None, width: int | None = None) -> Console:
-    """Return the console for people: standard output, or standard error if JSON goes to standard output.
+class Output(PlainConsole):
+    """The output of one command: texts and tables for people, and its result as JSON.
 
-    ``width`` is the number of characters of a line where the output is not a terminal; None for the usual one.
-    """
-    out = console if str(json_file) == "-" else PlainConsole(highlight=False)
-    if width is not None and not out.is_terminal:
-        out.width = width
-    return out
+        def print_quality(plan: QualityPlan, out: Output) -> None:
+            checked = out.run(judge_tests, plan)
+            out.print(...)
+            out.write_json(...)
 
+    People read standard output, or standard error if JSON goes to standard output.
 
-def at_terminal() -> bool:
-    """Return whether input and messages are those of a terminal."""
-    return sys.stdin.isatty() and sys.stderr.isatty()
-
-
-def check_json(target: Path | None) -> None:
-    """Check the target of JSON output as ``check_output`` does."""
-    check_output(target, ("{", "["))
-
-
-def write_json(target: Path, value: Any) -> None:
-    """Write JSON atomically; ``-`` is standard output. NaN becomes null.
+    Args:
+        json_file: target of the JSON; ``-`` is standard output; None if there is none.
 
     Raises:
-        UnusableInputError: the file cannot be written.
+        UnusableInputError: the target cannot be written.
     """
-    text = json_text(value)
-    if str(target) == "-":
+
+    def __init__(self, json_file: Path | None = None) -> None:
+        check_output(json_file, ("{", "["))
+        self.json_file = json_file
+        super().__init__(stderr=self.json_on_stdout)
+
+    @property
+    def json_on_stdout(self) -> bool:
+        """Whether JSON goes to standard output."""
+        return str(self.json_file) == "-"
+
+    def widen(self, width: int) -> None:
+        """Set the number of characters of a line where the output is not a terminal."""
+        if not self.is_terminal:
+            self.width = width
+
+    def run(
+        self,
+        procedure: Callable[Concatenate[_Plan, Control, _P], _Result],
+        plan: _Plan,
+        *more: _P.args,
+        **named: _P.kwargs,
+    ) -> _Result:
+        """Run a procedure with its plan, show its progress, and return its result."""
+        with progress_bars() as show:
+            return procedure(plan, ConsoleControl(show), *more, **named)
+
+    def write_json(self, value: Any) -> None:
+        """Write the result as JSON atomically, if it was asked for. NaN becomes null.
+
+        Raises:
+            UnusableInputError: the file cannot be written.
+        """
+        if self.json_file is None:
+            return
+        text = json_text(value)
+        if not self.json_on_stdout:
+            check_output(self.json_file, ("{", "["))
+            write_text(self.json_file, text)
+            return
         sys.stdout.write(text)
         try:
             getattr(sys.stdout, "deliver", sys.stdout.flush)()
         except OSError as error:
             raise UnusableInputError(f"cannot write JSON to standard output: {error.strerror}") from error
-        return
-    check_json(target)
-    write_text(target, text)
+
+
+def at_terminal() -> bool:
+    """Return whether input and messages are those of a terminal."""
+    return sys.stdin.isatty() and sys.stderr.isatty()
 
 
 @contextmanager
@@ -115,7 +149,7 @@ def _lines() -> Callable[[str, float | None], None]:
         if latest is None or now - latest >= _BETWEEN_LINES_S:
             latest = now
             share = "" if fraction is None else f": {fraction:.0%}"
-            console.print(f"{description}{share}", markup=False, soft_wrap=True)
+            console.print(f"{description}{share}", soft_wrap=True)
             console.file.flush()
 
     return show
@@ -138,14 +172,7 @@ class ConsoleControl(Control):
 
     def notice(self, message: str) -> None:
         """Print a notice."""
-        console.print(message, markup=False, soft_wrap=True)
-
-
-@contextmanager
-def console_control() -> Iterator[ConsoleControl]:
-    """Yield the control of a procedure that runs in this command."""
-    with progress_bars() as show:
-        yield ConsoleControl(show)
+        console.print(message, soft_wrap=True)
 
 
 class PlainTable(Table):
@@ -153,13 +180,13 @@ class PlainTable(Table):
 
     def add_row(self, *cells: RenderableType | None, **options: Any) -> None:
         """Add a row of literal texts."""
-        super().add_row(*(escape(_lines_clean(cell)) if isinstance(cell, str) else cell for cell in cells), **options)
+        super().add_row(*(_lines_clean(cell) if isinstance(cell, str) else cell for cell in cells), **options)
 
 
 def table(title: str, *columns: str) -> PlainTable:
     """Return an empty table: first column left-aligned, the others right-aligned."""
     result = PlainTable(
-        title=escape(_lines_clean(title)),
+        title=_lines_clean(title),
         title_justify="left",
         title_style="bold",
         box=None,

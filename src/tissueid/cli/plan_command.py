@@ -6,30 +6,46 @@ import functools
 import inspect
 import types
 from collections.abc import Callable
+from pathlib import Path
 from typing import Annotated, Any, Union, get_args, get_origin
 
 import typer
 from pydantic.fields import FieldInfo
 
+from tissueid.cli.output import Output
 from tissueid.plan_options import Option, Plan, bounds_of, option_of
+
+_JSON_FILE = inspect.Parameter(
+    "json_file",
+    inspect.Parameter.KEYWORD_ONLY,
+    annotation=Annotated[
+        Path | None, typer.Option("--json", metavar="FILE", help="write the result as JSON; - prints it")
+    ],
+    default=None,
+)
 
 
 def plan_command(command: Callable[..., None]) -> Callable[..., None]:
-    """Replace each parameter of a command whose type is a plan by the options of the plan, in their order.
+    """Return a command with the options of its function.
 
-        @app.command("test")
-        @plan_command
-        def run_test(plan: TestPlan, json_file: JsonFile = None) -> None:
+        def run_tests(plan: TestPlan, out: Output) -> None:
 
-    The command is called with the plan. The types of the parameters must be known where the command is defined.
+    A parameter whose type is a plan is replaced by the options of the plan, in their order, and an
+    :class:`~tissueid.cli.output.Output` by ``--json``; the function is called with both. Other parameters are kept.
+    The types must be known where the function is defined.
     """
     signature = inspect.signature(command, eval_str=True)
     plans: dict[str, type[Plan]] = {}
+    outputs: list[str] = []
     parameters: list[inspect.Parameter] = []
     for name, parameter in signature.parameters.items():
-        if isinstance(parameter.annotation, type) and issubclass(parameter.annotation, Plan):
-            plans[name] = parameter.annotation
-            parameters += [_parameter(*item) for item in _options(parameter.annotation).items()]
+        kind = parameter.annotation
+        if isinstance(kind, type) and issubclass(kind, Plan):
+            plans[name] = kind
+            parameters += [_parameter(*item) for item in _options(kind).items()]
+        elif kind is Output:
+            outputs.append(name)
+            parameters.append(_JSON_FILE)
         else:
             parameters.append(parameter.replace(kind=inspect.Parameter.KEYWORD_ONLY))
 
@@ -37,6 +53,8 @@ def plan_command(command: Callable[..., None]) -> Callable[..., None]:
     def run(**values: Any) -> None:
         for name, plan in plans.items():
             values[name] = plan(**{field: _value(item, values.pop(field)) for field, item in _options(plan).items()})
+        for name in outputs:
+            values[name] = Output(values.pop(_JSON_FILE.name))
         command(**values)
 
     run.__signature__ = signature.replace(parameters=parameters)  # type: ignore[attr-defined]

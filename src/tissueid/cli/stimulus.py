@@ -6,17 +6,15 @@ import json
 import re
 import types
 from collections.abc import Iterator, Sequence
-from pathlib import Path
 from typing import Any, Literal, Union, get_args, get_origin
 
 from pydantic.fields import FieldInfo
 from pydantic_core import PydanticUndefined
-from rich.console import Console
 from rich.table import Table
 
 from tissueid.acquisition.stimulus_choice import checksum
 from tissueid.analysis.stimulus_design import StimulusDesign
-from tissueid.cli.output import check_json, console_control, human_output, table, write_json
+from tissueid.cli.output import Output, table
 from tissueid.messages import stored
 from tissueid.procedures.output_files import check_different
 from tissueid.procedures.simulated_feedback import FeedbackTrial
@@ -119,34 +117,31 @@ def _choices(annotation: Any) -> tuple[list[str], list[str]]:
     return [], [_WORDS.get(plain, "value")]
 
 
-def print_stimulus(plan: StimulusPlan, json_file: Path | None) -> None:
+def print_stimulus(plan: StimulusPlan, out: Output) -> None:
     """List kinds or options; or design or read a stimulus, check it, print it and write the requested files.
 
     Raises:
         UnusableInputError: the kind, an option, the device or a file cannot be used.
         LimitError: the instrument would refuse the stimulus.
     """
-    check_json(json_file)
-    check_different(*plan.outputs, json_file)
-    out = human_output(json_file, width=120)
+    check_different(*plan.outputs, out.json_file)
+    out.widen(120)
     if plan.lists:
         plan.check()
         answer = _list(plan.what, out)
     else:
-        with console_control() as control:
-            made = run_stimulus(plan, control)
+        made = out.run(run_stimulus, plan)
         if made.design is not None:
             answer = _print_design(made.design, out)
         if made.trial is not None:
             answer = _print_trial(made.trial, out)
         for label, path in (("saved", plan.out), ("samples", plan.csv), ("plot", plan.plot)):
             if path is not None:
-                out.print(f"{label}: {path}", markup=False)
-    if json_file is not None:
-        write_json(json_file, answer)
+                out.print(f"{label}: {path}")
+    out.write_json(answer)
 
 
-def _list(kind: str | None, out: Console) -> Any:
+def _list(kind: str | None, out: Output) -> Any:
     """Print all kinds, or the options of one; return them for JSON."""
     if kind is None:
         out.print(kinds_table())
@@ -157,15 +152,15 @@ def _list(kind: str | None, out: Console) -> Any:
     return options_answer(get_stimulus(kind))
 
 
-def _print_design(design: StimulusDesign, out: Console) -> dict[str, Any]:
+def _print_design(design: StimulusDesign, out: Output) -> dict[str, Any]:
     """Print a stimulus and its check; return them for JSON."""
     out.print(_table(f"Stimulus {design.specification.name}", design.rows()))
     for concern in design.appraisal.concerns:
-        out.print(f"{concern.severity}: {concern.words}", markup=False)
+        out.print(f"{concern.severity}: {concern.words}")
     return _open_loop_answer(design)
 
 
-def _print_trial(trial: FeedbackTrial, out: Console) -> dict[str, Any]:
+def _print_trial(trial: FeedbackTrial, out: Output) -> dict[str, Any]:
     """Print the trial of a feedback stimulus; return it for JSON."""
     out.print(_table(f"Stimulus {trial.kind.name} on {trial.url}", trial.rows()))
     return _trial_answer(trial)

@@ -1,82 +1,209 @@
-"""``tissueid study``: statistics over the sessions of a folder."""
+"""Commands of studies: run, table, report, demo, protocol, sitting."""
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING
+import contextlib
+from collections.abc import Callable
+from typing import Any
 
-import typer
+import pandas as pd
 
-from tissueid.cli.lazy_command import JsonFile, add_command
+from tissueid.cli.output import (
+    ConsoleControl,
+    Output,
+    progress_bars,
+    table,
+)
+from tissueid.cli.stop_key import StopKey, stop_key
+from tissueid.formatting import axis_label, label_and_unit, number
+from tissueid.messages import MISSING
+from tissueid.procedures.instrument_access import audit_trail
+from tissueid.procedures.output_files import check_different
+from tissueid.procedures.study_demo import PopulationPlan, run_population
+from tissueid.procedures.study_plans import RESULTS, StudyPlan, StudyReportPlan
+from tissueid.procedures.study_protocol import PROTOCOL_FILE, Condition, sitting_steps
+from tissueid.procedures.study_report import StudyReport, report_study
+from tissueid.procedures.study_run import StudyRun, run_study
+from tissueid.procedures.study_sitting import (
+    ProtocolPlan,
+    SittingRunPlan,
+    SittingState,
+    open_sitting,
+    run_sitting,
+    write_protocol,
+)
+from tissueid.studies.repeatability import variation_by_condition
+from tissueid.studies.study_statistics import study_statistics
+from tissueid.studies.study_table import as_json_rows
+from tissueid.studies.usable_tests import parameters_used, usable_tests
+from tissueid.units import display_unit
 
-if TYPE_CHECKING:  # plans are imported when their command is used
-    from tissueid.procedures.study_demo import PopulationPlan
-    from tissueid.procedures.study_plans import StudyPlan, StudyReportPlan
-    from tissueid.procedures.study_sitting import ProtocolPlan, SittingRunPlan
 
-study = typer.Typer(help="Compare subjects, sites and conditions over many sessions.", no_args_is_help=True)
+def print_run(plan: StudyPlan, out: Output) -> None:
+    """Analyse a study and print the counts.
 
-
-@add_command(study, "run", "study_plans")
-def run_command(plan: StudyPlan, json_file: JsonFile = None) -> None:
-    """Analyse the sessions of a study that have changed.
-
-    Writes the table with one row per test as CSV and Parquet. After a kill the same command continues.
+    Raises:
+        UnusableInputError: the folder or an option cannot be used.
     """
-    from tissueid.cli.study_output import print_run
+    run = out.run(run_study, plan)
+    _print_counts(run, out)
+    out.write_json(_answer(run) | {"rows": as_json_rows(run.table)})
 
-    print_run(plan, json_file)
 
+def print_table(plan: StudyPlan, out: Output) -> None:
+    """Analyse a study and print mean and variation by site, condition and parameter.
 
-@add_command(study, "table", "study_plans")
-def table_command(plan: StudyPlan, json_file: JsonFile = None) -> None:
-    """Show mean, standard deviation and variation of each parameter by site and condition.
-
-    Analyses what has changed before.
+    Raises:
+        UnusableInputError: the folder or an option cannot be used.
     """
-    from tissueid.cli.study_output import print_table
+    run = out.run(run_study, plan)
+    used = usable_tests(run.table).used
+    rows = variation_by_condition(used, parameters_used(used, []))
+    several = not rows.empty and rows["condition"].nunique() > 1
+    where = ("Site", "Condition") if several else ("Site",)
+    title = "Parameters by site and condition" if several else "Parameters by site"
+    shown = table(title, *where, "Parameter", "Subjects", "Tests", "Mean", "SD", "CV within", "CV between")
+    for row in rows.to_dict("records"):
+        unit, factor = display_unit(label_and_unit(row["parameter"])[1])
+        cells = [_text(row["mean"], factor), _text(row["std"], factor)]
+        cells += [_percent(row[name]) for name in ("individual_cv", "population_cv")]
+        name = axis_label(row["parameter"], unit)
+        place = (row["site"], row["condition"] or MISSING) if several else (row["site"],)
+        shown.add_row(*place, name, str(row["subjects"]), str(row["tests"]), *cells)
+    out.print(shown)
+    _print_counts(run, out)
+    out.write_json(_answer(run) | {"rows": as_json_rows(rows)})
 
-    print_table(plan, json_file)
 
+def print_report(plan: StudyReportPlan, out: Output) -> None:
+    """Analyse a study, write its report and print where it is.
 
-@add_command(study, "report", "study_plans")
-def report_command(plan: StudyReportPlan, json_file: JsonFile = None) -> None:
-    """Write the report of a study as an HTML page.
-
-    Repeatability, sites, groups, regressions, conditions and sample sizes.
+    Raises:
+        UnusableInputError: the folder, an option or a file cannot be used.
     """
-    from tissueid.cli.study_output import print_report
+    check_different(out.json_file, plan.report, plan.pdf)
+    found = out.run(report_study, plan)
+    _print_report(found, out)
 
-    print_report(plan, json_file)
 
+def print_population(plan: PopulationPlan, out: Output) -> None:
+    """Measure and report a simulated population.
 
-@add_command(study, "demo", "study_demo")
-def demo_command(plan: PopulationPlan, json_file: JsonFile = None) -> None:
-    """Measure a simulated population, analyse it and write its report.
-
-    16 subjects, 4 sites and 5 repeats by default, as in the thesis.
+    Raises:
+        UnusableInputError: the folder cannot be used.
     """
-    from tissueid.cli.study_output import print_population
+    found = out.run(run_population, plan)
+    _print_report(found, out)
 
-    print_population(plan, json_file)
+
+def _print_report(found: StudyReport, out: Output) -> None:
+    for remark in found.statistics.remarks:
+        out.print(f"note: {remark}", soft_wrap=True)
+    _print_counts(found.run, out)
+    pages = " and ".join(str(path) for path in (found.page, found.pdf) if path is not None)
+    out.print(f"report: {pages}", soft_wrap=True)
+    out.write_json(found.as_answer())
 
 
-@add_command(study, "protocol", "study_sitting")
-def protocol_command(plan: ProtocolPlan, json_file: JsonFile = None) -> None:
-    """Check the protocol of a study, or write a template of one.
+def _answer(run: StudyRun) -> dict[str, Any]:
+    return run.as_answer() | study_statistics(run.table).as_answer()
 
-    Sites, repeats, conditions, demographic values that are asked for, and the order of a sitting.
+
+def _print_counts(run: StudyRun, out: Output) -> None:
+    for file, reason in run.failures.items():
+        out.print(f"not analysed: {file}: {reason}", soft_wrap=True)
+    count = len(run.table)
+    out.print(f"{count} tests of {run.sessions} sessions, {run.analysed} analysed now")
+    out.print(f"table: {run.plan.folder / RESULTS / 'table.csv'} and table.parquet", soft_wrap=True)
+
+
+def _text(value: float, factor: float) -> str:
+    return MISSING if pd.isna(value) else number(value * factor, 4)
+
+
+def _percent(share: float) -> str:
+    return MISSING if pd.isna(share) else f"{share:.1%}"
+
+
+def print_protocol(plan: ProtocolPlan, out: Output) -> None:
+    """Check or write a protocol and print its order.
+
+    Raises:
+        UnusableInputError: it is not valid, or cannot be written.
     """
-    from tissueid.cli.sitting_output import print_protocol
+    protocol, written = write_protocol(plan)
+    path = plan.folder / PROTOCOL_FILE
+    out.print(f"{'template written' if written else 'protocol'}: {path}", soft_wrap=True)
+    steps = sitting_steps(protocol, "P01")
+    order = "fixed" if protocol.order == "fixed" else "randomised by subject; shown for P01"
+    shown = table(f"{protocol.name}: {len(steps)} tests for each subject, order {order}", "Site", "Condition", "Tests")
+    for step in steps:
+        if step.repeat == 1:
+            shown.add_row(step.site, condition_text(step.condition), str(step.repeats))
+    out.print(shown)
+    out.print(f"asks for: {', '.join(protocol.demographics) or 'nothing'}", soft_wrap=True)
+    out.write_json({"protocol": protocol.model_dump(mode="json"), "written": written, "tests": len(steps)})
 
-    print_protocol(plan, json_file)
 
+def print_sitting(plan: SittingRunPlan, out: Output) -> None:
+    """Run what is left of a sitting and print where it stands, also if it ends early.
 
-@add_command(study, "sitting", "study_sitting")
-def sitting_command(plan: SittingRunPlan, json_file: JsonFile = None) -> None:
-    """Run all tests of one subject by the protocol, on the simulator.
-
-    The same command continues a sitting that was interrupted; complete tests are kept.
+    Raises:
+        TissueIDError: it could not start, or a test failed or was stopped.
     """
-    from tissueid.cli.sitting_output import print_sitting
+    try:
+        with contextlib.ExitStack() as stack:
+            control = _SittingControl(stack.enter_context(progress_bars()), stack.enter_context(stop_key()))
+            state = run_sitting(plan, control, audit_trail())
+    except BaseException:
+        with contextlib.suppress(Exception):  # the first error is the one that is shown
+            if (state := open_sitting(plan.folder, plan.subject)).tests:
+                _print_state(state, out)
+        raise
+    _print_state(state, out)
+    out.write_json(_sitting_answer(state))
 
-    print_sitting(plan, json_file)
+
+def condition_text(condition: Condition) -> str:
+    """Return a condition in one line."""
+    words = [condition.product] if condition.product else []
+    if condition.minutes_since_application is not None:
+        words.append(f"after {condition.minutes_since_application:g} min")
+    if condition.orientation_deg is not None:
+        words.append(f"{condition.orientation_deg:g}°")
+    return ", ".join(words) or MISSING
+
+
+class _SittingControl(ConsoleControl):
+    """Shows progress and notices; the stop keys end the sitting."""
+
+    def __init__(self, show: Callable[[str, float | None], None], key: StopKey) -> None:
+        super().__init__(show)
+        self._key = key
+
+    def check(self) -> bool:
+        """Return False, or raise if a stop key was pressed."""
+        return self._key.check()
+
+
+def _print_state(state: SittingState, out: Output) -> None:
+    step = state.step
+    done = state.total if step is None else step.place - 1
+    out.print(f"{state.subject}: {done} of {state.total} steps done")
+    if poor := sum(not test.counts for test in state.tests):
+        out.print(f"{poor} tests do not count: their quality is 'repeat'")
+    if step is not None:
+        where = f"{step.site}, test {step.repeat} of {step.repeats}"
+        out.print(f"next: {where}; the same command continues", soft_wrap=True)
+    out.print(f"sessions: {state.sessions}", soft_wrap=True)
+
+
+def _sitting_answer(state: SittingState) -> dict[str, object]:
+    step = state.step
+    return {
+        "subject": state.subject,
+        "steps": state.total,
+        "done": state.total if step is None else step.place - 1,
+        "tests": [test.condition.model_dump() | {"site": test.site, "counts": test.counts} for test in state.tests],
+        "problems": dict(state.problems),
+    }

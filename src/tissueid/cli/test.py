@@ -5,14 +5,13 @@ from __future__ import annotations
 import contextlib
 import itertools
 from collections.abc import Sequence
-from pathlib import Path
 
 from tissueid.acquisition.journal import JournalError
 from tissueid.acquisition.live import LiveIdentification
 from tissueid.acquisition.playback import Progress
 from tissueid.calibration.active import calibration_summary, warnings_of
-from tissueid.cli.output import ConsoleControl, check_json, console, human_output, progress_bars, write_json
-from tissueid.cli.quality import recorded_findings
+from tissueid.cli.output import ConsoleControl, Output, console, progress_bars
+from tissueid.cli.saved_tests import recorded_findings
 from tissueid.cli.stop_key import StopKey, stop_key
 from tissueid.cli.test_summary import answer_of, live_answer, tests_table
 from tissueid.errors import UnusableInputError
@@ -31,18 +30,17 @@ from tissueid.sessions import Session
 _UNITS = {"mass": ("g", 1e3), "damping": ("N·s/m", 1.0), "stiffness": ("N/m", 1.0)}
 
 
-def run_tests(plan: TestPlan, json_file: Path | None) -> None:
+def run_tests(plan: TestPlan, out: Output) -> None:
     """Run the tests of a plan and print the result.
 
     Raises:
         TissueIDError: the test could not start, ended early, or could not be saved.
     """
-    check_json(json_file)
-    check_different(plan.out, json_file)
+    check_different(plan.out, out.json_file)
     with contextlib.ExitStack() as stack:
         control = _TerminalControl(plan, stack)
         outcome = run_test(plan, control, audit_trail())
-    _show(plan, outcome, json_file, control.views)
+    _show(plan, outcome, out, control.views)
     error, not_saved = outcome.error, outcome.not_saved
     if not_saved is not None and error is not None and not isinstance(error, JournalError):
         raise JournalError(f"{error or 'interrupted'}; and {not_saved}") from error
@@ -50,7 +48,7 @@ def run_tests(plan: TestPlan, json_file: Path | None) -> None:
         raise failure
 
 
-def _show(plan: TestPlan, outcome: TestOutcome, json_file: Path | None, views: Sequence[LiveView | None]) -> None:
+def _show(plan: TestPlan, outcome: TestOutcome, out: Output, views: Sequence[LiveView | None]) -> None:
     """Print the saved tests and write the JSON output if it was requested.
 
     Raises:
@@ -58,20 +56,20 @@ def _show(plan: TestPlan, outcome: TestOutcome, json_file: Path | None, views: S
     """
     if outcome.session is None:
         return
-    _print_result(plan, outcome.session, json_file)
+    _print_result(plan, outcome.session, out)
     try:
-        _answer(plan, outcome.session, outcome.steps, json_file, views)
+        _answer(plan, outcome.session, outcome.steps, out, views)
     except UnusableInputError as trouble:
         if outcome.error is None:
             raise
-        console.print(str(trouble), markup=False, soft_wrap=True)  # the error of the test is printed last
+        console.print(str(trouble), soft_wrap=True)  # the error of the test is printed last
 
 
 def _answer(
     plan: TestPlan,
     session: Session,
     steps: tuple[TestStep, ...],
-    json_file: Path | None,
+    out: Output,
     views: Sequence[LiveView | None],
 ) -> None:
     """Write the JSON output if it was requested.
@@ -79,33 +77,31 @@ def _answer(
     Raises:
         UnusableInputError: the JSON cannot be written.
     """
-    if json_file is not None:
+    if out.json_file is not None:
         tests = [
             answer_of(test, plan.depth_range_m, next((step for step in steps if step.number == test.number), None))
             | {"live": live_answer(view)}
             for test, view in itertools.zip_longest(session.tests, views[: len(session.tests)])
         ]
-        write_json(json_file, {"session": str(plan.out), "session_id": session.session_id, "tests": tests})
+        out.write_json({"session": str(plan.out), "session_id": session.session_id, "tests": tests})
 
 
-def _print_result(plan: TestPlan, session: Session, json_file: Path | None) -> None:
-    console = human_output(json_file, width=120)
-    console.print(f"session: {plan.out}", markup=False)
-    console.print(f"instrument: {calibration_summary(session.instrument)}", markup=False)
+def _print_result(plan: TestPlan, session: Session, out: Output) -> None:
+    out.widen(120)
+    out.print(f"session: {plan.out}")
+    out.print(f"instrument: {calibration_summary(session.instrument)}")
     for warning in warnings_of(session.instrument):
-        console.print(f"calibration: {warning}", markup=False)
-    console.print(tests_table(session.tests, plan.depth_range_m))
+        out.print(f"calibration: {warning}")
+    out.print(tests_table(session.tests, plan.depth_range_m))
     for test in session.tests:
         if short := out_of_reach(test):
-            console.print(f"test {test.number}: {short}", markup=False)
+            out.print(f"test {test.number}: {short}")
         if lost := test.notes.get("samples_lost"):
-            console.print(
-                f"test {test.number}: {lost:.0f} samples were lost; they are marked in the session", markup=False
-            )
+            out.print(f"test {test.number}: {lost:.0f} samples were lost; they are marked in the session")
         if reason := test.notes.get("reason"):
-            console.print(f"test {test.number}: {reason}", markup=False)
+            out.print(f"test {test.number}: {reason}")
         for line in recorded_findings(test):
-            console.print(line, markup=False)
+            out.print(line)
 
 
 class _TerminalControl(ConsoleControl, TestControl):
@@ -139,7 +135,7 @@ class _TerminalControl(ConsoleControl, TestControl):
         self._identifications.append(identification)
         if self._plan.live:
             method = self._plan.shown_method
-            console.print(f"live identification: {method}, {LIVE_METHODS[method]}", markup=False)
+            console.print(f"live identification: {method}, {LIVE_METHODS[method]}")
 
     def received(self, progress: Progress) -> None:
         """Print a new estimate."""
@@ -151,15 +147,15 @@ class _TerminalControl(ConsoleControl, TestControl):
         self._print_latest(identification)
         rule = self._plan.stop_rule()
         if rule is not None and not identification.enough():
-            console.print(_not_enough(rule, identification.latest()), markup=False)
+            console.print(_not_enough(rule, identification.latest()))
         if identification.problem:
-            console.print(f"live identification: {identification.problem}", markup=False)
+            console.print(f"live identification: {identification.problem}")
 
     def _print_latest(self, identification: LiveIdentification) -> None:
         latest = identification.latest() if self._plan.live else None
         if latest is not None and latest.seconds > self._shown_s and (latest.parameters or latest.missing):
             self._shown_s = latest.seconds
-            console.print(view_line(latest), markup=False)
+            console.print(view_line(latest))
 
 
 def _not_enough(rule: StopRule, view: LiveView | None) -> str:

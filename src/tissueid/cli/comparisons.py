@@ -1,4 +1,4 @@
-"""``tissueid compare``: fit all engines to a test and compare them."""
+"""Commands that fit several engines or several tests: compare, overlay, repeats."""
 
 from __future__ import annotations
 
@@ -6,46 +6,44 @@ from collections.abc import Iterator, Sequence
 from pathlib import Path
 from typing import Any
 
-from rich.console import Console
 from rich.table import Table
 
 from tissueid.analysis import ComparisonEntry, EngineComparison, SweepRow
 from tissueid.analysis.distortion import described_levels, distortion_of, is_multisine
-from tissueid.cli.output import check_json, console_control, human_output, table, write_json
-from tissueid.cli.quality import repeat_warnings
+from tissueid.analysis.overlay import Overlay, OverlayEntry, quantity_label, repeated_values
+from tissueid.cli.output import Output, table
+from tissueid.cli.saved_tests import repeat_warnings
 from tissueid.errors import UnusableInputError
-from tissueid.formatting import fixed, grouped
+from tissueid.formatting import fixed, grouped, number
 from tissueid.identification.recommendation import Recommendation
 from tissueid.messages import MISSING, Message, stored
 from tissueid.procedures.comparison import ComparePlan, run_comparison
+from tissueid.procedures.output_files import check_different
+from tissueid.procedures.overlay import OverlayPlan, RepeatsPlan, run_overlay, run_repeats
 from tissueid.sessions import Session
+from tissueid.units import display_unit
 
 _MOST_NAMES = 4
 """File names that are listed of pictures that belong to other comparisons."""
-_UNBOUND_WIDTH = 120
-"""Width of the output in characters if it does not go to a terminal."""
 
 
-def compare_session(plan: ComparePlan, json_file: Path | None) -> None:
+def compare_session(plan: ComparePlan, out: Output) -> None:
     """Compare the engines, print the table and the recommendation, and write the JSON, the page and the figures."""
-    check_json(json_file)
-    with console_control() as control:
-        compared = run_comparison(plan, control)
-    found, out = compared.found, human_output(json_file)
+    compared = out.run(run_comparison, plan)
+    found = compared.found
     _print_result(found, compared.no_ceiling, out)
     warned = list(repeat_warnings(compared.session, found.split.tests))
     for line in warned:
-        out.print(line, markup=False)
+        out.print(line)
     if line := _distortion(compared.session, found):
-        out.print(line, markup=False)
-    if json_file is not None:
-        write_json(json_file, compare_answer(found) | {"quality_warnings": warned})
+        out.print(line)
+    out.write_json(compare_answer(found) | {"quality_warnings": warned})
     if plan.page is not None:
-        out.print(f"report: {plan.page}", markup=False)
+        out.print(f"report: {plan.page}")
     if plan.figures is not None:
-        out.print(f"figures: {plan.figures}", markup=False)
+        out.print(f"figures: {plan.figures}")
         if left := _unrelated_pictures(plan.figures, compared.figures):
-            out.print(left, markup=False)
+            out.print(left)
 
 
 def _unrelated_pictures(folder: Path, drawn: Sequence[Path]) -> str:
@@ -117,16 +115,14 @@ def _sweep_answer(row: SweepRow) -> dict[str, Any]:
     return about | {name: report[name] for name in scores} | {"effective_parameters": row.parameters}
 
 
-def _print_result(found: EngineComparison, no_ceiling: str, out: Console) -> None:
-    if not out.is_terminal:
-        out.width = _UNBOUND_WIDTH
+def _print_result(found: EngineComparison, no_ceiling: str, out: Output) -> None:
+    out.widen(120)
     notes: dict[str, int] = {}
     out.print(_score_table(found, notes))
     shared = max((e.scored.n_fitted for e in found.entries if e.scored and not e.scored.own_samples), default=0)
     out.print(
         f"held out: {found.split.validated_on}. VAF is of free runs, which use the input alone; scheduled: by the "
         f"measured output. VAF and AICc are over the {grouped(shared)} fitted samples that all engines share.",
-        markup=False,
         style="dim",
     )
     if found.ceiling is not None:
@@ -136,16 +132,16 @@ def _print_result(found: EngineComparison, no_ceiling: str, out: Console) -> Non
             f"this is the agreement of {found.ceiling.repeats} repeats."
         )
         for line in found.ceiling.left_out:
-            out.print(f"  {line[:1].upper()}{line[1:]}.", markup=False)
+            out.print(f"  {line[:1].upper()}{line[1:]}.")
     elif no_ceiling:
-        out.print(f"The limit set by repeats is not known: {no_ceiling}.", markup=False)
-    for note, number in notes.items():
-        out.print(f"  {number}. {note}", markup=False)
+        out.print(f"The limit set by repeats is not known: {no_ceiling}.")
+    for note, place in notes.items():
+        out.print(f"  {place}. {note}")
     if found.memory_sweep:
         out.print(_sweep_table(found.memory_sweep))
     out.print()
     for line in _recommendation_lines(found.recommendation):
-        out.print(line, markup=False)
+        out.print(line)
 
 
 def _score_table(found: EngineComparison, notes: dict[str, int]) -> Table:
@@ -206,3 +202,87 @@ def _recommendation_lines(found: Recommendation) -> Iterator[str]:
         if sentences:
             yield f"{title}:"
             yield from (f"  {sentence}" for sentence in sentences)
+
+
+def overlay_tests(plan: OverlayPlan, out: Output) -> None:
+    """Fit the tests, print their scores, and write the page, the figures, the numbers and the JSON."""
+    check_different(plan.page, plan.csv, out.json_file)
+    done = out.run(run_overlay, plan)
+    found = done.found
+    out.widen(120)
+    columns = (
+        "tests",
+        "fit",
+        "fitted\nVAF %",
+        "held out\nVAF %",
+        "scheduled\nVAF %",
+        "AICc",
+        "para-\nmeters",
+        "sec-\nonds",
+    )
+    rows = table("Scores", *columns)
+    for entry in found.entries:
+        report = entry.analysis.model.report
+        criterion = report.aicc if entry.scheduled_aicc is None else entry.scheduled_aicc
+        rows.add_row(
+            entry.source,
+            entry.fit.label + ("" if entry.swept is None else f", {found.swept} {entry.swept:g}"),
+            fixed(report.vaf_percent, 1),
+            fixed(report.vaf_validation_percent, 1),
+            fixed(entry.scheduled_percent, 1),
+            grouped(criterion),
+            grouped(report.n_parameters),
+            fixed(report.seconds, 2),
+        )
+    out.print(rows)
+    for line in found.refused:
+        out.print(f"left out: {line}", soft_wrap=True)
+    for name, path in (("report", plan.page), ("figures", plan.figures), ("numbers", plan.csv)):
+        if path is not None:
+            out.print(f"{name}: {path}")
+    out.write_json({"fits": [_overlaid_answer(found, entry) for entry in found.entries], **_refused(found)})
+
+
+def repeated_tests(plan: RepeatsPlan, out: Output) -> None:
+    """Fit the tests, print mean, standard deviation and coefficient of variation, and write the table and the JSON."""
+    check_different(plan.csv, out.json_file)
+    found = out.run(run_repeats, plan)
+    out.widen(120)
+    rows = table(
+        "Mean and standard deviation over tests", "tests", "fit", "quantity", "unit", "count", "mean", "SD", "CV %"
+    )
+    values = repeated_values(found)
+    for one in values:
+        label, si_unit = quantity_label(one.quantity)
+        unit, scale = display_unit(si_unit)
+        single = one.count < 2
+        rows.add_row(
+            one.source,
+            one.fit,
+            label,
+            unit,
+            str(one.count),
+            number(scale * one.mean),
+            MISSING if single else number(scale * one.std, 3),
+            MISSING if single else fixed(100.0 * one.cv, 2),
+        )
+    out.print(rows)
+    for line in found.refused:
+        out.print(f"left out: {line}", soft_wrap=True)
+    if plan.csv is not None:
+        out.print(f"table: {plan.csv}")
+    names = ("source", "fit", "quantity", "count", "mean", "std", "cv")
+    answer = [{name: getattr(one, name) for name in names} for one in values]
+    out.write_json({"repeats": answer, **_refused(found)})
+
+
+def _overlaid_answer(found: Overlay, entry: OverlayEntry) -> dict[str, Any]:
+    about: dict[str, Any] = {"source": entry.source, "fit": entry.fit.label}
+    if entry.swept is not None:
+        about[found.swept] = entry.swept
+    scores = {"vaf_scheduled_fitted_percent": entry.scheduled_percent, "aicc_scheduled": entry.scheduled_aicc}
+    return about | scores | entry.analysis.as_answer()
+
+
+def _refused(found: Overlay) -> dict[str, Any]:
+    return {"refused": list(found.refused), "refused_messages": list(map(stored, found.refused))}
