@@ -49,6 +49,13 @@ def test_a_typed_force_is_taken_or_the_one_before_stands(qtbot, window, typed, v
     assert field.text() == f"{value:.2f} N"
 
 
+def test_fields_have_the_decimal_sign_of_the_language(open_window):
+    form = open_window(language="de").ui.form
+    assert form.seconds.text() == "4,00 s"
+    form.seconds.setValue(2.5)
+    assert form.plan().seconds == 2.5
+
+
 def test_a_test_that_is_begun_in_mid_typing_takes_what_is_typed(qtbot, window):
     form = window.ui.form
     form.fold.setChecked(True)

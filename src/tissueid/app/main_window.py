@@ -93,6 +93,7 @@ class MainWindow(QMainWindow):
         self.settings = self.services.settings()
         set_language(chosen(self.services.language, self.settings))
         QLocale.setDefault(QLocale(current_language()) if current_language() != ENGLISH else QLocale.c())
+        self.setLocale(QLocale())  # it had the one before, and its fields take that of the window
         take_kept(self.settings)
         self._take_palette()
         appearance.changed.connect(self._dress)  # before the widgets in it, which inherit from it
