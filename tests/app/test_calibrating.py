@@ -36,7 +36,7 @@ def spring(stage=True):
 @pytest.fixture
 def technicians(open_window, calibrations, audit_file, monkeypatch):
     """Opens windows for technicians who are short of time: not all steps of a static calibration."""
-    monkeypatch.setattr("tissueid.calibration.static_procedure.STEPS", ("electrical", "temperature"))
+    monkeypatch.setattr("tissueid.calibration.plans.STEPS", ("electrical", "temperature"))
     return functools.partial(open_window, role="technician", calibrations=calibrations, audit=AuditLog(audit_file))
 
 

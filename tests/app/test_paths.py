@@ -192,7 +192,7 @@ def test_a_researcher_finds_looks_identifies_compares_and_exports(qtbot, from_st
 
 
 def test_a_technician_asks_calibrates_and_verifies(qtbot, from_start, calibrations, audit_file, monkeypatch):
-    monkeypatch.setattr("tissueid.calibration.static_procedure.STEPS", ("electrical", "temperature"))
+    monkeypatch.setattr("tissueid.calibration.plans.STEPS", ("electrical", "temperature"))
     window = from_start(
         "technician",
         opener=lambda _: connect("calibration-spring", seed=3, identity=Identity(stage=True)),

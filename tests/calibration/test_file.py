@@ -14,8 +14,8 @@ from tissueid.calibration import CalibratedQuantity, Calibration, read_calibrati
 from tissueid.calibration.file import MAX_BYTES, to_toml, utc_date
 from tissueid.calibration.labels import notes_of, problems_of
 from tissueid.errors import UnusableInputError
-from tissueid.messages import CalibratedQuantity as ShownQuantity
 from tissueid.messages import Message, code_of
+from tissueid.messages import Quantity as ShownQuantity
 
 
 def calibration(**changes):

@@ -21,7 +21,7 @@ from tissueid.calibration.status import first_implausible
 from tissueid.errors import InstrumentError
 from tissueid.instrument import Correction, SerialInstrument, SimulatedInstrument
 from tissueid.instrument.handshake import parse_hello
-from tissueid.messages import CalibratedQuantity as Shown
+from tissueid.messages import Quantity as Shown
 
 pytestmark = pytest.mark.usefixtures("long_frames")
 

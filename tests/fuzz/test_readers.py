@@ -25,8 +25,7 @@ from tissueid.acquisition.stimulus_choice import load_stimulus, save_stimulus
 from tissueid.acquisition.waveform_file import load_waveform
 from tissueid.calibration.file import read_calibration, to_toml
 from tissueid.errors import TissueIDError
-from tissueid.instrument.twin_file import Source as TwinSource
-from tissueid.instrument.twin_file import content_of, read_twin, write_twin
+from tissueid.instrument.twin_file import TwinSource, content_of, read_twin, write_twin
 from tissueid.sessions import read_session
 from tissueid.sessions.imports import Choices, Source, export_session, import_test
 from tissueid.stimuli import get_stimulus

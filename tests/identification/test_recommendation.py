@@ -19,9 +19,9 @@ from tissueid.identification import Family
 from tissueid.identification import recommendation_messages as messages
 from tissueid.identification.candidates import VafDifference, difference
 from tissueid.identification.recommendation import (
-    Candidate,
+    ModelCandidate,
+    ModelStanding,
     Recommendation,
-    Standing,
     SufficientOption,
     recommend,
     sufficient,
@@ -53,12 +53,12 @@ def german() -> Iterator[None]:
     set_language("en")
 
 
-def candidate(engine: str, family: Family, error: np.ndarray, **changes: object) -> Candidate:
+def candidate(engine: str, family: Family, error: np.ndarray, **changes: object) -> ModelCandidate:
     known = dict(parameters=250.0, vaf_percent=95.0, aicc=-1000.0)
-    return Candidate(engine, family, error, **(known | changes))  # type: ignore[arg-type]
+    return ModelCandidate(engine, family, error, **(known | changes))  # type: ignore[arg-type]
 
 
-def linear_and_kernels(noise: float, linear: float, kernels: float, **changes: object) -> list[Candidate]:
+def linear_and_kernels(noise: float, linear: float, kernels: float, **changes: object) -> list[ModelCandidate]:
     """Two candidates that share their noise and err besides, each by so much (m)."""
     shared = coloured(3, noise)
     return [
@@ -404,7 +404,7 @@ def every_basis() -> Iterator[messages.Basis]:
     leads = [VafDifference(points, 2.5, chance, 0.02, 900) for points in (0.05, 1.0) for chance in (0.0001, 0.3, None)]
     short = Record(time[:500], time[:500], 1000.0)
     for family, record, lead in itertools.product(Family, [*unseen, short], leads):
-        usual = Standing("wiener", family, False, 80.0, 90.0, None, 12.0, lead, lead, True)
+        usual = ModelStanding("wiener", family, False, 80.0, 90.0, None, 12.0, lead, lead, True)
         chosen = replace(usual, engine="lms", vaf_percent=70.0)
         best = replace(usual, engine="volterra", family=Family.OTHER, vaf_percent=75.0, scheduled_percent=99.0)
         below = replace(usual, engine="rls", family=Family.LINEAR, second_order=True)
