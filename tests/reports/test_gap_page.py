@@ -19,8 +19,9 @@ from tissueid.gap.diagnosis import Diagnosis, NextExperiment, diagnose
 from tissueid.gap.diagnosis_plots import largest_held_out_error
 from tissueid.gap.preparation import prepare
 from tissueid.gap.workers import SerialExecutor
-from tissueid.reports.gap_page import DiagnosisOrigin, gap_html, headline_of, next_steps_of, write_gap_report
+from tissueid.reports.gap_page import DiagnosisOrigin, gap_html, headline_of, next_steps_of
 from tissueid.reports.gap_panels import gap_panels
+from tissueid.reports.page import write_text_atomically
 from tissueid.sessions import Session, Subject, Test
 
 EFFECT = "quadratic_drag"
@@ -112,10 +113,10 @@ def test_remarks_and_names_from_files_are_text():
 @pytest.mark.usefixtures("undrawn")
 def test_the_page_is_written_whole_or_not_at_all(tmp_path):
     target = tmp_path / "gap.html"
-    write_gap_report(as_effect(), target)
+    write_text_atomically(target, gap_html(as_effect()))
     assert target.read_text(encoding="utf-8").startswith("<!DOCTYPE html>")
     with pytest.raises(FileNotFoundError):
-        write_gap_report(as_effect(), tmp_path / "missing" / "gap.html")
+        write_text_atomically(tmp_path / "missing" / "gap.html", gap_html(as_effect()))
     assert [item.name for item in tmp_path.iterdir()] == ["gap.html"]
 
 

@@ -14,7 +14,7 @@ from tissueid.instrument.twin_file import TwinFile, check_twin_writable, read_tw
 from tissueid.language import marked
 from tissueid.procedures.control import Control, RemainingTime, counted
 from tissueid.procedures.gap_plans import DiagnosisPlan
-from tissueid.procedures.output_files import HTML, check_different, check_output, check_report, unwritable
+from tissueid.procedures.output_files import HTML, check_different, check_output, check_report, write_text
 from tissueid.sessions import Session, read_session
 
 if TYPE_CHECKING:
@@ -99,12 +99,7 @@ def diagnose_session(plan: DiagnosisPlan, control: Control) -> DiagnosedSession:
         found = diagnose(dataset, pool, known=known, progress=SearchDisplay(control), cancelled=control.check)
     diagnosed = DiagnosedSession(plan, session, twin, found)
     if plan.report is not None:
-        from tissueid.reports.page import write_text_atomically
-
-        try:
-            write_text_atomically(plan.report, diagnosed.report_html)
-        except OSError as error:
-            raise unwritable(plan.report, error) from error
+        write_text(plan.report, diagnosed.report_html)
     return diagnosed
 
 

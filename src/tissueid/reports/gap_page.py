@@ -29,7 +29,7 @@ from tissueid.instrument.twin_file import TwinFile
 from tissueid.language import _, marked
 from tissueid.messages import MISSING, Message, joined, translated
 from tissueid.reports.gap_panels import gap_panels
-from tissueid.reports.page import RESEARCH_LINE, FigureGroup, Panel, template, write_text_atomically
+from tissueid.reports.page import RESEARCH_LINE, FigureGroup, Panel, template
 from tissueid.reports.plot_renderer import draw_plot
 from tissueid.reports.tables import Row, Table, readable_date
 from tissueid.sessions import Session
@@ -191,15 +191,6 @@ def gap_html(found: Diagnosis, title: str = "", origin: DiagnosisOrigin | None =
         tables=tuple(tables_of(found, _effect)),
         remarks=tuple(map(translated, found.remarks)),
     )
-
-
-def write_gap_report(found: Diagnosis, path: Path, title: str = "", origin: DiagnosisOrigin | None = None) -> None:
-    """Write the page so that ``path`` is whole or untouched.
-
-    Raises:
-        OSError: the folder is missing, or the disk is full or not writable; nothing is left behind.
-    """
-    write_text_atomically(path, gap_html(found, title, origin))
 
 
 def _effect(name: str) -> str:

@@ -117,6 +117,7 @@ def _parsed(data: bytes, key: str) -> DiagnosisResult:
 
 
 def _undo_logarithms(story: dict[str, Any]) -> None:
+    del story["gap"]
     if (spectrum := story["spectrum"]) is not None:
         del spectrum["unit"]
         curves = {name: _powers(values) for name, values in spectrum["lines"].items()}

@@ -112,7 +112,7 @@ class Proposal:
 
 @dataclass(frozen=True)
 class PageContent:
-    """A diagnosis as the page shows it. ``gap`` is before, after (None without a candidate) and noise, as shares."""
+    """A diagnosis as the page shows it."""
 
     verdict: Literal["effect", "no_gap", "unexplained"]
     effect: StoredText
@@ -126,7 +126,6 @@ class PageContent:
     spectrum: GapSpectrum | None
     profiles: dict[Name, GapProfile]
     ranking: Annotated[tuple[Rival, ...], Field(max_length=MOST_ROWS)]
-    gap: tuple[float, float | None, float]
     closing: StoredText
     overlays: Annotated[tuple[SignalOverlay, ...], Field(max_length=3)]
     proposal: Proposal | None

@@ -59,7 +59,6 @@ def page_content_of(found: Diagnosis, session: Session) -> PageContent:
         _spectrum(spectra[0], regions.bands_hz) if spectra else None,
         profiles,
         tuple(_rival(found, item) for item in ordered_candidates(found)),
-        (found.gap.before, None if found.verdict == "no_gap" else found.gap.after, found.gap.floor),
         _closing(found),
         _overlays(found),
         proposal_of(found, session),
