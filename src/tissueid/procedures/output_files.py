@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import json
+from collections.abc import Iterator
+from contextlib import contextmanager
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -117,10 +119,8 @@ def check_result_folder(out: Path, outputs: tuple[str, ...], values: str, made_b
     """
     if out.exists() and not out.is_dir():
         raise UnusableInputError("demo.no_folder", "{path} is not a folder", path=str(out))
-    try:
+    with writing(out):
         private_folder(out)
-    except OSError as error:
-        raise unwritable(out, error) from error
     if any((out / name).exists() for name in outputs) and stored_values(out / values).get("made_by") != made_by:
         raise UnusableInputError(
             "file.other_results", "{folder} contains other results; choose another folder", folder=str(out)
@@ -138,9 +138,19 @@ def write_text(target: Path, text: str) -> None:
     Raises:
         UnusableInputError: the file cannot be written.
     """
+    with writing(target), atomic_file(target) as partial:
+        partial.write_text(text, encoding="utf-8", errors="backslashreplace", newline="\n")
+
+
+@contextmanager
+def writing(target: Path) -> Iterator[None]:
+    """Turn an error of the operating system into one of a file that cannot be written.
+
+    Raises:
+        UnusableInputError: the file cannot be written.
+    """
     try:
-        with atomic_file(target) as partial:
-            partial.write_text(text, encoding="utf-8", errors="backslashreplace")
+        yield
     except OSError as error:
         raise unwritable(target, error) from error
 

@@ -12,7 +12,7 @@ from tissueid.errors import UnusableInputError
 from tissueid.language import marked
 from tissueid.plan_options import Option, Plan, parse_options
 from tissueid.procedures.control import Control
-from tissueid.procedures.output_files import HTML, check_output, check_report, unwritable
+from tissueid.procedures.output_files import HTML, check_output, check_report, write_text
 
 if TYPE_CHECKING:  # each takes long to import
     from tissueid.analysis.device_readings import DeviceReadings
@@ -103,11 +103,7 @@ def run_readings(plan: ReadingsPlan, control: Control) -> SessionReadings:
         progress=progress,
     )
     if plan.page is not None:
-        from tissueid.reports.page import write_text_atomically
         from tissueid.reports.readings_page import readings_page
 
-        try:
-            write_text_atomically(plan.page, readings_page(session, found))
-        except OSError as error:
-            raise unwritable(plan.page, error) from error
+        write_text(plan.page, readings_page(session, found))
     return SessionReadings(session, found)

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
@@ -11,7 +11,7 @@ from tissueid.errors import UnusableInputError
 from tissueid.language import marked
 from tissueid.plan_options import Option, Plan
 from tissueid.procedures.control import Control
-from tissueid.procedures.output_files import HTML, PDF, check_different, check_output, check_report, unwritable
+from tissueid.procedures.output_files import HTML, PDF, check_different, check_output, check_report, writing
 
 if TYPE_CHECKING:  # each takes long to import
     from tissueid.analysis import Analysis
@@ -100,10 +100,10 @@ def write_page(path: Path, analysed: AnalysedTest) -> Path:
     """
     from tissueid.reports import write_report
 
-    found = analysed
-    return _written(
-        path, lambda: write_report(path, found.session, {found.test.number: found.analyses}, refused=found.refused)
-    )
+    with writing(path):
+        analyses = {analysed.test.number: analysed.analyses}
+        write_report(path, analysed.session, analyses, refused=analysed.refused)
+    return path
 
 
 def write_pdf(
@@ -119,17 +119,8 @@ def write_pdf(
     """
     from tissueid.reports import pdf
 
-    found = analysed
-    return _written(
-        path, lambda: pdf.write_pdf(path, found.session, found.test, found.analyses, result=result, further=further)
-    )
-
-
-def _written(path: Path, write: Callable[[], None]) -> Path:
-    try:
-        write()
-    except OSError as error:
-        raise unwritable(path, error) from error
+    with writing(path):
+        pdf.write_pdf(path, analysed.session, analysed.test, analysed.analyses, result=result, further=further)
     return path
 
 

@@ -13,7 +13,7 @@ from tissueid.errors import LimitError, UnusableInputError
 from tissueid.messages import Verbatim
 from tissueid.plan_options import Option, Plan, name_and_value, named_values
 from tissueid.procedures.control import Control
-from tissueid.procedures.output_files import check_different, check_output, unwritable, write_text
+from tissueid.procedures.output_files import check_different, check_output, write_text, writing
 from tissueid.procedures.test_plan import design_stimulus
 from tissueid.test_settings import FilePlayback
 
@@ -22,7 +22,6 @@ if TYPE_CHECKING:  # each takes long to import
     from tissueid.device import DeviceDescription
     from tissueid.instrument import Limits
     from tissueid.procedures.simulated_feedback import FeedbackTrial
-    from tissueid.reports.stimulus_page import StimulusReport
     from tissueid.stimuli import FeedbackKind, Stimulus, StimulusKind
     from tissueid.stimuli.interchange import InterchangeResult
 
@@ -216,7 +215,8 @@ def run_stimulus(plan: StimulusPlan, control: Control) -> DesignedStimulus:
     if plan.plot is not None:
         from tissueid.reports.stimulus_page import stimulus_report
 
-        _draw(plan.plot, stimulus_report(design))
+        with writing(plan.plot):
+            stimulus_report(design).write(plan.plot)
     if plan.csv is not None:
         write_text(plan.csv, _csv(design))
     _save(plan, stimulus)
@@ -257,7 +257,8 @@ def _tried(plan: StimulusPlan, kind: FeedbackKind, control: Control) -> Feedback
         )
     trial = try_on_tissue(kind, plan.device, plan.profile, control)
     if plan.plot is not None:
-        _draw(plan.plot, feedback_report(kind, [trial.run], trial.rows()))
+        with writing(plan.plot):
+            feedback_report(kind, [trial.run], trial.rows()).write(plan.plot)
     _save(plan, kind)
     return trial
 
@@ -267,13 +268,6 @@ def _save(plan: StimulusPlan, stimulus: Stimulus | FeedbackKind) -> None:
 
     if plan.out is not None:
         save_stimulus(plan.out, stimulus)
-
-
-def _draw(path: Path, report: StimulusReport) -> None:
-    try:
-        report.write(path)
-    except OSError as error:
-        raise unwritable(path, error) from error
 
 
 def _csv(design: StimulusDesign) -> str:

@@ -12,7 +12,7 @@ from tissueid.formatting import clean
 from tissueid.language import marked
 from tissueid.messages import MISSING, Verbatim, joined
 from tissueid.procedures.control import Control
-from tissueid.procedures.output_files import HTML, PDF, check_different, check_output, unwritable, write_text
+from tissueid.procedures.output_files import HTML, PDF, check_different, check_output, write_text, writing
 from tissueid.procedures.study_plans import RESULTS, StudyReportPlan
 from tissueid.procedures.study_protocol import read_protocol
 from tissueid.procedures.study_run import StudyRun, run_study
@@ -83,10 +83,8 @@ def report_study(plan: StudyReportPlan, control: Control) -> StudyReport:
     name = ", ".join((_name(plan.folder), *plan.only))
     write_text(page, study_html(name, plan.engine, found, run.failures))
     if plan.pdf is not None:
-        try:
+        with writing(plan.pdf):
             write_study_pdf(plan.pdf, name, plan.engine, found, run.failures)
-        except OSError as error:
-            raise unwritable(plan.pdf, error) from error
     control.progress(1.0, _COMPUTING)
     return StudyReport(run, found, page, plan.pdf)
 

@@ -29,7 +29,7 @@ from tissueid.messages import Verbatim
 from tissueid.plan_options import parse_options
 from tissueid.procedures.cluster import plan_executor
 from tissueid.procedures.control import Control, CountedProgress
-from tissueid.procedures.output_files import unwritable, write_text
+from tissueid.procedures.output_files import write_text, writing
 from tissueid.procedures.session_store import FolderStore, RemoteStore, SessionStore
 from tissueid.procedures.study_plans import (
     CURVES_FILE,
@@ -158,10 +158,8 @@ def run_study(plan: StudyPlan, control: Control) -> StudyRun:
         (curves, CURVES_FILE, write_curves),
     )
     for rows_of, file_name, write in written:
-        try:
+        with writing(results / file_name):
             write(rows_of, results / file_name)
-        except OSError as error:
-            raise unwritable(results / file_name, error) from error
     return StudyRun(plan, table, curves, failures, len(keys), new)
 
 

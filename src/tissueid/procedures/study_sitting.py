@@ -158,14 +158,12 @@ def save_protocol(folder: Path, protocol: Protocol) -> None:
     Raises:
         UnusableInputError: the protocol is not valid, or the folder cannot be used.
     """
-    from tissueid.procedures.output_files import unwritable, write_text
+    from tissueid.procedures.output_files import write_text, writing
 
     path = folder / PROTOCOL_FILE
     check_tests(protocol, str(path))
-    try:
+    with writing(folder):
         private_folder(folder)
-    except OSError as error:
-        raise unwritable(folder, error) from error
     write_text(path, protocol_text(protocol))
 
 

@@ -19,7 +19,7 @@ from tissueid.language import marked
 from tissueid.messages import Message, Verbatim
 from tissueid.plan_options import Option, Plan
 from tissueid.procedures.control import Control, CountedProgress
-from tissueid.procedures.output_files import HTML, check_output, unwritable
+from tissueid.procedures.output_files import HTML, check_output, writing
 
 if TYPE_CHECKING:  # each takes long to import
     from tissueid_lab.blind_check.answers import BlindCheck, CheckInProgress
@@ -232,10 +232,8 @@ def _checked(
     if plan.page is not None:
         from tissueid_lab.blind_check.page import write_blind_report
 
-        try:
+        with writing(plan.page):
             write_blind_report(check, plan.page)
-        except OSError as error:
-            raise unwritable(plan.page, error) from error
     return check
 
 
