@@ -7,6 +7,7 @@ from typing import Any
 from PySide6.QtCore import Signal
 from PySide6.QtWidgets import QComboBox, QGridLayout, QLabel, QWidget
 
+from tissueid.app import build
 from tissueid.app.option_field import OptionField
 from tissueid.configuration import PROBES
 from tissueid.language import _, marked
@@ -36,8 +37,7 @@ class ConfigurationChooser(QWidget):
     def __init__(self, parent: QWidget | None = None) -> None:
         super().__init__(parent)
         self.settings = {name: OptionField(name, info) for name, info in _DECLARED.items() if name not in _ELSEWHERE}
-        self.probe = QComboBox()
-        self.probe.setAccessibleName(_("Probe"))
+        self.probe = build.styled(QComboBox(), name=_("Probe"))
         grid = QGridLayout(self)
         grid.setContentsMargins(0, 0, 0, 0)
         grid.setHorizontalSpacing(8)
@@ -46,9 +46,11 @@ class ConfigurationChooser(QWidget):
         self._labels: dict[str, QLabel] = {}
         rows: dict[str, QWidget] = {"configuration": self.settings["configuration"], "probe": self.probe}
         for row, (name, control) in enumerate((rows | self.settings).items()):
-            label = QLabel(_(label_of(name)))
-            label.setProperty("role", "field")
-            label.setBuddy(control.controls[0] if isinstance(control, OptionField) else control)
+            label = build.styled(
+                QLabel(_(label_of(name))),
+                role="field",
+                buddy=control.controls[0] if isinstance(control, OptionField) else control,
+            )
             grid.addWidget(label, row, 0)
             grid.addWidget(control, row, 1)
             self._labels[name] = label

@@ -13,8 +13,9 @@ import annotated_types
 from pydantic.fields import FieldInfo
 from PySide6.QtCore import QEvent, QObject, Signal
 from PySide6.QtGui import QKeyEvent, QKeySequence
-from PySide6.QtWidgets import QCheckBox, QComboBox, QDoubleSpinBox, QHBoxLayout, QLineEdit, QSpinBox, QWidget
+from PySide6.QtWidgets import QCheckBox, QComboBox, QDoubleSpinBox, QLineEdit, QSpinBox, QWidget
 
+from tissueid.app import build
 from tissueid.app.number_field import NumberField, WholeNumberField
 from tissueid.errors import UnusableInputError
 from tissueid.formatting import label_and_unit
@@ -97,14 +98,10 @@ class OptionField(QWidget):
         if isinstance(self._control, QLineEdit) and unit:
             self.label = f"{_(label)} ({unit})"
         self._automatic: QCheckBox | None = None
-        row = QHBoxLayout(self)
-        row.setContentsMargins(0, 0, 0, 0)
-        row.setSpacing(6)
-        row.addWidget(self._control, 1)
+        row = build.row((self._control, 1), parent=self)
         if self._optional:
             words = _(unknown or marked("automatic"))
-            self._automatic = QCheckBox(words)
-            self._automatic.setAccessibleName(f"{label}, {words}")
+            self._automatic = build.styled(QCheckBox(words), name=f"{label}, {words}")
             self._automatic.toggled.connect(self._switch)
             row.addWidget(self._automatic)
         description = _(info.description or "")
@@ -185,16 +182,18 @@ class OptionField(QWidget):
         if kind is int or kind is float:
             low, high, open_low, open_high = _bounds(info)
             return self._make_number(kind, (low, high), (open_low, open_high), unit)
-        line = QLineEdit()
-        line.setMaxLength(_LONGEST)
-        line.setPlaceholderText("1, 2, 3" if get_origin(kind) is tuple else "")
+        line = build.styled(
+            QLineEdit(), max_length=_LONGEST, placeholder_text="1, 2, 3" if get_origin(kind) is tuple else ""
+        )
         line.editingFinished.connect(self._tell)
         return line
 
     def _choice(self, choices: Mapping[Any, str]) -> QComboBox:
-        combo = QComboBox()
-        combo.setSizeAdjustPolicy(QComboBox.SizeAdjustPolicy.AdjustToMinimumContentsLengthWithIcon)
-        combo.setMinimumContentsLength(6)
+        combo = build.styled(
+            QComboBox(),
+            size_adjust_policy=QComboBox.SizeAdjustPolicy.AdjustToMinimumContentsLengthWithIcon,
+            minimum_contents_length=6,
+        )
         for choice, label in choices.items():
             combo.addItem(_(label), choice)
         combo.currentIndexChanged.connect(self._tell)

@@ -16,17 +16,15 @@ from PySide6.QtWidgets import (
     QDockWidget,
     QFileDialog,
     QFrame,
-    QHBoxLayout,
     QLabel,
     QMainWindow,
     QPlainTextEdit,
-    QPushButton,
     QTextBrowser,
     QToolButton,
-    QVBoxLayout,
     QWidget,
 )
 
+from tissueid.app import build
 from tissueid.app.context import AppContext
 from tissueid.app.navigation_bar import NavigationBar
 from tissueid.app.notice import Notice
@@ -56,28 +54,22 @@ class HelpPanel(QFrame):
 
     def __init__(self, parent: QWidget | None = None) -> None:
         super().__init__(parent)
-        heading = QLabel(_("Help"))
-        heading.setProperty("role", "heading")
-        self.close_button = QToolButton()
-        self.close_button.setText("✕")
-        self.close_button.setAutoRaise(True)
-        self.close_button.setAccessibleName(_("Close help"))
-        self.close_button.setToolTip(_("Close help"))
+        heading = build.styled(QLabel(_("Help")), role="heading")
+        self.close_button = build.styled(
+            QToolButton(), text="✕", auto_raise=True, name=_("Close help"), tip=_("Close help")
+        )
         self.close_button.clicked.connect(self.hide)
         self.reader = HelpText()
         self.reader.setOpenLinks(False)
         self.reader.setAccessibleName(_("Help for this page"))
         self.reader.setMinimumWidth(_LEAST_WIDTH)
         self.reader.document().setDocumentMargin(10)
-        top = QHBoxLayout()
-        top.setContentsMargins(10, 4, 4, 2)
-        top.addWidget(heading, 1)
-        top.addWidget(self.close_button)
-        column = QVBoxLayout(self)
-        column.setContentsMargins(0, 0, 0, 0)
-        column.setSpacing(0)
-        column.addLayout(top)
-        column.addWidget(self.reader, 1)
+        build.column(
+            build.row((heading, 1), self.close_button, spacing=0, margins=(10, 4, 4, 2)),
+            (self.reader, 1),
+            spacing=0,
+            parent=self,
+        )
         self._page = ""
         appearance.follow(self._paint)
 
@@ -135,42 +127,37 @@ class LogPanel(QDockWidget):
         self._now, self._folder, self._last = now, folder, ""
         self.lines = _reader(_("Log of the window"))
         self.lines.setMaximumBlockCount(MOST_LINES)
-        self.copy = QPushButton(_("Copy"))
-        self.copy.setAccessibleName(_("Copy all lines"))
-        self.save = QPushButton(_("Save…"))
-        self.save.setAccessibleName(_("Save all lines to a file"))
-        self.fold = QToolButton()
-        self.fold.setText(_("Details of the last defect"))
-        self.fold.setProperty("role", "fold")
-        self.fold.setCheckable(True)
-        self.fold.setFocusPolicy(Qt.FocusPolicy.TabFocus)
-        self.fold.setToolButtonStyle(Qt.ToolButtonStyle.ToolButtonTextBesideIcon)
-        self.details = _reader(_("Details of the last defect"))
-        about = QLabel(
-            _("Since the program was started; the last {count} lines").format(
-                count=f"{MOST_LINES:,}".replace(",", "\u202f")
-            )
+        self.copy = build.button(_("Copy"), self._copy, name=_("Copy all lines"))
+        self.save = build.button(_("Save…"), self._choose, name=_("Save all lines to a file"))
+        self.fold = build.styled(
+            QToolButton(),
+            text=_("Details of the last defect"),
+            role="fold",
+            checkable=True,
+            focus_policy=Qt.FocusPolicy.TabFocus,
+            tool_button_style=Qt.ToolButtonStyle.ToolButtonTextBesideIcon,
         )
-        about.setProperty("role", "muted")
+        self.details = _reader(_("Details of the last defect"))
+        about = build.styled(
+            QLabel(
+                _("Since the program was started; the last {count} lines").format(
+                    count=f"{MOST_LINES:,}".replace(",", "\u202f")
+                )
+            ),
+            role="muted",
+        )
         inside = QWidget()
-        column = QVBoxLayout(inside)
-        column.setContentsMargins(10, 2, 10, 8)
-        column.setSpacing(4)
-        top = QHBoxLayout()
-        top.addWidget(about, 1)
-        for part in (self.fold, self.copy, self.save):
-            top.addWidget(part)
-        column.addLayout(top)
-        texts = QHBoxLayout()
-        texts.addWidget(self.lines, 1)
-        texts.addWidget(self.details, 1)
-        column.addLayout(texts)
+        build.column(
+            build.row((about, 1), self.fold, self.copy, self.save, spacing=4),
+            build.row((self.lines, 1), (self.details, 1), spacing=4),
+            spacing=4,
+            margins=(10, 2, 10, 8),
+            parent=inside,
+        )
         self.setWidget(inside)
         self._newest = True
         self.lines.verticalScrollBar().rangeChanged.connect(self._show_newest)
         self.lines.verticalScrollBar().actionTriggered.connect(self._scrolled)
-        self.copy.clicked.connect(self._copy)
-        self.save.clicked.connect(self._choose)
         self.fold.toggled.connect(self._unfold)
         self._unfold(False)
         self.fold.hide()
@@ -216,9 +203,11 @@ class LogPanel(QDockWidget):
 
     def _choose(self) -> None:
         name = self._folder / f"tissueid-log-{self._now():%Y-%m-%d_%H-%M-%S}.txt"
-        dialog = QFileDialog(self, _("Save the log"), str(self._folder), _("Text (*.txt)"))
-        dialog.setAcceptMode(QFileDialog.AcceptMode.AcceptSave)
-        dialog.setDefaultSuffix("txt")
+        dialog = build.styled(
+            QFileDialog(self, _("Save the log"), str(self._folder), _("Text (*.txt)")),
+            accept_mode=QFileDialog.AcceptMode.AcceptSave,
+            default_suffix="txt",
+        )
         dialog.selectFile(name.name)
         dialog.setAttribute(Qt.WidgetAttribute.WA_DeleteOnClose)
         dialog.fileSelected.connect(self.save_to)
@@ -240,13 +229,14 @@ def _defect_path() -> Path:
 
 
 def _reader(name: str) -> QPlainTextEdit:
-    text = QPlainTextEdit()
-    text.setReadOnly(True)
-    text.setTabChangesFocus(True)
-    text.setAccessibleName(name)
-    text.setFont(QFontDatabase.systemFont(QFontDatabase.SystemFont.FixedFont))
-    text.setMinimumHeight(32)
-    return text
+    return build.styled(
+        QPlainTextEdit(),
+        read_only=True,
+        tab_changes_focus=True,
+        name=name,
+        font=QFontDatabase.systemFont(QFontDatabase.SystemFont.FixedFont),
+        minimum_height=32,
+    )
 
 
 HELP_KEY = "F1"

@@ -10,6 +10,7 @@ from pathlib import Path
 from PySide6.QtCore import QObject, Qt
 from PySide6.QtWidgets import QFileDialog
 
+from tissueid.app import build
 from tissueid.app.context import AppContext
 from tissueid.app.layout import Layout
 from tissueid.app.navigation_bar import MEASURE
@@ -187,9 +188,11 @@ class StudySitting(QObject):
         """They are in the file; there is nothing to say."""
 
     def _ask_photograph(self) -> None:
-        dialog = QFileDialog(self._ui.form, _("Photograph of the site"), "", _("Pictures (*.jpg *.jpeg *.png)"))
-        dialog.setFileMode(QFileDialog.FileMode.ExistingFile)
-        dialog.setAttribute(Qt.WidgetAttribute.WA_DeleteOnClose)
+        dialog = build.styled(
+            QFileDialog(self._ui.form, _("Photograph of the site"), "", _("Pictures (*.jpg *.jpeg *.png)")),
+            file_mode=QFileDialog.FileMode.ExistingFile,
+            attribute=Qt.WidgetAttribute.WA_DeleteOnClose,
+        )
         dialog.fileSelected.connect(self.add_photograph)
         dialog.open()
 

@@ -9,19 +9,17 @@ from pathlib import Path
 from typing import Any
 
 from pydantic import ValidationError
-from PySide6.QtCore import Qt, QTimer
+from PySide6.QtCore import Qt
 from PySide6.QtGui import QKeySequence, QShortcut
 from PySide6.QtWidgets import (
     QFileDialog,
-    QHBoxLayout,
     QProgressBar,
-    QPushButton,
     QSplitter,
     QTabWidget,
-    QVBoxLayout,
     QWidget,
 )
 
+from tissueid.app import build
 from tissueid.app.context import AppContext
 from tissueid.app.jobs import JobControl
 from tissueid.app.small_window import FoldingSplitter
@@ -81,17 +79,19 @@ class AnalysisPanel(QWidget):
         self._doing, self._shown_parts = "", 0
         self._busy = self._working = False
         self.form = EngineForm()
-        self.run = QPushButton(_("R&un"))
-        self.run.setToolTip(_("Fit the engine to every chosen test"))
-        self.compare = QPushButton(_("Com&pare engines"))
-        self.compare.setToolTip(_("Fit every engine to every chosen test, and recommend one"))
-        self.folder = QPushButton(_("Run on folder…"))
-        self.folder.setToolTip(_("Fit the engine to every stochastic test of every session below a folder"))
-        self.cancelling = QPushButton(_("Cancel"))
-        self.bar = QProgressBar()
-        self.bar.setRange(0, _STEPS)
-        self.bar.setTextVisible(False)
-        self.bar.setAccessibleName(_("Progress of the analysis"))
+        self.run = build.button(_("R&un"), self._run, tip=_("Fit the engine to every chosen test"))
+        self.compare = build.button(
+            _("Com&pare engines"), self._compare, tip=_("Fit every engine to every chosen test, and recommend one")
+        )
+        self.folder = build.button(
+            _("Run on folder…"),
+            self._choose_folder,
+            tip=_("Fit the engine to every stochastic test of every session below a folder"),
+        )
+        self.cancelling = build.button(_("Cancel"), self.cancel)
+        self.bar = build.styled(
+            QProgressBar(), range=(0, _STEPS), text_visible=False, name=_("Progress of the analysis")
+        )
         self.step = _line()
         self.results = ResultsTable()
         self.fits = QSplitter(Qt.Orientation.Vertical)
@@ -99,22 +99,30 @@ class AnalysisPanel(QWidget):
         self._kept_in = self._history.path.with_name(NAME)
         self._read_kept = self._to_keep = False
         self.pictures = Pictures()
-        self.save_table = QPushButton(_("Table…"))
-        self.save_table.setAccessibleName(_("Save the table"))
-        self.save_table.setToolTip(_("Save the table of results as CSV"))
-        self.save_figure = QPushButton(_("Figure…"))
-        self.save_figure.setAccessibleName(_("Save the figure"))
-        self.save_figure.setToolTip(_("Save the figure as PDF, SVG or PNG with 300 dpi"))
+        self.save_table = build.button(
+            _("Table…"), self._save_table, name=_("Save the table"), tip=_("Save the table of results as CSV")
+        )
+        self.save_figure = build.button(
+            _("Figure…"),
+            self._save_figure,
+            name=_("Save the figure"),
+            tip=_("Save the figure as PDF, SVG or PNG with 300 dpi"),
+        )
         self.calibration = CalibrationButton(context, self.pictures)
         self.pictures.add_for_depth(self.calibration)
         self._saver = SaveDialog(context, self)
-        self.refit = QPushButton(_("Refit"))
-        self.refit.setToolTip(_("Fit the drawn results again whose curves were not kept"))
-        self.undo = QPushButton(_("Undo"))
-        self.undo.setAccessibleName(_("Bring back the results that were taken out"))
-        self.undo.setToolTip(_("Bring back the results that were taken out (Ctrl+Z in the table)"))
-        self.clear = QPushButton(_("Clear"))
-        self.clear.setToolTip(_("Take all results out of the table (Delete: the selected ones)"))
+        self.refit = build.button(
+            _("Refit"), self._refit, tip=_("Fit the drawn results again whose curves were not kept")
+        )
+        self.undo = build.button(
+            _("Undo"),
+            self._undo_removal,
+            name=_("Bring back the results that were taken out"),
+            tip=_("Bring back the results that were taken out (Ctrl+Z in the table)"),
+        )
+        self.clear = build.button(
+            _("Clear"), self._clear, tip=_("Take all results out of the table (Delete: the selected ones)")
+        )
         self.population = PopulationView()
         self.verdicts = RecommendationView()
         self.past = HistoryList()
@@ -122,9 +130,7 @@ class AnalysisPanel(QWidget):
         self.tabs.tabBar().setAccessibleName(_("Results, recommendation and history"))
         self._show_working()
         self._arrange()
-        self._looking = QTimer(self)
-        self._looking.setInterval(_LOOK_MS)
-        self._looking.timeout.connect(self._look)
+        self._looking = build.timer(self, _LOOK_MS, self._look, repeat=True)
         self._connect()
         self._read_history()
         restore_state(self.context.settings.value(STATE), self.form, self.verdicts, self.pictures.choice, self.tabs)
@@ -133,17 +139,8 @@ class AnalysisPanel(QWidget):
     def _arrange(self) -> None:
         """Arrange the form on the left, and buttons, progress and results on the right."""
         self.form.setMinimumWidth(_FORM_WIDTH)
-        top = QHBoxLayout()
-        top.setSpacing(6)
-        for widget in (self.run, self.compare, self.folder):
-            top.addWidget(widget)
-        top.addStretch(1)
-        below = QHBoxLayout()
-        below.setSpacing(6)
-        below.addWidget(self.step, 2)
-        below.addWidget(self.bar, 1)
-        for button in (self.cancelling, self.refit, self.undo):
-            below.addWidget(button)
+        top = build.row(self.run, self.compare, self.folder, None)
+        below = build.row((self.step, 2), (self.bar, 1), self.cancelling, self.refit, self.undo)
         for widget in (self.save_figure, self.save_table, self.clear):
             self.pictures.tools.addWidget(widget)
         self.pictures.tools.addStretch(1)
@@ -161,21 +158,14 @@ class AnalysisPanel(QWidget):
         self.tabs.addTab(self.verdicts, _("Recommendation"))
         self.tabs.addTab(self.past, _("History"))
         right = QWidget()
-        column = QVBoxLayout(right)
-        column.setContentsMargins(6, 0, 0, 0)
-        column.setSpacing(6)
-        column.addLayout(top)
-        column.addLayout(below)
-        column.addWidget(self.tabs, 1)
+        build.column(top, below, (self.tabs, 1), margins=(6, 0, 0, 0), parent=right)
         parts = FoldingSplitter(_FORM_HEIGHT)
         parts.addWidget(self.form)
         parts.addWidget(right)
         parts.setChildrenCollapsible(False)
         parts.setStretchFactor(1, 1)
         parts.setSizes([_FORM_WIDTH, 4 * _FORM_WIDTH])
-        layout = QVBoxLayout(self)
-        layout.setContentsMargins(0, 6, 0, 0)
-        layout.addWidget(parts)
+        build.column(parts, margins=(0, 6, 0, 0), parent=self)
 
     def show_tests(self, chosen: Sequence[SelectedTest]) -> None:
         """Select the tests for the next run."""
@@ -286,10 +276,12 @@ class AnalysisPanel(QWidget):
     def _choose_folder(self) -> None:
         if self._task(tests=()) is None:
             return
-        dialog = QFileDialog(self, _("Run on the sessions below a folder"), str(self.context.services.folder))
-        dialog.setFileMode(QFileDialog.FileMode.Directory)
-        dialog.setOption(QFileDialog.Option.ShowDirsOnly)
-        dialog.setAttribute(Qt.WidgetAttribute.WA_DeleteOnClose)
+        dialog = build.styled(
+            QFileDialog(self, _("Run on the sessions below a folder"), str(self.context.services.folder)),
+            file_mode=QFileDialog.FileMode.Directory,
+            option=QFileDialog.Option.ShowDirsOnly,
+            attribute=Qt.WidgetAttribute.WA_DeleteOnClose,
+        )
         dialog.fileSelected.connect(self._run_folder)
         dialog.open()
 
@@ -474,21 +466,12 @@ class AnalysisPanel(QWidget):
         show_disabled_reason(self.waiting, self.context.jobs.why_no_work)
 
     def _connect(self) -> None:
-        self.run.clicked.connect(self._run)
-        self.compare.clicked.connect(self._compare)
-        self.folder.clicked.connect(self._choose_folder)
-        self.cancelling.clicked.connect(self.cancel)
         self.results.chosen_changed.connect(self._draw)
         self.results.removed.connect(self._remove)
         self.population.wanted.connect(self._show_in_table)
         undo = QShortcut(QKeySequence(QKeySequence.StandardKey.Undo), self.results)
         undo.setContext(Qt.ShortcutContext.WidgetShortcut)
         undo.activated.connect(self._undo_removal)
-        self.clear.clicked.connect(self._clear)
-        self.undo.clicked.connect(self._undo_removal)
-        self.refit.clicked.connect(self._refit)
-        self.save_table.clicked.connect(self._save_table)
-        self.save_figure.clicked.connect(self._save_figure)
         self.population.save_figure.clicked.connect(self._save_population)
         self.verdicts.save.clicked.connect(self._save_recommendation)
         self.past.again.connect(self.start)
@@ -497,6 +480,4 @@ class AnalysisPanel(QWidget):
 
 def _line() -> ElidedLabel:
     """Return an elided label for the progress of the work."""
-    label = ElidedLabel()
-    label.setProperty("role", "muted")
-    return label
+    return build.styled(ElidedLabel(), role="muted")

@@ -10,9 +10,10 @@ from queue import Empty
 
 from PySide6.QtCore import QByteArray, QItemSelection, QModelIndex, Qt, QTimer, Signal
 from PySide6.QtGui import QKeySequence, QShortcut
-from PySide6.QtWidgets import QFileDialog, QHBoxLayout, QLabel, QMenu, QPushButton, QVBoxLayout, QWidget
+from PySide6.QtWidgets import QFileDialog, QLabel, QMenu, QPushButton, QWidget
 
-from tissueid.app.build import button
+from tissueid.app import build
+from tissueid.app.build import button, column, styled
 from tissueid.app.context import AppContext
 from tissueid.app.views.researcher.background_work import ProgressStrip
 from tissueid.app.views.researcher.filter_bar import FilterBar
@@ -70,10 +71,12 @@ class FolderButton(QPushButton):
 
     def _choose(self) -> None:
         where = str(self.paths[-1]) if self.paths else ""
-        dialog = QFileDialog(self.window(), _("Look for sessions in"), where)
-        dialog.setFileMode(QFileDialog.FileMode.Directory)
-        dialog.setOption(QFileDialog.Option.ShowDirsOnly)
-        dialog.setAttribute(Qt.WidgetAttribute.WA_DeleteOnClose)
+        dialog = styled(
+            QFileDialog(self.window(), _("Look for sessions in"), where),
+            file_mode=QFileDialog.FileMode.Directory,
+            option=QFileDialog.Option.ShowDirsOnly,
+            attribute=Qt.WidgetAttribute.WA_DeleteOnClose,
+        )
         dialog.fileSelected.connect(self.add)
         dialog.open()
 
@@ -114,7 +117,7 @@ class Browser(QWidget):
         self.picked = QLabel()
         folders = [Path(text) for text in load_texts(context.settings, RESEARCH_FOLDERS)]
         self.folders = FolderButton(folders or [context.services.folder], self)
-        self.again = button(_("Search again"), tip=_("Look for new sessions in the folders (F5)"))
+        self.again = button(_("Search again"), self.look_again, tip=_("Look for new sessions in the folders (F5)"))
         self._restore()
         self._arrange()
         self._drain = self._timer(_DRAIN_MS, self._take_found, single=False)
@@ -317,29 +320,12 @@ class Browser(QWidget):
             label.setMinimumWidth(1)
             label.setWordWrap(True)
         self.picked.setText(_("Nothing selected"))
-        top = QHBoxLayout()
-        top.setSpacing(6)
-        top.addWidget(self.folders)
-        top.addWidget(self.again)
-        top.addStretch(1)
-        rows = QVBoxLayout(self)
-        rows.setContentsMargins(0, 0, 0, 0)
-        rows.setSpacing(6)
-        rows.addLayout(top)
-        rows.addWidget(self.bar)
-        rows.addWidget(self.tree, 1)
-        self.foot = QHBoxLayout()
-        self.foot.setSpacing(6)
-        counts = QVBoxLayout()
-        counts.setSpacing(0)
-        counts.addWidget(self.count)
-        counts.addWidget(self.picked)
-        self.foot.addLayout(counts, 1)
-        rows.addLayout(self.foot)
+        top = build.row(self.folders, self.again, None)
+        self.foot = build.row((column(self.count, self.picked, spacing=0), 1))
+        column(top, self.bar, (self.tree, 1), self.foot, parent=self)
 
     def _connect(self) -> None:
         self.bar.changed.connect(self._ask)
-        self.again.clicked.connect(self.look_again)
         self.folders.changed.connect(self._save_folders)
         self.folders.changed.connect(self.look_again)
         self.tree.opened.connect(self._open)
@@ -363,8 +349,4 @@ class Browser(QWidget):
             self.opened.emit(entry.path)
 
     def _timer(self, milliseconds: int, what: Callable[[], None], *, single: bool) -> QTimer:
-        timer = QTimer(self)
-        timer.setInterval(milliseconds)
-        timer.setSingleShot(single)
-        timer.timeout.connect(what)
-        return timer
+        return build.timer(self, milliseconds, what)

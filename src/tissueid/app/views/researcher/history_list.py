@@ -7,16 +7,14 @@ from collections.abc import Sequence
 from PySide6.QtCore import QModelIndex, Qt, Signal
 from PySide6.QtWidgets import (
     QAbstractItemView,
-    QHBoxLayout,
     QHeaderView,
     QLabel,
-    QPushButton,
     QTableWidget,
     QTableWidgetItem,
-    QVBoxLayout,
     QWidget,
 )
 
+from tissueid.app import build
 from tissueid.app.views.researcher.analysis_task import AnalysisTask
 from tissueid.app.views.researcher.engine_outcome import changed_options
 from tissueid.app.views.researcher.results_store import MOST_ENTRIES, HistoryEntry
@@ -46,22 +44,22 @@ class HistoryList(QWidget):
         super().__init__(parent)
         self._entries: list[HistoryEntry] = []
         self._busy = False
-        self.run = QPushButton(_("Run again"))
-        self.fill = QPushButton(_("Put into the form"))
-        self.remark = QLabel()
-        self.remark.setProperty("role", "muted")
-        self.remark.setTextFormat(Qt.TextFormat.PlainText)
-        self.remark.setWordWrap(True)
-        self.remark.setMinimumWidth(1)
-        self.table = QTableWidget(0, len(_COLUMNS))
-        self.table.setHorizontalHeaderLabels([_(name) for name in _COLUMNS])
-        self.table.setAccessibleName(_("History of analyses"))
-        self.table.setSelectionBehavior(QAbstractItemView.SelectionBehavior.SelectRows)
-        self.table.setSelectionMode(QAbstractItemView.SelectionMode.SingleSelection)
-        self.table.setEditTriggers(QAbstractItemView.EditTrigger.NoEditTriggers)
-        self.table.setTabKeyNavigation(False)
-        self.table.setShowGrid(False)
-        self.table.setWordWrap(False)
+        self.run = build.button(_("Run again"), self._again)
+        self.fill = build.button(_("Put into the form"), self._fill)
+        self.remark = build.styled(
+            QLabel(), role="muted", text_format=Qt.TextFormat.PlainText, word_wrap=True, minimum_width=1
+        )
+        self.table = build.styled(
+            QTableWidget(0, len(_COLUMNS)),
+            horizontal_header_labels=[_(name) for name in _COLUMNS],
+            name=_("History of analyses"),
+            selection_behavior=QAbstractItemView.SelectionBehavior.SelectRows,
+            selection_mode=QAbstractItemView.SelectionMode.SingleSelection,
+            edit_triggers=QAbstractItemView.EditTrigger.NoEditTriggers,
+            tab_key_navigation=False,
+            show_grid=False,
+            word_wrap=False,
+        )
         self.table.verticalHeader().hide()
         self.table.verticalHeader().setDefaultSectionSize(_ROW)
         header = self.table.horizontalHeader()
@@ -69,19 +67,11 @@ class HistoryList(QWidget):
         header.setSectionResizeMode(QHeaderView.ResizeMode.Interactive)
         header.setStretchLastSection(True)
         header.setHighlightSections(False)
-        row = QHBoxLayout()
-        row.addWidget(self.fill)
-        row.addWidget(self.run)
-        row.addWidget(self.remark, 1)
-        layout = QVBoxLayout(self)
-        layout.setContentsMargins(0, 6, 0, 0)
-        layout.setSpacing(6)
-        layout.addLayout(row)
-        layout.addWidget(self.table, 1)
+        build.column(
+            build.row(self.fill, self.run, (self.remark, 1)), (self.table, 1), margins=(0, 6, 0, 0), parent=self
+        )
         self.table.itemSelectionChanged.connect(self._settle)
         self.table.activated.connect(self._activated)
-        self.run.clicked.connect(self._again)
-        self.fill.clicked.connect(self._fill)
         self._settle()
 
     def show_entries(self, entries: Sequence[HistoryEntry], bad: int = 0) -> None:

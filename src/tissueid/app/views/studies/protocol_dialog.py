@@ -20,7 +20,7 @@ from PySide6.QtWidgets import (
     QWidget,
 )
 
-from tissueid.app.build import button, column, label, row, table
+from tissueid.app.build import button, column, label, row, styled, table
 from tissueid.app.number_field import WholeNumberField
 from tissueid.app.option_field import OptionField
 from tissueid.app.small_window import PageScroll
@@ -75,8 +75,7 @@ class ProtocolDialog(QDialog):
         self.asked = {name: QCheckBox(_(DEMOGRAPHIC_FIELDS[name].title)) for name in get_args(Demographic)}
         for name, box in self.asked.items():
             box.setChecked(name in protocol.demographics)
-        self.photograph = QCheckBox(_("Offer to add a photograph of each site"))
-        self.photograph.setChecked(protocol.photograph)
+        self.photograph = styled(QCheckBox(_("Offer to add a photograph of each site")), checked=protocol.photograph)
         self.problem = label()
         self.buttons, self.save = _buttons(self, self._save)
         form = QFormLayout()
