@@ -13,6 +13,7 @@ from PySide6.QtWidgets import (
     QLabel,
     QLayout,
     QPushButton,
+    QTableView,
     QTableWidget,
     QVBoxLayout,
     QWidget,
@@ -22,6 +23,7 @@ Item = QWidget | QLayout | None
 """A part of a row or column; None is a stretch."""
 AnyWidget = TypeVar("AnyWidget", bound=QWidget)
 Box = TypeVar("Box", bound=QBoxLayout)
+AnyTable = TypeVar("AnyTable", bound=QTableView)
 
 
 def fill(box: Box, *items: Item | tuple[Item, int], spacing: int | None = 6, margins: Sequence[int] = (0,)) -> Box:
@@ -114,18 +116,24 @@ def timer(parent: QObject, interval_ms: int, timeout: Callable[[], object], *, r
 
 def table(columns: Sequence[str], name: str, row_height: int = 22) -> QTableWidget:
     """Return a table that is read by rows, not edited."""
-    made = QTableWidget(0, len(columns))
-    made.setHorizontalHeaderLabels(list(columns))
-    made.setAccessibleName(name)
-    made.setEditTriggers(QTableWidget.EditTrigger.NoEditTriggers)
-    made.setSelectionBehavior(QTableWidget.SelectionBehavior.SelectRows)
-    made.setTabKeyNavigation(False)
-    made.setShowGrid(False)
-    made.setWordWrap(False)
-    made.verticalHeader().hide()
-    made.verticalHeader().setDefaultSectionSize(row_height)
-    header = made.horizontalHeader()
-    header.setSectionResizeMode(QHeaderView.ResizeMode.ResizeToContents)
-    header.setDefaultAlignment(Qt.AlignmentFlag.AlignLeft | Qt.AlignmentFlag.AlignVCenter)
-    header.setHighlightSections(False)
-    return made
+    return for_reading(QTableWidget(0, len(columns)), name, row_height, horizontal_header_labels=list(columns))
+
+
+def for_reading(
+    view: AnyTable,
+    name: str,
+    row_height: int = 22,
+    columns: QHeaderView.ResizeMode = QHeaderView.ResizeMode.ResizeToContents,
+    **properties: Any,
+) -> AnyTable:
+    """Set a table up that is read by rows, not edited: texts on the left, without grid, the tab key goes on.
+
+    ``name`` is for screen readers, ``columns`` says what their widths follow, ``properties`` are as in :func:`styled`.
+    """
+    styled(view, name=name, tab_key_navigation=False, show_grid=False, word_wrap=False)
+    view.setEditTriggers(QTableView.EditTrigger.NoEditTriggers)
+    view.setSelectionBehavior(QTableView.SelectionBehavior.SelectRows)
+    styled(view.verticalHeader(), hidden=True, default_section_size=row_height)
+    alignment = Qt.AlignmentFlag.AlignLeft | Qt.AlignmentFlag.AlignVCenter
+    styled(view.horizontalHeader(), section_resize_mode=columns, default_alignment=alignment, highlight_sections=False)
+    return styled(view, **properties)

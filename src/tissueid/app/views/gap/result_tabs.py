@@ -48,23 +48,14 @@ class BarTable(QTableWidget):
     def __init__(self, name: str, head: Sequence[str], bars: int, parent: QWidget | None = None) -> None:
         super().__init__(0, len(head), parent)
         self._bars = bars
-        self.setHorizontalHeaderLabels(list(head))
-        self.setAccessibleName(name)
-        self.verticalHeader().hide()
-        self.verticalHeader().setMinimumSectionSize(_ROW)
-        self.verticalHeader().setSectionResizeMode(QHeaderView.ResizeMode.ResizeToContents)
-        self.setEditTriggers(QTableWidget.EditTrigger.NoEditTriggers)
-        self.setSelectionBehavior(QTableWidget.SelectionBehavior.SelectRows)
+        build.for_reading(self, name, _ROW, horizontal_header_labels=list(head), word_wrap=True)
         self.setSelectionMode(QTableWidget.SelectionMode.SingleSelection)
-        self.setTabKeyNavigation(False)
-        self.setShowGrid(False)
-        self.setWordWrap(True)
-        header = self.horizontalHeader()
-        header.setHighlightSections(False)
-        header.setDefaultAlignment(Qt.AlignmentFlag.AlignLeft | Qt.AlignmentFlag.AlignVCenter)
-        for column in range(len(head)):
-            header.setSectionResizeMode(column, QHeaderView.ResizeMode.ResizeToContents)
-        header.setSectionResizeMode(0, QHeaderView.ResizeMode.Stretch)
+        build.styled(
+            self.verticalHeader(),
+            minimum_section_size=_ROW,
+            section_resize_mode=QHeaderView.ResizeMode.ResizeToContents,
+        )
+        self.horizontalHeader().setSectionResizeMode(0, QHeaderView.ResizeMode.Stretch)
         self._delegate = _Bar(self)
         self.setItemDelegateForColumn(bars, self._delegate)
 

@@ -17,6 +17,7 @@ from PySide6.QtCore import (
 from PySide6.QtGui import QColor, QFont, QIcon, QKeyEvent, QKeySequence, QPainter, QPixmap
 from PySide6.QtWidgets import QAbstractItemView, QHeaderView, QTableView, QWidget
 
+from tissueid.app import build
 from tissueid.app.theme import appearance
 from tissueid.app.views.researcher.engine_outcome import EngineOutcome
 from tissueid.app.words import sentence
@@ -67,23 +68,18 @@ class ResultsTable(QTableView):
         self._sorted.setSourceModel(self._model)
         self._sorted.setSortRole(_SORT)
         self.setModel(self._sorted)
-        self.setAccessibleName(_("Results of the analyses"))
-        self.setSelectionBehavior(QAbstractItemView.SelectionBehavior.SelectRows)
-        self.setSelectionMode(QAbstractItemView.SelectionMode.ExtendedSelection)
-        self.setEditTriggers(QAbstractItemView.EditTrigger.NoEditTriggers)
-        self.setSortingEnabled(True)
-        self.setTabKeyNavigation(False)
-        self.setWordWrap(False)
-        self.setTextElideMode(Qt.TextElideMode.ElideMiddle)
-        self.setShowGrid(False)
-        self.setMinimumHeight(_LEAST)
-        self.verticalHeader().hide()
-        self.verticalHeader().setDefaultSectionSize(_ROW)
+        build.for_reading(
+            self,
+            _("Results of the analyses"),
+            _ROW,
+            QHeaderView.ResizeMode.Interactive,
+            selection_mode=QAbstractItemView.SelectionMode.ExtendedSelection,
+            sorting_enabled=True,
+            text_elide_mode=Qt.TextElideMode.ElideMiddle,
+            minimum_height=_LEAST,
+        )
         header = self.horizontalHeader()
-        header.setDefaultAlignment(Qt.AlignmentFlag.AlignLeft | Qt.AlignmentFlag.AlignVCenter)
         header.setMinimumHeight(2 * header.fontMetrics().height() + _PADDING)
-        header.setSectionResizeMode(QHeaderView.ResizeMode.Interactive)
-        header.setHighlightSections(False)
         header.setResizeContentsPrecision(_MEASURED)
         self.sortByColumn(-1, Qt.SortOrder.AscendingOrder)
         self.selectionModel().selectionChanged.connect(self._selected)

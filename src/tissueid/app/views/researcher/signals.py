@@ -110,20 +110,15 @@ class StatisticsTable(QTableWidget):
     def __init__(self, parent: QWidget | None = None) -> None:
         super().__init__(0, 1, parent)
         self._stretch: tuple[Sequence[LoadedTest], Sequence[Channel], float, float] = (), (), 0.0, 0.0
-        self.setAccessibleName(_("Mean and standard deviation of the brushed stretch"))
-        self.setEditTriggers(QTableWidget.EditTrigger.NoEditTriggers)
-        self.setSelectionMode(QTableWidget.SelectionMode.SingleSelection)
-        self.setTabKeyNavigation(False)
-        self.setShowGrid(False)
-        self.setWordWrap(False)
-        self.setTextElideMode(Qt.TextElideMode.ElideMiddle)
-        self.verticalHeader().hide()
-        self.verticalHeader().setDefaultSectionSize(_ROW)
-        header = self.horizontalHeader()
-        header.setDefaultAlignment(Qt.AlignmentFlag.AlignLeft | Qt.AlignmentFlag.AlignVCenter)
-        header.setSectionResizeMode(QHeaderView.ResizeMode.ResizeToContents)
-        header.setHighlightSections(False)
-        self.setToolTip(_("The selected test is drawn over the others"))
+        build.for_reading(
+            self,
+            _("Mean and standard deviation of the brushed stretch"),
+            _ROW,
+            selection_behavior=QTableWidget.SelectionBehavior.SelectItems,
+            selection_mode=QTableWidget.SelectionMode.SingleSelection,
+            text_elide_mode=Qt.TextElideMode.ElideMiddle,
+            tip=_("The selected test is drawn over the others"),
+        )
         appearance.follow(self._colour)
 
     def show_stretch(

@@ -38,21 +38,12 @@ class Rows(QTableWidget):
         self, name: str, headings: Sequence[str], stretched: Sequence[int], parent: QWidget | None = None
     ) -> None:
         super().__init__(0, len(headings), parent)
-        self.setAccessibleName(name)
-        self.setHorizontalHeaderLabels(list(headings))
-        self.setSelectionBehavior(QAbstractItemView.SelectionBehavior.SelectRows)
+        build.for_reading(self, name, self.fontMetrics().height() + 8, horizontal_header_labels=list(headings))
         self.setSelectionMode(QAbstractItemView.SelectionMode.SingleSelection)
-        self.setEditTriggers(QAbstractItemView.EditTrigger.NoEditTriggers)
-        self.setTabKeyNavigation(False)  # the tab key goes on to the next control
-        self.setShowGrid(False)
         self.setWordWrap(True)
         self.setVerticalScrollMode(QAbstractItemView.ScrollMode.ScrollPerPixel)
         self.setHorizontalScrollBarPolicy(Qt.ScrollBarPolicy.ScrollBarAlwaysOff)
-        self.verticalHeader().hide()
-        self.verticalHeader().setDefaultSectionSize(self.fontMetrics().height() + 8)
         header = self.horizontalHeader()
-        header.setHighlightSections(False)
-        header.setDefaultAlignment(Qt.AlignmentFlag.AlignLeft | Qt.AlignmentFlag.AlignVCenter)
         header.setSectionsClickable(False)
         self._stretched = tuple(stretched)
         for column in range(len(headings)):
