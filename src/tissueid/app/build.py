@@ -21,7 +21,7 @@ from PySide6.QtWidgets import (
 
 Item = QWidget | QLayout | None
 """A part of a row or column; None is a stretch."""
-AnyWidget = TypeVar("AnyWidget", bound=QWidget)
+AnyObject = TypeVar("AnyObject", bound=QObject)
 Box = TypeVar("Box", bound=QBoxLayout)
 AnyTable = TypeVar("AnyTable", bound=QTableView)
 
@@ -67,7 +67,7 @@ def column(
     return fill(box, *items, spacing=spacing, margins=margins)
 
 
-def styled(widget: AnyWidget, **properties: Any) -> AnyWidget:
+def styled(widget: AnyObject, **properties: Any) -> AnyObject:
     """Set properties of a widget: ``tip``, ``name`` (for screen readers), those of the style sheet, and those of Qt.
 
     ``word_wrap=True`` calls ``setWordWrap(True)``, ``range=(0, 9)`` calls ``setRange(0, 9)``. ``clicked`` is called,

@@ -59,10 +59,13 @@ class InstrumentChooser(QWidget):
         self.choice = build.styled(QComboBox(), editable=True, insert_policy=QComboBox.InsertPolicy.NoInsert)
         # A completer would turn a typed /dev/ttyACM1 into a listed /dev/ttyACM10.
         self.choice.setCompleter(None)  # type: ignore[arg-type]
-        self.choice.setAccessibleName(_("Instrument"))
-        self.choice.setAccessibleDescription(_("A port, socket://HOST:PORT or simulated://TISSUE"))
-        self.choice.setToolTip(_("A port, socket://HOST:PORT or simulated://TISSUE"))
-        self.choice.setSizeAdjustPolicy(QComboBox.SizeAdjustPolicy.AdjustToMinimumContentsLengthWithIcon)
+        build.styled(
+            self.choice,
+            name=_("Instrument"),
+            accessible_description=_("A port, socket://HOST:PORT or simulated://TISSUE"),
+            tip=_("A port, socket://HOST:PORT or simulated://TISSUE"),
+            size_adjust_policy=QComboBox.SizeAdjustPolicy.AdjustToMinimumContentsLengthWithIcon,
+        )
         self.refresh = build.button(
             _("&Find"), name=_("Find instruments"), tip=_("Look for an instrument at every port")
         )
@@ -174,9 +177,12 @@ class InstrumentChooser(QWidget):
     def _describe_calibration(self) -> None:
         state = self.calibration_of(self.url)
         self.calibration.setText(_(state.words))
-        self.calibration.setToolTip("\n".join(state.warnings))
-        self.calibration.setAccessibleName(" ".join([_(state.words), *state.warnings]))
-        self.calibration.setProperty("level", state.level)
+        build.styled(
+            self.calibration,
+            tip="\n".join(state.warnings),
+            name=" ".join([_(state.words), *state.warnings]),
+            level=state.level,
+        )
         self.calibration.style().unpolish(self.calibration)
         self.calibration.style().polish(self.calibration)
         self.described.emit()

@@ -187,12 +187,11 @@ class CommandPalette(QFrame):
         self._declare, self._window = declare, window
         self._before: QWidget | None = None
         self._actions: tuple[Action, ...] = ()
-        self.setProperty("role", "card")
-        self.setAutoFillBackground(True)
+        build.styled(self, role="card", auto_fill_background=True)
         self.words = _Words()
-        self.words.setMaxLength(100)
-        self.words.setPlaceholderText(_("What do you want to do?"))
-        self.words.setAccessibleName(_("Search all actions"))
+        build.styled(
+            self.words, max_length=100, placeholder_text=_("What do you want to do?"), name=_("Search all actions")
+        )
         self.list = build.styled(
             QListWidget(),
             name=_("Actions"),

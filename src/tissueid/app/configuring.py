@@ -40,8 +40,7 @@ class ConfigurationChooser(QWidget):
         self.probe = build.styled(QComboBox(), name=_("Probe"))
         grid = QGridLayout(self)
         grid.setContentsMargins(0, 0, 0, 0)
-        grid.setHorizontalSpacing(8)
-        grid.setVerticalSpacing(5)
+        build.styled(grid, horizontal_spacing=8, vertical_spacing=5)
         grid.setColumnStretch(1, 1)
         self._labels: dict[str, QLabel] = {}
         rows: dict[str, QWidget] = {"configuration": self.settings["configuration"], "probe": self.probe}

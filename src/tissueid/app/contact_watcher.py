@@ -56,10 +56,8 @@ class ContactLamp(QWidget):
         self.light.setStyleSheet("font-size: 24pt;")
         self.words = QLabel()
         for label in (self.light, self.words):
-            label.setProperty("role", "headline")
-            label.setTextFormat(Qt.TextFormat.PlainText)
-        self.words.setWordWrap(True)
-        self.words.setMinimumWidth(1)
+            build.styled(label, role="headline", text_format=Qt.TextFormat.PlainText)
+        build.styled(self.words, word_wrap=True, minimum_width=1)
         self.watch = build.button(
             _("Watch contact"), checkable=True, tip=_("Read the instrument before the test; its coil stays free")
         )
@@ -85,8 +83,7 @@ class ContactLamp(QWidget):
         self.words.setText(_(contact.value))
         self.words.setAccessibleName(_("Contact: {words}").format(words=_(contact.value)))
         for label in (self.light, self.words):
-            label.setProperty("role", "muted" if contact is Contact.UNWATCHED else "headline")
-            label.setProperty("level", contact.level)
+            build.styled(label, role="muted" if contact is Contact.UNWATCHED else "headline", level=contact.level)
             label.style().unpolish(label)
             label.style().polish(label)
         if contact.level:

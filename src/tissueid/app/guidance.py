@@ -99,7 +99,6 @@ class Guidance(QFrame):
             state = "todo" if now is None or place > order.index(now) else "now" if phase is now else "done"
             if now is Phase.RELEASE:
                 state = "done"
-            part.setProperty("state", state)
-            part.setAccessibleName(f"{_(_NAMES[phase])}: {_(_STATES[state])}")
+            styled(part, state=state, name=f"{_(_NAMES[phase])}: {_(_STATES[state])}")
             part.style().unpolish(part)
             part.style().polish(part)

@@ -24,9 +24,7 @@ class NavigationBar(QFrame):
 
     def __init__(self, parent: QWidget | None = None) -> None:
         super().__init__(parent)
-        self.setProperty("role", "rail")
-        self.setFixedWidth(WIDTH)
-        self.setAccessibleName(_("Pages"))
+        build.styled(self, role="rail", fixed_width=WIDTH, name=_("Pages"))
         self.buttons: dict[str, QToolButton] = {}
         self.keys: dict[str, str] = {}
         self.feet: list[QToolButton] = []
@@ -35,8 +33,7 @@ class NavigationBar(QFrame):
     def add(self, name: str, title: str) -> None:
         """Add a button for a page at the end."""
         button = _button(title)
-        button.setFocusPolicy(Qt.FocusPolicy.TabFocus)
-        button.setAccessibleName(_("Page {title}").format(title=title))
+        build.styled(button, focus_policy=Qt.FocusPolicy.TabFocus, name=_("Page {title}").format(title=title))
         keys = self.keys[name] = f"Ctrl+{len(self.buttons) + 1}"
         button.setToolTip(f"{title} ({keys})")
         button.clicked.connect(lambda _checked=False, name=name: self._choose(name))
@@ -46,9 +43,7 @@ class NavigationBar(QFrame):
     def add_foot(self, title: str, keys: str, what: str) -> QToolButton:
         """Add a button at the foot that opens and closes a panel next to the page."""
         button = _button(title)
-        button.setFocusPolicy(Qt.FocusPolicy.TabFocus)
-        button.setAccessibleName(what)
-        button.setToolTip(f"{what} ({keys})")
+        build.styled(button, focus_policy=Qt.FocusPolicy.TabFocus, name=what, tip=f"{what} ({keys})")
         self._column.addWidget(button)
         self.feet.append(button)
         return button
@@ -96,7 +91,5 @@ class _Button(QToolButton):
 def _button(title: str) -> QToolButton:
     button = _Button()
     button.setText(title)
-    button.setCheckable(True)
-    button.setProperty("role", "rail")
-    button.setFixedWidth(WIDTH)
+    build.styled(button, checkable=True, role="rail", fixed_width=WIDTH)
     return button

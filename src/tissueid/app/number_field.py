@@ -22,9 +22,12 @@ class FieldHint(QLabel):
     def __init__(self, field: QWidget) -> None:
         super().__init__(field)
         self._field = field
-        self.setProperty("role", "hint")
-        self.setTextFormat(Qt.TextFormat.PlainText)
-        self.setAttribute(Qt.WidgetAttribute.WA_TransparentForMouseEvents)
+        build.styled(
+            self,
+            role="hint",
+            text_format=Qt.TextFormat.PlainText,
+            attribute=Qt.WidgetAttribute.WA_TransparentForMouseEvents,
+        )
         self._over = build.timer(self, _SHOWN_MS, self.hide)
         self.hide()
 

@@ -108,9 +108,7 @@ class OptionField(QWidget):
         for widget in self.controls:
             widget.setToolTip(f"<qt>{html.escape(description)}</qt>" if description else "")
             widget.installEventFilter(self)
-        self._control.setAccessibleName(self.label)
-        self._control.setAccessibleDescription(description)
-        self._control.setMinimumWidth(_NARROW)
+        build.styled(self._control, name=self.label, accessible_description=description, minimum_width=_NARROW)
 
     @property
     def controls(self) -> list[QWidget]:
@@ -269,8 +267,7 @@ class _GeneralSpin(NumberField):
 
     def __init__(self) -> None:
         super().__init__()
-        self.setDecimals(_DECIMALS)
-        self.setStepType(QDoubleSpinBox.StepType.AdaptiveDecimalStepType)
+        build.styled(self, decimals=_DECIMALS, step_type=QDoubleSpinBox.StepType.AdaptiveDecimalStepType)
 
     def textFromValue(self, value: float) -> str:  # noqa: N802
         """Return the number with up to ten digits."""

@@ -60,9 +60,7 @@ class HelpPanel(QFrame):
         )
         self.close_button.clicked.connect(self.hide)
         self.reader = HelpText()
-        self.reader.setOpenLinks(False)
-        self.reader.setAccessibleName(_("Help for this page"))
-        self.reader.setMinimumWidth(_LEAST_WIDTH)
+        build.styled(self.reader, open_links=False, name=_("Help for this page"), minimum_width=_LEAST_WIDTH)
         self.reader.document().setDocumentMargin(10)
         build.column(
             build.row((heading, 1), self.close_button, spacing=0, margins=(10, 4, 4, 2)),

@@ -61,8 +61,7 @@ class SafetyReadouts(QFrame):
         self.force, self.coil, self.contact, self.keys = (QLabel() for _ in range(4))
         grid = QGridLayout(self)
         grid.setContentsMargins(10, 6, 10, 6)
-        grid.setHorizontalSpacing(8)
-        grid.setVerticalSpacing(1)
+        build.styled(grid, horizontal_spacing=8, vertical_spacing=1)
         rows = ((_("Force"), self.force), (_("Coil"), self.coil), (_("Probe"), self.contact))
         for row, (name, value) in enumerate(rows):
             label = build.styled(QLabel(name), role="field")
@@ -72,9 +71,7 @@ class SafetyReadouts(QFrame):
         grid.setColumnStretch(1, 1)
         self.keys.setWordWrap(True)
         for value in (self.force, self.coil, self.contact, self.keys):
-            value.setProperty("role", "readout")
-            value.setTextFormat(Qt.TextFormat.PlainText)
-            value.setMinimumWidth(1)
+            build.styled(value, role="readout", text_format=Qt.TextFormat.PlainText, minimum_width=1)
         self.clear()
 
     def clear(self) -> None:

@@ -137,9 +137,12 @@ def run() -> int:
     application = QApplication.instance() or QApplication(sys.argv[:1])
     assert isinstance(application, QApplication)
     application.setApplicationName("TissueID")
-    application.setWindowIcon(QIcon(str(Path(__file__).with_name("tissueid.svg"))))
-    application.setDesktopFileName("tissueid")
-    application.setStyle("Fusion")
+    build.styled(
+        application,
+        window_icon=QIcon(str(Path(__file__).with_name("tissueid.svg"))),
+        desktop_file_name="tissueid",
+        style="Fusion",
+    )
     while True:
         window = MainWindow()
         status = _show(application, window)

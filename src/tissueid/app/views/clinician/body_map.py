@@ -141,9 +141,7 @@ class BodyMap(QDialog):
 
     def __init__(self, parent: QWidget | None = None) -> None:
         super().__init__(parent)
-        self.setWindowTitle(_("Site on the body"))
-        self.setAccessibleName(_("Body map"))
-        self.setAccessibleDescription(_(_HINT))
+        build.styled(self, window_title=_("Site on the body"), name=_("Body map"), accessible_description=_(_HINT))
         self._group = QButtonGroup(self)
         self.spots: dict[str, QRadioButton] = {}
         grid = QGridLayout()
@@ -217,10 +215,9 @@ class _Point(QRadioButton):
     def __init__(self, spot: Spot, parent: QWidget) -> None:
         super().__init__(parent)
         self.spot = spot
-        self.setAccessibleName(spot.site)
-        self.setToolTip(spot.site)
-        self.setFixedSize(_POINT, _POINT)
-        self.setCursor(Qt.CursorShape.PointingHandCursor)
+        build.styled(
+            self, name=spot.site, tip=spot.site, fixed_size=(_POINT, _POINT), cursor=Qt.CursorShape.PointingHandCursor
+        )
 
     def sizeHint(self) -> QSize:  # noqa: N802
         """A square."""

@@ -39,8 +39,7 @@ class DemographicsDialog(QDialog):
         for name in names:
             kind = DEMOGRAPHIC_FIELDS[name]
             field, self._read[name] = _field(kind, known.get(name, ""))
-            field.setAccessibleName(_(kind.title))
-            field.setMinimumHeight(_FIELD_HEIGHT)
+            build.styled(field, name=_(kind.title), minimum_height=_FIELD_HEIGHT)
             self.fields[name] = field
             form.addRow(_(kind.title), field)
         buttons = QDialogButtonBox(QDialogButtonBox.StandardButton.Ok | QDialogButtonBox.StandardButton.Cancel)
@@ -67,8 +66,7 @@ def _field(kind: DemographicField, known: str) -> tuple[QWidget, Callable[[], st
     """Return a control with a value, and a function that returns what it holds."""
     if kind.bounds is not None:
         number = OptionalNumberField(kind.bounds[1])
-        number.setDecimals(3)
-        number.setSuffix(f" {_(kind.unit)}")
+        build.styled(number, decimals=3, suffix=f" {_(kind.unit)}")
         try:
             number.give(float(known))
         except ValueError:

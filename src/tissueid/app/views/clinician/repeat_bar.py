@@ -36,8 +36,7 @@ class SittingSummary(QFrame):
         self.heading, self.about = styled(QLabel(), role="headline"), label("muted")
         self._heads: list[QLabel] = []
         grid = QGridLayout()
-        grid.setHorizontalSpacing(22)
-        grid.setVerticalSpacing(2)
+        styled(grid, horizontal_spacing=22, vertical_spacing=2)
         for column, head in enumerate(HEADS):
             named = styled(QLabel(_(head)), role="field", minimum_width=1)
             self._heads.append(named)
@@ -153,9 +152,12 @@ class RepeatBar(QWidget):
             count = translated(Message("sitting.repeats_finished", "{done} of {count} repeats, finished", **done))
         else:
             count = translated(Message("sitting.repeats", "{done} of {count} repeats", **done))
-        self.dots.setAccessibleName(f"{count}: {said}")
-        self.dots.setToolTip(
-            _("{count}. Green: good. Yellow: to be looked at. Red: not counted. Ring: to come.").format(count=count)
+        styled(
+            self.dots,
+            name=f"{count}: {said}",
+            tip=_("{count}. Green: good. Yellow: to be looked at. Red: not counted. Ring: to come.").format(
+                count=count
+            ),
         )
         self._draw()
 

@@ -32,8 +32,7 @@ class DiagnosisList(QWidget):
 
     def __init__(self, parent: QWidget | None = None) -> None:
         super().__init__(parent)
-        self.setMinimumWidth(_LEAST_WIDTH)
-        self.setMaximumWidth(_WIDTH)
+        build.styled(self, minimum_width=_LEAST_WIDTH, maximum_width=_WIDTH)
         self._results: list[DiagnosisResult] = []
         self._states: list[State] = []
         self.list = styled(

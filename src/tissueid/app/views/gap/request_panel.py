@@ -203,10 +203,13 @@ class RequestPanel(QFrame):
         inside.setContentsMargins(0, 0, 0, 0)
         for words, field in ((_("Tests to fit"), self.fit), (_("Tests to check"), self.check)):
             label = styled(QLabel(words), buddy=field)
-            field.setAccessibleName(_("{field}, numbers with commas between").format(field=words))
-            field.setPlaceholderText(_("chosen by itself"))
-            field.setMaxLength(200)
-            field.setFixedWidth(130)
+            build.styled(
+                field,
+                name=_("{field}, numbers with commas between").format(field=words),
+                placeholder_text=_("chosen by itself"),
+                max_length=200,
+                fixed_width=130,
+            )
             pair = build.row(label, field, spacing=None)
             pair.addSpacing(10)
             inside.addLayout(pair)

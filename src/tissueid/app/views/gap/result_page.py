@@ -56,9 +56,12 @@ class SignalChain(QWidget):
 
     def __init__(self, parent: QWidget | None = None) -> None:
         super().__init__(parent)
-        self.setAccessibleName(_("Signal chain"))
-        self.setMinimumSize(500, 136)
-        self.setSizePolicy(QSizePolicy.Policy.Expanding, QSizePolicy.Policy.Preferred)
+        build.styled(
+            self,
+            name=_("Signal chain"),
+            minimum_size=(500, 136),
+            size_policy=(QSizePolicy.Policy.Expanding, QSizePolicy.Policy.Preferred),
+        )
         self.stages: dict[Stage, _Box] = {stage: _Box(stage, self) for stage in _PLACES}
         self._group = QButtonGroup(self)
         for stage, box in self.stages.items():
@@ -183,9 +186,9 @@ class _Box(QAbstractButton):
         super().__init__(parent)
         self._title = _(STAGE_TITLES[stage])
         self._share, self._lit = 0.0, False
-        self.setCheckable(True)
-        self.setFocusPolicy(Qt.FocusPolicy.StrongFocus)
-        self.setCursor(Qt.CursorShape.PointingHandCursor)
+        build.styled(
+            self, checkable=True, focus_policy=Qt.FocusPolicy.StrongFocus, cursor=Qt.CursorShape.PointingHandCursor
+        )
         self.show_share(0.0, lit=False)
 
     def show_share(self, share: float, *, lit: bool) -> None:
@@ -195,10 +198,11 @@ class _Box(QAbstractButton):
         self.setText(words)
         fault = _(", at fault") if lit else ""
         of = _("of what noise does not explain") if share > 0.0 else ""
-        self.setAccessibleName(
-            _("Stage {title}, {share} {of}").format(title=self._title, share=words, of=of).strip() + fault
+        build.styled(
+            self,
+            name=_("Stage {title}, {share} {of}").format(title=self._title, share=words, of=of).strip() + fault,
+            tip=f"{self._title}: {words} {of}".strip() + f"{fault}. {_('Click for its evidence.')}",
         )
-        self.setToolTip(f"{self._title}: {words} {of}".strip() + f"{fault}. {_('Click for its evidence.')}")
         self.update()
 
     def paintEvent(self, event: QPaintEvent) -> None:  # noqa: N802
@@ -257,10 +261,13 @@ class ResultPage(QScrollArea):
     def __init__(self, parent: QWidget | None = None) -> None:
         super().__init__(parent)
         self._story: PageContent | None = None
-        self.setWidgetResizable(True)
-        self.setFrameShape(QFrame.Shape.NoFrame)
-        self.setFocusPolicy(Qt.FocusPolicy.NoFocus)
-        self.setMinimumWidth(_LEAST_WIDTH)
+        build.styled(
+            self,
+            widget_resizable=True,
+            frame_shape=QFrame.Shape.NoFrame,
+            focus_policy=Qt.FocusPolicy.NoFocus,
+            minimum_width=_LEAST_WIDTH,
+        )
         self.stale = build.label()
         self.again = build.button(_("Diagnose again"), tip=_("Run the same diagnosis on the session as it is now"))
         self.headline = build.label("headline")

@@ -327,8 +327,11 @@ class _GapBars(QWidget):
         """Show the rows from top to bottom."""
         self._rows = rows
         values = ", ".join(f"{translated(row.name)} {_percent(row.high - row.low)}" for row in rows)
-        self.setToolTip("\n".join(f"{translated(row.name)}: {_percent(row.high - row.low)}" for row in rows))
-        self.setAccessibleName(_("Gap: {values}").format(values=values))
+        build.styled(
+            self,
+            tip="\n".join(f"{translated(row.name)}: {_percent(row.high - row.low)}" for row in rows),
+            name=_("Gap: {values}").format(values=values),
+        )
         self._fit()
         self.update()
 

@@ -66,8 +66,11 @@ class FolderButton(QPushButton):
             text = text if len(text) <= _LONGEST else f"…{text[-_LONGEST:]}"
             menu.addAction(_("Remove {path}").format(path=text).replace("&", "&&"), partial(self.remove, path))
         listed = "\n".join(clean(str(path)) for path in self.paths)
-        self.setToolTip(plain_tip(f"{_('Sessions are looked for in these folders, and below them:')}\n{listed}"))
-        self.setAccessibleName(_("Folders that are looked through: {count}").format(count=len(self.paths)))
+        build.styled(
+            self,
+            tip=plain_tip(f"{_('Sessions are looked for in these folders, and below them:')}\n{listed}"),
+            name=_("Folders that are looked through: {count}").format(count=len(self.paths)),
+        )
 
     def _choose(self) -> None:
         where = str(self.paths[-1]) if self.paths else ""
@@ -315,10 +318,7 @@ class Browser(QWidget):
 
     def _arrange(self) -> None:
         for label in (self.count, self.picked):
-            label.setProperty("role", "muted")
-            label.setTextFormat(Qt.TextFormat.PlainText)
-            label.setMinimumWidth(1)
-            label.setWordWrap(True)
+            build.styled(label, role="muted", text_format=Qt.TextFormat.PlainText, minimum_width=1, word_wrap=True)
         self.picked.setText(_("Nothing selected"))
         top = build.row(self.folders, self.again, None)
         self.foot = build.row((column(self.count, self.picked, spacing=0), 1))

@@ -24,9 +24,12 @@ class CalibrationButton(QPushButton):
     def __init__(self, context: AppContext, pictures: Pictures) -> None:
         super().__init__(_("Calibration…"))
         self._context, self._pictures = context, pictures
-        self.setCheckable(True)
-        self.setAccessibleName(_("Draw a calibration below the results"))
-        self.setToolTip(_("Draw mass, damping and stiffness of a dynamic sweep below the results against depth"))
+        build.styled(
+            self,
+            checkable=True,
+            name=_("Draw a calibration below the results"),
+            tip=_("Draw mass, damping and stiffness of a dynamic sweep below the results against depth"),
+        )
         self.clicked.connect(self._choose)
 
     def draw_sweep(self, path: Path) -> None:

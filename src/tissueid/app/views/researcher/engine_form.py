@@ -88,13 +88,16 @@ class PreparationForm(QWidget):
 
     def _edge(self, label: str, what: str) -> NumberField:
         edge = NumberField()
-        edge.setRange(0.0, _HIGHEST_HZ)
-        edge.setDecimals(2)
-        edge.setSuffix(" Hz")
-        edge.setSpecialValueText(_("no limit"))
-        edge.setMinimumWidth(_NARROW)
-        edge.setAccessibleName(label)
-        edge.setToolTip(what)
+        build.styled(
+            edge,
+            range=(0.0, _HIGHEST_HZ),
+            decimals=2,
+            suffix=" Hz",
+            special_value_text=_("no limit"),
+            minimum_width=_NARROW,
+            name=label,
+            tip=what,
+        )
         edge.valueChanged.connect(self.changed)
         return edge
 
@@ -366,10 +369,13 @@ class EngineForm(QWidget):
         )
         scroll = QScrollArea()
         scroll.setWidget(content)
-        scroll.setWidgetResizable(True)
-        scroll.setFrameShape(QFrame.Shape.NoFrame)
-        scroll.setHorizontalScrollBarPolicy(Qt.ScrollBarPolicy.ScrollBarAlwaysOff)
-        scroll.setFocusPolicy(Qt.FocusPolicy.NoFocus)
+        build.styled(
+            scroll,
+            widget_resizable=True,
+            frame_shape=QFrame.Shape.NoFrame,
+            horizontal_scroll_bar_policy=Qt.ScrollBarPolicy.ScrollBarAlwaysOff,
+            focus_policy=Qt.FocusPolicy.NoFocus,
+        )
         build.column(self.engine, (scroll, 1), spacing=4, parent=self)
 
 

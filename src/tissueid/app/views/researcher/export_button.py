@@ -96,8 +96,9 @@ class ExportButton(QPushButton):
         self._strip = strip
         self._chosen = chosen
         self._busy = False
-        self.setToolTip(_("The selected tests as files for other programs, a folder a session"))
-        self.setMenu(QMenu(self))
+        build.styled(
+            self, tip=_("The selected tests as files for other programs, a folder a session"), menu=QMenu(self)
+        )
         for kind, words in EXPORTS.items():
             self.menu().addAction(f"{_(words)}…", partial(self._choose, kind))
         self.update_enabled(busy=False)

@@ -40,9 +40,12 @@ class FilterBar(QWidget):
         choices = QHBoxLayout()
         choices.setSpacing(6)
         for choice, name, anything in zip(self.choices, _NAMES, _ALL, strict=True):
-            choice.setAccessibleName(_("Filter by {column}").format(column=_(name)))
-            choice.setSizeAdjustPolicy(QComboBox.SizeAdjustPolicy.AdjustToMinimumContentsLengthWithIcon)
-            choice.setMinimumContentsLength(4)
+            styled(
+                choice,
+                name=_("Filter by {column}").format(column=_(name)),
+                size_adjust_policy=QComboBox.SizeAdjustPolicy.AdjustToMinimumContentsLengthWithIcon,
+                minimum_contents_length=4,
+            )
             choice.view().setTextElideMode(Qt.TextElideMode.ElideRight)
             choice.addItem(_(name), "")
             choice.setItemData(0, _(anything), Qt.ItemDataRole.ToolTipRole)

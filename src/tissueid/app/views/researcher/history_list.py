@@ -65,8 +65,7 @@ class HistoryList(QWidget):
         header = self.table.horizontalHeader()
         header.setDefaultAlignment(Qt.AlignmentFlag.AlignLeft | Qt.AlignmentFlag.AlignVCenter)
         header.setSectionResizeMode(QHeaderView.ResizeMode.Interactive)
-        header.setStretchLastSection(True)
-        header.setHighlightSections(False)
+        build.styled(header, stretch_last_section=True, highlight_sections=False)
         build.column(
             build.row(self.fill, self.run, (self.remark, 1)), (self.table, 1), margins=(0, 6, 0, 0), parent=self
         )

@@ -56,8 +56,7 @@ class KernelPlot(QWidget):
         self._ways = QButtonGroup(self)
         top = build.row((self.choice, 1), self.back, spacing=4)
         for button in (self.flat, self.raised):
-            button.setCheckable(True)
-            button.setProperty("role", "toggle")
+            build.styled(button, checkable=True, role="toggle")
             self._ways.addButton(button)
             top.addWidget(button)
         self.flat.setChecked(True)

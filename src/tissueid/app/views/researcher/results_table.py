@@ -79,8 +79,9 @@ class ResultsTable(QTableView):
             minimum_height=_LEAST,
         )
         header = self.horizontalHeader()
-        header.setMinimumHeight(2 * header.fontMetrics().height() + _PADDING)
-        header.setResizeContentsPrecision(_MEASURED)
+        build.styled(
+            header, minimum_height=2 * header.fontMetrics().height() + _PADDING, resize_contents_precision=_MEASURED
+        )
         self.sortByColumn(-1, Qt.SortOrder.AscendingOrder)
         self.selectionModel().selectionChanged.connect(self._selected)
         header.sortIndicatorChanged.connect(self._make_room)

@@ -105,17 +105,23 @@ class SessionTree(QTreeView):
         self._widths[QUALITY] = max(_WIDTHS[QUALITY], verdict + _CELL)
         self._unwanted: set[int] = set()
         self.setModel(shown)
-        self.setAccessibleName(_("Sessions and their tests"))
-        self.setToolTip(_("Return or a double click opens a session; Shift and Ctrl select several"))
-        self.setSelectionMode(QAbstractItemView.SelectionMode.ExtendedSelection)
-        self.setSelectionBehavior(QAbstractItemView.SelectionBehavior.SelectRows)
-        self.setEditTriggers(QAbstractItemView.EditTrigger.NoEditTriggers)
-        self.setUniformRowHeights(True)
+        build.styled(
+            self,
+            name=_("Sessions and their tests"),
+            tip=_("Return or a double click opens a session; Shift and Ctrl select several"),
+            selection_mode=QAbstractItemView.SelectionMode.ExtendedSelection,
+            selection_behavior=QAbstractItemView.SelectionBehavior.SelectRows,
+            edit_triggers=QAbstractItemView.EditTrigger.NoEditTriggers,
+            uniform_row_heights=True,
+        )
         self.setStyleSheet("QTreeView::item { padding: 2px 0px; }")
-        self.setSortingEnabled(True)
-        self.setExpandsOnDoubleClick(False)
-        self.setTabKeyNavigation(False)
-        self.setTextElideMode(Qt.TextElideMode.ElideRight)
+        build.styled(
+            self,
+            sorting_enabled=True,
+            expands_on_double_click=False,
+            tab_key_navigation=False,
+            text_elide_mode=Qt.TextElideMode.ElideRight,
+        )
         self.header().setStretchLastSection(True)
         self.header().setSectionsMovable(True)
         self.header().setContextMenuPolicy(Qt.ContextMenuPolicy.CustomContextMenu)

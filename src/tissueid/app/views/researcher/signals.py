@@ -194,8 +194,7 @@ class ChannelButton(QPushButton):
         self.wanted = list(wanted)
         """Names of the selected signals; none before a selection."""
         self._channels: list[Channel] = []
-        self.setMenu(QMenu(self))
-        self.setToolTip(_("Which signals are drawn"))
+        build.styled(self, menu=QMenu(self), tip=_("Which signals are drawn"))
         self.offer([])
 
     def offer(self, channels: Sequence[Channel]) -> None:
@@ -410,18 +409,18 @@ class SignalsPanel(QWidget):
 
     def _arrange(self) -> None:
         for field, name in ((self.low, _("from")), (self.high, _("to"))):
-            field.setAccessibleName(_("Brushed {name}").format(name=name))
-            field.setPrefix(f"{name} ")
-            field.setSuffix(" s")
-            field.setDecimals(3)
-            field.setSingleStep(_STEP_S)
-            field.setToolTip(_("Selected time interval: the plots below show it"))
+            build.styled(
+                field,
+                name=_("Brushed {name}").format(name=name),
+                prefix=f"{name} ",
+                suffix=" s",
+                decimals=3,
+                single_step=_STEP_S,
+                tip=_("Selected time interval: the plots below show it"),
+            )
         for label in (self.about, self.empty):
-            label.setProperty("role", "muted")
-            label.setTextFormat(Qt.TextFormat.PlainText)
-            label.setMinimumWidth(1)
-        self.empty.setAlignment(Qt.AlignmentFlag.AlignCenter)
-        self.empty.setWordWrap(True)
+            build.styled(label, role="muted", text_format=Qt.TextFormat.PlainText, minimum_width=1)
+        build.styled(self.empty, alignment=Qt.AlignmentFlag.AlignCenter, word_wrap=True)
         looked_at, kept = QHBoxLayout(), QHBoxLayout()
         for part in (self.channels, self.low, self.high):
             looked_at.addWidget(part)

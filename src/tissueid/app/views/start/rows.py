@@ -39,10 +39,13 @@ class Rows(QTableWidget):
     ) -> None:
         super().__init__(0, len(headings), parent)
         build.for_reading(self, name, self.fontMetrics().height() + 8, horizontal_header_labels=list(headings))
-        self.setSelectionMode(QAbstractItemView.SelectionMode.SingleSelection)
-        self.setWordWrap(True)
-        self.setVerticalScrollMode(QAbstractItemView.ScrollMode.ScrollPerPixel)
-        self.setHorizontalScrollBarPolicy(Qt.ScrollBarPolicy.ScrollBarAlwaysOff)
+        build.styled(
+            self,
+            selection_mode=QAbstractItemView.SelectionMode.SingleSelection,
+            word_wrap=True,
+            vertical_scroll_mode=QAbstractItemView.ScrollMode.ScrollPerPixel,
+            horizontal_scroll_bar_policy=Qt.ScrollBarPolicy.ScrollBarAlwaysOff,
+        )
         header = self.horizontalHeader()
         header.setSectionsClickable(False)
         self._stretched = tuple(stretched)

@@ -30,8 +30,11 @@ class FiguresTab(QWidget):
         self.canvas = PlotCanvas(_("Figure of the study"))
         self.remarks = build.label("muted")
         for choice in (self.kind, self.parameter):
-            choice.setSizeAdjustPolicy(QComboBox.SizeAdjustPolicy.AdjustToMinimumContentsLengthWithIcon)
-            choice.setMinimumContentsLength(10)
+            build.styled(
+                choice,
+                size_adjust_policy=QComboBox.SizeAdjustPolicy.AdjustToMinimumContentsLengthWithIcon,
+                minimum_contents_length=10,
+            )
         top = row((self.kind, 1), (self.parameter, 1), self.save, self.compute)
         self.setLayout(column(top, (self.canvas, 1), self.remarks, margins=(0, 8, 0, 0)))
         self.save.clicked.connect(self.canvas.ask_where_to_save)

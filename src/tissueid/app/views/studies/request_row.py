@@ -197,8 +197,11 @@ class RequestRow(QFrame):
         chosen, led = QWidget(), QWidget()
         fill(FoldingBox(_ONE_ROW, chosen), *self._of_analysis, spacing=8)
         fill(FoldingBox(_ONE_ROW, led), *self._of_visit, spacing=8)
-        self.engine.setSizeAdjustPolicy(QComboBox.SizeAdjustPolicy.AdjustToMinimumContentsLengthWithIcon)
-        self.engine.setMinimumContentsLength(12)
+        styled(
+            self.engine,
+            size_adjust_policy=QComboBox.SizeAdjustPolicy.AdjustToMinimumContentsLengthWithIcon,
+            minimum_contents_length=12,
+        )
         self.subject.setMaximumWidth(200)
         for part in (self.measure, self.template):
             part.setSizePolicy(QSizePolicy.Policy.Maximum, QSizePolicy.Policy.Fixed)

@@ -56,9 +56,12 @@ class TestsTab(QWidget):
         self.choices = tuple(QComboBox() for _name in _NAMES)
         self.subject, self.site, self.condition = self.choices
         for choice, name, everything in zip(self.choices, _NAMES, _ALL, strict=True):
-            choice.setAccessibleName(_("Filter by {column}").format(column=_(name)))
-            choice.setSizeAdjustPolicy(QComboBox.SizeAdjustPolicy.AdjustToMinimumContentsLengthWithIcon)
-            choice.setMinimumContentsLength(len(_(everything)))
+            build.styled(
+                choice,
+                name=_("Filter by {column}").format(column=_(name)),
+                size_adjust_policy=QComboBox.SizeAdjustPolicy.AdjustToMinimumContentsLengthWithIcon,
+                minimum_contents_length=len(_(everything)),
+            )
             choice.addItem(_(everything), "")
             choice.currentIndexChanged.connect(self._filter)
         self.parameters = button(_("Parameters"), tip=_("Columns of the table"), menu=QMenu(self))

@@ -65,8 +65,11 @@ class StaticsPanel(QWidget):
         )
         self.figure.currentIndexChanged.connect(self._show_trend)
         for choice in (self.line, self.figure):
-            choice.setSizeAdjustPolicy(QComboBox.SizeAdjustPolicy.AdjustToMinimumContentsLengthWithIcon)
-            choice.setMinimumContentsLength(16)
+            build.styled(
+                choice,
+                size_adjust_policy=QComboBox.SizeAdjustPolicy.AdjustToMinimumContentsLengthWithIcon,
+                minimum_contents_length=16,
+            )
         self.off, self.over_dates = PlotCanvas(), PlotCanvas()
         self.drift = build.label("muted")
         below = QHBoxLayout()

@@ -51,8 +51,11 @@ class Lamps(QWidget):
     def show_level(self, level: str) -> None:
         """Light a lamp, or none."""
         self._level = level
-        self.setAccessibleName(_("Traffic light: {colour}").format(colour=_(_WORDS[level])))
-        self.setToolTip(_("Traffic light: {colour}").format(colour=_(_WORDS[level])))
+        build.styled(
+            self,
+            name=_("Traffic light: {colour}").format(colour=_(_WORDS[level])),
+            tip=_("Traffic light: {colour}").format(colour=_(_WORDS[level])),
+        )
         self.update()
 
     def paintEvent(self, event: QPaintEvent) -> None:  # noqa: N802

@@ -159,11 +159,9 @@ class FactsCard(QFrame):
 
     def __init__(self, title: str, parent: QWidget | None = None) -> None:
         super().__init__(parent)
-        self.setProperty("role", "card")
-        self.setAccessibleName(title)
+        build.styled(self, role="card", name=title)
         self._grid = QGridLayout()
-        self._grid.setHorizontalSpacing(12)
-        self._grid.setVerticalSpacing(3)
+        build.styled(self._grid, horizontal_spacing=12, vertical_spacing=3)
         self._grid.setColumnStretch(1, 1)
         self._cells: list[tuple[QLabel, QLabel]] = []
         build.column(build.label("heading", title), self._grid, None, spacing=4, margins=(12, 8, 12, 8), parent=self)
@@ -179,8 +177,11 @@ class FactsCard(QFrame):
             row = len(self._cells)
             name, value = build.label("muted"), build.label()
             name.setWordWrap(False)
-            value.setTextInteractionFlags(Qt.TextInteractionFlag.TextSelectableByMouse)
-            value.setAlignment(Qt.AlignmentFlag.AlignTop)
+            build.styled(
+                value,
+                text_interaction_flags=Qt.TextInteractionFlag.TextSelectableByMouse,
+                alignment=Qt.AlignmentFlag.AlignTop,
+            )
             name.setAlignment(Qt.AlignmentFlag.AlignTop)
             self._grid.addWidget(name, row, 0)
             self._grid.addWidget(value, row, 1)
