@@ -166,7 +166,7 @@ def test_a_calibration_whose_report_cannot_be_written_is_not_called_failed(
 
 
 def test_without_a_stage_the_person_is_asked_and_return_goes_on(qtbot, technicians, calibrations, monkeypatch):
-    monkeypatch.setattr("tissueid.app.deliberate_press.QUIET_S", 0.0)
+    monkeypatch.setattr("tissueid.app.emergency.QUIET_S", 0.0)
     window = technicians(opener=lambda _: spring(stage=False))
     page = page_of(window)
     press(qtbot, page.begin["static"])

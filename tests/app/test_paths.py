@@ -220,7 +220,7 @@ def test_a_technician_asks_calibrates_and_verifies(qtbot, from_start, calibratio
     page = window.ui.calibration
     assert page.isVisible()
     assert page.begin["static"].hasFocus()
-    monkeypatch.setattr("tissueid.app.deliberate_press.QUIET_S", 0.0)
+    monkeypatch.setattr("tissueid.app.emergency.QUIET_S", 0.0)
     qtbot.keyClick(page.begin["static"], Qt.Key.Key_Space)
     assert window.testing
     assert window.ui.stop.hasFocus()

@@ -19,9 +19,8 @@ from tissueid.app.calibration_state import calibration_state
 from tissueid.app.clinician import Clinician
 from tissueid.app.command_palette import Action, CommandPalette, declare, install_shortcuts
 from tissueid.app.context import AppContext
-from tissueid.app.deliberate_press import DeliberatePress
 from tissueid.app.device_search import DeviceSearch
-from tissueid.app.emergency import BY_BUTTON, BY_CLOSING, BY_DEFECT, NO_ANSWER, EmergencyStop
+from tissueid.app.emergency import BY_BUTTON, BY_CLOSING, BY_DEFECT, NO_ANSWER, DeliberatePress, EmergencyStop
 from tissueid.app.file_drops import RECORDS, FileDrops, dropped_paths
 from tissueid.app.findings import Findings, whose
 from tissueid.app.jobs import Jobs

@@ -3,30 +3,108 @@
 from __future__ import annotations
 
 import functools
-from collections.abc import Iterable
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
-from PySide6.QtCore import QObject, Qt
-from PySide6.QtWidgets import QFileDialog
+from PySide6.QtCore import QObject, Qt, Signal
+from PySide6.QtWidgets import QComboBox, QDialog, QDialogButtonBox, QFileDialog, QFormLayout, QLineEdit, QWidget
 
 from tissueid.app import build
 from tissueid.app.context import AppContext
 from tissueid.app.layout import Layout
 from tissueid.app.navigation_bar import MEASURE
+from tissueid.app.number_field import OptionalNumberField
 from tissueid.app.presets import why_not_offered
 from tissueid.app.session_jobs import find
-from tissueid.app.views.clinician.demographics_dialog import DemographicsDialog
 from tissueid.app.views.clinician.sitting import NORM, Repeat, repeat_of
 from tissueid.app.views.clinician.study_card import condition_words
 from tissueid.app.window_state import keep_visited_study
+from tissueid.app.words import in_words
 from tissueid.atomic_write import private_folder
+from tissueid.errors import UnusableInputError
 from tissueid.language import _
 from tissueid.messages import Message, Verbatim, translated
 from tissueid.procedures.study_protocol import SittingStep
 from tissueid.procedures.study_sitting import SittingState, open_sitting
-from tissueid.procedures.study_subjects import add_photograph, read_demographics, save_demographics
+from tissueid.procedures.study_subjects import (
+    DEMOGRAPHIC_FIELDS,
+    DemographicField,
+    add_photograph,
+    demographic_value,
+    read_demographics,
+    save_demographics,
+)
 from tissueid.sessions import Session
+
+_FIELD_HEIGHT = 28
+"""Pixels."""
+
+
+class DemographicsDialog(QDialog):
+    """``filled`` carries the values as they are stored, by name; empty ones are not known."""
+
+    filled = Signal(dict)
+
+    def __init__(
+        self, subject: str, names: Sequence[str], known: Mapping[str, str], parent: QWidget | None = None
+    ) -> None:
+        super().__init__(parent)
+        self.setWindowTitle(translated(Message("study.subject", "Subject {subject}", subject=Verbatim(subject))))
+        about = build.label(
+            "muted", text=_("For the statistics of the study. Leave empty what is not known. Never enter a name.")
+        )
+        self.problem = build.label("readout", level="poor", hidden=True)
+        self.fields: dict[str, QWidget] = {}
+        self._read: dict[str, Callable[[], str]] = {}
+        form = QFormLayout()
+        for name in names:
+            kind = DEMOGRAPHIC_FIELDS[name]
+            field, self._read[name] = _field(kind, known.get(name, ""))
+            build.styled(field, name=_(kind.title), minimum_height=_FIELD_HEIGHT)
+            self.fields[name] = field
+            form.addRow(_(kind.title), field)
+        buttons = QDialogButtonBox(QDialogButtonBox.StandardButton.Ok | QDialogButtonBox.StandardButton.Cancel)
+        buttons.button(QDialogButtonBox.StandardButton.Ok).setText(_("Save"))
+        buttons.button(QDialogButtonBox.StandardButton.Cancel).setText(_("Later"))
+        buttons.accepted.connect(self.save)
+        buttons.rejected.connect(self.reject)
+        build.column(about, form, self.problem, buttons, margins=(11,), parent=self)
+        self.setMinimumWidth(360)
+
+    def save(self) -> None:
+        """Check the values, send them and close; say what is wrong otherwise."""
+        try:
+            values = {name: demographic_value(name, read()) for name, read in self._read.items()}
+        except UnusableInputError as error:
+            self.problem.setText(in_words(error))
+            self.problem.show()
+            return
+        self.filled.emit(values)
+        self.accept()
+
+
+def _field(kind: DemographicField, known: str) -> tuple[QWidget, Callable[[], str]]:
+    """Return a control with a value, and a function that returns what it holds."""
+    if kind.bounds is not None:
+        number = OptionalNumberField(kind.bounds[1])
+        build.styled(number, decimals=3, suffix=f" {_(kind.unit)}")
+        try:
+            number.give(float(known))
+        except ValueError:
+            number.give(None)
+        return number, lambda: "" if number.given is None else f"{number.given:.10g}"
+    if kind.choices:
+        choice = QComboBox()
+        choice.addItem(_("not known"), "")
+        for value in kind.choices:
+            choice.addItem(_(value), value)
+        if known and choice.findData(known) < 0:
+            choice.addItem(known, known)
+        choice.setCurrentIndex(choice.findData(known))
+        return choice, lambda: str(choice.currentData())
+    text = build.styled(QLineEdit(known), max_length=200)
+    return text, text.text
 
 
 @dataclass(frozen=True)

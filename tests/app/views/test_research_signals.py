@@ -128,7 +128,7 @@ def test_the_figure_is_saved(qtbot, opened, tmp_path, ending):
 
 @pytest.mark.parametrize("theme", [LIGHT, DARK], ids=["light", "dark"])
 def test_colours_of_tests_stand_out(theme):
-    from tissueid.app.views.researcher.colours import series
+    from tissueid.app.views.researcher.plot_stack import series
 
     def luminance(name):
         parts = [value / 255 for value in QColor(name).getRgb()[:3]]

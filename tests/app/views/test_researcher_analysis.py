@@ -21,7 +21,7 @@ from PySide6.QtWidgets import (
 )
 
 from tissueid.app.views.researcher.analysis_task import Preparation
-from tissueid.app.views.researcher.panel_state import STATE, restore_state
+from tissueid.app.views.researcher.history_list import STATE, restore_state
 from tissueid.app.views.researcher.results_store import read_results, write_results
 from tissueid.errors import UnusableInputError
 from tissueid.identification import engine_names, get_engine

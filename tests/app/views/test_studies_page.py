@@ -14,7 +14,7 @@ from tissueid.analysis.curves.plot import as_csv
 from tissueid.app.views.studies import view as studies_view
 from tissueid.app.views.studies.protocol_dialog import OptionsDialog, ProtocolDialog
 from tissueid.app.views.studies.study_data import NOT_ANALYSED, load_study
-from tissueid.app.views.studies.tests_model import SITE, SUBJECT, WITHOUT
+from tissueid.app.views.studies.tests_tab import SITE, SUBJECT, WITHOUT
 from tissueid.errors import UnusableInputError
 from tissueid.procedures.session_store import FolderStore
 from tissueid.procedures.study_plans import NOT_ANALYSED_FILE, RESULTS

@@ -28,8 +28,7 @@ from tissueid.app.views.researcher.batch import Batch, refit, run, run_folder
 from tissueid.app.views.researcher.calibration_button import CalibrationButton
 from tissueid.app.views.researcher.engine_form import EngineForm
 from tissueid.app.views.researcher.engine_outcome import EngineOutcome
-from tissueid.app.views.researcher.history_list import HistoryList
-from tissueid.app.views.researcher.panel_state import STATE, restore_state, saved_state
+from tissueid.app.views.researcher.history_list import STATE, HistoryList, restore_state, saved_state
 from tissueid.app.views.researcher.pictures import Pictures
 from tissueid.app.views.researcher.population_view import PopulationView
 from tissueid.app.views.researcher.recommendation_view import RecommendationView

@@ -3,20 +3,18 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from functools import partial
 from pathlib import Path
 from queue import Empty
 
 from PySide6.QtCore import QByteArray, QItemSelection, QModelIndex, Qt, QTimer, Signal
 from PySide6.QtGui import QKeySequence, QShortcut
-from PySide6.QtWidgets import QFileDialog, QLabel, QMenu, QPushButton, QWidget
+from PySide6.QtWidgets import QComboBox, QFileDialog, QHBoxLayout, QLabel, QLineEdit, QMenu, QPushButton, QWidget
 
 from tissueid.app import build
-from tissueid.app.build import button, column, styled
 from tissueid.app.context import AppContext
 from tissueid.app.views.researcher.background_work import ProgressStrip
-from tissueid.app.views.researcher.filter_bar import FilterBar
 from tissueid.app.views.researcher.selected_test import SelectedTest
 from tissueid.app.views.researcher.session_model import DATE, ITEM, SessionModel
 from tissueid.app.views.researcher.session_search import SessionEntry, SessionSearch, TestEntry
@@ -24,8 +22,106 @@ from tissueid.app.views.researcher.session_tree import SessionFilter, SessionTre
 from tissueid.app.widgets import plain_tip
 from tissueid.app.window_state import RESEARCH_FOLDERS, load_texts, save_texts, visited_studies
 from tissueid.formatting import clean, grouped, subject_text
-from tissueid.language import _, plural
+from tissueid.language import _, marked, plural
 from tissueid.messages import Message, translated
+
+_NAMES = (marked("Subject"), marked("Site"), marked("Kind"))
+_ALL = (marked("All subjects"), marked("All sites"), marked("All kinds"))
+_LONGEST_FILTER = 200
+_MOST_OFFERED = 2000
+
+
+class FilterBar(QWidget):
+    """Search and filters; ``changed`` is emitted on each change."""
+
+    changed = Signal()
+
+    def __init__(self, parent: QWidget | None = None) -> None:
+        super().__init__(parent)
+        self.words = build.styled(
+            QLineEdit(),
+            max_length=_LONGEST_FILTER,
+            placeholder_text=_("Search in all columns"),
+            name=_("Search in all columns"),
+            tip=_("Rows that have every word (Ctrl+F)"),
+            clear_button_enabled=True,
+        )
+        self.choices = tuple(QComboBox() for _name in _NAMES)
+        self.subject, self.site, self.kind = self.choices
+        self.clear = build.button(_("Clear"), self._clear, name=_("Clear search and filters"))
+        choices = QHBoxLayout()
+        choices.setSpacing(6)
+        for choice, name, anything in zip(self.choices, _NAMES, _ALL, strict=True):
+            build.styled(
+                choice,
+                name=_("Filter by {column}").format(column=_(name)),
+                size_adjust_policy=QComboBox.SizeAdjustPolicy.AdjustToMinimumContentsLengthWithIcon,
+                minimum_contents_length=4,
+            )
+            choice.view().setTextElideMode(Qt.TextElideMode.ElideRight)
+            choice.addItem(_(name), "")
+            choice.setItemData(0, _(anything), Qt.ItemDataRole.ToolTipRole)
+            choice.currentIndexChanged.connect(self._chosen)
+            choices.addWidget(choice, 1)
+        build.column(build.row((self.words, 1), self.clear), choices, parent=self)
+        self.words.textChanged.connect(self._chosen)
+        self._chosen()
+
+    @property
+    def asked(self) -> tuple[str, str, str, str]:
+        """Search words, subject, site and kind; "" for no filter."""
+        subject, site, kind = (str(choice.currentData() or "") for choice in self.choices)
+        return self.words.text(), subject, site, kind
+
+    def ask(self, words: str, subject: str, site: str, kind: str) -> None:
+        """Set the search words and filters."""
+        for choice, value in zip(self.choices, (subject, site, kind), strict=True):
+            if value and choice.findData(value) < 0:
+                choice.addItem(self._text(choice, value), value)
+            choice.setCurrentIndex(choice.findData(value))
+        self.words.setText(words)
+
+    def offer(self, entries: Iterable[SessionEntry]) -> None:
+        """Offer the values found in these files; the selection stays."""
+        found: tuple[set[str], ...] = (set(), set(), set())
+        for entry in entries:
+            if not entry.problem:
+                found[0].add(entry.pseudonym)
+            for test in entry.tests:
+                found[1].add(test.site)
+                found[2].add(test.kind)
+        for choice, values in zip(self.choices, found, strict=True):
+            self._fill(choice, values - {""})
+
+    def _fill(self, choice: QComboBox, values: set[str]) -> None:
+        asked = str(choice.currentData() or "")
+        wanted = ["", *sorted(values | ({asked} - {""}), key=str.casefold)[:_MOST_OFFERED]]
+        if [choice.itemData(place) for place in range(choice.count())] == wanted:
+            return
+        choice.blockSignals(True)
+        for place in range(choice.count() - 1, 0, -1):
+            choice.removeItem(place)
+        for value in wanted[1:]:
+            choice.addItem(self._text(choice, value), value)
+        choice.setCurrentIndex(max(0, choice.findData(asked)))
+        choice.blockSignals(False)
+
+    def _text(self, choice: QComboBox, value: str) -> str:
+        if choice is self.subject:
+            return subject_text(value)
+        return _(clean(value)) if choice is self.kind else clean(value)
+
+    def _chosen(self) -> None:
+        self.clear.setEnabled(any(self.asked))
+        for choice in self.choices:
+            shown = choice.currentText() if choice.currentIndex() else choice.itemData(0, Qt.ItemDataRole.ToolTipRole)
+            choice.setToolTip(plain_tip(str(shown)))
+        self.changed.emit()
+
+    def _clear(self) -> None:
+        self.ask("", "", "", "")
+        self.words.setFocus()
+
 
 _LONGEST = 70
 
@@ -74,7 +170,7 @@ class FolderButton(QPushButton):
 
     def _choose(self) -> None:
         where = str(self.paths[-1]) if self.paths else ""
-        dialog = styled(
+        dialog = build.styled(
             QFileDialog(self.window(), _("Look for sessions in"), where),
             file_mode=QFileDialog.FileMode.Directory,
             option=QFileDialog.Option.ShowDirsOnly,
@@ -120,7 +216,9 @@ class Browser(QWidget):
         self.picked = QLabel()
         folders = [Path(text) for text in load_texts(context.settings, RESEARCH_FOLDERS)]
         self.folders = FolderButton(folders or [context.services.folder], self)
-        self.again = button(_("Search again"), self.look_again, tip=_("Look for new sessions in the folders (F5)"))
+        self.again = build.button(
+            _("Search again"), self.look_again, tip=_("Look for new sessions in the folders (F5)")
+        )
         self._restore()
         self._arrange()
         self._drain = self._timer(_DRAIN_MS, self._take_found, single=False)
@@ -321,8 +419,8 @@ class Browser(QWidget):
             build.styled(label, role="muted", text_format=Qt.TextFormat.PlainText, minimum_width=1, word_wrap=True)
         self.picked.setText(_("Nothing selected"))
         top = build.row(self.folders, self.again, None)
-        self.foot = build.row((column(self.count, self.picked, spacing=0), 1))
-        column(top, self.bar, (self.tree, 1), self.foot, parent=self)
+        self.foot = build.row((build.column(self.count, self.picked, spacing=0), 1))
+        build.column(top, self.bar, (self.tree, 1), self.foot, parent=self)
 
     def _connect(self) -> None:
         self.bar.changed.connect(self._ask)

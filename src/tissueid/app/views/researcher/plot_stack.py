@@ -1,24 +1,108 @@
-"""Stack of plots over time, linked by a brushed interval."""
+"""Signals of tests over time with a brushed interval, and the spectra of that interval."""
 
 from __future__ import annotations
 
 import math
 from collections.abc import Sequence
+from typing import TYPE_CHECKING
 
 import numpy as np
 import pyqtgraph as pg
 from PySide6.QtCore import QEvent, QObject, QPoint, Qt, Signal
 from PySide6.QtGui import QMouseEvent, QResizeEvent
-from PySide6.QtWidgets import QLabel, QWidget
+from PySide6.QtWidgets import QComboBox, QLabel, QWidget
 
 from tissueid.app import build
+from tissueid.app.plot_canvas import PlotCanvas
 from tissueid.app.plotting import PlotCard
-from tissueid.app.theme import appearance, faint
-from tissueid.app.views.researcher.colours import series
+from tissueid.app.theme import DARK, Theme, appearance, faint
 from tissueid.app.views.researcher.signal_loading import MOST_TESTS, Channel, LoadedTest
 from tissueid.formatting import fixed
 from tissueid.language import _
 from tissueid.units import display_unit
+
+if TYPE_CHECKING:
+    from tissueid.analysis.curves import Plot
+
+
+class SpectrumCard(QWidget):
+    """Power spectral density of one signal of every test."""
+
+    def __init__(self, parent: QWidget | None = None) -> None:
+        super().__init__(parent)
+        self.choice = build.styled(
+            QComboBox(),
+            name=_("Signal of the spectrum"),
+            size_adjust_policy=QComboBox.SizeAdjustPolicy.AdjustToMinimumContentsLengthWithIcon,
+            minimum_contents_length=10,
+        )
+        self.card = PlotCanvas(_("Power spectrum"))
+        self._shown: tuple[Sequence[LoadedTest], tuple[float, float]] = ((), (0.0, 1.0))
+        self._wanted = "position"
+        build.column(self.choice, (self.card, 1), spacing=4, parent=self)
+        self.choice.activated.connect(self._choose)
+        appearance.changed.connect(self._show_again)
+
+    @property
+    def channel(self) -> Channel | None:
+        """Signal of the spectrum."""
+        channel = self.choice.currentData()
+        return channel if isinstance(channel, Channel) else None
+
+    def offer(self, channels: Sequence[Channel]) -> None:
+        """Offer signals; the selection stays if possible."""
+        self.choice.clear()
+        for channel in channels:
+            self.choice.addItem(_("Spectrum of {title}").format(title=channel.title), channel)
+        names = [channel.name for channel in channels]
+        self.choice.setCurrentIndex(names.index(self._wanted) if self._wanted in names else len(names) - 1)
+
+    def show_stretch(self, loaded: Sequence[LoadedTest], low_s: float, high_s: float) -> None:
+        """Show the spectrum between two times, s."""
+        self._shown = loaded, (low_s, high_s)
+        channel = self.channel
+        if channel is None or not loaded:
+            self.card.say_missing("")
+            return
+        self.card.show_plots([spectrum_of(channel, loaded, (low_s, high_s), series(appearance.theme))])
+
+    def take_units(self) -> None:
+        """Show the values in the active unit system."""
+        self.card.take_units()
+
+    def _choose(self) -> None:
+        channel = self.channel
+        if channel is not None:
+            self._wanted = channel.name
+        self._show_again()
+
+    def _show_again(self) -> None:
+        loaded, (low_s, high_s) = self._shown
+        self.show_stretch(loaded, low_s, high_s)
+
+
+def spectrum_of(
+    channel: Channel, loaded: Sequence[LoadedTest], ends_s: tuple[float, float], colours: Sequence[str]
+) -> Plot:
+    """Return the power spectra of one signal of tests between two times."""
+    from tissueid.analysis.curves.signals import spectrum_plot
+
+    tracks = [test.tracks.get(channel) for test in loaded]
+    signals = [
+        (track.values[slice(*track.places(*ends_s))], track.sample_rate_hz) if track else None for track in tracks
+    ]
+    return spectrum_plot(_("Power spectrum"), channel.unit, signals, colours)
+
+
+_LIGHT_SERIES = ("#1f6f9f", "#c25400", "#1c7a4d", "#8e44ad", "#9a6200", "#b3266b", "#4a5a64", "#0f7f86")
+_DARK_SERIES = ("#62b3e4", "#f2a155", "#58c491", "#c39bea", "#e0cf4a", "#f07ab0", "#b4c0c7", "#4fd0d6")
+"""In the order of selection; each stands out from its theme's panel by 3 to 1 or more."""
+
+
+def series(theme: Theme) -> tuple[str, ...]:
+    """Return the colours of overlaid tests for a theme."""
+    return _DARK_SERIES if theme is DARK else _LIGHT_SERIES
+
 
 MOST_PLOTS = 6
 SHORTEST_S = 0.005

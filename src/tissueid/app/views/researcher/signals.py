@@ -26,12 +26,17 @@ from tissueid.app.number_field import NumberField
 from tissueid.app.small_window import FoldingBox
 from tissueid.app.theme import LIGHT, appearance
 from tissueid.app.views.researcher.background_work import ProgressStrip
-from tissueid.app.views.researcher.colours import series
-from tissueid.app.views.researcher.plot_stack import MOST_PLOTS, SHORTEST_S, PlotStack
+from tissueid.app.views.researcher.plot_stack import (
+    MOST_PLOTS,
+    SHORTEST_S,
+    PlotStack,
+    SpectrumCard,
+    series,
+    spectrum_of,
+)
 from tissueid.app.views.researcher.save_dialog import SaveDialog
 from tissueid.app.views.researcher.selected_test import SelectedTest, distinguishing_labels
 from tissueid.app.views.researcher.signal_loading import MOST_TESTS, Channel, LoadedTest, SignalLoading
-from tissueid.app.views.researcher.spectrum_card import SpectrumCard, spectrum_of
 from tissueid.app.widgets import ElidedLabel, plain_tip
 from tissueid.app.window_state import load_texts, save_texts
 from tissueid.formatting import fixed, grouped, plus_minus

@@ -10,7 +10,12 @@ from dataclasses import dataclass, field, replace
 from datetime import datetime
 from pathlib import Path
 
+from platformdirs import user_log_path
+from PySide6.QtCore import QSettings
+
+from tissueid.app.services import AppServices
 from tissueid.app.words import in_words, sentence
+from tissueid.calibration.store import calibration_folder, user_calibration_folder
 from tissueid.errors import TissueIDError, UnusableInputError
 from tissueid.formatting import clean, label_and_unit, local_minute, local_time, number, subject_text
 from tissueid.language import _, marked
@@ -21,6 +26,22 @@ from tissueid.sessions import Outline, read_outline, read_session_head
 from tissueid.sessions.accepted_result import AcceptedResult, is_sitting_key, read_result, result_path, sitting_of
 from tissueid.sessions.quality import HEADLINES, Verdict, verdict_of
 from tissueid.units import shown_si
+
+
+def storage_locations(services: AppServices, settings: QSettings) -> list[tuple[str, str]]:
+    """Return the label and location of each kind of stored data."""
+    try:
+        calibrations = str(services.calibrations or calibration_folder() or user_calibration_folder())
+    except TissueIDError as error:
+        calibrations = in_words(error)
+    return [
+        (_("Sessions"), str(services.folder)),
+        (_("Calibrations"), calibrations),
+        (_("Audit log"), str(services.audit.path)),
+        (_("Settings of this window"), settings.fileName()),
+        (_("Details of defects"), str(user_log_path("tissueid", appauthor=False) / "last-defect.txt")),
+    ]
+
 
 MOST_SHOWN = 30
 MOST_READ = 200

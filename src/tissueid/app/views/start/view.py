@@ -28,9 +28,8 @@ from tissueid.app.context import AppContext, View
 from tissueid.app.preferences import choosers
 from tissueid.app.roles import RoleCard
 from tissueid.app.small_window import FoldingBox
-from tissueid.app.views.start.recent import FolderLook, KnownFiles, look_into
+from tissueid.app.views.start.recent import FolderLook, KnownFiles, look_into, storage_locations
 from tissueid.app.views.start.rows import Rows, brief, cells, short_address, under_heading
-from tissueid.app.views.start.storage_locations import storage_locations
 from tissueid.app.widgets import ElidedLabel
 from tissueid.app.window_state import visited_studies
 from tissueid.app.words import RESEARCH_USE

@@ -2,10 +2,12 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable
+import math
+from collections.abc import Callable, Iterable, Sequence
+from typing import Any
 
-from PySide6.QtCore import Qt
-from PySide6.QtGui import QKeySequence, QShortcut
+from PySide6.QtCore import QAbstractTableModel, QModelIndex, QObject, QPersistentModelIndex, Qt
+from PySide6.QtGui import QColor, QKeySequence, QShortcut
 from PySide6.QtWidgets import (
     QComboBox,
     QHBoxLayout,
@@ -20,11 +22,228 @@ from PySide6.QtWidgets import (
 from tissueid.app import build
 from tissueid.app.build import button, fill, styled
 from tissueid.app.small_window import FoldingBox
-from tissueid.app.views.studies.study_data import StudyData
-from tissueid.app.views.studies.tests_model import SUBJECT, WITHOUT, TestsModel
-from tissueid.formatting import clean, label_and_unit, subject_text
+from tissueid.app.theme import appearance
+from tissueid.app.views.studies.study_data import StudyData, TestRow
+from tissueid.app.widgets import plain_tip
+from tissueid.formatting import axis_label, clean, fixed, label_and_unit, plus_minus, subject_text
+from tissueid.identification import engine_label, engine_names
 from tissueid.language import _, marked
-from tissueid.messages import Message, translated
+from tissueid.messages import MISSING, Message, translated
+from tissueid.records import Estimate
+from tissueid.units import shown_si
+
+_FIRST = (
+    marked("Subject"),
+    marked("Site"),
+    marked("Condition"),
+    marked("Repetition"),
+    marked("Quality"),
+    marked("Engine"),
+    marked("VAF (%)"),
+)
+SUBJECT, SITE, CONDITION, REPEAT, QUALITY, ENGINE, VAF = range(len(_FIRST))
+WITHOUT = "\n"
+"""Filter of tests without a condition."""
+_LAST = (marked("Remark"), marked("Session"))
+_QUALITY_WORDS = {"good": marked("Good"), "look": marked("Look"), "repeat": marked("Repeat")}
+_QUALITY_COLOURS = {"good": "good", "look": "check", "repeat": "poor"}
+
+_ROLES = frozenset(
+    {
+        Qt.ItemDataRole.DisplayRole,
+        Qt.ItemDataRole.ToolTipRole,
+        Qt.ItemDataRole.TextAlignmentRole,
+        Qt.ItemDataRole.ForegroundRole,
+    }
+)
+"""Roles with an answer: a painted cell asks for seven."""
+_RIGHT = Qt.AlignmentFlag.AlignRight | Qt.AlignmentFlag.AlignVCenter
+Index = QModelIndex | QPersistentModelIndex
+_TOP = QModelIndex()
+
+
+class TestsModel(QAbstractTableModel):
+    """Rows of tests. ``shown`` are the numbers of the rows that pass the filters, in the order of sorting."""
+
+    __test__ = False
+
+    def __init__(self, parent: QObject | None = None) -> None:
+        super().__init__(parent)
+        self._rows: tuple[TestRow, ...] = ()
+        self._names: tuple[str, ...] = ()
+        self._places: dict[str, int] = {}
+        self._scales: dict[str, float] = {}
+        self._asked: tuple[str, str, str, str] = ("", "", "", "")
+        self._sorted: tuple[int, Qt.SortOrder] = (-1, Qt.SortOrder.AscendingOrder)
+        self._labels = {name: engine_label(name) for name in engine_names()}
+        self.shown: list[int] = []
+        self.parameters: tuple[str, ...] = ()
+
+    @property
+    def without_test(self) -> list[int]:
+        """Shown rows that are a session without a test: their first cell says why."""
+        return [place for place, number in enumerate(self.shown) if not self._rows[number].is_test]
+
+    @property
+    def rows(self) -> Sequence[TestRow]:
+        """All rows."""
+        return self._rows
+
+    def show_study(self, data: StudyData) -> None:
+        """Show the tests of a study."""
+        self.beginResetModel()
+        self._rows, self._names = data.rows, data.parameters
+        self._places = {name: place for place, name in enumerate(data.parameters)}
+        self._take_scales()
+        self.parameters = tuple(name for name in self.parameters if name in self._places) or data.parameters
+        self._find()
+        self.endResetModel()
+
+    def show_parameters(self, names: Sequence[str]) -> None:
+        """Show these parameters as columns."""
+        self.beginResetModel()
+        self.parameters = tuple(name for name in self._names if name in names)
+        self._sorted = (-1, Qt.SortOrder.AscendingOrder)
+        self._find()
+        self.endResetModel()
+
+    def filter(self, words: str = "", subject: str = "", site: str = "", condition: str = "") -> None:
+        """Show the rows that have every word, and these values; "" asks for nothing."""
+        self.beginResetModel()
+        self._asked = (words, subject, site, condition)
+        self._find()
+        self.endResetModel()
+
+    def sort(self, column: int, order: Qt.SortOrder = Qt.SortOrder.AscendingOrder) -> None:
+        """Sort by a column; tests without a value come last, sessions without a test stay first."""
+        self.layoutAboutToBeChanged.emit()
+        self._sorted = (column, order)
+        self._find()
+        self.layoutChanged.emit()
+
+    def take_units(self) -> None:
+        """Show the values in the active unit system."""
+        self.beginResetModel()
+        self._take_scales()
+        self.endResetModel()
+
+    def _take_scales(self) -> None:
+        """Take the factors from SI to the shown units."""
+        self._scales = {name: shown_si(label_and_unit(name)[1])[1] for name in self._names}
+
+    def _find(self) -> None:
+        words, subject, site, condition = self._asked
+        wanted = words.casefold().split()
+        found = [
+            place
+            for place, row in enumerate(self._rows)
+            if (not subject or row.subject == subject)
+            and (not site or row.site == site)
+            and (not condition or (row.condition or WITHOUT * row.is_test) == condition)
+            and all(word in row.words for word in wanted)
+        ]
+        column, order = self._sorted
+        if 0 <= column < self.columnCount():
+            key = self._key(column)
+            keys = {place: key(self._rows[place]) for place in found}
+            first = [place for place in found if not self._rows[place].is_test]
+            tests = [place for place in found if self._rows[place].is_test]
+            empty = [place for place in tests if keys[place] in ("", -math.inf)]
+            known = [place for place in tests if keys[place] not in ("", -math.inf)]
+            known.sort(key=lambda place: keys[place], reverse=order == Qt.SortOrder.DescendingOrder)
+            found = first + known + empty
+        self.shown = found
+
+    def _key(self, column: int) -> Callable[[TestRow], Any]:
+        """Return the function that gives what a column is sorted by: "" or -inf where a row has nothing."""
+        if column == REPEAT:
+            return lambda row: row.repeat or -math.inf
+        if column == VAF:
+            return lambda row: _sortable(row.vaf_percent)
+        if len(_FIRST) <= column < len(_FIRST) + len(self.parameters):
+            place = self._places[self.parameters[column - len(_FIRST)]]
+            return lambda row: _sortable(row.values[place]) if row.values else -math.inf
+        return lambda row: self._text(row, column).casefold()
+
+    # -- what Qt asks -------------------------------------------------------------------------------------
+
+    def rowCount(self, parent: Index = _TOP) -> int:  # noqa: N802
+        """Return the number of rows that are shown."""
+        return 0 if parent.isValid() else len(self.shown)
+
+    def columnCount(self, parent: Index = _TOP) -> int:  # noqa: N802
+        """Return the number of columns."""
+        return 0 if parent.isValid() else len(_FIRST) + len(self.parameters) + len(_LAST)
+
+    def headerData(self, section: int, way: Qt.Orientation, role: int = Qt.ItemDataRole.DisplayRole) -> object:  # noqa: N802
+        """Return the headings."""
+        if way != Qt.Orientation.Horizontal or role != Qt.ItemDataRole.DisplayRole:
+            return None
+        if section < len(_FIRST):
+            return _(_FIRST[section])
+        section -= len(_FIRST)
+        if section < len(self.parameters):
+            name = self.parameters[section]
+            return axis_label(name, shown_si(label_and_unit(name)[1])[0])
+        return _(_LAST[section - len(self.parameters)])
+
+    def data(self, index: Index, role: int = Qt.ItemDataRole.DisplayRole) -> object:
+        """Return the data of a cell."""
+        if role not in _ROLES:
+            return None
+        row, column = self._rows[self.shown[index.row()]], index.column()
+        if role == Qt.ItemDataRole.DisplayRole:
+            return self._text(row, column)
+        if role == Qt.ItemDataRole.ToolTipRole:
+            return plain_tip(translated(row.problem) if row.problem else self._text(row, column))
+        if role == Qt.ItemDataRole.TextAlignmentRole and self._is_number(column):
+            return _RIGHT
+        if role == Qt.ItemDataRole.ForegroundRole:
+            colour = "muted" if row.problem else _QUALITY_COLOURS.get(row.quality, "") if column == QUALITY else ""
+            return QColor(getattr(appearance.theme, colour)) if colour else None
+        return None
+
+    def _is_number(self, column: int) -> bool:
+        return column in (REPEAT, VAF) or len(_FIRST) <= column < len(_FIRST) + len(self.parameters)
+
+    def _text(self, row: TestRow, column: int) -> str:
+        if column < len(_FIRST):
+            return self._about(row, column)
+        column -= len(_FIRST)
+        if column < len(self.parameters):
+            return self._value(row, self.parameters[column])
+        return translated(row.problem) if column == len(self.parameters) else row.session
+
+    def _about(self, row: TestRow, column: int) -> str:
+        if not row.is_test:
+            return f"{row.session}: {translated(row.problem)}" if column == 0 else ""
+        if column == CONDITION:
+            after = Message("study.after", "after {minutes:g} min", minutes=row.minutes)
+            timed = row.condition and not math.isnan(row.minutes)
+            return f"{row.condition}, {translated(after)}" if timed else row.condition
+        if column == VAF:
+            return MISSING if math.isnan(row.vaf_percent) else fixed(row.vaf_percent, 1)
+        texts = {
+            SUBJECT: subject_text(row.subject),
+            SITE: row.site,
+            REPEAT: str(row.repeat or MISSING),
+            QUALITY: _(_QUALITY_WORDS[row.quality]) if row.quality in _QUALITY_WORDS else row.quality,
+            ENGINE: self._labels.get(row.engine, row.engine),
+        }
+        return texts[column]
+
+    def _value(self, row: TestRow, name: str) -> str:
+        place = self._places[name]
+        if not row.values or math.isnan(row.values[place]):
+            return MISSING if row.is_test else ""
+        std = row.stds[place]
+        found = Estimate(row.values[place], None if math.isnan(std) else std)
+        return plus_minus(found, self._scales[name])
+
+
+def _sortable(value: float) -> float:
+    return value if math.isfinite(value) else -math.inf
+
 
 _ALL = (marked("All subjects"), marked("All sites"), marked("All conditions"))
 _NAMES = (marked("Subject"), marked("Site"), marked("Condition"))
