@@ -7,7 +7,6 @@ from PySide6.QtCore import Qt, Signal
 from PySide6.QtWidgets import (
     QCheckBox,
     QFrame,
-    QHeaderView,
     QLabel,
     QProgressBar,
     QPushButton,
@@ -88,24 +87,17 @@ class CalibrationPage(QWidget):
         self._has_report = False
         self.report = build.button(_("Open its report"), self.report_wanted)
         self._figures: dict[str, CalibratedQuantity] = {}
-        self.figures = build.styled(
-            QTableWidget(0, 3),
-            horizontal_header_labels=[_("Quantity"), _("Value"), _("Unit")],
-            name=_("Figures of the calibration"),
+        self.figures = build.table([_("Quantity"), _("Value"), _("Unit")], _("Figures of the calibration"), _ROW)
+        build.styled(
+            self.figures,
+            word_wrap=True,
+            selection_mode=QTableWidget.SelectionMode.NoSelection,
+            focus_policy=Qt.FocusPolicy.NoFocus,
+            minimum_height=_LEAST_TABLE,
         )
-        self.figures.verticalHeader().hide()
-        self.figures.setEditTriggers(QTableWidget.EditTrigger.NoEditTriggers)
-        self.figures.setSelectionMode(QTableWidget.SelectionMode.NoSelection)
-        self.figures.setFocusPolicy(Qt.FocusPolicy.NoFocus)
-        self.figures.setShowGrid(False)
         # No preferred height above the minimum: a layout without room for that takes the rest from wrapped labels.
         self.figures.setSizePolicy(QSizePolicy.Policy.Expanding, QSizePolicy.Policy.Ignored)
-        self.figures.setMinimumHeight(_LEAST_TABLE)
-        header = self.figures.horizontalHeader()
-        header.setSectionResizeMode(QHeaderView.ResizeMode.ResizeToContents)
-        header.setStretchLastSection(True)
-        header.setDefaultAlignment(Qt.AlignmentFlag.AlignLeft | Qt.AlignmentFlag.AlignVCenter)
-        self.figures.verticalHeader().setDefaultSectionSize(_ROW)
+        self.figures.horizontalHeader().setStretchLastSection(True)
         self.fixed = build.styled(
             QCheckBox(_("Spring fixed to the probe")),
             checked=True,
@@ -113,10 +105,7 @@ class CalibrationPage(QWidget):
         )
         self.room_known = QCheckBox(_("Room at"))
         self.room = NumberField()
-        self.room.setAccessibleName(_("Temperature of the room"))
-        self.room.setSuffix(" °C")
-        self.room.setDecimals(1)
-        self.room.setRange(-10.0, 50.0)
+        build.styled(self.room, name=_("Temperature of the room"), suffix=" °C", decimals=1, range=(-10.0, 50.0))
         self.room.setValue(22.0)
         self.room.setEnabled(False)
         self.room_known.toggled.connect(self.room.setEnabled)

@@ -25,7 +25,7 @@ from tissueid.app.views.researcher.selected_test import SelectedTest
 from tissueid.app.words import sentence
 from tissueid.formatting import clean, fixed, grouped
 from tissueid.identification import engine_label, engine_names
-from tissueid.identification.candidates import Standing
+from tissueid.identification.candidates import ModelStanding
 from tissueid.language import _, marked
 from tissueid.messages import MISSING, translated
 
@@ -92,7 +92,7 @@ def summary_of(found: EngineComparison, tests: tuple[SelectedTest, ...]) -> Comp
     )
 
 
-def _row(one: Standing, recommended: bool) -> tuple[str, ...]:
+def _row(one: ModelStanding, recommended: bool) -> tuple[str, ...]:
     name = engine_label(one.engine) + (_(", mass, damping and stiffness") if one.second_order else "")
     behind = one.behind
     how = fixed(behind.points, 2) + (f" ± {fixed(behind.std_points, 2)}" if behind.points else "")
