@@ -10,12 +10,12 @@ import numpy as np
 import pytest
 from coded import made, part_of, reads, says
 from gap_records import observed, recorded
-from tissueid.cli.gap_diagnosis import summary_lines
 
 from tissueid.app.views.gap.displayed_text import as_title
 from tissueid.app.views.gap.page_content_builder import page_content_of
 from tissueid.app.views.gap.result_page import ResultPage
 from tissueid.app.views.gap.result_tabs import _NONE, _NONE_SEPARATES, NextTestTab
+from tissueid.cli.gap import summary_lines
 from tissueid.gap.closed_share import Budget, BudgetStep
 from tissueid.gap.diagnosis import Diagnosis, diagnose
 from tissueid.gap.statement import LIKELY, effect_title, headline_of, members_of, ordered_candidates, shown_probability
