@@ -101,12 +101,12 @@ class Bench:
         self._place(self._fixture)
         self.seed = seed
         self.sample_rate_hz = sample_rate_hz
-        self._substeps = max(LEAST_SUBSTEPS, round(SUBSTEPS * SAMPLE_RATE_HZ / sample_rate_hz))
+        self.substeps = max(LEAST_SUBSTEPS, round(SUBSTEPS * SAMPLE_RATE_HZ / sample_rate_hz))
         base = parameters or PlantParameters()
-        self._along, self._across = cos(radians(tilt_deg)), sin(radians(tilt_deg))
-        self.parameters = replace(base, gravity_force_n=base.gravity_force_n * self._along)
+        self.along, self._across = cos(radians(tilt_deg)), sin(radians(tilt_deg))
+        self.parameters = replace(base, gravity_force_n=base.gravity_force_n * self.along)
         self.nominal = nominal or base
-        self._coil = coil_profile(coil, base.stroke_m)
+        self.coil = coil_profile(coil, base.stroke_m)
         self._errors = dict(channel_errors or {})
         self._frame_mass_kg = frame_mass_kg
         self._healthy_sensor_supply = sensor_supply_share
@@ -145,7 +145,7 @@ class Bench:
         varies between runs, and stays compressed by those before it until it recovers or the probe is placed again.
         """
         self._runs += 1
-        self._converters.restart_noise([self.seed, self._runs])
+        self.converters.restart_noise([self.seed, self._runs])
         if self._variation is None:
             return
         pressed_s, passed_s = (samples / self.sample_rate_hz for samples in self._worked)
@@ -164,18 +164,18 @@ class Bench:
             self.parameters,
             self.tissue,
             sample_rate_hz=self.sample_rate_hz,
-            substeps=self._substeps,
-            coil=self._coil,
+            substeps=self.substeps,
+            coil=self.coil,
             effects=self.effects,
         )
-        self._converters = Converters(self.seed, errors=self._errors)
+        self.converters = Converters(self.seed, errors=self._errors)
         self._runs = 0
         self.button = False
         self.stuck: set[str] = set()
         self.coil_open = False
         self.supply_share = 1.0
         self.sensor_supply_share = self._healthy_sensor_supply
-        self._frozen: dict[str, int] = {}
+        self.frozen: dict[str, int] = {}
         self._newest: NDArray[np.int16] | None = None
 
     def place_fixture(self, position_m: float | None) -> None:
@@ -195,8 +195,8 @@ class Bench:
         """Return the state of plant, noise and sensors, for ``restore``."""
         return Snapshot(
             self.plant.state.copy(),
-            self._converters.noise_state,
-            dict(self._frozen),
+            self.converters.noise_state,
+            dict(self.frozen),
             self._newest,
             self.plant.memory if self.effects else None,
             self._worked,
@@ -205,8 +205,8 @@ class Bench:
     def restore(self, snapshot: Snapshot) -> None:
         """Restore a snapshot: the same commands then give the same codes again."""
         self.plant.state = snapshot.plant.copy()
-        self._converters.noise_state = snapshot.noise
-        self._frozen = dict(snapshot.frozen)
+        self.converters.noise_state = snapshot.noise
+        self.frozen = dict(snapshot.frozen)
         self._newest = snapshot.newest
         self._worked = snapshot.worked
         if snapshot.memory is not None:
@@ -225,7 +225,7 @@ class Bench:
         Raises:
             ValueError: the commands are not finite or have more than one dimension, or ``stuck`` names no sensor.
         """
-        volts, command_codes, clipped = self._converters.drive(np.asarray(commands_volts, dtype=np.float64))
+        volts, command_codes, clipped = self.converters.drive(np.asarray(commands_volts, dtype=np.float64))
         self.plant.energised = energised
         self.plant.coil_open = self.coil_open
         self.plant.supply_share = self.supply_share
@@ -234,13 +234,13 @@ class Bench:
             force_n = self.parameters.force_constant_n_per_a * trace["current"]
             pressed, passed = self._worked
             self._worked = pressed + int(np.count_nonzero(force_n > PRESSING_N)), passed + trace.size
-        codes, flags = self._converters.read(self._analogue(volts, trace))
+        codes, flags = self.converters.read(self._analogue(volts, trace))
         codes[:, 0] = command_codes
         if self._coarse is not None:
             k = [channel.name for channel in CHANNELS].index("position")
             codes[:, k] = CHANNELS[k].encode(self._coarse.applied(CHANNELS[k].decode(codes[:, k])))[0]
         flags |= clipped.astype(np.uint16)
-        if self.stuck or self._frozen:
+        if self.stuck or self.frozen:
             self._freeze(codes, flags)
         if codes.shape[0]:
             self._newest = codes[-1].copy()
@@ -252,13 +252,13 @@ class Bench:
         for name in self.stuck:
             if name not in names[1:]:
                 raise ValueError(f"no sensor {name!r} that could be stuck; there are: {', '.join(names[1:])}")
-        self._frozen = {name: code for name, code in self._frozen.items() if name in self.stuck}
+        self.frozen = {name: code for name, code in self.frozen.items() if name in self.stuck}
         if not codes.shape[0]:
             return
         newest = codes[0] if self._newest is None else self._newest
         for name in self.stuck:
             k = names.index(name)
-            codes[:, k] = self._frozen.setdefault(name, int(newest[k]))
+            codes[:, k] = self.frozen.setdefault(name, int(newest[k]))
             flags &= ~np.uint16(1 << k)
 
     def _analogue(self, volts: NDArray[np.float64], trace: NDArray[np.void]) -> NDArray[np.float64]:
@@ -271,7 +271,7 @@ class Bench:
             "position": trace["filtered_position"] * self.sensor_supply_share,
             "temperature": trace["filtered_temperature"],
             # At rest an accelerometer reads the reaction to gravity; without tilt the stroke points down.
-            "accelerometer_x": STANDARD_GRAVITY * self._along - reaction,
+            "accelerometer_x": STANDARD_GRAVITY * self.along - reaction,
             "accelerometer_y": STANDARD_GRAVITY * self._across,
         }
         table = np.empty((volts.size, len(CHANNELS)))

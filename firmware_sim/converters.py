@@ -101,7 +101,7 @@ class Converters:
             if name not in names:
                 raise ValueError(f"no channel {name!r}; there are: {', '.join(names)}")
         found = [(errors or {}).get(name, ChannelError()) for name in names]
-        self._scale = 1.0 + np.array([error.gain_error for error in found])
+        self.scale = 1.0 + np.array([error.gain_error for error in found])
         self._offset = np.array([error.offset for error in found])
         self._noise_rms = np.array([channel.noise_rms for channel in channels])
         self._gains = np.array([channel.gain for channel in channels])
@@ -126,10 +126,10 @@ class Converters:
         """Return the output of the digital-to-analogue converter: volts, codes, saturation; each of shape (n,)."""
         channel = self.channels[0]
         codes, saturated = channel.encode(volts)
-        return self._scale[0] * channel.decode(codes) + self._offset[0], codes, saturated
+        return self.scale[0] * channel.decode(codes) + self._offset[0], codes, saturated
 
     def read(self, physical: NDArray[np.float64]) -> tuple[NDArray[np.int16], NDArray[np.uint16]]:
         """Return noisy codes, shape (n, channels), and saturation flags, shape (n,), bit k for channel k."""
-        noisy = self._scale * physical + self._offset + self._noise_rms * self._random.standard_normal(physical.shape)
+        noisy = self.scale * physical + self._offset + self._noise_rms * self._random.standard_normal(physical.shape)
         codes, saturated = _encoded(noisy, self._gains, self._zeros)
         return codes, saturated @ self._bits

@@ -194,7 +194,7 @@ class FaultInjector:
         self.happened = 0
         self._firmware, self._identity = firmware, firmware.identity
         self._cable = cable
-        self._planned = sorted(planned, key=lambda fault: fault.after_start_s or fault.after_s)
+        self.planned = sorted(planned, key=lambda fault: fault.after_start_s or fault.after_s)
         self._samples = 0
         self._first_start: int | None = None
         self._state: State | None = None
@@ -222,8 +222,8 @@ class FaultInjector:
             self._state, self._entered = state, self._samples
         if self._first_start is None and self._firmware.state is State.RUNNING:
             self._first_start = self._samples
-        for fault in [fault for fault in self._planned if self._due(fault)]:
-            self._planned.remove(fault)
+        for fault in [fault for fault in self.planned if self._due(fault)]:
+            self.planned.remove(fault)
             self.begin(fault, now_s)
 
     def begin(self, fault: PlannedFault, now_s: float) -> ActiveFault:
@@ -244,7 +244,7 @@ class FaultInjector:
 
     def clear(self) -> None:
         """End all active faults and remove the planned ones."""
-        self._planned.clear()
+        self.planned.clear()
         self._firmware.stall(0.0)
         for it in self.active[::-1]:
             self.end(it)

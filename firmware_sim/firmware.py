@@ -61,7 +61,7 @@ class Firmware:
         self.samples_per_frame = round(FRAME_S * self.sample_rate_hz)
         self.stimulus_capacity = round(STIMULUS_CAPACITY_S * self.sample_rate_hz)
         self._random = np.random.default_rng([seed, 0xB007])
-        self._channels = dict(zip(SIGNALS, bench.channels, strict=True))
+        self.channels = dict(zip(SIGNALS, bench.channels, strict=True))
         self._power_up()
 
     def _power_up(self) -> None:
@@ -73,16 +73,16 @@ class Firmware:
         self._decoder = wire.FrameDecoder()
         self._outbox = Outbox(self.sample_rate_hz)
         self._answered = ResponseCache()
-        self._greeted = False
+        self.greeted = False
         self._last_frame_s = self._last_heartbeat_s = 0.0
-        self._samples = np.zeros(0, wire.SAMPLE)
-        self._stimulus = StimulusMemory(self.stimulus_capacity)
+        self.frame_samples = np.zeros(0, wire.SAMPLE)
+        self.stimulus = StimulusMemory(self.stimulus_capacity)
         self._setpoints = Setpoints(self.sample_rate_hz)
-        self._player = Player(self._setpoints, self.sample_rate_hz, self._channels["command"].gain)
-        self._guard = Guard(self._channels, self.bench.nominal, self.sample_rate_hz)
+        self.player = Player(self._setpoints, self.sample_rate_hz, self.channels["command"].gain)
+        self.guard = Guard(self.channels, self.bench.nominal, self.sample_rate_hz)
         self._token: int | None = None
-        self._armed: ArmedLimits | None = None
-        self._start_index = 0
+        self.armed: ArmedLimits | None = None
+        self.start_index = 0
         self.stalled_until_s = 0.0
 
     @property
@@ -93,16 +93,16 @@ class Firmware:
     @property
     def samples_to_frame(self) -> int:
         """Number of samples until the next DATA frame is complete."""
-        return self.samples_per_frame - self._samples.size
+        return self.samples_per_frame - self.frame_samples.size
 
     @property
     def samples_known(self) -> int:
         """Number of samples that can be played before a set-point is missing; the stimulus capacity if none is
         expected.
         """
-        if self.state is not State.RUNNING or self._player.releasing or not self._setpoints.samples:
+        if self.state is not State.RUNNING or self.player.releasing or not self._setpoints.samples:
             return self.stimulus_capacity
-        return self._setpoints.next_missing(self._player.cursor) - self._player.cursor
+        return self._setpoints.next_missing(self.player.cursor) - self.player.cursor
 
     @property
     def dropped_frames(self) -> int:
@@ -116,7 +116,7 @@ class Firmware:
 
     def brown_out(self) -> None:
         """Handle a drop of the supply voltage: the amplifier is off until the fault is cleared."""
-        self._trip(Fault.BROWN_OUT)
+        self.trip(Fault.BROWN_OUT)
 
     def stall(self, until_s: float) -> None:
         """Hang until ``until_s``: nothing is received or sent. The watchdog has a separate oscillator and keeps
@@ -128,7 +128,7 @@ class Firmware:
 
     def connected(self) -> None:
         """Handle a new connection, on a line that has connections: its host has to send HELLO first."""
-        self._greeted = False
+        self.greeted = False
 
     def receive(self, data: bytes, now_s: float) -> None:
         """Process bytes from the host. Damaged frames are dropped and counted."""
@@ -140,7 +140,7 @@ class Firmware:
 
     def _handle(self, frame: Frame, now_s: float) -> None:
         if frame.type == MessageType.HEARTBEAT:
-            if self._greeted:
+            if self.greeted:
                 self._last_heartbeat_s = now_s
         elif frame.type == MessageType.STATUS_REQUEST:
             self._send_status()
@@ -152,9 +152,9 @@ class Firmware:
 
     def _answer(self, frame: Frame, now_s: float) -> bytes:
         result, detail = Result.BAD_STATE, 0
-        if self._greeted or frame.type in ALWAYS_OBEYED:
+        if self.greeted or frame.type in ALWAYS_OBEYED:
             try:
-                result, detail = self._obey(frame, now_s)
+                result, detail = self.obey(frame, now_s)
             except wire.PayloadError:
                 result = Result.BAD_ARGUMENT
         return wire.pack(
@@ -166,12 +166,12 @@ class Firmware:
             hello, _ = wire.unpack(wire.HELLO, frame.payload, tail=True)
         except wire.PayloadError:
             return
-        self._greeted = self.identity.speaks(hello["protocol_min"], hello["protocol_max"])
-        if not self._greeted:
-            self._release(forget=False)  # the host of the run has disconnected
+        self.greeted = self.identity.speaks(hello["protocol_min"], hello["protocol_max"])
+        if not self.greeted:
+            self.release(forget=False)  # the host of the run has disconnected
         answer = self.identity.hello_ack(
             self.bench.nominal,
-            self._channels,
+            self.channels,
             boot_id=self.boot_id,
             samples_per_frame=self.samples_per_frame,
             sample_rate_hz=self.sample_rate_hz,
@@ -180,7 +180,8 @@ class Firmware:
         )
         self._send(MessageType.HELLO_ACK, answer)
 
-    def _obey(self, frame: Frame, now_s: float) -> Answer:
+    def obey(self, frame: Frame, now_s: float) -> Answer:
+        """Carry out a request; return the result and its detail."""
         if self.state is State.FAULT and MessageType.STIMULUS_BEGIN <= frame.type <= MessageType.START:
             return Result.FAULT_LATCHED, int(self.faults)
         if self.bench.button and frame.type in (MessageType.ARM, MessageType.START, MessageType.STAGE):
@@ -189,7 +190,7 @@ class Firmware:
             case MessageType.STREAM:
                 request, _ = wire.unpack(wire.STREAM, frame.payload)
                 self.streaming = bool(request["on"])
-                self._samples = self._samples[:0]
+                self.frame_samples = self.frame_samples[:0]
                 return Result.OK, self.sample_index
             case MessageType.STIMULUS_BEGIN | MessageType.STIMULUS_CHUNK | MessageType.STIMULUS_COMMIT:
                 return self._load(frame)
@@ -202,7 +203,7 @@ class Firmware:
             case MessageType.START:
                 return self._start(frame.payload)
             case MessageType.STOP | MessageType.RELEASE:
-                return self._release(forget=frame.type == MessageType.RELEASE)
+                return self.release(forget=frame.type == MessageType.RELEASE)
             case MessageType.FINISH:
                 return self._finish()
             case MessageType.STAGE if self.identity.stage:
@@ -210,7 +211,7 @@ class Firmware:
             case MessageType.CLEAR_FAULTS:
                 self.faults = Fault.NONE
                 if self.state is State.FAULT:
-                    self._enter(State.IDLE)
+                    self.enter(State.IDLE)
                 return Result.OK, 0
         return Result.UNKNOWN, 0
 
@@ -222,85 +223,85 @@ class Firmware:
         if self.state not in permitted:
             return Result.BAD_STATE, 0
         if frame.type == MessageType.STIMULUS_CHUNK:
-            return self._stimulus.chunk(frame.payload)
+            return self.stimulus.chunk(frame.payload)
         if frame.type == MessageType.STIMULUS_COMMIT:
-            result, detail = self._stimulus.commit(frame.payload)
+            result, detail = self.stimulus.commit(frame.payload)
         else:
-            result, detail = self._stimulus.begin(frame.payload)
+            result, detail = self.stimulus.begin(frame.payload)
         if result is Result.OK:
             self._setpoints.agree(0, 0.0)
-            self._enter(State.LOADED if frame.type == MessageType.STIMULUS_COMMIT else State.IDLE)
+            self.enter(State.LOADED if frame.type == MessageType.STIMULUS_COMMIT else State.IDLE)
         return result, detail
 
     def _follow(self, payload: bytes) -> Answer:
         request, _ = wire.unpack(wire.FOLLOW, payload)
-        if self.state is not State.LOADED or request["stimulus_id"] != self._stimulus.id:
+        if self.state is not State.LOADED or request["stimulus_id"] != self.stimulus.id:
             return Result.BAD_STATE, 0
-        room = round(MAX_RUN_S * self.sample_rate_hz) - self._stimulus.size
+        room = round(MAX_RUN_S * self.sample_rate_hz) - self.stimulus.size
         if request["samples"] > room:
             return Result.TOO_LARGE, max(0, room)
         hold_v = float(self._volts(np.array([request["hold_code"]], "<i2"))[0])
         self._setpoints.agree(request["samples"], hold_v if request["samples"] else 0.0)
-        return Result.OK, self._stimulus.size + request["samples"]
+        return Result.OK, self.stimulus.size + request["samples"]
 
     def _arm(self, payload: bytes, now_s: float) -> Answer:
         request, _ = wire.unpack(wire.ARM, payload)
-        if self.state is not State.LOADED or request["stimulus_id"] != self._stimulus.id:
+        if self.state is not State.LOADED or request["stimulus_id"] != self.stimulus.id:
             return Result.BAD_STATE, 0
         limits = ArmedLimits(**{name: request[name] for name in ArmedLimits.__dataclass_fields__})
-        coil, length = self.bench.nominal, self._stimulus.size + self._setpoints.samples
-        stimulus_v = self._volts(self._stimulus.codes)
+        coil, length = self.bench.nominal, self.stimulus.size + self._setpoints.samples
+        stimulus_v = self._volts(self.stimulus.codes)
         if (
             not limits.within(
                 self.identity.max_force_n,
                 self.identity.max_temperature_c,
                 self.sample_rate_hz,
-                self._channels,
+                self.channels,
                 coil,
             )
             or length > limits.max_samples
             or not limits.permits(np.append(stimulus_v, self._setpoints.hold_v), coil)
         ):
             return Result.BEYOND_LIMITS, 0
-        self._armed, self._token = limits, limits.token
-        self._player.begin(stimulus_v, length)
-        self._guard.begin(limits)
+        self.armed, self._token = limits, limits.token
+        self.player.begin(stimulus_v, length)
+        self.guard.begin(limits)
         self._last_heartbeat_s = now_s
-        self._enter(State.ARMED)
+        self.enter(State.ARMED)
         return Result.OK, 0
 
     def _start(self, payload: bytes) -> Answer:
         request, _ = wire.unpack(wire.START, payload)
-        if self.state is not State.ARMED or self._armed is None or request["token"] != self._armed.token:
+        if self.state is not State.ARMED or self.armed is None or request["token"] != self.armed.token:
             return Result.BAD_STATE, 0
-        self._start_index = self.sample_index
+        self.start_index = self.sample_index
         self.bench.begin_test()
-        self._enter(State.RUNNING)
-        return Result.OK, self._start_index
+        self.enter(State.RUNNING)
+        return Result.OK, self.start_index
 
     def _take_setpoints(self, payload: bytes) -> Answer:
         request, codes = wire.unpack(wire.SETPOINTS, payload, tail=True)
         if request["token"] != self._token:
             return Result.BAD_STATE, 0
-        if self._armed is None or self._player.releasing:
-            return Result.LATE, self._player.played  # the run is over
+        if self.armed is None or self.player.releasing:
+            return Result.LATE, self.player.played  # the run is over
         volts = self._volts(np.frombuffer(codes[: len(codes) // 2 * 2], "<i2"))
         if len(codes) % 2 or not codes:
             result = Result.BAD_ARGUMENT
-        elif not self._armed.permits(volts, self.bench.nominal):
+        elif not self.armed.permits(volts, self.bench.nominal):
             result = Result.BEYOND_LIMITS
         else:
-            result = self._setpoints.take(request["offset"], volts, self._player.cursor)
-        return result, self._setpoints.next_missing(self._player.cursor)
+            result = self._setpoints.take(request["offset"], volts, self.player.cursor)
+        return result, self._setpoints.next_missing(self.player.cursor)
 
     def _finish(self) -> Answer:
         if self.state is State.FAULT:
             return Result.FAULT_LATCHED, int(self.faults)
         if self.state is State.ARMED:
-            return self._release(forget=False)
+            return self.release(forget=False)
         if self.state is State.RUNNING:
-            self._player.finish()
-        return Result.OK, self._player.played
+            self.player.finish()
+        return Result.OK, self.player.played
 
     def _move_stage(self, payload: bytes) -> Answer:
         request, _ = wire.unpack(wire.STAGE, payload)
@@ -314,18 +315,19 @@ class Firmware:
         self.bench.place_fixture(position_m)
         return Result.OK, 0
 
-    def _release(self, *, forget: bool) -> Answer:
+    def release(self, *, forget: bool) -> Answer:
+        """Release the coil and end the permission of the run; with ``forget``, drop the stimulus too."""
         self._disarm()
         if self.state in (State.ARMED, State.RUNNING):
-            self._enter(State.LOADED)
+            self.enter(State.LOADED)
         if forget and self.state is State.LOADED:
-            self._stimulus.forget()
-            self._enter(State.IDLE)
-        return Result.OK, self._player.played
+            self.stimulus.forget()
+            self.enter(State.IDLE)
+        return Result.OK, self.player.played
 
     def _disarm(self) -> None:
         """End the permission of a run: limits and set-points are agreed for one run only."""
-        self._armed = None
+        self.armed = None
         self._setpoints.agree(0, 0.0)
 
     # -- the clock ----------------------------------------------------------------------------------------
@@ -334,17 +336,17 @@ class Firmware:
         """Advance the device clock by ``samples`` sample periods; the clock of the watchdog reads ``now_s``."""
         self._check_watchdog(now_s)
         while samples > 0:
-            count = min(samples, self.samples_per_frame - self._samples.size)
+            count = min(samples, self.samples_per_frame - self.frame_samples.size)
             count = self._sample(count)
             samples -= count
-            if self._samples.size == self.samples_per_frame:
+            if self.frame_samples.size == self.samples_per_frame:
                 self._emit(now_s)
         if self.streaming and now_s - self._last_frame_s > HOST_SILENCE_S:
             self.streaming = False
 
     def _check_watchdog(self, now_s: float) -> None:
         if self.state in (State.ARMED, State.RUNNING) and now_s - self._last_heartbeat_s > self.watchdog_s:
-            self._trip(Fault.WATCHDOG)
+            self.trip(Fault.WATCHDOG)
 
     def _sample(self, count: int) -> int:
         """Play and sample up to ``count`` samples; fewer if the stimulus ends or a limit trips."""
@@ -353,58 +355,62 @@ class Firmware:
         command, flags = self._command(count)
         taken = sampled(
             self.bench,
-            self._guard,
+            self.guard,
             command,
             flags,
             energised=self.energised,
-            limits=self._armed,
-            cursor=self._player.cursor,
+            limits=self.armed,
+            cursor=self.player.cursor,
         )
         # A frame is usually sampled in one call; concatenating structured arrays is slow.
-        self._samples = np.concatenate((self._samples, taken.samples)) if self._samples.size else taken.samples
+        self.frame_samples = (
+            np.concatenate((self.frame_samples, taken.samples)) if self.frame_samples.size else taken.samples
+        )
         self.sample_index += taken.samples.size
         if self.state is State.RUNNING:
-            self._player.account(taken.command_v, taken.flags)
+            self.player.account(taken.command_v, taken.flags)
             self._go_on(taken.fault)
         elif self.state is State.ARMED and taken.button:
-            self._trip(Fault.BUTTON)
+            self.trip(Fault.BUTTON)
         return taken.samples.size
 
     def _go_on(self, fault: Fault) -> None:
         """Continue or end the run after a block."""
         if fault:
-            self._trip(fault)
+            self.trip(fault)
         elif self._setpoints.starved:
-            self._trip(Fault.STARVED)
-        elif self._player.over:
+            self.trip(Fault.STARVED)
+        elif self.player.over:
             self._disarm()
-            self._enter(State.LOADED)
+            self.enter(State.LOADED)
 
     def _command(self, count: int) -> tuple[NDArray[np.float64], NDArray[np.uint16]]:
         """Return volts for up to ``count`` samples, and the flags of their source."""
         if self.state is State.RUNNING:
-            return self._player.command(count)
+            return self.player.command(count)
         return np.zeros(count), np.zeros(count, np.uint16)
 
     def _volts(self, codes: NDArray[np.int16]) -> NDArray[np.float64]:
-        return self._channels["command"].decode(codes)
+        return self.channels["command"].decode(codes)
 
-    def _trip(self, fault: Fault) -> None:
+    def trip(self, fault: Fault) -> None:
+        """Latch a fault, which releases the coil."""
         self.faults |= fault
         self._disarm()
-        self._enter(State.FAULT)
+        self.enter(State.FAULT)
 
-    def _enter(self, state: State) -> None:
+    def enter(self, state: State) -> None:
+        """Change the state and report it."""
         self.state = state
         self._send_status()
 
     # -- bytes out ----------------------------------------------------------------------------------------
 
     def _emit(self, now_s: float) -> None:
-        first = self.sample_index - self._samples.size
+        first = self.sample_index - self.frame_samples.size
         if self.streaming and now_s >= self.stalled_until_s:
-            self._send(MessageType.DATA, self._samples.tobytes(), first)
-        self._samples = self._samples[:0]
+            self._send(MessageType.DATA, self.frame_samples.tobytes(), first)
+        self.frame_samples = self.frame_samples[:0]
 
     def _send_status(self) -> None:
         payload = wire.pack(
@@ -415,9 +421,9 @@ class Firmware:
             boot_id=self.boot_id,
             dropped_frames=self.dropped_frames,
             refused_frames=self._decoder.statistics.refused,
-            played_samples=self._player.played,
+            played_samples=self.player.played,
         ) + wire.pack(
-            wire.STATUS_SETPOINTS, late_blocks=self._setpoints.late_blocks, held_samples=self._player.held_samples
+            wire.STATUS_SETPOINTS, late_blocks=self._setpoints.late_blocks, held_samples=self.player.held_samples
         )
         self._send(MessageType.STATUS, payload)
 

@@ -33,7 +33,7 @@ class Guard:
         self._lift_samples = round(LIFT_S * sample_rate_hz)
         self._release_samples = round(RELEASE_RAMP_S * sample_rate_hz)
         self._rate = sample_rate_hz
-        self._newest_m = np.full(3, np.nan)
+        self.newest_m = np.full(3, np.nan)
         self._lifted = False
         self._plausibility = Plausibility(sample_rate_hz, coil.resistance_ohm, coil.force_constant_n_per_a)
 
@@ -52,7 +52,7 @@ class Guard:
         is extrapolated from the three positions before it; later samples of the block are not used. A command is never
         increased or reversed.
         """
-        position = np.concatenate((self._newest_m, self._read(block, "position")))
+        position = np.concatenate((self.newest_m, self._read(block, "position")))
         step = (position[1:-1] - position[:-2]) * self._rate
         speed = step[1:] + 0.5 * (step[1:] - step[:-1])
         coil = self._coil
@@ -99,7 +99,7 @@ class Guard:
 
     def update(self, block: Block) -> None:
         """Update temperature and positions with a block, played or not."""
-        self._newest_m = np.concatenate((self._newest_m, self._read(block, "position")))[-3:]
+        self.newest_m = np.concatenate((self.newest_m, self._read(block, "position")))[-3:]
         self.winding.advance(self._read(block, "current"), self._read(block, "temperature"))
 
     def _read(self, block: Block, name: str) -> NDArray[np.float64]:

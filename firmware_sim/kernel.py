@@ -128,7 +128,8 @@ def tissue_mass(tissue: Array, depth: float) -> float:
 
 
 @_swift
-def _resistance(state: Array, tissue: Array, depth: float, speed: float) -> tuple[float, float]:
+def tissue_resistance(state: Array, tissue: Array, depth: float, speed: float) -> tuple[float, float]:
+    """Return the resisting and the elastic force of the tissue, N, at a depth, m, and a speed, m/s."""
     # Total resisting force of the tissue at this depth and speed against the frame, without inertia, and its relaxed
     # elastic part, N.
     velocity = speed - tissue[REST_VELOCITY]
@@ -179,7 +180,7 @@ def _contact_force(state: Array, plant: Array, tissue: Array) -> float:
     # Force of the tissue on the probe while in contact, N.
     velocity = state[VELOCITY]
     depth = state[POSITION] - tissue[REST_SURFACE]
-    resistance, _ = _resistance(state, tissue, depth, velocity)
+    resistance, _ = tissue_resistance(state, tissue, depth, velocity)
     probe = _probe_force(state, plant)
     mass = tissue_mass(tissue, depth)
     together = (probe - resistance) / (plant[MOVING_MASS] + mass) + tissue[FRAME_ACCELERATION]
@@ -254,7 +255,7 @@ def _derivative(state: Array, rate: Array, row: int, volts: float, plant: Array,
         return
     probe = _probe_force(state, plant)
     if state[TOUCHING] > 0.0:
-        resistance, elastic = _resistance(state, tissue, depth, velocity)
+        resistance, elastic = tissue_resistance(state, tissue, depth, velocity)
         rate[row, VELOCITY] = (probe - resistance) / (plant[MOVING_MASS] + tissue_mass(tissue, depth))
         rate[row, SURFACE] = velocity
         rate[row, SURFACE_VELOCITY] = rate[row, VELOCITY]
@@ -262,7 +263,7 @@ def _derivative(state: Array, rate: Array, row: int, volts: float, plant: Array,
         depth = state[SURFACE] - tissue[REST_SURFACE]
         rate[row, VELOCITY] = probe / plant[MOVING_MASS]
         rate[row, SURFACE] = state[SURFACE_VELOCITY]
-        resistance, elastic = _resistance(state, tissue, depth, state[SURFACE_VELOCITY])
+        resistance, elastic = tissue_resistance(state, tissue, depth, state[SURFACE_VELOCITY])
         rate[row, SURFACE_VELOCITY] = -resistance / tissue_mass(tissue, depth) - tissue[FRAME_ACCELERATION]
     for k in range(MAX_BRANCHES):
         rate[row, BRANCH + k] = (elastic - state[BRANCH + k]) / tissue[BRANCH_TIME + k]

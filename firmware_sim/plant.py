@@ -126,7 +126,7 @@ class Plant:
         self.supply_share = 1.0
         self.substeps = substeps
         self._interval_s = 1.0 / sample_rate_hz
-        self._plant = np.concatenate([parameters.to_array(), [0.0], coil.to_array()])
+        self.plant_row = np.concatenate([parameters.to_array(), [0.0], coil.to_array()])
         self._acting = ActiveEffects(effects, start_s)
         self.tissue = tissue
         self.state: NDArray[np.float64] = np.zeros(kernel.STATE_SIZE)
@@ -144,7 +144,7 @@ class Plant:
         if self._acting.needs_depth and (tissue.layers or tissue.probe is not None):
             raise ValueError("effects of tissue and body need a tissue without layers, under the reference probe")
         self._met = tissue
-        self._tissue = tissue.to_array()
+        self.tissue_row = tissue.to_array()
 
     @property
     def amplifier_limit_v(self) -> float:
@@ -165,15 +165,15 @@ class Plant:
             raise ValueError("commands must be finite volts in one dimension")
         if not self.energised:
             commands = np.zeros_like(commands)
-        self._plant[kernel.AMPLIFIER_LIMIT] = self.amplifier_limit_v
-        self._plant[kernel.COIL_OPEN] = float(self.coil_open)
+        self.plant_row[kernel.AMPLIFIER_LIMIT] = self.amplifier_limit_v
+        self.plant_row[kernel.COIL_OPEN] = float(self.coil_open)
         if self._acting:
             out, _ = self._acting.advance(
-                commands, self.state, self._plant, self._tissue, self._interval_s, self.substeps
+                commands, self.state, self.plant_row, self.tissue_row, self._interval_s, self.substeps
             )
         else:
             out = np.empty((commands.size, kernel.OUT_COLUMNS))
-            kernel.advance(commands, self.state, self._plant, self._tissue, self._interval_s, self.substeps, out)
+            kernel.advance(commands, self.state, self.plant_row, self.tissue_row, self._interval_s, self.substeps, out)
         return out.view(TRACE).reshape(commands.size)
 
     def rest(self, voltage: float = 0.0) -> None:

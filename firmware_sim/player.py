@@ -26,7 +26,7 @@ class Player:
 
     def begin(self, stimulus_v: NDArray[np.float64], length: int) -> None:
         """Set up a run of a stimulus, shape (n,), V, that has ``length`` samples including its set-points."""
-        self._stimulus_v = stimulus_v
+        self.stimulus_v = stimulus_v
         self._soft_start.begin(stimulus_v)
         self._setpoints.begin(stimulus_v.size)
         self.cursor, self.length = 0, length
@@ -60,8 +60,8 @@ class Player:
             weight = 1.0 - (done + 1.0 + np.arange(count)) / self.ramp_samples
             return self._present_v * weight, np.zeros(count, np.uint16)
         count = min(count, self.length - self.cursor)
-        if self.cursor < self._stimulus_v.size:
-            wanted = self._stimulus_v[self.cursor : self.cursor + count]
+        if self.cursor < self.stimulus_v.size:
+            wanted = self.stimulus_v[self.cursor : self.cursor + count]
             flags = np.full(wanted.size, Flag.PLAYING, np.uint16)
         else:
             wanted, held = self._setpoints.play(self.cursor, count, self._present_v)

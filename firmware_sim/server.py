@@ -174,12 +174,19 @@ class Server:
     """Runs the firmware in real time, transfers its bytes, and injects the planned faults.
 
     ``announce`` is called with the name of the port when the cable is reconnected. ``stopped_s`` is the total time for
-    which the device's clock was stopped because the computer was too slow.
+    which the device's clock was stopped because the computer was too slow. ``clock`` is monotonic time, s.
     """
 
     def __init__(
-        self, firmware: Firmware, port: Port, scenario: Scenario, announce: Callable[[str], None] = lambda _: None
+        self,
+        firmware: Firmware,
+        port: Port,
+        scenario: Scenario,
+        announce: Callable[[str], None] = lambda _: None,
+        *,
+        clock: Callable[[], float] = time.monotonic,
     ) -> None:
+        self._clock = clock
         self._firmware = firmware
         self._port = port
         port.connected = firmware.connected
@@ -188,35 +195,35 @@ class Server:
         self._accelerated = scenario.speed > 1.0
         self._faults = FaultInjector(firmware, self, scenario.faults, seed=scenario.seed)
         self._samples = 0
-        self._outgoing = b""
+        self.outgoing = b""
         self.stopped_s = 0.0
         self._begin = 0.0
         self._waiting_since: float | None = None
 
     def run(self, *, until: Callable[[], bool] = lambda: False) -> None:
         """Serve until ``until`` returns true, or the process is stopped."""
-        self._begin = time.monotonic()
+        self._begin = self._clock()
         while not until():
-            now = time.monotonic()
-            self._keep_up(now)
-            if len(self._outgoing) <= _BACKLOG_BYTES:
+            now = self._clock()
+            self.keep_up(now)
+            if len(self.outgoing) <= _BACKLOG_BYTES:
                 # If the host does not read, the queue of the firmware drops and counts frames.
-                self._outgoing += self._faults.line.to_host(self._firmware.transmit(now))
+                self.outgoing += self._faults.line.to_host(self._firmware.transmit(now))
             # Wake up when the last sample of the next frame is due.
             wake = self._begin + (self._samples + self._firmware.samples_to_frame) / self._rate
-            timeout = min(TICK_S, max(0.0, wake - time.monotonic()))
-            data, sent = self._port.exchange(self._outgoing, timeout)
-            self._outgoing = self._outgoing[sent:]
+            timeout = min(TICK_S, max(0.0, wake - self._clock()))
+            data, sent = self._port.exchange(self.outgoing, timeout)
+            self.outgoing = self.outgoing[sent:]
             if data:
                 # Samples due before these bytes arrived are played first.
-                now = time.monotonic()
-                self._keep_up(now)
+                now = self._clock()
+                self.keep_up(now)
                 self._firmware.receive(self._faults.line.to_device(data), now)
                 self._look(now)
 
     def unplug(self) -> None:
         """Unplug the cable; data in transit is lost."""
-        self._outgoing = b""
+        self.outgoing = b""
         self._port.unplug()
 
     def replug(self) -> None:
@@ -224,13 +231,13 @@ class Server:
         self._port.replug()
         self._announce(self._port.url)
 
-    def _keep_up(self, now: float) -> None:
+    def keep_up(self, now: float) -> None:
         """Advance the device to the present time."""
         due = int((now - self._begin) * self._rate) - self._samples
         if not self._accelerated:
             possible = min(due, max(1, round(LAG_S * self._rate)))
             self.stopped_s += (due - possible) / self._rate
-        elif len(self._outgoing) > _BACKLOG_BYTES:
+        elif len(self.outgoing) > _BACKLOG_BYTES:
             possible = 0
         else:
             # An accelerated clock waits for its host and for this computer, unlike a real one.

@@ -15,7 +15,6 @@ from coded import says
 from support import connect
 
 from tissueid.acquisition import GuidedTest, JournalError, SessionRecorder, journal_path, recover, run_guided_test
-from tissueid.acquisition.journal import _Flush
 from tissueid.audit import AuditTrail
 from tissueid.device import DeviceDescription
 from tissueid.errors import TissueIDError, UnusableInputError
@@ -153,7 +152,7 @@ class Sitting:
     def keep_in_step(self) -> None:
         """Wait for the thread that writes: what fails, fails at the same sample."""
         if self._in_step:
-            self.recorder._journal._wait_for(_Flush())
+            self.recorder.journal.drain()
         self.acknowledged = max(self.acknowledged, self.recorder.samples_acknowledged)
 
     def check_recovery(self, found: Path) -> None:

@@ -91,8 +91,8 @@ class Person:
         elif "weight off" in words:
             self._pull(self._weight_n)
         elif "Turn" in words:
-            self._bench._along = -1.0 if "over" in words else 1.0
-            self._pull(self._weight_n * self._bench._along)
+            self._bench.along = -1.0 if "over" in words else 1.0
+            self._pull(self._weight_n * self._bench.along)
 
     def _pull(self, newtons: float) -> None:
         bench = self._bench
@@ -101,6 +101,6 @@ class Person:
             bench.parameters,
             bench.tissue,
             sample_rate_hz=bench.sample_rate_hz,
-            substeps=bench._substeps,
-            coil=bench._coil,
+            substeps=bench.substeps,
+            coil=bench.coil,
         )

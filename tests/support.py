@@ -129,7 +129,7 @@ def left_by_a_power_cut(recorder: SessionRecorder, session: Path) -> Callable[[P
 
     def progress(item: Progress) -> None:
         if item.fraction > 0.6 and not left.exists():
-            recorder._journal.sync()
+            recorder.journal.sync()
             shutil.copyfile(journal_path(recorder.path), left)
 
     return progress

@@ -14,8 +14,8 @@ def test_a_damaged_catalogue_is_left_out(tmp_path, monkeypatch, content):
     path.write_bytes(content)
     monkeypatch.setattr(language, "FOLDER", tmp_path)
     monkeypatch.setattr(language, "languages", language.languages.__wrapped__)
-    language._catalogue.cache_clear()
+    language.read_catalogue.cache_clear()
     assert language.languages() == {"en": "English"}
     language.set_language("fr")
     assert language.current_language() == "en"
-    language._catalogue.cache_clear()
+    language.read_catalogue.cache_clear()

@@ -169,9 +169,9 @@ def mechanics(position: float, velocity: float, bearing: float, step: float, fig
     """Return the additional force on the moving part, N, without the frame; ``bearing`` is the damping, N s/m."""
     force = 0.0
     if figures[base.DRY_FRICTION, 0] != 0.0:
-        force -= _bristles(velocity, step, figures[base.DRY_FRICTION], memory[base.DRY_FRICTION])
+        force -= bristles(velocity, step, figures[base.DRY_FRICTION], memory[base.DRY_FRICTION])
     if figures[base.DIRECTIONAL_FRICTION, 0] != 0.0:
-        force -= _slips(velocity * step, figures[base.DIRECTIONAL_FRICTION], memory[base.DIRECTIONAL_FRICTION])
+        force -= slips(velocity * step, figures[base.DIRECTIONAL_FRICTION], memory[base.DIRECTIONAL_FRICTION])
     if figures[base.QUADRATIC_DRAG, 0] != 0.0:
         row = figures[base.QUADRATIC_DRAG]
         drag = row[0] * (abs(velocity) / 0.1) ** row[1]
@@ -201,7 +201,8 @@ def mechanics(position: float, velocity: float, bearing: float, step: float, fig
 
 
 @njit
-def _bristles(velocity: float, step: float, row: Array, kept: Array) -> float:
+def bristles(velocity: float, step: float, row: Array, kept: Array) -> float:
+    """Return the dry friction force, N, at a velocity, m/s; ``kept`` is its state."""
     # Exact solution of the bristle deflection for a constant speed during the step.
     speed = abs(velocity)
     slip = row[0] * (1.0 + row[1] * exp(-((speed / row[2]) ** 2)))
@@ -213,7 +214,8 @@ def _bristles(velocity: float, step: float, row: Array, kept: Array) -> float:
 
 
 @njit
-def _slips(moved: float, row: Array, kept: Array) -> float:
+def slips(moved: float, row: Array, kept: Array) -> float:
+    """Return the directional friction force, N, after a displacement, m; ``kept`` is its state."""
     # Each spring is stretched until its element slips (Maxwell, Prandtl, Ishlinskii).
     force = 0.0
     for k in range(SLIPS):

@@ -80,7 +80,7 @@ def set_language(code: str) -> None:
     """Make a language active for every text translated from now on; an unknown code means English."""
     code = code if code in languages() else ENGLISH
     if code != _Active.code:
-        _Active.catalogue = gettext.NullTranslations() if code == ENGLISH else _catalogue(code)
+        _Active.catalogue = gettext.NullTranslations() if code == ENGLISH else read_catalogue(code)
         _Active.code = code
 
 
@@ -93,10 +93,11 @@ def languages() -> dict[str, str]:
     found = {ENGLISH: "English"}
     for code in sorted(path.parents[1].name for path in FOLDER.glob(f"*/LC_MESSAGES/{DOMAIN}.mo")):
         with contextlib.suppress(Exception):  # gettext raises OSError, ValueError, struct.error, IndexError and others
-            found[code] = _catalogue(code).gettext(_NAME)
+            found[code] = read_catalogue(code).gettext(_NAME)
     return found
 
 
 @functools.cache
-def _catalogue(code: str) -> gettext.NullTranslations:
+def read_catalogue(code: str) -> gettext.NullTranslations:
+    """Return the catalogue of a language; it is read once."""
     return gettext.translation(DOMAIN, FOLDER, [code])

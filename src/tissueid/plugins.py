@@ -38,8 +38,8 @@ class Registry(Generic[T]):
         self._base = base
         self._package = package
         self._group = group
-        self._members: dict[str, type[T]] = {}
-        self._loaded = False
+        self.members: dict[str, type[T]] = {}
+        self.loaded = False
 
     def register(self, declared: type[T]) -> None:
         """Add a class under its ``name``.
@@ -53,7 +53,7 @@ class Registry(Generic[T]):
             raise TypeError(f"{declared.__qualname__} has the name {name!r}: it needs letters, digits and _ only")
         if missing := sorted(getattr(declared, "__abstractmethods__", ())):
             raise TypeError(f"{declared.__qualname__} lacks {', '.join(missing)}")
-        held = self._members.setdefault(name, declared)
+        held = self.members.setdefault(name, declared)
         if (held.__module__, held.__qualname__) != (declared.__module__, declared.__qualname__):
             raise ValueError(
                 f"two things of the kind {self._what} are called {name!r}: {held.__module__} and {declared.__module__}"
@@ -66,7 +66,7 @@ class Registry(Generic[T]):
             UnusableInputError: there is none; the message lists the existing names.
         """
         names = self.names()
-        if name not in self._members:
+        if name not in self.members:
             raise UnusableInputError(
                 "registry.unknown_name",
                 "there is no {what} '{name}': choose one of {names}",
@@ -74,14 +74,14 @@ class Registry(Generic[T]):
                 name=Verbatim(name),
                 names=Listing(tuple(map(Verbatim, names))),
             )
-        return self._members[name]
+        return self.members[name]
 
     def names(self) -> tuple[str, ...]:
         """Return all names, in alphabetical order."""
-        if not self._loaded:
-            self._loaded = True
+        if not self.loaded:
+            self.loaded = True
             self._load()
-        return tuple(sorted(self._members))
+        return tuple(sorted(self.members))
 
     def _load(self) -> None:
         package = importlib.import_module(self._package)

@@ -36,14 +36,14 @@ from tissueid.sessions import read_session, write_session
     "place",
     [
         "h5py.File",
-        "tissueid.sessions.hdf5_writing._write_test",
+        "tissueid.sessions.hdf5_writing.write_test",
         "tissueid.atomic_write.os.fsync",
         "tissueid.atomic_write.os.link",
     ],
 )
 def test_a_session_that_cannot_be_written_leaves_its_journal_and_nothing_else(tmp_path, monkeypatch, place, number):
     recorder = a_sitting(tmp_path / "s.h5")
-    recorder._journal.sync()
+    recorder.journal.sync()
     kept = journal_path(tmp_path / "s.h5")
 
     def fails(*_, **__):
@@ -68,7 +68,7 @@ def test_a_session_that_cannot_be_written_leaves_its_journal_and_nothing_else(tm
 
 def test_a_name_that_could_not_be_synced_keeps_the_journal(tmp_path, monkeypatch):
     recorder = a_sitting(tmp_path / "s.h5")
-    recorder._journal.sync()
+    recorder.journal.sync()
 
     def fails(_):
         raise OSError(errno.EIO, os.strerror(errno.EIO))
@@ -180,7 +180,7 @@ def test_what_is_wanted_is_more_than_is_taken(tmp_path, monkeypatch):
     recorder.begin_test(Run(0, 20_000), **ATTRIBUTES)
     recorder.add(samples)
     recorder.end_test("completed")
-    recorder._journal.sync()
+    recorder.journal.sync()
     taken = journal_path(recorder.path).stat().st_size
     recorder.write()
     taken += recorder.path.stat().st_size

@@ -154,10 +154,10 @@ def test_a_disk_that_stands_still_ends_the_test_before_memory_does(tmp_path, mon
     check_one_line(sitting.error)
     assert says(sitting.error.message, "journal.disk_slow")
     assert sitting.released
-    journal = sitting.recorder._journal
+    journal = sitting.recorder.journal
     assert 1900 < sitting.recorder.samples_appended < 2500
-    assert journal._appended_bytes - journal._written_bytes < 1.3 * 2000 * SAMPLE.itemsize
-    journal._patience_s = 0.05
+    assert journal.unwritten_bytes < 1.3 * 2000 * SAMPLE.itemsize
+    journal.disk_timeout_s = 0.05
     with pytest.raises(JournalError, check=coded("journal.no_answer")) as raised:
         sitting.recorder.finish_or_discard()
     check_one_line(raised.value)
@@ -165,7 +165,7 @@ def test_a_disk_that_stands_still_ends_the_test_before_memory_does(tmp_path, mon
     with pytest.raises(JournalError, check=coded("journal.running")):
         recover(sitting.path)
     disk.go_on.set()
-    journal._patience_s = 10.0
+    journal.disk_timeout_s = 10.0
     sitting.recorder.abandon()
     recover(sitting.path)
     sitting.check_recovery(sitting.path)
@@ -174,7 +174,7 @@ def test_a_disk_that_stands_still_ends_the_test_before_memory_does(tmp_path, mon
 
 def test_thirty_seconds_of_samples_may_wait(tmp_path):
     recorder = SessionRecorder(tmp_path / "s.h5", DeviceDescription(sample_rate_hz=10_000.0))
-    assert recorder._journal._max_waiting == 300_000 * SAMPLE.itemsize
+    assert recorder.journal.max_waiting == 300_000 * SAMPLE.itemsize
     recorder.abandon()
 
 
@@ -182,7 +182,7 @@ def test_thirty_seconds_of_samples_may_wait(tmp_path):
 def twenty_then(recorder: SessionRecorder, broken: Callable[[], None]) -> None:
     recorder.begin_test(Run(0, 1000), **ATTRIBUTES)
     recorder.add(batch(0, 20))
-    recorder._journal.sync()
+    recorder.journal.sync()
     broken()
     with contextlib.suppress(JournalError):
         for first in range(20, 1000, 20):
@@ -211,7 +211,7 @@ def test_any_error_of_the_writing_thread_is_reported(tmp_path, monkeypatch, erro
 def test_a_dead_writing_thread_is_reported_at_once(tmp_path, monkeypatch):
     """The thread fails while it waits for an entry: the journal is released, and no caller waits for it."""
     recorder = SessionRecorder(tmp_path / "s.h5", DeviceDescription(), sync_s=0.0)
-    thread = recorder._journal._thread
+    thread = recorder.journal.writer
 
     def fails(*_):
         raise MemoryError
@@ -229,7 +229,7 @@ def test_a_writing_thread_that_ends_silently_is_an_error(tmp_path, monkeypatch):
     with monkeypatch.context() as patch:
         patch.setattr(Journal, "_write_all", lambda _: None)
         journal = Journal(tmp_path / "j")
-    journal._thread.join()
+    journal.writer.join()
     journal.append(b"entry")
     for wait in (journal.sync, journal.close):
         with pytest.raises(JournalError, check=coded("journal.thread_ended")) as raised:
@@ -247,7 +247,7 @@ def test_a_folder_that_goes_away_ends_the_test(tmp_path, how):
     recorder = SessionRecorder(folder / "s.h5", DeviceDescription(), sync_s=0.0)
     recorder.begin_test(Run(0, 100), **ATTRIBUTES)
     recorder.add(batch(0, 50))
-    recorder._journal.sync()
+    recorder.journal.sync()
     assert recorder.samples_acknowledged == 50
     if how == "removed":
         shutil.rmtree(folder)
@@ -258,7 +258,7 @@ def test_a_folder_that_goes_away_ends_the_test(tmp_path, how):
             (folder / "s.h5.journal").touch()
     with pytest.raises(JournalError, check=coded("journal.moved")) as raised:
         recorder.add(batch(50, 50))
-        recorder._journal.sync()
+        recorder.journal.sync()
     check_one_line(raised.value)
     assert recorder.samples_acknowledged == (0 if how == "removed" else 50)
     with pytest.raises(JournalError):
@@ -270,14 +270,14 @@ def test_a_folder_that_goes_away_ends_the_test(tmp_path, how):
 # -- files of others -----------------------------------------------------------------------------------------
 def test_a_file_that_appears_while_the_session_is_written_is_not_overwritten(tmp_path, monkeypatch):
     recorder = a_sitting(tmp_path / "s.h5")
-    sound = hdf5_writing._verify
+    sound = hdf5_writing.verify
 
     def appears(*arguments):
         sound(*arguments)
         recorder.path.write_text("another's")
 
     with monkeypatch.context() as patch:
-        patch.setattr(hdf5_writing, "_verify", appears)
+        patch.setattr(hdf5_writing, "verify", appears)
         with pytest.raises(JournalError) as raised:
             recorder.finish()
     journal = journal_path(recorder.path)
@@ -310,7 +310,7 @@ def test_what_a_kill_at_the_end_left_is_removed_by_recover(tmp_path, monkeypatch
         raise KeyboardInterrupt
 
     with monkeypatch.context() as patch:
-        patch.setattr(hdf5_writing, "_verify", dies)
+        patch.setattr(hdf5_writing, "verify", dies)
         with pytest.raises(KeyboardInterrupt):
             recorder.finish()
     recorder.abandon()

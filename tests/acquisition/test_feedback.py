@@ -247,7 +247,7 @@ def test_what_was_held_in_lost_samples_is_counted(tmp_path):
     run_guided_test(instrument, a_test(1.5), recorder, surface_m=SURFACE)
     notes = recorder.finish().test().notes
     assert notes["samples_lost"] > 300
-    assert notes["held_samples"] == link.firmware._player.held_samples > 200
+    assert notes["held_samples"] == link.firmware.player.held_samples > 200
 
 
 class Unreportable(PushBackSource):

@@ -159,8 +159,8 @@ def test_the_search_after_a_damage_ends(tmp_path, monkeypatch):
     path.write_bytes(MAGIC + encode_json(Entry.EVENT, {}) + b"\x03\xff\xff\x00\x00" * 50_000)
     monkeypatch.setattr(journal_entries, "MAX_CHECKED", 10_000_000)
     calls = []
-    sound = journal_entries._entry_at
-    monkeypatch.setattr(journal_entries, "_entry_at", lambda *where: calls.append(1) or sound(*where))
+    sound = journal_entries.entry_at
+    monkeypatch.setattr(journal_entries, "entry_at", lambda *where: calls.append(1) or sound(*where))
     damage = Damage()
     assert len(list(read_entries(path, damage))) == 1
     assert len(calls) < 200
@@ -175,7 +175,7 @@ def spoiled(tmp_path):
     for number in range(400):
         recorder.add(batch(20 * number, 20))
     recorder.end_test("completed")
-    recorder._journal.sync()
+    recorder.journal.sync()
     journal = journal_path(tmp_path / "s.h5")
     spoil(journal, [begin for begin, _, kind in entries_of(journal) if kind is Entry.SAMPLES][100] + 300)
     return recorder

@@ -232,7 +232,7 @@ def test_what_follows_the_loss_of_both_beginnings_is_read_by_the_next_repetition
     for first in range(0, 10_000, 100):
         recorder.add(batch(100 + first, 100))
         if first == 2500:
-            recorder._journal.sync()
+            recorder.journal.sync()
             with journal_path(tmp_path / "s.h5").open("rb+") as other:
                 other.truncate(100)
     recorder.end_test("completed")

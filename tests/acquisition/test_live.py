@@ -166,8 +166,8 @@ def test_a_process_of_its_own_finds_the_same(samples):
 
 def test_a_process_that_dies_is_reported_and_feeding_continues(samples):
     live = LiveIdentification(DEVICE, preload_s=PRELOAD_S)
-    live._estimator._process.kill()
-    live._estimator._threads[1].join()
+    live.estimator.process.kill()
+    live.estimator.threads[1].join()
     for first in range(0, samples.size, 100):
         live.feed(samples[first : first + 100])
     assert says(live.problem, "live.ended")
@@ -204,7 +204,7 @@ def test_invalid_settings_are_refused_before_a_process_is_started(separate_proce
 )
 def test_the_process_reports_the_error_that_ends_it(settings, said):
     ended = subprocess.run(
-        [sys.executable, "-P", "-c", live_process._COMMAND], input=settings + b"\n", capture_output=True, timeout=60.0
+        [sys.executable, "-P", "-c", live_process.COMMAND], input=settings + b"\n", capture_output=True, timeout=60.0
     )
     update = pickle.loads(ended.stdout)  # noqa: S301 - written by the process that was started above
     assert code_of(update.problem) == said or update.problem.startswith(said)

@@ -472,8 +472,8 @@ def test_a_gate_remembers_no_more_than_it_should(good, monkeypatch):
     keeper = QualityGate(DEVICE)
     for number in range(1, 6):
         keeper.judge(replace(good, number=number))
-    assert [test.number for test in keeper._earlier] == [4, 5]
-    assert set(keeper._earlier[0].signals) == {"command", "force", "position"}
+    assert [test.number for test in keeper.earlier] == [4, 5]
+    assert set(keeper.earlier[0].signals) == {"command", "force", "position"}
 
 
 # -- kept with the test ------------------------------------------------------------------------------------------

@@ -49,7 +49,7 @@ try:
         samples["flags"] = 2
         samples["position"] = samples["index"]
         recorder.add(samples)
-        recorder._journal.sync()
+        recorder.journal.sync()
         if fill and first == 10_000:
             fill_up()
     print("nothing failed")
@@ -106,7 +106,7 @@ def test_a_file_system_that_is_really_full(tmp_path, small_disk):
 @pytest.mark.soak
 def test_a_session_that_fills_the_file_system_leaves_no_half_of_it(small_disk):
     recorder = a_sitting(small_disk / "s.h5", tests=2, count=100_000)
-    recorder._journal.sync()
+    recorder.journal.sync()
     with (small_disk / "ballast").open("wb") as ballast:
         ballast.truncate(0)
         os.posix_fallocate(ballast.fileno(), 0, shutil.disk_usage(small_disk).free - 300_000)
@@ -134,7 +134,7 @@ for number in range(tests):
     samples["index"] = 100_000 * number + np.arange(60_000)
     recorder.begin_test(Run(100_000 * number, 60_000), kind="stochastic", site="x", sample_rate_hz=2000.0)
     recorder.add(samples)
-    recorder._journal.sync()
+    recorder.journal.sync()
     recorder.end_test("completed")
 recorder.write()
 print(resource.getrusage(resource.RUSAGE_SELF).ru_maxrss)

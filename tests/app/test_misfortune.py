@@ -207,8 +207,8 @@ def filled(patch):
 
     def fill(recorder):
         Disk(patch, journal_path(recorder.path), fails_at=1)
-        recorder._journal.append(b"the next entry")
-        recorder._journal.sync()
+        recorder.journal.append(b"the next entry")
+        recorder.journal.sync()
 
     return fill
 

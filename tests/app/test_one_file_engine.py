@@ -9,6 +9,7 @@ from pathlib import Path
 from types import SimpleNamespace
 
 import pytest
+from plugged import plugged_in
 from reports.synthetic_sitting import make_session
 
 from tissueid.analysis import compare, specifications, split
@@ -16,7 +17,7 @@ from tissueid.app.views.researcher.engine_form import EngineForm
 from tissueid.app.views.researcher.recommendation_view import summary_of
 from tissueid.app.views.researcher.selected_test import SelectedTest
 from tissueid.cli import main
-from tissueid.identification import engine_names, registry
+from tissueid.identification import registry
 from tissueid.sessions import Session, write_session
 
 NAME, LABEL, TITLE = "static_slope", "Static slope", "A straight line between force and depth."
@@ -112,11 +113,7 @@ def _installed(tmp_path_factory: pytest.TempPathFactory) -> Iterator[None]:
         return module.StaticSlope
 
     plugin = SimpleNamespace(name=NAME, value=f"{NAME}:StaticSlope", load=load)
-    engine_names()
-    with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(registry._engines, "_members", dict(registry._engines._members))
-        patch.setattr(registry._engines, "_loaded", False)
-        patch.setattr("tissueid.plugins.entry_points", lambda group: [plugin] if group == "tissueid.engines" else [])
+    with plugged_in("tissueid.engines", [plugin], registry.engines):
         yield
 
 

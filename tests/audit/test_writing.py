@@ -89,20 +89,20 @@ def test_what_is_no_file_is_refused(tmp_path, make):
 
 def test_a_program_that_holds_the_log_is_not_waited_for_for_ever(path, monkeypatch):
     monkeypatch.setattr(audit_log, "LOCK_S", 0.0)
-    with audit_log._open_locked(path), pytest.raises(AuditError, check=holding("audit.held")):
+    with audit_log.open_locked(path), pytest.raises(AuditError, check=holding("audit.held")):
         AuditLog(path).record("clinician", "test.begun")
 
 
 def test_a_log_that_is_moved_away_while_it_is_waited_for_gets_no_line(path, monkeypatch):
     """It was opened under its name and held under another: what is added belongs to the log of this year."""
-    moved, before, sound = path.with_name("2025.jsonl"), path.read_bytes(), audit_log._lock
+    moved, before, sound = path.with_name("2025.jsonl"), path.read_bytes(), audit_log.lock
 
     def lock(descriptor: int) -> bool:
         if not moved.exists():
             path.rename(moved)
         return sound(descriptor)
 
-    monkeypatch.setattr(audit_log, "_lock", lock)
+    monkeypatch.setattr(audit_log, "lock", lock)
     AuditLog(path).record("clinician", "test.begun")
     assert moved.read_bytes() == before
     assert [line.what for line in last_lines(path, 9)] == ["audit.started", "audit.lines_missing", "test.begun"]

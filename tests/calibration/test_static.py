@@ -155,7 +155,7 @@ def test_a_supply_that_changes_meanwhile_fails_it():
 
     def sag(label, fraction):
         if label.code == "calibration.step.rest_again":
-            bench._converters._scale[1] = 0.97  # what the voltage channel makes of a volt
+            bench.converters.scale[1] = 0.97  # what the voltage channel makes of a volt
 
     result = calibrate_static(instrument, StaticPlan(steps=("electrical", "supply")), progress=sag)
     drifts = [(problem.code, problem.values.get("quantity")) for problem in problems_of(result.calibration)]

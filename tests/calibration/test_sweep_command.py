@@ -143,8 +143,8 @@ def test_what_goes_wrong_leaves_no_calibration_and_keeps_the_session(device, tmp
             raise KeyboardInterrupt
         return measure(self, *arguments)
 
-    measure = Sweep._measure
-    monkeypatch.setattr(Sweep, "_measure", second)
+    measure = Sweep.measure
+    monkeypatch.setattr(Sweep, "measure", second)
     assert sweep("--device", "spring", "--out", out, "--session", kept, *SHORT) != 0
     said = " ".join(capsys.readouterr().err.split())
     assert shows(said, "sweep.kept", path=str(kept))
@@ -155,14 +155,14 @@ def test_what_goes_wrong_leaves_no_calibration_and_keeps_the_session(device, tmp
 
 
 def test_after_a_failure_the_stage_is_back_in_mid_stroke(device, tmp_path, monkeypatch, capsys):
-    measure = Sweep._measure
+    measure = Sweep.measure
 
     def second(self, place_m, done, *arguments):
         measure(self, place_m, done, *arguments)
         if done == 1:
             raise InstrumentError("the coil's connector fell off")
 
-    monkeypatch.setattr(Sweep, "_measure", second)
+    monkeypatch.setattr(Sweep, "measure", second)
     assert "fell off" in complaint(capsys, "--device", "spring", "--out", tmp_path / "sweep.toml", *SHORT)
     assert device[-1].link.firmware.bench.tissue.surface_m == pytest.approx(0.0154, abs=0.3e-3)
 

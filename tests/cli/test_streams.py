@@ -14,7 +14,7 @@ from pathlib import Path
 import pytest
 
 from tissueid.cli import streams
-from tissueid.cli.streams import Stream, _Writer
+from tissueid.cli.streams import Stream, Writer
 from tissueid.sessions import read_session
 
 pytestmark = pytest.mark.skipif(sys.platform == "win32", reason="streams of POSIX")
@@ -123,7 +123,7 @@ class Gate:
 
 
 def test_progress_that_nobody_takes_is_dropped_and_results_are_not(monkeypatch):
-    gate, writer = Gate(), _Writer()
+    gate, writer = Gate(), Writer()
     error = Stream(gate, writer, results=False, broken=None)
     output = Stream(gate, writer, results=True, broken=None)
     for _ in range(100):
@@ -140,7 +140,7 @@ def test_text_that_the_terminal_has_no_letters_for_is_written_in_others():
     gate = Gate()
     gate.encoding = "ascii"
     gate.open.set()
-    output = Stream(gate, _Writer(), results=True, broken=None)
+    output = Stream(gate, Writer(), results=True, broken=None)
     output.write("5 µm \udce9")
     output.deliver()
     assert gate.taken == "5 \\xb5m \\udce9"
@@ -151,7 +151,7 @@ def test_a_stream_that_broke_says_why_to_who_asks():
         def write(self, text: str) -> int:
             raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
 
-    output = Stream(Full(), _Writer(), results=True, broken=None)
+    output = Stream(Full(), Writer(), results=True, broken=None)
     for _ in range(3):
         output.write("x" * 5_000_000)  # does not wait for what can never be written
     with pytest.raises(OSError, match="No space left") as told:

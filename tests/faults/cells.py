@@ -195,7 +195,7 @@ class _Sitting:
         instrument = desk.open()
         recorder = desk.recorder(self.folder / "sitting.h5", instrument)
         run_guided_test(instrument, open_loop(seed=1), recorder, surface_m=SURFACE_M)
-        recorder._journal.sync()
+        recorder.journal.sync()
         first_run = desk.bench.samples
         out.message = self._attempt(instrument, recorder)
         out.wait_s = desk.link.longest_wait_s
@@ -212,7 +212,7 @@ class _Sitting:
             self._judge_message(out.message)
         elif self.ordeal.codes:
             out.problems.append("nothing was noticed")
-        recorder._journal.sync()
+        recorder.journal.sync()
         out.problems += desk.lost_in_a_power_cut(recorder, self.folder)
         self._go_on(recorder)
         out.wait_s = max(out.wait_s, desk.link.longest_wait_s)

@@ -113,7 +113,7 @@ class FaultyLink(LoopbackLink):
         self.sent: Counter[int] = Counter()
         self.running = 0
         self._heard, self._said = wire.FrameDecoder(), wire.FrameDecoder()
-        self._answered: dict[bytes, None] = {}
+        self.answered: dict[bytes, None] = {}
 
     def read(self, timeout_s: float) -> bytes:
         try:
@@ -122,8 +122,8 @@ class FaultyLink(LoopbackLink):
             raise broken_error(self.name, OSError(errno.ENODEV, "")) from error
         for frame in self._heard.feed(data):
             # An answer that the host had not heard before gets it further; what else comes may not.
-            if frame.type in (MessageType.ACK, MessageType.HELLO_ACK) and frame.payload not in self._answered:
-                self._answered[frame.payload] = None
+            if frame.type in (MessageType.ACK, MessageType.HELLO_ACK) and frame.payload not in self.answered:
+                self.answered[frame.payload] = None
                 self.progress()
         return data
 
@@ -228,7 +228,7 @@ class Desk:
         """
         if not self.link.plugged:
             raise open_error(self.link.name, OSError(errno.ENOENT, ""))
-        self.link._answered.clear()
+        self.link.answered.clear()
         return WatchedInstrument(self.link)
 
     def recorder(self, path: Path, instrument: SerialInstrument) -> WatchedRecorder:
@@ -304,7 +304,7 @@ class Desk:
         """What was acknowledged and would not come back if the host lost its power now."""
         acknowledged = recorder.samples_acknowledged
         left = folder / "cut.h5.journal"
-        shutil.copyfile(recorder._journal.path, left)
+        shutil.copyfile(recorder.journal.path, left)
         if not acknowledged:
             left.unlink()
             return []

@@ -128,7 +128,7 @@ class _Sitting:
         )
         self.report.completed += 1
         if rng.random() < 0.3:
-            recorder._journal.sync()
+            recorder.journal.sync()
             self.report.problems += self.desk.lost_in_a_power_cut(recorder, self.folder)
 
     def _broke_off(self, error: TissueIDError, recorder: WatchedRecorder) -> None:
@@ -145,7 +145,7 @@ class _Sitting:
         if desk.firmware.energised:
             report.problems.append(f"the coil is energised {RELEASED_S} s after: {error}")
         if self.rng.random() < 0.5:
-            recorder._journal.sync()
+            recorder.journal.sync()
         report.problems += desk.lost_in_a_power_cut(recorder, self.folder)
 
     def _end(self, instrument: WatchedInstrument | None, recorder: WatchedRecorder) -> None:

@@ -43,7 +43,7 @@ def test_a_host_that_stands_still_keeps_what_was_played_and_no_more(tmp_path, se
     test, desk, recorder = stopped_host(tmp_path, seconds)
     assert desk.firmware.faults == Fault.WATCHDOG
     assert test.status == "aborted"
-    assert test.samples == desk.firmware._player.played
+    assert test.samples == desk.firmware.player.played
     assert test.notes["samples_after_release"] > 0
     assert recorder.samples_appended == test.samples
     command = np.asarray(test.signals["command"])
@@ -57,7 +57,7 @@ def test_a_host_that_stands_still_keeps_what_was_played_and_no_more(tmp_path, se
 
 def test_set_points_of_a_host_that_stands_still(tmp_path):
     test, desk, _ = stopped_host(tmp_path, 3.0, feedback(SECONDS))
-    assert test.samples == desk.firmware._player.played
+    assert test.samples == desk.firmware.player.played
     assert np.isfinite(np.asarray(test.signals["position"])).all()
 
 
@@ -72,10 +72,10 @@ def test_a_journal_with_samples_after_the_release_is_recovered_without_them(tmp_
         if number == 20:
             desk.firmware.brown_out()
             desk.link.to_host = lambda data: data
-        instrument._monitor.stop_due = instrument._monitor.error = None
-        instrument._pump(0.05)
-        recorder.add(instrument._stream.drain())
-    played = desk.firmware._player.played
+        instrument.monitor.stop_due = instrument.monitor.error = None
+        instrument.pump(0.05)
+        recorder.add(instrument.stream.drain())
+    played = desk.firmware.player.played
     recorder.abandon()
     assert journal_path(tmp_path / "s.h5").exists()
     _, session = recover(tmp_path / "s.h5")

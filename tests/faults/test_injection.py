@@ -113,7 +113,7 @@ def test_a_cut_cable_keeps_nothing():
 
 def planned(*faults):
     desk = Desk(seed=3)
-    desk.link.faults._planned = list(faults)
+    desk.link.faults.planned = list(faults)
     return desk, desk.open()
 
 
@@ -147,7 +147,7 @@ def test_a_fault_comes_in_its_state(state):
     desk, seen = Desk(seed=3), []
     faults = desk.link.faults
     with patch.object(faults, "begin", lambda fault, now: seen.append(desk.firmware.state)):
-        faults._planned.append(PlannedFault(kind="stuck_sensor", in_state=state, channel="temperature"))
+        faults.planned.append(PlannedFault(kind="stuck_sensor", in_state=state, channel="temperature"))
         instrument = desk.open()
         poll_for(desk, instrument, 0.05)
         running(instrument)

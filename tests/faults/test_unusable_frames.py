@@ -208,10 +208,10 @@ def test_a_run_has_a_limit_by_the_host_s_own_clock():
 
     for _ in range(10):
         instrument.poll(0.05)
-    seen[0] = instrument._stream.next_index
+    seen[0] = instrument.stream.next_index
     desk.link.to_host = Altering(desk, slowly, after_s=0.0)
-    desk.firmware._player.length = 10**6  # a device that does not end the run either
-    desk.firmware._player._stimulus_v = np.full(10**6, 8.0)
+    desk.firmware.player.length = 10**6  # a device that does not end the run either
+    desk.firmware.player.stimulus_v = np.full(10**6, 8.0)
     with pytest.raises(InstrumentError, check=coded("instrument.overdue", seconds=7.5)):
         while True:
             assert desk.link.now - began < LATEST_S

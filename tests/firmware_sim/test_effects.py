@@ -77,7 +77,7 @@ def test_the_loop_without_an_effect_is_the_plants_own():
     commands = played(4.0, 0.1)
     trace = plant.advance(commands)
     again = Plant(PlantParameters(), load_preset("left-posterior-forearm"))
-    out, _ = ActiveEffects([]).advance(commands, state, again._plant, again._tissue, 1 / 2000, again.substeps)
+    out, _ = ActiveEffects([]).advance(commands, state, again.plant_row, again.tissue_row, 1 / 2000, again.substeps)
     for k, column in enumerate(trace.dtype.names):
         np.testing.assert_array_equal(out[:, k], trace[column])
 
@@ -181,12 +181,12 @@ def test_bristles_slide_with_their_level_and_take_energy():
     row = EFFECTS["dry_friction"](level=0.4, breakaway_share=0.5).row()
     kept = np.zeros(4)
     for _ in range(2000):
-        force = mechanics._bristles.py_func(0.1, 2.5e-5, row, kept)
+        force = mechanics.bristles.py_func(0.1, 2.5e-5, row, kept)
     assert force == pytest.approx(0.4, rel=1e-6)
     for amplitude in (1e-6, 1e-5, 1e-3):
         kept = np.zeros(4)
         step, _, speed = swung(amplitude, 5.0)
-        work = sum(mechanics._bristles.py_func(v, step, row, kept) * v * step for v in speed)
+        work = sum(mechanics.bristles.py_func(v, step, row, kept) * v * step for v in speed)
         assert work >= -1e-12
         assert np.abs(kept).max() < 1e-3
 
@@ -194,8 +194,8 @@ def test_bristles_slide_with_their_level_and_take_energy():
 def test_slipping_blocks_hold_more_one_way():
     row = EFFECTS["directional_friction"](level=0.2, outward_share=3.0).row()
     kept = np.zeros(MEMORY)
-    inwards = [mechanics._slips.py_func(1e-6, row, kept) for _ in range(400)][-1]
-    outwards = [mechanics._slips.py_func(-1e-6, row, kept) for _ in range(400)][-1]
+    inwards = [mechanics.slips.py_func(1e-6, row, kept) for _ in range(400)][-1]
+    outwards = [mechanics.slips.py_func(-1e-6, row, kept) for _ in range(400)][-1]
     assert inwards == pytest.approx(0.2)
     assert outwards == pytest.approx(-0.6)
 
@@ -297,7 +297,7 @@ def test_the_tissue_resists_motion_relative_to_its_own(extra):
     state = np.zeros(kernel.STATE_SIZE)
 
     def resistance(speed):
-        return kernel._resistance(state, law, 0.003, speed)[0]
+        return kernel.tissue_resistance(state, law, 0.003, speed)[0]
 
     law[kernel.REST_VELOCITY] = 0.03
     carried = [resistance(speed) for speed in (0.03, 0.05, 0.01)]

@@ -135,12 +135,11 @@ def test_a_line_that_loses_and_damages_costs_samples_and_no_test(tmp_path):
     assert np.nanmax(np.abs(played["command"] - 10.0)) < 0.01
 
 
-def test_a_drifting_clock_changes_the_device_s_pace_and_nothing_else(monkeypatch):
+def test_a_drifting_clock_changes_the_device_s_pace_and_nothing_else():
     port = TimedPort()
-    monkeypatch.setattr("firmware_sim.server.time.monotonic", lambda: port.now)
     firmware = Firmware(Bench("linear-demo"))
     plan = PlannedFault(kind="drifting_clock", in_state="idle", clock_error=0.02, seconds=2.0)
-    server = Server(firmware, port, Scenario(faults=(plan,)))
+    server = Server(firmware, port, Scenario(faults=(plan,)), clock=lambda: port.now)
     server.run(until=lambda: port.now > 2.0)
     assert firmware.sample_index == pytest.approx(2.0 * 2000 * 1.02, rel=2e-3)
     assert server.stopped_s == 0.0
@@ -158,16 +157,15 @@ class DeafPort:
         pass
 
 
-def test_a_host_that_does_not_read_loses_frames_and_fills_no_memory(monkeypatch):
+def test_a_host_that_does_not_read_loses_frames_and_fills_no_memory():
     clock = iter(np.arange(0.0, 1000.0, 0.005))
-    monkeypatch.setattr("firmware_sim.server.time.monotonic", lambda: next(clock))
     firmware = Firmware(Bench())
     firmware.streaming = True
-    server = Server(firmware, DeafPort(), Scenario())
+    server = Server(firmware, DeafPort(), Scenario(), clock=lambda: next(clock))
     rounds = iter(range(600))
     server.run(until=lambda: next(rounds, None) is None)
     assert firmware.dropped_frames > 0
-    assert len(server._outgoing) < 200_000
+    assert len(server.outgoing) < 200_000
 
 
 class TimedPort:
@@ -195,11 +193,10 @@ class TimedPort:
         pass
 
 
-def test_frames_leave_when_they_are_whole_and_requests_act_when_they_come(monkeypatch):
+def test_frames_leave_when_they_are_whole_and_requests_act_when_they_come():
     port = TimedPort()
-    monkeypatch.setattr("firmware_sim.server.time.monotonic", lambda: port.now)
     firmware = Firmware(Bench("linear-demo"))
-    Server(firmware, port, Scenario()).run(until=lambda: port.now > 1.0)
+    Server(firmware, port, Scenario(), clock=lambda: port.now).run(until=lambda: port.now > 1.0)
     data = [(at, frame) for at, frame in port.heard if frame.type == wire.MessageType.DATA]
     assert len(data) >= 99
     for at, frame in data:
@@ -213,20 +210,19 @@ def test_frames_leave_when_they_are_whole_and_requests_act_when_they_come(monkey
         assert at - said < 0.0005
 
 
-def test_a_machine_that_is_too_busy_stops_the_clock_and_says_so(monkeypatch):
+def test_a_machine_that_is_too_busy_stops_the_clock_and_says_so():
     port = TimedPort()
-    monkeypatch.setattr("firmware_sim.server.time.monotonic", lambda: port.now)
     firmware = Firmware(Bench("linear-demo"))
-    server = Server(firmware, port, Scenario())
+    server = Server(firmware, port, Scenario(), clock=lambda: port.now)
     server.run(until=lambda: port.now > 0.5)
     assert server.stopped_s == 0.0
     before = firmware.sample_index
     port.now += 0.3
-    server._keep_up(port.now)
+    server.keep_up(port.now)
     assert firmware.sample_index - before == 40
     assert server.stopped_s == pytest.approx(0.28, abs=0.005)
     port.now += 0.01
-    server._keep_up(port.now)
+    server.keep_up(port.now)
     assert firmware.sample_index - before == pytest.approx(60, abs=1)
 
 

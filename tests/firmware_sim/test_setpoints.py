@@ -384,7 +384,7 @@ def test_whatever_the_cable_does_only_what_was_sent_is_played_or_held(deliveries
         for _, block, shift, again in (item for item in deliveries if item[0] == tick):
             offset = PRELOAD + block * BLOCK + shift
             volts = forces[block] + 0.01 * np.arange(BLOCK)
-            now = desk.firmware.sample_index - desk.firmware._start_index
+            now = desk.firmware.sample_index - desk.firmware.start_index
             result, _ = desk.send(offset, volts, sequence=30_000 + block if again else None)
             late += result == Result.LATE and not again and now < PRELOAD + BLOCK * BLOCKS
             if result in (Result.OK, Result.LATE):

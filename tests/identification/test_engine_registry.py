@@ -3,11 +3,12 @@
 from __future__ import annotations
 
 import warnings
-from dataclasses import dataclass
+from collections.abc import Iterator
 from typing import ClassVar
 
 import pytest
 from coded import coded
+from plugged import Plugin, plugged_in
 
 from tissueid.errors import UnusableInputError
 from tissueid.identification import Engine, Model, engine_names, get_engine, registry
@@ -23,26 +24,11 @@ class Foreign(Engine):
         raise UnusableInputError("not today")
 
 
-@dataclass
-class Plugin:
-    name: str
-    value: str
-    loaded: object
-
-    def load(self) -> object:
-        if isinstance(self.loaded, BaseException):
-            raise self.loaded
-        return self.loaded
-
-
 @pytest.fixture
-def plugins(monkeypatch: pytest.MonkeyPatch) -> list[Plugin]:
+def plugins() -> Iterator[list[Plugin]]:
     installed: list[Plugin] = []
-    engine_names()
-    monkeypatch.setattr(registry._engines, "_members", dict(registry._engines._members))
-    monkeypatch.setattr(registry._engines, "_loaded", False)
-    monkeypatch.setattr("tissueid.plugins.entry_points", lambda group: {"tissueid.engines": installed}.get(group, []))
-    return installed
+    with plugged_in("tissueid.engines", installed, registry.engines):
+        yield installed
 
 
 def test_built_in_engines_are_found():
@@ -58,14 +44,14 @@ def test_an_unknown_name_lists_those_there_are():
 
 
 def test_third_parties_add_engines_by_entry_point(plugins: list[Plugin]):
-    plugins.append(Plugin("foreign", "elsewhere:Foreign", Foreign))
+    plugins.append(Plugin("foreign", Foreign))
     assert get_engine("foreign") is Foreign
 
 
 def test_a_broken_plugin_gives_a_warning_and_affects_no_other(plugins: list[Plugin]):
     plugins += [
-        Plugin("broken", "broken:Engine", ImportError("no module named 'gone'")),
-        Plugin("foreign", "elsewhere:Foreign", Foreign),
+        Plugin("broken", ImportError("no module named 'gone'"), "broken:Engine"),
+        Plugin("foreign", Foreign),
     ]
     with pytest.warns(UserWarning, match=r"'broken' \(broken:Engine\) was left out: no module named 'gone'"):
         names = engine_names()
@@ -84,7 +70,7 @@ def test_a_broken_plugin_gives_a_warning_and_affects_no_other(plugins: list[Plug
     ],
 )
 def test_a_plugin_of_any_other_content_is_left_out(plugins: list[Plugin], loaded: object, why: str):
-    plugins += [Plugin("odd", "odd:Odd", loaded), Plugin("foreign", "elsewhere:Foreign", Foreign)]
+    plugins += [Plugin("odd", loaded, "odd:Odd"), Plugin("foreign", Foreign)]
     with pytest.warns(UserWarning, match=rf"'odd' \(odd:Odd\) was left out: .*{why}"):
         assert {"foreign", "lms"} <= set(engine_names())
 

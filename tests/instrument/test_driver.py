@@ -96,8 +96,8 @@ def test_requests_survive_a_lossy_link_and_act_once(loss):
     run = instrument.start()
     assert instrument.repeated_requests > 0
     assert link.firmware.state is State.RUNNING
-    assert link.firmware._start_index == run.first_index
-    assert link.firmware._stimulus.size == 4000
+    assert link.firmware.start_index == run.first_index
+    assert link.firmware.stimulus.size == 4000
 
 
 def test_a_new_host_finds_a_device_that_still_streams_for_a_dead_one():
@@ -121,13 +121,11 @@ def test_a_repeated_start_does_not_start_again():
     instrument.start()
     firmware = instrument.link.firmware
     instrument.poll(0.3)
-    cursor = firmware._player.cursor
-    payload = wire.pack(wire.START, token=instrument._token)
-    start = wire.encode_frame(
-        wire.Frame(wire.MessageType.START, instrument._channel.next_number() - 1, payload=payload)
-    )
+    cursor = firmware.player.cursor
+    payload = wire.pack(wire.START, token=instrument.token)
+    start = wire.encode_frame(wire.Frame(wire.MessageType.START, instrument.channel.next_number() - 1, payload=payload))
     firmware.receive(start, instrument.link.now)
-    assert firmware._player.cursor == cursor
+    assert firmware.player.cursor == cursor
 
 
 def test_lost_samples_are_nan_and_logged():
@@ -167,7 +165,7 @@ def test_a_stop_whose_message_was_lost_is_noticed():
         return b"".join(wire.encode_frame(f) for f in frames if f.type != wire.MessageType.STATUS)
 
     link.to_host = without_status
-    link.firmware._trip(Fault.STROKE)
+    link.firmware.trip(Fault.STROKE)
     instrument.poll(0.05)
     link.to_host = lambda data: data
     with pytest.raises(FirmwareFaultError, check=holding("fault.stroke")):
@@ -178,7 +176,7 @@ def test_a_stop_whose_message_was_lost_is_noticed():
 def test_a_stop_without_a_request_is_not_a_completed_test():
     instrument = connect()
     running(instrument)
-    instrument.link.firmware._release(forget=False)
+    instrument.link.firmware.release(forget=False)
     with pytest.raises(FirmwareFaultError, check=coded("instrument.stopped")):
         for _ in range(20):
             instrument.poll(0.05)
@@ -267,7 +265,7 @@ def test_the_firmware_refuses_a_stimulus_beyond_the_limits(monkeypatch):
     with pytest.raises(LimitError, check=coded("refused.beyond_limits", request="ARM")):
         instrument.arm(Limits(max_force_n=8.0))
     # A host that does not know the limits of the device asks for more.
-    instrument._handshake = replace(instrument._handshake, max_force_n=1000.0)
+    instrument.handshake = replace(instrument.handshake, max_force_n=1000.0)
     with pytest.raises(LimitError, check=coded("refused.beyond_limits", request="ARM")):
         instrument.arm(Limits(max_force_n=16.0))
     assert not instrument.link.firmware.energised
@@ -297,7 +295,7 @@ def test_the_firmware_trips_on_force_within_one_sample(monkeypatch):
     instrument.load(hold(20.0))
     instrument.arm(Limits(max_force_n=5.05))
     firmware = instrument.link.firmware
-    firmware._armed = replace(firmware._armed, max_force_n=3.0)
+    firmware.armed = replace(firmware.armed, max_force_n=3.0)
     run = instrument.start()
     blocks = []
     with pytest.raises(FirmwareFaultError, check=holding("fault.over_force")):
@@ -326,7 +324,7 @@ def test_the_host_releases_on_its_own(monkeypatch, limits, check):
     instrument.load(hold(30.0, 3.0))
     firmware = instrument.link.firmware
     instrument.arm(RESEARCH)
-    instrument._monitor.limits = limits
+    instrument.monitor.limits = limits
     run = instrument.start()
     with pytest.raises(LimitError, check=check):
         collect(instrument, run)

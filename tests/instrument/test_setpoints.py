@@ -306,7 +306,7 @@ def test_lost_blocks_are_sent_again_in_time():
     expected = softly(np.concatenate((np.full(PRELOAD, 10.0), wave())), loaded=PRELOAD)
     np.testing.assert_allclose(samples["command"][: run.samples][received], expected[received], atol=STEP_V)
     assert instrument.late_blocks == instrument.held_samples == 0
-    assert instrument._sender.repeated_blocks > 3
+    assert instrument.sender.repeated_blocks > 3
 
 
 def test_repeated_frames_do_no_harm():
@@ -352,8 +352,8 @@ def without(kinds):
         return b"".join(wire.encode_frame(f) for f in short)
 
     instrument = connect("linear-demo")
-    obey = instrument.link.firmware._obey
-    instrument.link.firmware._obey = lambda frame, now: (Result.UNKNOWN, 0) if frame.type in kinds else obey(frame, now)
+    obey = instrument.link.firmware.obey
+    instrument.link.firmware.obey = lambda frame, now: (Result.UNKNOWN, 0) if frame.type in kinds else obey(frame, now)
     instrument.link.to_host = old_status
     return instrument
 

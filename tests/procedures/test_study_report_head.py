@@ -8,7 +8,7 @@ from tissueid.device import SIMULATED_SERIAL
 from tissueid.procedures.control import Control
 from tissueid.procedures.study_plans import StudyPlan
 from tissueid.procedures.study_protocol import PROTOCOL_FILE
-from tissueid.procedures.study_report import _name
+from tissueid.procedures.study_report import study_name
 from tissueid.procedures.study_run import run_study
 from tissueid.sessions import write_session
 
@@ -26,8 +26,8 @@ def test_the_table_says_which_tests_are_simulated(tmp_path):
 
 
 def test_the_name_of_a_study_is_that_of_its_protocol_or_of_its_folder(tmp_path):
-    assert _name(tmp_path) == tmp_path.name
+    assert study_name(tmp_path) == tmp_path.name
     (tmp_path / PROTOCOL_FILE).write_text('{"name": "Lotion trial", "sites": ["cheek"]}')
-    assert _name(tmp_path) == "Lotion trial"
+    assert study_name(tmp_path) == "Lotion trial"
     (tmp_path / PROTOCOL_FILE).write_text("{")
-    assert _name(tmp_path) == tmp_path.name
+    assert study_name(tmp_path) == tmp_path.name

@@ -241,7 +241,7 @@ def test_the_firmware_alone_ends_a_test_that_is_too_long(monkeypatch):
     instrument.load(volts(8.0, 1.0))
     instrument.arm(WIDE)
     firmware = instrument.link.firmware
-    firmware._armed = replace(firmware._armed, max_samples=1000)
+    firmware.armed = replace(firmware.armed, max_samples=1000)
     run = instrument.start()
     samples = []
     with pytest.raises(FirmwareFaultError, check=holding("fault.over_time")):
@@ -267,7 +267,7 @@ def test_the_host_alone_ends_a_test_that_is_too_long(monkeypatch):
     instrument = rig(watchdog_s=1e9)
     instrument.load(volts(8.0, 3.0))
     instrument.arm(WIDE)
-    instrument._monitor.limits = replace(WIDE, max_seconds=0.5)
+    instrument.monitor.limits = replace(WIDE, max_seconds=0.5)
     instrument.start()
     with pytest.raises(LimitError, check=coded("limit.time", seconds=pytest.approx(1.5, abs=0.02), limit=0.5)):
         while True:

@@ -126,7 +126,7 @@ def test_start_is_refused_while_the_button_is_held_down():
     instrument.arm(WIDE)
     link = instrument.link
     link.firmware.bench.button = True
-    payload = wire.pack(wire.START, token=instrument._token)
+    payload = wire.pack(wire.START, token=instrument.token)
     link.firmware.receive(wire.encode_frame(wire.Frame(MessageType.START, 60_000, payload=payload)), link.now)
     assert not link.firmware.energised
 
@@ -174,8 +174,8 @@ def test_a_supply_that_sags_is_noticed_before_the_next_sample_and_latches(state)
     firmware.advance(1, now)
     assert firmware.state is State.FAULT
     assert firmware.faults == Fault.BROWN_OUT
-    assert not firmware._samples["flags"][-1] & Flag.ENERGISED
-    instrument._monitor.error = None
+    assert not firmware.frame_samples["flags"][-1] & Flag.ENERGISED
+    instrument.monitor.error = None
     instrument.clear_faults()
     firmware.advance(1, instrument.link.now)
     assert firmware.faults == Fault.BROWN_OUT, "as long as the supply sags"
@@ -217,7 +217,7 @@ def test_stop_release_and_finish_are_obeyed_whatever_was_agreed_on(kind, after):
     instrument = rig()
     link = running(instrument)
     firmware = link.firmware
-    firmware._greeted = False
+    firmware.greeted = False
     firmware.transmit(link.now)
     for number, request in enumerate((MessageType.CLEAR_FAULTS, kind)):
         firmware.receive(wire.encode_frame(wire.Frame(request, 50_000 + number)), link.now)

@@ -117,8 +117,8 @@ def test_a_steady_push_at_the_limit_is_played_as_it_is(monkeypatch):
 @pytest.mark.parametrize("position_m", [np.nan, np.inf, -1e300])
 def test_nonsense_of_a_position_never_raises_a_command(position_m):
     bench = Bench("buna", seed=1)
-    guard = Firmware(bench)._guard
-    guard._newest_m[:] = 0.01, 0.01, position_m
+    guard = Firmware(bench).guard
+    guard.newest_m[:] = 0.01, 0.01, position_m
     command = np.linspace(-16.0, 16.0, 33)
     block = bench.block(command, energised=False)
     armed = type("Armed", (), {"max_force_n": 4.0})()

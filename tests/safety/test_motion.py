@@ -203,7 +203,7 @@ def test_the_firmware_alone_keeps_the_stage_still_while_a_test_is_armed():
     instrument.load(volts(4.0, 0.3))
     instrument.arm(CLINICAL)
     before = instrument.link.firmware.bench.tissue
-    instrument._monitor.limits = None
+    instrument.monitor.limits = None
     with pytest.raises(InstrumentError, check=coded("refused.state", request="STAGE")):
         instrument.move_stage(0.01)
     assert instrument.link.firmware.bench.tissue is before
@@ -223,8 +223,8 @@ def test_the_stage_stays_where_it_is_while_a_fault_is_latched(fault):
     instrument = rig()
     firmware = instrument.link.firmware
     before = firmware.bench.tissue
-    firmware._trip(fault)
-    instrument._monitor.error = None
+    firmware.trip(fault)
+    instrument.monitor.error = None
     with pytest.raises(FirmwareFaultError):
         instrument.move_stage(0.01)
     request = wire.encode_frame(wire.Frame(MessageType.STAGE, 50_000, payload=wire.pack(wire.STAGE, position_m=0.01)))

@@ -114,7 +114,7 @@ def test_a_coil_that_is_on_though_nothing_runs_is_released_again():
         link.run_for(0.2)
         instrument.poll(0.05)
         link.to_host = without(lost)
-        link.firmware._enter(State.RUNNING)
+        link.firmware.enter(State.RUNNING)
         assert seconds_until_free(instrument) < 0.2
         assert link.firmware.faults == Fault.NONE
 
@@ -130,7 +130,7 @@ def test_the_soft_release_of_a_run_is_no_reason_to_stop_it():
     newest = run.first_index
     while newest < run.end_index + 400:
         newest = instrument.poll(0.05)["index"][-1]
-        instrument._channel.send(MessageType.STATUS_REQUEST)
+        instrument.channel.send(MessageType.STATUS_REQUEST)
     kinds = {frame.type for frame in wire.FrameDecoder().feed(b"".join(sent))}
     assert kinds == {MessageType.HEARTBEAT, MessageType.STATUS_REQUEST}
 

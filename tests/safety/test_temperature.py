@@ -70,7 +70,7 @@ def with_a_dead_sensor(name, room_c, watchdog_s):
     truth = replace(model.plant, ambient_degc=room_c)
     bench = Bench("linear-demo", seed=1, parameters=truth, nominal=model.plant, frame_mass_kg=model.frame_mass_kg)
     bench.stuck.add("temperature")
-    bench._frozen["temperature"] = int(CHANNELS[4].encode(np.array([23.0]))[0][0])
+    bench.frozen["temperature"] = int(CHANNELS[4].encode(np.array([23.0]))[0][0])
     identity = Identity(model=model.title, max_force_n=model.max_force_n)
     link = LoopbackLink(Firmware(bench, identity))
     instrument = SerialInstrument(link, clock=link.clock)
@@ -163,7 +163,7 @@ def test_the_firmware_forgets_no_heat_when_it_is_stopped_or_its_faults_are_clear
             pass
         instrument.release()
         instrument.clear_faults()
-        warm.append(firmware._guard.winding.temperature_c)
+        warm.append(firmware.guard.winding.temperature_c)
     assert warm[0] > 38.0
     assert warm[1] > warm[0] + 10.0
     assert warm[1] > true_winding_c(instrument)
@@ -171,7 +171,7 @@ def test_the_firmware_forgets_no_heat_when_it_is_stopped_or_its_faults_are_clear
     firmware.bench.stuck.clear()
     instrument.link.run_for(1.0)
     sensor_c = CHANNELS[4].decode(firmware.bench.block(np.zeros(20), energised=False).codes[:, 4]).mean()
-    assert firmware._guard.winding.temperature_c > sensor_c
+    assert firmware.guard.winding.temperature_c > sensor_c
 
 
 def by_temperature(error):
@@ -200,7 +200,7 @@ def test_samples_that_were_lost_count_with_the_worst_that_was_asked_for():
     judge.arm(ROOM, WIDE)
     judge.expect_command(np.array([3.0, -24.0]))
     judge.expect_command(np.array([12.0]))
-    assert judge._highest_a == 2.0
+    assert judge.highest_expected_a == 2.0
 
 
 def test_a_coil_that_is_hot_already_is_not_armed():
@@ -259,7 +259,7 @@ def test_the_host_releases_when_the_temperature_sensor_falls_off():
 
 def test_a_handshake_with_nan_scales_is_refused():
     firmware = Firmware(Bench(seed=1))
-    firmware._channels["temperature"] = replace(firmware._channels["temperature"], offset=float("nan"))
+    firmware.channels["temperature"] = replace(firmware.channels["temperature"], offset=float("nan"))
     link = LoopbackLink(firmware)
     with pytest.raises(InstrumentError, check=holding("handshake.offset", name="temperature")):
         SerialInstrument(link, clock=link.clock)

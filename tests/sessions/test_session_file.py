@@ -123,11 +123,11 @@ def test_nothing_is_left_when_writing_fails(tmp_path, session, monkeypatch):
 
 @pytest.mark.parametrize("change", [lambda values: values[:-1], lambda values: values + 1e-12, lambda values: -values])
 def test_what_reads_back_differently_is_not_kept(tmp_path, session, monkeypatch, change):
-    def damaged(group, read=session_file._read_signals):
+    def damaged(group, read=session_file.read_signals):
         signals = read(group)
         return signals | {"force": change(signals["force"])}
 
-    monkeypatch.setattr(session_file, "_read_signals", damaged)
+    monkeypatch.setattr(session_file, "read_signals", damaged)
     with pytest.raises(SessionFormatError, check=coded("session.test_differs", number=1, signal="force")):
         write_session(tmp_path / "session.h5", session)
     assert list(tmp_path.iterdir()) == []

@@ -9,6 +9,7 @@ from typing import Any, ClassVar
 import numpy as np
 import pytest
 from coded import coded
+from plugged import Plugin, plugged_in
 
 from tissueid.device import DeviceDescription
 from tissueid.errors import LimitError, UnusableInputError
@@ -39,22 +40,6 @@ class Silence(OpenLoopKind):
         return Stimulus(np.zeros(10), 100.0, self.describe(), seed=0, crest_factor=1.0)
 
 
-class Broken:
-    name = "broken"
-    value = "broken:Kind"
-
-    def load(self) -> object:
-        raise ImportError("gone")
-
-
-class Working:
-    name = "silence"
-    value = "elsewhere:Silence"
-
-    def load(self) -> object:
-        return Silence
-
-
 def test_kinds_are_found_and_an_unknown_one_lists_them():
     assert "noise" in stimulus_names()
     assert get_stimulus("noise") is Noise
@@ -62,12 +47,12 @@ def test_kinds_are_found_and_an_unknown_one_lists_them():
         get_stimulus("nois")
 
 
-def test_third_parties_add_kinds_and_a_broken_one_costs_nobody(monkeypatch: pytest.MonkeyPatch):
-    stimulus_names()
-    monkeypatch.setattr(base._kinds, "_members", dict(base._kinds._members))
-    monkeypatch.setattr(base._kinds, "_loaded", False)
-    monkeypatch.setattr("tissueid.plugins.entry_points", lambda group: [Broken(), Working()])
-    with pytest.warns(UserWarning, match=r"'broken' \(broken:Kind\) was left out: gone"):
+def test_third_parties_add_kinds_and_a_broken_one_costs_nobody():
+    installed = [Plugin("broken", ImportError("gone"), "broken:Kind"), Plugin("silence", Silence)]
+    with (
+        plugged_in("tissueid.stimuli", installed, base.kinds),
+        pytest.warns(UserWarning, match=r"'broken' \(broken:Kind\) was left out: gone"),
+    ):
         assert {"noise", "silence"} <= set(stimulus_names())
 
 

@@ -7,6 +7,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from coded import coded
+from plugged import Plugin, plugged_in
 
 from tissueid.errors import UnusableInputError
 from tissueid.twin import bus, chain_parameters, simulation
@@ -259,23 +260,11 @@ def test_a_declaration_of_other_content_is_refused(values):
         replace(effect("dry_friction"), **values)
 
 
-def test_effects_of_plugins_that_cannot_be_used_are_left_out(monkeypatch):
-    class Plugin:
-        value = "elsewhere:X"
-
-        def __init__(self, name, loaded):
-            self.name, self.loaded = name, loaded
-
-        def load(self):
-            if isinstance(self.loaded, BaseException):
-                raise self.loaded
-            return self.loaded
-
+def test_effects_of_plugins_that_cannot_be_used_are_left_out():
     new = replace(effect("dry_friction"), name="new_friction")
     contents = {"good": new, "twice": new, "number": 5, "ours": effect("sensor_lag"), "exits": SystemExit(3)}
     installed = [Plugin(name, loaded) for name, loaded in contents.items()]
-    monkeypatch.setattr("tissueid.plugins.entry_points", lambda group: installed)
-    with pytest.warns(UserWarning, match="was left out") as seen:
+    with plugged_in("tissueid.effects", installed), pytest.warns(UserWarning, match="was left out") as seen:
         found = all_effects.__wrapped__()
     assert set(found) - set(all_effects()) == {"new_friction"}
     assert len(seen) == len(contents) - 1

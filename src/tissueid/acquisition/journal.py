@@ -78,8 +78,8 @@ class Journal:
     ) -> None:
         self.path = path
         self._sync_s = sync_s
-        self._max_waiting = max_waiting
-        self._patience_s = disk_timeout_s
+        self.max_waiting = max_waiting
+        self.disk_timeout_s = disk_timeout_s
         try:
             self._file: IO[bytes] = os.fdopen(create_private(path), "wb", buffering=0)
         except FileExistsError as error:
@@ -111,8 +111,8 @@ class Journal:
         self._appended_bytes = self._written_bytes = 0
         self._named = self._ended = False
         self._last: _Flush | None = None
-        self._thread = threading.Thread(target=self._write_all, name="journal", daemon=True)
-        self._thread.start()
+        self.writer = threading.Thread(target=self._write_all, name="journal", daemon=True)
+        self.writer.start()
 
     def append(self, entry: bytes) -> int:
         """Queue an entry; return its number, for comparison with ``synced``.
@@ -121,7 +121,7 @@ class Journal:
             JournalError: an earlier write failed, or too many bytes are unwritten.
         """
         self.check()
-        if self._appended_bytes - self._written_bytes > self._max_waiting:
+        if self.unwritten_bytes > self.max_waiting:
             raise JournalError(
                 "journal.disk_slow",
                 "the disk is too slow to record into {path}. The written part is kept; when the disk responds "
@@ -137,6 +137,11 @@ class Journal:
         self._appended_bytes += len(entry)
         self._queue.put(entry)
         return self._appended
+
+    @property
+    def unwritten_bytes(self) -> int:
+        """Number of queued bytes that the writer thread has not processed yet."""
+        return self._appended_bytes - self._written_bytes
 
     @property
     def synced(self) -> int:
@@ -174,8 +179,16 @@ class Journal:
         Raises:
             JournalError: they could not be written, or not in time.
         """
-        self._wait_for(_Flush())
+        self.drain()
         self.check()
+
+    def drain(self) -> None:
+        """Wait until the writer thread has processed all entries so far, written or not.
+
+        Raises:
+            JournalError: it did not in time.
+        """
+        self._wait_for(_Flush())
 
     def close(self) -> None:
         """Write the queued entries, sync, and close; ``check`` raises write errors.
@@ -188,7 +201,7 @@ class Journal:
             self._wait_for(self._last)
         else:
             self._await(self._last)
-        self._thread.join()
+        self.writer.join()
 
     def _wait_for(self, request: _Flush) -> None:
         if self._ended:
@@ -197,9 +210,9 @@ class Journal:
         self._await(request)
 
     def _await(self, request: _Flush) -> None:
-        until = time.monotonic() + self._patience_s
+        until = time.monotonic() + self.disk_timeout_s
         while not request.done.wait(max(0.0, min(_CHECK_S, until - time.monotonic()))):
-            if not self._thread.is_alive() and not request.done.is_set():
+            if not self.writer.is_alive() and not request.done.is_set():
                 self.check()
                 raise JournalError(
                     "journal.thread_ended",

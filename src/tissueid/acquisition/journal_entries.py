@@ -91,12 +91,12 @@ def read_entries(path: Path, damage: Damage | None = None) -> Iterator[tuple[Ent
         magic = file.read(len(MAGIC))
         place = len(MAGIC)
         if not MAGIC.startswith(magic):
-            if _entry_at(file, place, end) is None:
+            if entry_at(file, place, end) is None:
                 raise UnusableInputError("journal.not_one", "{path} is not a journal of this software", path=str(path))
             damage.add(place)
         budget = MAX_CHECKED
         while place < end:
-            entry = _entry_at(file, place, end)
+            entry = entry_at(file, place, end)
             if entry is None:
                 found, budget = _next_entry(file, place + 1, end, budget)
                 if found < end or not _cut_off(file, place, end):
@@ -109,7 +109,7 @@ def read_entries(path: Path, damage: Damage | None = None) -> Iterator[tuple[Ent
                 yield Entry(kind), payload
 
 
-def _entry_at(file: IO[bytes], place: int, end: int) -> tuple[int, bytes] | None:
+def entry_at(file: IO[bytes], place: int, end: int) -> tuple[int, bytes] | None:
     """Return kind and payload of the entry at ``place``; None without an intact entry."""
     file.seek(place)
     head = file.read(_ENTRY.size)
@@ -139,7 +139,7 @@ def _next_entry(file: IO[bytes], place: int, end: int, budget: int) -> tuple[int
             budget -= length
             if budget < 0:
                 return end, 0
-            if _entry_at(file, begin, end) is not None:
+            if entry_at(file, begin, end) is not None:
                 return begin, budget
         place += _PIECE
     return end, budget

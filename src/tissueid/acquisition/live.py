@@ -58,7 +58,7 @@ class LiveIdentification:
         settings = LiveSettings(
             sample_rate_hz=device.sample_rate_hz, method=method, memory=memory, window_s=window_s, stop=stop
         )
-        self._estimator = LiveProcess(settings) if separate_process else LiveEstimator(settings)
+        self.estimator = LiveProcess(settings) if separate_process else LiveEstimator(settings)
 
     def feed(self, samples: NDArray[np.void]) -> None:
         """Add samples of the run, shape (k,) of instrument.SAMPLE; never waits.
@@ -78,15 +78,15 @@ class LiveIdentification:
         block[0, place] = recorded_force(samples[new], self._device)
         block[1, place] = samples["position"][new]
         self._fed += block.shape[1]
-        self._estimator.take(block[0], block[1])
+        self.estimator.take(block[0], block[1])
 
     def step(self) -> bool:
         """Without a separate process: make an estimate if one is due; return whether one was made."""
-        return self._estimator.step() if isinstance(self._estimator, LiveEstimator) else False
+        return self.estimator.step() if isinstance(self.estimator, LiveEstimator) else False
 
     def latest(self) -> LiveView | None:
         """Return the newest estimate; None before the first."""
-        view = self._estimator.update.view
+        view = self.estimator.update.view
         if view is None or not self._spring:
             return view
         if self._shown is None or self._shown[0] is not view:
@@ -95,26 +95,26 @@ class LiveIdentification:
 
     def enough(self) -> bool:
         """Return whether the stop rule is met."""
-        return bool(self._estimator.update.enough)
+        return bool(self.estimator.update.enough)
 
     @property
     def reason(self) -> str:
         """Why the stop rule is met; "" until it is."""
-        return self._estimator.update.enough
+        return self.estimator.update.enough
 
     @property
     def problem(self) -> str:
         """The error that ended the estimates; "" without one."""
-        return self._estimator.update.problem
+        return self.estimator.update.problem
 
     @property
     def busy_s(self) -> float:
         """Processor time of the estimates so far, s."""
-        return self._estimator.update.busy_s
+        return self.estimator.update.busy_s
 
     def close(self) -> None:
         """Make a final estimate from all samples, and end. May be called more than once."""
-        if isinstance(self._estimator, LiveEstimator):
-            self._estimator.step(last=True)
+        if isinstance(self.estimator, LiveEstimator):
+            self.estimator.step(last=True)
         else:
-            self._estimator.close()
+            self.estimator.close()

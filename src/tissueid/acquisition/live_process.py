@@ -176,7 +176,7 @@ FINAL_ESTIMATE_S = 10.0
 _COUNT = struct.Struct("<q")
 _CLOSING = -1
 _NICENESS = 5
-_COMMAND = "from tissueid.acquisition.live_process import serve; serve()"
+COMMAND = "from tissueid.acquisition.live_process import serve; serve()"
 
 
 class LiveProcess:
@@ -192,12 +192,12 @@ class LiveProcess:
         self._waiting: queue.SimpleQueue[bytes | None] = queue.SimpleQueue()
         self._waiting.put(settings.model_dump_json().encode() + b"\n")
         self._closing = False
-        self._process: subprocess.Popen[bytes] | None = None
-        self._threads: list[threading.Thread] = []
+        self.process: subprocess.Popen[bytes] | None = None
+        self.threads: list[threading.Thread] = []
         try:
-            self._process = start(
+            self.process = start(
                 "-c",
-                _COMMAND,
+                COMMAND,
                 environment={"OPENBLAS_NUM_THREADS": "1", "OMP_NUM_THREADS": "1", "MKL_NUM_THREADS": "1"},
                 stdin=subprocess.PIPE,
                 stdout=subprocess.PIPE,
@@ -214,14 +214,14 @@ class LiveProcess:
                 )
             )
             return
-        self._threads = [
+        self.threads = [
             threading.Thread(target=work, args=(stream,), name="live identification", daemon=True)
             for work, stream in (
-                (self._send_blocks, self._process.stdin),
-                (self._receive_updates, self._process.stdout),
+                (self._send_blocks, self.process.stdin),
+                (self._receive_updates, self.process.stdout),
             )
         ]
-        for thread in self._threads:
+        for thread in self.threads:
             thread.start()
 
     def take(self, force: Array, position: Array) -> None:
@@ -230,18 +230,18 @@ class LiveProcess:
 
     def close(self) -> None:
         """Wait for a final estimate from all samples, and end the process. May be called more than once."""
-        if self._closing or self._process is None:
+        if self._closing or self.process is None:
             return
         self._closing = True
         self._waiting.put(_COUNT.pack(_CLOSING))
         self._waiting.put(None)
         try:
-            self._process.wait(FINAL_ESTIMATE_S)
+            self.process.wait(FINAL_ESTIMATE_S)
         except subprocess.TimeoutExpired:
-            self._process.kill()
-            self._process.wait()
+            self.process.kill()
+            self.process.wait()
             self._end(Message("live.stopped", "live identification did not end in time and was stopped"))
-        for thread in self._threads:
+        for thread in self.threads:
             thread.join()
 
     def _send_blocks(self, stream: IO[bytes]) -> None:

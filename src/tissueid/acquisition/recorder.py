@@ -121,7 +121,7 @@ class SessionRecorder:
         self._check_disk_space(0)
         self._explain_disk_failure(lambda: check_creatable(path))
         waiting = round(MAX_UNWRITTEN_S * device.sample_rate_hz * SAMPLE.itemsize)
-        self._journal = Journal(journal_path(path), sync_s=sync_s, max_waiting=waiting)
+        self.journal = Journal(journal_path(path), sync_s=sync_s, max_waiting=waiting)
         who = subject or Subject()
         try:
             if trail is not None:
@@ -135,7 +135,7 @@ class SessionRecorder:
                 "audit_head": "" if trail is None else trail.head,
             }
             self._sitting = encode_json(Entry.SITTING, sitting)
-            self._journal.append(_duplicated(self._sitting))
+            self.journal.append(_duplicated(self._sitting))
         except BaseException:
             self._discard()
             raise
@@ -159,7 +159,7 @@ class SessionRecorder:
             SessionFormatError: the session would be too large to be read.
             AuditError: the test cannot be logged.
         """
-        self._journal.check()
+        self.journal.check()
         if (self.samples_appended + samples) * _NUMBERS_PER_SAMPLE > MAX_NUMBERS:
             raise SessionFormatError(
                 "session.too_large",
@@ -188,7 +188,7 @@ class SessionRecorder:
         self._head = self._sitting + encode_json(Entry.TEST, entry | {"again": True})
         self._head_at = 0
         self._repeat_head_later()
-        self._journal.append(self._sitting + _duplicated(encode_json(Entry.TEST, entry)))
+        self.journal.append(self._sitting + _duplicated(encode_json(Entry.TEST, entry)))
         return self.tests_begun
 
     def _repeat_head_later(self) -> None:
@@ -203,26 +203,26 @@ class SessionRecorder:
         """
         if samples.size:
             if self._run_samples >= self._head_at:
-                self._journal.append(self._head)
+                self.journal.append(self._head)
                 self._repeat_head_later()
-            number = self._journal.append(encode_entry(Entry.SAMPLES, samples.tobytes()))
+            number = self.journal.append(encode_entry(Entry.SAMPLES, samples.tobytes()))
             self.samples_appended += samples.size
             self._run_samples += samples.size
             self._sample_entries.append((number, self.samples_appended))
             # Only the newest synced entry is needed; the others are dropped to limit memory.
-            synced = self._journal.synced
+            synced = self.journal.synced
             while len(self._sample_entries) > 1 and self._sample_entries[1][0] <= synced:
                 self._sample_entries.popleft()
 
     @property
     def samples_acknowledged(self) -> int:
         """Number of samples of this sitting that are synced to the disk."""
-        synced = self._journal.synced
+        synced = self.journal.synced
         return max((total for number, total in tuple(self._sample_entries) if number <= synced), default=0)
 
     def event(self, kind: str, **details: Any) -> None:
         """Record an event such as a gap, a fault or a verdict. Never raises: other methods report a failed journal."""
-        self._journal.append_unchecked(encode_json(Entry.EVENT, {"kind": kind, **details, "test": self.tests_begun}))
+        self.journal.append_unchecked(encode_json(Entry.EVENT, {"kind": kind, **details, "test": self.tests_begun}))
 
     def end_test(
         self, status: str, samples: int | None = None, *, cause: BaseException | None = None, **notes: str | float
@@ -234,7 +234,7 @@ class SessionRecorder:
         entry: dict[str, Any] = {"test": self.tests_begun, "status": status, "notes": notes}
         if samples is not None:
             entry["samples"] = samples
-        self._journal.append_unchecked(encode_json(Entry.TEST_END, entry))
+        self.journal.append_unchecked(encode_json(Entry.TEST_END, entry))
         self._log_end(self.tests_begun, _end_name(status, cause), self._run_samples, reason_of(notes))
 
     def log_not_begun(self, cause: BaseException, reason: str, preparation: RecordingPreparation | None = None) -> None:
@@ -271,18 +271,18 @@ class SessionRecorder:
                 ``tissueid recover``.
         """
         try:
-            self._journal.check()
+            self.journal.check()
             if self.trail is not None:
                 self.trail.settle()
-            self._journal.append_unchecked(
+            self.journal.append_unchecked(
                 encode_json(Entry.CLOSED, {"audit_head": "" if self.trail is None else self.trail.head})
             )
-            self._journal.sync()
+            self.journal.sync()
         finally:
-            self._journal.close()
-        self._explain_disk_failure(lambda: write_journal_session(self.path, self._journal.path, self.samples_appended))
+            self.journal.close()
+        self._explain_disk_failure(lambda: write_journal_session(self.path, self.journal.path, self.samples_appended))
         with contextlib.suppress(OSError):  # the session is complete; 'recover' removes the rest
-            self._journal.path.unlink()
+            self.journal.path.unlink()
         if self.trail is not None:
             self.trail.note(
                 "session.written",
@@ -322,15 +322,15 @@ class SessionRecorder:
     def abandon(self) -> None:
         """Close without writing a session; the journal is kept for ``tissueid recover``."""
         with contextlib.suppress(JournalError):  # closed when the disk responds
-            self._journal.close()
+            self.journal.close()
         if self.trail is not None:
             self.trail.settle()
 
     def _discard(self) -> None:
         with contextlib.suppress(JournalError):
-            self._journal.close()
+            self.journal.close()
         with contextlib.suppress(OSError):
-            self._journal.path.unlink()
+            self.journal.path.unlink()
 
     def _check_disk_space(self, samples: int) -> None:
         """Check that the disk has enough space for a test of ``samples`` samples.

@@ -120,7 +120,7 @@ class AuditLog:
                 folder = Message("file.no_folder", "there is no folder {folder}", folder=str(self.path.parent))
                 raise FileNotFoundError(errno.ENOENT, folder)
             private_folder(self.path.parent)
-            with _open_locked(self.path) as descriptor:
+            with open_locked(self.path) as descriptor:
                 end = _end_of(descriptor, self.path)
                 missing = _missing_head(end, self.path)
                 data, head = self._lines(end, missing, role, what, moment, subject=subject, old=old, new=new)
@@ -237,7 +237,7 @@ def _end_of(descriptor: int, path: Path) -> _End:
 
 
 @contextmanager
-def _open_locked(path: Path) -> Iterator[int]:
+def open_locked(path: Path) -> Iterator[int]:
     """Open the file for appending and lock it.
 
     Raises:
@@ -249,7 +249,7 @@ def _open_locked(path: Path) -> Iterator[int]:
         try:
             if not stat.S_ISREG(os.fstat(descriptor).st_mode):
                 raise OSError(errno.EINVAL, _NOT_ORDINARY)
-            while not _lock(descriptor):
+            while not lock(descriptor):
                 if time.monotonic() > deadline:
                     raise OSError(errno.EAGAIN, _HELD)
                 time.sleep(_RETRY_S)
@@ -267,7 +267,7 @@ def _is_at(descriptor: int, path: Path) -> bool:
     return False
 
 
-def _lock(descriptor: int) -> bool:
+def lock(descriptor: int) -> bool:
     """Take the lock if it is free. Readers need no lock: they skip an unfinished line."""
     try:
         if sys.platform == "win32":

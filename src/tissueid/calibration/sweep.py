@@ -114,10 +114,10 @@ class Sweep:
         for repeat in range(self._plan.repeats):
             for number, place in enumerate(places if repeat % 2 == 0 else places[::-1]):
                 done = repeat * len(places) + number
-                self._measure(place, done, repeat, total)
+                self.measure(place, done, repeat, total)
                 self._progress((done + 1) / total)
 
-    def _measure(self, place_m: float, done: int, repeat: int, total: int) -> None:
+    def measure(self, place_m: float, done: int, repeat: int, total: int) -> None:
         """Measure at one position, or add a remark on why it was skipped."""
         at = Quantity(1e3 * place_m, "mm", 1)
         self._seen = (np.inf, -np.inf)

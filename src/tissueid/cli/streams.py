@@ -26,7 +26,7 @@ FLUSH_TIMEOUT_S = 5.0
 _PIECE = 64 * 1024
 
 
-class _Writer:
+class Writer:
     """Writes the output of all streams in order."""
 
     def __init__(self) -> None:
@@ -35,6 +35,7 @@ class _Writer:
         self._thread: threading.Thread | None = None
 
     def put(self, stream: Stream, data: bytes) -> None:
+        """Queue output of a stream, or drop it if the stream has no room and no results."""
         with self._change:
             if stream.broken is not None:
                 return
@@ -74,7 +75,7 @@ class Stream:
     The output of a stream with ``results`` is not dropped.
     """
 
-    def __init__(self, original: TextIO, writer: _Writer, *, results: bool, broken: OSError | None) -> None:
+    def __init__(self, original: TextIO, writer: Writer, *, results: bool, broken: OSError | None) -> None:
         self._original = original
         self._writer = writer
         self.results = results
@@ -131,7 +132,7 @@ def unblocked_streams() -> Iterator[Stream]:
     """Replace the standard streams by non-blocking ones while the context lasts; yield standard output."""
     _occupy_closed()
     before = sys.stdout, sys.stderr
-    writer = _Writer()
+    writer = Writer()
     with open(os.devnull, "w", encoding="utf-8") as nowhere:  # noqa: PTH123 - the null device
         streams = [
             Stream(original or nowhere, writer, results=number == 0, broken=None if original else OSError(9, "closed"))

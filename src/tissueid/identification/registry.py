@@ -14,7 +14,7 @@ from tissueid.plugins import Registry
 from tissueid.records import Record
 
 _EngineType = TypeVar("_EngineType", bound=type[Engine])
-_engines: Registry[Engine] = Registry(marked("engine"), Engine, "tissueid.identification.engines", "tissueid.engines")  # type: ignore[type-abstract]
+engines: Registry[Engine] = Registry(marked("engine"), Engine, "tissueid.identification.engines", "tissueid.engines")  # type: ignore[type-abstract]
 
 
 def engine(declared: _EngineType) -> _EngineType:
@@ -23,7 +23,7 @@ def engine(declared: _EngineType) -> _EngineType:
     Raises:
         ValueError: another class already has that name.
     """
-    _engines.register(declared)
+    engines.register(declared)
     return declared
 
 
@@ -33,17 +33,17 @@ def get_engine(name: str) -> type[Engine]:
     Raises:
         UnusableInputError: there is no engine of that name; the message lists the existing ones.
     """
-    return _engines.get(name)
+    return engines.get(name)
 
 
 def engine_names() -> tuple[str, ...]:
     """Return the names of all engines, in alphabetical order."""
-    return _engines.names()
+    return engines.names()
 
 
 def label_of(name: str) -> str:
     """Return the English label of an engine: its name with a capital if no such engine is installed."""
-    return _engines.get(name).label if name in _engines.names() else name[:1].upper() + name[1:]
+    return engines.get(name).label if name in engines.names() else name[:1].upper() + name[1:]
 
 
 def engine_label(name: str) -> str:
@@ -56,7 +56,7 @@ def report_engines(record: Record | None = None) -> tuple[str, ...]:
 
     With the record of a test, those follow that are made for such a test.
     """
-    kinds = sorted((_engines.get(name) for name in _engines.names()), key=lambda kind: kind.family.rank)
+    kinds = sorted((engines.get(name) for name in engines.names()), key=lambda kind: kind.family.rank)
     standard = [kind.name for kind in kinds if kind.in_report]
     if record is None:
         return tuple(standard)

@@ -83,6 +83,8 @@ def _weakly(method: Callable[_Arguments, object]) -> Callable[_Arguments, None]:
 class SerialInstrument:
     """Instrument on a link. Opening it performs the handshake and starts the stream of samples.
 
+    Its parts (``link``, ``handshake``, ``channel``, ``stream``, ``monitor``, ``sender``) are readable for diagnostics.
+
     Args:
         link: byte stream from and to the device; closed with the instrument.
         clock: monotonic time, s.
@@ -93,35 +95,33 @@ class SerialInstrument:
     """
 
     def __init__(self, link: Link, *, clock: Callable[[], float] = time.monotonic) -> None:
-        self._stream = SampleStream()
-        self.gaps = self._stream.gaps
+        self.stream = SampleStream()
+        self.gaps = self.stream.gaps
         self.observer: Observer | None = None
         self.link = link
         self._clock = clock
-        self._monitor = RunMonitor(self._stream, _weakly(self._ask_status), _weakly(self._run_ended))
-        self._channel = RequestChannel(link, clock, _weakly(self._pump), self._monitor.take_error)
+        self.monitor = RunMonitor(self.stream, _weakly(self._ask_status), _weakly(self._run_ended))
+        self.channel = RequestChannel(link, clock, _weakly(self.pump), self.monitor.take_error)
         self._corrections: Corrections = {}
         self._command = np.zeros(0)
         self._following = 0
         self._hold_v = 0.0
         self._overdue_s = self._overdue_at = 0.0
-        self._sender = SetpointSender(link.write, clock)
-        self._receiver = FrameReceiver(
-            link.name, clock, self._stream, self._monitor, self._sender, self._channel.on_ack
-        )
+        self.sender = SetpointSender(link.write, clock)
+        self._receiver = FrameReceiver(link.name, clock, self.stream, self.monitor, self.sender, self.channel.on_ack)
         self._stimulus_id = 0
         self._closed = False
         self._watchdog_s: float | None = None
         try:
-            self._handshake = self._shake_hands()
-            self._watchdog_s = self._handshake.watchdog_s
-            self.device = self.nominal = self._handshake.device
-            self._monitor.begin(self._handshake)
-            self._channel.request(MessageType.CLEAR_FAULTS)
-            self._channel.request(MessageType.RELEASE)
-            self._channel.silent = False
-            self._channel.request(MessageType.STREAM, wire.pack(wire.STREAM, on=1))
-            self._stream.begin(self._handshake)
+            self.handshake = self._shake_hands()
+            self._watchdog_s = self.handshake.watchdog_s
+            self.device = self.nominal = self.handshake.device
+            self.monitor.begin(self.handshake)
+            self.channel.request(MessageType.CLEAR_FAULTS)
+            self.channel.request(MessageType.RELEASE)
+            self.channel.silent = False
+            self.channel.request(MessageType.STREAM, wire.pack(wire.STREAM, on=1))
+            self.stream.begin(self.handshake)
             self._receiver.stream_begins()
         except BaseException:
             link.close()
@@ -148,11 +148,11 @@ class SerialInstrument:
             LimitError: a voltage is outside the range of the converter.
             InstrumentError: the firmware rejects the stimulus.
         """
-        codes = self._handshake.codes(command_v)
+        codes = self.handshake.codes(command_v)
         self._wait_for_release()
         self._stimulus_id += 1
         self._following = 0
-        send_stimulus(self._channel, self._stimulus_id, codes)
+        send_stimulus(self.channel, self._stimulus_id, codes)
         self._command = np.asarray(command_v, np.float64)
 
     def follow(self, samples: int, hold_v: float) -> None:
@@ -164,9 +164,9 @@ class SerialInstrument:
         """
         if not self._command.size:
             raise nothing_loaded()
-        hold = self._handshake.codes(np.array([hold_v]))
+        hold = self.handshake.codes(np.array([hold_v]))
         self._wait_for_release()
-        send_following(self._channel, self._stimulus_id, samples, int(hold[0]))
+        send_following(self.channel, self._stimulus_id, samples, int(hold[0]))
         self._following, self._hold_v = samples, hold_v
 
     def send(self, offset: int, command_v: NDArray[np.float64]) -> None:
@@ -176,19 +176,19 @@ class SerialInstrument:
             LimitError: a limit would be exceeded; none is sent.
             InstrumentError: these set-points were not announced by ``follow``.
         """
-        if self._monitor.error is not None:
+        if self.monitor.error is not None:
             return  # the next poll raises the error
         first, end = self._command.size, offset + command_v.size
-        if self._monitor.limits is None or not first <= offset < end <= first + self._following:
+        if self.monitor.limits is None or not first <= offset < end <= first + self._following:
             raise unexpected_set_points(offset, end)
         for description in checked_descriptions(self.nominal, self.device):
-            check_command(command_v, description, self._monitor.limits)
-        self._monitor.checks.expect_command(command_v)
-        send_setpoints(self._channel, self._sender, self._token, offset, self._handshake.codes(command_v))
+            check_command(command_v, description, self.monitor.limits)
+        self.monitor.checks.expect_command(command_v)
+        send_setpoints(self.channel, self.sender, self.token, offset, self.handshake.codes(command_v))
 
     def effective_limits(self, limits: Limits) -> Limits:
         """Return ``limits``, reduced to the fixed limits of the instrument."""
-        return self._handshake.effective_limits(limits)
+        return self.handshake.effective_limits(limits)
 
     def arm(self, limits: Limits) -> None:
         """Set the limits of the next run, here and in the firmware, reduced to the fixed limits of the device.
@@ -198,8 +198,8 @@ class SerialInstrument:
             InstrumentError: the temperature sensor gives no usable reading.
             TissueIDError: the error of the run before was not cleared.
         """
-        if self._monitor.error is not None:
-            raise self._monitor.error
+        if self.monitor.error is not None:
+            raise self.monitor.error
         check_limits(limits, self.nominal)
         limits = self.effective_limits(limits)
         for description in checked_descriptions(self.nominal, self.device):
@@ -207,14 +207,14 @@ class SerialInstrument:
             if self._following:
                 check_command(np.array([self._hold_v]), description, limits)
         self._expect_samples()
-        newest = self._stream.newest
-        self._monitor.checks.arm(np.zeros(0) if newest is None else newest["temperature"], limits)
-        self._monitor.checks.expect_command(np.append(self._command, self._hold_v if self._following else 0.0))
-        self._token = (self._stimulus_id << 8) ^ (self._channel.next_number() & 0xFF) ^ 0x5EED0000
-        self._channel.send_heartbeat(force=True)
-        send_limits(self._channel, self._token, self._stimulus_id, limits, self.device.sample_rate_hz)
-        self._monitor.limits = limits
-        self._sender.reset()
+        newest = self.stream.newest
+        self.monitor.checks.arm(np.zeros(0) if newest is None else newest["temperature"], limits)
+        self.monitor.checks.expect_command(np.append(self._command, self._hold_v if self._following else 0.0))
+        self.token = (self._stimulus_id << 8) ^ (self.channel.next_number() & 0xFF) ^ 0x5EED0000
+        self.channel.send_heartbeat(force=True)
+        send_limits(self.channel, self.token, self._stimulus_id, limits, self.device.sample_rate_hz)
+        self.monitor.limits = limits
+        self.sender.reset()
         self._receiver.forget_run()
 
     def start(self) -> Run:
@@ -226,20 +226,20 @@ class SerialInstrument:
             TissueIDError: the firmware refuses, or a sample exceeded a limit before the answer came.
         """
         samples = self._command.size + self._following
-        self._channel.send_heartbeat(force=True)
-        self._monitor.expect_start(samples)
+        self.channel.send_heartbeat(force=True)
+        self.monitor.expect_start(samples)
         try:
-            run = Run(self._channel.request(MessageType.START, wire.pack(wire.START, token=self._token)), samples)
+            run = Run(self.channel.request(MessageType.START, wire.pack(wire.START, token=self.token)), samples)
         except LinkLostError:
             self.release()  # the answers were lost; START may have arrived
             raise
         finally:
-            self._monitor.end_of_start()
+            self.monitor.end_of_start()
         self._overdue_s = OVERDUE_SHARE * samples / self.device.sample_rate_hz + OVERDUE_S
         self._overdue_at = self._clock() + self._overdue_s
-        self._accept(self._monitor.on_started, run)
+        self._accept(self.monitor.on_started, run)
         if self.status is not None and self.status.faults:
-            self._monitor.fail_by_fault(self.status.faults)  # reported before this answer was read
+            self.monitor.fail_by_fault(self.status.faults)  # reported before this answer was read
         return run
 
     def poll(self, timeout_s: float) -> NDArray[np.void]:
@@ -249,21 +249,21 @@ class SerialInstrument:
             LinkLostError, FirmwareFaultError, LimitError: the coil is released. Samples that arrived before are
                 returned first; the next call raises the error.
         """
-        monitor = self._monitor
-        if monitor.error is None and not self._stream:
+        monitor = self.monitor
+        if monitor.error is None and not self.stream:
             try:
-                self._pump(timeout_s)
+                self.pump(timeout_s)
             except TissueIDError as error:
                 monitor.fail(error)
-        if monitor.error is None and (refused := self._sender.refused) is not None:
+        if monitor.error is None and (refused := self.sender.refused) is not None:
             self.release()
             monitor.fail(refused)
-        if monitor.error is not None and not self._stream:
+        if monitor.error is not None and not self.stream:
             monitor.take_error()
             if isinstance(monitor.error, LinkLostError):
                 raise self._with_watchdog(monitor.error)
             raise monitor.error
-        samples = corrected(self._stream.drain(), self._corrections)
+        samples = corrected(self.stream.drain(), self._corrections)
         if self.observer is not None and samples.size:
             self.observer(samples)
         return samples
@@ -274,13 +274,13 @@ class SerialInstrument:
         Raises:
             InstrumentError: the firmware is too old, or its answer contradicts the samples; then the coil is released.
         """
-        self._monitor.finishing = True  # samples after the end may arrive before the answer
+        self.monitor.finishing = True  # samples after the end may arrive before the answer
         try:
-            played = self._channel.request(MessageType.FINISH)
+            played = self.channel.request(MessageType.FINISH)
         finally:
-            self._monitor.finishing = False
-        self._sender.stop()
-        self._accept(self._monitor.on_finished, played)
+            self.monitor.finishing = False
+        self.sender.stop()
+        self._accept(self.monitor.on_finished, played)
         return played
 
     def move_stage(self, position_m: float | None) -> bool:
@@ -294,21 +294,21 @@ class SerialInstrument:
         if self._busy():
             raise stage_while_running()
         self._wait_for_release()
-        return send_stage(self._channel, position_m)
+        return send_stage(self.channel, position_m)
 
     def release(self) -> None:
         """Release the coil now. No heartbeat is sent until the firmware confirms the release.
 
         If it does not confirm, its watchdog releases the coil, and the next poll raises LinkLostError.
         """
-        self._monitor.end()
+        self.monitor.end()
         try:
-            self._channel.stop(STOP_TRIES * self._last_tries())
+            self.channel.stop(STOP_TRIES * self._last_tries())
         except LinkLostError as error:
             log.warning("%s", error)
-            self._monitor.fail(error)
-        self._monitor.stop_due = False
-        self._monitor.expect_a_free_coil()  # samples from before the release have arrived by now
+            self.monitor.fail(error)
+        self.monitor.stop_due = False
+        self.monitor.expect_a_free_coil()  # samples from before the release have arrived by now
 
     def clear_faults(self) -> None:
         """Clear the latched faults and the error of the failed run. The next test must be armed again.
@@ -316,24 +316,24 @@ class SerialInstrument:
         Raises:
             LinkLostError: a release was not confirmed; connect again.
         """
-        if self._channel.lost is not None:
-            raise self._channel.lost
-        self._monitor.error = None
-        self._channel.request(MessageType.CLEAR_FAULTS)
+        if self.channel.lost is not None:
+            raise self.channel.lost
+        self.monitor.error = None
+        self.channel.request(MessageType.CLEAR_FAULTS)
 
     def close(self) -> None:
         """Release the coil, end the stream and close the port."""
         if self._closed:
             return
         self._closed = True
-        if isinstance(self._monitor.error, LinkLostError):
+        if isinstance(self.monitor.error, LinkLostError):
             # The other direction of the link may still work.
             with contextlib.suppress(TissueIDError):
-                self._channel.send(MessageType.STOP)
+                self.channel.send(MessageType.STOP)
         else:
             self.release()
             try:
-                self._channel.request(MessageType.STREAM, wire.pack(wire.STREAM, on=0), tries=self._last_tries())
+                self.channel.request(MessageType.STREAM, wire.pack(wire.STREAM, on=0), tries=self._last_tries())
             except TissueIDError as error:
                 log.info("the stream was not ended: %s", error)
         self.link.close()
@@ -367,18 +367,18 @@ class SerialInstrument:
     @property
     def repeated_requests(self) -> int:
         """Attempts of requests after the first, because no answer came."""
-        return self._channel.repeated
+        return self.channel.repeated
 
     @property
     def round_trip_s(self) -> float | None:
         """Median time from a request to its answer over the newest requests, s; None before the first."""
-        times = self._channel.round_trips_s
+        times = self.channel.round_trips_s
         return float(np.median(times)) if times else None
 
     @property
     def setpoint_margin_s(self) -> float | None:
         """Least time between arrival and playing of a block of set-points of the newest run, s; None without."""
-        margin = self._sender.margin_samples
+        margin = self.sender.margin_samples
         return None if margin is None else margin / self.device.sample_rate_hz
 
     def _accept(self, accept: Callable[[_Reply], None], reply: _Reply) -> None:
@@ -390,35 +390,35 @@ class SerialInstrument:
         try:
             accept(reply)
         except InstrumentError as error:
-            self._monitor.fail(error)
+            self.monitor.fail(error)
             self.release()
-            self._monitor.take_error()
+            self.monitor.take_error()
             raise
 
     def _busy(self) -> bool:
         """Return whether a test is armed or running. A run whose last sample has arrived ends with its soft release."""
-        last = self._stream.next_index
-        if self._monitor.run is not None and last is not None and last >= self._monitor.run.end_index:
+        last = self.stream.next_index
+        if self.monitor.run is not None and last is not None and last >= self.monitor.run.end_index:
             self._wait_for_release()
-            self._monitor.end()
-        return self._monitor.limits is not None
+            self.monitor.end()
+        return self.monitor.limits is not None
 
     def _wait_for_release(self) -> None:
         """Wait until the soft release after a run has ended."""
         deadline = self._clock() + ANSWER_S
         while self.status is not None and self.status.state is State.RUNNING and self._clock() < deadline:
-            self._channel.send(MessageType.STATUS_REQUEST)
-            self._pump(_PUMP_S)
+            self.channel.send(MessageType.STATUS_REQUEST)
+            self.pump(_PUMP_S)
 
     # -- requests -----------------------------------------------------------------------------------------
 
     def _shake_hands(self) -> Handshake:
         for _ in range(TRIES):
-            send_hello(self._channel)
+            send_hello(self.channel)
             deadline = self._clock() + ANSWER_S
             while self._receiver.hello is None and self._clock() < deadline:
                 try:
-                    self._pump(_HELLO_PUMP_S)
+                    self.pump(_HELLO_PUMP_S)
                 except LinkLostError as error:
                     raise LinkLostError(
                         Message(
@@ -439,7 +439,7 @@ class SerialInstrument:
 
     # -- bytes in -----------------------------------------------------------------------------------------
 
-    def _pump(self, timeout_s: float) -> None:
+    def pump(self, timeout_s: float) -> None:
         """Read once and process every complete frame. During a run, heartbeats are sent here only.
 
         A heartbeat is sent only after new samples passed the checks. Without usable samples the watchdog therefore
@@ -449,21 +449,21 @@ class SerialInstrument:
             checked = self._receiver.take(self.link.read(timeout_s))
         except LinkLostError as error:
             raise self._with_watchdog(error) from error
-        if self._monitor.run is not None and self._clock() > self._overdue_at:
-            self._monitor.stop_due = True
-            self._monitor.fail(
+        if self.monitor.run is not None and self._clock() > self._overdue_at:
+            self.monitor.stop_due = True
+            self.monitor.fail(
                 InstrumentError(
                     "instrument.overdue",
                     "the test did not end within {seconds:.1f} s as it should: connect again, and measure again",
                     seconds=self._overdue_s,
                 )
             )
-        if checked and self._monitor.error is None:
-            self._channel.send_heartbeat()
-        if self._monitor.stop_due and not self._channel.silent:
+        if checked and self.monitor.error is None:
+            self.channel.send_heartbeat()
+        if self.monitor.stop_due and not self.channel.silent:
             self.release()
-        if self._monitor.run is not None and self._stream.next_index is not None:
-            self._sender.repeat(self._stream.next_index - self._monitor.run.first_index)
+        if self.monitor.run is not None and self.stream.next_index is not None:
+            self.sender.repeat(self.stream.next_index - self.monitor.run.first_index)
         try:
             self._receiver.check_heard()
         except LinkLostError as error:
@@ -485,7 +485,7 @@ class SerialInstrument:
 
     def _last_tries(self) -> int:
         """Return the attempts for the last requests on a link: fewer if the newest request was not answered."""
-        return 1 if self._channel.unanswered else 2
+        return 1 if self.channel.unanswered else 2
 
     def _expect_samples(self) -> None:
         """Wait for new samples, and discard those that arrived while the stimulus was sent.
@@ -495,8 +495,8 @@ class SerialInstrument:
         Raises:
             LinkLostError: no samples arrive.
         """
-        before, deadline = self._stream.next_index, self._clock() + ANSWER_S
-        while self._stream.next_index == before and self._monitor.error is None:
+        before, deadline = self.stream.next_index, self._clock() + ANSWER_S
+        while self.stream.next_index == before and self.monitor.error is None:
             if self._clock() >= deadline:
                 raise LinkLostError(
                     Message(
@@ -505,13 +505,13 @@ class SerialInstrument:
                         port=self.link.name,
                     )
                 )
-            self._pump(_PUMP_S)
-        self._stream.drain()
+            self.pump(_PUMP_S)
+        self.stream.drain()
 
     def _ask_status(self) -> None:
-        self._channel.send(MessageType.STATUS_REQUEST)
+        self.channel.send(MessageType.STATUS_REQUEST)
 
     def _run_ended(self) -> None:
         """End the set-points: they are announced for one run only."""
         self._following = 0
-        self._sender.stop()
+        self.sender.stop()

@@ -166,7 +166,7 @@ class SampleMonitor:
         self._nominal = nominal
         self._plausibility = Plausibility(nominal)
         self._winding = WindingTemperature(nominal) if winding else None
-        self._highest_a = 0.0
+        self.highest_expected_a = 0.0
         self._lifted = False
 
     @property
@@ -197,13 +197,13 @@ class SampleMonitor:
         if (hottest := max(sensor, np.nan_to_num(self.winding_c, nan=sensor))) > limits.max_temperature_c:
             raise coil_too_hot(hottest, limits)
         self._plausibility.begin(at_low_end=limits.min_position_m <= 0.0)
-        self._highest_a = 0.0
+        self.highest_expected_a = 0.0
         self._lifted = False
 
     def expect_command(self, command_v: NDArray[np.float64]) -> None:
         """Add commands of the run, shape (n,), V: they bound the current that a lost sample may have carried."""
         volts = float(np.abs(command_v).max(initial=0.0)) * self._nominal.amplifier_gain
-        self._highest_a = max(self._highest_a, volts / self._nominal.coil_resistance_ohm)
+        self.highest_expected_a = max(self.highest_expected_a, volts / self._nominal.coil_resistance_ohm)
 
     def check(
         self,
@@ -221,7 +221,7 @@ class SampleMonitor:
             LimitError, InstrumentError: a check failed. The caller releases the coil.
         """
         if self._winding is not None:
-            highest_a = 0.0 if run is None else self._highest_a
+            highest_a = 0.0 if run is None else self.highest_expected_a
             self._winding.take(samples["current"], samples["temperature"], highest_a)
         if limits is None:
             return

@@ -40,7 +40,7 @@ class StudyReport:
         return self.run.as_answer() | self.statistics.as_answer()
 
 
-def _name(folder: Path) -> str:
+def study_name(folder: Path) -> str:
     """Return the name in the protocol of a study, or that of its folder if it has no readable protocol."""
     try:
         return read_protocol(folder).name
@@ -80,7 +80,7 @@ def report_study(plan: StudyReportPlan, control: Control) -> StudyReport:
     )
     control.check()
     page = plan.report or plan.folder / RESULTS / "report.html"
-    name = ", ".join((_name(plan.folder), *plan.only))
+    name = ", ".join((study_name(plan.folder), *plan.only))
     write_text(page, study_html(name, plan.engine, found, run.failures))
     if plan.pdf is not None:
         with writing(plan.pdf):

@@ -197,7 +197,7 @@ def read_numbered(name: str, group: h5py.Group, *, signals: bool = True) -> Test
         values |= {"preload_s": preload, "notes": notes}
         if signals:
             members = subgroup(group, "signals")
-            values |= {"units": _read_units(members), "signals": _read_signals(members)}
+            values |= {"units": _read_units(members), "signals": read_signals(members)}
         return Test(number=int(name), **({"signals": {}} | values))
     except SessionFormatError as error:
         raise SessionFormatError(located(f"tests/{name}", error.message)) from error
@@ -227,7 +227,8 @@ def _attributes(stored: h5py.AttributeManager) -> dict[str, Any]:
     return values
 
 
-def _read_signals(group: h5py.Group) -> dict[str, np.ndarray]:
+def read_signals(group: h5py.Group) -> dict[str, np.ndarray]:
+    """Return the signals of a test by name."""
     signals: dict[str, np.ndarray] = {}
     length: int | None = None
     for name, dataset in datasets(group):

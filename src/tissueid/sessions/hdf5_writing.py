@@ -40,7 +40,7 @@ def write_session(path: Path, session: Session, *, tests: Iterable[Test] | None 
         raise SessionFormatError("file.no_folder", "there is no folder {folder}", folder=str(path.parent))
     try:
         with atomic_file(path, synced=True, new=True) as partial:
-            _verify(partial, session.session_id, _write_into(partial, path, session, tests))
+            verify(partial, session.session_id, _write_into(partial, path, session, tests))
     except FileExistsError as error:
         raise SessionExistsError(path) from error
 
@@ -77,12 +77,13 @@ def _write(file: h5py.File, session: Session, tests: Iterable[Test]) -> _Digests
     group = file.create_group("tests")
     digests: _Digests = {}
     for test in tests:
-        _write_test(group.create_group(f"{test.number:04d}"), test)
+        write_test(group.create_group(f"{test.number:04d}"), test)
         digests[test.number] = {name: _digest(values) for name, values in test.signals.items() if name != "time"}
     return digests
 
 
-def _write_test(group: h5py.Group, test: Test) -> None:
+def write_test(group: h5py.Group, test: Test) -> None:
+    """Write a test into its group."""
     group.attrs.update(test.notes)
     for name, kind in attribute_types().items():
         value = getattr(test, name)
@@ -105,7 +106,7 @@ def _write_test(group: h5py.Group, test: Test) -> None:
         dataset.attrs["long_name"] = SIGNAL_NAMES.get(name, name)
 
 
-def _verify(path: Path, session_id: str, digests: _Digests) -> None:
+def verify(path: Path, session_id: str, digests: _Digests) -> None:
     """Read the file back, one test at a time, and compare it with the digests.
 
     Raises:

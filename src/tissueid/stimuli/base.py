@@ -190,7 +190,7 @@ class Ranged(OpenLoopKind):
 
 
 _Kind = TypeVar("_Kind", bound=type[StimulusKind])
-_kinds: Registry[StimulusKind] = Registry("stimulus", StimulusKind, "tissueid.stimuli.kinds", "tissueid.stimuli")  # type: ignore[type-abstract]
+kinds: Registry[StimulusKind] = Registry("stimulus", StimulusKind, "tissueid.stimuli.kinds", "tissueid.stimuli")  # type: ignore[type-abstract]
 
 
 def stimulus(declared: _Kind) -> _Kind:
@@ -199,7 +199,7 @@ def stimulus(declared: _Kind) -> _Kind:
     Raises:
         ValueError: another class already has that name.
     """
-    _kinds.register(declared)
+    kinds.register(declared)
     return declared
 
 
@@ -209,12 +209,12 @@ def get_stimulus(name: str) -> type[StimulusKind]:
     Raises:
         UnusableInputError: no kind has that name; the message lists the known names.
     """
-    return _kinds.get(name)
+    return kinds.get(name)
 
 
 def stimulus_names() -> tuple[str, ...]:
     """Return the names of all kinds of stimulus that can be chosen, in alphabetical order."""
-    return tuple(name for name in _kinds.names() if _kinds.get(name).listed)
+    return tuple(name for name in kinds.names() if kinds.get(name).listed)
 
 
 def build_stimulus(name: str, options: Mapping[str, Any]) -> Stimulus:

@@ -72,6 +72,11 @@ class FrameDecoder:
     _buffer: bytearray = field(default_factory=bytearray)
     _overlong: bool = False
 
+    @property
+    def pending_bytes(self) -> int:
+        """Number of stored bytes of a frame that is not complete yet."""
+        return len(self._buffer)
+
     def feed(self, data: bytes) -> list[Frame]:
         """Process bytes and return the frames that they complete, in order."""
         self._buffer += data

@@ -79,17 +79,17 @@ class QualityGate:
 
     def __init__(self, device: DeviceDescription) -> None:
         self._device = device
-        self._earlier: list[Test] = []
+        self.earlier: list[Test] = []
 
     def judge(self, test: Test) -> Quality:
         """Judge the newest test."""
-        found = _judged(test, self._device, self._earlier)
+        found = _judged(test, self._device, self.earlier)
         if found is None:
             return NOT_JUDGED
         kept = {name: values for name, values in test.signals.items() if name in COMPARED_SIGNALS}
-        self._earlier.append(replace(test, signals=kept))
-        while sum(other.samples for other in self._earlier) > MAX_SAMPLES:
-            self._earlier.pop(0)
+        self.earlier.append(replace(test, signals=kept))
+        while sum(other.samples for other in self.earlier) > MAX_SAMPLES:
+            self.earlier.pop(0)
         return found
 
 
