@@ -31,7 +31,7 @@ class Visitor:
         self._window = window
         self._last = self._longest = 0.0
         self._began = time.monotonic()
-        ended, failed = window._test_ended, window._test_failed
+        ended, failed = window.on_test_ended, window.on_test_failed
         visitor, beat = self, EmergencyStop.beat
 
         def seen(stop: EmergencyStop) -> None:
@@ -39,8 +39,8 @@ class Visitor:
             visitor._beat()
 
         EmergencyStop.beat = seen  # type: ignore[method-assign]
-        window._test_ended = lambda outcome: (ended(outcome), self._leave(outcome.error))
-        window._test_failed = lambda words: (failed(words), self._leave(words))
+        window.on_test_ended = lambda outcome: (ended(outcome), self._leave(outcome.error))
+        window.on_test_failed = lambda words: (failed(words), self._leave(words))
         QTimer.singleShot(round(1000 * delay_s), window, self._begin)
 
     def _beat(self) -> None:

@@ -116,7 +116,7 @@ def test_a_calibration_has_its_own_warning_and_shows_what_it_measures(qtbot, tec
         seen["points"] = max(seen.get("points", 0), x.size)
         seen["probe"] = ui.safety.contact.text()
         seen["force"] = ui.safety.force.text()
-        drawn = ui.signals._curves["force"].getData()[0]
+        drawn = ui.signals.curves["force"].getData()[0]
         seen["drawn"] = 0 if drawn is None else drawn.size
 
     page.show_curve, show = look, page.show_curve

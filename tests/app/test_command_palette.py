@@ -90,7 +90,7 @@ def test_start_leads_to_its_button_and_starts_nothing(qtbot, window):
 def test_no_action_that_energises_the_coil_begins_anything(qtbot, open_window):
     window = open_window(role="technician")
     type_site(qtbot, window)
-    leading = [action for action in window._actions() if action.energises]
+    leading = [action for action in window.declare_actions() if action.energises]
     ui = window.ui
     assert len(leading) == 3 + len(ui.calibration.begin)
     for action in leading:
@@ -109,11 +109,11 @@ def test_the_keys_that_stop_do_so_while_it_is_open(qtbot, open_window, bench, ke
     palette = open_palette(qtbot, window)
     assert fully_visible(window.ui.stop)
     qtbot.keyClick(palette.words, key)
-    assert window._stop.is_set()
+    assert window.emergency.is_set()
     assert not palette.words.text()
     gate.opened.set()
     qtbot.waitUntil(lambda: idle(window), timeout=WAIT_MS)
-    assert bench.opened[0]._run is None
+    assert bench.opened[0].current_run is None
 
 
 @pytest.mark.parametrize("language", ["en", "de"])
@@ -133,7 +133,7 @@ def test_it_covers_neither_start_nor_stop(qtbot, open_window, language):
 def test_titles_and_shortcuts_are_unique(window):
     for page in ("research", "gap", "instrument"):
         window.pages.show(page)
-    actions = window._actions()
+    actions = window.declare_actions()
     for values in (
         [action.title for action in actions],
         [QKeySequence(action.keys).toString() for action in actions if action.keys],

@@ -87,7 +87,7 @@ def test_gate_and_verdict_have_german_headlines(qtbot, open_window):
 def test_the_body_map_is_as_dark_as_the_window(qtbot, open_window, dark):
     window = open_window()
     press(qtbot, window.ui.form.map)
-    chart = window.clinician._map
+    chart = window.clinician.body_map
     qtbot.waitUntil(chart.isVisible, timeout=WAIT_MS)
     assert chart.palette().color(QPalette.ColorRole.Base).name() == DARK.field
     chart.close()

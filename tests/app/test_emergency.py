@@ -172,7 +172,7 @@ def test_the_keys_stop_whatever_has_the_focus(qtbot, open_window, bench, tmp_pat
         target = window.ui.pages.tabBar() if focus == "tabs" else window.ui.notice.dismiss
         target.setFocus()
     qtbot.keyClick(target, key)
-    assert window._stop.is_set()
+    assert window.emergency.is_set()
     assert "Stopping" in window.ui.guidance.instruction.text()
     if focus == "dialog":
         assert dialog.isVisible()
@@ -183,7 +183,7 @@ def test_the_keys_stop_whatever_has_the_focus(qtbot, open_window, bench, tmp_pat
     test = only_session(tmp_path)[1].test()
     assert test.status == "aborted"
     assert test.notes["reason"].startswith("stopped by key; ")
-    assert bench.opened[0]._run is None
+    assert bench.opened[0].current_run is None
     # Afterwards the keys belong to the fields again, and hammering on them begins nothing.
     for _ in range(3):
         qtbot.keyClick(window.focusWidget(), Qt.Key.Key_Space)
@@ -222,11 +222,11 @@ def test_a_computer_that_slept_ends_the_test(qtbot, open_window, clock, bench, t
     window = open_window(wait=gate.wait)
     begin(qtbot, window, gate)
     clock.now += 3600.0
-    qtbot.waitUntil(window._stop.is_set, timeout=WAIT_MS)
+    qtbot.waitUntil(window.emergency.is_set, timeout=WAIT_MS)
     gate.opened.set()
     wait_for_result(qtbot, window)
     assert only_session(tmp_path)[1].test().notes["reason"] == NO_ANSWER
-    assert bench.opened[0]._run is None
+    assert bench.opened[0].current_run is None
 
 
 def test_frames_that_cannot_be_drawn_are_no_beats(qtbot, open_window, clock, tmp_path, monkeypatch):
@@ -260,7 +260,7 @@ def test_a_defect_in_the_window_releases_the_coil(qtbot, open_window, bench, tmp
     gate.opened.set()
     wait_for_result(qtbot, window)
     assert begins(only_session(tmp_path)[1].test().notes["reason"], "stop.released", cause=BY_DEFECT)
-    assert bench.opened[0]._run is None
+    assert bench.opened[0].current_run is None
     assert (tmp_path / "last-defect.txt").exists()
 
 
@@ -330,7 +330,7 @@ def test_a_test_that_cannot_be_logged_does_not_begin(qtbot, open_window, bench, 
     press(qtbot, window.ui.start)
     qtbot.waitUntil(lambda: idle(window), timeout=WAIT_MS)
     assert "audit log" in window.ui.notice.text.text()
-    assert not bench.opened[0]._energised
+    assert not bench.opened[0].energised
     assert list(tmp_path.iterdir()) == []
 
 
@@ -381,7 +381,7 @@ def test_a_test_that_ended_is_not_shown_as_running_while_it_is_saved(qtbot, open
     begin(qtbot, window, gate)
     window.ui.guidance.lamp.show_contact(Contact.ON)
     gate.opened.set()
-    qtbot.waitUntil(lambda: saving.is_set() and window._abort_shown is not None, timeout=WAIT_MS)
+    qtbot.waitUntil(lambda: saving.is_set() and window.abort_shown is not None, timeout=WAIT_MS)
     assert window.testing, "its recording is still being saved"
     assert window.ui.notice.text.text() == sentence(LOST)
     assert "0.5 s" in window.ui.safety.keys.text()
@@ -398,10 +398,10 @@ def test_a_window_that_does_not_keep_up_opens_no_instrument(qtbot, open_window, 
     type_site(qtbot, window)
     press(qtbot, window.ui.start)
     frames = []
-    window._frames.timeout.connect(lambda: frames.append(1))
+    window.frame_timer.timeout.connect(lambda: frames.append(1))
     qtbot.waitUntil(lambda: len(frames) > 5, timeout=WAIT_MS)
     assert window.testing
-    assert not window._stop.watching
+    assert not window.emergency.watching
     assert bench.opened == []
     press(qtbot, window.ui.stop)
     qtbot.waitUntil(lambda: idle(window), timeout=WAIT_MS)
@@ -417,12 +417,12 @@ def test_what_warms_up_keeps_the_instrument_closed_until_it_is_done(qtbot, open_
     type_site(qtbot, window)
     press(qtbot, window.ui.start)
     frames = []
-    window._frames.timeout.connect(lambda: frames.append(1))
+    window.frame_timer.timeout.connect(lambda: frames.append(1))
     qtbot.waitUntil(lambda: len(frames) > 5, timeout=WAIT_MS)
     assert bench.opened == []
     warming.clear()
     qtbot.waitUntil(lambda: bool(bench.opened), timeout=WAIT_MS)
-    assert window._stop.watching
+    assert window.emergency.watching
     press(qtbot, window.ui.stop)
     qtbot.waitUntil(lambda: idle(window), timeout=WAIT_MS)
 
@@ -435,7 +435,7 @@ def test_a_test_that_the_watchdog_of_the_window_ended_is_logged_as_aborted(
     window = open_window(wait=gate.wait, audit=AuditLog(audit_file))
     begin(qtbot, window, gate)
     clock.now += 1.2
-    qtbot.waitUntil(window._stop.is_set, timeout=WAIT_MS)
+    qtbot.waitUntil(window.emergency.is_set, timeout=WAIT_MS)
     gate.opened.set()
     qtbot.waitUntil(lambda: idle(window), timeout=WAIT_MS)
     ends = [line for line in last_lines(audit_file, 100) if line.what in ("test.aborted", "test.stopped")]

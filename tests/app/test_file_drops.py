@@ -51,7 +51,7 @@ def asked(qtbot, window):
 
 
 def roles_of(dialog):
-    return [dialog._role(row).currentData() for row in range(dialog.table.rowCount())]
+    return [dialog.role_of(row).currentData() for row in range(dialog.table.rowCount())]
 
 
 def test_a_dropped_record_is_imported_as_the_command_line_does(qtbot, open_window, record, tmp_path, audit_file):
@@ -59,7 +59,7 @@ def test_a_dropped_record_is_imported_as_the_command_line_does(qtbot, open_windo
     assert drop(window, record)
     dialog = asked(qtbot, window)
     assert roles_of(dialog) == ["time", "force", "position"]
-    assert [dialog._unit(row).currentText() for row in range(3)] == ["s", "mN", "mm"]
+    assert [dialog.unit_of(row).currentText() for row in range(3)] == ["s", "mN", "mm"]
     assert dialog.table.item(1, 3).text().split()[0] == "2000"
     dialog.site.setText("left forearm")
     dialog.subject.setText("P-007")
@@ -99,15 +99,15 @@ def test_what_cannot_be_imported_is_said_in_the_dialog_which_stays(qtbot, open_w
     window = open_window()
     window.files.open([record])
     dialog = asked(qtbot, window)
-    dialog._role(1).setCurrentIndex(0)
+    dialog.role_of(1).setCurrentIndex(0)
     press(qtbot, dialog.go)
     assert dialog.said.isVisible()
     assert window.files.dialog is dialog
-    dialog._role(1).setCurrentIndex(dialog._role(1).findData("force"))
-    dialog._unit(1).setEditText("mm")
+    dialog.role_of(1).setCurrentIndex(dialog.role_of(1).findData("force"))
+    dialog.unit_of(1).setEditText("mm")
     press(qtbot, dialog.go)
     assert dialog.said.isVisible()
-    dialog._unit(1).setEditText("mN")
+    dialog.unit_of(1).setEditText("mN")
     (tmp_path / "there.h5").write_bytes(b"kept")
     dialog.out.setText(str(tmp_path / "there.h5"))
     press(qtbot, dialog.go)

@@ -78,7 +78,7 @@ def test_a_folder_that_cannot_be_written_to():
 def test_a_bad_path_is_reported_before_an_instrument_is_opened(qtbot, window, bench, tmp_path):
     type_site(qtbot, window)
     window.ui.form.path.setText(str(tmp_path / "nowhere" / "s.h5"))
-    window.ui.form._take_own_path()
+    window.ui.form.take_own_path()
     press(qtbot, window.ui.start)
     assert not window.testing
     assert bench.opened == []

@@ -356,8 +356,8 @@ def in_state(qtbot, opened, request):
             if not window.testing:
                 ui.calibration.begin["static"].click()
                 qtbot.waitUntil(opened.calibration_waits(window), timeout=WAIT_MS)
-                window._frames.stop()
-                window._draw()
+                window.frame_timer.stop()
+                window.draw_frame()
             window.pages.show(page)
             settle()
             return window
@@ -366,8 +366,8 @@ def in_state(qtbot, opened, request):
                 ui.form.site.setEditText("left forearm")
                 ui.start.click()
                 qtbot.waitUntil(opened.gate(window).reached.is_set, timeout=WAIT_MS)
-                window._frames.stop()  # nothing new is drawn while one looks
-                window._show_frame()
+                window.frame_timer.stop()  # nothing new is drawn while one looks
+                window.show_frame()
             window.pages.show(page)
             settle()
             return window
@@ -560,7 +560,7 @@ def test_the_import_dialog_fits_every_screen(import_dialog, language, described,
 def test_units_are_not_cut_in_the_import_dialog(import_dialog):
     dialog = import_dialog()
     settle()
-    unit = dialog._unit(0)
+    unit = dialog.unit_of(0)
     unit.setEditText("minutes")
     line = unit.lineEdit()
     assert line.width() >= line.fontMetrics().horizontalAdvance("minutes")
@@ -589,7 +589,7 @@ def test_help_in_a_narrow_window_takes_the_place_of_the_page_and_gives_it_back(i
     window = in_state("en", f"idle on {page}:help")
     window.resize(*SMALLEST)
     settle()
-    reader, content = window.panels.help.reader, window.ui._main if page == "measure" else window.ui.stack
+    reader, content = window.panels.help.reader, window.ui.main_scroll if page == "measure" else window.ui.stack
     assert fully_visible(window.panels.help.close_button)
     assert reader.width() > 300
     assert reader.horizontalScrollBar().maximum() == 0
@@ -678,7 +678,7 @@ def test_a_result_is_shown_from_its_top(qtbot, in_state):
     window = in_state("en", "idle on measure:result")
     window.resize(*SMALLEST)
     settle()
-    bars = window.ui.result.verticalScrollBar(), window.ui._main.verticalScrollBar()
+    bars = window.ui.result.verticalScrollBar(), window.ui.main_scroll.verticalScrollBar()
     assert all(bar.maximum() > 0 for bar in bars)
     for bar in bars:
         bar.setValue(bar.maximum())

@@ -205,7 +205,7 @@ def test_start_and_measure_are_german_and_the_choice_is_kept(open_window):
 
 def test_a_new_language_is_taken_on_by_a_new_window(qtbot, open_window):
     window = open_window()
-    palette = {action.title: action for action in window._actions()}
+    palette = {action.title: action for action in window.declare_actions()}
     palette["Language: Deutsch"].run()
     assert window.settings.value("language") == "de"
     assert not window.restarts

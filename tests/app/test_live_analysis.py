@@ -56,7 +56,7 @@ def seen(seconds=4.0, method="sliding", looks=(1.0, 2.0, 4.0)):
 
 
 def words(card):
-    return card._missing.text()
+    return card.missing.text()
 
 
 def data(item):
@@ -201,7 +201,7 @@ def test_it_is_there_during_a_test_and_gone_with_an_opened_session(qtbot, open_w
     qtbot.waitUntil(lambda: "N/m" in panel.numbers["stiffness"].text, timeout=WAIT_MS)
     gate.opened.set()
     qtbot.waitUntil(lambda: window.findings is not None and not window.jobs, timeout=WAIT_MS)
-    identification = window._live.identification
+    identification = window.live.identification
     assert identification.problem == ""
     assert identification.latest().seconds == 4.0
     window.ui.pages.setCurrentIndex(0)

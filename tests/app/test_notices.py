@@ -51,10 +51,10 @@ def test_news_go_when_another_action_begins_and_a_problem_when_it_succeeds(qtbot
     notice.say(FULL_DISK, problem=True)
     button.pressed.emit()
     assert shown(window)
-    window.jobs.do(lambda: 1 / 0, window._logged, window._logged)
+    window.jobs.do(lambda: 1 / 0, window.on_logged, window.on_logged)
     qtbot.waitUntil(lambda: idle(window), timeout=WAIT_MS)
     assert shown(window)
-    window.jobs.do(lambda: 1, window._logged, window._logged)
+    window.jobs.do(lambda: 1, window.on_logged, window.on_logged)
     qtbot.waitUntil(lambda: idle(window), timeout=WAIT_MS)
     assert not shown(window)
 
@@ -69,7 +69,7 @@ def test_what_an_action_says_itself_an_offer_and_a_defect_stay_when_it_succeeds(
         say()
         if not notice.text.text().startswith("The disk"):
             button.pressed.emit()
-        window.jobs.do(lambda: 1, window._logged, window._logged)
+        window.jobs.do(lambda: 1, window.on_logged, window.on_logged)
         qtbot.waitUntil(lambda: idle(window), timeout=WAIT_MS)
         assert shown(window)
 
@@ -140,7 +140,7 @@ def test_calibrate_brings_the_right_tab_to_the_front(qtbot, open_window):
     qtbot.waitUntil(lambda: idle(window), timeout=WAIT_MS)
     view = window.ui.views["instrument"]
     view.tabs.setCurrentWidget(view.calibrations)
-    qtbot.waitUntil(lambda: idle(window) and not view._soon.isActive(), timeout=WAIT_MS)
+    qtbot.waitUntil(lambda: idle(window) and not view.refresh_timer.isActive(), timeout=WAIT_MS)
     press(qtbot, view.calibrations.calibrate)
     assert window.ui.page == "measure"
     assert window.ui.pages.currentWidget() is window.ui.calibration

@@ -44,7 +44,7 @@ def test_a_page_that_is_chosen_by_keys_gets_the_focus(qtbot, open_window, saved)
         window.ui.open.setFocus()
         qtbot.keyClick(window, getattr(Qt.Key, f"Key_{number}"), Qt.KeyboardModifier.ControlModifier)
         assert window.ui.page == name
-        assert window.ui._holders[name].isAncestorOf(QApplication.focusWidget()), name
+        assert window.ui.holders[name].isAncestorOf(QApplication.focusWidget()), name
     window.ui.start.setFocus()
     window.pages.go("start")
     window.pages.go("measure")
@@ -54,13 +54,13 @@ def test_a_page_that_is_chosen_by_keys_gets_the_focus(qtbot, open_window, saved)
 def test_a_clinician_unfolds_the_details_and_others_see_them(qtbot, opened):
     window = opened("clinician")
     page, form = window.ui.result, window.ui.form
-    assert [tile.isVisible() for tile in page._tiles] == [True, True, True, False, False]
+    assert [tile.isVisible() for tile in page.tiles] == [True, True, True, False, False]
     assert not any(card.isVisible() for card in page.cards)
     assert "Gaussian" not in form.summary.text()
     assert form.set_up.isHidden()
-    assert all(tile.toolTip() for tile in page._tiles[:3])
+    assert all(tile.toolTip() for tile in page.tiles[:3])
     press(qtbot, page.details)
-    assert all(tile.isVisible() for tile in page._tiles)
+    assert all(tile.isVisible() for tile in page.tiles)
     assert all(card.isVisible() for card in page.cards)
     window.ui.role.choice.setCurrentIndex(window.ui.role.choice.findData("researcher"))
     assert page.details.isHidden()
@@ -77,9 +77,9 @@ def test_the_numbers_of_a_test_that_does_not_count_are_not_bold(opened, saved, t
     write_session(path, dataclasses.replace(session, tests=(dataclasses.replace(session.tests[0], notes=notes),)))
     window = opened("clinician", path)
     assert window.findings.verdict.level == "poor"
-    assert window.ui.result._tiles[0]._value.property("level") == "poor"
+    assert window.ui.result.tiles[0].value.property("level") == "poor"
     window.show_findings(window.findings)
-    sizes = [tile._value.font().pointSizeF() for tile in window.ui.result._tiles[:1]]
+    sizes = [tile.value.font().pointSizeF() for tile in window.ui.result.tiles[:1]]
     assert sizes[0] < 16
 
 
@@ -118,10 +118,10 @@ def test_old_curves_are_covered_until_the_new_ones_are_drawn(qtbot):
     for canvas in (first, second):
         canvas.show_plots([plot])
     assert second.pending
-    assert second._cover.isVisible()
+    assert second.cover.isVisible()
     qtbot.waitUntil(lambda: not second.pending, timeout=WAIT_MS)
-    assert not first._cover.isVisible()
-    assert not second._cover.isVisible()
+    assert not first.cover.isVisible()
+    assert not second.cover.isVisible()
 
 
 def test_an_empty_field_stays_empty_where_a_number_is_refused(qtbot):

@@ -44,7 +44,7 @@ def from_start(qtbot, open_window, audit_file):
 
 def rest(qtbot, window):
     """Until nothing goes on, and nothing waits to."""
-    waiting = [view._soon for view in window.pages.views if hasattr(view, "_soon")]
+    waiting = [view.refresh_timer for view in window.pages.views if hasattr(view, "refresh_timer")]
     qtbot.waitUntil(lambda: idle(window) and not any(timer.isActive() for timer in waiting), timeout=WAIT_MS)
 
 
@@ -80,7 +80,7 @@ def test_a_clinician_measures_a_site_twice_accepts_and_prints(qtbot, from_start,
     qtbot.keyClicks(ui.form.subject, "P-021")
     ui.form.seconds.setValue(1.0)
     press(qtbot, ui.form.map)
-    chart = window.clinician._map
+    chart = window.clinician.body_map
     qtbot.waitUntil(lambda: chart.isVisible() and chart.isActiveWindow(), timeout=WAIT_MS)
     press(qtbot, chart.spots["left thigh"])
     press(qtbot, chart.use)
@@ -118,7 +118,7 @@ def test_a_clinician_measures_a_site_twice_accepts_and_prints(qtbot, from_start,
     said = logged(audit_file)
     assert said.count("test.completed") == 2
     assert "sitting.accepted" in said
-    assert all(instrument._run is None for instrument in bench.opened)
+    assert all(instrument.current_run is None for instrument in bench.opened)
 
 
 # -- the researcher ---------------------------------------------------------------------------------------------------
@@ -204,7 +204,7 @@ def test_a_technician_asks_calibrates_and_verifies(qtbot, from_start, calibratio
     def choose(tab):
         bar = view.tabs.tabBar()
         qtbot.mouseClick(bar, Qt.MouseButton.LeftButton, pos=bar.tabRect(view.tabs.indexOf(tab)).center())
-        qtbot.waitUntil(lambda: not view._current.stale, timeout=WAIT_MS)
+        qtbot.waitUntil(lambda: not view.current.stale, timeout=WAIT_MS)
         rest(qtbot, window)
 
     choose(view.health)

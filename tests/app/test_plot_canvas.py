@@ -31,7 +31,7 @@ def canvas(qtbot):
 def shown(canvas, *plots, **how):
     canvas.show()
     canvas.show_plots(plots, **how)
-    return canvas._canvas
+    return canvas.canvas
 
 
 def middle(widget):
@@ -55,13 +55,13 @@ def span(axes):
 
 def test_it_draws_when_it_is_seen_and_says_what_it_shows(canvas):
     canvas.show_plots([PLOT])
-    assert canvas._canvas is None
+    assert canvas.canvas is None
     canvas.show()
-    assert canvas._canvas.isVisible()
-    assert canvas._canvas.accessibleName() == "Plot: Impulse response, mm/(N·s)"
+    assert canvas.canvas.isVisible()
+    assert canvas.canvas.accessibleName() == "Plot: Impulse response, mm/(N·s)"
     canvas.show_plots([Plot("Bode", PLOT.x, PLOT.y, missing="no input was recorded")])
-    assert not canvas._canvas.isVisible()
-    assert canvas._missing.text() == "No input was recorded."
+    assert not canvas.canvas.isVisible()
+    assert canvas.missing.text() == "No input was recorded."
 
 
 def test_it_takes_on_a_theme(canvas):
@@ -152,7 +152,7 @@ def test_a_label_longer_than_its_axis_is_wrapped_and_stays_inside(canvas):
     assert box.y1 <= inside.figure.bbox.height
     assert box.x0 >= 0.0
     canvas.resize(600, 500)
-    canvas._settle()
+    canvas.settle()
     assert canvas.axes[0].yaxis.label.get_text() == "Impulse response by depth (mm/(N·s))"
 
 

@@ -11,7 +11,7 @@ pytestmark = [pytest.mark.qt_log_level_fail("WARNING"), pytest.mark.qt_log_ignor
 
 
 def chosen(window, title):
-    {action.title: action for action in window._actions()}[title].run()
+    {action.title: action for action in window.declare_actions()}[title].run()
 
 
 def test_appearance_and_text_size_are_chosen_in_the_palette_and_kept(qtbot, open_window):

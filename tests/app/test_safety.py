@@ -249,14 +249,14 @@ def test_a_test_that_leaves_the_linear_region_is_flagged_while_it_runs_and_after
     type_site(qtbot, window)
     press(qtbot, window.ui.start)
     qtbot.waitUntil(gate.reached.is_set, timeout=WAIT_MS)
-    qtbot.waitUntil(lambda: OUTSIDE in signals.position._legend.text(), timeout=WAIT_MS)
-    assert [float(edge.getData()[1][0]) for edge in signals._region_edges] == [4.0, 12.0]
+    qtbot.waitUntil(lambda: OUTSIDE in signals.position.legend.text(), timeout=WAIT_MS)
+    assert [float(edge.getData()[1][0]) for edge in signals.region_edges] == [4.0, 12.0]
     assert "outside linear region" in window.ui.safety.contact.text()
     assert "on the skin" in window.ui.safety.contact.text()
     assert window.ui.form.instrument.calibration.text().startswith("Calibrated 12 days ago")
     gate.opened.set()
     wait_for_result(qtbot, window)
-    assert OUTSIDE in signals.position._legend.text()
+    assert OUTSIDE in signals.position.legend.text()
     assert any("4.0 to 12.0 mm" in words for words in window.ui.gate.words)
     assert only_session(tmp_path)[1].instrument.calibration["linear_region_max_m"] == 0.012
 
@@ -267,7 +267,7 @@ def test_a_test_inside_the_region_is_shaded_and_not_flagged(qtbot, open_window, 
     type_site(qtbot, window)
     press(qtbot, window.ui.start)
     wait_for_result(qtbot, window)
-    assert LINEAR in window.ui.signals.position._legend.text()
+    assert LINEAR in window.ui.signals.position.legend.text()
     assert window.ui.gate.headline.text() == "Good test"
 
 
@@ -309,12 +309,12 @@ def test_many_findings_are_unfolded_when_asked_for(qtbot, gate):
     findings = tuple(dataclasses.replace(WARM, words=f"Number {number}.") for number in range(7))
     gate.show_quality(Quality(findings), can_repeat=True)
     gate.show()
-    assert gate._grid.count() == 2 * MOST_SHOWN
+    assert gate.grid.count() == 2 * MOST_SHOWN
     assert gate.more.text() == "4 more"
     press(qtbot, gate.more)
-    assert gate._grid.count() == 14
+    assert gate.grid.count() == 14
     press(qtbot, gate.more)
-    assert gate._grid.count() == 2 * MOST_SHOWN
+    assert gate.grid.count() == 2 * MOST_SHOWN
 
 
 def test_a_test_that_was_never_judged_says_so(gate):
@@ -374,14 +374,14 @@ def test_only_what_goes_together_can_be_chosen_and_it_is_stored(qtbot, open_wind
     window.ui.form.seconds.setValue(1.0)
     type_site(qtbot, window)
     press(qtbot, window.ui.start)
-    assert window.ui.signals.position._heading.text() == "Displacement (mm)"
+    assert window.ui.signals.position.heading.text() == "Displacement (mm)"
     wait_for_result(qtbot, window)
     test = only_session(tmp_path)[1].test()
     assert test.configuration == "surface"
     assert test.notes["external_spring_n_per_m"] == 350.0
     assert test.notes["probe_name"] == "slider-5x16mm"
-    assert window.ui.signals._level.isVisible()
-    assert not window.ui.signals._surface.isVisible()
+    assert window.ui.signals.level.isVisible()
+    assert not window.ui.signals.surface.isVisible()
     form.choose(configuration="indentation")
     assert form.values()["external_spring_n_per_m"] == 0.0
 

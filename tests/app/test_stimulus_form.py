@@ -27,7 +27,7 @@ def run(qtbot, window):
     """Run the test of the form to its end, and read its session."""
     form = window.ui.form
     path = form.folder / "made.h5"
-    form._choose_chosen_path(str(path))
+    form.take_chosen_path(str(path))
     press(qtbot, window.ui.start)
     qtbot.waitUntil(lambda: idle(window), timeout=WAIT_MS)
     assert path.exists(), window.ui.notice.text.text()
@@ -139,7 +139,7 @@ def test_filling_a_kind_restores_its_usual_options(form):
     [
         (FROM_FILE, lambda form: None),
         ("noise", lambda form: form.stimulus.stop_when.setText("colour=0.1")),
-        (MULTISTEP, lambda form: form.stimulus._options["depth_min_m"].set_value(0.02)),
+        (MULTISTEP, lambda form: form.stimulus.controls["depth_min_m"].set_value(0.02)),
     ],
 )
 def test_what_cannot_be_played_is_said_before_an_instrument_is_touched(qtbot, window, form, bench, kind, change):
@@ -175,7 +175,7 @@ def test_presets_fill_the_form_and_other_settings_are_ones_own(form):
     choose(form, "depths")
     assert form.preset.choice.currentData() == "depths"
     assert form.stimulus.depths.isVisible()
-    form.stimulus._options["depth_max_m"].set_value(0.003)
+    form.stimulus.controls["depth_max_m"].set_value(0.003)
     plan = form.plan()
     assert plan.stimulus == "rtig"
     assert plan.specification(2000.0).depth_max_m == 0.003
@@ -197,11 +197,11 @@ def test_the_thesis_test_is_offered_where_the_force_allows_it(form):
 
 def test_noise_shows_the_options_that_apply(form):
     form.fold.setChecked(True)
-    options = form.stimulus._options
+    options = form.stimulus.controls
     assert options["cutoff_hz"].isVisible()
     assert not options["natural_hz"].isVisible()
     options["spectrum"].set_value("second_order")
-    form.stimulus._update_shown()
+    form.stimulus.update_shown()
     assert options["natural_hz"].isVisible()
     assert not options["cutoff_hz"].isVisible()
     assert dict(form.plan().options) == {"spectrum": "second_order"}
@@ -227,7 +227,7 @@ def test_a_waveform_scaled_and_repeated(qtbot, open_window, tmp_path):
     form.stimulus.fill(FROM_FILE, {"scale": 2.0, "offset": 1.0})
     form.stimulus.file.setText(str(saved))
     form.fold.setChecked(True)
-    assert form.stimulus._options["file_rate_hz"].isVisible()
+    assert form.stimulus.controls["file_rate_hz"].isVisible()
     form.repeats.setValue(2)
     assert form.rest.isVisible()
     session = run(qtbot, window)
@@ -235,7 +235,7 @@ def test_a_waveform_scaled_and_repeated(qtbot, open_window, tmp_path):
     command = session.test().signals["command"][1000:]
     np.testing.assert_allclose(command / command[0], (2.0 * wave + 1.0) / (2.0 * wave[0] + 1.0), rtol=1e-5)
     form.stimulus.file.setText("saved.json")
-    assert not form.stimulus._options["file_rate_hz"].isVisible()
+    assert not form.stimulus.controls["file_rate_hz"].isVisible()
 
 
 def test_a_localized_test_shows_its_levels(qtbot, open_window):

@@ -139,7 +139,7 @@ def test_a_plot_changes_its_numbers_and_not_its_curve(qtbot):
     before = [axis_range[:] for axis_range in card.plot.viewRange()]
     units.use("si")
     card.take_units()
-    assert card._heading.text() == "Position (m/N)"
+    assert card.heading.text() == "Position (m/N)"
     assert card.plot.accessibleName() == "Plot: Position, m/N"
     assert card.plot.getAxis("bottom").labelText == "Depth (m)"
     assert card.plot.viewRange() == before
@@ -309,14 +309,14 @@ def test_the_choice_is_shown_at_once_on_every_page_and_kept(qtbot, open_window, 
     window.open_session(saved)
     wait_for_result(qtbot, window)
     ui = window.ui
-    tiles = {tile._label.text(): tile for tile in ui.result._tiles}
-    grams = float(tiles["Mass"]._value.text())
+    tiles = {tile.label.text(): tile for tile in ui.result.tiles}
+    grams = float(tiles["Mass"].value.text())
     choose(window, "si")
     assert window.settings.value("units") == "si"
-    assert tiles["Mass"]._rest.text().endswith(" kg")
-    assert float(tiles["Mass"]._value.text()) == pytest.approx(1e-3 * grams, rel=1e-3)
+    assert tiles["Mass"].rest.text().endswith(" kg")
+    assert float(tiles["Mass"].value.text()) == pytest.approx(1e-3 * grams, rel=1e-3)
     assert "kg" in tiles["Mass"].accessibleName()
-    assert ui.signals.position._heading.text() == "Position (m)"
+    assert ui.signals.position.heading.text() == "Position (m)"
     assert ui.result.bode.accessibleName() == "Plot: Bode magnitude, m/N"
     (axes,), (curve, *_rest) = ui.result.impulse.axes, ui.result.impulse.plots[0].curves
     assert axes.get_ylabel().replace("\n", " ") == "Impulse response (m/(N·s))"
@@ -332,7 +332,7 @@ def test_the_choice_is_shown_at_once_on_every_page_and_kept(qtbot, open_window, 
     choose(window, "clinical")
     assert view.health.identity.facts["Position limits"].endswith(" mm")
     assert view.health.state.facts["Moving mass"].endswith(" g")
-    assert float(tiles["Mass"]._value.text()) == grams
+    assert float(tiles["Mass"].value.text()) == grams
 
     choose(window, "si")
     window.settings.sync()
@@ -341,4 +341,4 @@ def test_the_choice_is_shown_at_once_on_every_page_and_kept(qtbot, open_window, 
     units.use("clinical")
     other = open_window(first_page="start")
     assert other.pages.start.units.choice.currentData() == "si"
-    assert other.ui.signals.position._heading.text() == "Position (m)"
+    assert other.ui.signals.position.heading.text() == "Position (m)"

@@ -134,7 +134,7 @@ def test_stop_in_mid_test_keeps_the_recorded_part(qtbot, open_window, bench, tmp
     path, session = only_session(tmp_path)
     assert session.test().status == "aborted"
     assert 3000 < session.test().samples < 5000
-    assert bench.opened[0]._run is None
+    assert bench.opened[0].current_run is None
     assert "Stopped" in window.ui.notice.text.text()
     assert str(path) in window.ui.notice.text.text()
     gate, result = window.ui.gate, window.ui.result
@@ -159,7 +159,7 @@ def test_stop_while_the_probe_is_placed_leaves_no_file(qtbot, open_window, bench
     qtbot.waitUntil(lambda: idle(window), timeout=WAIT_MS)
     assert shows(window.ui.notice.text.text(), "outcome.nothing_yet")
     assert list(tmp_path.iterdir()) == []
-    assert bench.opened[0]._run is None
+    assert bench.opened[0].current_run is None
 
 
 def test_stop_without_a_test_says_so(qtbot, window):
@@ -228,7 +228,7 @@ def test_closing_in_mid_test_releases_and_keeps(qtbot, open_window, bench, tmp_p
     gate.opened.set()
     qtbot.waitUntil(lambda: not window.isVisible(), timeout=WAIT_MS)
     assert only_session(tmp_path)[1].test().status == "aborted"
-    assert bench.opened[0]._run is None
+    assert bench.opened[0].current_run is None
     assert not list(tmp_path.glob("*.journal"))
 
 
@@ -382,7 +382,7 @@ def test_what_cannot_be_is_refused_in_words(qtbot, open_window, tmp_path, spoil,
 
 def _save_to(form, path):
     form.path.setText(str(path))
-    form._take_own_path()
+    form.take_own_path()
 
 
 def test_a_path_of_ones_own_is_used_once(qtbot, window, tmp_path):
@@ -482,14 +482,14 @@ def test_live_plots_show_the_running_test(qtbot, open_window):
     type_site(qtbot, window)
     press(qtbot, window.ui.start)
     qtbot.waitUntil(gate.reached.is_set, timeout=WAIT_MS)
-    curve = window.ui.signals._curves["force"]
+    curve = window.ui.signals.curves["force"]
     qtbot.waitUntil(lambda: curve.getData()[0] is not None and curve.getData()[0].max() > 1.5, timeout=WAIT_MS)
     time_s, force_n = curve.getData()
     width = window.ui.signals.force.plot.getViewBox().width()
     assert time_s.size <= 2 * width + 2
     assert time_s.min() == pytest.approx(-1.2, abs=0.01)
     assert np.nanmax(force_n) > 8.0
-    voltage_v = window.ui.signals._curves["voltage"].getData()[1]
+    voltage_v = window.ui.signals.curves["voltage"].getData()[1]
     assert 10.0 < np.nanmax(voltage_v) < 60.0
     assert window.ui.guidance.phase.value == "stimulus"
     press(qtbot, window.ui.stop)

@@ -48,10 +48,10 @@ def logged(audit_file):
 def test_the_dialog_imports_what_the_command_line_does(qtbot, record, tmp_path, trail, audit_file):
     dialog = ImportDialog(preview_of([record]), tmp_path / "window.h5")
     qtbot.addWidget(dialog)
-    dialog._unit(0).setEditText("s")
-    dialog._unit(1).setEditText("N")
-    dialog._role(2).setCurrentIndex(dialog._role(2).findData("position"))
-    dialog._unit(2).setEditText("mm")
+    dialog.unit_of(0).setEditText("s")
+    dialog.unit_of(1).setEditText("N")
+    dialog.role_of(2).setCurrentIndex(dialog.role_of(2).findData("position"))
+    dialog.unit_of(2).setEditText("mm")
     dialog.first.setText("100")
     dialog.site.setText("left calf")
     dialog.subject.setText("P-3")
@@ -72,15 +72,15 @@ def test_the_dialog_shows_which_units_it_cannot_read(qtbot, tmp_path):
     path.write_text("Time (min),Load (lbf),Travel (mil),Other (counts)\n0,1,2,3\n1,2,3,4\n2,3,4,5\n")
     dialog = ImportDialog(preview_of([path]), tmp_path / "window.h5")
     qtbot.addWidget(dialog)
-    assert [dialog._role(row).currentData() for row in range(4)] == ["time", "force", "position", ""]
-    assert [dialog._unit(row).currentText() for row in range(4)] == ["min", "lbf", "mil", "counts"]
-    dialog._role(3).setCurrentIndex(dialog._role(3).findData("output"))
-    assert [dialog._unit(row).property("level") for row in range(4)] == [None, None, None, "poor"]
-    assert dialog._unit(3).accessibleDescription()
+    assert [dialog.role_of(row).currentData() for row in range(4)] == ["time", "force", "position", ""]
+    assert [dialog.unit_of(row).currentText() for row in range(4)] == ["min", "lbf", "mil", "counts"]
+    dialog.role_of(3).setCurrentIndex(dialog.role_of(3).findData("output"))
+    assert [dialog.unit_of(row).property("level") for row in range(4)] == [None, None, None, "poor"]
+    assert dialog.unit_of(3).accessibleDescription()
     with pytest.raises(UnusableInputError, check=coded("import.unknown_unit", unit="counts")):
         dialog.plan()
-    dialog._unit(3).setEditText("1")
-    assert dialog._unit(3).property("level") is None
+    dialog.unit_of(3).setEditText("1")
+    assert dialog.unit_of(3).property("level") is None
     assert dialog.plan().mapping == ("time=1:min", "force=2:lbf", "position=3:mil", "output=4:1")
 
 
@@ -91,7 +91,7 @@ def test_the_dialog_asks_for_the_decimal_sign(qtbot, tmp_path, trail):
     dialog = ImportDialog(preview_of([path]), tmp_path / "window.h5")
     qtbot.addWidget(dialog)
     dialog.rate.setText("100")
-    dialog._role(1).setCurrentIndex(dialog._role(1).findData("position"))
+    dialog.role_of(1).setCurrentIndex(dialog.role_of(1).findData("position"))
     with pytest.raises(UnusableInputError, check=coded("import.thousands", path=str(path))):
         run_import(dialog.plan(), Control(), trail)
     dialog.decimal.setCurrentIndex(dialog.decimal.findData("point"))

@@ -42,7 +42,7 @@ class Clinician(QObject):
     def __init__(self, context: AppContext, ui: Layout, parent: QObject) -> None:
         super().__init__(parent)
         self._context, self._ui = context, ui
-        self._map: BodyMap | None = None
+        self.body_map: BodyMap | None = None
         self.watcher = Watcher(context, ui.guidance.lamp, ui.form, ui.safety, ui.notice, self)
         self.sitting: Sitting | None = None
         self._reopened: Sitting | None = None
@@ -171,11 +171,11 @@ class Clinician(QObject):
     def open_map(self) -> None:
         """Show the body map, with the site of the form chosen."""
         window = self._ui.form.window()
-        if self._map is None:
-            self._map = BodyMap(window)
-            self._map.chosen.connect(self._take_site)
-        self._map.setPalette(window.palette())  # a window of its own: it would have the system's colours
-        self._map.show_site(self._ui.form.site.currentText())
+        if self.body_map is None:
+            self.body_map = BodyMap(window)
+            self.body_map.chosen.connect(self._take_site)
+        self.body_map.setPalette(window.palette())  # a window of its own: it would have the system's colours
+        self.body_map.show_site(self._ui.form.site.currentText())
 
     def _take_site(self, site: str) -> None:
         form = self._ui.form

@@ -167,7 +167,7 @@ class PlanForm(QWidget):
         self.instrument.choice.currentTextChanged.connect(self._apply_limits)
         self.max_force.valueChanged.connect(self._take_own_force)
         self.path.setPlaceholderText(_("empty: a name by date and time"))
-        self.path.textEdited.connect(self._take_own_path)
+        self.path.textEdited.connect(self.take_own_path)
         self.path.editingFinished.connect(self._name_by_date)
         self.browse.clicked.connect(self._choose_path)
         self.limits.setCurrentIndex(self.limits.findData("clinical"))
@@ -510,7 +510,8 @@ class PlanForm(QWidget):
     def _take_own_force(self) -> None:
         self._own_force = self._own_force or not self._applying
 
-    def _take_own_path(self) -> None:
+    def take_own_path(self) -> None:
+        """Keep a path that was typed or chosen, instead of the one from site and time."""
         self._own_path = bool(self.path.text().strip())
 
     def _name_by_date(self) -> None:
@@ -524,10 +525,11 @@ class PlanForm(QWidget):
         dialog.setOption(QFileDialog.Option.DontConfirmOverwrite)  # an existing session is refused, not replaced
         dialog.selectFile(Path(self.path.text()).name)
         dialog.setAttribute(Qt.WidgetAttribute.WA_DeleteOnClose)
-        dialog.fileSelected.connect(self._choose_chosen_path)
+        dialog.fileSelected.connect(self.take_chosen_path)
         dialog.open()
 
-    def _choose_chosen_path(self, path: str) -> None:
+    def take_chosen_path(self, path: str) -> None:
+        """Use a path chosen in the dialog."""
         self._own_path = True
         self.path.setText(path)
         self.path.setToolTip(path)

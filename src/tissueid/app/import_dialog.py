@@ -188,7 +188,7 @@ class ImportDialog(QDialog):
         mapping = []
         if not self._preview.described:
             for row in range(self.table.rowCount()):
-                role, unit = self._role(row).currentData(), self._unit(row).currentText().strip()
+                role, unit = self.role_of(row).currentData(), self.unit_of(row).currentText().strip()
                 if role:
                     mapping.append(f"{role}={row + 1}:{unit}" if unit else f"{role}={row + 1}")
             parse_map(mapping)
@@ -268,7 +268,7 @@ class ImportDialog(QDialog):
             table.setItem(row, 3, QTableWidgetItem(numbers))
         self.table = table
         for row, column in enumerate(self._preview.columns):
-            self._role(row).setCurrentIndex(max(0, self._role(row).findData(column.role)))
+            self.role_of(row).setCurrentIndex(max(0, self.role_of(row).findData(column.role)))
             self._offer_units(row)
         return table
 
@@ -277,7 +277,7 @@ class ImportDialog(QDialog):
 
         A text that is no unit of the quantity is marked: it has to be replaced.
         """
-        role, units, column = self._role(row).currentData(), self._unit(row), self._preview.columns[row].column
+        role, units, column = self.role_of(row).currentData(), self.unit_of(row), self._preview.columns[row].column
         quantity = SIGNAL_UNITS.get(role, "")
         stated = "s" if column.dated else column.unit_for(role, quantity) if role else column.unit
         units.clear()
@@ -288,7 +288,7 @@ class ImportDialog(QDialog):
 
     def _mark(self, row: int) -> None:
         """Mark the unit of a column that cannot be read, and say why."""
-        role, units = self._role(row).currentData(), self._unit(row)
+        role, units = self.role_of(row).currentData(), self.unit_of(row)
         text, quantity = units.currentText().strip(), SIGNAL_UNITS.get(role, "")
         unit = unit_of(text.removesuffix("!"), quantity) if role and text else None
         fits = not role or not text or (unit is not None and quantity in ("", unit.si))
@@ -298,12 +298,14 @@ class ImportDialog(QDialog):
         units.setProperty("level", None if fits else "poor")
         units.style().polish(units)
 
-    def _role(self, row: int) -> QComboBox:
+    def role_of(self, row: int) -> QComboBox:
+        """Return the choice of what a column is."""
         widget = self.table.cellWidget(row, 1)
         assert isinstance(widget, QComboBox)
         return widget
 
-    def _unit(self, row: int) -> QComboBox:
+    def unit_of(self, row: int) -> QComboBox:
+        """Return the field of the unit of a column."""
         widget = self.table.cellWidget(row, 2)
         assert isinstance(widget, QComboBox)
         return widget

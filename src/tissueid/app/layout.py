@@ -133,7 +133,7 @@ class Layout:
         self.halt.hide()
         self.stack = QStackedWidget()
         self.views: dict[str, QWidget] = {}
-        self._holders: dict[str, QWidget] = {}
+        self.holders: dict[str, QWidget] = {}
         self.show_role(role)
         window.setMenuWidget(self._header())  # over the whole width, whatever is docked below it
         self._central = self._arrange()
@@ -212,12 +212,12 @@ class Layout:
     def add_page(self, name: str, page: QWidget) -> None:
         """Add the page of a button of the navigation bar; the button may exist before it."""
         self.views[name] = page
-        self._holders[name] = page if name == MEASURE else PageScroll(page)
-        self.stack.addWidget(self._holders[name])
+        self.holders[name] = page if name == MEASURE else PageScroll(page)
+        self.stack.addWidget(self.holders[name])
 
     def show_page(self, name: str) -> None:
         """Show a page. STOP stays visible while a coil can be energised."""
-        self.stack.setCurrentWidget(self._holders[name])
+        self.stack.setCurrentWidget(self.holders[name])
         self._make_room()
         self.notice.turn_to(name)
         self.rail.show_chosen(name)
@@ -225,7 +225,7 @@ class Layout:
 
     def focus_page(self) -> None:
         """Put the focus into the shown page: where it was there before, or to its first control."""
-        page = self._holders[self.page]
+        page = self.holders[self.page]
         last: QWidget | None = page.focusWidget()
         if last is None or last in self.guarded or not _takes_tab(last):
             last = self.form.site if self.page == MEASURE else page.nextInFocusChain()
@@ -256,17 +256,17 @@ class Layout:
 
     def _make_room(self) -> None:
         """Hide what has no room next to the help; form, Start and STOP stay."""
-        if self._help is None or not self._holders:
+        if self._help is None or not self.holders:
             return
         replaced, measuring = self.help_replaces, self.page == MEASURE
-        self._main.setVisible(not replaced)
+        self.main_scroll.setVisible(not replaced)
         self.stack.setMaximumWidth(self._side_frame.width() if replaced and measuring else _ANY_WIDTH)
         self.stack.setVisible(measuring or not replaced)
 
     @property
     def page(self) -> str:
         """The name of the page that is shown."""
-        return next(name for name, page in self._holders.items() if page is self.stack.currentWidget())
+        return next(name for name, page in self.holders.items() if page is self.stack.currentWidget())
 
     def _show_halt(self) -> None:
         self.halt.setVisible(self.testing and self.page != MEASURE)
@@ -350,15 +350,15 @@ class Layout:
         main.addWidget(self._verdict)
         main.addWidget(self.pages, 1)
         self.pages.setMinimumHeight(_LEAST_TABS)
-        self._main = PageScroll(content)
-        columns.addWidget(self._main, 1)
+        self.main_scroll = PageScroll(content)
+        columns.addWidget(self.main_scroll, 1)
         return page
 
     def show_part(self, part: QWidget) -> None:
         """Show a tab of the guided test from its top: the signals, the result or the calibration."""
         self.pages.setTabVisible(self.pages.indexOf(part), True)
         self.pages.setCurrentWidget(part)
-        self._main.verticalScrollBar().setValue(0)
+        self.main_scroll.verticalScrollBar().setValue(0)
 
     def _make_running(self) -> QWidget:
         """Signals and live estimates, below each other where there is no room for two columns."""

@@ -75,9 +75,9 @@ class MainWindow(QMainWindow):
         super().__init__()
         self.services = services or AppServices()
         self.jobs = Jobs(self)
-        self._stop = self.services.stop()
+        self.emergency = self.services.stop()
         self._keys = StopKeys(self)
-        self._live = LiveSignals()
+        self.live = LiveSignals()
         self._running: LiveTest | None = None
         self._notices_shown = 0
         self._plan: TestPlan | None = None
@@ -98,12 +98,12 @@ class MainWindow(QMainWindow):
         appearance.changed.connect(self._dress)  # before the widgets in it, which inherit from it
         role = self.services.role or saved_role(self.settings)
         self.ui = Layout(self, self.services.folder, self.services.now, role)
-        self._frames = QTimer(self)
-        self._frames.setInterval(FRAME_MS)
-        self._frames.timeout.connect(self._frame)
+        self.frame_timer = QTimer(self)
+        self.frame_timer.setInterval(FRAME_MS)
+        self.frame_timer.timeout.connect(self._frame)
         self._frame_at = 0.0
         self._steady = 0
-        self._abort_shown: BaseException | None = None
+        self.abort_shown: BaseException | None = None
         self._said_when_watched = ""
         self.warming: Callable[[], bool] = lambda: False
         """Whether modules are still being imported in the background, which slows the window down."""
@@ -131,9 +131,9 @@ class MainWindow(QMainWindow):
         self.pages = Pages(self.context, ui, self)
         self.files = FileDrops(self.context, self.pages, lambda: ui.form.folder, self)
         self.setAcceptDrops(True)
-        install_shortcuts(self._actions(), self)
+        install_shortcuts(self.declare_actions(), self)
         DeliberatePress(ui.guarded, self)
-        self.commands = CommandPalette(self._actions, self)
+        self.commands = CommandPalette(self.declare_actions, self)
         self._connect()
         self._dress()
         self.device_search.list_instruments()
@@ -166,7 +166,8 @@ class MainWindow(QMainWindow):
             closing=lambda: self._closing,
         )
 
-    def _actions(self) -> tuple[Action, ...]:
+    def declare_actions(self) -> tuple[Action, ...]:
+        """Return the actions of the command palette."""
         return declare(self.ui, self.panels, self.pages, self)
 
     # -- a test -------------------------------------------------------------------------------------------
@@ -194,9 +195,9 @@ class MainWindow(QMainWindow):
             elif wrong is form.path or not form.site.currentText().strip():
                 wrong.setFocus()
             return
-        self._plan, self._live = plan, LiveSignals()
+        self._plan, self.live = plan, LiveSignals()
         plan = self.clinician.planned(plan, self.study.wanted, self.study.before)
-        stop = self.begin_energised(self._show_frame, _("Connecting to the instrument."))
+        stop = self.begin_energised(self.show_frame, _("Connecting to the instrument."))
         self._clear_result()
         self.panels.log.note(
             _("A test begins: {site}, with {url}, to {path}.").format(site=plan.site, url=plan.url, path=plan.out)
@@ -204,8 +205,8 @@ class MainWindow(QMainWindow):
         self.ui.signals.expect(plan)
         self.ui.analysis.expect(plan)
         self.ui.show_part(self.ui.running)
-        self._running = LiveTest(self._live, stop)
-        self._abort_shown = None
+        self._running = LiveTest(self.live, stop)
+        self.abort_shown = None
         self._notices_shown = 0
         work = functools.partial(
             run_test,
@@ -219,7 +220,7 @@ class MainWindow(QMainWindow):
             earlier=self.clinician.earlier,
         )
         why = _("A test is running on Measure: stop it there, or wait.")
-        self.jobs.do(work, self._test_ended, self._test_failed, why=why)
+        self.jobs.do(work, self.on_test_ended, self.on_test_failed, why=why)
 
     def begin_energised(self, draw: Callable[[], None], said: str) -> EmergencyStop:
         """Arm the STOP button and the stop keys for an operation that can energise the coil; return its stop.
@@ -228,7 +229,7 @@ class MainWindow(QMainWindow):
         shown, once the window keeps up: new plots, first drawing and imports of the first test take seconds. Open the
         instrument ``opening_after`` the stop's ``wait_until_watched``, so that no coil is energised before.
         """
-        self._draw, self._stop = draw, self.services.stop()
+        self.draw_frame, self.emergency = draw, self.services.stop()
         self._steady, self._frame_at, self._said_when_watched = 0, math.inf, said
         self.ui.guidance.show_idle()
         self.ui.guidance.say(_("Preparing. The coil is off."))
@@ -238,14 +239,14 @@ class MainWindow(QMainWindow):
         self.ui.make_way()
         self.ui.notice.retract()
         self.ui.safety.expect()
-        self._frames.start(_PREPARING_MS)
+        self.frame_timer.start(_PREPARING_MS)
         self.ui.stop.setFocus()
-        return self._stop
+        return self.emergency
 
     def end_energised(self) -> None:
         """Disarm the stop keys and the watchdog: the operation has ended and the coil is released."""
         self._keys.listen(False)
-        self._frames.stop()
+        self.frame_timer.stop()
         self.testing = False
         self.jobs.hold_results(False)
         self.clinician.freed()
@@ -254,7 +255,7 @@ class MainWindow(QMainWindow):
     def stop_test(self, reason: str) -> None:
         """Release the coil and end the running test; the recorded part is saved."""
         if self.testing:
-            self._stop.press(reason)
+            self.emergency.press(reason)
             self.ui.guidance.say(_("Stopping: the coil is being released."))
         elif not self.busy and not self.ui.notice.holds_problem:
             self.ui.notice.say(sentence(translated(NO_TEST)))
@@ -267,15 +268,15 @@ class MainWindow(QMainWindow):
 
     def on_defect(self, error: BaseException) -> None:
         """Handle an unexpected exception of the window: release the coil first, then show it."""
-        self._stop.press(BY_DEFECT)
+        self.emergency.press(BY_DEFECT)
         self.ui.notice.say_everywhere(in_words(error))
 
     def _frame(self) -> None:
         """Draw a frame, then record a heartbeat; without heartbeats the running test is stopped."""
-        self._draw()
+        self.draw_frame()
         self.ui.safety.show_key_reach(reach=QApplication.activeWindow() is not None)
-        if self._stop.watching or self._is_prepared():
-            self._stop.beat()
+        if self.emergency.watching or self._is_prepared():
+            self.emergency.beat()
 
     def _is_prepared(self) -> bool:
         """Return whether the window keeps up, so that the watchdog can be armed."""
@@ -284,37 +285,38 @@ class MainWindow(QMainWindow):
         self._frame_at, self._steady = now, 0 if late or self.warming() else self._steady + 1
         if self._steady < _STEADY_FRAMES:
             return False
-        self._frames.setInterval(FRAME_MS)
-        if not self._stop.is_set():
+        self.frame_timer.setInterval(FRAME_MS)
+        if not self.emergency.is_set():
             self.ui.guidance.say(self._said_when_watched)
         return True
 
-    def _show_frame(self) -> None:
+    def show_frame(self) -> None:
+        """Show the newest samples of the running test."""
         if self._running is not None and (new := self._running.notices[self._notices_shown :]):
             self._notices_shown += len(new)
             self.ui.notice.say(" ".join(sentence(translated(notice)) for notice in new), page=MEASURE)
         if self._running is not None and self._running.error is not None:
             self._show_abort(self._running.error)
             return
-        snapshot = self._live.snapshot()
+        snapshot = self.live.snapshot()
         self.ui.signals.show_live(snapshot)
         self.ui.safety.show_safety(snapshot.safety, free=snapshot.phase is Phase.RELEASE)
-        if self._live.device is not None and self._plan is not None:
-            self.ui.form.instrument.tell_calibration(self._plan.url, calibration_state(self._live.device))
-            if self._live.greatest_force_n is not None:
-                self.ui.form.tell_force(self._plan.url, self._live.greatest_force_n)
-        self.clinician.follow(snapshot, self._live.device)
-        if self._live.identification is not None:
-            self.ui.analysis.show_live(self._live.identification)
-        if self._plan is not None and not self._stop.is_set():
+        if self.live.device is not None and self._plan is not None:
+            self.ui.form.instrument.tell_calibration(self._plan.url, calibration_state(self.live.device))
+            if self.live.greatest_force_n is not None:
+                self.ui.form.tell_force(self._plan.url, self.live.greatest_force_n)
+        self.clinician.follow(snapshot, self.live.device)
+        if self.live.identification is not None:
+            self.ui.analysis.show_live(self.live.identification)
+        if self._plan is not None and not self.emergency.is_set():
             self.ui.guidance.follow(snapshot, self._plan)
 
     def _show_abort(self, error: BaseException) -> None:
         """Show at once that the test ended early: until its recording is saved, nothing of it is live any more."""
-        if self._abort_shown is error:
+        if self.abort_shown is error:
             return
-        self._abort_shown = error
-        self.ui.signals.show_live(self._live.snapshot())
+        self.abort_shown = error
+        self.ui.signals.show_live(self.live.snapshot())
         self.clinician.freed()
         self.ui.safety.clear()
         if isinstance(error, LinkLostError):
@@ -323,13 +325,14 @@ class MainWindow(QMainWindow):
             self.ui.notice.say(in_words(error), problem=True, page=MEASURE)
         self.ui.guidance.say(_("The test has ended. What was recorded is being saved."))
 
-    def _test_ended(self, outcome: TestOutcome) -> None:
+    def on_test_ended(self, outcome: TestOutcome) -> None:
+        """Show the outcome of a test, however it ended."""
         self._end_frames()
         self.ui.form.renew_path()
         session = outcome.session
         notices = [] if self._running is None else self._running.notices
         unlogged = [notice for notice in notices if code_of(notice) == NOT_LOGGED]
-        said, failed = outcome_text(outcome, unanswered=self._stop.reason == NO_ANSWER, unlogged=unlogged)
+        said, failed = outcome_text(outcome, unanswered=self.emergency.reason == NO_ANSWER, unlogged=unlogged)
         if said:
             self.ui.notice.say(said, problem=failed, page=MEASURE)
         if outcome.instrument_failed:
@@ -345,13 +348,14 @@ class MainWindow(QMainWindow):
         else:
             self.show_idle()
 
-    def _test_failed(self, words: str) -> None:
+    def on_test_failed(self, words: str) -> None:
+        """Show why a test could not be run or saved."""
         self._end_frames()
         self.ui.signals.clear()
         self.ui.analysis.hide()
         self.show_idle()
         self.ui.notice.say(words, problem=True, page=MEASURE)
-        if self._live.device is None:  # else it had answered, and something else kept the test from beginning
+        if self.live.device is None:  # else it had answered, and something else kept the test from beginning
             self._doubt_instrument()
 
     def _doubt_instrument(self) -> None:
@@ -360,7 +364,7 @@ class MainWindow(QMainWindow):
 
     def _end_frames(self) -> None:
         self.end_energised()
-        self._show_frame()
+        self.show_frame()
         self.ui.safety.clear()
         self.ui.analysis.clear()
         self.clinician.freed()  # the last frame tells of a probe that is followed no more
@@ -522,9 +526,9 @@ class MainWindow(QMainWindow):
         self.pages.set_role(now)
         save_role(self.settings, now)
         work = functools.partial(record_role, self.context.trail, before, now)
-        self.jobs.do(work, self._logged, self.ui.notice.say_everywhere)
+        self.jobs.do(work, self.on_logged, self.ui.notice.say_everywhere)
 
-    def _logged(self, _: object) -> None:
+    def on_logged(self, _: object) -> None:
         """It is in the audit log; there is nothing to say."""
 
     def _settle(self) -> None:
@@ -543,7 +547,7 @@ class MainWindow(QMainWindow):
         """Close; a running test first releases the coil and keeps what was recorded."""
         if not self.jobs.idle:
             self._closing = True
-            self._stop.press(BY_CLOSING)
+            self.emergency.press(BY_CLOSING)
             self.pages.cancel()
             self.clinician.cancel()
             first = _("Closing: the coil is being released.")
@@ -551,7 +555,7 @@ class MainWindow(QMainWindow):
             self._settle()
             event.ignore()
             return
-        self._frames.stop()
+        self.frame_timer.stop()
         ui = self.ui
         save_window_state(self, ui.form, self.panels.help, ui.page, ui.role.role, self.settings)
         self.pages.save()

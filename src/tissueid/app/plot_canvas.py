@@ -84,7 +84,7 @@ class PlotCanvas(QFrame):
         self._axes: list[Axes] = []
         self._name, self._relief, self._key, self._description = name, False, True, ""
         self._side_by_side = False
-        self._canvas: Any = None
+        self.canvas: Any = None
         self._long: list[list[DrawnLine]] = []
         self._home: list[tuple[Any, ...]] = []
         self._grabbed: Axes | None = None
@@ -93,26 +93,26 @@ class PlotCanvas(QFrame):
         self._relayout = QTimer(self)
         self._relayout.setSingleShot(True)
         self._relayout.setInterval(_SETTLED_MS)
-        self._relayout.timeout.connect(self._settle)
-        self._missing = QLabel()
-        self._missing.setProperty("role", "muted")
-        self._missing.setWordWrap(True)
-        self._missing.setMinimumWidth(1)
-        self._missing.setTextFormat(Qt.TextFormat.PlainText)
-        self._missing.setAlignment(Qt.AlignmentFlag.AlignCenter)
+        self._relayout.timeout.connect(self.settle)
+        self.missing = QLabel()
+        self.missing.setProperty("role", "muted")
+        self.missing.setWordWrap(True)
+        self.missing.setMinimumWidth(1)
+        self.missing.setTextFormat(Qt.TextFormat.PlainText)
+        self.missing.setAlignment(Qt.AlignmentFlag.AlignCenter)
         self.readout = QLabel(self)
         self.readout.setProperty("role", "readout")
         self.readout.setAttribute(Qt.WidgetAttribute.WA_TransparentForMouseEvents)
         self.readout.hide()
-        self._cover = QLabel(_("Being drawn…"), self)
-        self._cover.setAlignment(Qt.AlignmentFlag.AlignCenter)
-        self._cover.setAutoFillBackground(True)
-        self._cover.setBackgroundRole(QPalette.ColorRole.Base)
-        self._cover.hide()
+        self.cover = QLabel(_("Being drawn…"), self)
+        self.cover.setAlignment(Qt.AlignmentFlag.AlignCenter)
+        self.cover.setAutoFillBackground(True)
+        self.cover.setBackgroundRole(QPalette.ColorRole.Base)
+        self.cover.hide()
         self._inside = QVBoxLayout(self)
         self._inside.setContentsMargins(6, 4, 6, 4)
         self._inside.setSpacing(0)
-        self._inside.addWidget(self._missing, 1)
+        self._inside.addWidget(self.missing, 1)
         self.setMinimumHeight(150)
         self.setAccessibleName(name)
         appearance.changed.connect(self._again)
@@ -151,25 +151,25 @@ class PlotCanvas(QFrame):
         self._side_by_side = side_by_side
         reasons = dict.fromkeys(sentence(translated(plot.missing)) for plot in plots if plot.missing)
         empty = not plots or all(plot.missing for plot in plots)
-        self._missing.setText(" ".join(reasons))
-        self._missing.setVisible(empty)
+        self.missing.setText(" ".join(reasons))
+        self.missing.setVisible(empty)
         self.readout.hide()
         notes = dict.fromkeys(translated(plot.note) for plot in plots if plot.note)
         self.setToolTip("\n".join([*notes, _(_HOW) if relief else _(_HOW_FLAT)]))
-        if self._canvas is not None:
-            self._canvas.setVisible(not empty)
+        if self.canvas is not None:
+            self.canvas.setVisible(not empty)
         self._describe()
         self._stale = not empty
         self._axes, self._long, self._home = [], [], []
         if self._stale and self.isVisible():
             request_drawing(self)
-        self._cover.setVisible(self._stale)
-        self._cover.raise_()
+        self.cover.setVisible(self._stale)
+        self.cover.raise_()
 
     def say_missing(self, text: str) -> None:
         """Show a text in place of plots."""
         self.show_plots(())
-        self._missing.setText(text)
+        self.missing.setText(text)
 
     def take_units(self) -> None:
         """Draw in the active units."""
@@ -236,15 +236,15 @@ class PlotCanvas(QFrame):
     def resizeEvent(self, event: QResizeEvent) -> None:  # noqa: N802
         """Lay the plots out for the new size."""
         super().resizeEvent(event)
-        self._cover.setGeometry(self.rect().adjusted(2, 2, -2, -2))
+        self.cover.setGeometry(self.rect().adjusted(2, 2, -2, -2))
         self._relayout.start()
 
     def eventFilter(self, watched: QObject, event: QEvent) -> bool:  # noqa: N802
         """Zoom, pan and read values by the events of the canvas."""
-        if watched is self._canvas and isinstance(event, QResizeEvent):
+        if watched is self.canvas and isinstance(event, QResizeEvent):
             self._take_size(event)
             return True  # matplotlib would draw for every size that is passed through
-        if watched is not self._canvas or not self._axes:
+        if watched is not self.canvas or not self._axes:
             return super().eventFilter(watched, event)
         if isinstance(event, QWheelEvent):
             return self._wheel(event)
@@ -261,7 +261,7 @@ class PlotCanvas(QFrame):
 
     def _wheel(self, event: QWheelEvent) -> bool:
         ctrl = bool(event.modifiers() & Qt.KeyboardModifier.ControlModifier)
-        focused = self._canvas is not None and self._canvas.hasFocus()
+        focused = self.canvas is not None and self.canvas.hasFocus()
         if not (ctrl or focused or not self._scrolled) or event.angleDelta().y() == 0:
             event.ignore()  # the page scrolls
             return True
@@ -387,7 +387,7 @@ class PlotCanvas(QFrame):
 
         canvas = self._make_canvas()
         canvas.setVisible(True)
-        self._cover.hide()
+        self.cover.hide()
         self._inside.activate()  # gives the canvas its size before the plots are laid out
         figure = canvas.figure
         self._stale, self._scale, self._grabbed = False, 1.0, None
@@ -405,25 +405,25 @@ class PlotCanvas(QFrame):
         ]
 
     def _make_canvas(self) -> Any:
-        if self._canvas is None:
+        if self.canvas is None:
             from matplotlib.backends.backend_qtagg import FigureCanvasQTAgg
             from matplotlib.figure import Figure
 
             make: Any = FigureCanvasQTAgg  # which has no annotations
             options: Any = {"layout": "none"}  # reports that are drawn in another thread set one for all figures
-            self._canvas = make(Figure(dpi=self.logicalDpiX(), **options))
-            self._canvas.setFocusPolicy(self.focus)
-            self._canvas.setMouseTracking(True)
-            self._canvas.setSizePolicy(QSizePolicy.Policy.Ignored, QSizePolicy.Policy.Ignored)
-            self._canvas.installEventFilter(self)
-            self._inside.addWidget(self._canvas, 1)
+            self.canvas = make(Figure(dpi=self.logicalDpiX(), **options))
+            self.canvas.setFocusPolicy(self.focus)
+            self.canvas.setMouseTracking(True)
+            self.canvas.setSizePolicy(QSizePolicy.Policy.Ignored, QSizePolicy.Policy.Ignored)
+            self.canvas.installEventFilter(self)
+            self._inside.addWidget(self.canvas, 1)
             self._describe()
-        return self._canvas
+        return self.canvas
 
     def _take_size(self, event: QResizeEvent) -> None:
         """Give the figure the size of its canvas."""
-        size, dots = event.size(), self._canvas.figure.dpi / self._canvas.device_pixel_ratio
-        self._canvas.figure.set_size_inches(size.width() / dots, size.height() / dots, forward=False)
+        size, dots = event.size(), self.canvas.figure.dpi / self.canvas.device_pixel_ratio
+        self.canvas.figure.set_size_inches(size.width() / dots, size.height() / dots, forward=False)
 
     def _again(self) -> None:
         """Draw again what is shown, now or when it is shown."""
@@ -432,9 +432,9 @@ class PlotCanvas(QFrame):
             if self.isVisible():
                 request_drawing(self)
 
-    def _settle(self) -> None:
+    def settle(self) -> None:
         """Lay the plots out for a size that has settled."""
-        self._unsettled = bool(self._axes) and self._canvas.size() != self._laid_out_for
+        self._unsettled = bool(self._axes) and self.canvas.size() != self._laid_out_for
         if self._unsettled and self.isVisible():
             request_drawing(self)
 
@@ -442,7 +442,7 @@ class PlotCanvas(QFrame):
         """Make room for labels once, not in every frame."""
         from tissueid.reports.plot_axes import lay_out
 
-        canvas = self._canvas
+        canvas = self.canvas
         self._unsettled = False
         if canvas is not None:
             self._laid_out_for = canvas.size()
@@ -456,8 +456,8 @@ class PlotCanvas(QFrame):
             for line in lines:
                 low, high = sorted(axes.get_xlim())
                 line.show(low, high, max(2, int(axes.bbox.width)))
-        if self._canvas is not None:
-            self._canvas.draw_idle()
+        if self.canvas is not None:
+            self.canvas.draw_idle()
 
     def _describe(self) -> None:
         """Give the canvas its accessible name."""
@@ -468,7 +468,7 @@ class PlotCanvas(QFrame):
         if self._relief:
             description = f"{description} {_(_HOW)}"
         text = _("Plot: {title}, {unit}") if units else _("Plot: {title}")
-        for widget in [self] if self._canvas is None else [self, self._canvas]:
+        for widget in [self] if self.canvas is None else [self, self.canvas]:
             widget.setAccessibleName(text.format(title=title, unit=units))
             widget.setAccessibleDescription(description)
 
@@ -484,8 +484,8 @@ class PlotCanvas(QFrame):
 
     def _pixels(self, position: QPointF) -> tuple[float, float]:
         """Return a position on the canvas in the pixels of the figure, from its lower left corner."""
-        assert self._canvas is not None
-        x, y = self._canvas.mouseEventCoords(position)
+        assert self.canvas is not None
+        x, y = self.canvas.mouseEventCoords(position)
         return float(x), float(y)
 
     def pixels(self, x: Array, y: Array) -> Array:

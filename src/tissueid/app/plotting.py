@@ -88,15 +88,15 @@ class PlotCard(QFrame):
         self._remark: tuple[str, str] | None = None
         self._x_label = x_label
         self.plot.getAxis("left").setWidth(_AXIS_WIDTH)
-        self._heading = build.styled(ElidedLabel(), role="heading")
-        self._legend = build.styled(QLabel(textFormat=Qt.TextFormat.RichText, wordWrap=True), role="muted")
-        self._legend.setAlignment(Qt.AlignmentFlag.AlignRight | Qt.AlignmentFlag.AlignVCenter)
-        self._missing = build.styled(
+        self.heading = build.styled(ElidedLabel(), role="heading")
+        self.legend = build.styled(QLabel(textFormat=Qt.TextFormat.RichText, wordWrap=True), role="muted")
+        self.legend.setAlignment(Qt.AlignmentFlag.AlignRight | Qt.AlignmentFlag.AlignVCenter)
+        self.missing = build.styled(
             QLabel(), role="muted", word_wrap=True, minimum_width=1, text_format=Qt.TextFormat.PlainText, hidden=True
         )
-        self._missing.setAlignment(Qt.AlignmentFlag.AlignCenter)
-        heading = build.row(self._heading, (self._legend, 1), spacing=2)
-        build.column(heading, (self.plot, 1), (self._missing, 1), spacing=2, margins=(10, 6, 10, 6), parent=self)
+        self.missing.setAlignment(Qt.AlignmentFlag.AlignCenter)
+        heading = build.row(self.heading, (self.legend, 1), spacing=2)
+        build.column(heading, (self.plot, 1), (self.missing, 1), spacing=2, margins=(10, 6, 10, 6), parent=self)
         self._head()
         self.plot.getAxis("bottom").setScale(shown_label(x_label)[1])
         appearance.follow(self._paint)
@@ -159,7 +159,7 @@ class PlotCard(QFrame):
 
     def _head(self) -> None:
         title, (unit, factor) = self._title, shown(self._unit)
-        self._heading.setText(f"{title} ({unit})" if unit else title)
+        self.heading.setText(f"{title} ({unit})" if unit else title)
         self.plot.setAccessibleName(
             _("Plot: {title}, {unit}").format(title=title, unit=unit)
             if unit
@@ -182,10 +182,10 @@ class PlotCard(QFrame):
 
     def say_missing(self, text: str) -> None:
         """Show a text in place of the plot; empty shows the plot."""
-        self._missing.setText(text)
-        self._missing.setVisible(bool(text))
+        self.missing.setText(text)
+        self.missing.setVisible(bool(text))
         self.plot.setVisible(not text)
-        self._legend.setVisible(not text)
+        self.legend.setVisible(not text)
 
     def _paint(self) -> None:
         theme = appearance.theme
@@ -208,7 +208,7 @@ class PlotCard(QFrame):
         if self._remark is not None:
             text, role = self._remark
             entries.append(f'<span style="color:{getattr(theme, role)}">{html.escape(text)}</span>')
-        self._legend.setText("&nbsp;&nbsp; ".join(entries))
+        self.legend.setText("&nbsp;&nbsp; ".join(entries))
 
 
 def _small() -> QFont:

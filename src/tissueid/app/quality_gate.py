@@ -59,12 +59,12 @@ class QualityGate(QFrame):
         offered = None, self.run_again, self.repeats, self.more, self.judge_now, self.calibrate
         said = row(self.light, (self.headline, 1), spacing=8)
         top = fill(FoldingBox(_ONE_ROW), (said, 1), row(*offered, spacing=8), spacing=4)
-        self._grid = QGridLayout()
-        self._grid.setHorizontalSpacing(12)
-        self._grid.setVerticalSpacing(2)
-        self._grid.setColumnStretch(0, 1)
-        self._grid.setColumnStretch(1, 1)
-        fill(QVBoxLayout(self), top, self._grid, spacing=3, margins=(12, 5, 10, 5))
+        self.grid = QGridLayout()
+        self.grid.setHorizontalSpacing(12)
+        self.grid.setVerticalSpacing(2)
+        self.grid.setColumnStretch(0, 1)
+        self.grid.setColumnStretch(1, 1)
+        fill(QVBoxLayout(self), top, self.grid, spacing=3, margins=(12, 5, 10, 5))
         self.more.toggled.connect(self._fill)
         self.run_again.clicked.connect(self.again)
         self.judge_now.clicked.connect(self.judge)
@@ -124,7 +124,7 @@ class QualityGate(QFrame):
         return _(_ASK) if asks else translated(finding.advice)
 
     def _fill(self) -> None:
-        while (item := self._grid.takeAt(0)) is not None:
+        while (item := self.grid.takeAt(0)) is not None:
             if (widget := item.widget()) is not None:
                 widget.hide()
                 widget.deleteLater()
@@ -132,7 +132,7 @@ class QualityGate(QFrame):
         calibrated = not any(finding.code.startswith(_CALIBRATION) for finding in findings)
         self.calibrate.setVisible(self._role == "technician" and not calibrated)
         if self._quality is None:
-            self._grid.addWidget(_text(_(UNJUDGED), "muted"), 0, 0, 1, 2)
+            self.grid.addWidget(_text(_(UNJUDGED), "muted"), 0, 0, 1, 2)
             self.more.hide()
             return
         hidden = len(findings) - MOST_SHOWN
@@ -140,8 +140,8 @@ class QualityGate(QFrame):
         self.more.setText(_("Fewer") if self.more.isChecked() else _("{count} more").format(count=hidden))
         shown = findings if self.more.isChecked() else findings[:MOST_SHOWN]
         for place, finding in enumerate(shown):
-            self._grid.addWidget(_text(translated(finding.words), ""), place, 0)
-            self._grid.addWidget(_text(self._advice(finding), "muted"), place, 1)
+            self.grid.addWidget(_text(translated(finding.words), ""), place, 0)
+            self.grid.addWidget(_text(self._advice(finding), "muted"), place, 1)
 
 
 def _text(text: str, role: str) -> QLabel:

@@ -85,7 +85,7 @@ class ResultPage(QScrollArea):
         layout.setContentsMargins(0, 0, 0, 0)
         layout.setSpacing(8)
         layout.addWidget(self._make_verdict())
-        self._tiles = [_Tile() for _ in range(_TILES)]
+        self.tiles = [_Tile() for _ in range(_TILES)]
         self.summary = SittingSummary()
         layout.addWidget(self.summary)
         self._tile_grid = QGridLayout()
@@ -170,7 +170,7 @@ class ResultPage(QScrollArea):
         numbers = [number for number in findings.numbers if detailed or number.unit != "%"]
         if (standing := self._standing) is not None and standing.accepted:
             numbers = [_accepted(number, standing) for number in numbers]
-        for place, tile in enumerate(self._tiles):
+        for place, tile in enumerate(self.tiles):
             tile.setVisible(place < len(numbers))
             if place < len(numbers):
                 number = numbers[place]
@@ -217,7 +217,7 @@ class ResultPage(QScrollArea):
 
     def _arrange(self, width: int) -> None:
         """Put tiles and plots into as many columns as a width, pixels, holds."""
-        shown = sum(not tile.isHidden() for tile in self._tiles) or _TILES
+        shown = sum(not tile.isHidden() for tile in self.tiles) or _TILES
         columns = (
             (min(shown, _TILES) if width >= _ROOM_FOR_TILES else 3 if width >= _ROOM_FOR_THREE else 2),
             (2 if width >= _ROOM_FOR_TWO_PLOTS else 1),
@@ -225,7 +225,7 @@ class ResultPage(QScrollArea):
         if columns == self._columns:
             return
         self._columns = columns
-        grids = (self._tile_grid, self._tiles), (self._plot_grid, self.cards)
+        grids = (self._tile_grid, self.tiles), (self._plot_grid, self.cards)
         for (grid, widgets), across in zip(grids, columns, strict=True):
             for place, widget in enumerate(widgets):
                 grid.addWidget(widget, place // across, place % across)
@@ -286,37 +286,37 @@ class _Tile(QFrame):
     def __init__(self) -> None:
         super().__init__()
         self.setProperty("role", "card")
-        self._number: Number | None = None
-        self._label, self._value, self._rest, self._note, self._change = (QLabel() for _ in range(5))
-        for part in (self._label, self._note, self._change):
+        self.number: Number | None = None
+        self.label, self.value, self.rest, self.note, self._change = (QLabel() for _ in range(5))
+        for part in (self.label, self.note, self._change):
             styled(part, role="field").setWordWrap(True)
-        self._value.setProperty("role", "value")
-        self._rest.setProperty("role", "muted")
-        number = row(self._value, self._rest, None, spacing=5)
-        number.setAlignment(self._rest, Qt.AlignmentFlag.AlignBottom)
-        parts = self._label, number, self._note, self._change, None
+        self.value.setProperty("role", "value")
+        self.rest.setProperty("role", "muted")
+        number = row(self.value, self.rest, None, spacing=5)
+        number.setAlignment(self.rest, Qt.AlignmentFlag.AlignBottom)
+        parts = self.label, number, self.note, self._change, None
         fill(QVBoxLayout(self), *parts, spacing=1, margins=(12, 7, 8, 7))
 
     def fill(self, number: Number, level: str, change: str) -> None:
         """Show a number of a test with a verdict of ``level``, and what ``change`` says of the sitting before."""
-        self._number = number
+        self.number = number
         vaf = _("Variance accounted for (VAF): how much of the motion a simulation explains that sees only the force")
         self.setToolTip(_(_MEANINGS[number.quantity]) if number.quantity in _MEANINGS else vaf)
-        show_level(self._value, level)
+        show_level(self.value, level)
         self._change.setText(change)
         self._change.setVisible(bool(change))
-        self._label.setText(number.label)
-        self._note.setText(number.note)
+        self.label.setText(number.label)
+        self.note.setText(number.note)
         self.take_units()
 
     def take_units(self) -> None:
         """Show the number in the active units."""
-        number = self._number
+        number = self.number
         if number is None:
             return
         found = number.found
         value, rest = (number.value, number.unit) if found is None else value_and_rest(found, number.si_unit)
-        self._value.setText(value)
-        self._rest.setText(rest)
+        self.value.setText(value)
+        self.rest.setText(rest)
         said = f"{number.label}: {value} {rest}, {number.note}. {self._change.text()}"
         self.setAccessibleName(said.strip())

@@ -40,17 +40,17 @@ class SignalPlots(QWidget):
         self.position = PlotCard(_("Position"), _("Time from the start of the preload (s)"), "mm")
         for card in (self.voltage, self.force):
             card.plot.setXLink(self.position.plot)
-        self._region_edges = self.position.band("good", alpha=30)
+        self.region_edges = self.position.band("good", alpha=30)
         self._region: LinearRange | None = None
         self._drawn: tuple[object, ...] = ()
         self._voltage_drawn: tuple[object, ...] = ()
         self._frame = 0
-        self._curves = {
+        self.curves = {
             name: card.line("measured") for name, card in zip(("voltage", "force", "position"), self.cards, strict=True)
         }
         self._starts = [card.mark() for card in self.cards for _ in range(2)]
-        self._surface = self.position.mark(upright=False, text=_("surface"))
-        self._level = self.position.mark(upright=False, text=_("where it began"))
+        self.surface = self.position.mark(upright=False, text=_("surface"))
+        self.level = self.position.mark(upright=False, text=_("where it began"))
         self._limits: dict[str, tuple[float, float]] = {}
         self._time = (-PLACE_S, 5.0)
         layout = QVBoxLayout(self)
@@ -107,7 +107,7 @@ class SignalPlots(QWidget):
         if self._region is not None and not self._region.holds(position):
             self.position.remark(_(OUTSIDE), "check")
         if np.isfinite(test.surface_position_m):
-            mark = self._surface if has_depth(test.configuration) else self._level
+            mark = self.surface if has_depth(test.configuration) else self.level
             mark.setValue(MM * test.surface_position_m)
             mark.show()
 
@@ -116,7 +116,7 @@ class SignalPlots(QWidget):
         self._region = region
         ends = (np.zeros(0),) * 2 if region is None else (np.full(2, MM * region.low_m), np.full(2, MM * region.high_m))
         times = np.zeros(0) if region is None else np.array([_LONG_BEFORE_S, _LONG_AFTER_S])
-        for edge, values in zip(self._region_edges, ends, strict=True):
+        for edge, values in zip(self.region_edges, ends, strict=True):
             edge.setData(times, values)
         self.position.setToolTip("" if region is None else _("Shaded: where the coil was found to be linear"))
         self.position.remark("" if region is None else _(LINEAR), "good")
@@ -124,9 +124,9 @@ class SignalPlots(QWidget):
     def clear(self) -> None:
         """Empty plots."""
         self._limits = {}
-        for curve in self._curves.values():
+        for curve in self.curves.values():
             curve.setData(np.zeros(0), np.zeros(0))
-        for mark in (*self._starts, self._surface, self._level):
+        for mark in (*self._starts, self.surface, self.level):
             mark.hide()
         self.show_region(None)
         self._show_times(-PLACE_S, PRELOAD_S + 4.0, ())
@@ -165,7 +165,7 @@ class SignalPlots(QWidget):
             known = values[np.isfinite(values)]
             if known.size:
                 self._grow(name, float(known.min()), float(known.max()))
-            self._curves[name].setData(times_s, values)
+            self.curves[name].setData(times_s, values)
 
     def _grow(self, name: str, low: float, high: float) -> None:
         """Widen an axis when the data leave it; it never shrinks during a test, so that the eye can rest."""

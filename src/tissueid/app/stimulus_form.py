@@ -89,7 +89,7 @@ class StimulusForm(QWidget):
             + "\n"
             + _("Recursive: least squares of all samples. Adaptive: follows a response that changes with depth.")
         )
-        self._options: dict[str, OptionField] = {}
+        self.controls: dict[str, OptionField] = {}
         self._grid = QGridLayout(self)
         self._grid.setContentsMargins(0, 0, 0, 0)
         self._grid.setVerticalSpacing(6)
@@ -113,7 +113,7 @@ class StimulusForm(QWidget):
         self._rows, self._fixed = self._grid.rowCount(), self._grid.count()
         self.kind.currentIndexChanged.connect(self._show_kind)
         self.browse.clicked.connect(self._choose_file)
-        self.file.textChanged.connect(self._update_shown)
+        self.file.textChanged.connect(self.update_shown)
         for line in (self.file, self.stop_when):
             line.textChanged.connect(self.changed)
         self.live_method.currentIndexChanged.connect(self.changed)
@@ -147,7 +147,7 @@ class StimulusForm(QWidget):
         Raises:
             UnusableInputError: what was typed does not read as one.
         """
-        found = tuple((name, field.value()) for name, field in self._options.items() if self._is_used(name))
+        found = tuple((name, field.value()) for name, field in self.controls.items() if self._is_used(name))
         if self.chosen != Noise.name:
             return found
         unusual = self.changed_options()
@@ -157,7 +157,7 @@ class StimulusForm(QWidget):
         """Return the options that apply and have not their usual value, without the depths; those that read as one."""
         changed = {}
         fields = _model(self.chosen).model_fields
-        for name, field in self._options.items():
+        for name, field in self.controls.items():
             if name not in DEPTHS and self._is_used(name):
                 try:
                     value = field.value()
@@ -170,7 +170,7 @@ class StimulusForm(QWidget):
     def decide(self, option: str, value: Any) -> None:
         """Take the value of an option that has its field elsewhere, and show the options that depend on it."""
         self._deciding[option] = value
-        self._update_shown()
+        self.update_shown()
 
     def values(self) -> dict[str, Any]:
         """The fields of ``TestPlan`` that stand here.
@@ -197,8 +197,8 @@ class StimulusForm(QWidget):
         self.kind.setCurrentIndex(max(0, self.kind.findData(kind)))
         self._show_kind()
         for name, value in (options or {}).items():
-            self._options[name].set_value(value)
-        self._update_shown()
+            self.controls[name].set_value(value)
+        self.update_shown()
         self.changed.emit()
 
     @property
@@ -208,7 +208,7 @@ class StimulusForm(QWidget):
 
     def option_fields(self, *, depths: bool) -> list[QWidget]:
         """Return the controls of the options of the kind, in order: those of the depths, or the others."""
-        fields = (field for name, field in self._options.items() if (name in DEPTHS) == depths)
+        fields = (field for name, field in self.controls.items() if (name in DEPTHS) == depths)
         return [control for field in fields for control in field.controls]
 
     @property
@@ -222,7 +222,7 @@ class StimulusForm(QWidget):
                 if item is not None and (widget := item.widget()) is not None:
                     widget.hide()
                     widget.deleteLater()
-        self._options, self._labels = {}, {}
+        self.controls, self._labels = {}, {}
         chosen = self.chosen
         self._saved.setVisible(chosen == FROM_FILE)
         for widget in (self._stop_label, self.stop_when, self._live_label, self.live_method):
@@ -233,17 +233,17 @@ class StimulusForm(QWidget):
                 continue
             field = OptionField(name, info)
             field.set_value(info.get_default())
-            field.edited.connect(self._update_shown)
+            field.edited.connect(self.update_shown)
             field.edited.connect(self.changed)
             label = QLabel(field.label)
             label.setWordWrap(True)
             grid, row = (self._depths, 0) if name in DEPTHS else (self._grid, self._rows)
-            row += len(self._options)
+            row += len(self.controls)
             grid.addWidget(label, row, 0)
             grid.addWidget(field, row, 1)
-            self._options[name], self._labels[name] = field, label
-        self.depths.setVisible(any(name in DEPTHS for name in self._options))
-        self._update_shown()
+            self.controls[name], self._labels[name] = field, label
+        self.depths.setVisible(any(name in DEPTHS for name in self.controls))
+        self.update_shown()
         self.kind_changed.emit()
         self.changed.emit()
 
@@ -255,12 +255,12 @@ class StimulusForm(QWidget):
         rule = kind.applies.get(name) if issubclass(kind, StimulusKind) else None
         if rule is None:
             return True
-        deciding = self._options.get(rule[0])
+        deciding = self.controls.get(rule[0])
         return (self._deciding.get(rule[0]) if deciding is None else deciding.value()) in rule[1]
 
-    def _update_shown(self) -> None:
+    def update_shown(self) -> None:
         """Show the options that apply."""
-        for name, field in self._options.items():
+        for name, field in self.controls.items():
             used = self._is_used(name)
             for widget in (self._labels[name], field):
                 widget.setVisible(used)

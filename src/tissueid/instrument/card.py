@@ -110,7 +110,7 @@ class CardInstrument(HostPlayedInstrument):
         """
         self._require_no_button()
         super().arm(limits)
-        self._checks.expect_command(self._command)
+        self._checks.expect_command(self.command)
 
     def release(self) -> None:
         """Disable the amplifier. Never raises."""
@@ -133,7 +133,7 @@ class CardInstrument(HostPlayedInstrument):
         self._require_no_button()
 
     def _run_is_over(self, run: Run) -> bool:
-        return not self._energised
+        return not self.energised
 
     def _coil_c(self) -> NDArray[np.float64]:
         return self._temperature_c

@@ -48,14 +48,14 @@ class HostPlayedInstrument(ABC):
         self.observer: Observer | None = None
         self._checks = SampleMonitor(device, winding=winding)
         self._corrections: Corrections = {}
-        self._command = np.zeros(0)
+        self.command = np.zeros(0)
         self._following = 0
         self._hold_v = 0.0
-        self._playback = Playback(self._command, device.sample_rate_hz)
+        self._playback = Playback(self.command, device.sample_rate_hz)
         self._limits: Limits | None = None
-        self._run: Run | None = None
+        self.current_run: Run | None = None
         self._index = 0
-        self._energised = False
+        self.energised = False
 
     @abstractmethod
     def _exchange(self, samples: NDArray[np.void]) -> None:
@@ -79,14 +79,14 @@ class HostPlayedInstrument(ABC):
         Raises:
             InstrumentError: a test is armed or running, or a channel does not exist.
         """
-        if self._limits is not None or self._run is not None:
+        if self._limits is not None or self.current_run is not None:
             raise calibration_while_running()
         self._corrections = check_corrections(corrections, SIGNALS)
         self.device = device
 
     def load(self, command_v: NDArray[np.float64]) -> None:
         """Load a stimulus, shape (n,), V."""
-        self._command = np.asarray(command_v, np.float64)
+        self.command = np.asarray(command_v, np.float64)
         self._following = 0
 
     @property
@@ -110,7 +110,7 @@ class HostPlayedInstrument(ABC):
         Raises:
             InstrumentError: nothing is loaded.
         """
-        if not self._command.size:
+        if not self.command.size:
             raise nothing_loaded()
         self._following, self._hold_v = samples, hold_v
 
@@ -140,14 +140,14 @@ class HostPlayedInstrument(ABC):
         """
         check_limits(limits, self.nominal)
         for description in checked_descriptions(self.nominal, self.device):
-            check_stimulus(self._command, description, limits, self._following)
+            check_stimulus(self.command, description, limits, self._following)
             if self._following:
                 check_command(np.array([self._hold_v]), description, limits)
         self._checks.arm(self._coil_c(), limits)
         self._limits = limits
-        self._playback = Playback(self._command, self.device.sample_rate_hz, self._following, self._hold_v)
+        self._playback = Playback(self.command, self.device.sample_rate_hz, self._following, self._hold_v)
         self._following = 0
-        self._energised = False
+        self.energised = False
 
     def start(self) -> Run:
         """Play the stimulus from the next poll on.
@@ -157,10 +157,10 @@ class HostPlayedInstrument(ABC):
         """
         if self._limits is None:
             raise not_armed()
-        self._run = Run(self._index, self._playback.planned)
-        self._energised = True
+        self.current_run = Run(self._index, self._playback.planned)
+        self.energised = True
         self._run_begins()
-        return self._run
+        return self.current_run
 
     def poll(self, timeout_s: float) -> NDArray[np.void]:
         """Return the next block, shape (20,) of SAMPLE.
@@ -171,24 +171,24 @@ class HostPlayedInstrument(ABC):
         del timeout_s
         samples = np.zeros(BLOCK, SAMPLE)
         samples["index"] = self._index + np.arange(BLOCK)
-        if self._energised:
+        if self.energised:
             samples["command"], samples["flags"] = self._playback.block(BLOCK)
-            self._energised = not self._playback.over
+            self.energised = not self._playback.over
         self._exchange(samples)
         self._index += BLOCK
         read, samples = samples, corrected(samples, self._corrections)
         try:
             calibrated = None if self.device is self.nominal else (samples, self.device)
-            self._checks.check(read, None if self._run is None else self._limits, self._run, calibrated)
+            self._checks.check(read, None if self.current_run is None else self._limits, self.current_run, calibrated)
         except TissueIDError:
             self.release()
             raise
-        if self._run is not None:
+        if self.current_run is not None:
             if self._playback.starved:
                 self.release()
                 raise released_by_faults(Fault.STARVED)
-            if self._run_is_over(self._run):
-                self._run = None
+            if self._run_is_over(self.current_run):
+                self.current_run = None
                 self._limits = None
         if self.observer is not None:
             self.observer(samples)
@@ -197,17 +197,17 @@ class HostPlayedInstrument(ABC):
     def finish(self) -> int:
         """End the run now by its soft release, and return the number of samples played."""
         played = self._playback.finish()
-        if self._run is None:
+        if self.current_run is None:
             self._limits = None
         else:
-            self._run = Run(self._run.first_index, played)
+            self.current_run = Run(self.current_run.first_index, played)
         return played
 
     def release(self) -> None:
         """Release the coil: the command is zero from the next sample."""
-        self._run = None
+        self.current_run = None
         self._limits = None
-        self._energised = False
+        self.energised = False
 
     def close(self) -> None:
         """Release."""

@@ -164,7 +164,7 @@ class SimulatedInstrument(HostPlayedInstrument):
         Raises:
             InstrumentError: a test is armed or running, or the position is outside the stroke.
         """
-        if self._limits is not None or self._run is not None:
+        if self._limits is not None or self.current_run is not None:
             raise stage_while_running()
         stroke = self.device.stroke_m
         if position_m is not None and not 0.0 <= position_m <= stroke:

@@ -68,7 +68,7 @@ def page(qtbot, open_window, calibrations, audit_file):
 def rest(qtbot, view):
     """Until the page has read what it wants to, and nothing goes on."""
     qtbot.waitUntil(
-        lambda: idle(view.window_) and not view._soon.isActive() and not view._current.stale, timeout=WAIT_MS
+        lambda: idle(view.window_) and not view.refresh_timer.isActive() and not view.current.stale, timeout=WAIT_MS
     )
 
 

@@ -69,7 +69,7 @@ def _point(spot):
 
 def open_map(qtbot, window):
     press(qtbot, window.ui.form.map)
-    chart = window.clinician._map
+    chart = window.clinician.body_map
     qtbot.waitUntil(lambda: chart.isVisible() and chart.isActiveWindow(), timeout=WAIT_MS)
     return chart
 
@@ -169,7 +169,7 @@ def test_contact_is_watched_before_a_test_and_the_test_takes_over(qtbot, window,
     press(qtbot, lamp.watch)
     qtbot.waitUntil(lambda: lamp.contact is Contact.ON, timeout=WAIT_MS)
     assert not window.testing
-    assert bench.opened[0]._run is None
+    assert bench.opened[0].current_run is None
     assert window.ui.safety.contact.text() == Contact.ON.value
     assert lamp.arm.isHidden()  # the simulation has no button
     assert window.ui.start.isEnabled()

@@ -47,17 +47,17 @@ def test_repeats_are_counted_and_accepted(qtbot, open_window, bench, tmp_path):
     assert len({test.notes["sitting"] for test in tests}) == 1
     assert sorted(test.notes["repeat"] for test in tests) == [1.0, 2.0]
     assert ui.result.summary.cells["mass_kg"][1].text().endswith(" g")
-    tile = next(tile for tile in ui.result._tiles if tile._number.quantity == "mass_kg")
-    own = tile._number
+    tile = next(tile for tile in ui.result.tiles if tile.number.quantity == "mass_kg")
+    own = tile.number
     press(qtbot, bar.accept)
     qtbot.waitUntil(lambda: idle(window), timeout=WAIT_MS)
     mean = window.clinician.sitting.result.values["mass_kg"]
-    assert tile._number.found == Estimate(mean.mean, mean.std)
-    assert reads(tile._note.text(), "result.accepted_mean", count=2)
-    assert f"{tile._value.text()} {tile._rest.text()}" == ui.result.summary.cells["mass_kg"][1].text()
+    assert tile.number.found == Estimate(mean.mean, mean.std)
+    assert reads(tile.note.text(), "result.accepted_mean", count=2)
+    assert f"{tile.value.text()} {tile.rest.text()}" == ui.result.summary.cells["mass_kg"][1].text()
     press(qtbot, bar.undo)
     qtbot.waitUntil(lambda: idle(window), timeout=WAIT_MS)
-    assert tile._number is own
+    assert tile.number is own
     press(qtbot, bar.accept)
     qtbot.waitUntil(lambda: idle(window), timeout=WAIT_MS)
     assert bar.repeat.isHidden()

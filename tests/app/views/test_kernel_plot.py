@@ -57,7 +57,7 @@ def test_an_image_turns_into_a_surface_and_back(qtbot, kernels):
     assert kernels.canvas.plots == (kernels.plot,)
     assert kernels.plot.surface.x.size == 12
     kernels.offer([])
-    assert "Volterra" in kernels.canvas._missing.text()
+    assert "Volterra" in kernels.canvas.missing.text()
     kernels.offer([Outcome("a", kernel())])
     assert kernels.canvas.axes[0].name == "3d"
     qtbot.mouseClick(kernels.flat, Qt.MouseButton.LeftButton)
@@ -86,7 +86,7 @@ def test_mouse_and_keys_turn_it_and_the_button_turns_it_back(qtbot, kernels):
     kernels.offer([Outcome("a", kernel())])
     kernels.raised.click()
     (axes,) = kernels.canvas.axes
-    inside, left = kernels.canvas._canvas, Qt.MouseButton.LeftButton
+    inside, left = kernels.canvas.canvas, Qt.MouseButton.LeftButton
     first = axes.elev, axes.azim
     qtbot.mousePress(inside, left, pos=QPoint(200, 150))
     qtbot.mouseMove(inside, QPoint(260, 190))

@@ -45,7 +45,7 @@ def open_start(qtbot, open_window):
 
 
 def settled(window):
-    return idle(window) and not window.pages.start._soon.isActive()
+    return idle(window) and not window.pages.start.refresh_timer.isActive()
 
 
 def said(table):

@@ -74,9 +74,9 @@ class GapView(View):
         self._looking = QTimer(self)
         self._looking.setInterval(_LOOK_MS)
         # Not from within a job's end: the other pages must have settled first.
-        self._soon = QTimer(self)
-        self._soon.setSingleShot(True)
-        self._soon.setInterval(0)
+        self.refresh_timer = QTimer(self)
+        self.refresh_timer.setSingleShot(True)
+        self.refresh_timer.setInterval(0)
         self.asking = RequestPanel(
             context.services.folder, lambda: [Path(text) for text in load_texts(context.settings, RESEARCH_FOLDERS)]
         )
@@ -101,12 +101,12 @@ class GapView(View):
         """List the files again when the page is shown."""
         self.asking.look()
         self.history.look()
-        self._soon.start()
+        self.refresh_timer.start()
 
     def on_session_saved(self, path: Path) -> None:
         """List a new session."""
         self.asking.on_session_saved(path)
-        self._soon.start()
+        self.refresh_timer.start()
 
     def update_enabled(self, *, busy: bool, testing: bool) -> None:
         """Enable or disable the controls."""
@@ -118,7 +118,7 @@ class GapView(View):
         self.asking.show_reason(self.context.jobs.why_no_work if working and not self._running else "")
         self.result.update_enabled(busy=busy, testing=testing, working=working)
         if not busy:
-            self._soon.start()
+            self.refresh_timer.start()
 
     def waiting(self) -> tuple[QWidget, ...]:
         """The buttons that are disabled while other work runs."""
@@ -394,7 +394,7 @@ class GapView(View):
         self.background.kept_read.connect(self._restore)
         self.background.titles_read.connect(self.asking.session.entitle)
         self.background.failed.connect(self._not_kept)
-        self._soon.timeout.connect(self._go_on)
+        self.refresh_timer.timeout.connect(self._go_on)
         self.result.again.clicked.connect(self.begin_again)
         self.result.accept.clicked.connect(self._ask_for_twin)
         self.result.report.clicked.connect(self._report)

@@ -64,19 +64,19 @@ class ResearchView(View):
         rows.setSpacing(4)
         rows.addWidget(self.split, 1)
         # Not from within a job's end: the other pages must have settled first.
-        self._soon = QTimer(self)
-        self._soon.setSingleShot(True)
-        self._soon.setInterval(0)
-        self._soon.timeout.connect(self._go_on)
-        self.browser.work_waits.connect(self._soon.start)
-        self.signals.work_waits.connect(self._soon.start)
+        self.refresh_timer = QTimer(self)
+        self.refresh_timer.setSingleShot(True)
+        self.refresh_timer.setInterval(0)
+        self.refresh_timer.timeout.connect(self._go_on)
+        self.browser.work_waits.connect(self.refresh_timer.start)
+        self.signals.work_waits.connect(self.refresh_timer.start)
         self.browser.selected.connect(self._show_selected)
         self.browser.opened.connect(self._open)
         self._restore()
 
     def enter(self) -> None:
         """Start the search for sessions on the first visit."""
-        self._soon.start()
+        self.refresh_timer.start()
 
     def update_enabled(self, *, busy: bool, testing: bool) -> None:
         """Enable or disable the controls, and start waiting work."""
@@ -86,7 +86,7 @@ class ResearchView(View):
         self.analysis.update_enabled(busy=busy, testing=testing)
         self.export.update_enabled(busy=busy)
         if not busy:
-            self._soon.start()
+            self.refresh_timer.start()
 
     def list_sessions(self, paths: list[Path]) -> None:
         """Add folders and sessions to the list."""
@@ -134,7 +134,7 @@ class ResearchView(View):
     def _open(self, path: Path) -> None:
         self._to_open = path
         self.strip.cancel()
-        self._soon.start()
+        self.refresh_timer.start()
 
     def _show_selected(self) -> None:
         chosen = self.browser.chosen()

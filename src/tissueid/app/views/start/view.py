@@ -82,10 +82,10 @@ class StartView(View):
         self._cancelled = threading.Event()
         self._then: Callable[[], None] | None = None
         # Not at once: the window first tells every page that nothing goes on any more.
-        self._soon = QTimer(self)
-        self._soon.setSingleShot(True)
-        self._soon.setInterval(0)
-        self._soon.timeout.connect(self._go_on)
+        self.refresh_timer = QTimer(self)
+        self.refresh_timer.setSingleShot(True)
+        self.refresh_timer.setInterval(0)
+        self.refresh_timer.timeout.connect(self._go_on)
         self.cards = {role: RoleCard(role, _(sentence)) for role, sentence in WHAT_ROLES_DO.items()}
         columns = _("Date"), _("Site"), _("Subject"), _("Quality"), _("Accepted result")
         self.recent = Rows(_("Recent sessions"), columns, (1, 2, 3, 4))
@@ -126,7 +126,7 @@ class StartView(View):
         self.stop_reading.setVisible(self._reading)
         self._enable_choices()
         if not busy and (self._stale or self._then is not None):
-            self._soon.start()
+            self.refresh_timer.start()
 
     def buttons(self) -> tuple[QAbstractButton, ...]:
         """Return the buttons that the command palette offers."""
@@ -140,7 +140,7 @@ class StartView(View):
     def on_session_saved(self, path: Path) -> None:
         """Read the folder again: a session was added."""
         self._stale = True
-        self._soon.start()
+        self.refresh_timer.start()
 
     def show_instruments(self, known: Mapping[str, tuple[str, CalibrationState]], chosen: str) -> None:
         """Show what was found, its state, a message, and calibration; ``chosen`` is what the next test is with."""
@@ -172,7 +172,7 @@ class StartView(View):
 
     def save_state(self) -> None:
         """Start no more jobs: the window closes."""
-        self._soon.stop()
+        self.refresh_timer.stop()
         self._stale = False
 
     def focus_first(self) -> None:
@@ -183,7 +183,7 @@ class StartView(View):
         """Read the folder again when the page is shown."""
         super().showEvent(event)
         self._stale = True
-        self._soon.start()
+        self.refresh_timer.start()
 
     # -- the folder of sessions ------------------------------------------------------------------------------
 
@@ -246,7 +246,7 @@ class StartView(View):
         self._stale = True
         if self._reading:
             self._cancelled.set()
-        self._soon.start()
+        self.refresh_timer.start()
 
     def _looking_failed(self, words: str) -> None:
         self._reading = False

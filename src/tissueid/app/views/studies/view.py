@@ -89,10 +89,10 @@ class StudiesView(View):
         self._looking.setInterval(_LOOK_MS)
         self._looking.timeout.connect(self._show_progress)
         # Not from within a job's end: the other pages must have settled first.
-        self._soon = QTimer(self)
-        self._soon.setSingleShot(True)
-        self._soon.setInterval(0)
-        self._soon.timeout.connect(self._read_again)
+        self.refresh_timer = QTimer(self)
+        self.refresh_timer.setSingleShot(True)
+        self.refresh_timer.setInterval(0)
+        self.refresh_timer.timeout.connect(self._read_again)
         self.asking.chosen.connect(self.open_study)
         self.asking.made.connect(self.make_study)
         self.asking.wanted.connect(self.analyse)
@@ -108,7 +108,7 @@ class StudiesView(View):
 
     def enter(self) -> None:
         """Open the study of the last start, or read a table again after tests were recorded."""
-        self._soon.start()
+        self.refresh_timer.start()
 
     def update_enabled(self, *, busy: bool, testing: bool) -> None:
         """Enable or disable the controls."""
@@ -118,7 +118,7 @@ class StudiesView(View):
         has_table = self.data is not None and self.data.tests > 0
         self.figures.update_enabled(busy=self.context.no_work, has_table=has_table)
         if not busy:
-            self._soon.start()
+            self.refresh_timer.start()
 
     def waiting(self) -> tuple[QWidget, ...]:
         """The buttons that are disabled while other work runs."""

@@ -53,10 +53,10 @@ class InstrumentView(View):
         layout = QVBoxLayout(self)
         layout.setContentsMargins(12, 8, 12, 10)
         layout.addWidget(self.tabs)
-        self._soon = QTimer(self)
-        self._soon.setSingleShot(True)
-        self._soon.setInterval(0)
-        self._soon.timeout.connect(self._bring_up_to_date)
+        self.refresh_timer = QTimer(self)
+        self.refresh_timer.setSingleShot(True)
+        self.refresh_timer.setInterval(0)
+        self.refresh_timer.timeout.connect(self._bring_up_to_date)
         self.tabs.setCurrentIndex(self._kept_tab())
         self.tabs.currentChanged.connect(self._tab_changed)
         self.page_job.changed.connect(self._show_job)
@@ -89,16 +89,17 @@ class InstrumentView(View):
         if self.tabs.currentWidget() is self.health:
             self.health.begin_asking()
         else:
-            self._current.load()
+            self.current.load()
 
     def _search(self) -> None:
-        tab = self._current
+        tab = self.current
         if isinstance(tab, FaultsTab | AuditTab):
             tab.search.setFocus()
             tab.search.selectAll()
 
     @property
-    def _current(self) -> Tab:
+    def current(self) -> Tab:
+        """The tab that is shown."""
         return self.all[self.tabs.currentIndex()]
 
     # -- what happens -------------------------------------------------------------------------------------
@@ -109,21 +110,21 @@ class InstrumentView(View):
             tab.stale = True
         self.health.show_chosen()
         self._judge_chosen()
-        self._soon.start()
+        self.refresh_timer.start()
 
     def showEvent(self, event: QShowEvent) -> None:  # noqa: N802
         """Read what is shown, once it is."""
         super().showEvent(event)
-        self._soon.start()
+        self.refresh_timer.start()
 
     def _tab_changed(self) -> None:
-        self._soon.start()
+        self.refresh_timer.start()
 
     def _bring_up_to_date(self) -> None:
         if self._closing or self._busy or self.context.busy or not self.isVisible():
             return
-        if self._current.stale:
-            self._current.load()
+        if self.current.stale:
+            self.current.load()
 
     def _show_job(self) -> None:
         """The words and the button of what goes on; the calibrations know of the instrument that has answered."""
@@ -146,7 +147,7 @@ class InstrumentView(View):
         for tab in self.all:
             tab.stale = True
         self._judge_chosen()
-        self._soon.start()
+        self.refresh_timer.start()
 
     def update_enabled(self, *, busy: bool, testing: bool) -> None:
         """Disable what starts a job while another one runs."""
@@ -154,7 +155,7 @@ class InstrumentView(View):
         for tab in self.all:
             tab.update_enabled(busy=self._busy)
         if not self._busy:
-            self._soon.start()
+            self.refresh_timer.start()
 
     def buttons(self) -> tuple[QAbstractButton, ...]:
         """Return the buttons that the command palette offers."""
