@@ -9,6 +9,7 @@ import shutil
 import subprocess
 import sys
 import tomllib
+from importlib import util
 from pathlib import Path
 
 import pytest
@@ -65,7 +66,7 @@ def test_a_missing_tool_is_named_with_its_command(
     name: str, package: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ):
     found = importlib.util.find_spec
-    monkeypatch.setattr("importlib.util.find_spec", lambda wanted: None if wanted == package else found(wanted))
+    monkeypatch.setattr(util, "find_spec", lambda wanted: None if wanted == package else found(wanted))
     monkeypatch.setattr(sys, "argv", [name, "--out", str(tmp_path / "out")])
     assert tool(name, monkeypatch).main() == 2
     (line,) = capsys.readouterr().err.splitlines()
@@ -78,7 +79,7 @@ def test_a_missing_tool_is_named_with_its_command(
 def test_an_unwritable_folder_is_named(
     name: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ):
-    monkeypatch.setattr("importlib.util.find_spec", lambda _package: True)  # all tools are there
+    monkeypatch.setattr(util, "find_spec", lambda _package: True)  # all tools are there
     occupied = tmp_path / "file"
     occupied.touch()
     monkeypatch.setattr(sys, "argv", [name, "--out", str(occupied / "out")])

@@ -28,6 +28,7 @@ from tissueid.procedures.study_run import run_study
 from tissueid.records import Record
 from tissueid.reports.verdict import judge
 from tissueid.sessions import Session, Subject, Test, write_session
+from tissueid.studies import repeatability
 from tissueid.studies.study_statistics import study_statistics
 from tissueid.studies.usable_tests import usable_tests
 
@@ -201,7 +202,7 @@ def groups(tmp_path_factory, reversed_record: Record):
 
 
 def test_a_study_has_one_structure_and_the_true_differences(groups, monkeypatch):
-    monkeypatch.setattr("tissueid.studies.repeatability.RESAMPLES", 20)
+    monkeypatch.setattr(repeatability, "RESAMPLES", 20)
     assert set(groups["model"].dropna()) == {"standard-linear-solid"}
     found = study_statistics(groups, factors=["group"])
     assert "mass_kg" not in found.parameters

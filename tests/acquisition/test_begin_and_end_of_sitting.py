@@ -22,7 +22,8 @@ from failing_disk import (
 )
 from support import connect
 
-from tissueid.acquisition import JournalError, SessionRecorder, journal_path, recover, run_guided_test
+from tissueid import atomic_write
+from tissueid.acquisition import JournalError, SessionRecorder, journal_path, recover, recovery, run_guided_test
 from tissueid.acquisition import recorder as recording
 from tissueid.device import DeviceDescription
 from tissueid.errors import LinkLostError, SessionFormatError
@@ -74,7 +75,7 @@ def test_a_name_that_could_not_be_synced_keeps_the_journal(tmp_path, monkeypatch
         raise OSError(errno.EIO, os.strerror(errno.EIO))
 
     with monkeypatch.context() as patch:
-        patch.setattr("tissueid.atomic_write.sync_folder", fails)
+        patch.setattr(atomic_write, "sync_folder", fails)
         with pytest.raises(JournalError, check=coded("recording.kept", reason="Input/output error")):
             recorder.finish()
     assert journal_path(tmp_path / "s.h5").exists()
@@ -102,7 +103,7 @@ def test_a_journal_that_cannot_be_read_back_is_not_removed(tmp_path, monkeypatch
         yield
 
     with monkeypatch.context() as patch:
-        patch.setattr("tissueid.acquisition.recovery.read_entries", fails)
+        patch.setattr(recovery, "read_entries", fails)
         with pytest.raises(JournalError, check=coded("recording.kept", reason="Input/output error")):
             recorder.finish()
     assert len(recover(tmp_path / "s.h5")[1].tests) == 2

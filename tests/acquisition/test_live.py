@@ -136,7 +136,7 @@ def test_an_error_is_kept_and_does_not_end_the_test(samples, monkeypatch):
     def fails(*_):
         raise ZeroDivisionError("no such thing")
 
-    monkeypatch.setattr("tissueid.acquisition.live_process.view", fails)
+    monkeypatch.setattr(live_process, "view", fails)
     live.feed(samples)
     live.step()
     assert says(live.problem, "live.defect", kind="ZeroDivisionError", error="no such thing")
@@ -178,7 +178,7 @@ def test_a_process_that_dies_is_reported_and_feeding_continues(samples):
 
 
 def test_a_process_that_cannot_be_started_is_reported(samples, monkeypatch):
-    monkeypatch.setattr("sys.executable", "/no/such/python")
+    monkeypatch.setattr(sys, "executable", "/no/such/python")
     live = LiveIdentification(DEVICE, preload_s=PRELOAD_S)
     live.feed(samples)
     live.close()
@@ -187,7 +187,7 @@ def test_a_process_that_cannot_be_started_is_reported(samples, monkeypatch):
 
 @pytest.mark.parametrize("separate_process", [False, True])
 def test_invalid_settings_are_refused_before_a_process_is_started(separate_process, monkeypatch):
-    monkeypatch.setattr("subprocess.Popen", None)
+    monkeypatch.setattr(subprocess, "Popen", None)
     with pytest.raises(UnusableInputError, check=coded("online.short_window", window=10.0, memory=6.0)):
         LiveIdentification(DEVICE, memory=6.0, separate_process=separate_process)
 

@@ -4,6 +4,7 @@ import math
 
 import numpy as np
 import pytest
+import support
 from coded import coded, says, shows
 from support import LONG_TICK_S, connect, connect_scenario
 
@@ -13,6 +14,7 @@ from tissueid.acquisition.rest_periods import predict_heating, rest, temperature
 from tissueid.cli import main
 from tissueid.device import DESKTOP, HANDHELD
 from tissueid.errors import CancelledError
+from tissueid.procedures import test_run
 from tissueid.sessions import read_session
 from tissueid.sessions.quality import quality_of
 from tissueid.stimuli.base import to_voltage
@@ -74,8 +76,8 @@ def test_rest_lasts_by_the_clock_of_the_instrument_and_can_be_cancelled():
 
 @pytest.fixture
 def desktop(monkeypatch):
-    monkeypatch.setattr("support.TICK_S", LONG_TICK_S)
-    monkeypatch.setattr("tissueid.procedures.test_run.open_instrument", lambda _: connect_scenario(Scenario(seed=3)))
+    monkeypatch.setattr(support, "TICK_S", LONG_TICK_S)
+    monkeypatch.setattr(test_run, "open_instrument", lambda _: connect_scenario(Scenario(seed=3)))
 
 
 def run(tmp_path, *arguments):

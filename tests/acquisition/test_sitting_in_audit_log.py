@@ -19,6 +19,7 @@ from support import connect
 from tissueid.acquisition import JournalError, SessionRecorder, run_guided_test
 from tissueid.acquisition import recorder as recording
 from tissueid.audit import AuditError, AuditLog, AuditTrail, last_lines, verify
+from tissueid.audit import trail as audit_trail
 from tissueid.device import DeviceDescription
 from tissueid.errors import CancelledError, FirmwareFaultError, LinkLostError
 from tissueid.instrument import Run
@@ -110,7 +111,7 @@ def test_a_test_that_is_cancelled_while_it_is_prepared_has_an_end_in_the_log_or_
     trail = AuditTrail(log, "clinician")
     recorder = SessionRecorder(tmp_path / "s.h5", instrument.device, trail=trail)
     late = Late(monkeypatch, owner, name, only)
-    monkeypatch.setattr("tissueid.audit.trail.SETTLE_S", 0.01)
+    monkeypatch.setattr(audit_trail, "SETTLE_S", 0.01)
     with pytest.raises(CancelledError) as cancelled:
         run_guided_test(instrument, guided(), recorder, surface_m=0.01, cancelled=late.reached.is_set)
     trail.note("session.broken_off", new=str(cancelled.value))

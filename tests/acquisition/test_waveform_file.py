@@ -11,6 +11,7 @@ import numpy as np
 import pytest
 from coded import coded
 
+from tissueid.acquisition import waveform_file
 from tissueid.acquisition.stimulus_choice import (
     load_stimulus,
     playable_file,
@@ -140,11 +141,11 @@ def test_files_that_are_too_large_or_not_there_are_refused(tmp_path: Path, monke
         load_waveform(tmp_path / "none.csv", RATE)
     with pytest.raises(UnusableInputError, check=coded("file.not_readable")):
         load_waveform(tmp_path, RATE)
-    monkeypatch.setattr("tissueid.acquisition.waveform_file._MAX_BYTES", 100)
+    monkeypatch.setattr(waveform_file, "_MAX_BYTES", 100)
     with pytest.raises(UnusableInputError, check=coded("waveform.large")):
         load_waveform(written(tmp_path / "a.txt", column(WAVE)), RATE)
     monkeypatch.undo()
-    monkeypatch.setattr("tissueid.acquisition.waveform_file.MAX_SAMPLES", 100)
+    monkeypatch.setattr(waveform_file, "MAX_SAMPLES", 100)
     with pytest.raises(UnusableInputError, check=coded("waveform.samples")):
         load_waveform(tmp_path / "a.txt", RATE)
 

@@ -10,14 +10,16 @@ from PySide6.QtCore import Qt
 from support import connect
 
 from firmware_sim.identity import Identity
+from tissueid.app import emergency
 from tissueid.app.emergency import BY_BUTTON, EmergencyStop
 from tissueid.app.operator_prompts import CalibrationOutcome, OperatorPrompts
 from tissueid.app.words import sentence
 from tissueid.audit import AuditLog, last_lines
-from tissueid.calibration import CalibratedQuantity, Calibration, read_calibration
+from tissueid.calibration import CalibratedQuantity, Calibration, plans, read_calibration
 from tissueid.calibration.store import free_name
 from tissueid.errors import CancelledError
 from tissueid.procedures.control import BY_KEY
+from tissueid.reports import calibration_page
 
 PROBLEM, REMARK = "the spring is not the one that was named", "2.0 mm was left out"
 
@@ -36,7 +38,7 @@ def spring(stage=True):
 @pytest.fixture
 def technicians(open_window, calibrations, audit_file, monkeypatch):
     """Opens windows for technicians who are short of time: not all steps of a static calibration."""
-    monkeypatch.setattr("tissueid.calibration.plans.STEPS", ("electrical", "temperature"))
+    monkeypatch.setattr(plans, "STEPS", ("electrical", "temperature"))
     return functools.partial(open_window, role="technician", calibrations=calibrations, audit=AuditLog(audit_file))
 
 
@@ -139,7 +141,7 @@ def test_a_calibration_whose_report_cannot_be_written_is_not_called_failed(
     def fails(*_):
         raise error
 
-    monkeypatch.setattr("tissueid.reports.calibration_page.static_report", fails)
+    monkeypatch.setattr(calibration_page, "static_report", fails)
     window = technicians(opener=lambda _: spring())
     page = page_of(window)
     press(qtbot, page.begin["static"])
@@ -166,7 +168,7 @@ def test_a_calibration_whose_report_cannot_be_written_is_not_called_failed(
 
 
 def test_without_a_stage_the_person_is_asked_and_return_goes_on(qtbot, technicians, calibrations, monkeypatch):
-    monkeypatch.setattr("tissueid.app.emergency.QUIET_S", 0.0)
+    monkeypatch.setattr(emergency, "QUIET_S", 0.0)
     window = technicians(opener=lambda _: spring(stage=False))
     page = page_of(window)
     press(qtbot, page.begin["static"])

@@ -6,6 +6,7 @@ from PySide6.QtCore import QEvent, Qt
 from PySide6.QtGui import QKeyEvent
 from PySide6.QtWidgets import QApplication
 
+from tissueid.app import emergency
 from tissueid.app.emergency import QUIET_S
 
 pytestmark = [pytest.mark.qt_log_level_fail("WARNING"), pytest.mark.qt_log_ignore("This plugin does not support")]
@@ -17,7 +18,7 @@ KEYS = [Qt.Key.Key_Space, Qt.Key.Key_Return, Qt.Key.Key_Enter]
 def seconds(monkeypatch):
     """The clock of the guard: it stands still until a test moves it on."""
     moment = [100.0]
-    monkeypatch.setattr("tissueid.app.emergency.now", lambda: moment[0])
+    monkeypatch.setattr(emergency, "now", lambda: moment[0])
     return moment
 
 

@@ -16,6 +16,8 @@ from support import connect
 
 from tissueid.acquisition import recorder
 from tissueid.acquisition.surface_detection import Contact
+from tissueid.app import main_window
+from tissueid.app import words as app_words
 from tissueid.app.emergency import (
     BY_BUTTON,
     BY_CLOSING,
@@ -52,7 +54,7 @@ def _identified_at_once(some_findings, monkeypatch):
     def find_at_once(path, session, number):
         return dataclasses.replace(some_findings, path=path, session=session, test=session.test(number))
 
-    monkeypatch.setattr("tissueid.app.main_window.find", find_at_once)
+    monkeypatch.setattr(main_window, "find", find_at_once)
 
 
 # -- the switch itself ----------------------------------------------------------------------------------------
@@ -130,7 +132,7 @@ class Watched(SimulatedInstrument):
         self.played = 0
 
     def poll(self, timeout_s):
-        self.played += self._energised
+        self.played += self.energised
         return super().poll(timeout_s)
 
     def release(self):
@@ -252,7 +254,7 @@ def test_frames_that_cannot_be_drawn_are_no_beats(qtbot, open_window, clock, tmp
 
 
 def test_a_defect_in_the_window_releases_the_coil(qtbot, open_window, bench, tmp_path, monkeypatch):
-    monkeypatch.setattr("tissueid.app.words.user_log_path", lambda *_, **__: tmp_path)
+    monkeypatch.setattr(app_words, "user_log_path", lambda *_, **__: tmp_path)
     gate = Gate(passed=300)
     window = open_window(wait=gate.wait)
     begin(qtbot, window, gate)
@@ -312,7 +314,7 @@ def test_what_could_not_be_saved_or_logged_is_said_beside_the_stop(qtbot, open_w
     window = open_window(wait=gate.wait)
     begin(qtbot, window, gate)
     press(qtbot, window.ui.stop)
-    monkeypatch.setattr("tissueid.acquisition.recorder.write_journal_session", full)
+    monkeypatch.setattr(recorder, "write_journal_session", full)
     monkeypatch.setattr(AuditLog, "record", full)
     gate.opened.set()
     qtbot.waitUntil(lambda: idle(window), timeout=WAIT_MS)
@@ -393,7 +395,7 @@ def test_a_test_that_ended_is_not_shown_as_running_while_it_is_saved(qtbot, open
 
 
 def test_a_window_that_does_not_keep_up_opens_no_instrument(qtbot, open_window, bench, monkeypatch, audit_file):
-    monkeypatch.setattr("tissueid.app.main_window.KEEPS_UP_S", -1.0)
+    monkeypatch.setattr(main_window, "KEEPS_UP_S", -1.0)
     window = open_window(audit=AuditLog(audit_file))
     type_site(qtbot, window)
     press(qtbot, window.ui.start)

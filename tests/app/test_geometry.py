@@ -44,7 +44,7 @@ from tissueid.app.views.gap.diagnosis_run import result_of
 from tissueid.app.widgets import ElidedLabel
 from tissueid.calibration import CalibratedQuantity, Calibration
 from tissueid.calibration.active import activate_calibration
-from tissueid.gap import diagnose, prepare
+from tissueid.gap import diagnose, fit_tasks, prepare
 from tissueid.gap.workers import SerialExecutor
 from tissueid.instrument import SimulatedInstrument
 from tissueid.language import current_language, set_language
@@ -305,7 +305,7 @@ def diagnosis():
     every = shelf.all_effects()
     with pytest.MonkeyPatch.context() as patch:
         few = {name: every[name] for name in ("dry_friction", "directional_damping")}
-        patch.setattr("tissueid.gap.fit_tasks.all_effects", lambda: few)
+        patch.setattr(fit_tasks, "all_effects", lambda: few)
         return session, diagnose(prepare(session, (), ()), SerialExecutor())
 
 

@@ -22,8 +22,10 @@ from firmware_sim_process import firmware_process
 from PySide6.QtCore import Qt
 
 from tissueid.acquisition import SessionRecorder, journal_path, recover
+from tissueid.app import main_window
 from tissueid.app.session_jobs import find
 from tissueid.instrument import open_instrument
+from tissueid.procedures import test_run
 from tissueid.sessions import read_session
 from tissueid.wire import Flag
 
@@ -71,9 +73,9 @@ def mishap(monkeypatch, some_findings):
     def find_at_once(path, session, number):
         return dataclasses.replace(some_findings, path=path, session=session, test=session.test(number))
 
-    monkeypatch.setattr("tissueid.procedures.test_run.SessionRecorder", Recorder)
-    monkeypatch.setattr("tissueid.app.main_window.find", find_at_once)
-    monkeypatch.setattr("tissueid.procedures.test_run.LiveIdentification.step", lambda _: None)
+    monkeypatch.setattr(test_run, "SessionRecorder", Recorder)
+    monkeypatch.setattr(main_window, "find", find_at_once)
+    monkeypatch.setattr(test_run.LiveIdentification, "step", lambda _: None)
     return mishap
 
 

@@ -8,9 +8,11 @@ from failing_disk import FULL, Disk
 from PySide6.QtWidgets import QPushButton
 
 from tissueid.acquisition import SessionRecorder, journal_path
+from tissueid.app import words
 from tissueid.app.words import sentence
 from tissueid.errors import InstrumentError, UnusableInputError
 from tissueid.instrument import FoundInstrument, SimulatedInstrument
+from tissueid.procedures import test_run
 
 pytestmark = [pytest.mark.qt_log_level_fail("WARNING"), pytest.mark.qt_log_ignore("This plugin does not support")]
 
@@ -101,7 +103,7 @@ def test_newer_words_take_the_place_of_what_waits(window):
 
 
 def test_a_defect_is_said_on_every_page_until_it_is_dismissed(window, monkeypatch, tmp_path):
-    monkeypatch.setattr("tissueid.app.words.user_log_path", lambda *_, **__: tmp_path)
+    monkeypatch.setattr(words, "user_log_path", lambda *_, **__: tmp_path)
     window.on_defect(ZeroDivisionError())
     for name in ("start", "measure", "instrument"):
         window.pages.show(name)
@@ -194,7 +196,7 @@ def test_a_folder_that_cannot_be_written_says_nothing_about_the_instrument(measu
     def refuse(*_, **__):
         raise UnusableInputError("cannot write there")
 
-    window = measure_with(before=lambda: monkeypatch.setattr("tissueid.procedures.test_run.SessionRecorder", refuse))
+    window = measure_with(before=lambda: monkeypatch.setattr(test_run, "SessionRecorder", refuse))
     assert shown(window) == "Cannot write there."
     assert reads(window.ui.form.instrument.about.text(), "instruments.ready", what="desktop indenter")
 

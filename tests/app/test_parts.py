@@ -11,7 +11,7 @@ from failing_disk import FULL
 from hypothesis import given
 from hypothesis import strategies as st
 
-from tissueid.acquisition import PRELOAD_S, Phase, Progress, journal_path
+from tissueid.acquisition import PRELOAD_S, Phase, Progress, journal_path, recovery
 from tissueid.app.emergency import EmergencyStop
 from tissueid.app.form_choices import longest_stimulus_s
 from tissueid.app.live_signals import LiveSignals, decimated
@@ -173,7 +173,7 @@ def test_a_session_that_cannot_be_written_leaves_its_journal(tmp_path, monkeypat
     def full(*_, **__):
         raise OSError(28, FULL)
 
-    monkeypatch.setattr("tissueid.acquisition.recovery.write_session", full)
+    monkeypatch.setattr(recovery, "write_session", full)
     outcome = run(plan(tmp_path), Spy())
     assert outcome.session is None
     assert outcome_text(outcome)[0].startswith(

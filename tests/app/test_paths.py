@@ -14,8 +14,10 @@ from PySide6.QtWidgets import QApplication, QFileDialog
 from support import connect
 
 from firmware_sim.identity import Identity
+from tissueid.app import emergency
 from tissueid.audit import AuditLog, last_lines
-from tissueid.calibration import read_calibration
+from tissueid.calibration import plans, read_calibration
+from tissueid.gap import fit_tasks
 from tissueid.instrument import SimulatedInstrument
 from tissueid.instrument.twin_file import read_twin
 from tissueid.sessions import read_session, write_session
@@ -192,7 +194,7 @@ def test_a_researcher_finds_looks_identifies_compares_and_exports(qtbot, from_st
 
 
 def test_a_technician_asks_calibrates_and_verifies(qtbot, from_start, calibrations, audit_file, monkeypatch):
-    monkeypatch.setattr("tissueid.calibration.plans.STEPS", ("electrical", "temperature"))
+    monkeypatch.setattr(plans, "STEPS", ("electrical", "temperature"))
     window = from_start(
         "technician",
         opener=lambda _: connect("calibration-spring", seed=3, identity=Identity(stage=True)),
@@ -220,7 +222,7 @@ def test_a_technician_asks_calibrates_and_verifies(qtbot, from_start, calibratio
     page = window.ui.calibration
     assert page.isVisible()
     assert page.begin["static"].hasFocus()
-    monkeypatch.setattr("tissueid.app.emergency.QUIET_S", 0.0)
+    monkeypatch.setattr(emergency, "QUIET_S", 0.0)
     qtbot.keyClick(page.begin["static"], Qt.Key.Key_Space)
     assert window.testing
     assert window.ui.stop.hasFocus()
@@ -261,7 +263,7 @@ def test_a_technician_asks_calibrates_and_verifies(qtbot, from_start, calibratio
 def test_from_a_session_to_a_twin_that_is_measured(qtbot, from_start, tmp_path, audit_file, monkeypatch):
     everything = shelf.all_effects()
     few = {name: everything[name] for name in ("dry_friction", "directional_damping")}
-    monkeypatch.setattr("tissueid.gap.fit_tasks.all_effects", lambda: few)
+    monkeypatch.setattr(fit_tasks, "all_effects", lambda: few)
     write_session(tmp_path / "friction.h5", recorded("dry_friction", samples=3000))
     window = from_start("researcher")
     qtbot.keyClick(window, Qt.Key.Key_4, CONTROL)

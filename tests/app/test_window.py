@@ -11,6 +11,7 @@ from PySide6.QtCore import Qt
 from support import connect
 
 from tissueid.acquisition import SessionRecorder, journal_path
+from tissueid.app import words as app_words
 from tissueid.app.device_search import Survey
 from tissueid.app.quality_gate import UNJUDGED
 from tissueid.app.words import RESEARCH_USE
@@ -467,7 +468,7 @@ def test_a_system_that_cannot_list_its_ports_still_has_typed_addresses(qtbot, op
 
 
 def test_a_defect_is_words_and_a_file(qtbot, open_window, tmp_path, monkeypatch):
-    monkeypatch.setattr("tissueid.app.words.user_log_path", lambda *_, **__: tmp_path)
+    monkeypatch.setattr(app_words, "user_log_path", lambda *_, **__: tmp_path)
     window = open_window(opener=lambda url: 1 / 0)
     type_site(qtbot, window)
     press(qtbot, window.ui.start)

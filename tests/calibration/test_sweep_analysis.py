@@ -8,6 +8,7 @@ import pytest
 from coded import coded, is_german, message, says
 from spring_rig import Rig, swept
 
+from tissueid.calibration import sweep_analysis
 from tissueid.calibration.flux import fit_flux
 from tissueid.calibration.force_balance import fit_balance
 from tissueid.calibration.force_constant_profile import linear_region
@@ -282,7 +283,7 @@ def test_a_singular_problem_is_refused(monkeypatch):
     def singular(*_):
         raise np.linalg.LinAlgError("Singular matrix")
 
-    monkeypatch.setattr("tissueid.calibration.sweep_analysis.fit_flux", singular)
+    monkeypatch.setattr(sweep_analysis, "fit_flux", singular)
     with pytest.raises(UnusableInputError, check=coded("sweep.undetermined")):
         analyse_sweep(recorded(Rig(), tuple(FEW)), NOMINAL)
 

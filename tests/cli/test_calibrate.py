@@ -2,6 +2,7 @@
 
 import io
 import json
+import sys
 from datetime import UTC, datetime, timedelta
 from pathlib import Path
 
@@ -189,8 +190,8 @@ class Terminal(io.StringIO):
 
 
 def test_a_person_at_the_terminal_is_told_what_to_do(tmp_path, monkeypatch, capsys):
-    monkeypatch.setattr("sys.stdin", Terminal("\n\n"))
-    monkeypatch.setattr("sys.stderr.isatty", lambda: True, raising=False)
+    monkeypatch.setattr(sys, "stdin", Terminal("\n\n"))
+    monkeypatch.setattr(sys.stderr, "isatty", lambda: True, raising=False)
     arguments = [*STATIC, "--steps", "acceleration", "--orientations", "2", "--out", str(tmp_path / "a.toml")]
     assert main(arguments) == 2
     told = " ".join(capsys.readouterr().err.split())

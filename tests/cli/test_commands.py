@@ -6,6 +6,7 @@ import signal
 import sys
 
 import numpy as np
+import platformdirs
 import pytest
 from golden.golden_page import check_golden_page
 from numpy.lib.stride_tricks import sliding_window_view
@@ -14,6 +15,7 @@ from outside_data import RIG
 from tissueid.cli import main
 from tissueid.device import DeviceDescription
 from tissueid.identification.base import PREDICTS_NOTHING
+from tissueid.procedures import instrument_queries, test_run
 from tissueid.sessions import Session, Test, read_session, write_session
 
 A_TEST = ["test", "--device", "simulated://forearm", "--site", "x", "--out", "FOLDER/a.h5"]
@@ -221,8 +223,8 @@ def test_a_defect_leaves_its_details_in_a_file(monkeypatch, capsys, tmp_path):
     def fail(*_args, **_kwargs):
         raise ZeroDivisionError("a defect")
 
-    monkeypatch.setattr("tissueid.procedures.instrument_queries.find_instruments", fail)
-    monkeypatch.setattr("platformdirs.user_log_path", lambda *_, **__: tmp_path)
+    monkeypatch.setattr(instrument_queries, "find_instruments", fail)
+    monkeypatch.setattr(platformdirs, "user_log_path", lambda *_, **__: tmp_path)
     assert main(["devices"]) == 1
     printed = capsys.readouterr().err
     assert "Traceback" not in printed
@@ -233,7 +235,7 @@ def test_an_interrupt_leaves_nothing_behind(monkeypatch, tmp_path, capsys):
     def interrupt(*_args, **_kwargs):
         raise KeyboardInterrupt
 
-    monkeypatch.setattr("tissueid.procedures.test_run.place", interrupt)
+    monkeypatch.setattr(test_run, "place", interrupt)
     out = tmp_path / "s.h5"
     assert main(["test", "--device", "simulated://forearm", "--site", "x", "--out", str(out)]) == 130
     assert list(tmp_path.iterdir()) == []

@@ -2,6 +2,7 @@
 
 import io
 import json
+import sys
 from dataclasses import replace
 
 import pytest
@@ -11,6 +12,7 @@ from tissueid.cli import main
 from tissueid.gap.diagnosis import diagnose
 from tissueid.gap.workers import SerialExecutor
 from tissueid.instrument.twin_file import read_twin
+from tissueid.procedures import diagnosis
 from tissueid.sessions import write_session
 
 PAIR = ("dry_friction", "directional_damping")
@@ -34,13 +36,13 @@ def pair():
 @pytest.fixture
 def accept(tmp_path, pair, monkeypatch):
     """Runs the command with an answer at the terminal, None for a script; returns its exit code."""
-    monkeypatch.setattr("tissueid.procedures.diagnosis.diagnose", lambda *_args, **_options: pair)
+    monkeypatch.setattr(diagnosis, "diagnose", lambda *_args, **_options: pair)
     session = tmp_path / "session.h5"
     write_session(session, recorded(PAIR[0], samples=SAMPLES))
 
     def run(answer, *options):
-        monkeypatch.setattr("sys.stdin", io.StringIO() if answer is None else Terminal(answer))
-        monkeypatch.setattr("sys.stderr.isatty", lambda: answer is not None, raising=False)
+        monkeypatch.setattr(sys, "stdin", io.StringIO() if answer is None else Terminal(answer))
+        monkeypatch.setattr(sys.stderr, "isatty", lambda: answer is not None, raising=False)
         out = str(tmp_path / "twin.toml")
         return main(["gap", "accept", str(session), "--out", out, "--workers", "1", *options])
 

@@ -16,7 +16,7 @@ from reports.page_check import checked
 from firmware_sim.effects import in_order
 from tissueid.cli import main
 from tissueid.errors import CancelledError
-from tissueid.gap import as_answer
+from tissueid.gap import as_answer, fit_tasks
 from tissueid.instrument.twin_file import read_twin
 from tissueid.procedures import gap_folder
 from tissueid.procedures.control import Control
@@ -32,8 +32,8 @@ SAMPLES = 3000
 @pytest.fixture(autouse=True)
 def _few_effects(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
     everything = catalogue.all_effects()
-    monkeypatch.setattr("tissueid.gap.fit_tasks.all_effects", lambda: {name: everything[name] for name in FEW})
-    monkeypatch.setattr("tissueid.procedures.gap_folder.user_cache_path", lambda *_, **__: tmp_path / "cache")
+    monkeypatch.setattr(fit_tasks, "all_effects", lambda: {name: everything[name] for name in FEW})
+    monkeypatch.setattr(gap_folder, "user_cache_path", lambda *_, **__: tmp_path / "cache")
 
 
 def session(seed: int, created: str, *new: str, own: str = "dry_friction") -> Session:
@@ -59,7 +59,7 @@ def watched(tmp_path_factory: pytest.TempPathFactory) -> Path:
     write_session(earlier, session(0, "2026-02-01T08:00:00Z"))
     with pytest.MonkeyPatch.context() as patch:
         everything = catalogue.all_effects()
-        patch.setattr("tissueid.gap.fit_tasks.all_effects", lambda: {name: everything[name] for name in FEW})
+        patch.setattr(fit_tasks, "all_effects", lambda: {name: everything[name] for name in FEW})
         words = ["gap", "accept", str(earlier), "--effect", "dry_friction", "--out", str(folder.parent / "arm.toml")]
         assert main([*words, "--workers", "1"]) == 0
     return folder

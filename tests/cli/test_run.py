@@ -16,6 +16,7 @@ from tissueid.acquisition import SessionRecorder
 from tissueid.acquisition.stimulus_choice import save_stimulus
 from tissueid.cli import main
 from tissueid.cli.test_summary import answer_of
+from tissueid.procedures import test_run
 from tissueid.sessions import read_session
 from tissueid.stimuli import get_stimulus
 
@@ -278,9 +279,7 @@ def test_what_cannot_be_run_is_said_in_one_line(arguments, words, capsys, tmp_pa
 
 @pytest.fixture
 def handheld(monkeypatch):
-    monkeypatch.setattr(
-        "tissueid.procedures.test_run.open_instrument", lambda _: connect_scenario(Scenario(model="handheld", seed=3))
-    )
+    monkeypatch.setattr(test_run, "open_instrument", lambda _: connect_scenario(Scenario(model="handheld", seed=3)))
 
 
 def test_on_the_handheld_the_default_force_is_what_it_can_give(handheld, capsys, tmp_path):

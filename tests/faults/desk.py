@@ -20,7 +20,7 @@ from firmware_sim.bench import Bench, Block
 from firmware_sim.faults import ActiveFault, FaultInjector, PlannedFault
 from firmware_sim.firmware import Firmware
 from tissueid import wire
-from tissueid.acquisition import SessionRecorder, recover
+from tissueid.acquisition import SessionRecorder, guided, recover
 from tissueid.errors import LinkLostError
 from tissueid.instrument import SIGNALS, Limits, Run, SerialInstrument
 from tissueid.instrument.link import broken_error, open_error
@@ -321,5 +321,5 @@ def void(_: object) -> None:
 @contextmanager
 def virtual_time() -> Iterator[None]:
     """Run background work at once: its duration would depend on this machine."""
-    with patch("tissueid.acquisition.guided.run_while_polling", lambda _instrument, work, _cancelled=None: work()):
+    with patch.object(guided, "run_while_polling", lambda _instrument, work, _cancelled=None: work()):
         yield

@@ -10,6 +10,7 @@ import pytest
 from gap_records import changed, observed, recorded
 
 from tissueid.errors import CancelledError
+from tissueid.gap import diagnosis
 from tissueid.gap.answer import as_answer
 from tissueid.gap.decision import THRESHOLDS
 from tissueid.gap.diagnosis import diagnose
@@ -63,7 +64,7 @@ def test_without_the_right_one_nothing_explains():
 
 
 def test_an_explanation_that_the_check_contradicts_is_not_named(monkeypatch):
-    monkeypatch.setattr("tissueid.gap.diagnosis.confirmed", lambda *figures: False)
+    monkeypatch.setattr(diagnosis, "confirmed", lambda *figures: False)
     result = diagnose(observed("dry_friction", samples=SAMPLES), SerialExecutor(), candidates=("dry_friction",))
     assert (result.verdict, result.combination, result.budget) == ("unexplained", (), None)
     assert "gap.not_confirmed" in {item.code for item in result.remarks}

@@ -10,6 +10,7 @@ from coded import coded, holding
 
 from tissueid.device import DeviceDescription
 from tissueid.errors import UnusableInputError
+from tissueid.gap import diagnosis
 from tissueid.gap.diagnosis import diagnose
 from tissueid.gap.fitting import fit
 from tissueid.gap.preparation import prepare
@@ -129,7 +130,7 @@ def test_what_a_twin_leaves_unmodelled_is_part_of_the_floor_of_later_sessions(ob
 
 
 def test_a_gap_in_the_check_alone_is_none_against_a_twin(observed, content, monkeypatch):
-    monkeypatch.setattr("tissueid.gap.diagnosis.shows_in_the_check_alone", lambda _: True)
+    monkeypatch.setattr(diagnosis, "shows_in_the_check_alone", lambda _: True)
     later, known = against_twin(observed, content)
     found = diagnose(later, SerialExecutor(), known=known, candidates=["latency"])
     assert found.verdict == "no_gap"

@@ -17,6 +17,7 @@ from tissueid.analysis.fitting import fit_split
 from tissueid.analysis.split import split_records
 from tissueid.errors import UnusableInputError
 from tissueid.identification.base import Engine, Model
+from tissueid.identification.engines import cascade
 from tissueid.identification.memory import LONGEST_SAMPLES, automatic_memory
 from tissueid.identification.registry import get_engine
 from tissueid.messages import code_of
@@ -183,7 +184,7 @@ def test_the_memory_of_tissue_is_what_it_was(name: str, memory: float):
 
 
 def test_a_cascade_says_what_it_left_out(monkeypatch: pytest.MonkeyPatch):
-    monkeypatch.setattr("tissueid.identification.engines.cascade._MOST_ROWS_COMPARED", 1500)
+    monkeypatch.setattr(cascade, "_MOST_ROWS_COMPARED", 1500)
     rng = np.random.default_rng(2)
     u = rng.standard_normal(4000)
     record = volts(u, noisy(signal.lfilter([0.1], [1.0, -0.9], u), 0.01), 51_200.0)

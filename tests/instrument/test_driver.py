@@ -8,6 +8,7 @@ import pytest
 from coded import coded, holding
 from support import connect
 
+from firmware_sim import limits as firmware_sim_limits
 from firmware_sim.firmware import WATCHDOG_S
 from firmware_sim.identity import Identity
 from tissueid import wire
@@ -18,8 +19,9 @@ from tissueid.errors import (
     LinkLostError,
     ProtocolVersionError,
 )
-from tissueid.instrument import CLINICAL, RESEARCH, SAMPLE, Limits, SerialInstrument
+from tissueid.instrument import CLINICAL, RESEARCH, SAMPLE, Limits, SerialInstrument, driver
 from tissueid.instrument.replies import describe_faults
+from tissueid.instrument.sample_monitor import SampleMonitor
 from tissueid.wire import Fault, Flag, State
 
 SECOND = 2000
@@ -254,8 +256,8 @@ def test_the_host_checks_before_sending(command, limits, check):
 
 
 def without_host_checks(monkeypatch):
-    monkeypatch.setattr("tissueid.instrument.driver.check_stimulus", lambda *_: None)
-    monkeypatch.setattr("tissueid.instrument.sample_monitor.SampleMonitor.check", lambda *_: None)
+    monkeypatch.setattr(driver, "check_stimulus", lambda *_: None)
+    monkeypatch.setattr(SampleMonitor, "check", lambda *_: None)
 
 
 def test_the_firmware_refuses_a_stimulus_beyond_the_limits(monkeypatch):
@@ -291,7 +293,7 @@ def test_the_firmware_releases_on_its_own(monkeypatch, limits, fault):
 def test_the_firmware_trips_on_force_within_one_sample(monkeypatch):
     without_host_checks(monkeypatch)
     instrument = connect()
-    monkeypatch.setattr("firmware_sim.limits.FORCE_MARGIN", 1.0)
+    monkeypatch.setattr(firmware_sim_limits, "FORCE_MARGIN", 1.0)
     instrument.load(hold(20.0))
     instrument.arm(Limits(max_force_n=5.05))
     firmware = instrument.link.firmware
@@ -318,8 +320,8 @@ def test_the_firmware_trips_on_force_within_one_sample(monkeypatch):
     ],
 )
 def test_the_host_releases_on_its_own(monkeypatch, limits, check):
-    monkeypatch.setattr("firmware_sim.limits.ArmedLimits.first_violation", lambda *_: (0, Fault.NONE))
-    monkeypatch.setattr("tissueid.instrument.driver.check_stimulus", lambda *_: None)
+    monkeypatch.setattr(firmware_sim_limits.ArmedLimits, "first_violation", lambda *_: (0, Fault.NONE))
+    monkeypatch.setattr(driver, "check_stimulus", lambda *_: None)
     instrument = connect()
     instrument.load(hold(30.0, 3.0))
     firmware = instrument.link.firmware

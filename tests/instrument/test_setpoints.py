@@ -11,7 +11,7 @@ from support import connect, softly
 from tissueid import wire
 from tissueid.device import DeviceDescription
 from tissueid.errors import FirmwareFaultError, InstrumentError, LimitError
-from tissueid.instrument import CLINICAL, Limits, ReplayInstrument, SimulatedInstrument
+from tissueid.instrument import CLINICAL, Limits, ReplayInstrument, SimulatedInstrument, driver
 from tissueid.wire import Fault, Flag, MessageType, Result, State
 
 PRELOAD, BLOCK, COUNT = 200, 50, 1000
@@ -283,7 +283,7 @@ def test_the_same_answers_play_the_same_in_process():
 
 
 def test_the_firmware_refuses_what_the_host_let_through(monkeypatch):
-    monkeypatch.setattr("tissueid.instrument.driver.check_command", lambda *_: None)
+    monkeypatch.setattr(driver, "check_command", lambda *_: None)
     instrument = connect("linear-demo")
     begin(instrument, limits=Limits(max_force_n=8.0))
     instrument.send(PRELOAD, np.full(50, 47.0))

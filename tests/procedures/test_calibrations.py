@@ -4,6 +4,7 @@ import json
 from pathlib import Path
 
 import pytest
+import support
 from procedures.same_session import assert_same_session
 from support import LONG_TICK_S, connect_scenario
 
@@ -13,10 +14,12 @@ from tissueid.app.emergency import BY_BUTTON, EmergencyStop
 from tissueid.app.operator_prompts import LiveCalibration, OperatorPrompts
 from tissueid.app.services import AppServices
 from tissueid.audit import AuditLog, AuditTrail, last_lines
-from tissueid.calibration import read_calibration
+from tissueid.calibration import read_calibration, spring_points
 from tissueid.cli import main
 from tissueid.errors import CancelledError
+from tissueid.procedures import static_calibration
 from tissueid.procedures.calibration_plans import DynamicSweepPlan, StaticCalibrationPlan
+from tissueid.procedures.sweep import Sweep
 from tissueid.sessions import read_session
 
 STATIC = ("--steps", "electrical,temperature", "--ambient", "24", "--push-only")
@@ -30,8 +33,8 @@ PLANS = {
 @pytest.fixture
 def spring(monkeypatch):
     """Opens a new device on the calibration spring, the same each time."""
-    monkeypatch.setattr("support.TICK_S", LONG_TICK_S)
-    monkeypatch.setattr("tissueid.calibration.spring_points.GENTLE_S", 0.5)
+    monkeypatch.setattr(support, "TICK_S", LONG_TICK_S)
+    monkeypatch.setattr(spring_points, "GENTLE_S", 0.5)
     for module in ("acquisition.guided", "calibration.spring_points"):
         # The number of polls during other work depends on the computer, and each changes the noise of the device.
         monkeypatch.setattr(f"tissueid.{module}.run_while_polling", lambda _instrument, work, *_: work())
@@ -97,8 +100,8 @@ def test_both_log_a_calibration_that_was_stopped_alike(spring, tmp_path, audit_f
     def poll_until_stopped(*_, **__):
         raise CancelledError("stopped")
 
-    monkeypatch.setattr("tissueid.procedures.static_calibration.calibrate_static", poll_until_stopped)
-    monkeypatch.setattr("tissueid.procedures.sweep.Sweep.run", poll_until_stopped)
+    monkeypatch.setattr(static_calibration, "calibrate_static", poll_until_stopped)
+    monkeypatch.setattr(Sweep, "run", poll_until_stopped)
     assert main(["calibrate", kind, "--device", "spring", "--out", str(tmp_path / "a.toml")]) != 0
     with pytest.raises(CancelledError):
         in_window(kind, tmp_path, spring, audit_file)

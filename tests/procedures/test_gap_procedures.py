@@ -17,6 +17,7 @@ from tissueid.app.views.gap.diagnosis_run import run_diagnosis
 from tissueid.audit import AuditLog, AuditTrail, last_lines
 from tissueid.cli import main
 from tissueid.errors import CancelledError, UnusableInputError
+from tissueid.gap import fit_tasks
 from tissueid.gap.accepting import NamedEffects
 from tissueid.gap.search import SearchProgress, Work
 from tissueid.procedures.accept_effects import accept_effects
@@ -33,7 +34,7 @@ SAMPLES = 3000
 @pytest.fixture(autouse=True)
 def _few_effects(monkeypatch: pytest.MonkeyPatch) -> None:
     everything = catalogue.all_effects()
-    monkeypatch.setattr("tissueid.gap.fit_tasks.all_effects", lambda: {name: everything[name] for name in FEW})
+    monkeypatch.setattr(fit_tasks, "all_effects", lambda: {name: everything[name] for name in FEW})
 
 
 @pytest.fixture(scope="module")
@@ -48,7 +49,7 @@ def shown(session_file: Path) -> DiagnosisResult:
     """The diagnosis as the window makes it."""
     with pytest.MonkeyPatch.context() as patch:
         everything = catalogue.all_effects()
-        patch.setattr("tissueid.gap.fit_tasks.all_effects", lambda: {name: everything[name] for name in FEW})
+        patch.setattr(fit_tasks, "all_effects", lambda: {name: everything[name] for name in FEW})
         return run_diagnosis(DiagnosisPlan(session=session_file), Control(), separate_process=False)
 
 

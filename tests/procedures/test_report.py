@@ -8,6 +8,7 @@ import pytest
 from app.fitted import analyse_once
 from reports.synthetic_sitting import make_session, make_test
 
+from tissueid import analysis
 from tissueid.app.report_opener import write_paper
 from tissueid.app.session_jobs import find
 from tissueid.app.views.clinician.comparing import SittingComparison
@@ -26,7 +27,7 @@ def session_file(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 
 def test_the_same_page(session_file: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch):
-    monkeypatch.setattr("tissueid.analysis.analyse_all", analyse_once)  # a page states how long each fit took
+    monkeypatch.setattr(analysis, "analyse_all", analyse_once)  # a page states how long each fit took
     command, window = tmp_path / "command.html", tmp_path / "window.html"
     assert main(["report", str(session_file), "--out", str(command), "--pdf", str(tmp_path / "command.pdf")]) == 0
     findings = find(session_file)

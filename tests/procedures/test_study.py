@@ -5,6 +5,7 @@ import json
 import os
 import zipfile
 from dataclasses import replace
+from importlib import util
 
 import numpy as np
 import pandas as pd
@@ -15,14 +16,18 @@ from reports.synthetic_sitting import make_session, make_test
 from tissueid.app.views.studies.study_data import load_study
 from tissueid.cli import main
 from tissueid.errors import CancelledError, UnusableInputError
+from tissueid.procedures import study_demo
 from tissueid.procedures.control import Control
 from tissueid.procedures.simulated_population import MATERIALS, population, sample_name, subjects_file
 from tissueid.procedures.study_demo import PopulationPlan, Series, measure_series, run_population
 from tissueid.procedures.study_plans import NOT_ANALYSED_FILE, RESULTS, SUBJECTS_FILE, StudyPlan, StudyReportPlan
 from tissueid.procedures.study_report import report_study
 from tissueid.procedures.study_run import run_study
+from tissueid.procedures.test_run import TestControl
+from tissueid.reports import study_page
 from tissueid.reports.study_page import study_html, write_study_pdf
 from tissueid.sessions import Subject, write_session
+from tissueid.studies import multivariate, repeatability
 from tissueid.studies.study_statistics import study_statistics
 from tissueid.studies.study_table import parameters_of, read_subjects, study_table
 
@@ -30,10 +35,10 @@ from tissueid.studies.study_table import parameters_of, read_subjects, study_tab
 @pytest.fixture(autouse=True)
 def _quick(monkeypatch):
     # Figures, resamples and permutations take most of the time.
-    monkeypatch.setattr("tissueid.reports.study_page.MOST_DRAWN", 1)
-    monkeypatch.setattr("tissueid.reports.study_page.MOST_COMPARED", 1)
-    monkeypatch.setattr("tissueid.studies.repeatability.RESAMPLES", 20)
-    monkeypatch.setattr("tissueid.studies.multivariate.PERMUTATIONS", 3)
+    monkeypatch.setattr(study_page, "MOST_DRAWN", 1)
+    monkeypatch.setattr(study_page, "MOST_COMPARED", 1)
+    monkeypatch.setattr(repeatability, "RESAMPLES", 20)
+    monkeypatch.setattr(multivariate, "PERMUTATIONS", 3)
 
 
 SUBJECTS, SITES, REPEATS = 4, ("arm", "leg"), 2
@@ -431,7 +436,7 @@ def test_addresses_that_cannot_be_used(tmp_path, monkeypatch):
     for url in ("memory://nothing", "nonsense://a"):
         with pytest.raises(UnusableInputError, check=coded("study.no_address")):
             run_study(plan_of(tmp_path / "s", sessions=url), Control())
-    monkeypatch.setattr("importlib.util.find_spec", lambda name: None if name == "fsspec" else True)
+    monkeypatch.setattr(util, "find_spec", lambda name: None if name == "fsspec" else True)
     with pytest.raises(UnusableInputError, check=coded("extra.missing")) as caught:
         run_study(plan_of(tmp_path / "s", sessions="memory://nothing"), Control())
     assert "tissueid[cluster]" in str(caught.value)
@@ -454,7 +459,7 @@ def test_the_simulated_population_has_its_effects_and_one_stimulus(tmp_path):
 
 def test_an_interrupted_population_continues_in_its_own_folder(tmp_path, monkeypatch):
     reported = []
-    monkeypatch.setattr("tissueid.procedures.study_demo.report_study", lambda plan, _control: reported.append(plan))
+    monkeypatch.setattr(study_demo, "report_study", lambda plan, _control: reported.append(plan))
     plan = PopulationPlan(out=tmp_path / "p", subjects=2, repeats=2, seconds=1.0, products=False, workers=1)
 
     class Impatient(Control):
@@ -515,7 +520,7 @@ def test_an_interrupted_series_leaves_no_session(tmp_path, monkeypatch):
         if len(calls) > 600:
             raise KeyboardInterrupt
 
-    monkeypatch.setattr("tissueid.procedures.test_run.TestControl.check", interrupted)
+    monkeypatch.setattr(TestControl, "check", interrupted)
     with pytest.raises(KeyboardInterrupt):
         measure_series(plan, Series(sample_name("latex"), "latex", 1))
     assert not list(tmp_path.iterdir())

@@ -13,6 +13,7 @@ from coded import coded
 from procedures.test_study import fill, plan_of
 
 from tissueid.errors import UnusableInputError
+from tissueid.procedures import cluster as procedures_cluster
 from tissueid.procedures.cluster import ClusterExecutor, plan_executor
 from tissueid.procedures.comparison import ComparePlan, run_comparison
 from tissueid.procedures.control import Control
@@ -113,14 +114,14 @@ def test_a_worker_that_dies_again_and_again_is_one_line():
     ],
 )
 def test_addresses_that_are_refused(tmp_path, monkeypatch, values, code):
-    monkeypatch.setattr("tissueid.procedures.cluster.CONNECT_TIMEOUT_S", 0.2)
+    monkeypatch.setattr(procedures_cluster, "CONNECT_TIMEOUT_S", 0.2)
     plan = FolderPlan(folder=tmp_path, **values)
     with pytest.raises(UnusableInputError, check=coded(code)), plan_executor(None, plan):
         pass
 
 
 def test_a_scheduler_that_takes_the_connection_and_is_silent_is_refused(tmp_path, monkeypatch):
-    monkeypatch.setattr("tissueid.procedures.cluster.CONNECT_TIMEOUT_S", 0.2)
+    monkeypatch.setattr(procedures_cluster, "CONNECT_TIMEOUT_S", 0.2)
     with socket.create_server(("127.0.0.1", 0)) as server:
         plan = FolderPlan(folder=tmp_path, scheduler=f"tcp://127.0.0.1:{server.getsockname()[1]}")
         with pytest.raises(UnusableInputError, check=coded("cluster.no_scheduler")), plan_executor(None, plan):
@@ -153,7 +154,7 @@ def test_a_scheduler_is_reached_by_tls_with_certificates_of_one_authority(tmp_pa
 
 def test_no_scheduler_is_one_line(tmp_path, monkeypatch):
     fill(tmp_path / "s", subjects=1)
-    monkeypatch.setattr("tissueid.procedures.cluster.CONNECT_TIMEOUT_S", 0.2)
+    monkeypatch.setattr(procedures_cluster, "CONNECT_TIMEOUT_S", 0.2)
     with pytest.raises(UnusableInputError) as caught:
         run_study(plan_of(tmp_path / "s", scheduler="tcp://127.0.0.1:9"), Control())
     assert caught.value.message.code == "cluster.no_scheduler"

@@ -13,17 +13,19 @@ from tissueid.procedures.control import Control
 from tissueid.procedures.study_plans import CURVES_FILE, RESULTS, StudyPlan, StudyReportPlan
 from tissueid.procedures.study_report import report_study
 from tissueid.procedures.study_run import run_study
+from tissueid.reports import study_page
 from tissueid.sessions import Subject, write_session
+from tissueid.studies import multivariate, repeatability
 from tissueid.studies.curve_groups import chosen
 from tissueid.studies.sampled_curves import curves_of
 
 
 @pytest.fixture(autouse=True)
 def _quick(monkeypatch):
-    monkeypatch.setattr("tissueid.reports.study_page.MOST_DRAWN", 1)
-    monkeypatch.setattr("tissueid.reports.study_page.MOST_COMPARED", 1)
-    monkeypatch.setattr("tissueid.studies.repeatability.RESAMPLES", 20)
-    monkeypatch.setattr("tissueid.studies.multivariate.PERMUTATIONS", 3)
+    monkeypatch.setattr(study_page, "MOST_DRAWN", 1)
+    monkeypatch.setattr(study_page, "MOST_COMPARED", 1)
+    monkeypatch.setattr(repeatability, "RESAMPLES", 20)
+    monkeypatch.setattr(multivariate, "PERMUTATIONS", 3)
 
 
 @pytest.fixture(scope="module")

@@ -11,6 +11,7 @@ from PIL.PngImagePlugin import PngInfo
 
 from tissueid.cli import main
 from tissueid.errors import CancelledError, UnusableInputError
+from tissueid.procedures import study_subjects
 from tissueid.procedures.control import Control
 from tissueid.procedures.study_plans import SUBJECTS_FILE
 from tissueid.procedures.study_protocol import (
@@ -308,7 +309,7 @@ def test_a_photograph_with_damaged_descriptions_is_refused(tmp_path, data):
 
 
 def test_a_photograph_with_too_many_pixels_is_made_smaller_or_refused(tmp_path, monkeypatch):
-    monkeypatch.setattr("tissueid.procedures.study_subjects._MOST_PIXELS", 20)
+    monkeypatch.setattr(study_subjects, "_MOST_PIXELS", 20)
     (tmp_path / "a.jpg").write_bytes(picture("JPEG"))
     with Image.open(add_photograph(tmp_path / "s", "P01", "arm", tmp_path / "a.jpg")) as smaller:
         assert smaller.size == (4, 2)

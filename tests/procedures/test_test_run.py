@@ -18,6 +18,7 @@ from tissueid.audit import AuditLog, AuditTrail, last_lines
 from tissueid.cli import main
 from tissueid.errors import CancelledError, InstrumentError, LimitError, UnusableInputError
 from tissueid.instrument import SimulatedInstrument
+from tissueid.procedures import test_run
 from tissueid.procedures.test_plan import TestPlan
 from tissueid.procedures.test_run import TestControl, run_test
 from tissueid.sessions import read_session
@@ -142,7 +143,7 @@ def test_both_lower_the_usual_force_to_that_of_the_instrument_and_say_so(tmp_pat
     def handheld(_url):
         return connect_scenario(Scenario(model="handheld", seed=3))
 
-    monkeypatch.setattr("tissueid.procedures.test_run.open_instrument", handheld)
+    monkeypatch.setattr(test_run, "open_instrument", handheld)
     plan = TestPlan(url="x", site="left calf", out=tmp_path / "window.h5", seconds=1.0)
     outcome, control = in_window(plan, audit_file)
     assert [(notice.code, notice.values["force"]) for notice in control.notices] == [("test.force_lowered", 7.8)]

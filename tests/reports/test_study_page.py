@@ -13,6 +13,7 @@ from tissueid.analysis.curves.plot import Axis, Curve, Plot
 from tissueid.analysis.curves.samples import GRIDS, KERNEL2
 from tissueid.device import SIMULATED_LINE
 from tissueid.messages import Verbatim
+from tissueid.reports import study_page
 from tissueid.reports.pdf import PageWriter
 from tissueid.reports.plot_axes import turn_names
 from tissueid.reports.plot_renderer import draw_plot
@@ -200,14 +201,14 @@ def statistics(used):
 
 @pytest.mark.parametrize(("simulated", "words"), [(True, SIMULATED_LINE), (False, None)])
 def test_the_report_says_that_tests_are_simulated(monkeypatch, simulated, words):
-    monkeypatch.setattr("tissueid.reports.study_page.MOST_DRAWN", 0)
+    monkeypatch.setattr(study_page, "MOST_DRAWN", 0)
     page = study_html("Lotion trial", "wiener", statistics(table(simulated=simulated)), {})
     assert (SIMULATED_LINE in page) == (words is not None)
     assert "<h1>Study Lotion trial</h1>" in page
 
 
 def test_the_report_counts_simulated_tests_among_others(monkeypatch):
-    monkeypatch.setattr("tissueid.reports.study_page.MOST_DRAWN", 0)
+    monkeypatch.setattr(study_page, "MOST_DRAWN", 0)
     used = table()
     used.loc[0, "simulated"] = False
     assert f"{len(used) - 1} of {len(used)} tests are simulated" in study_html("A", "wiener", statistics(used), {})

@@ -6,9 +6,11 @@ from support import LoopbackLink
 
 from firmware_sim.bench import Bench
 from firmware_sim.firmware import WATCHDOG_S, Firmware
+from firmware_sim.guard import Guard
 from firmware_sim.kernel import TEMPERATURE
 from tissueid.errors import TissueIDError
 from tissueid.instrument import Limits, SerialInstrument
+from tissueid.instrument.sample_monitor import SampleMonitor
 from tissueid.wire import Fault, Flag
 
 RATE = 2000
@@ -33,12 +35,12 @@ def without_host(monkeypatch: pytest.MonkeyPatch) -> None:
         "sample_monitor.SampleMonitor.check",
     ):
         monkeypatch.setattr(f"tissueid.instrument.{name}", lambda *_: None)
-    monkeypatch.setattr("tissueid.instrument.sample_monitor.SampleMonitor.arm", lambda *_: None)
+    monkeypatch.setattr(SampleMonitor, "arm", lambda *_: None)
 
 
 def without_firmware(monkeypatch: pytest.MonkeyPatch) -> None:
     """A firmware that agrees to any limits and trips on none. Its watchdog is switched off by ``watchdog_s``."""
-    monkeypatch.setattr("firmware_sim.guard.Guard.judge", lambda *_: (0, Fault.NONE))
+    monkeypatch.setattr(Guard, "judge", lambda *_: (0, Fault.NONE))
     for name in ("within", "permits"):
         monkeypatch.setattr(f"firmware_sim.limits.ArmedLimits.{name}", lambda *_: True)
 

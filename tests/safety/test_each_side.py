@@ -20,9 +20,11 @@ from safety.rigs import (
 
 from firmware_sim.bench import Bench
 from firmware_sim.plant import PlantParameters
+from firmware_sim.thermal import WindingModel
 from tissueid.errors import FirmwareFaultError, InstrumentError, LimitError, LinkLostError
 from tissueid.instrument import Limits
 from tissueid.instrument.replies import describe_faults
+from tissueid.instrument.thermal import WindingTemperature
 from tissueid.wire import Fault, State
 
 SHORTED = PlantParameters(resistance_ohm=8.0)
@@ -184,7 +186,7 @@ WARM = replace(WIDE, max_temperature_c=60.0)
 
 def test_the_firmware_alone_goes_by_the_temperature_sensor(monkeypatch):
     without_host(monkeypatch)
-    monkeypatch.setattr("firmware_sim.thermal.WindingModel.advance", lambda *_: None)
+    monkeypatch.setattr(WindingModel, "advance", lambda *_: None)
     instrument = rig()
     samples, _, error = run_until_it_ends(instrument, HOT, WARM)
     assert instrument.link.firmware.faults == Fault.OVER_TEMPERATURE
@@ -195,7 +197,7 @@ def test_the_firmware_alone_goes_by_the_temperature_sensor(monkeypatch):
 
 def test_the_host_alone_goes_by_the_temperature_sensor(monkeypatch):
     without_firmware(monkeypatch)
-    monkeypatch.setattr("tissueid.instrument.thermal.WindingTemperature.take", lambda *_: None)
+    monkeypatch.setattr(WindingTemperature, "take", lambda *_: None)
     instrument = rig(watchdog_s=1e9)
     samples, _, error = run_until_it_ends(instrument, HOT, WARM)
     assert isinstance(error, LimitError)

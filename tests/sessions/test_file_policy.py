@@ -12,7 +12,7 @@ from tests.coded import coded
 from tests.sessions.hostile import a_session
 from tissueid.errors import SessionFormatError
 from tissueid.messages import code_of
-from tissueid.sessions import read_outline, read_own_session
+from tissueid.sessions import hdf5_members, read_outline, read_own_session
 from tissueid.sessions.file_policy import session_files
 from tissueid.untrusted_input import MAX_FILE_BYTES
 
@@ -46,7 +46,7 @@ def test_a_sparse_file_is_refused_before_it_is_parsed(sparse, size, code, monkey
         pytest.skip("this file system does not count blocks")
     for read in (read_outline, read_own_session):
         with monkeypatch.context() as patch, pytest.raises(SessionFormatError, check=coded(code, path=str(path))):
-            patch.setattr("tissueid.sessions.hdf5_members.check_heaps", pytest.fail)
+            patch.setattr(hdf5_members, "check_heaps", pytest.fail)
             read(path)
 
 

@@ -6,6 +6,7 @@ import pytest
 from scipy.stats import binomtest
 from studies.generated_tables import generated_table
 
+from tissueid.studies import repeatability
 from tissueid.studies.multivariate import partial_least_squares
 from tissueid.studies.study_statistics import study_statistics
 
@@ -17,7 +18,7 @@ EFFECTS = {"gender": 0.2, "bmi": 0.02, "lotion": -0.05, "first": 0.02, "site": 0
 @pytest.fixture(autouse=True)
 def _only_what_is_counted(monkeypatch):
     # Bootstrap intervals and least squares of every site take most of the time and are not counted here.
-    monkeypatch.setattr("tissueid.studies.repeatability.RESAMPLES", 20)
+    monkeypatch.setattr(repeatability, "RESAMPLES", 20)
     monkeypatch.setattr(f"{STATISTICS}.partial_least_squares", lambda *_: pd.DataFrame())
 
 

@@ -6,6 +6,7 @@ import pytest
 from scipy import stats
 from studies.generated_tables import generated_table
 
+from tissueid.studies import multivariate, repeatability
 from tissueid.studies.group_comparison import one_way
 from tissueid.studies.sample_size import participants
 from tissueid.studies.study_statistics import study_statistics
@@ -72,8 +73,8 @@ def test_participants_of_table_7_3c_are_standardised_differences():
 
 
 def test_a_study_of_the_same_sites_and_parameters_stands_beside_the_thesis(monkeypatch):
-    monkeypatch.setattr("tissueid.studies.repeatability.RESAMPLES", 20)
-    monkeypatch.setattr("tissueid.studies.multivariate.PERMUTATIONS", 3)
+    monkeypatch.setattr(repeatability, "RESAMPLES", 20)
+    monkeypatch.setattr(multivariate, "PERMUTATIONS", 3)
     table = generated_table(1, names=THESIS_SIX, repeats=2, subjects=10).assign(handedness="right")
     found = study_statistics(table)
     assert set(found.thesis) >= {"7.1", "7.2", "7.3a", "7.3c", "7.4"}

@@ -5,6 +5,7 @@ import pandas as pd
 import pytest
 from studies.generated_tables import SITES, generated_table
 
+from tissueid.studies import multivariate, repeatability
 from tissueid.studies.repeatability import absolute_agreement, reliability
 from tissueid.studies.study_statistics import study_statistics
 from tissueid.studies.study_table import as_json_rows, study_table
@@ -13,8 +14,8 @@ from tissueid.studies.usable_tests import usable_tests
 
 @pytest.fixture(autouse=True)
 def _quick(monkeypatch):
-    monkeypatch.setattr("tissueid.studies.repeatability.RESAMPLES", 20)
-    monkeypatch.setattr("tissueid.studies.multivariate.PERMUTATIONS", 3)
+    monkeypatch.setattr(repeatability, "RESAMPLES", 20)
+    monkeypatch.setattr(multivariate, "PERMUTATIONS", 3)
 
 
 def codes(found):

@@ -16,12 +16,14 @@ from PySide6.QtCore import Qt
 from PySide6.QtWidgets import QFileDialog
 
 from tissueid.app.user_files import stamp_of
+from tissueid.app.views.gap import view
 from tissueid.app.views.gap.diagnosis_result import new_key
 from tissueid.app.views.gap.diagnosis_run import result_of
 from tissueid.app.views.gap.diagnosis_store import MOST_KEPT, default_folder, keep, read_kept
 from tissueid.app.views.gap.displayed_text import STATE_TITLES, as_title
 from tissueid.app.views.gap.effect_dialog import EffectDialog
 from tissueid.errors import UnusableInputError
+from tissueid.gap import fit_tasks
 from tissueid.gap.diagnosis import diagnose
 from tissueid.gap.preparation import prepare
 from tissueid.gap.workers import SerialExecutor
@@ -115,7 +117,7 @@ def test_a_diagnosis_is_there_at_the_next_start_with_headline_odds_chain_and_cur
     qtbot, shown, friction, monkeypatch
 ):
     every = all_effects()
-    monkeypatch.setattr("tissueid.gap.fit_tasks.all_effects", lambda: {name: every[name] for name in FEW})
+    monkeypatch.setattr(fit_tasks, "all_effects", lambda: {name: every[name] for name in FEW})
     window, page = shown()
     press(qtbot, page.asking.run)
     idle(qtbot, window)
@@ -174,9 +176,7 @@ def test_a_changed_session_is_marked_and_diagnosed_again_by_a_button(qtbot, show
     assert page.result.headline.property("level") == "check"
     assert not page.result.accept.isVisible()
     asked = []
-    monkeypatch.setattr(
-        "tissueid.app.views.gap.view.run_diagnosis", lambda what, *_args, **_options: asked.append(what)
-    )
+    monkeypatch.setattr(view, "run_diagnosis", lambda what, *_args, **_options: asked.append(what))
     press(qtbot, page.result.again)
     idle(qtbot, window)
     assert [(item.session, item.fit, item.check) for item in asked] == [(friction, (1,), (1,))]
@@ -324,7 +324,7 @@ def test_a_damaged_file_costs_one_line_and_no_other_diagnosis(shown, diagnosed, 
 def test_what_cannot_be_kept_is_said_and_the_diagnosis_is_shown_all_the_same(qtbot, shown, diagnosed, monkeypatch):
     default_folder().parent.mkdir(exist_ok=True)
     default_folder().write_text("a file where the folder should be")
-    monkeypatch.setattr("tissueid.app.views.gap.view.run_diagnosis", lambda *_args, **_options: diagnosed)
+    monkeypatch.setattr(view, "run_diagnosis", lambda *_args, **_options: diagnosed)
     window, page = shown()
     press(qtbot, page.asking.run)
     idle(qtbot, window)

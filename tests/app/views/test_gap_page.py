@@ -26,6 +26,7 @@ from tissueid.app.views.gap.request_panel import RequestPanel
 from tissueid.app.words import sentence
 from tissueid.audit import AuditLog, last_lines
 from tissueid.device import DeviceDescription
+from tissueid.gap import fit_tasks
 from tissueid.gap.candidate_tests import candidate_tests
 from tissueid.gap.next_experiment import NextExperiment, settings_of
 from tissueid.instrument import open_instrument
@@ -51,7 +52,7 @@ SAMPLES = 3000
 @pytest.fixture(autouse=True)
 def _few_effects(monkeypatch):
     everything = shelf.all_effects()
-    monkeypatch.setattr("tissueid.gap.fit_tasks.all_effects", lambda: {name: everything[name] for name in FEW})
+    monkeypatch.setattr(fit_tasks, "all_effects", lambda: {name: everything[name] for name in FEW})
 
 
 def press(qtbot, widget):
