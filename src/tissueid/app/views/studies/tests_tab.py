@@ -252,7 +252,7 @@ _ROW, _LEAST = 22, 96
 _MEASURED = 60
 """Rows that are looked at for the width of a column."""
 _WIDEST = 240
-_FILTERS_IN_A_ROW = 620
+_FILTERS_IN_A_ROW = 720
 _MOST_SPANS = 300
 
 
