@@ -93,13 +93,13 @@ from tissueid.gap.preparation import prepare
 from tissueid.gap.workers import SerialExecutor
 from tissueid.sessions import Session, Test
 from tissueid.twin.catalogue import effect
-from tissueid.twin.chain_parameters import Instrument, Tissue
+from tissueid.twin.chain_parameters import InstrumentParameters, Tissue
 from tissueid.twin.simulation import ActiveEffect, Start, simulate
 
 random = np.random.default_rng(5)
 command = 14.0 + 14.0 * np.convolve(random.uniform(-1, 1, 2000), np.ones(5) / 5, "same")
 acting = [ActiveEffect(effect("stray_magnet"), np.array([1.0, 0.0129]))]
-chain = Instrument(weight_n=0.0), Tissue(0.010), Start(14.0 / 12.0, 0.010)
+chain = InstrumentParameters(weight_n=0.0), Tissue(0.010), Start(14.0 / 12.0, 0.010)
 read = simulate(command, 2000.0, *chain, acting).readings
 noise = random.standard_normal((3, command.size))
 signals = {

@@ -29,14 +29,13 @@ INTRODUCTION = (
     "",
     "A number: the test was aborted; time in ms from the start of the fault until the coil was released. `goes on`:",
     "the test was completed; lost samples are marked as not received. In every cell the coil stayed within its limits,",
-    "all recorded samples are in the session as measured, the message is one line that says what to do, and after the",
-    "fault the same program opened the instrument again and completed a test. All combinations were tested.",
+    "all recorded samples are in the session, the message is one line that says what to do, and after the fault the",
+    "same program opened the instrument again and completed a test.",
     "",
-    "A lasting fault that begins while nothing is played takes effect in the next test, and the time counts from the",
-    "start of that test. Under a constant force the probe does not move, and a frozen sensor cannot be detected: in",
-    "`preload`, `checking` and `calibrating` it is detected when the force changes. With a frozen temperature sensor",
-    "the test continues under the thermal models of both sides. A host that receives nothing sends no heartbeat, so",
-    "that the watchdog releases the coil before the host ends the test after 1 s.",
+    "A lasting fault that begins while nothing is played counts from the start of the next test. Under a constant",
+    "force a frozen sensor cannot be detected: in `preload`, `checking` and `calibrating` it is detected when the",
+    "force changes. With a frozen temperature sensor the test continues under the thermal models of both sides. A host",
+    "that receives nothing sends no heartbeat, so the watchdog releases the coil before the host ends the test.",
     "",
 )
 
@@ -73,13 +72,15 @@ def table(found: dict[tuple[str, str], Outcome]) -> str:
     ]
     lines += ["", "| fault with which the test goes on in every state | most samples lost |", "| --- | --- |"]
     lines += [f"| {name} | {max(found[name, state].lost_samples for state in STATES)} |" for name in tolerated]
-    lines += ["", "| state | |", "| --- | --- |"]
-    lines += [f"| {name} | {standing.what} |" for name, standing in STATES.items()]
-    lines += ["", "| fault | message |", "| --- | --- |"]
+    lines += ["", "States: " + "; ".join(f"*{name}*, {standing.what}" for name, standing in STATES.items()) + "."]
+    faults: dict[str, dict[str, None]] = {}
     for name in ORDEALS:
-        said = dict.fromkeys(item.message for state in STATES if (item := found[name, state]).message is not None)
-        if said:
-            lines.append(f"| {name} | {'<br>'.join(said).replace('loopback', 'PORT')} |")
+        for state in STATES:
+            message = found[name, state].message
+            if message is not None:
+                faults.setdefault(message.replace("loopback", "PORT"), {})[name] = None
+    lines += ["", "| message | faults |", "| --- | --- |"]
+    lines += [f"| {message} | {', '.join(names)} |" for message, names in faults.items()]
     worst = max(item.wait_s for item in found.values())
     lines += ["", f"Longest time that the host waited before it continued or aborted: {worst:.2f} s."]
     return "\n".join(lines)
