@@ -109,6 +109,11 @@ def number(value: float | None, digits: int = 4) -> str:
     return decimal(signed(_trimmed(f"{round(value, decimals):.{max(0, decimals)}f}")))
 
 
+def share_text(share: float) -> str:
+    """Return a share in percent with three digits; a word where it is unknown."""
+    return f"{number(100.0 * share, 3)} %" if math.isfinite(share) else _("unknown")
+
+
 def superscript(exponent: int) -> str:
     """Return an exponent in superscript digits."""
     return str(exponent).translate(_SUPERSCRIPT)

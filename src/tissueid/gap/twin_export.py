@@ -62,6 +62,11 @@ def twin_of(candidate: Candidate, name: str, version: int = 1) -> NamedTwin:
     )
 
 
+def stds_of(candidate: Candidate) -> dict[str, float]:
+    """Return the standard deviations of a fitted twin's parameters; none for a bare record of input and output."""
+    return {} if candidate.fit.parameters.dataset.equivalent is not None else twin_of(candidate, "").stds
+
+
 def _unmodelled(fitted: Fit) -> dict[str, float]:
     # The larger error of both held-out parts: in a later session each of them alone can show a gap, and a rare event,
     # such as lift-off, can be absent from one. Effects' own irreducible errors are part of the twin already.

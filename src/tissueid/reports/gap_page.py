@@ -9,8 +9,7 @@ from pathlib import Path
 import numpy as np
 from matplotlib.figure import FigureBase
 
-from tissueid.errors import UnusableInputError
-from tissueid.formatting import fixed, label_and_unit, number, subject_text, with_unit
+from tissueid.formatting import fixed, label_and_unit, number, share_text, subject_text, with_unit
 from tissueid.gap.diagnosis import Diagnosis, Ranked, effect_in, parameters_of
 from tissueid.gap.diagnosis_plots import history_plot
 from tissueid.gap.history import GapHistory, GapHistoryEntry, history_headline
@@ -24,7 +23,7 @@ from tissueid.gap.statement import (
     sentences_of,
     shown_probability,
 )
-from tissueid.gap.twin_export import twin_of
+from tissueid.gap.twin_export import stds_of
 from tissueid.instrument.twin_file import TwinFile
 from tissueid.language import _, marked
 from tissueid.messages import MISSING, Message, joined, translated
@@ -122,10 +121,7 @@ def _limits(found: Diagnosis, called: Callable[[str], str]) -> Table:
 def _parameters(best: Candidate, name: str, words: str) -> Table | None:
     values = parameters_of(best, name)
     known = {item.name: item for item in effect_in(best, name).parameters}
-    try:
-        stds = twin_of(best, "twin").stds
-    except UnusableInputError:
-        stds = {}  # a bare record of input and output makes no twin
+    stds = stds_of(best)
     rows = []
     for key, value in values.items():
         unit, scale = display_unit("" if known[key].unit == "1" else known[key].unit)
@@ -232,10 +228,10 @@ def _kind(kind: str) -> str:
 def _numbers(found: Diagnosis) -> Iterator[tuple[str, str, str]]:
     """Label, value and note."""
     gap = found.gap
-    yield _("Gap before"), _share(gap.before), _("error over the signal's deviation, on data held out")
+    yield _("Gap before"), share_text(gap.before), _("error over the signal's deviation, on data held out")
     if found.verdict != "no_gap":
-        yield _("Gap after"), _share(gap.after), _("with the leading explanation added")
-    yield _("Noise alone"), _share(gap.floor), _("what the sensors' noise alone leaves")
+        yield _("Gap after"), share_text(gap.after), _("with the leading explanation added")
+    yield _("Noise alone"), share_text(gap.floor), _("what the sensors' noise alone leaves")
     if found.verdict != "no_gap" and np.isfinite(gap.closed):
         note = f"95 %: {_interval(gap.closed_ci)}" if _interval(gap.closed_ci) else _("of what noise does not explain")
         chosen_by = translated(
@@ -246,10 +242,6 @@ def _numbers(found: Diagnosis) -> Iterator[tuple[str, str, str]]:
             )
         )
         yield _("Closed"), _percent(gap.closed), note + (chosen_by if np.isfinite(gap.predicted_closed) else "")
-
-
-def _share(value: float) -> str:
-    return f"{number(100.0 * value, 3)} %" if np.isfinite(value) else _("unknown")
 
 
 def _findings(found: Diagnosis) -> Table | None:

@@ -27,7 +27,7 @@ from tissueid.gap.statement import (
     sentences_of,
     shown_probability,
 )
-from tissueid.gap.twin_export import twin_of
+from tissueid.gap.twin_export import stds_of
 from tissueid.language import marked
 from tissueid.messages import MISSING, Listing, Message, sentences
 from tissueid.records import Estimate
@@ -162,11 +162,7 @@ def _closed(found: Diagnosis, item: Ranked) -> str:
 def _figures(found: Diagnosis, item: Ranked) -> tuple[Fitted, ...]:
     values, stds = item.parameters, {}
     if item.effect in found.combination and found.best is not None:
-        values = parameters_of(found.best, item.effect)
-        try:
-            stds = twin_of(found.best, "").stds
-        except UnusableInputError:
-            stds = {}
+        values, stds = parameters_of(found.best, item.effect), stds_of(found.best)
     known = all_effects().get(item.effect)
     about: dict[str, Any] = {} if known is None else {parameter.name: parameter for parameter in known.parameters}
     rows = []

@@ -29,7 +29,7 @@ from tissueid.app.plot_canvas import PlotCanvas
 from tissueid.app.small_window import FoldingBox
 from tissueid.app.theme import appearance, faint
 from tissueid.app.views.gap.displayed_text import STAGE_TITLES, as_sentence, as_title
-from tissueid.formatting import number, plus_minus, with_unit
+from tissueid.formatting import plus_minus, share_text, with_unit
 from tissueid.language import _, marked
 from tissueid.messages import Message, translated
 from tissueid.units import shown_si
@@ -326,10 +326,10 @@ class _GapBars(QWidget):
     def show_rows(self, rows: tuple[BudgetRow, ...]) -> None:
         """Show the rows from top to bottom."""
         self._rows = rows
-        values = ", ".join(f"{translated(row.name)} {_percent(row.high - row.low)}" for row in rows)
+        values = ", ".join(f"{translated(row.name)} {share_text(row.high - row.low)}" for row in rows)
         build.styled(
             self,
-            tip="\n".join(f"{translated(row.name)}: {_percent(row.high - row.low)}" for row in rows),
+            tip="\n".join(f"{translated(row.name)}: {share_text(row.high - row.low)}" for row in rows),
             name=_("Gap: {values}").format(values=values),
         )
         self._fit()
@@ -373,11 +373,7 @@ class _GapBars(QWidget):
             bar = QRectF(begin + left, top + below + 4, width, 14)
             painter.fillRect(bar, QColor(getattr(appearance.theme, row.role)))
             figure = QRectF(bar.right() + 6, top + below, _FIGURE, _BAR_LINE)
-            painter.drawText(figure, Qt.AlignmentFlag.AlignVCenter, _percent(row.high - row.low))
-
-
-def _percent(share: float) -> str:
-    return f"{number(100.0 * share, 3)} %" if np.isfinite(share) else _("unknown")
+            painter.drawText(figure, Qt.AlignmentFlag.AlignVCenter, share_text(row.high - row.low))
 
 
 _NONE = {
