@@ -14,9 +14,6 @@ from collections.abc import Callable
 from importlib.metadata import entry_points
 from typing import Any, Generic, TypeVar
 
-from tissueid.errors import UnusableInputError
-from tissueid.messages import Listing, Verbatim
-
 T = TypeVar("T")
 
 _NAME = re.compile(r"[A-Za-z][A-Za-z0-9_]{0,63}")
@@ -67,6 +64,9 @@ class Registry(Generic[T]):
         """
         names = self.names()
         if name not in self.members:
+            from tissueid.errors import UnusableInputError  # not at the start of a command, which they would delay
+            from tissueid.messages import Listing, Verbatim
+
             raise UnusableInputError(
                 "registry.unknown_name",
                 "there is no {what} '{name}': choose one of {names}",

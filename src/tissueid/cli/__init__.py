@@ -18,11 +18,8 @@ from typer.core import TyperGroup
 from typer.exceptions import Abort, TyperException
 from typer.main import get_group
 
-from tissueid.atomic_write import private_folder, write_private
 from tissueid.cli.commands import app
 from tissueid.cli.streams import FLUSH_TIMEOUT_S, unblocked_streams
-from tissueid.errors import CancelledError, TissueIDError
-from tissueid.extras import EXTRAS, missing_package
 
 INTERRUPTED = 130
 """Exit status after an interrupt, as shells define it."""
@@ -62,25 +59,29 @@ def _run(arguments: Sequence[str] | None) -> int:
             status = _commands()(
                 args=None if arguments is None else list(arguments), prog_name="tissueid", standalone_mode=False
             )
-    except CancelledError as error:
-        return _fail(str(error), INTERRUPTED)
-    except TissueIDError as error:
-        return _fail(str(error), 2)
-    except TyperException as error:
-        return _fail(f"{error.format_message()} (see --help)", 2)
-    except OSError as error:
-        where = f"{error.filename}: " if error.filename else ""
-        return _fail(f"{where}{error.strerror or error}", 2)
-    except ModuleNotFoundError as error:
-        package = (error.name or "").partition(".")[0]
-        return _fail(str(missing_package(package)), 2) if package in EXTRAS else _report_defect()
     except (KeyboardInterrupt, Abort):
         status = INTERRUPTED
-    except Exception:  # noqa: BLE001 - anything else is a defect
-        return _report_defect()
+    except Exception as error:  # noqa: BLE001 - any other error is a defect
+        return _failed(error)
     if status == INTERRUPTED:  # Typer converts some interrupts to this status
         return _fail("interrupted; recorded data is kept and no file is incomplete", INTERRUPTED)
     return status if isinstance(status, int) else 0
+
+
+def _failed(error: Exception) -> int:
+    """Print what went wrong and return the exit status; called where the error is handled."""
+    from tissueid.errors import CancelledError, TissueIDError  # not at the start, which they would delay
+    from tissueid.extras import EXTRAS, missing_package
+
+    if isinstance(error, TissueIDError):
+        return _fail(str(error), INTERRUPTED if isinstance(error, CancelledError) else 2)
+    if isinstance(error, TyperException):
+        return _fail(f"{error.format_message()} (see --help)", 2)
+    if isinstance(error, OSError):
+        where = f"{error.filename}: " if error.filename else ""
+        return _fail(f"{where}{error.strerror or error}", 2)
+    package = (error.name or "").partition(".")[0] if isinstance(error, ModuleNotFoundError) else ""
+    return _fail(str(missing_package(package)), 2) if package in EXTRAS else _report_defect()
 
 
 @cache
@@ -138,6 +139,8 @@ def _report_defect() -> int:
 def _keep_traceback() -> Path:
     """Write the traceback to the log folder and return the file."""
     from platformdirs import user_log_path
+
+    from tissueid.atomic_write import private_folder, write_private
 
     path = private_folder(user_log_path("tissueid", appauthor=False)) / "last-defect.txt"
     write_private(path, traceback.format_exc())

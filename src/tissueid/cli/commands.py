@@ -8,7 +8,6 @@ from typing import Annotated
 import typer
 
 from tissueid.cli.lazy_command import add_command
-from tissueid.errors import UnusableInputError
 from tissueid.plugins import load_plugins
 from tissueid.version import SOFTWARE
 
@@ -43,6 +42,7 @@ def _set_role(role: str) -> None:
         UnusableInputError: the role is unknown.
     """
     from tissueid.audit import ROLE_ENVIRONMENT, ROLES
+    from tissueid.errors import UnusableInputError
 
     if role.strip().lower() not in ROLES:
         raise UnusableInputError(f"--role must be {' or '.join(ROLES)}, got {role!r}")
