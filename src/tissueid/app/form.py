@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Mapping
 from datetime import datetime
+from functools import partial
 from itertools import pairwise
 from pathlib import Path
 from typing import Any
@@ -66,6 +67,7 @@ _UNDER_PROBE = {
     "spring": marked("Calibration spring"),
     "free_air": marked("Nothing: free air"),
 }
+_USUAL_DISTRIBUTION = Noise.model_fields["distribution"].default
 _MOST_REPEATS = 20
 _MOST_MINUTES = 1e6
 _MINUTES_WIDTH = 96
@@ -170,7 +172,7 @@ class PlanForm(QWidget):
         self.path.textEdited.connect(self.take_own_path)
         self.path.editingFinished.connect(self._name_by_date)
         self.browse.clicked.connect(self._choose_path)
-        self.limits.setCurrentIndex(self.limits.findData("clinical"))
+        _select(self.limits, "clinical")
         self._apply_limits()
         self.renew_path()
 
@@ -243,15 +245,15 @@ class PlanForm(QWidget):
             "condition": self.product.setText,
             "minutes_since_application": self.minutes.give,
             "preset": self._fill_preset,
-            "limits": lambda name: self.limits.setCurrentIndex(self.limits.findData(name)),
-            "distribution": lambda name: self.distribution.setCurrentIndex(self.distribution.findData(name)),
+            "limits": partial(_select, self.limits),
+            "distribution": partial(_select, self.distribution),
             "min_force_n": self.min_force.setValue,
             "max_force_n": self.max_force.setValue,
             "seconds": self.seconds.setValue,
             "seed": self.seed.setValue,
             "stimulus_kind": self.stimulus.fill,
             "repeats": self.repeats.setValue,
-            "under_probe": lambda name: self.under_probe.setCurrentIndex(self.under_probe.findData(name)),
+            "under_probe": partial(_select, self.under_probe),
         }
         if settings := {name: value for name, value in values.items() if name not in fields}:
             self.set_up.choose(**settings)
@@ -308,25 +310,18 @@ class PlanForm(QWidget):
         self.fold.setToolButtonStyle(Qt.ToolButtonStyle.ToolButtonTextBesideIcon)
         self.summary = styled(QLabel(), role="field")
         self.summary.setWordWrap(True)
-        self.distribution = QComboBox()
-        for name in DISTRIBUTIONS:
-            self.distribution.addItem(_(_CALLED.get(name, name.capitalize())), name)
-        self.distribution.setCurrentIndex(self.distribution.findData(Noise.model_fields["distribution"].default))
-        self.min_force = _number(" N", -15.0, 14.5, 0.5, USUAL_FORCE_N[0])
-        self.min_force.setToolTip(_("Below zero the coil pulls: tissue that is not attached to the probe is left"))
+        self.distribution = _choice({name: _CALLED.get(name, name.capitalize()) for name in DISTRIBUTIONS})
+        _select(self.distribution, _USUAL_DISTRIBUTION)
+        pulls = _("Below zero the coil pulls: tissue that is not attached to the probe is left")
+        self.min_force = styled(_number(" N", -15.0, 14.5, 0.5, USUAL_FORCE_N[0]), tip=pulls)
         self.max_force = _number(" N", 0.5, 15.0, 0.5, USUAL_FORCE_N[1])
         self.seconds = _number(" s", *SECONDS, 1.0, USUAL_SECONDS)
-        self.seed = WholeNumberField()
-        self.seed.setRange(0, _MOST_SEED)
-        self.seed.setValue(USUAL_SEED)
-        self.repeats = WholeNumberField()
-        self.repeats.setRange(1, _MOST_REPEATS)
-        self.repeats.setToolTip(_("Tests one after another, in one session file"))
-        self.rest = _number(" s", 0.0, 600.0, 10.0, 0.0)
-        self.rest.setToolTip(_("Pause between the tests, to cool the coil"))
-        self.under_probe = QComboBox()
-        for name, title in _UNDER_PROBE.items():
-            self.under_probe.addItem(_(title), name)
+        self.seed = styled(WholeNumberField(), range=(0, _MOST_SEED), value=USUAL_SEED)
+        after = _("Tests one after another, in one session file")
+        self.repeats = styled(WholeNumberField(), range=(1, _MOST_REPEATS), tip=after)
+        pause = _("Pause between the tests, to cool the coil")
+        self.rest = styled(_number(" s", 0.0, 600.0, 10.0, 0.0), tip=pause)
+        self.under_probe = _choice(_UNDER_PROBE)
         self.stimulus = StimulusForm()
         self.settings = QWidget()
         grid = QGridLayout()
@@ -430,7 +425,7 @@ class PlanForm(QWidget):
             return
         self.stimulus.fill(preset.kind, dict(preset.options))
         self.stimulus.stop_when.clear()
-        self.distribution.setCurrentIndex(self.distribution.findData(Noise.model_fields["distribution"].default))
+        _select(self.distribution, _USUAL_DISTRIBUTION)
         self.min_force.setValue(preset.force_n[0])
         self.seconds.setValue(preset.seconds)
         self._own_force, self._usual_force_n = not preset.lowered, preset.force_n[1]
@@ -445,7 +440,7 @@ class PlanForm(QWidget):
             most = min(preset.force_n[1], self.max_force.maximum()) if preset.lowered else preset.force_n[1]
             fields = (self.min_force.value(), self.max_force.value(), self.seconds.value())
             if self.stimulus.chosen == preset.kind and fields == (preset.force_n[0], most, preset.seconds):
-                usual = self.distribution.currentData() == Noise.model_fields["distribution"].default
+                usual = self.distribution.currentData() == _USUAL_DISTRIBUTION
                 if self.stimulus.changed_options() == dict(preset.options) and (usual or preset.kind != Noise.name):
                     return preset
         return None
@@ -544,11 +539,16 @@ def _add(layout: QVBoxLayout, name: str, field: QWidget | QLayout, *, focus: QWi
     return named
 
 
+def _choice(titles: Mapping[str, str]) -> QComboBox:
+    combo = QComboBox()
+    for name, title in titles.items():
+        combo.addItem(_(title), name)
+    return combo
+
+
+def _select(choice: QComboBox, name: str) -> None:
+    choice.setCurrentIndex(choice.findData(name))
+
+
 def _number(unit: str, low: float, high: float, step: float, value: float) -> NumberField:
-    spin = NumberField()
-    spin.setSuffix(unit)
-    spin.setDecimals(2)
-    spin.setRange(low, high)
-    spin.setSingleStep(step)
-    spin.setValue(value)
-    return spin
+    return styled(NumberField(), suffix=unit, decimals=2, range=(low, high), single_step=step, value=value)

@@ -182,7 +182,8 @@ class Test:
 _ATTRIBUTES = tuple(f.name for f in fields(Test) if f.name not in ("number", "signals", "notes", "units"))
 
 
-def attribute_types() -> dict[str, Any]:
+@cache
+def attribute_types() -> Mapping[str, Any]:
     """Return the type of each attribute of a test in a file, by name; notes are further attributes."""
     types = get_type_hints(Test)
     return {name: types[name] for name in _ATTRIBUTES}
