@@ -71,6 +71,10 @@ SIZES = [
     (1093, 614 - FRAME),  # 1366x768 at 125 %
     (1440, 900 - FRAME),
 ]
+QUICK = SIZES[0], SIZES[-1]
+SIZES_IN_TURN = pytest.mark.parametrize(
+    "sizes", [QUICK, pytest.param(SIZES[1:-1], marks=pytest.mark.soak)], ids=["smallest and largest", "between"]
+)
 CONTROLS = (QAbstractButton, QAbstractSpinBox, QComboBox, QLineEdit, QAbstractScrollArea, QTabBar)
 SLACK = 2
 """Pixels by which a frame may be overlapped or left."""
@@ -468,9 +472,10 @@ STATES = [
 
 @pytest.mark.parametrize("state", STATES)
 @pytest.mark.parametrize("language", LANGUAGES)
-def test_everything_fits_or_scrolls_at_every_size(in_state, language, state):
+@SIZES_IN_TURN
+def test_everything_fits_or_scrolls_at_every_size(in_state, language, state, sizes):
     window = in_state(language, state)
-    for size in SIZES:
+    for size in sizes:
         window.resize(*size)
         settle()
         try:

@@ -4,11 +4,12 @@ import json
 import socket
 import subprocess
 import sys
+import threading
 
 import numpy as np
 import pytest
 from coded import coded
-from firmware_sim_process import firmware_process
+from firmware_sim_process import firmware_process, firmware_thread
 
 from firmware_sim.__main__ import main
 from firmware_sim.bench import Bench
@@ -85,11 +86,9 @@ def test_a_killed_firmware_is_a_lost_link(cable):
         ("wrong_version_frames", ProtocolVersionError, "protocol 2"),
     ],
 )
-def test_planned_faults_happen(tmp_path, kind, error, words):
-    scenario = tmp_path / "scenario.toml"
-    scenario.write_text(f'speed = 4.0\n[[faults]]\nkind = "{kind}"\nafter_start_s = 0.5\n')
-    with firmware_process(CABLES[0], "--scenario", str(scenario)) as (url, _):
-        instrument = SerialInstrument(SerialLink(url))
+def test_planned_faults_happen(kind, error, words):
+    with firmware_thread(CABLES[0], speed=4.0, faults=[{"kind": kind, "after_start_s": 0.5}]) as port:
+        instrument = SerialInstrument(SerialLink(port.url))
         start_run(instrument)
         with pytest.raises(error, match=words):
             stream(instrument, 100_000)
@@ -97,32 +96,29 @@ def test_planned_faults_happen(tmp_path, kind, error, words):
 
 
 @pytest.mark.parametrize("cable", CABLES)
-def test_a_cable_that_is_put_back_can_be_opened_again(tmp_path, cable):
-    scenario = tmp_path / "scenario.toml"
-    scenario.write_text(
-        'speed = 4.0\n[[faults]]\nkind = "unplug"\nin_state = "running"\nafter_s = 0.3\nseconds = 1.0\n'
-    )
-    with firmware_process(cable, "--scenario", str(scenario)) as (url, process):
-        instrument = SerialInstrument(SerialLink(url))
+def test_a_cable_that_is_put_back_can_be_opened_again(cable):
+    unplug = {"kind": "unplug", "in_state": "running", "after_s": 0.3, "seconds": 1.0}
+    with firmware_thread(cable, speed=4.0, faults=[unplug]) as port:
+        back = threading.Event()
+        put_back = port.replug
+        port.replug = lambda: (put_back(), back.set())
+        instrument = SerialInstrument(SerialLink(port.url))
         start_run(instrument)
         with pytest.raises(LinkLostError):
             stream(instrument, 100_000)
         instrument.close()
-        url = process.stdout.readline().strip()  # a serial port that comes back may have another name
-        again = SerialInstrument(SerialLink(url))
+        assert back.wait(20.0)
+        again = SerialInstrument(SerialLink(port.url))  # a serial port that comes back may have another name
         assert stream(again, 2000) == 0
         again.close()
 
 
-def test_a_line_that_loses_and_damages_costs_samples_and_no_test(tmp_path):
-    scenario = tmp_path / "scenario.toml"
-    trouble = 'in_state = "running"\nshare = 0.05\nseconds = 20.0\n'
-    scenario.write_text(
-        "speed = 4.0\n" + "".join(f'[[faults]]\nkind = "{kind}"\n{trouble}' for kind in ("drops", "bit_flips"))
-    )
+def test_a_line_that_loses_and_damages_costs_samples_and_no_test():
+    trouble = {"in_state": "running", "share": 0.05, "seconds": 20.0}
+    faults = [{"kind": kind, **trouble} for kind in ("drops", "bit_flips")]
     with (
-        firmware_process(CABLES[0], "--scenario", str(scenario)) as (url, _),
-        SerialInstrument(SerialLink(url)) as instrument,
+        firmware_thread(CABLES[0], speed=4.0, faults=faults) as port,
+        SerialInstrument(SerialLink(port.url)) as instrument,
     ):
         run = start_run(instrument)
         samples = [instrument.poll(0.1)]
@@ -228,16 +224,16 @@ def test_a_machine_that_is_too_busy_stops_the_clock_and_says_so():
 
 @pytest.mark.skipif(sys.platform == "win32", reason="needs a pseudo-terminal")
 def test_a_port_in_use_cannot_be_opened_twice():
-    with firmware_process("--pty") as (url, _), SerialInstrument(SerialLink(url)) as instrument:
+    with firmware_thread("--pty") as port, SerialInstrument(SerialLink(port.url)) as instrument:
         with pytest.raises(InstrumentError, check=coded("link.in_use")):
-            SerialLink(url)
+            SerialLink(port.url)
         assert stream(instrument, 200) == 0
 
 
 def test_a_second_host_on_a_socket_is_turned_away():
-    with firmware_process("--tcp=0") as (url, _), SerialInstrument(SerialLink(url)) as instrument:
+    with firmware_thread("--tcp=0") as port, SerialInstrument(SerialLink(port.url)) as instrument:
         with pytest.raises(LinkLostError):
-            SerialInstrument(SerialLink(url))
+            SerialInstrument(SerialLink(port.url))
         assert stream(instrument, 2000) == 0
 
 
@@ -247,24 +243,24 @@ def test_an_impossible_port_is_one_line():
     assert "Traceback" not in answer.stderr
 
 
-def test_one_host_after_another(tmp_path):
-    with firmware_process(CABLES[0], "--speed", "5") as (url, _):
+def test_one_host_after_another():
+    with firmware_thread(CABLES[0], speed=5.0) as port:
         for _ in range(2):
-            with SerialInstrument(SerialLink(url)) as instrument:
+            with SerialInstrument(SerialLink(port.url)) as instrument:
                 run = start_run(instrument)
                 assert stream(instrument, 2000) == 0
                 assert run.samples == 8000
 
 
-def test_the_plant_tells_its_own_values():
-    answer = run_simulator("--preset", "linear-demo", "--local-values", "0.012")
-    values = json.loads(answer.stdout)
-    assert answer.returncode == 0
+def test_the_plant_tells_its_own_values(capsys):
+    assert main(["--preset", "linear-demo", "--local-values", "0.012"]) == 0
+    values = json.loads(capsys.readouterr().out)
     assert {"mass_kg", "damping_n_s_per_m", "stiffness_n_per_m"} <= values.keys()
 
 
-def test_presets_are_listed():
-    assert "left-posterior-forearm" in run_simulator("--list").stdout.split()
+def test_presets_are_listed(capsys):
+    assert main(["--list"]) == 0
+    assert "left-posterior-forearm" in capsys.readouterr().out.split()
 
 
 @pytest.mark.parametrize(
