@@ -18,10 +18,8 @@ from PySide6.QtWidgets import (
     QHeaderView,
     QLabel,
     QLineEdit,
-    QPushButton,
     QTableWidget,
     QTableWidgetItem,
-    QVBoxLayout,
     QWidget,
 )
 
@@ -143,29 +141,23 @@ class ImportDialog(QDialog):
     def __init__(self, preview: Preview, out: Path, parent: QWidget | None = None) -> None:
         super().__init__(parent)
         self._preview = preview
-        self.setWindowTitle(_("Import records"))
-        self.setAttribute(Qt.WidgetAttribute.WA_DeleteOnClose)
+        build.styled(self, window_title=_("Import records"), attribute=Qt.WidgetAttribute.WA_DeleteOnClose)
         names = ", ".join(clean(path.name) for path in preview.paths[:5])
         more = len(preview.paths) - 5
-        self.files = label()
-        self.files.setText(f"{names}{f' + {more}' if more > 0 else ''}  ({preview.format})")
+        self.files = label(text=f"{names}{f' + {more}' if more > 0 else ''}  ({preview.format})")
         self.table = self._make_table()
-        self.rate = QLineEdit()
-        self.rate.setPlaceholderText(_("only where no column is time"))
+        self.rate = build.styled(QLineEdit(), placeholder_text=_("only where no column is time"))
         self.decimal = _choice(_DECIMALS, tuple(_DECIMALS), _("as the numbers show"))
         self.first, self.last = QLineEdit(), QLineEdit()
         for field, name in ((self.first, _("First row")), (self.last, _("Row after the last"))):
-            field.setPlaceholderText(name)
-            field.setAccessibleName(name)
+            build.styled(field, placeholder_text=name, name=name)
         self.site, self.subject = QLineEdit(), QLineEdit()
         self.subject.setPlaceholderText(_("a pseudonym, never a name"))
         self.kind = _choice(_KIND_NAMES, KINDS, _("as the record shows: stochastic, or a ramp and hold"))
         self.configuration = _choice(CONFIGURATION_NAMES, tuple(CONFIGURATIONS))
         self.out = QLineEdit(str(out))
-        self.browse = QPushButton(_("Browse…"))
-        self.browse.clicked.connect(self._choose_out)
-        self.said = label("readout", level="poor")
-        self.said.hide()
+        self.browse = build.button(_("Browse…"), self._choose_out)
+        self.said = label("readout", level="poor", hidden=True)
         self.buttons = QDialogButtonBox()
         self.go = self.buttons.addButton(_("Import"), QDialogButtonBox.ButtonRole.ActionRole)
         self.cancel = self.buttons.addButton(_("Cancel"), QDialogButtonBox.ButtonRole.RejectRole)
@@ -229,11 +221,12 @@ class ImportDialog(QDialog):
         self.wanted.emit(plan)
 
     def _choose_out(self) -> None:
-        dialog = QFileDialog(self, _("Save the session"), self.out.text(), _("Sessions (*.h5)"))
-        dialog.setAcceptMode(QFileDialog.AcceptMode.AcceptSave)
+        dialog = build.styled(
+            QFileDialog(self, _("Save the session"), self.out.text(), _("Sessions (*.h5)")),
+            accept_mode=QFileDialog.AcceptMode.AcceptSave,
+        )
         dialog.setOption(QFileDialog.Option.DontConfirmOverwrite)  # an import never overwrites
-        dialog.setDefaultSuffix("h5")
-        dialog.setAttribute(Qt.WidgetAttribute.WA_DeleteOnClose)
+        build.styled(dialog, default_suffix="h5", attribute=Qt.WidgetAttribute.WA_DeleteOnClose)
         dialog.fileSelected.connect(self.out.setText)
         dialog.open()
 
@@ -242,11 +235,13 @@ class ImportDialog(QDialog):
     def _make_table(self) -> QTableWidget:
         heads = [_("Column"), _("Signal"), _("Unit"), _("First values")]
         named = _("Columns of the record and the signals they become")
-        table = styled(QTableWidget(len(self._preview.columns), len(heads)), name=named)
-        table.setHorizontalHeaderLabels(heads)
+        table = styled(QTableWidget(len(self._preview.columns), len(heads)), name=named, horizontal_header_labels=heads)
         table.verticalHeader().hide()
-        table.setEditTriggers(QTableWidget.EditTrigger.NoEditTriggers)
-        table.setSelectionMode(QTableWidget.SelectionMode.NoSelection)
+        build.styled(
+            table,
+            edit_triggers=QTableWidget.EditTrigger.NoEditTriggers,
+            selection_mode=QTableWidget.SelectionMode.NoSelection,
+        )
         header = table.horizontalHeader()
         header.setSectionResizeMode(QHeaderView.ResizeMode.ResizeToContents)
         header.setStretchLastSection(True)
@@ -256,10 +251,13 @@ class ImportDialog(QDialog):
             roles = styled(QComboBox(), name=_("What column {name} is").format(name=name))
             for role in ("", *ROLES):
                 roles.addItem(_(_ROLE_NAMES[role]), role)
-            units = styled(QComboBox(), name=_("Unit of column {name}").format(name=name))
-            units.setEditable(True)
-            units.setSizeAdjustPolicy(QComboBox.SizeAdjustPolicy.AdjustToContents)
-            units.setMinimumContentsLength(_LEAST_UNIT)
+            units = styled(
+                QComboBox(),
+                name=_("Unit of column {name}").format(name=name),
+                editable=True,
+                size_adjust_policy=QComboBox.SizeAdjustPolicy.AdjustToContents,
+                minimum_contents_length=_LEAST_UNIT,
+            )
             roles.currentIndexChanged.connect(lambda _index, row=row: self._offer_units(row))
             units.editTextChanged.connect(lambda _text, row=row: self._mark(row))
             table.setCellWidget(row, 1, roles)
@@ -293,9 +291,7 @@ class ImportDialog(QDialog):
         unit = unit_of(text.removesuffix("!"), quantity) if role and text else None
         fits = not role or not text or (unit is not None and quantity in ("", unit.si))
         words = "" if fits else _("“{unit}” is not a known unit of this signal: choose one.").format(unit=clean(text))
-        units.setToolTip(words)
-        units.setAccessibleDescription(words)
-        units.setProperty("level", None if fits else "poor")
+        build.styled(units, tip=words, accessible_description=words, level=None if fits else "poor")
         units.style().polish(units)
 
     def role_of(self, row: int) -> QComboBox:
@@ -320,9 +316,7 @@ class ImportDialog(QDialog):
         for name, field in (*fields, (_("Configuration"), self.configuration)):
             form.addRow(name, field)
         form.addRow(_("Save to"), build.row((self.out, 1), self.browse))
-        layout = QVBoxLayout(self)
-        layout.addWidget(self.files)
-        layout.addWidget(self.table, 1)
+        layout = build.column(self.files, (self.table, 1), margins=(11,), parent=self)
         if self._preview.described:
             layout.addWidget(QLabel(_("Its attributes file (.json) says what its columns are.")))
             for widget in (self.rate, self.table):

@@ -4,10 +4,11 @@ from __future__ import annotations
 
 import numpy as np
 import pyqtgraph as pg
-from PySide6.QtWidgets import QVBoxLayout, QWidget
+from PySide6.QtWidgets import QWidget
 
 from tissueid.acquisition.stimulus_choice import PRELOAD_S
 from tissueid.acquisition.surface_detection import PLACE_S
+from tissueid.app import build
 from tissueid.app.live_signals import Array, Snapshot, decimated
 from tissueid.app.plotting import PlotCard
 from tissueid.app.safety import LinearRange, linear_region
@@ -53,10 +54,7 @@ class SignalPlots(QWidget):
         self.level = self.position.mark(upright=False, text=_("where it began"))
         self._limits: dict[str, tuple[float, float]] = {}
         self._time = (-PLACE_S, 5.0)
-        layout = QVBoxLayout(self)
-        layout.setContentsMargins(0, 0, 0, 0)
-        for card, share in zip(self.cards, (7, 9, 10), strict=True):
-            layout.addWidget(card, share)
+        build.column(*[(card, share) for card, share in zip(self.cards, (7, 9, 10), strict=True)], parent=self)
         self.clear()
 
     @property

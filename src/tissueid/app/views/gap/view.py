@@ -12,14 +12,12 @@ from PySide6.QtGui import QKeySequence, QShortcut
 from PySide6.QtWidgets import (
     QAbstractButton,
     QFileDialog,
-    QHBoxLayout,
     QSizePolicy,
     QStackedWidget,
-    QVBoxLayout,
     QWidget,
 )
 
-from tissueid.app.build import label
+from tissueid.app.build import column, label, row, styled
 from tissueid.app.context import AppContext, View
 from tissueid.app.jobs import JobControl
 from tissueid.app.views.gap.diagnosis_list import DiagnosisList
@@ -82,9 +80,7 @@ class GapView(View):
         )
         self.history = DiagnosisList()
         self.result = ResultPage()
-        self.welcome = label("muted")
-        self.welcome.setText(_(_WELCOME))
-        self.welcome.setAlignment(Qt.AlignmentFlag.AlignTop)
+        self.welcome = label("muted", text=_(_WELCOME), alignment=Qt.AlignmentFlag.AlignTop)
         self._stack = QStackedWidget()
         self._stack.addWidget(self.welcome)
         self._stack.addWidget(self.result)
@@ -291,9 +287,11 @@ class GapView(View):
             self._ask(_("Save the answer"), path, "JSON (*.json)", "json", self._export)
 
     def _ask(self, title: str, path: Path, kinds: str, suffix: str, then: Callable[[str], None]) -> None:
-        dialog = QFileDialog(self, title, str(path.parent), kinds)
-        dialog.setAcceptMode(QFileDialog.AcceptMode.AcceptSave)
-        dialog.setDefaultSuffix(suffix)
+        dialog = styled(
+            QFileDialog(self, title, str(path.parent), kinds),
+            accept_mode=QFileDialog.AcceptMode.AcceptSave,
+            default_suffix=suffix,
+        )
         dialog.selectFile(path.name)
         dialog.setAttribute(Qt.WidgetAttribute.WA_DeleteOnClose)
         dialog.fileSelected.connect(then)
@@ -370,15 +368,13 @@ class GapView(View):
     # -- building -------------------------------------------------------------------------------------------------
 
     def _arrange(self) -> None:
-        right = QVBoxLayout()
-        right.setSpacing(8)
-        right.addWidget(self.asking)
-        right.addWidget(self._stack, 1)
-        columns = QHBoxLayout(self)
-        columns.setContentsMargins(12, 10, 12, 10)
-        columns.setSpacing(10)
-        columns.addWidget(self.history)
-        columns.addLayout(right, 1)
+        row(
+            self.history,
+            (column(self.asking, (self._stack, 1), spacing=8), 1),
+            spacing=10,
+            margins=(12, 10, 12, 10),
+            parent=self,
+        )
         order = [self.history.list, self.history.remove, *self.asking.fields, *self.result.fields]
         for before, after in pairwise(order):
             QWidget.setTabOrder(before, after)
