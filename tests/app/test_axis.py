@@ -6,8 +6,7 @@ import pytest
 from PySide6.QtCore import QRectF
 from PySide6.QtGui import QColor, QImage, QPainter
 
-from tissueid.app.axis import QuickAxis, without_overlaps
-from tissueid.app.plotting import PlotCard
+from tissueid.app.plotting import PlotCard, QuickAxis, without_overlaps
 from tissueid.app.theme import DARK, LIGHT, appearance
 
 SIZE = (500, 320)

@@ -8,8 +8,8 @@ from coded import coded
 from procedures.same_session import assert_same_session
 
 from tissueid.app.import_dialog import ImportDialog, preview_of
-from tissueid.app.views.researcher.export_button import SessionExport
 from tissueid.app.views.researcher.selected_test import SelectedTest
+from tissueid.app.views.researcher.view import SessionExport
 from tissueid.audit import AuditLog, AuditTrail, last_lines
 from tissueid.cli import main
 from tissueid.errors import CancelledError, UnusableInputError
