@@ -95,25 +95,27 @@ class PlanForm(QWidget):
         self._usual_force_n = USUAL_FORCE_N[1]
         self._forces_n: dict[str, float] = {}
         self.instrument = InstrumentChooser()
-        self.subject = QLineEdit()
-        self.subject.setPlaceholderText(_("such as P-001; empty: anonymous"))
-        self.subject.setToolTip(_("A pseudonym, never a name"))
-        self.like_name = label("readout", level="check")
-        self.like_name.setText(_(_LIKE_NAME))
+        self.subject = styled(
+            QLineEdit(), placeholder_text=_("such as P-001; empty: anonymous"), tip=_("A pseudonym, never a name")
+        )
+        self.like_name = label("readout", level="check", text=_(_LIKE_NAME))
         self.is_pseudonym = QCheckBox(_("This is a pseudonym, not a name"))
         for part in (self.like_name, self.is_pseudonym):
             part.hide()
-        self.product = QLineEdit()
-        self.product.setPlaceholderText(_("such as lotion"))
-        self.product.setToolTip(_("The product on the skin, for studies that compare conditions"))
+        self.product = styled(
+            QLineEdit(),
+            placeholder_text=_("such as lotion"),
+            tip=_("The product on the skin, for studies that compare conditions"),
+        )
         self.minutes = OptionalNumberField(_MOST_MINUTES)
-        self.minutes.setSuffix(" min")
-        self.minutes.setFixedWidth(_MINUTES_WIDTH)
-        self.minutes.setAccessibleName(_("Minutes since the application"))
-        self.minutes.setToolTip(_("Minutes since the application of the product; empty: not recorded"))
-        self.site = QComboBox()
-        self.site.setEditable(True)
-        self.site.setInsertPolicy(QComboBox.InsertPolicy.NoInsert)
+        styled(
+            self.minutes,
+            suffix=" min",
+            fixed_width=_MINUTES_WIDTH,
+            name=_("Minutes since the application"),
+            tip=_("Minutes since the application of the product; empty: not recorded"),
+        )
+        self.site = styled(QComboBox(), editable=True, insert_policy=QComboBox.InsertPolicy.NoInsert)
         # What is typed is meant: "left forearm" is not yet its posterior side.
         self.site.setCompleter(None)  # type: ignore[arg-type]
         self.site.addItems(list(SITES))
@@ -131,11 +133,11 @@ class PlanForm(QWidget):
                 name,
             )
         self.path = QLineEdit()
-        self.browse = button(_("C&hoose…"), name=_("Choose where to save"))
+        self.browse = button(_("C&hoose…"), self._choose_path, name=_("Choose where to save"))
 
-        self.other_test = label("muted")
-        self.other_test.setText(_("For the next test. The result that is shown is of another test."))
-        self.other_test.hide()
+        self.other_test = label(
+            "muted", text=_("For the next test. The result that is shown is of another test."), hidden=True
+        )
         layout = QVBoxLayout(self)
         fill(layout, self.other_test, spacing=10)
         _add(layout, _("&Instrument"), self.instrument, focus=self.instrument.choice)
@@ -171,7 +173,6 @@ class PlanForm(QWidget):
         self.path.setPlaceholderText(_("empty: a name by date and time"))
         self.path.textEdited.connect(self.take_own_path)
         self.path.editingFinished.connect(self._name_by_date)
-        self.browse.clicked.connect(self._choose_path)
         _select(self.limits, "clinical")
         self._apply_limits()
         self.renew_path()
@@ -304,12 +305,15 @@ class PlanForm(QWidget):
         """The presets, and the stimulus, folded away under a line that says what it is."""
         self.preset = PresetChooser()
         _add(layout, _("Test"), self.preset, focus=self.preset.choice)
-        self.fold = styled(QToolButton(), role="fold", name=_("Settings of the stimulus"))
-        self.fold.setText(_("S&ettings"))
-        self.fold.setCheckable(True)
-        self.fold.setToolButtonStyle(Qt.ToolButtonStyle.ToolButtonTextBesideIcon)
-        self.summary = styled(QLabel(), role="field")
-        self.summary.setWordWrap(True)
+        self.fold = styled(
+            QToolButton(),
+            role="fold",
+            name=_("Settings of the stimulus"),
+            text=_("S&ettings"),
+            checkable=True,
+            tool_button_style=Qt.ToolButtonStyle.ToolButtonTextBesideIcon,
+        )
+        self.summary = styled(QLabel(), role="field", word_wrap=True)
         self.distribution = _choice({name: _CALLED.get(name, name.capitalize()) for name in DISTRIBUTIONS})
         _select(self.distribution, _USUAL_DISTRIBUTION)
         pulls = _("Below zero the coil pulls: tissue that is not attached to the probe is left")
@@ -339,8 +343,7 @@ class PlanForm(QWidget):
             (_("Under the probe"), self.under_probe),
         )
         for place, (name, field) in enumerate(rows):
-            named = QLabel(name)
-            named.setBuddy(field)
+            named = styled(QLabel(name), buddy=field)
             field.setAccessibleName(name.replace("&", ""))
             grid.addWidget(named, place, 0)
             grid.addWidget(field, place, 1)
@@ -514,9 +517,11 @@ class PlanForm(QWidget):
             self.renew_path()
 
     def _choose_path(self) -> None:
-        dialog = QFileDialog(self, _("Save the session to"), str(self.folder), _("Sessions (*.h5)"))
-        dialog.setAcceptMode(QFileDialog.AcceptMode.AcceptSave)
-        dialog.setDefaultSuffix("h5")
+        dialog = styled(
+            QFileDialog(self, _("Save the session to"), str(self.folder), _("Sessions (*.h5)")),
+            accept_mode=QFileDialog.AcceptMode.AcceptSave,
+            default_suffix="h5",
+        )
         dialog.setOption(QFileDialog.Option.DontConfirmOverwrite)  # an existing session is refused, not replaced
         dialog.selectFile(Path(self.path.text()).name)
         dialog.setAttribute(Qt.WidgetAttribute.WA_DeleteOnClose)
@@ -532,8 +537,7 @@ class PlanForm(QWidget):
 
 def _add(layout: QVBoxLayout, name: str, field: QWidget | QLayout, *, focus: QWidget) -> QLabel:
     """Return the label above a field; the label's mnemonic goes to ``focus``."""
-    named = styled(QLabel(name), role="field")
-    named.setBuddy(focus)
+    named = styled(QLabel(name), role="field", buddy=focus)
     focus.setAccessibleName(name.replace("&", ""))
     layout.addLayout(column(named, field, spacing=3))
     return named

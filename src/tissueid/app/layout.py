@@ -13,7 +13,6 @@ from PySide6.QtWidgets import (
     QAbstractButton,
     QComboBox,
     QFrame,
-    QHBoxLayout,
     QLabel,
     QMainWindow,
     QPushButton,
@@ -21,10 +20,10 @@ from PySide6.QtWidgets import (
     QSplitter,
     QStackedWidget,
     QTabWidget,
-    QVBoxLayout,
     QWidget,
 )
 
+from tissueid.app import build
 from tissueid.app.calibration_page import CalibrationPage
 from tissueid.app.form import PlanForm
 from tissueid.app.guidance import Guidance
@@ -93,15 +92,14 @@ class Layout:
         self.safety = SafetyReadouts()
         self.gate = QualityGate()
         self._verdict = QWidget()
-        holding = QVBoxLayout(self._verdict)
-        holding.setContentsMargins(0, 0, 0, 0)
-        holding.addWidget(self.gate)
-        self.start = BigButton(_("&Start test"))
-        self.start.setProperty("role", "start")
-        self.stop = BigButton(_("STOP – release coil"))
-        self.stop.setProperty("role", "stop")
-        self.stop.setAccessibleName(_("STOP, release the coil"))
-        self.stop.setToolTip(_("Escape and Space do the same"))
+        build.column(self.gate, parent=self._verdict)
+        self.start = build.styled(BigButton(_("&Start test")), role="start")
+        self.stop = build.styled(
+            BigButton(_("STOP – release coil")),
+            role="stop",
+            name=_("STOP, release the coil"),
+            tip=_("Escape and Space do the same"),
+        )
         self.open = QPushButton(_("&Open session…"))
         self.report = QPushButton(_("Open &report"))
         self.notice = Notice()
@@ -126,11 +124,13 @@ class Layout:
         self.pages.tabBar().setFocusPolicy(Qt.FocusPolicy.StrongFocus)
         self.pages.tabBar().setAccessibleName(_("Signals and result"))
         self.rail = NavigationBar()
-        self.halt = QPushButton(_("STOP"))
-        self.halt.setProperty("role", "halt")
-        self.halt.setAccessibleName(_("STOP, release the coil, from any page"))
-        self.halt.setToolTip(self.stop.toolTip())
-        self.halt.hide()
+        self.halt = build.button(
+            _("STOP"),
+            role="halt",
+            name=_("STOP, release the coil, from any page"),
+            tip=self.stop.toolTip(),
+            hidden=True,
+        )
         self.stack = QStackedWidget()
         self.views: dict[str, QWidget] = {}
         self.holders: dict[str, QWidget] = {}
@@ -316,42 +316,22 @@ class Layout:
         page = _Room()
         page.resized.connect(self._fold)
         page.setMinimumSize(*_LEAST_ROOM)  # next to the docks
-        rows = QVBoxLayout(page)
-        rows.setContentsMargins(0, 0, 0, 0)
-        rows.setSpacing(0)
-        columns = QHBoxLayout()
-        columns.setSpacing(0)
-        columns.addWidget(self.rail)
-        right = QVBoxLayout()
-        right.setSpacing(0)
         line = NoticeLine(self.notice)
-        right.addWidget(line)
-        self._beside = QSplitter(Qt.Orientation.Horizontal)
-        self._beside.setChildrenCollapsible(False)
+        self._beside = build.styled(QSplitter(Qt.Orientation.Horizontal), children_collapsible=False)
         self._beside.addWidget(self.stack)
-        right.addWidget(self._beside, 1)
-        columns.addLayout(right, 1)
-        rows.addLayout(columns, 1)
+        columns = build.row(self.rail, (build.column(line, (self._beside, 1), spacing=0), 1), spacing=0)
+        build.column((columns, 1), spacing=0, parent=page)
         self.notice.setParent(page)
         return page
 
     def test_page(self) -> QWidget:
         """Create the page of the guided test: the form at the side, signals and result next to it."""
         page = QWidget()
-        columns = QHBoxLayout(page)
-        columns.setContentsMargins(0, 0, 0, 0)
-        columns.setSpacing(0)
-        columns.addWidget(self._side())
         content = QWidget()
-        main = QVBoxLayout(content)
-        main.setContentsMargins(12, 10, 12, 10)
-        main.setSpacing(8)
-        main.addWidget(self.guidance)
-        main.addWidget(self._verdict)
-        main.addWidget(self.pages, 1)
+        build.column(self.guidance, self._verdict, (self.pages, 1), spacing=8, margins=(12, 10, 12, 10), parent=content)
         self.pages.setMinimumHeight(_LEAST_TABS)
         self.main_scroll = PageScroll(content)
-        columns.addWidget(self.main_scroll, 1)
+        build.row(self._side(), (self.main_scroll, 1), spacing=0, parent=page)
         return page
 
     def show_part(self, part: QWidget) -> None:
@@ -363,11 +343,7 @@ class Layout:
     def _make_running(self) -> QWidget:
         """Signals and live estimates, below each other where there is no room for two columns."""
         content = QWidget()
-        columns = FoldingBox(_TWO_COLUMNS, content)
-        columns.setContentsMargins(0, 0, 0, 0)
-        columns.setSpacing(8)
-        columns.addWidget(self.signals, 3)
-        columns.addWidget(self.analysis, 4)
+        build.fill(FoldingBox(_TWO_COLUMNS, content), (self.signals, 3), (self.analysis, 4), spacing=8)
         return PageScroll(content)
 
     def _fold(self, width: int) -> None:
@@ -378,50 +354,39 @@ class Layout:
         self._make_room()
 
     def _header(self) -> QWidget:
-        header = QFrame()
-        header.setProperty("role", "header")
-        title = QLabel("TissueID")
-        title.setProperty("role", "title")
-        self._research = QLabel(_(RESEARCH_USE))
-        self._research.setProperty("role", "research")
-        row = QHBoxLayout(header)
-        row.setContentsMargins(14, 7, 12, 7)
-        row.setSpacing(10)
-        row.addWidget(title)
-        row.addWidget(self._research)
-        row.addStretch(1)
-        row.addWidget(self.halt)
-        row.addWidget(self.role)
-        row.addWidget(self.open)
-        row.addWidget(self.report)
+        header = build.styled(QFrame(), role="header")
+        title = build.styled(QLabel("TissueID"), role="title")
+        self._research = build.styled(QLabel(_(RESEARCH_USE)), role="research")
+        build.row(
+            title,
+            self._research,
+            None,
+            self.halt,
+            self.role,
+            self.open,
+            self.report,
+            spacing=10,
+            margins=(14, 7, 12, 7),
+            parent=header,
+        )
         return header
 
     def _side(self) -> QWidget:
         """The form, scrolled where it does not fit, above what is always there: how things stand, and two buttons."""
         content = QWidget()
-        inside = QVBoxLayout(content)
-        inside.setContentsMargins(14, 10, 14, 10)
-        inside.setSpacing(10)
-        inside.addWidget(self.study_card)
-        inside.addWidget(self.form)
+        build.column(self.study_card, self.form, spacing=10, margins=(14, 10, 14, 10), parent=content)
         scroll = QScrollArea()
         scroll.setWidget(content)
-        scroll.setWidgetResizable(True)
-        scroll.setFrameShape(QFrame.Shape.NoFrame)
-        scroll.setFocusPolicy(Qt.FocusPolicy.NoFocus)
+        build.styled(
+            scroll, widget_resizable=True, frame_shape=QFrame.Shape.NoFrame, focus_policy=Qt.FocusPolicy.NoFocus
+        )
         for choice in self.form.findChildren(QComboBox):  # or the longest entry decides how wide the form is
             choice.setSizeAdjustPolicy(QComboBox.SizeAdjustPolicy.AdjustToMinimumContentsLengthWithIcon)
         scroll.setMinimumHeight(_LEAST_FORM)
         side = self._side_frame
-        side.setProperty("role", "side")
-        side.setFixedWidth(SIDE_WIDTH)
-        column = QVBoxLayout(side)
-        column.setContentsMargins(0, 0, 0, 12)
-        column.setSpacing(8)
-        column.addWidget(scroll, 1)
+        build.styled(side, role="side", fixed_width=SIDE_WIDTH)
+        column = build.column((scroll, 1), spacing=8, margins=(0, 0, 0, 12), parent=side)
         for part in (self.safety, self.start, self.stop):
-            row = QHBoxLayout()
-            row.setContentsMargins(14, 0, 14, 0)
-            row.addWidget(part)
+            row = build.row(part, spacing=None, margins=(14, 0, 14, 0))
             column.addLayout(row)
         return side

@@ -9,11 +9,12 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from PySide6.QtCore import QCoreApplication, QLocale, Qt, QTimer
+from PySide6.QtCore import QCoreApplication, QLocale, Qt
 from PySide6.QtGui import QCloseEvent, QDragEnterEvent, QDropEvent, QKeySequence, QShortcut
 from PySide6.QtWidgets import QApplication, QFileDialog, QMainWindow, QWidget
 
 from tissueid.acquisition.playback import Phase
+from tissueid.app import build
 from tissueid.app.calibration_controller import CalibrationController
 from tissueid.app.calibration_state import calibration_state
 from tissueid.app.clinician import Clinician
@@ -98,9 +99,7 @@ class MainWindow(QMainWindow):
         appearance.changed.connect(self._dress)  # before the widgets in it, which inherit from it
         role = self.services.role or saved_role(self.settings)
         self.ui = Layout(self, self.services.folder, self.services.now, role)
-        self.frame_timer = QTimer(self)
-        self.frame_timer.setInterval(FRAME_MS)
-        self.frame_timer.timeout.connect(self._frame)
+        self.frame_timer = build.timer(self, FRAME_MS, self._frame, repeat=True)
         self._frame_at = 0.0
         self._steady = 0
         self.abort_shown: BaseException | None = None
@@ -474,9 +473,11 @@ class MainWindow(QMainWindow):
 
     def _choose_session(self) -> None:
         kinds = _("Sessions and records (*.h5 {records});;All files (*)").format(records=RECORDS)
-        dialog = QFileDialog(self, _("Open a session, or import records"), str(self.ui.form.folder), kinds)
-        dialog.setFileMode(QFileDialog.FileMode.ExistingFiles)
-        dialog.setAttribute(Qt.WidgetAttribute.WA_DeleteOnClose)
+        dialog = build.styled(
+            QFileDialog(self, _("Open a session, or import records"), str(self.ui.form.folder), kinds),
+            file_mode=QFileDialog.FileMode.ExistingFiles,
+            attribute=Qt.WidgetAttribute.WA_DeleteOnClose,
+        )
         dialog.filesSelected.connect(self._open_chosen)
         dialog.open()
 

@@ -11,7 +11,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any, TypeGuard, cast
 
 import numpy as np
-from PySide6.QtCore import QEvent, QObject, QPointF, QSize, Qt, QTimer
+from PySide6.QtCore import QEvent, QObject, QPointF, QSize, Qt
 from PySide6.QtGui import QContextMenuEvent, QKeyEvent, QMouseEvent, QPalette, QResizeEvent, QShowEvent, QWheelEvent
 from PySide6.QtWidgets import (
     QApplication,
@@ -21,10 +21,10 @@ from PySide6.QtWidgets import (
     QMenu,
     QScrollArea,
     QSizePolicy,
-    QVBoxLayout,
     QWidget,
 )
 
+from tissueid.app import build
 from tissueid.app.draw_queue import request_drawing
 from tissueid.app.plot_readout import extremes, unit_of_values, values_at
 from tissueid.app.theme import Theme, appearance
@@ -90,31 +90,27 @@ class PlotCanvas(QFrame):
         self._grabbed: Axes | None = None
         self._laid_out_for = QSize()
         self._stale = self._unsettled = False
-        self._relayout = QTimer(self)
-        self._relayout.setSingleShot(True)
-        self._relayout.setInterval(_SETTLED_MS)
-        self._relayout.timeout.connect(self.settle)
-        self.missing = QLabel()
-        self.missing.setProperty("role", "muted")
-        self.missing.setWordWrap(True)
-        self.missing.setMinimumWidth(1)
-        self.missing.setTextFormat(Qt.TextFormat.PlainText)
-        self.missing.setAlignment(Qt.AlignmentFlag.AlignCenter)
-        self.readout = QLabel(self)
-        self.readout.setProperty("role", "readout")
-        self.readout.setAttribute(Qt.WidgetAttribute.WA_TransparentForMouseEvents)
-        self.readout.hide()
-        self.cover = QLabel(_("Being drawn…"), self)
-        self.cover.setAlignment(Qt.AlignmentFlag.AlignCenter)
-        self.cover.setAutoFillBackground(True)
-        self.cover.setBackgroundRole(QPalette.ColorRole.Base)
-        self.cover.hide()
-        self._inside = QVBoxLayout(self)
-        self._inside.setContentsMargins(6, 4, 6, 4)
-        self._inside.setSpacing(0)
-        self._inside.addWidget(self.missing, 1)
-        self.setMinimumHeight(150)
-        self.setAccessibleName(name)
+        self._relayout = build.timer(self, _SETTLED_MS, self.settle)
+        self.missing = build.styled(
+            QLabel(),
+            role="muted",
+            word_wrap=True,
+            minimum_width=1,
+            text_format=Qt.TextFormat.PlainText,
+            alignment=Qt.AlignmentFlag.AlignCenter,
+        )
+        self.readout = build.styled(
+            QLabel(self), role="readout", attribute=Qt.WidgetAttribute.WA_TransparentForMouseEvents, hidden=True
+        )
+        self.cover = build.styled(
+            QLabel(_("Being drawn…"), self),
+            alignment=Qt.AlignmentFlag.AlignCenter,
+            auto_fill_background=True,
+            background_role=QPalette.ColorRole.Base,
+            hidden=True,
+        )
+        self._inside = build.column((self.missing, 1), spacing=0, margins=(6, 4, 6, 4), parent=self)
+        build.styled(self, minimum_height=150, name=name)
         appearance.changed.connect(self._again)
 
     @property
@@ -334,8 +330,7 @@ class PlotCanvas(QFrame):
         self.readout.raise_()
 
     def _open_menu(self, event: QContextMenuEvent) -> None:
-        menu = QMenu(self)
-        menu.setAttribute(Qt.WidgetAttribute.WA_DeleteOnClose)
+        menu = build.styled(QMenu(self), attribute=Qt.WidgetAttribute.WA_DeleteOnClose)
         menu.addAction(_("Show everything"), self.show_everything)
         menu.addAction(_("Save plot…"), self.ask_where_to_save)
         menu.addAction(_("Copy picture"), lambda: QApplication.clipboard().setPixmap(self.grab()))
@@ -343,9 +338,11 @@ class PlotCanvas(QFrame):
 
     def ask_where_to_save(self) -> None:
         """Ask for a file, and save the plots in it."""
-        dialog = QFileDialog(self, _("Save the figure"), "", ";;".join(_(text) for text in FILES.values()))
-        dialog.setAcceptMode(QFileDialog.AcceptMode.AcceptSave)
-        dialog.setDefaultSuffix("png")
+        dialog = build.styled(
+            QFileDialog(self, _("Save the figure"), "", ";;".join(_(text) for text in FILES.values())),
+            accept_mode=QFileDialog.AcceptMode.AcceptSave,
+            default_suffix="png",
+        )
         dialog.filterSelected.connect(lambda text: dialog.setDefaultSuffix(text.rpartition("*.")[2].rstrip(")")))
         dialog.setAttribute(Qt.WidgetAttribute.WA_DeleteOnClose)
         dialog.fileSelected.connect(self._save_to)
@@ -412,9 +409,12 @@ class PlotCanvas(QFrame):
             make: Any = FigureCanvasQTAgg  # which has no annotations
             options: Any = {"layout": "none"}  # reports that are drawn in another thread set one for all figures
             self.canvas = make(Figure(dpi=self.logicalDpiX(), **options))
-            self.canvas.setFocusPolicy(self.focus)
-            self.canvas.setMouseTracking(True)
-            self.canvas.setSizePolicy(QSizePolicy.Policy.Ignored, QSizePolicy.Policy.Ignored)
+            build.styled(
+                self.canvas,
+                focus_policy=self.focus,
+                mouse_tracking=True,
+                size_policy=(QSizePolicy.Policy.Ignored, QSizePolicy.Policy.Ignored),
+            )
             self.canvas.installEventFilter(self)
             self._inside.addWidget(self.canvas, 1)
             self._describe()
@@ -469,8 +469,7 @@ class PlotCanvas(QFrame):
             description = f"{description} {_(_HOW)}"
         text = _("Plot: {title}, {unit}") if units else _("Plot: {title}")
         for widget in [self] if self.canvas is None else [self, self.canvas]:
-            widget.setAccessibleName(text.format(title=title, unit=units))
-            widget.setAccessibleDescription(description)
+            build.styled(widget, name=text.format(title=title, unit=units), accessible_description=description)
 
     @property
     def _scrolled(self) -> bool:

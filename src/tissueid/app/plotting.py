@@ -183,21 +183,38 @@ class PlotCard(QFrame):
         self.plot.setMenuEnabled(False)
         self.plot.setMouseEnabled(x=False, y=False)
         self.plot.hideButtons()
-        self.plot.setFocusPolicy(Qt.FocusPolicy.NoFocus)
-        self.plot.setMinimumHeight(60)
-        self.plot.setSizePolicy(QSizePolicy.Policy.Expanding, QSizePolicy.Policy.Ignored)
+        build.styled(
+            self.plot,
+            focus_policy=Qt.FocusPolicy.NoFocus,
+            minimum_height=60,
+            size_policy=(QSizePolicy.Policy.Expanding, QSizePolicy.Policy.Ignored),
+        )
         self._remark: tuple[str, str] | None = None
         self._x_label = x_label
         self.plot.getAxis("left").setWidth(_AXIS_WIDTH)
         self.heading = build.styled(ElidedLabel(), role="heading")
-        self.legend = build.styled(QLabel(textFormat=Qt.TextFormat.RichText, wordWrap=True), role="muted")
-        self.legend.setAlignment(Qt.AlignmentFlag.AlignRight | Qt.AlignmentFlag.AlignVCenter)
-        self.missing = build.styled(
-            QLabel(), role="muted", word_wrap=True, minimum_width=1, text_format=Qt.TextFormat.PlainText, hidden=True
+        self.legend = build.styled(
+            QLabel(textFormat=Qt.TextFormat.RichText, wordWrap=True),
+            role="muted",
+            alignment=Qt.AlignmentFlag.AlignRight | Qt.AlignmentFlag.AlignVCenter,
         )
-        self.missing.setAlignment(Qt.AlignmentFlag.AlignCenter)
-        heading = build.row(self.heading, (self.legend, 1), spacing=2)
-        build.column(heading, (self.plot, 1), (self.missing, 1), spacing=2, margins=(10, 6, 10, 6), parent=self)
+        self.missing = build.styled(
+            QLabel(),
+            role="muted",
+            word_wrap=True,
+            minimum_width=1,
+            text_format=Qt.TextFormat.PlainText,
+            hidden=True,
+            alignment=Qt.AlignmentFlag.AlignCenter,
+        )
+        build.column(
+            build.row(self.heading, (self.legend, 1), spacing=2),
+            (self.plot, 1),
+            (self.missing, 1),
+            spacing=2,
+            margins=(10, 6, 10, 6),
+            parent=self,
+        )
         self._head()
         self.plot.getAxis("bottom").setScale(shown_label(x_label)[1])
         appearance.follow(self._paint)

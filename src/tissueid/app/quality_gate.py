@@ -49,26 +49,29 @@ class QualityGate(QFrame):
         self._poor = False
         styled(self, role="verdict")
         self.light, self.headline = styled(QLabel("●"), role="light"), label("headline")
-        self.more = button("", name=_("All findings"))
-        self.more.setCheckable(True)
-        self.run_again = button(_("Start test again"), tip=_("The same test once more, into a file of its own"))
-        self.calibrate = button(_("Calibrate…"), tip=_("Go to the calibrations; nothing starts"))
+        self.more = button("", name=_("All findings"), checkable=True)
+        self.run_again = button(
+            _("Start test again"), self.again, tip=_("The same test once more, into a file of its own")
+        )
+        self.calibrate = button(
+            _("Calibrate…"), self.calibration_wanted, tip=_("Go to the calibrations; nothing starts")
+        )
         judging = _("Let the quality gate look at the recorded signals; the file stays as it is")
-        self.judge_now = button(_("Judge this test"), tip=judging)
+        self.judge_now = button(_("Judge this test"), self.judge, tip=judging)
         self.repeats = RepeatBar()
         offered = None, self.run_again, self.repeats, self.more, self.judge_now, self.calibrate
-        said = row(self.light, (self.headline, 1), spacing=8)
-        top = fill(FoldingBox(_ONE_ROW), (said, 1), row(*offered, spacing=8), spacing=4)
+        top = fill(
+            FoldingBox(_ONE_ROW),
+            (row(self.light, (self.headline, 1), spacing=8), 1),
+            row(*offered, spacing=8),
+            spacing=4,
+        )
         self.grid = QGridLayout()
-        self.grid.setHorizontalSpacing(12)
-        self.grid.setVerticalSpacing(2)
+        styled(self.grid, horizontal_spacing=12, vertical_spacing=2)
         self.grid.setColumnStretch(0, 1)
         self.grid.setColumnStretch(1, 1)
         fill(QVBoxLayout(self), top, self.grid, spacing=3, margins=(12, 5, 10, 5))
         self.more.toggled.connect(self._fill)
-        self.run_again.clicked.connect(self.again)
-        self.judge_now.clicked.connect(self.judge)
-        self.calibrate.clicked.connect(self.calibration_wanted)
         self.hide()
 
     def show_quality(self, quality: Quality | None, *, can_repeat: bool, verdict: report.Verdict | None = None) -> None:
@@ -145,7 +148,4 @@ class QualityGate(QFrame):
 
 
 def _text(text: str, role: str) -> QLabel:
-    made = label(role)
-    made.setText(text)
-    made.setAlignment(Qt.AlignmentFlag.AlignTop | Qt.AlignmentFlag.AlignLeft)
-    return made
+    return label(role, text=text, alignment=Qt.AlignmentFlag.AlignTop | Qt.AlignmentFlag.AlignLeft)

@@ -18,6 +18,7 @@ from PySide6.QtWidgets import (
     QWidget,
 )
 
+from tissueid.app import build
 from tissueid.app.build import button, fill, label, row, styled
 from tissueid.app.findings import Findings, Number, whose
 from tissueid.app.plot_canvas import PlotCanvas
@@ -76,30 +77,29 @@ class ResultPage(QScrollArea):
 
     def __init__(self, parent: QWidget | None = None) -> None:
         super().__init__(parent)
-        self.setWidgetResizable(True)
-        self.setAccessibleName(_("Result, to scroll by the arrow keys"))
-        self.setFrameShape(QFrame.Shape.NoFrame)
+        styled(
+            self, widget_resizable=True, name=_("Result, to scroll by the arrow keys"), frame_shape=QFrame.Shape.NoFrame
+        )
         page = QWidget()
         self.setWidget(page)
-        layout = QVBoxLayout(page)
-        layout.setContentsMargins(0, 0, 0, 0)
-        layout.setSpacing(8)
-        layout.addWidget(self._make_verdict())
         self.tiles = [_Tile() for _ in range(_TILES)]
         self.summary = SittingSummary()
-        layout.addWidget(self.summary)
         self._tile_grid = QGridLayout()
         self._tile_grid.setSpacing(8)
-        layout.addLayout(self._tile_grid)
-        self.readings = label("muted")
-        self.readings.setContentsMargins(12, 0, 8, 0)
-        self.readings.hide()
-        layout.addWidget(self.readings)
+        self.readings = label("muted", contents_margins=(12, 0, 8, 0), hidden=True)
         self.comparison = ComparisonCard()
-        layout.addWidget(self.comparison)
         self._plot_grid = QGridLayout()
         self._plot_grid.setSpacing(8)
-        layout.addLayout(self._plot_grid, 1)
+        build.column(
+            self._make_verdict(),
+            self.summary,
+            self._tile_grid,
+            self.readings,
+            self.comparison,
+            (self._plot_grid, 1),
+            spacing=8,
+            parent=page,
+        )
         self._columns: tuple[int, int] | None = None
         self._findings: Findings | None = None
         self._standing: Standing | None = None
@@ -190,16 +190,27 @@ class ResultPage(QScrollArea):
         self.facts, self.simulated = label("muted"), label("heading")
         self.simulated.setText(_(SIMULATED_LINE))
         self.reasons = label(tip=_(_METHODS))
-        self.test = styled(QComboBox(), name=_("Test of this session"))
-        self.test.setMaximumWidth(260)
+        self.test = styled(QComboBox(), name=_("Test of this session"), maximum_width=260)
         self.test.activated.connect(self._choose_test)
         self.pdf = button(_("PDF report"), tip=_("One or two pages to print, saved next to the session"))
-        self.details = button(_("Details"), tip=_("How well the model fits, and the curves behind the numbers"))
-        self.details.setCheckable(True)
+        self.details = button(
+            _("Details"), tip=_("How well the model fits, and the curves behind the numbers"), checkable=True
+        )
         self.details.toggled.connect(self._fill)
-        offered = row(None, self.test, self.details, self.pdf, spacing=_APART)
-        top = fill(FoldingBox(_ONE_ROW), (row((self.whose, 1)), 1), offered, spacing=4)
-        fill(QVBoxLayout(frame), top, self.simulated, self.reasons, self.facts, spacing=3, margins=(12, 8, 12, 8))
+        fill(
+            QVBoxLayout(frame),
+            fill(
+                FoldingBox(_ONE_ROW),
+                (row((self.whose, 1)), 1),
+                row(None, self.test, self.details, self.pdf, spacing=_APART),
+                spacing=4,
+            ),
+            self.simulated,
+            self.reasons,
+            self.facts,
+            spacing=3,
+            margins=(12, 8, 12, 8),
+        )
         return frame
 
     def _build_plots(self) -> None:

@@ -8,9 +8,10 @@ from typing import Any
 
 from pydantic import BaseModel, Field
 from PySide6.QtCore import Qt, Signal
-from PySide6.QtWidgets import QComboBox, QFileDialog, QGridLayout, QHBoxLayout, QLabel, QLineEdit, QPushButton, QWidget
+from PySide6.QtWidgets import QComboBox, QFileDialog, QGridLayout, QLabel, QLineEdit, QWidget
 
 from tissueid.acquisition.waveform_file import SUFFIXES, is_waveform
+from tissueid.app import build
 from tissueid.app.form_choices import FROM_FILE, MULTISTEP
 from tissueid.app.option_field import OptionField
 from tissueid.errors import UnusableInputError
@@ -52,18 +53,17 @@ class StimulusForm(QWidget):
 
     def __init__(self, parent: QWidget | None = None) -> None:
         super().__init__(parent)
-        self.kind = QComboBox()
-        self.kind.setAccessibleName(_("Stimulus"))
+        self.kind = build.styled(QComboBox(), name=_("Stimulus"))
         self.kind.addItem(_(Noise.title), Noise.name)
-        self.file = QLineEdit()
-        self.file.setPlaceholderText(_("no file"))
-        self.file.setToolTip(
-            _(
+        self.file = build.styled(
+            QLineEdit(),
+            placeholder_text=_("no file"),
+            tip=_(
                 "A saved stimulus, or a waveform in N: .csv, .txt or .npy with one column of "
                 "values, or two of time and value"
-            )
+            ),
+            name=_("File of the stimulus"),
         )
-        self.file.setAccessibleName(_("File of the stimulus"))
         self.depths = QWidget()
         self._depths = QGridLayout(self.depths)
         self._depths.setContentsMargins(0, 0, 0, 0)
@@ -71,14 +71,14 @@ class StimulusForm(QWidget):
         self._depths.setColumnStretch(1, 1)
         self._deciding: dict[str, Any] = {}
         self._labels: dict[str, QLabel] = {}
-        self.browse = QPushButton(_("Browse…"))
-        self.stop_when = QLineEdit()
-        self.stop_when.setPlaceholderText(_("stiffness 2 %"))
-        self.stop_when.setAccessibleName(_("Stop at uncertainty"))
-        self.stop_when.setToolTip(
-            _("Standard deviation that is enough, as a share of the value: mass, damping, stiffness")
+        self.browse = build.button(_("Browse…"), self._choose_file)
+        self.stop_when = build.styled(
+            QLineEdit(),
+            placeholder_text=_("stiffness 2 %"),
+            name=_("Stop at uncertainty"),
+            tip=_("Standard deviation that is enough, as a share of the value: mass, damping, stiffness")
             + "\n"
-            + _("such as stiffness 2 %; empty: to its end")
+            + _("such as stiffness 2 %; empty: to its end"),
         )
         self.live_method = QComboBox()
         for name, title in LIVE_METHODS.items():
@@ -95,24 +95,18 @@ class StimulusForm(QWidget):
         self._grid.setVerticalSpacing(6)
         self._grid.setColumnStretch(1, 1)
         self._saved = QWidget()
-        row = QHBoxLayout(self._saved)
-        row.setContentsMargins(0, 0, 0, 0)
-        row.addWidget(self.file, 1)
-        row.addWidget(self.browse)
-        self._stop_label = QLabel(_("Stop at uncertainty"))
-        self._stop_label.setWordWrap(True)
+        build.row((self.file, 1), self.browse, parent=self._saved)
+        self._stop_label = build.styled(QLabel(_("Stop at uncertainty")), word_wrap=True)
         self._grid.addWidget(QLabel(_("Stimulus")), 0, 0)
         self._grid.addWidget(self.kind, 0, 1)
         self._grid.addWidget(self._saved, 1, 0, 1, 2)
         self._grid.addWidget(self._stop_label, 2, 0)
         self._grid.addWidget(self.stop_when, 2, 1)
-        self._live_label = QLabel(_("Live response"))
-        self._live_label.setWordWrap(True)
+        self._live_label = build.styled(QLabel(_("Live response")), word_wrap=True)
         self._grid.addWidget(self._live_label, 3, 0)
         self._grid.addWidget(self.live_method, 3, 1)
         self._rows, self._fixed = self._grid.rowCount(), self._grid.count()
         self.kind.currentIndexChanged.connect(self._show_kind)
-        self.browse.clicked.connect(self._choose_file)
         self.file.textChanged.connect(self.update_shown)
         for line in (self.file, self.stop_when):
             line.textChanged.connect(self.changed)
@@ -235,8 +229,7 @@ class StimulusForm(QWidget):
             field.set_value(info.get_default())
             field.edited.connect(self.update_shown)
             field.edited.connect(self.changed)
-            label = QLabel(field.label)
-            label.setWordWrap(True)
+            label = build.styled(QLabel(field.label), word_wrap=True)
             grid, row = (self._depths, 0) if name in DEPTHS else (self._grid, self._rows)
             row += len(self.controls)
             grid.addWidget(label, row, 0)
@@ -268,9 +261,11 @@ class StimulusForm(QWidget):
     def _choose_file(self) -> None:
         kinds = " ".join(f"*{suffix}" for suffix in (".json", *SUFFIXES))
         offered = f"{_('Stimuli and waveforms')} ({kinds});;{_('All files')} (*)"
-        dialog = QFileDialog(self, _("Choose the file of a stimulus"), self.file.text(), offered)
-        dialog.setFileMode(QFileDialog.FileMode.ExistingFile)
-        dialog.setAttribute(Qt.WidgetAttribute.WA_DeleteOnClose)
+        dialog = build.styled(
+            QFileDialog(self, _("Choose the file of a stimulus"), self.file.text(), offered),
+            file_mode=QFileDialog.FileMode.ExistingFile,
+            attribute=Qt.WidgetAttribute.WA_DeleteOnClose,
+        )
         dialog.fileSelected.connect(self.file.setText)
         dialog.open()
 

@@ -2,18 +2,157 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable, Sequence
+from functools import partial
 from pathlib import Path
 
-from PySide6.QtCore import QByteArray, Qt, QTimer
-from PySide6.QtWidgets import QAbstractButton, QSplitter, QTabWidget, QToolButton, QVBoxLayout, QWidget
+from PySide6.QtCore import QByteArray, Qt
+from PySide6.QtWidgets import (
+    QAbstractButton,
+    QFileDialog,
+    QMenu,
+    QPushButton,
+    QSplitter,
+    QTabWidget,
+    QToolButton,
+    QWidget,
+)
 
+from tissueid.app import build
 from tissueid.app.context import AppContext, View
 from tissueid.app.views.researcher.analysis import AnalysisPanel
-from tissueid.app.views.researcher.background_work import ProgressStrip
+from tissueid.app.views.researcher.background_work import BackgroundWork, ProgressStrip
 from tissueid.app.views.researcher.browser import Browser
-from tissueid.app.views.researcher.export_button import ExportButton
+from tissueid.app.views.researcher.selected_test import SelectedTest
 from tissueid.app.views.researcher.signals import SignalsPanel
-from tissueid.language import _
+from tissueid.app.words import in_words, sentence
+from tissueid.atomic_write import unused_path
+from tissueid.audit import AuditTrail
+from tissueid.errors import CancelledError, TissueIDError
+from tissueid.language import _, marked
+from tissueid.messages import translated
+from tissueid.procedures.import_export import ExportPlan, run_export
+
+EXPORTS = {"csv": marked("CSV tables"), "mat": marked("MATLAB files"), "parquet": marked("Parquet tables")}
+
+
+class SessionExport(BackgroundWork):
+    """Writes a folder per session in ``folder``; a failing session is skipped."""
+
+    def __init__(self, chosen: Sequence[SelectedTest], folder: Path, kind: str, trail: AuditTrail) -> None:
+        super().__init__(_("Exporting"))
+        self.written: list[Path] = []
+        self.problems: list[str] = []
+        self._folder = folder
+        self._kind = kind
+        self._trail = trail
+        self._tests: dict[Path, list[int]] = {}
+        for one in chosen:
+            self._tests.setdefault(one.path, []).append(one.number)
+
+    def run(self) -> SessionExport:
+        """Export the sessions; a cancelled one leaves no files."""
+        try:
+            for done, (path, numbers) in enumerate(self._tests.items()):
+                self._begun = done / len(self._tests)
+                try:
+                    self._export(path, numbers)
+                except CancelledError:
+                    raise
+                except (TissueIDError, OSError) as error:
+                    self.problems.append(in_words(error))
+        except CancelledError:
+            pass  # what is written stays
+        self.problems += [sentence(translated(notice)) for notice in self.notices]
+        return self
+
+    @property
+    def words_after(self) -> str:
+        """Notice after the export."""
+        count = len(self.written)
+        said = []
+        if count == 1:
+            said.append(_("Exported into {path}.").format(path=self.written[0]))
+        elif count:
+            said.append(
+                _("Exported {count} sessions into folders in {folder}.").format(count=count, folder=self._folder)
+            )
+        if self.cancelled():
+            said.append(_("The export was stopped; the other sessions are not exported."))
+        return " ".join([*said, *dict.fromkeys(self.problems)])
+
+    def _export(self, path: Path, numbers: Sequence[int]) -> None:
+        self.check()
+        folder = unused_path(self._folder / f"{path.stem}-{self._kind}", separator="-")
+        plan = ExportPlan(session=path, out=folder, kind=self._kind, tests=tuple(numbers))
+        run_export(plan, self, self._trail)
+        self.written.append(folder)
+
+    def progress(self, fraction: float | None, step: str) -> None:
+        """Keep the completed share of all sessions."""
+        super().progress(self._begun + (fraction or 0.0) / len(self._tests), step)
+
+
+class ExportButton(QPushButton):
+    """Export button; ``chosen`` returns the selected tests."""
+
+    def __init__(
+        self,
+        context: AppContext,
+        strip: ProgressStrip,
+        chosen: Callable[[], Sequence[SelectedTest]],
+        parent: QWidget | None = None,
+    ) -> None:
+        super().__init__(_("Export data"), parent)
+        self._context = context
+        self._strip = strip
+        self._chosen = chosen
+        self._busy = False
+        build.styled(
+            self, tip=_("The selected tests as files for other programs, a folder a session"), menu=QMenu(self)
+        )
+        for kind, words in EXPORTS.items():
+            self.menu().addAction(f"{_(words)}…", partial(self._choose, kind))
+        self.update_enabled(busy=False)
+
+    def update_enabled(self, *, busy: bool) -> None:
+        """Enable the button if tests are selected and no job runs."""
+        self._busy = busy
+        self.setEnabled(not busy and bool(self._chosen()))
+
+    def selection_changed(self) -> None:
+        """Update the button after a change of the selection."""
+        self.update_enabled(busy=self._busy)
+
+    def _choose(self, kind: str) -> None:
+        chosen = list(self._chosen())
+        if not chosen:
+            return
+        dialog = build.styled(
+            QFileDialog(self.window(), _("Export into a new folder in"), str(chosen[0].path.parent)),
+            file_mode=QFileDialog.FileMode.Directory,
+            option=QFileDialog.Option.ShowDirsOnly,
+            attribute=Qt.WidgetAttribute.WA_DeleteOnClose,
+        )
+        dialog.fileSelected.connect(partial(self._export, chosen, kind))
+        dialog.open()
+
+    def _export(self, chosen: Sequence[SelectedTest], kind: str, folder: str) -> None:
+        if self._context.busy:
+            self._context.say(_("Not exported: other work is running. Try again."), problem=True)
+            return
+        export = SessionExport(chosen, Path(folder), kind, self._context.trail)
+        self._strip.watch(export)
+        self._context.jobs.do(export.run, self._exported, self._failed)
+
+    def _exported(self, export: SessionExport) -> None:
+        self._strip.clear()
+        self._context.say(export.words_after, problem=bool(export.problems))
+
+    def _failed(self, words: str) -> None:
+        self._strip.clear()
+        self._context.say(words, problem=True)
+
 
 _SPLIT, _TAB, _FOLDED = "research/split", "research/tab", "research/list-folded"
 _WIDTHS = (300, 700)
@@ -35,16 +174,17 @@ class ResearchView(View):
         self.browser.foot.addWidget(self.export)
         self.signals = SignalsPanel(context, self.strip)
         self.analysis = AnalysisPanel(context)
-        self.tabs = QTabWidget()
-        self.tabs.setDocumentMode(True)
+        self.tabs = build.styled(QTabWidget(), document_mode=True)
         self.tabs.tabBar().setDrawBase(False)
         self.tabs.tabBar().setAccessibleName(_("Signals and analysis"))
         self.tabs.setCornerWidget(self.strip)
-        self.fold_list = QToolButton()
-        self.fold_list.setProperty("role", "fold")
-        self.fold_list.setCheckable(True)
-        self.fold_list.setAccessibleName(_("Hide the list of sessions"))
-        self.fold_list.setToolTip(_("Hide the list of sessions, for more room; the selection stays"))
+        self.fold_list = build.styled(
+            QToolButton(),
+            role="fold",
+            checkable=True,
+            name=_("Hide the list of sessions"),
+            tip=_("Hide the list of sessions, for more room; the selection stays"),
+        )
         self.fold_list.toggled.connect(self._fold_list)
         self.tabs.setCornerWidget(self.fold_list, Qt.Corner.TopLeftCorner)
         self.tabs.addTab(self.signals, _("Signals"))
@@ -52,22 +192,15 @@ class ResearchView(View):
         self.split = QSplitter()
         self.split.addWidget(self.browser)
         self.split.addWidget(self.tabs)
-        self.split.setChildrenCollapsible(False)
-        self.split.setHandleWidth(8)
+        build.styled(self.split, children_collapsible=False, handle_width=8)
         self.split.setStretchFactor(0, 3)
         self.split.setStretchFactor(1, 7)
         self.split.setSizes(list(_WIDTHS))
         QWidget.setTabOrder(self.export, self.fold_list)
         QWidget.setTabOrder(self.fold_list, self.tabs.tabBar())
-        rows = QVBoxLayout(self)
-        rows.setContentsMargins(12, 10, 12, 6)
-        rows.setSpacing(4)
-        rows.addWidget(self.split, 1)
+        build.column((self.split, 1), spacing=4, margins=(12, 10, 12, 6), parent=self)
         # Not from within a job's end: the other pages must have settled first.
-        self.refresh_timer = QTimer(self)
-        self.refresh_timer.setSingleShot(True)
-        self.refresh_timer.setInterval(0)
-        self.refresh_timer.timeout.connect(self._go_on)
+        self.refresh_timer = build.timer(self, 0, self._go_on)
         self.browser.work_waits.connect(self.refresh_timer.start)
         self.signals.work_waits.connect(self.refresh_timer.start)
         self.browser.selected.connect(self._show_selected)

@@ -8,7 +8,7 @@ from collections.abc import Callable, Mapping
 from itertools import pairwise
 from pathlib import Path
 
-from PySide6.QtCore import Qt, QTimer, Signal
+from PySide6.QtCore import Qt, Signal
 from PySide6.QtGui import QShowEvent
 from PySide6.QtWidgets import (
     QAbstractButton,
@@ -22,7 +22,7 @@ from PySide6.QtWidgets import (
     QWidget,
 )
 
-from tissueid.app.build import button, fill, label, row, styled
+from tissueid.app.build import button, fill, label, row, styled, timer
 from tissueid.app.calibration_state import CalibrationState
 from tissueid.app.context import AppContext, View
 from tissueid.app.preferences import choosers
@@ -82,34 +82,30 @@ class StartView(View):
         self._cancelled = threading.Event()
         self._then: Callable[[], None] | None = None
         # Not at once: the window first tells every page that nothing goes on any more.
-        self.refresh_timer = QTimer(self)
-        self.refresh_timer.setSingleShot(True)
-        self.refresh_timer.setInterval(0)
-        self.refresh_timer.timeout.connect(self._go_on)
+        self.refresh_timer = timer(self, 0, self._go_on)
         self.cards = {role: RoleCard(role, _(sentence)) for role, sentence in WHAT_ROLES_DO.items()}
         columns = _("Date"), _("Site"), _("Subject"), _("Quality"), _("Accepted result")
         self.recent = Rows(_("Recent sessions"), columns, (1, 2, 3, 4))
         self.instruments = Rows(_("Instruments"), (_("Instrument"), _("Health"), _("Calibration")), (0, 1, 2))
-        self.search = QLineEdit()
-        self.search.setPlaceholderText(_("Search: subject, site, date"))
-        self.search.setAccessibleName(_("Search sessions by subject, site, study or date"))
-        self.search.setToolTip(_("Such as P01 forearm, or 2026-01-15"))
-        self.search.setClearButtonEnabled(True)
-        self.search.setMinimumWidth(_SEARCH_WIDTH)
-        self._typed = QTimer(self)
-        self._typed.setSingleShot(True)
-        self._typed.setInterval(_TYPING_MS)
-        self._typed.timeout.connect(self._search)
+        self.search = styled(
+            QLineEdit(),
+            placeholder_text=_("Search: subject, site, date"),
+            name=_("Search sessions by subject, site, study or date"),
+            tip=_("Such as P01 forearm, or 2026-01-15"),
+            clear_button_enabled=True,
+            minimum_width=_SEARCH_WIDTH,
+        )
+        self._typed = timer(self, _TYPING_MS, self._search)
         self.about_recent, self.about_instruments = label(), ElidedLabel()
-        self.open = button(_("Open"), name=_("Open the selected session"))
-        self.stop_reading = button(_("Cancel"), name=_("Stop reading the folder of sessions"))
-        self.use = button(_("Use"), name=_("Use the selected instrument for the next test"))
-        self.seek = button(_("Fin&d"), name=_("Find instruments: ask every port"))
+        self.open = button(_("Open"), self._open_chosen, name=_("Open the selected session"))
+        self.stop_reading = button(_("Cancel"), self.cancel, name=_("Stop reading the folder of sessions"))
+        self.use = button(_("Use"), self._use_chosen, name=_("Use the selected instrument for the next test"))
+        self.seek = button(_("Fin&d"), self._find, name=_("Find instruments: ask every port"))
         self.unfinished = label()
-        self.recover = button(_("Recover"), name=_("Recover all unfinished tests"))
+        self.recover = button(_("Recover"), self._recover, name=_("Recover all unfinished tests"))
         self.choosers = choosers(context.settings)
         self.language, self.units, self.appearance, self.text_size = self.choosers
-        self.folder = button(_("Show folder"), name=_("Show the folder of sessions"))
+        self.folder = button(_("Show folder"), self._show_folder, name=_("Show the folder of sessions"))
         self._arrange()
         self._connect()
         self.set_role(context.role())
@@ -304,14 +300,8 @@ class StartView(View):
         self.search.textChanged.connect(self._typed.start)
         self.recent.taken.connect(self._open_row)
         self.recent.itemSelectionChanged.connect(self._enable_choices)
-        self.open.clicked.connect(self._open_chosen)
-        self.stop_reading.clicked.connect(self.cancel)
         self.instruments.taken.connect(self._use_row)
         self.instruments.itemSelectionChanged.connect(self._enable_choices)
-        self.use.clicked.connect(self._use_chosen)
-        self.seek.clicked.connect(self._find)
-        self.recover.clicked.connect(self._recover)
-        self.folder.clicked.connect(self._show_folder)
 
     def _arrange(self) -> None:
         page = QWidget()
@@ -332,10 +322,13 @@ class StartView(View):
         fill(QVBoxLayout(page), *parts, spacing=8, margins=(16, 10, 16, 10))
         scroll = QScrollArea()
         scroll.setWidget(page)
-        scroll.setWidgetResizable(True)
-        scroll.setFrameShape(QFrame.Shape.NoFrame)
-        scroll.setHorizontalScrollBarPolicy(Qt.ScrollBarPolicy.ScrollBarAlwaysOff)
-        scroll.setFocusPolicy(Qt.FocusPolicy.NoFocus)
+        styled(
+            scroll,
+            widget_resizable=True,
+            frame_shape=QFrame.Shape.NoFrame,
+            horizontal_scroll_bar_policy=Qt.ScrollBarPolicy.ScrollBarAlwaysOff,
+            focus_policy=Qt.FocusPolicy.NoFocus,
+        )
         fill(QVBoxLayout(self), scroll)
         order = [*self.cards.values(), self.recover, self.search, self.stop_reading, self.open, self.recent]
         order += [self.seek, self.instruments, self.use, self.folder]
@@ -353,10 +346,8 @@ class StartView(View):
         foot = styled(QFrame(), role="card")
         grid = QGridLayout(foot)
         grid.setContentsMargins(14, 8, 10, 8)
-        grid.setHorizontalSpacing(14)
-        grid.setVerticalSpacing(2)
-        said = label()
-        said.setText(f"{_(RESEARCH_USE)} {_('Nothing leaves this computer.')} {_(HINT)}")
+        styled(grid, horizontal_spacing=14, vertical_spacing=2)
+        said = label(text=f"{_(RESEARCH_USE)} {_('Nothing leaves this computer.')} {_(HINT)}")
         grid.addWidget(said, 0, 0, 1, 4)
         grid.addWidget(self.folder, 0, 4)
         for place, (what, where) in enumerate(storage_locations(self.context.services, self.context.settings)):

@@ -8,10 +8,10 @@ from itertools import pairwise
 from pathlib import Path
 from typing import Any
 
-from PySide6.QtCore import Qt, QTimer
-from PySide6.QtWidgets import QAbstractButton, QTabWidget, QVBoxLayout, QWidget
+from PySide6.QtCore import Qt
+from PySide6.QtWidgets import QAbstractButton, QTabWidget, QWidget
 
-from tissueid.app.build import label
+from tissueid.app.build import column, label, styled, timer
 from tissueid.app.context import AppContext, View
 from tissueid.app.jobs import JobControl
 from tissueid.app.views.studies.figures_tab import FiguresTab
@@ -62,8 +62,7 @@ class StudiesView(View):
         self.asking = RequestRow()
         self.tests = TestsTab()
         self.figures = FiguresTab()
-        self.tabs = QTabWidget()
-        self.tabs.setDocumentMode(True)
+        self.tabs = styled(QTabWidget(), document_mode=True)
         self.tabs.tabBar().setDrawBase(False)
         self.tabs.tabBar().setAccessibleName(_("Tests and figures"))
         # One stop of the tab key, not two: the bar alone.
@@ -72,27 +71,15 @@ class StudiesView(View):
         self.tabs.tabBar().setFocusPolicy(Qt.FocusPolicy.StrongFocus)
         self.tabs.addTab(self.tests, _("Tests"))
         self.tabs.addTab(self.figures, _("Figures"))
-        rows = QVBoxLayout(self)
-        rows.setContentsMargins(12, 10, 12, 6)
-        rows.setSpacing(8)
-        rows.addWidget(self.asking)
-        self.welcome = label("muted")
-        self.welcome.setText(_(_WELCOME))
-        self.welcome.setAlignment(Qt.AlignmentFlag.AlignTop)
-        rows.addWidget(self.welcome, 1)
-        rows.addWidget(self.tabs, 1)
+        self.welcome = label("muted", text=_(_WELCOME), alignment=Qt.AlignmentFlag.AlignTop)
+        column(self.asking, (self.welcome, 1), (self.tabs, 1), spacing=8, margins=(12, 10, 12, 6), parent=self)
         self.tabs.hide()
         order = [*self.asking.fields, self.tabs.tabBar(), *self.tests.fields, *self.figures.fields]
         for before, after in pairwise(order):
             QWidget.setTabOrder(before, after)
-        self._looking = QTimer(self)
-        self._looking.setInterval(_LOOK_MS)
-        self._looking.timeout.connect(self._show_progress)
+        self._looking = timer(self, _LOOK_MS, self._show_progress, repeat=True)
         # Not from within a job's end: the other pages must have settled first.
-        self.refresh_timer = QTimer(self)
-        self.refresh_timer.setSingleShot(True)
-        self.refresh_timer.setInterval(0)
-        self.refresh_timer.timeout.connect(self._read_again)
+        self.refresh_timer = timer(self, 0, self._read_again)
         self.asking.chosen.connect(self.open_study)
         self.asking.made.connect(self.make_study)
         self.asking.wanted.connect(self.analyse)

@@ -4,11 +4,12 @@ from __future__ import annotations
 
 from pathlib import Path
 
-from PySide6.QtCore import Qt, QTimer
+from PySide6.QtCore import Qt
 from PySide6.QtGui import QKeySequence, QShortcut, QShowEvent
-from PySide6.QtWidgets import QAbstractButton, QHBoxLayout, QLabel, QTabWidget, QVBoxLayout, QWidget
+from PySide6.QtWidgets import QAbstractButton, QLabel, QTabWidget, QWidget
 
-from tissueid.app.build import button
+from tissueid.app import build
+from tissueid.app.build import button, column, styled, timer
 from tissueid.app.context import AppContext, View
 from tissueid.app.jobs import PageJob
 from tissueid.app.views.technician.audit_table import AuditTab
@@ -38,25 +39,17 @@ class InstrumentView(View):
         self.faults = FaultsTab(context, self.page_job)
         self.audit = AuditTab(context, self.page_job)
         self.all: tuple[Tab, ...] = (self.health, self.calibrations, self.faults, self.audit)
-        self.doing = QLabel()
-        self.doing.setProperty("role", "muted")
-        self.doing.setTextFormat(Qt.TextFormat.PlainText)
+        self.doing = styled(QLabel(), role="muted", text_format=Qt.TextFormat.PlainText)
         self.give_up = button(_("Cancel"), role="small", tip=_("Ends what is being read or asked"))
         self.give_up.clicked.connect(self.page_job.cancel)
-        self.tabs = QTabWidget()
-        self.tabs.setDocumentMode(True)
+        self.tabs = styled(QTabWidget(), document_mode=True)
         self.tabs.tabBar().setDrawBase(False)
         self.tabs.tabBar().setAccessibleName(_("Parts of the page Instrument"))
         for tab, title in zip(self.all, _TITLES, strict=True):
             self.tabs.addTab(tab, _(title))
         self.tabs.setCornerWidget(self._make_corner(), Qt.Corner.TopRightCorner)
-        layout = QVBoxLayout(self)
-        layout.setContentsMargins(12, 8, 12, 10)
-        layout.addWidget(self.tabs)
-        self.refresh_timer = QTimer(self)
-        self.refresh_timer.setSingleShot(True)
-        self.refresh_timer.setInterval(0)
-        self.refresh_timer.timeout.connect(self._bring_up_to_date)
+        column(self.tabs, margins=(12, 8, 12, 10), parent=self)
+        self.refresh_timer = timer(self, 0, self._bring_up_to_date)
         self.tabs.setCurrentIndex(self._kept_tab())
         self.tabs.currentChanged.connect(self._tab_changed)
         self.page_job.changed.connect(self._show_job)
@@ -65,11 +58,7 @@ class InstrumentView(View):
 
     def _make_corner(self) -> QWidget:
         corner = QWidget()
-        row = QHBoxLayout(corner)
-        row.setContentsMargins(0, 0, 0, 2)
-        row.setSpacing(8)
-        row.addWidget(self.doing)
-        row.addWidget(self.give_up)
+        build.row(self.doing, self.give_up, spacing=8, margins=(0, 0, 0, 2), parent=corner)
         return corner
 
     def _kept_tab(self) -> int:
