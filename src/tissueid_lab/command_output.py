@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from dataclasses import asdict
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 import typer
 
@@ -12,15 +13,13 @@ from tissueid.errors import UnusableInputError
 from tissueid.messages import MISSING
 from tissueid.procedures.instrument_access import audit_trail
 from tissueid.procedures.output_files import check_different
-from tissueid_lab.blind_check.answers import CheckInProgress
 from tissueid_lab.blind_check.check import BlindCheckPlan, run_blind_check
-from tissueid_lab.blind_check.page import score_table
-from tissueid_lab.blind_check.scoring import score_answer
 from tissueid_lab.conformance.procedure import ConformancePlan, run_conformance
-from tissueid_lab.conformance.suite import answer_of as conformance_answer
-from tissueid_lab.thesis.figures import FIGURES
 from tissueid_lab.thesis.reproduction import ReproductionPlan, run_reproduction
 from tissueid_lab.thesis.reproduction import answer_of as figure_answer
+
+if TYPE_CHECKING:
+    from tissueid_lab.blind_check.answers import CheckInProgress
 
 
 def conformance(plan: ConformancePlan, out: Output) -> None:
@@ -30,6 +29,7 @@ def conformance(plan: ConformancePlan, out: Output) -> None:
         UnusableInputError: an option cannot be used.
         typer.Exit: a clause failed: exit status 1.
     """
+    from tissueid_lab.conformance.suite import answer_of as conformance_answer
 
     check_different(plan.out, out.json_file)
     if plan.attended and not at_terminal():
@@ -57,6 +57,7 @@ def conformance(plan: ConformancePlan, out: Output) -> None:
 
 def reproduce(plan: ReproductionPlan, out: Output) -> None:
     """Make figures and tables of the thesis and print its numbers next to the simulated ones; or list them."""
+    from tissueid_lab.thesis.figures import FIGURES
 
     out.widen(150)
     if plan.out is None and not plan.numbers:
@@ -80,6 +81,8 @@ def reproduce(plan: ReproductionPlan, out: Output) -> None:
 
 def blind_check(plan: BlindCheckPlan, out: Output) -> None:
     """Score the diagnosis on scenarios with sealed labels, and print the scores and the failures."""
+    from tissueid_lab.blind_check.page import score_table
+    from tissueid_lab.blind_check.scoring import score_answer
 
     check_different(out.json_file, plan.page)
 
