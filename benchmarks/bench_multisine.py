@@ -12,7 +12,7 @@ import numpy as np
 
 from benchmarks import plain_multisine
 from benchmarks.base import Comparison
-from tissueid.stimuli.crest import grid_size, minimise_crest_factor, multisine_crest_factor
+from tissueid.stimuli.kinds.multisine import grid_size, minimise_crest_factor, multisine_crest_factor
 
 
 def comparisons() -> Iterable[Comparison]:

@@ -8,7 +8,7 @@ from hashlib import sha256
 from pathlib import Path
 
 from tissueid.audit import AuditLog
-from tissueid.audit.newest_head import newest_path
+from tissueid.audit.log import newest_path
 
 START = datetime(2026, 3, 4, 5, 6, 7, tzinfo=UTC)
 

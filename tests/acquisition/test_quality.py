@@ -23,8 +23,7 @@ from tissueid.sessions import Session, Test, read_session
 from tissueid.sessions.model import reason_notes
 from tissueid.sessions.quality import HEADLINES, worst_first
 from tissueid.stimuli.base import with_preload
-from tissueid.stimuli.kinds.noise import Noise
-from tissueid.stimuli.kinds.stepped_noise import SteppedNoise
+from tissueid.stimuli.kinds.noise import Noise, SteppedNoise
 from tissueid.test_settings import TestSettings
 from tissueid.wire import Fault
 

@@ -19,7 +19,7 @@ from support import connect
 from tissueid.acquisition import JournalError, SessionRecorder, run_guided_test
 from tissueid.acquisition import recorder as recording
 from tissueid.audit import AuditError, AuditLog, AuditTrail, last_lines, verify
-from tissueid.audit import trail as audit_trail
+from tissueid.audit import log as audit_trail
 from tissueid.device import DeviceDescription
 from tissueid.errors import CancelledError, FirmwareFaultError, LinkLostError
 from tissueid.instrument import Run

@@ -15,8 +15,8 @@ from tissueid.identification.depth_levels import localized_levels
 from tissueid.records import Record, joined
 from tissueid.reports.verdict import key_numbers, linear_engine
 from tissueid.sessions import Test
+from tissueid.stimuli.kinds.noise import SteppedNoise
 from tissueid.stimuli.kinds.step_hold import StepHold
-from tissueid.stimuli.kinds.stepped_noise import SteppedNoise
 
 PRESET = "left-posterior-forearm"
 LEVELS = 4

@@ -20,7 +20,7 @@ from tissueid.audit import (
     verification,
     verify,
 )
-from tissueid.audit.newest_head import newest_path
+from tissueid.audit.log import newest_path
 from tissueid.errors import UnusableInputError
 
 

@@ -16,8 +16,7 @@ from tissueid.procedures.study_run import run_study
 from tissueid.reports import study_page
 from tissueid.sessions import Subject, write_session
 from tissueid.studies import multivariate, repeatability
-from tissueid.studies.curve_groups import chosen
-from tissueid.studies.sampled_curves import curves_of
+from tissueid.studies.curve_groups import chosen, curves_of
 
 
 @pytest.fixture(autouse=True)

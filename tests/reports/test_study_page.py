@@ -20,7 +20,6 @@ from tissueid.reports.plot_renderer import draw_plot
 from tissueid.reports.study_page import _figures, _parts, _with_broken_heads, study_facts, study_html
 from tissueid.reports.study_tables import study_table, study_tables
 from tissueid.reports.tables import Table
-from tissueid.studies.curve_plots import surface_plot
 from tissueid.studies.study_plots import (
     COLOURS,
     conditions_plot,
@@ -28,6 +27,7 @@ from tissueid.studies.study_plots import (
     nonlinearity_plot,
     sites_plot,
     subjects_plot,
+    surface_plot,
 )
 from tissueid.studies.study_statistics import StudyStatistics
 

@@ -12,10 +12,9 @@ from coded import coded
 from tissueid.errors import UnusableInputError
 from tissueid.stimuli import interchange as module
 from tissueid.stimuli import rebuild, stimulus_names, with_preload
-from tissueid.stimuli.autocorrelation_bounds import error_bound
 from tissueid.stimuli.distributions import Binary, Exponential, Gaussian, Uniform
 from tissueid.stimuli.interchange import InterchangeProgress, autocorrelation, initial_arrangement, interchange
-from tissueid.stimuli.kinds.interchange import Interchange
+from tissueid.stimuli.kinds.interchange import Interchange, error_bound
 from tissueid.stimuli.spectra import Butterworth, ExponentialDecay
 
 RATE = 2000.0

@@ -16,8 +16,13 @@ from hypothesis import strategies as st
 from tissueid.errors import UnusableInputError
 from tissueid.identification.validation.distortion import distortion
 from tissueid.stimuli import rebuild, stimulus_names, with_preload
-from tissueid.stimuli.crest import minimise_crest_factor, multisine_crest_factor, schroeder_phases
-from tissueid.stimuli.kinds.multisine import Multisine, multisine_from_description
+from tissueid.stimuli.kinds.multisine import (
+    Multisine,
+    minimise_crest_factor,
+    multisine_crest_factor,
+    multisine_from_description,
+    schroeder_phases,
+)
 from tissueid.stimuli.kinds.noise import Noise
 
 QUICK: dict[str, Any] = {"phases": "random", "draws": 1}

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from scipy import signal, stats
 
-from tissueid.stimuli.rtig.source import StochasticStream
+from tissueid.stimuli.kinds.rtig import StochasticStream
 
 
 def stream(shape: str, seed: int = 1) -> StochasticStream:

@@ -11,7 +11,7 @@ from hypothesis import strategies as st
 from tissueid.device import DeviceDescription
 from tissueid.errors import UnusableInputError
 from tissueid.stimuli import get_stimulus, rebuild, with_preload
-from tissueid.stimuli.kinds.stepped_noise import SteppedNoise
+from tissueid.stimuli.kinds.noise import SteppedNoise
 from tissueid.stimuli.stimulus_check import assess_stimulus
 
 

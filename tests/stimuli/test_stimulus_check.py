@@ -14,8 +14,14 @@ from tissueid.device import DeviceDescription
 from tissueid.errors import LimitError, UnusableInputError
 from tissueid.instrument import CLINICAL, RESEARCH, check_stimulus
 from tissueid.stimuli import Stimulus, build_stimulus, to_voltage, with_preload
-from tissueid.stimuli.heating import AssumedValue, ThermalParameters, heating
-from tissueid.stimuli.stimulus_check import REFERENCE_EDGE_N_PER_S, StimulusCheck, assess_stimulus
+from tissueid.stimuli.stimulus_check import (
+    REFERENCE_EDGE_N_PER_S,
+    AssumedValue,
+    StimulusCheck,
+    ThermalParameters,
+    assess_stimulus,
+    heating,
+)
 
 DEVICE = DeviceDescription()
 RATE = 2000.0

@@ -9,10 +9,17 @@ from scipy import stats
 from tissueid.analysis.curves.plot import as_csv
 from tissueid.analysis.curves.samples import GRIDS, KERNEL1, KERNEL2, LAGS, MAGNITUDE, PARTITIONS, STIFFNESS, trimmed
 from tissueid.reports.study_page import study_html, study_plots, tables_of
-from tissueid.studies.curve_groups import chosen, group_curves, group_labels, mean_and_interval
-from tissueid.studies.curve_plots import curve_plot, kernel_panel, scores_plot, shared_limit
-from tissueid.studies.kernel_components import component_table, kernel_components, score_table
-from tissueid.studies.sampled_curves import curves_table, read_curves, write_curves
+from tissueid.studies.curve_groups import (
+    chosen,
+    curves_table,
+    group_curves,
+    group_labels,
+    mean_and_interval,
+    read_curves,
+    write_curves,
+)
+from tissueid.studies.multivariate import component_table, kernel_components, score_table
+from tissueid.studies.study_plots import curve_plot, kernel_panel, scores_plot, shared_limit
 from tissueid.studies.study_statistics import study_statistics
 
 T_3 = stats.t.ppf(0.975, 2)

@@ -19,8 +19,16 @@ from tissueid.studies.group_comparison import (
     subject_means,
 )
 from tissueid.studies.multivariate import component_steps, partial_least_squares, principal_components
-from tissueid.studies.repeatability import ALL_SITES, first_test, paired_difference, reliability, variation
-from tissueid.studies.sample_size import detectable_effect, participants, sample_sizes
+from tissueid.studies.repeatability import (
+    ALL_SITES,
+    detectable_effect,
+    first_test,
+    paired_difference,
+    participants,
+    reliability,
+    sample_sizes,
+    variation,
+)
 
 PLANTS = {
     "ctrl": [4.17, 5.58, 5.18, 6.11, 4.50, 4.61, 5.17, 4.53, 5.33, 5.14],

@@ -8,7 +8,7 @@ from studies.generated_tables import generated_table
 
 from tissueid.studies import multivariate, repeatability
 from tissueid.studies.group_comparison import one_way
-from tissueid.studies.sample_size import participants
+from tissueid.studies.repeatability import participants
 from tissueid.studies.study_statistics import study_statistics
 from tissueid.studies.thesis_tables import (
     INDIVIDUAL,

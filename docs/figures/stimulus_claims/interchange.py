@@ -11,10 +11,9 @@ from engine_claims.base import Claim
 
 from benchmarks import plain_interchange
 from tissueid.errors import UnusableInputError
-from tissueid.stimuli.autocorrelation_bounds import error_bound
 from tissueid.stimuli.distributions import Binary, Uniform
 from tissueid.stimuli.interchange import InterchangeResult, initial_arrangement, interchange
-from tissueid.stimuli.kinds.interchange import Interchange
+from tissueid.stimuli.kinds.interchange import Interchange, error_bound
 from tissueid.stimuli.spectra import Band, Spectrum
 from tissueid_lab.thesis.computing_times import swap_seconds
 

@@ -13,8 +13,7 @@ from tissueid.device import DeviceDescription
 from tissueid.identification.validation.distortion import distortion
 from tissueid.records import Record
 from tissueid.stimuli.base import to_voltage, with_preload
-from tissueid.stimuli.crest import minimise_crest_factor, multisine_crest_factor, schroeder_phases
-from tissueid.stimuli.kinds.multisine import Multisine
+from tissueid.stimuli.kinds.multisine import Multisine, minimise_crest_factor, multisine_crest_factor, schroeder_phases
 from tissueid.stimuli.stimulus_check import assess_stimulus
 
 RANGE = {"force_min_n": known.LOW_N, "force_max_n": known.HIGH_N}

@@ -1,8 +1,17 @@
 """Audit log: who did what and when, with old and new values. Append-only, each line linked to the one before."""
 
 from tissueid.audit.line import HEAD_ATTRIBUTE, LogLine
-from tissueid.audit.log import ENVIRONMENT, AuditError, AuditLog, default_path
-from tissueid.audit.trail import ROLE_ENVIRONMENT, ROLES, AuditTrail, Role, active_role
+from tissueid.audit.log import (
+    ENVIRONMENT,
+    ROLE_ENVIRONMENT,
+    ROLES,
+    AuditError,
+    AuditLog,
+    AuditTrail,
+    Role,
+    active_role,
+    default_path,
+)
 from tissueid.audit.verification import Broken, LogDamage, Verification, check_head, last_lines, verify
 
 __all__ = [

@@ -1,4 +1,4 @@
-"""Writing to the audit log: locked between processes, synced to disk, and robust against crashes."""
+"""The newest head of a log in a small file next to it, which shows that the log was emptied, cut off or removed."""
 
 from __future__ import annotations
 
@@ -7,19 +7,24 @@ import errno
 import getpass
 import hashlib
 import os
+import re
 import stat
 import sys
+import threading
 import time
+from collections import deque
 from collections.abc import Callable, Iterator
+from concurrent.futures import Future
 from contextlib import contextmanager
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from datetime import UTC, datetime
+from functools import partial
 from pathlib import Path
-from typing import Any
+from typing import Any, Literal, get_args
 
 from platformdirs import user_data_path
 
-from tissueid.atomic_write import private_folder, private_opener, sync_folder, write_all
+from tissueid.atomic_write import open_regular, private_folder, private_opener, sync_folder, write_all
 from tissueid.audit.line import (
     CANCEL,
     CLOSED_OFF,
@@ -32,11 +37,52 @@ from tissueid.audit.line import (
     make_line,
     read_line,
 )
-from tissueid.audit.newest_head import read_newest, write_newest
-from tissueid.errors import TissueIDError
+from tissueid.errors import TissueIDError, UnusableInputError
 from tissueid.language import marked
-from tissueid.messages import Action, Message
+from tissueid.messages import Action, Message, Verbatim, joined
 from tissueid.version import SOFTWARE
+
+_HEAD = re.compile(rb"(\d{1,12}):([0-9a-f]{64})")
+_LONGEST = 100
+
+
+def newest_path(log: Path) -> Path:
+    """Return the path of the newest head of a log."""
+    return log.with_name(log.name + ".head")
+
+
+def read_newest(log: Path) -> tuple[int, str] | None:
+    """Return number and hash of the newest line ever written to a log; None if unknown."""
+    try:
+        with open_regular(newest_path(log)) as file:
+            match = _HEAD.fullmatch(file.read(_LONGEST).partition(b"\n")[0])
+    except OSError:
+        return None
+    return None if match is None else (int(match[1]), match[2].decode())
+
+
+def write_newest(log: Path, head: str, like: os.stat_result) -> None:
+    """Store the head of the newest line, with the group and mode of the log in ``like``.
+
+    The file is not synced, so that it is never newer than the log. If it cannot be written, the older head stays,
+    which the log still contains.
+    """
+    with contextlib.suppress(OSError):
+        path = newest_path(log)
+        made = not path.exists()
+        descriptor = private_opener(str(path), os.O_WRONLY | os.O_CREAT | getattr(os, "O_NONBLOCK", 0))
+        try:
+            if not stat.S_ISREG(os.fstat(descriptor).st_mode):
+                return
+            data = f"{head}\n".encode()
+            write_all(descriptor, data)
+            os.ftruncate(descriptor, len(data))
+            if made and hasattr(os, "fchown"):
+                os.fchown(descriptor, -1, like.st_gid)
+                os.fchmod(descriptor, stat.S_IMODE(like.st_mode) & 0o666)
+        finally:
+            os.close(descriptor)
+
 
 ENVIRONMENT = "TISSUEID_AUDIT"
 FORMAT = "tissueid-audit"
@@ -284,3 +330,135 @@ def lock(descriptor: int) -> bool:
             return False
         raise
     return True
+
+
+Role = Literal["clinician", "researcher", "technician"]
+ROLES: tuple[Role, ...] = get_args(Role)
+ROLE_ENVIRONMENT = "TISSUEID_ROLE"
+SETTLE_S = 10.0
+"""Longest wait for lines that are being written, s."""
+
+
+def active_role(default: Role) -> Role:
+    """Return the role in ``TISSUEID_ROLE``, or the default without one.
+
+    Raises:
+        UnusableInputError: the variable names no role.
+    """
+    named = os.environ.get(ROLE_ENVIRONMENT, "").strip().lower()
+    for role in ROLES:
+        if named == role:
+            return role
+    if named:
+        raise UnusableInputError(
+            "audit.role",
+            "{variable} must be {roles}, not '{value}'",
+            variable=ROLE_ENVIRONMENT,
+            roles=joined(ROLES, last=marked(" or ")),
+            value=Verbatim(named),
+        )
+    return default
+
+
+@dataclass
+class AuditTrail:
+    """Lines of one role. Use ``record`` before an action, and ``note`` while the coil may be energised.
+
+    ``head`` is the head of the newest line written here. ``problem`` is the reason why the first lost note could not
+    be written; empty without one.
+    """
+
+    log: AuditLog
+    role: Role
+    head: str = ""
+    problem: str = ""
+    _waiting: deque[tuple[partial[str], Future[str] | None]] = field(default_factory=deque, repr=False)
+    _writing: bool = False
+    _thread: threading.Thread | None = field(default=None, repr=False)
+    _change: threading.Condition = field(default_factory=threading.Condition, repr=False)
+
+    def record(self, what: str, *, subject: str = "", old: Any = None, new: Any = None) -> None:
+        """Add a line after the noted ones, and wait for the disk.
+
+        Raises:
+            AuditError: writing failed; the action must not begin.
+        """
+        self.submit(what, subject=subject, old=old, new=new).result()
+        self._join_idle()
+
+    def submit(self, what: str, *, subject: str = "", old: Any = None, new: Any = None) -> Future[str]:
+        """Add a line as ``record`` does, without waiting: the future gives its head or the error."""
+        answer: Future[str] = Future()
+        self._add(what, subject, old, new, answer)
+        return answer
+
+    def note(self, what: str, *, subject: str = "", old: Any = None, new: Any = None) -> None:
+        """Add a line in the background. Never waits and never raises; see ``settle``."""
+        self._add(what, subject, old, new, None)
+
+    def _add(self, what: str, subject: str, old: Any, new: Any, answer: Future[str] | None) -> None:
+        with self._change:
+            when: datetime = self.log.clock()
+            line = partial(self.log.record, self.role, what, subject=subject, old=old, new=new, when=when)
+            self._waiting.append((line, answer))
+            if not self._writing:
+                self._writing = True
+                self._thread = threading.Thread(target=self._write_all, name="audit", daemon=True)
+                self._thread.start()
+
+    def _join_idle(self) -> None:
+        """Join a thread that has nothing more to write."""
+        with self._change:
+            thread = None if self._writing else self._thread
+        if thread is not None:
+            thread.join()
+
+    def settle(self, timeout_s: float = SETTLE_S) -> str:
+        """Wait until all notes are written or have failed; return ``problem``."""
+        with self._change:
+            if not self._change.wait_for(lambda: not self._writing, timeout_s) and not self.problem:
+                self.problem = Message(
+                    "audit.no_answer",
+                    "writing to the audit log {path} takes too long: the disk does not answer",
+                    path=str(self.log.path),
+                )
+        self._join_idle()
+        return self.problem
+
+    def _write_all(self) -> None:
+        while True:
+            with self._change:
+                if not self._waiting:
+                    self._writing = False
+                    self._change.notify_all()
+                    return
+                line, answer = self._waiting.popleft()
+            try:
+                before, self.head = self.head, line()
+                if before and _number(self.head) <= _number(before):
+                    self.problem = self.problem or Message(
+                        "audit.replaced",
+                        "lines up to {line}, which were written before: {path} was emptied, removed or replaced while "
+                        "it was in use",
+                        line=_number(before),
+                        path=str(self.log.path),
+                    )
+            except Exception as error:  # noqa: BLE001 - reported by the future or by settle(); the thread continues
+                if answer is not None:
+                    answer.set_exception(error)
+                elif isinstance(error, AuditError):
+                    self.problem = self.problem or error.message
+                else:
+                    self.problem = self.problem or Message(
+                        "audit.failed",
+                        "the audit log failed: {kind}: {why}",
+                        kind=type(error).__name__,
+                        why=str(error),
+                    )
+            else:
+                if answer is not None:
+                    answer.set_result(self.head)
+
+
+def _number(head: str) -> int:
+    return int(head.partition(":")[0])

@@ -23,7 +23,7 @@ from tissueid.audit.line import (
     is_torn,
     read_line,
 )
-from tissueid.audit.newest_head import newest_path, read_newest
+from tissueid.audit.log import newest_path, read_newest
 from tissueid.errors import UnusableInputError
 from tissueid.language import marked
 from tissueid.messages import Action, Message

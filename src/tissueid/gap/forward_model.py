@@ -32,9 +32,9 @@ from tissueid.twin.simulation import (
     Start,
     prepared,
     recorded,
+    simulate_windows,
     simulated_motion,
 )
-from tissueid.twin.windows import simulate_windows
 
 FloatArray = NDArray[np.float64]
 

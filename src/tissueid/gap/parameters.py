@@ -14,8 +14,7 @@ from numpy.typing import NDArray
 
 from tissueid.gap.dataset import Dataset, DatasetTest, Prior, Purpose
 from tissueid.gap.equivalent_oscillator import FORCE_N, MOST_DELAY_SAMPLES
-from tissueid.twin._coupling import COUPLING
-from tissueid.twin.chain_parameters import STANDARD_GRAVITY, InstrumentParameters, Tissue, nothing, spring
+from tissueid.twin.chain_parameters import COUPLING, STANDARD_GRAVITY, InstrumentParameters, Tissue, nothing, spring
 from tissueid.twin.effect import Effect, Parameter
 from tissueid.twin.simulation import ActiveEffect
 

@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Annotated
 from pydantic import Field
 
 from tissueid.audit import HEAD_ATTRIBUTE, Verification, default_path, last_lines, verify
-from tissueid.audit.newest_head import read_newest
+from tissueid.audit.log import read_newest
 from tissueid.errors import UnusableInputError
 from tissueid.messages import Message
 from tissueid.plan_options import Option, Plan

@@ -92,7 +92,7 @@ class _StoredResult(BaseModel):
 class StudyRun:
     """The table of a study (one row per test), the sessions that could not be analysed with the reason, and counts.
 
-    ``curves`` is the table of the sampled curves (``studies/sampled_curves.py``).
+    ``curves`` is the table of the sampled curves (``studies/curve_groups.py``).
     """
 
     plan: StudyPlan
@@ -117,7 +117,7 @@ def run_study(plan: StudyPlan, control: Control) -> StudyRun:
     """
     check_packages("pandas", "pyarrow", *(() if plan.scheduler is None else ("distributed",)))
     from tissueid.identification import get_engine
-    from tissueid.studies.sampled_curves import curves_table, write_curves
+    from tissueid.studies.curve_groups import curves_table, write_curves
     from tissueid.studies.study_table import read_subjects, study_table, write_table
 
     options = parse_options(plan.options)

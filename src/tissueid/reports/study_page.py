@@ -40,25 +40,23 @@ from tissueid.reports.study_tables import ABOUT, COLUMNS, HEADINGS, left_out_tab
 from tissueid.reports.style import FULL_WIDTH, HALF_WIDTH, MUTED, drawing
 from tissueid.reports.tables import Table
 from tissueid.studies.curve_groups import By, GroupCurve, chosen, directions
-from tissueid.studies.curve_plots import (
+from tissueid.studies.study_plots import (
     component_curves,
     component_panels,
-    curve_plot,
-    kernel_panel,
-    name_of,
-    scores_plot,
-    shared_limit,
-    title_of,
-)
-from tissueid.studies.study_plots import (
     conditions_plot,
+    curve_plot,
     first_test_plot,
     groups_plot,
+    kernel_panel,
     materials_plot,
+    name_of,
     nonlinearity_plot,
     regression_plot,
+    scores_plot,
+    shared_limit,
     sites_plot,
     subjects_plot,
+    title_of,
     variation_plot,
 )
 from tissueid.studies.study_statistics import StudyStatistics

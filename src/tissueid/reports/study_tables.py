@@ -12,7 +12,7 @@ from tissueid.formatting import axis_label, label_and_unit, number
 from tissueid.language import _, marked
 from tissueid.messages import MISSING, translated
 from tissueid.reports.tables import Table
-from tissueid.studies.kernel_components import ALL_GROUPS, SUBJECTS
+from tissueid.studies.multivariate import ALL_GROUPS, SUBJECTS
 from tissueid.studies.study_plots import parameter_axis
 from tissueid.studies.study_table import NO_CONDITION
 from tissueid.studies.thesis_tables import MEAN_SITE

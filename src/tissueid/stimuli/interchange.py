@@ -4,8 +4,7 @@ The autocorrelation is the biased estimate of the aperiodic record: r(k) = sum o
 sum of z(i)^2, where z is the record minus its mean and i runs over all samples with a successor k samples later. It is
 not circular, because a test plays the record once. The error is the sum over lags 1 to ``lags`` of the squared
 difference from the target; lag 0 is 1 by definition. Rearranging samples changes neither their mean nor their energy,
-so the amplitudes stay exact and a swap of two samples changes r(k) by four products (Chen 2010, 6.1).
-"""
+so the amplitudes stay exact and a swap of two samples changes r(k) by four products (Chen 2010, 6.1)."""
 
 from __future__ import annotations
 
@@ -13,15 +12,151 @@ from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
+from numba import njit
 from numpy.typing import NDArray
 from scipy import fft
 
 from tissueid.errors import UnusableInputError
-from tissueid.stimuli import _interchange as kernel
 from tissueid.stimuli.spectra import Spectrum
 from tissueid.stimuli.surrogate import lag_surrogate, spectral_surrogate, start_at_mean
 
 Array = NDArray[np.float64]
+Integers = NDArray[np.int64]
+
+TRIED, ACCEPTED = 0, 1
+
+
+# Reassociation of sums allows SIMD instructions.
+@njit(cache=True, fastmath={"reassoc", "contract"}, nogil=True)
+def _swap_gain(x: Array, errors: Array, change: Array, one: int, other: int) -> float:
+    """Fill the change (lags,) of the autocorrelation at lags 1, 2, ... and return the change of the sum of squared
+    errors.
+
+    Each product of a swapped sample with a neighbour changes by the difference of the two samples. The product of the
+    two samples with each other, at the lag between them, does not change.
+    """
+    lags, mirrored = errors.size, x.shape[1]
+    i, j = one + lags, other + lags
+    apart = x[0, j] - x[0, i]
+    after_i, before_i = x[0, i + 1 : i + 1 + lags], x[1, mirrored - i : mirrored - i + lags]
+    after_j, before_j = x[0, j + 1 : j + 1 + lags], x[1, mirrored - j : mirrored - j + lags]
+    gain = 0.0
+    for k in range(lags):
+        step = apart * (after_i[k] + before_i[k] - after_j[k] - before_j[k])
+        change[k] = step
+        gain += step * (2.0 * errors[k] + step)
+    between = abs(one - other) - 1
+    if 0 <= between < lags:
+        counted = change[between]
+        step = counted - apart * apart
+        change[between] = step
+        gain += step * (2.0 * errors[between] + step) - counted * (2.0 * errors[between] + counted)
+    return gain
+
+
+@njit(cache=True, nogil=True)
+def _apply_swap(x: Array, errors: Array, change: Array, rank: Integers, one: int, other: int) -> None:
+    lags = errors.size
+    for k in range(lags):
+        errors[k] += change[k]
+    i, j = one + lags, other + lags
+    x[0, i], x[0, j] = x[0, j], x[0, i]
+    x[1, x.shape[1] - 1 - i], x[1, x.shape[1] - 1 - j] = x[0, i], x[0, j]
+    rank[one], rank[other] = rank[other], rank[one]
+
+
+@njit(cache=True, nogil=True)
+def try_random_pairs(
+    x: Array,
+    errors: Array,
+    change: Array,
+    rank: Integers,
+    pairs: Integers,
+    counts: Integers,
+    error: float,
+    tolerance: float,
+) -> float:
+    """Try to swap given pairs (m, 2) of samples and keep the swaps that lower the error. Return the error.
+
+    Stops at the tolerance. Updates ``x``, the autocorrelation ``errors`` (lags,), the ``rank`` (n,) of each sample and
+    ``counts`` in place; ``change`` (lags,) is a work array.
+    """
+    for t in range(pairs.shape[0]):
+        if error <= tolerance:
+            break
+        one, other = pairs[t, 0], pairs[t, 1]
+        counts[TRIED] += 1
+        gain = _swap_gain(x, errors, change, one, other)
+        if gain < 0.0:
+            _apply_swap(x, errors, change, rank, one, other)
+            counts[ACCEPTED] += 1
+            error += gain
+    return error
+
+
+@njit(cache=True, nogil=True)
+def try_guided_pairs(
+    x: Array,
+    errors: Array,
+    change: Array,
+    rank: Integers,
+    place: Integers,
+    levels: Array,
+    gradient: Array,
+    curvature: float,
+    nearby: Array,
+    picks: Integers,
+    spreads: Array,
+    counts: Integers,
+    error: float,
+    tolerance: float,
+) -> float:
+    """Try to swap each picked sample (m,) with the partner of the largest predicted improvement. Return the error.
+
+    Candidate partners: samples whose rank differs by distances that double from ``spreads`` (m,), 1 to 2, in both
+    directions, and the ``nearby.size`` neighbours in time on either side. The improvement is predicted from the
+    ``gradient`` (n,) of half the error with respect to each sample, computed at the start of the sweep, and the mean
+    second-order term: ``curvature`` for any two samples, ``nearby`` (r,) for samples 1, 2, ... apart. Only the best
+    candidate is evaluated exactly. ``place`` (n,) is the sample index of each of the ascending ``levels`` (n,). The
+    first sample is never moved. Updates the same arrays as :func:`try_random_pairs`.
+    """
+    n = levels.size
+    for t in range(picks.size):
+        if error <= tolerance:
+            break
+        one = picks[t]
+        r = rank[one]
+        promised, other = 0.0, -1
+        distance = spreads[t]
+        while distance < n:
+            for side in (-1, 1):
+                s = r + side * int(distance)
+                if s < 0 or s >= n or place[s] == 0:
+                    continue
+                apart = levels[s] - levels[r]
+                promise = apart * (2.0 * (gradient[one] - gradient[place[s]]) + curvature * apart)
+                if promise < promised:
+                    promised, other = promise, place[s]
+            distance *= 2.0
+        for k in range(nearby.size):
+            for neighbour in (one - 1 - k, one + 1 + k):
+                if neighbour < 1 or neighbour >= n:
+                    continue
+                apart = levels[rank[neighbour]] - levels[r]
+                promise = apart * (2.0 * (gradient[one] - gradient[neighbour]) + nearby[k] * apart)
+                if promise < promised:
+                    promised, other = promise, neighbour
+        counts[TRIED] += 1
+        if other < 0:
+            continue
+        gain = _swap_gain(x, errors, change, one, other)
+        if gain < 0.0:
+            _apply_swap(x, errors, change, rank, one, other)
+            place[rank[one]], place[rank[other]] = one, other
+            counts[ACCEPTED] += 1
+            error += gain
+    return error
+
 
 MAX_DRIFT = 1e-10
 """Maximum difference between an incrementally updated lag and its recomputed value; a larger one is a defect."""
@@ -185,7 +320,7 @@ class _Search:
 
     @property
     def tried(self) -> int:
-        return int(self._counts[kernel.TRIED])
+        return int(self._counts[TRIED])
 
     def sweep_size(self, guided: bool) -> int:
         """Return the number of swaps between two gradient updates; random pairs need no gradient."""
@@ -195,7 +330,7 @@ class _Search:
         """Try ``trials`` swaps, then recompute all lags."""
         n = self._start.size
         if guided:
-            kernel.try_guided_pairs(
+            try_guided_pairs(
                 self._x,
                 self._errors,
                 self._work,
@@ -213,14 +348,12 @@ class _Search:
             )
         else:
             pairs = self._draw.integers(1, n, (trials, 2))
-            kernel.try_random_pairs(
-                self._x, self._errors, self._work, self._rank, pairs, self._counts, self.error, tolerance
-            )
+            try_random_pairs(self._x, self._errors, self._work, self._rank, pairs, self._counts, self.error, tolerance)
         followed = self._errors
         self._errors, self._gradient = self._recompute()
         self._drift = max(self._drift, float(np.max(np.abs(followed - self._errors))))
         self.error = float(self._errors @ self._errors)
-        self._history.append((float(self._counts[kernel.TRIED]), float(self._counts[kernel.ACCEPTED]), self.error))
+        self._history.append((float(self._counts[TRIED]), float(self._counts[ACCEPTED]), self.error))
 
     def verified_result(self, tolerance: float) -> InterchangeResult:
         """Return the result after verification against values recomputed from the samples."""
@@ -237,7 +370,7 @@ class _Search:
             error_before=self._history[0][2],
             error=float(errors @ errors),
             tried=self.tried,
-            accepted=int(self._counts[kernel.ACCEPTED]),
+            accepted=int(self._counts[ACCEPTED]),
             history=np.array(self._history),
             drift=self._drift,
             tolerance=tolerance,

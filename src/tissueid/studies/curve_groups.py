@@ -1,25 +1,84 @@
-"""Mean curves of the groups of a study: sites, orientations, conditions and materials (thesis, Figs. 7.11 to 7.21).
-
-The curves of the tests of a subject are averaged first, then those of the subjects. A material is averaged over its
-tests. Intervals are those of Student's t distribution at each point of the grid.
-"""
+"""The sampled curves of all tests of a study as a table, one row per curve, and its file."""
 
 from __future__ import annotations
 
 import warnings
 from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass
+from pathlib import Path
 from typing import Any, Literal
 
 import numpy as np
 import pandas as pd
+import pyarrow as pa
+import pyarrow.parquet as pq
 from scipy import stats
 
 from tissueid.analysis.curves.plot import Array
-from tissueid.analysis.curves.samples import DAMPING, GRIDS, KERNEL1, KERNEL2, MASS, PARTITIONS, STIFFNESS
+from tissueid.analysis.curves.samples import DAMPING, GRIDS, KERNEL1, KERNEL2, MASS, PARTITIONS, STIFFNESS, SampledCurve
+from tissueid.atomic_write import atomic_file
 from tissueid.studies.repeatability import CONFIDENCE
-from tissueid.studies.sampled_curves import curves_of
 from tissueid.studies.study_table import MATERIAL, NO_CONDITION
+
+COLUMNS = ("session", "test", "curve", "direction", "first", "value")
+"""Columns of the table: ``curve`` is the name, ``first`` the first point on the grid, ``value`` an array (k,)."""
+_ROWS_AT_ONCE = 5000
+"""Number of curves that are written in one group of rows, so that their abscissas need little memory."""
+_SCHEMA = pa.schema(
+    [
+        ("session", pa.string()),
+        ("test", pa.int64()),
+        ("curve", pa.string()),
+        ("direction", pa.int64()),
+        ("first", pa.int64()),
+        ("x", pa.list_(pa.float32())),
+        ("y", pa.list_(pa.float32())),
+        ("value", pa.list_(pa.float32())),
+    ]
+)
+
+
+def curves_table(curves: Iterable[tuple[str, int, SampledCurve]]) -> pd.DataFrame:
+    """Return the table of curves from session, number of the test and curve."""
+    rows = [(session, test, one.name, one.direction, one.first, one.values) for session, test, one in curves]
+    return pd.DataFrame(rows, columns=list(COLUMNS))
+
+
+def curves_of(table: pd.DataFrame) -> list[SampledCurve]:
+    """Return the curves of the rows of a table."""
+    return [
+        SampledCurve(str(name), int(first), np.asarray(values), int(direction))
+        for name, direction, first, values in zip(
+            table["curve"], table["direction"], table["first"], table["value"], strict=True
+        )
+    ]
+
+
+def write_curves(table: pd.DataFrame, path: Path) -> None:
+    """Write the table as Parquet, with the abscissas ``x`` and ``y`` of the values as lists, atomically.
+
+    Raises:
+        OSError: it cannot be written.
+    """
+    with atomic_file(path) as partial, pq.ParquetWriter(partial, _SCHEMA) as writer:
+        for begin in range(0, len(table), _ROWS_AT_ONCE):
+            rows = table.iloc[begin : begin + _ROWS_AT_ONCE]
+            columns: dict[str, list[object]] = {name: rows[name].tolist() for name in COLUMNS}
+            ends = list(zip(rows["curve"], rows["first"], rows["value"].map(len), strict=True))
+            columns["x"] = [GRIDS[name].x[first : first + size] for name, first, size in ends]
+            ordinates = [(GRIDS[name].y, first, size) for name, first, size in ends]
+            columns["y"] = [None if y is None else y[first : first + size] for y, first, size in ordinates]
+            writer.write_table(pa.table({name: columns[name] for name in _SCHEMA.names}, _SCHEMA))
+
+
+def read_curves(path: Path) -> pd.DataFrame:
+    """Return the table of a file that ``write_curves`` wrote; an empty one if there is none or it cannot be used."""
+    try:
+        table = pd.read_parquet(path, columns=list(COLUMNS))
+    except (OSError, ValueError):
+        return curves_table(())
+    return table[table["curve"].isin(list(GRIDS))].reset_index(drop=True)
+
 
 By = Literal["site", "condition", "material", "change"]
 ALL_SITES = ""
@@ -211,15 +270,3 @@ def chosen(curves: Iterable[GroupCurve], by: By, name: str) -> list[GroupCurve]:
 def directions(curves: Sequence[GroupCurve]) -> list[int]:
     """Return the directions of curves as far as there are any: both, into the tissue, out of it."""
     return [way for way in (0, 1, -1) if any(one.direction == way for one in curves)]
-
-
-__all__ = [
-    "ALL_SITES",
-    "By",
-    "GroupCurve",
-    "chosen",
-    "directions",
-    "group_curves",
-    "group_labels",
-    "mean_and_interval",
-]

@@ -25,8 +25,7 @@ from statsmodels.stats.oneway import anova_oneway
 from statsmodels.stats.weightstats import CompareMeans, DescrStatsW, ttost_paired
 from statsmodels.tools.sm_exceptions import ConvergenceWarning, SingularMatrixWarning
 
-from tissueid.studies.repeatability import CONFIDENCE, paired_difference
-from tissueid.studies.sample_size import detectable_effect
+from tissueid.studies.repeatability import CONFIDENCE, detectable_effect, paired_difference
 from tissueid.studies.study_table import STD_SUFFIX
 
 LEAST_PER_GROUP = 2

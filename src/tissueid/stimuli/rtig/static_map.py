@@ -1,16 +1,133 @@
-"""Recursive estimate of the static force over depth: penalised regression with exponential forgetting.
-
-Model: ``force = F(y) + B(y) y' + M y''`` (Chen 2010, Eq. 3.33). F is piecewise linear over evenly spaced knots, B
-piecewise linear over coarser knots, M constant; the model is linear in all coefficients, so one set of normal equations
-suffices. A penalty on the second differences of F extrapolates its slope to depths not yet visited; a weak ridge on B
-and M keeps them defined without motion.
-"""
+"""Histogram of the measured depth and its desired shape, which control the input (Chen 2010, 6.3.1)."""
 
 from __future__ import annotations
 
 import numpy as np
+from numpy.typing import NDArray
 
 from tissueid.stimuli.base import Array
+
+_REVERSAL_SHARE, _MIN_REVERSAL_SHARE = 0.5, 0.1
+"""A sweep has reversed when the depth returns by the larger of these shares: of the covered span, of the range."""
+
+
+class DepthHistogram:
+    """Histogram of depths over evenly spaced bins, with the desired share of each bin.
+
+    ``edges`` (bins + 1,) are depths, m; ``shares`` (bins,) sum to one. ``counts`` (bins,) are the samples so far,
+    ``below`` and ``above`` those outside the range, ``lost`` those not received. All depths of the test, at most
+    ``samples``, are kept for an exact distance.
+    """
+
+    def __init__(self, edges: Array, shares: Array, samples: int) -> None:
+        self.edges = edges
+        self.shares = shares
+        self.samples = samples
+        self.counts: NDArray[np.int64] = np.zeros(shares.size, dtype=np.int64)
+        self.below = self.above = self.lost = 0
+        self.seen = 0
+        """Samples received or lost so far: index of the next one."""
+        self.full_coverage_at: int | None = None
+        """Number of samples until every bin held one; None while a bin is empty."""
+        self.half_cycles = 0
+        self._span = (np.inf, -np.inf)
+        self._rising: bool | None = None
+        self._turn = 0.0
+        self._depths = np.empty(samples)
+        self._held = 0
+        self._width = float(edges[1] - edges[0])
+
+    def add(self, depth: Array) -> None:
+        """Count depths (n,), m, NaN where a sample was lost; samples beyond the length of the test are ignored."""
+        depth = depth[: self.samples - self.seen]
+        self.seen += depth.size
+        received = depth[np.isfinite(depth)]
+        self.lost += depth.size - received.size
+        if received.size == 0:
+            return
+        self._depths[self._held : self._held + received.size] = received
+        self._held += received.size
+        self.below += int(np.count_nonzero(received < self.edges[0]))
+        self.above += int(np.count_nonzero(received > self.edges[-1]))
+        self.counts += self.bin_counts(received)
+        if self.full_coverage_at is None and self.counts.all():
+            self.full_coverage_at = self.seen
+        self._count_cycles(float(received.mean()))
+
+    def bin_counts(self, depth: Array) -> NDArray[np.int64]:
+        """Return the number of depths (n,), m, in each bin, (bins,)."""
+        inside = depth[(depth >= self.edges[0]) & (depth <= self.edges[-1])]
+        place = np.minimum(((inside - self.edges[0]) / self._width).astype(np.int64), self.counts.size - 1)
+        return np.bincount(place, minlength=self.counts.size)
+
+    def missing_samples(self, ahead: Array, remaining: int, between: tuple[float, float]) -> Array:
+        """Return the samples missing in each bin, (bins,), to reach the desired shares; negative where there are too
+        many.
+
+        Samples outside the range count for the outermost bins; compensating for them there would send more samples
+        outside.
+
+        Args:
+            ahead: expected depths (n,), m, of samples that were generated and not yet measured.
+            remaining: samples still to be generated; equal to the sum of the result when no bin has too many.
+            between: lowest and highest reachable depth, m; nothing is requested beyond.
+        """
+        low, high = between
+        centres = 0.5 * (self.edges[1:] + self.edges[:-1])
+        within = (centres >= low) & (centres <= high) & (self.shares > 0.0)
+        if not within.any():
+            within = np.abs(centres - np.clip(0.5 * (low + high), centres[0], centres[-1])) <= 0.51 * self._width
+        there = self.counts + self.bin_counts(ahead)
+        first, last = np.flatnonzero(within)[[0, -1]]
+        there[first] += self.below + int(there[:first].sum())
+        there[last] += self.above + int(there[last + 1 :].sum())
+        shares = np.where(within, np.maximum(self.shares, 1e-12), 0.0)
+        total = float(there[within].sum()) + remaining
+        return np.where(within, shares / shares.sum() * total - there, 0.0)
+
+    @property
+    def distance(self) -> float | None:
+        """Kolmogorov distance of all depths so far from the desired distribution; None without depths."""
+        return self.distance_between(float(self.edges[0]), float(self.edges[-1]))
+
+    def distance_between(self, low: float, high: float) -> float | None:
+        """Return the Kolmogorov distance of all depths so far from the desired distribution between two depths, m.
+
+        None without depths, or where nothing is desired between the two.
+        """
+        n = self._held
+        cumulative = np.concatenate([[0.0], np.cumsum(self.shares)])
+        ends = np.interp([low, high], self.edges, cumulative)
+        if n == 0 or ends[1] <= ends[0]:
+            return None
+        depths = np.sort(self._depths[:n])
+        desired = (np.interp(np.clip(depths, low, high), self.edges, cumulative) - ends[0]) / (ends[1] - ends[0])
+        steps = np.arange(n + 1) / n
+        return float(max(np.max(steps[1:] - desired), np.max(desired - steps[:-1])))
+
+    @property
+    def reached(self) -> tuple[float, float] | None:
+        """Depths, m, that bound the middle 98 % of the samples; None without samples."""
+        if self._held == 0:
+            return None
+        low, high = np.quantile(self._depths[: self._held], [0.01, 0.99])
+        return float(low), float(high)
+
+    def _count_cycles(self, depth: float) -> None:
+        """Count a half cycle when the mean depth of a block has reversed; see ``_REVERSAL_SHARE``."""
+        low, high = self._span = min(self._span[0], depth), max(self._span[1], depth)
+        back = max(_REVERSAL_SHARE * (high - low), _MIN_REVERSAL_SHARE * float(self.edges[-1] - self.edges[0]))
+        if self._rising is None:
+            if high - low > back:
+                self._rising, self._turn = depth == high, depth
+            return
+        forward = 1.0 if self._rising else -1.0
+        if forward * (depth - self._turn) > 0.0:
+            self._turn = depth
+        elif forward * (self._turn - depth) > back:
+            self.half_cycles += 1
+            self._rising, self._turn = not self._rising, depth
+
 
 KNOTS = 20
 """Knots of F."""

@@ -150,7 +150,7 @@ def compute_figures(folder: Path, control: Control) -> StudyFigures:
     check_packages("pandas", "pyarrow", "statsmodels", "sklearn")
     import pandas as pd
 
-    from tissueid.studies.sampled_curves import read_curves
+    from tissueid.studies.curve_groups import read_curves
     from tissueid.studies.study_statistics import study_statistics
 
     control.progress(None, marked("Computing statistics"))
