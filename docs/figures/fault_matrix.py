@@ -80,7 +80,7 @@ def table(found: dict[tuple[str, str], Outcome]) -> str:
             if message is not None:
                 faults.setdefault(message.replace("loopback", "PORT"), {})[name] = None
     lines += ["", "| message | faults |", "| --- | --- |"]
-    lines += [f"| {message} | {', '.join(names)} |" for message, names in faults.items()]
+    lines += [f"| {message} | {'; '.join(names)} |" for message, names in faults.items()]
     worst = max(item.wait_s for item in found.values())
     lines += ["", f"Longest time that the host waited before it continued or aborted: {worst:.2f} s."]
     return "\n".join(lines)
