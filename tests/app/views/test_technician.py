@@ -12,10 +12,14 @@ from golden.golden_page import check_golden_page, lines_of_widget
 from PySide6.QtCore import QPoint, Qt
 from support import connect
 
+from tissueid.app.emergency import BY_BUTTON, BY_CLOSING
 from tissueid.app.views.technician.faults import gather
 from tissueid.calibration import write_calibration
+from tissueid.cli.stop_key import BY_KEY
 from tissueid.errors import LinkLostError
+from tissueid.messages import Message
 from tissueid.sessions import read_session, write_session
+from tissueid.sessions.model import reason_notes
 
 pytestmark = [pytest.mark.qt_log_level_fail("WARNING"), pytest.mark.qt_log_ignore("This plugin does not support")]
 
@@ -148,8 +152,9 @@ def test_closing_in_mid_work_waits_for_it_and_closes(qtbot, page, bench):
 
 def test_the_newest_test_and_a_fault_of_it_are_told_without_asking(qtbot, page, tmp_path, saved):
     session = read_session(saved)
-    reason = "the instrument released the coil: the coil is too hot: let it cool for some minutes"
-    test = dataclasses.replace(session.tests[0], status="aborted", notes={"reason": reason})
+    hot = Message("fault.over_temperature", "the coil is too hot: let it cool for some minutes")
+    hot = Message("instrument.released", "the instrument released the coil: {fault}", fault=hot)
+    test = dataclasses.replace(session.tests[0], status="aborted", notes=reason_notes(hot))
     write_session(tmp_path / "hot.h5", dataclasses.replace(session, tests=(test,)))
     view = page()
     assert view.health.link.facts["Newest test"].endswith("aborted")
@@ -167,14 +172,15 @@ def test_the_newest_test_and_a_fault_of_it_are_told_without_asking(qtbot, page, 
 @pytest.mark.parametrize(
     ("reason", "kind", "level"),
     [
-        ("Stopped by key; the coil is released.", "Stopped", ""),
-        ("stopped in the window; the coil is released", "Stopped", ""),
-        ("the window was closed; the coil is released", "Interrupted", "check"),
+        (BY_KEY, "Stopped", ""),
+        (BY_BUTTON, "Stopped", ""),
+        (BY_CLOSING, "Interrupted", "check"),
     ],
 )
 def test_a_stop_by_a_person_is_no_fault_where_only_the_session_tells_of_it(tmp_path, saved, reason, kind, level):
     session = read_session(saved)
-    test = dataclasses.replace(session.tests[0], status="aborted", notes={"reason": reason})
+    notes = reason_notes(Message("stop.released", "{cause}; the coil is released", cause=reason))
+    test = dataclasses.replace(session.tests[0], status="aborted", notes=notes)
     folder = tmp_path / "stopped"
     folder.mkdir()
     write_session(folder / "stopped.h5", dataclasses.replace(session, tests=(test,)))

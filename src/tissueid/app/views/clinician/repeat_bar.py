@@ -14,7 +14,7 @@ from tissueid.app.small_window import FoldingBox
 from tissueid.app.theme import appearance
 from tissueid.app.views.clinician.sitting import HEADS, NORM, QUANTITIES, VALUE_HEAD, Sitting, Standing
 from tissueid.language import _, marked
-from tissueid.messages import Message, translated
+from tissueid.messages import MISSING, Message, translated
 from tissueid.units import shown_si
 
 _EXPLAINED = marked(
@@ -73,8 +73,10 @@ class SittingSummary(QFrame):
                 cell.setText(_(text) if repeated or column < 2 else "")
                 cell.setVisible(bool(cell.text()))
         said = "; ".join(
-            _("{name} {mean}, repeatability {repeatability}").format(name=_(row[0]), mean=row[1], repeatability=row[3])
-            for row in rows.values()
+            f"{_(name)} {mean}"
+            if limit == MISSING
+            else _("{name} {mean}, repeatability {repeatability}").format(name=_(name), mean=mean, repeatability=limit)
+            for name, mean, _relative, limit in rows.values()
         )
         self.setAccessibleName(" ".join(filter(None, [f"{standing.heading}: {said}", self.about.text()])))
 

@@ -172,7 +172,7 @@ def _of_line(line: LogLine, names: Mapping[str, str]) -> Event | None:
     if kind is None:
         return None
     subject = about(line, names)
-    codes = _texts(new.get("codes")) or reason_codes(str(reason))
+    codes = _texts(new.get("codes"))
     return Event(moment(line.time), kind, subject, _said(reason), advice(kind, str(reason), codes))
 
 
