@@ -77,7 +77,7 @@ def test_a_plugin_of_any_other_content_is_left_out(plugins: list[Plugin], loaded
 
 def test_a_plugin_may_not_take_a_name_that_is_held(plugins: list[Plugin]):
     impostor = type("Impostor", (Foreign,), {"name": "lms", "__module__": "elsewhere"})
-    plugins.append(Plugin("impostor", "elsewhere:Impostor", impostor))
+    plugins.append(Plugin("impostor", impostor, "elsewhere:Impostor"))
     with pytest.warns(UserWarning, match="of the kind engine are called 'lms'"):
         assert get_engine("lms") is not impostor
 

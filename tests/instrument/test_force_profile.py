@@ -13,6 +13,7 @@ from tissueid.calibration.active import apply_calibrations
 from tissueid.device import DeviceDescription
 from tissueid.instrument import SAMPLE, Run, force
 from tissueid.instrument.force_profile import PROFILE, USED_NOTE, recorded_force, relative_force_constant
+from tissueid.sessions import Test
 from tissueid.wire.messages import Flag
 
 PLACES = np.linspace(0.002, 0.030, 57)
@@ -76,8 +77,7 @@ def test_an_implausible_profile_is_not_taken_over():
 def test_a_test_notes_which_force_constant_was_used(compensated: bool):
     device = calibrated(true_constant(PLACES)) if compensated else DEVICE
     samples = samples_at(np.full(20, 0.029))
-    attributes = {"kind": "stochastic", "sample_rate_hz": 2000.0}
-    opened = OpenTest(1, Run(0, 20), attributes)
+    opened = OpenTest(Test(1, "stochastic", {}, 2000.0), Run(0, 20))
     opened.blocks.append(samples)
     opened.end("completed", {}, 20)
     test = opened.close(device)
