@@ -24,8 +24,7 @@ from firmware_sim.scenario import Scenario  # noqa: E402
 from tissueid.acquisition import SessionRecorder  # noqa: E402
 from tissueid.calibration.plans import SweepPlan  # noqa: E402
 from tissueid.calibration.sweep import Sweep, sweep_tests  # noqa: E402
-from tissueid.calibration.sweep_analysis import analyse_sweep  # noqa: E402
-from tissueid.calibration.sweep_file import as_calibration  # noqa: E402
+from tissueid.calibration.sweep_analysis import analyse_sweep, as_calibration  # noqa: E402
 from tissueid.reports.calibration_page import sweep_report  # noqa: E402
 from tissueid.reports.page import draw_sheet  # noqa: E402
 from tissueid.reports.style import plain_image  # noqa: E402

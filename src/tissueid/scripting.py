@@ -282,10 +282,9 @@ def calibrate(
         LimitError, InstrumentError: the calibration ended early; the coil is released.
     """
     from tissueid.procedures.calibration_plans import DynamicSweepPlan, StaticCalibrationPlan
+    from tissueid.procedures.calibration_runs import run_static_calibration, run_sweep
     from tissueid.procedures.control import Control
     from tissueid.procedures.instrument_access import audit_trail
-    from tissueid.procedures.static_calibration import run_static_calibration
-    from tissueid.procedures.sweep import run_sweep
 
     values = {"device": device, "out": None if out is None else Path(out)} | options
     if kind == "static":
@@ -352,7 +351,7 @@ def write_report(
         UnusableInputError: the test or an engine is unknown, no engine can use the test, or a file cannot be written.
     """
     from tissueid.procedures.output_files import HTML, PDF, check_different, check_output, check_report
-    from tissueid.procedures.report import analyse_test, write_page, write_pdf
+    from tissueid.procedures.saved_test import analyse_test, write_page, write_pdf
 
     page, short = Path(out), None if pdf is None else Path(pdf)
     check_output(page, HTML)

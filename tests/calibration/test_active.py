@@ -24,8 +24,7 @@ from tissueid.calibration import (
     stored_calibrations,
     write_calibration,
 )
-from tissueid.calibration.active import NOT_CALIBRATED, corrections, warnings_of
-from tissueid.calibration.layers import NO_REGION
+from tissueid.calibration.active import NO_REGION, NOT_CALIBRATED, corrections, warnings_of
 from tissueid.calibration.status import status_for_device
 from tissueid.calibration.store import VARIABLE
 from tissueid.errors import InstrumentError, LimitError, UnusableInputError

@@ -13,10 +13,15 @@ from firmware_sim.bench import Bench
 from firmware_sim.firmware import Firmware
 from tissueid import wire
 from tissueid.calibration import StaticPlan, apply_calibrations, calibrate_static, write_calibration
-from tissueid.calibration.active import activate_calibration, corrections, use_static_calibration, warnings_of
+from tissueid.calibration.active import (
+    NO_REGION,
+    activate_calibration,
+    corrections,
+    use_static_calibration,
+    warnings_of,
+)
 from tissueid.calibration.file import CalibratedQuantity, utc_date
 from tissueid.calibration.labels import label_of, problems_of
-from tissueid.calibration.layers import NO_REGION
 from tissueid.calibration.status import first_implausible
 from tissueid.errors import InstrumentError
 from tissueid.instrument import Correction, SerialInstrument, SimulatedInstrument

@@ -11,15 +11,16 @@ from tissueid.calibration.file import CalibratedQuantity
 from tissueid.calibration.findings import CalibrationFindings, mean_of_repeats, quantity
 from tissueid.calibration.plans import Spring, StaticPlan
 from tissueid.calibration.sensors import (
+    Crossing,
     acceleration_findings,
     position_findings,
     position_line,
+    range_findings,
     supply_findings,
     temperature_findings,
 )
 from tissueid.calibration.static_procedure import LEVELS_V
 from tissueid.calibration.step_levels import Levels, noise_of_mean
-from tissueid.calibration.stroke import Crossing, range_findings
 from tissueid.device import GRAVITY_M_S2, DeviceDescription
 from tissueid.errors import UnusableInputError
 from tissueid.instrument import SAMPLE

@@ -15,12 +15,10 @@ from firmware_sim.scenario import Scenario
 from tissueid.acquisition import SessionRecorder
 from tissueid.calibration import apply_calibrations, read_calibration, write_calibration
 from tissueid.calibration import sweep as procedure
-from tissueid.calibration.manual_positioning import wait_for_position
 from tissueid.calibration.plans import SweepPlan
 from tissueid.calibration.store import Stored
-from tissueid.calibration.sweep import Sweep, sweep_tests
-from tissueid.calibration.sweep_analysis import analyse_sweep
-from tissueid.calibration.sweep_file import as_calibration
+from tissueid.calibration.sweep import Sweep, sweep_tests, wait_for_position
+from tissueid.calibration.sweep_analysis import analyse_sweep, as_calibration
 from tissueid.errors import CancelledError, FirmwareFaultError, UnusableInputError
 from tissueid.instrument import SimulatedInstrument
 from tissueid.messages import Quantity

@@ -10,12 +10,10 @@ from spring_rig import Rig, swept
 
 from tissueid.calibration import sweep_analysis
 from tissueid.calibration.flux import fit_flux
-from tissueid.calibration.force_balance import fit_balance
-from tissueid.calibration.force_constant_profile import linear_region
+from tissueid.calibration.force_constant import fit_balance, linear_region
 from tissueid.calibration.labels import problems_of
 from tissueid.calibration.spline_basis import SplineBasis
-from tissueid.calibration.sweep_analysis import SpringMass, analyse_sweep
-from tissueid.calibration.sweep_file import as_calibration
+from tissueid.calibration.sweep_analysis import SpringMass, analyse_sweep, as_calibration
 from tissueid.calibration.sweep_test import SweepTest
 from tissueid.device import DeviceDescription
 from tissueid.errors import UnusableInputError

@@ -19,7 +19,7 @@ from firmware_sim.line_faults import LINE_KINDS
 from tissueid.acquisition import GuidedTest, run_guided_test
 from tissueid.calibration import check_coil
 from tissueid.calibration.plans import StaticPlan
-from tissueid.calibration.static import calibrate_static
+from tissueid.calibration.static_procedure import calibrate_static
 from tissueid.errors import TissueIDError
 from tissueid.instrument import Instrument
 from tissueid.messages import codes_in

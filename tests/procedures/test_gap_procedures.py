@@ -20,10 +20,10 @@ from tissueid.errors import CancelledError, UnusableInputError
 from tissueid.gap import fit_tasks
 from tissueid.gap.accepting import NamedEffects
 from tissueid.gap.search import SearchProgress, Work
-from tissueid.procedures.accept_effects import accept_effects
 from tissueid.procedures.control import Control, RemainingTime, counted
 from tissueid.procedures.diagnosis import SHARES, STEPS, SearchDisplay
 from tissueid.procedures.gap_plans import AcceptPlan, DiagnosisPlan
+from tissueid.procedures.saved_twins import accept_effects
 from tissueid.sessions import write_session
 from tissueid.twin import catalogue
 

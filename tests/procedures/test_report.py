@@ -15,7 +15,7 @@ from tissueid.app.views.clinician.comparing import SittingComparison
 from tissueid.cli import main
 from tissueid.errors import CancelledError, UnusableInputError
 from tissueid.procedures.control import Control
-from tissueid.procedures.report import ReportPlan, run_report, write_page
+from tissueid.procedures.saved_test import ReportPlan, run_report, write_page
 from tissueid.sessions import write_session
 
 

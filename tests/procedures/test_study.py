@@ -18,8 +18,16 @@ from tissueid.cli import main
 from tissueid.errors import CancelledError, UnusableInputError
 from tissueid.procedures import study_demo
 from tissueid.procedures.control import Control
-from tissueid.procedures.simulated_population import MATERIALS, population, sample_name, subjects_file
-from tissueid.procedures.study_demo import PopulationPlan, Series, measure_series, run_population
+from tissueid.procedures.study_demo import (
+    MATERIALS,
+    PopulationPlan,
+    Series,
+    measure_series,
+    population,
+    run_population,
+    sample_name,
+    subjects_file,
+)
 from tissueid.procedures.study_plans import NOT_ANALYSED_FILE, RESULTS, SUBJECTS_FILE, StudyPlan, StudyReportPlan
 from tissueid.procedures.study_report import report_study
 from tissueid.procedures.study_run import run_study

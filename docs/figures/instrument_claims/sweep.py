@@ -18,7 +18,7 @@ from firmware_sim.coil import profile_values
 from firmware_sim.scenario import Scenario
 from tissueid.acquisition import SessionRecorder
 from tissueid.calibration.flux import fit_flux
-from tissueid.calibration.force_balance import fit_balance
+from tissueid.calibration.force_constant import fit_balance
 from tissueid.calibration.plans import SweepPlan
 from tissueid.calibration.spline_basis import SplineBasis
 from tissueid.calibration.sweep import Sweep, sweep_tests

@@ -165,11 +165,11 @@ def calibrate(
 ) -> CalibrationOutcome:
     """Run a calibration in the thread that owns the instrument."""
     if isinstance(plan, StaticCalibrationPlan):
-        from tissueid.procedures.static_calibration import run_static_calibration
+        from tissueid.procedures.calibration_runs import run_static_calibration
 
         result = run_static_calibration(plan, prompts, trail, services.opener, services.now)
     else:
-        from tissueid.procedures.sweep import run_sweep
+        from tissueid.procedures.calibration_runs import run_sweep
 
         result = run_sweep(plan, prompts, trail, services.opener, services.now)
     remarks = (*result.notes, *prompts.notices)

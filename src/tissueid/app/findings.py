@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING
 
 from tissueid.formatting import clean
 from tissueid.language import _
-from tissueid.procedures.report import AnalysedTest
+from tissueid.procedures.saved_test import AnalysedTest
 from tissueid.records import Estimate
 from tissueid.sessions import Session, Test
 from tissueid.sessions.quality import Quality

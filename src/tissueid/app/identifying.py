@@ -19,7 +19,7 @@ from tissueid.identification import engine_label
 from tissueid.identification.engines.wiener import Wiener
 from tissueid.language import _, marked
 from tissueid.messages import MISSING, translated
-from tissueid.procedures.report import analyse_test
+from tissueid.procedures.saved_test import analyse_test
 from tissueid.reports.page import surface_of
 from tissueid.reports.verdict import judge, linear_engine, linear_label, localized_engine, stiffness_range, visited
 from tissueid.sessions import Session, Test

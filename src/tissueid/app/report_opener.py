@@ -18,7 +18,7 @@ from tissueid.atomic_write import unused_path
 from tissueid.formatting import label_and_unit, plus_minus
 from tissueid.language import _, marked
 from tissueid.messages import MISSING, Message, Verbatim, translated
-from tissueid.procedures.report import write_page, write_pdf
+from tissueid.procedures.saved_test import write_page, write_pdf
 from tissueid.records import Estimate
 from tissueid.units import display_unit
 

@@ -10,7 +10,7 @@ from platformdirs import user_data_path, user_documents_path
 
 from tissueid.atomic_write import unused_path
 from tissueid.errors import UnusableInputError
-from tissueid.procedures.session_path import check_session_path
+from tissueid.procedures.output_files import check_session_path
 
 SUFFIX = ".h5"
 

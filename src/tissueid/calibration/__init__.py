@@ -14,7 +14,7 @@ if TYPE_CHECKING:
         calibration_summary,
         warnings_of,
     )
-    from tissueid.calibration.coil_check import ElectricalCheck, check_coil
+    from tissueid.calibration.coil import ElectricalCheck, check_coil
     from tissueid.calibration.file import (
         CalibratedQuantity,
         Calibration,
@@ -23,7 +23,7 @@ if TYPE_CHECKING:
         write_calibration,
     )
     from tissueid.calibration.plans import StaticPlan
-    from tissueid.calibration.static import StaticCalibration, calibrate_static
+    from tissueid.calibration.static_procedure import StaticCalibration, calibrate_static
     from tissueid.calibration.store import (
         Stored,
         calibration_folder,
@@ -36,7 +36,7 @@ else:
     __getattr__ = lazy_attributes(
         __name__,
         {
-            "coil_check": ("ElectricalCheck", "check_coil"),
+            "coil": ("ElectricalCheck", "check_coil"),
             "file": ("Calibration", "CalibratedQuantity", "save_calibration", "read_calibration", "write_calibration"),
             "active": (
                 "ActiveCalibration",
@@ -46,7 +46,7 @@ else:
                 "warnings_of",
             ),
             "plans": ("StaticPlan",),
-            "static": ("StaticCalibration", "calibrate_static"),
+            "static_procedure": ("StaticCalibration", "calibrate_static"),
             "store": (
                 "Stored",
                 "calibration_folder",

@@ -104,6 +104,11 @@ class StaticPlan(RepeatedPlan):
                     steps=Listing(STEPS),
                 )
         self.spring.check()
+        if self.in_place and (self.weights_kg or self.gauges_m or self.turn_over):
+            raise UnusableInputError(
+                "calibration.in_place",
+                "--in-place runs without a person: leave out --weight, --gauge and --orientations",
+            )
         if any(not 0.001 <= mass <= 0.3 for mass in self.weights_kg) or len(self.weights_kg) > 20:
             raise UnusableInputError("calibration.weights", "give at most 20 weights of 1 to 300 g")
         if self.gauges_m and (len(set(self.gauges_m)) < 3 or len(self.gauges_m) > 50):
@@ -116,11 +121,6 @@ class StaticPlan(RepeatedPlan):
             )
         if self.ambient_c is not None and not -10.0 <= self.ambient_c <= 50.0:
             raise UnusableInputError("calibration.ambient", "the room temperature must be -10 to 50 °C")
-        if self.in_place and (self.weights_kg or self.gauges_m or self.turn_over):
-            raise UnusableInputError(
-                "calibration.in_place",
-                "--in-place runs without a person: leave out --weight, --gauge and --orientations",
-            )
         return self
 
     @property

@@ -2,30 +2,40 @@
 
 from __future__ import annotations
 
+import time
 from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from datetime import UTC, datetime
 
 import numpy as np
 from numpy.typing import NDArray
 
 from tissueid.acquisition.background_work import run_while_polling
 from tissueid.calibration.coil import electrical_findings, force_by_spring, force_by_weights, spring_line
-from tissueid.calibration.findings import CalibrationFindings
+from tissueid.calibration.file import Calibration, stored_messages, utc_date
+from tissueid.calibration.findings import CalibrationFindings, mean_of_repeats
+from tissueid.calibration.labels import stored_text
 from tissueid.calibration.plans import StaticPlan
 from tissueid.calibration.sensors import (
+    Crossing,
     acceleration_findings,
+    balancing_current,
+    cross_stroke,
     position_findings,
     position_line,
+    range_findings,
     supply_findings,
     temperature_findings,
 )
+from tissueid.calibration.status import first_implausible
 from tissueid.calibration.step_levels import Levels, StraightLine, hold_levels, mean, rest_samples
-from tissueid.calibration.stroke import Crossing, balancing_current, cross_stroke, range_findings
 from tissueid.device import GRAVITY_M_S2
 from tissueid.errors import FirmwareFaultError, LimitError, UnusableInputError
 from tissueid.instrument import Instrument
 from tissueid.language import marked
 from tissueid.messages import Action, Message, Quantity
 from tissueid.records import Estimate
+from tissueid.version import SOFTWARE
 from tissueid.wire import Fault
 
 LEVELS_V = (0.0, 4.0, 8.0, 12.0, 8.0, 4.0, 0.0, -4.0, -8.0, -12.0, -8.0, -4.0, 0.0)
@@ -358,3 +368,80 @@ class Procedure:
                 Message("calibration.skipped.range", "the range of motion was left out: the spring stays in place")
             )
         return CalibrationFindings(notes=tuple(notes))
+
+
+@dataclass(frozen=True)
+class StaticCalibration:
+    """The calibration to be stored, notes for the user, and the duration."""
+
+    calibration: Calibration
+    notes: tuple[str, ...]
+    seconds: float
+
+
+def calibrate_static(
+    instrument: Instrument,
+    plan: StaticPlan | None = None,
+    *,
+    ask: Ask | None = None,
+    progress: Show = lambda _label, _fraction: None,
+    cancelled: Callable[[], bool] = lambda: False,
+    now: datetime | None = None,
+) -> StaticCalibration:
+    """Calibrate an instrument, starting from its nominal values; the active calibration is deactivated.
+
+    Args:
+        instrument: opened, with the calibration spring under the probe or a motorised stage.
+        plan: steps and references; all steps by default.
+        ask: shows an instruction to the operator and returns when it is done; None without an operator. Required
+            without a motorised stage.
+        progress: receives the name of the current step and its completed share.
+        cancelled: polled throughout; True cancels the calibration.
+        now: date of the calibration.
+
+    Raises:
+        UnusableInputError: something is missing, samples were lost, or a channel does not respond.
+        CancelledError, LimitError, InstrumentError: the coil is released.
+    """
+    plan = plan or StaticPlan()
+    begin = time.perf_counter()
+    procedure = Procedure(instrument, plan, ask, progress, cancelled)
+    procedure.drain_release()
+    instrument.use_calibration(instrument.nominal, {})
+    found = mean_of_repeats([procedure.run(run) for run in range(1, plan.repeats + 1)])
+    device = instrument.device
+    conditions: dict[str, float | str] = {"repeats": float(plan.repeats), "steps": ", ".join(plan.steps)}
+    if plan.ambient_c is not None:
+        conditions["ambient_c"] = plan.ambient_c
+    if "temperature_at_rest_c" in found.quantities:
+        conditions["coil_temperature_c"] = found.quantities["temperature_at_rest_c"].value
+    conditions["by"] = (
+        "motorised stage" if procedure.has_stage else "spring in place" if plan.in_place or ask is None else "hand"
+    )
+    conditions |= {f"note_{number}": stored_text(note) for number, note in enumerate(found.notes, start=1)}
+    problems = found.problems
+    calibration = Calibration(
+        kind="static",
+        model=device.model,
+        serial_number=device.serial_number,
+        firmware_version=device.firmware_version,
+        date=utc_date(now or datetime.now(UTC)),
+        valid_days=plan.valid_days,
+        software=SOFTWARE,
+        conditions=conditions,
+        verdict="failed" if problems else "passed",
+        problems=tuple(map(stored_text, problems)),
+        quantities=found.quantities,
+        tables=found.tables,
+        messages=stored_messages((*problems, *found.notes)),
+    )
+    if calibration.verdict == "passed" and (strange := first_implausible(calibration, instrument.nominal)):
+        problem = Message(
+            "calibration.implausible",
+            "{reason}: this is not plausible; check the fixture and the wiring",
+            reason=strange,
+        )
+        messages = stored_messages((problem, *found.notes))
+        failed = {"verdict": "failed", "problems": (stored_text(problem),), "messages": messages}
+        calibration = calibration.model_copy(update=failed)
+    return StaticCalibration(calibration, found.notes, time.perf_counter() - begin)

@@ -27,19 +27,18 @@ from tissueid.cli.output import (
 from tissueid.errors import UnusableInputError
 from tissueid.formatting import fixed, plus_minus
 from tissueid.messages import stored
-from tissueid.procedures.calibration_files import CalibrationResult
-from tissueid.procedures.calibration_plans import CalibrationPlan, DynamicSweepPlan, StaticCalibrationPlan
-from tissueid.procedures.calibration_queries import (
+from tissueid.procedures.calibration_files import (
     CalibrationListPlan,
+    CalibrationResult,
     ListedCalibration,
     ShowCalibrationPlan,
     listed_calibrations,
     saved_calibration,
 )
+from tissueid.procedures.calibration_plans import CalibrationPlan, DynamicSweepPlan, StaticCalibrationPlan
+from tissueid.procedures.calibration_runs import run_static_calibration, run_sweep
 from tissueid.procedures.instrument_access import audit_trail
 from tissueid.procedures.output_files import check_different
-from tissueid.procedures.static_calibration import run_static_calibration
-from tissueid.procedures.sweep import run_sweep
 from tissueid.records import Estimate
 
 

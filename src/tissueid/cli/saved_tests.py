@@ -21,9 +21,7 @@ from tissueid.identification.validation.residual_tests import ResidualTests
 from tissueid.messages import MISSING, Message, stored
 from tissueid.procedures.control import Control
 from tissueid.procedures.identification import EnginesPlan, IdentificationPlan, listed_engines, run_identification
-from tissueid.procedures.quality import QualityPlan, judge_tests
-from tissueid.procedures.readings import ReadingsPlan, run_readings
-from tissueid.procedures.report import ReportPlan, run_report
+from tissueid.procedures.saved_test import QualityPlan, ReadingsPlan, ReportPlan, judge_tests, run_readings, run_report
 from tissueid.records import Estimate
 from tissueid.sessions import Session, Test
 from tissueid.units import display_unit

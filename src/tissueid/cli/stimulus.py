@@ -17,8 +17,7 @@ from tissueid.analysis.stimulus_design import StimulusDesign
 from tissueid.cli.output import Output, table
 from tissueid.messages import stored
 from tissueid.procedures.output_files import check_different
-from tissueid.procedures.simulated_feedback import FeedbackTrial
-from tissueid.procedures.stimulus_design import StimulusPlan, run_stimulus
+from tissueid.procedures.stimulus_design import FeedbackTrial, StimulusPlan, run_stimulus
 from tissueid.reports.stimulus_page import REPORT_NOTE
 from tissueid.stimuli import FeedbackKind, StimulusKind, get_stimulus, stimulus_names
 

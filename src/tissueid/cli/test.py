@@ -155,7 +155,7 @@ class _TerminalControl(ConsoleControl, TestControl):
         latest = identification.latest() if self._plan.live else None
         if latest is not None and latest.seconds > self._shown_s and (latest.parameters or latest.missing):
             self._shown_s = latest.seconds
-            console.print(view_line(latest))
+            console.print(view_line(latest), soft_wrap=True)
 
 
 def _not_enough(rule: StopRule, view: LiveView | None) -> str:

@@ -45,8 +45,7 @@ from tissueid.instrument.requests import (
     send_stimulus,
 )
 from tissueid.instrument.run_monitor import RunMonitor
-from tissueid.instrument.sample_stream import SampleStream
-from tissueid.instrument.setpoints import SetpointSender
+from tissueid.instrument.sample_stream import SampleStream, SetpointSender
 from tissueid.messages import Message
 from tissueid.wire import MessageType, State
 

@@ -1,4 +1,4 @@
-"""Receiver of frames: decodes them and passes samples, ACK and STATUS messages on."""
+"""Sender of set-points: repeats blocks until they are acknowledged or too late, and counts late ones."""
 
 from __future__ import annotations
 
@@ -12,12 +12,12 @@ from tissueid.errors import LinkLostError, ProtocolVersionError, TissueIDError
 from tissueid.instrument.interface import Corrections, corrected
 from tissueid.instrument.replies import Status, parse_status
 from tissueid.instrument.run_monitor import RunMonitor
-from tissueid.instrument.sample_stream import SampleStream
-from tissueid.instrument.setpoints import SetpointSender
+from tissueid.instrument.sample_stream import SampleStream, SetpointSender
 from tissueid.messages import Message
 from tissueid.wire import Fault, Frame, MessageType
 
 log = logging.getLogger(__name__)
+
 
 SILENCE_S = 1.0
 """Time without new usable samples after which the link counts as lost, s. A device sends samples every 10 ms."""

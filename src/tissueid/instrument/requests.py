@@ -15,7 +15,7 @@ from tissueid.errors import LinkLostError, TissueIDError
 from tissueid.instrument.limits import Limits
 from tissueid.instrument.link import Link
 from tissueid.instrument.replies import refusal
-from tissueid.instrument.setpoints import SetpointSender
+from tissueid.instrument.sample_stream import SetpointSender
 from tissueid.messages import Message
 from tissueid.version import SOFTWARE
 from tissueid.wire import Frame, MessageType, Result

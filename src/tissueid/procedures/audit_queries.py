@@ -1,4 +1,4 @@
-"""Queries of the audit log: its newest lines, and its verification against heads that files contain."""
+"""Entries of a procedure in the audit log."""
 
 from __future__ import annotations
 
@@ -6,19 +6,60 @@ from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
+from typing import TYPE_CHECKING, Annotated, Any
 
 from pydantic import Field
 
-from tissueid.audit import HEAD_ATTRIBUTE, Verification, default_path, last_lines, verify
+from tissueid.audit import HEAD_ATTRIBUTE, AuditTrail, Verification, default_path, last_lines, verify
 from tissueid.audit.log import read_newest
-from tissueid.errors import UnusableInputError
+from tissueid.errors import CancelledError, UnattendedError, UnusableInputError
 from tissueid.messages import Message
 from tissueid.plan_options import Option, Plan
+from tissueid.procedures.control import Control
 from tissueid.untrusted_input import toml_table
 
 if TYPE_CHECKING:
     from tissueid.audit.line import LogLine
+
+
+NOT_LOGGED = "audit.not_logged"
+"""Code of the notice about what could not be logged."""
+
+
+def audit_note(
+    trail: AuditTrail, control: Control, what: str, *, subject: str = "", old: Any = None, new: Any = None
+) -> None:
+    """Log a finished operation, and wait for the disk; a failure is a notice."""
+    trail.note(what, subject=subject, old=old, new=new)
+    settle(trail, control)
+
+
+def settle(trail: AuditTrail, control: Control) -> None:
+    """Wait until all notes are written; a failure is a notice."""
+    if problem := trail.settle():
+        control.notice(Message("audit.not_logged", "not in the audit log: {problem}", problem=problem))
+
+
+@contextmanager
+def audit_failure(trail: AuditTrail, control: Control, what: str, *, subject: str) -> Iterator[None]:
+    """Log that ``what`` was stopped or failed, with the reason, if the block raises an error."""
+    try:
+        yield
+    except BaseException as error:
+        by_a_person = isinstance(error, CancelledError | KeyboardInterrupt) and not isinstance(error, UnattendedError)
+        how = "stopped" if by_a_person else "broken_off"
+        audit_note(trail, control, f"{what}.{how}", subject=subject, new=str(error) or type(error).__name__)
+        raise
+
+
+def record_role(trail: AuditTrail, before: str, now: str) -> None:
+    """Log that the user changed the role.
+
+    Raises:
+        AuditError: it cannot be logged.
+    """
+    trail.record("role.changed", old=before, new=now)
+
 
 _MOST_TOML = 10_000_000
 """Number of bytes of a calibration that are read."""

@@ -20,7 +20,7 @@ from tissueid.errors import InstrumentError, UnusableInputError
 from tissueid.language import marked
 from tissueid.messages import Message, Verbatim
 from tissueid.plan_options import Option, Plan
-from tissueid.procedures.audit_notes import audit_note
+from tissueid.procedures.audit_queries import audit_note
 from tissueid.procedures.control import Control
 from tissueid.procedures.output_files import check_result_folder, json_text, write_text
 from tissueid.test_settings import TestSettings

@@ -13,7 +13,7 @@ from tissueid.errors import UnusableInputError
 from tissueid.language import marked
 from tissueid.messages import Message, Verbatim
 from tissueid.plan_options import Option, Plan
-from tissueid.procedures.audit_notes import audit_note
+from tissueid.procedures.audit_queries import audit_note
 from tissueid.procedures.control import Control
 from tissueid.procedures.pseudonyms import PseudonymConfirmed, check_subject
 

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Annotated
 from tissueid.atomic_write import open_regular
 from tissueid.errors import TissueIDError
 from tissueid.plan_options import Option, Plan
-from tissueid.procedures.audit_notes import settle
+from tissueid.procedures.audit_queries import settle
 from tissueid.procedures.control import Control
 
 if TYPE_CHECKING:  # each takes long to import

@@ -11,7 +11,7 @@ from tissueid.atomic_write import private_folder
 from tissueid.messages import Message, Verbatim
 from tissueid.plan_options import Option, Plan
 from tissueid.procedures.control import Control
-from tissueid.procedures.session_path import check_session_path
+from tissueid.procedures.output_files import check_session_path
 from tissueid.procedures.test_plan import TestPlan
 
 if TYPE_CHECKING:

@@ -28,9 +28,9 @@ from tissueid.errors import CancelledError, FirmwareFaultError, LinkLostError, T
 from tissueid.instrument import PROFILES, Instrument, Limits, SimulatedInstrument, open_instrument
 from tissueid.language import marked
 from tissueid.messages import Action, Message
-from tissueid.procedures.audit_notes import settle
+from tissueid.procedures.audit_queries import settle
 from tissueid.procedures.control import Control
-from tissueid.procedures.session_path import check_session_path
+from tissueid.procedures.output_files import check_session_path
 from tissueid.procedures.test_plan import TestPlan, design_stimulus
 from tissueid.sessions import Session, Subject, Test
 from tissueid.stimuli import FeedbackKind, Stimulus

@@ -14,8 +14,7 @@ from tissueid.analysis.curves.signals import distribution_plots, recording_spect
 from tissueid.analysis.curves.validation import held_out_prediction, prediction_plots
 from tissueid.analysis.overlay import Overlay
 from tissueid.calibration.sweep import sweep_tests
-from tissueid.calibration.sweep_analysis import SpringMass, SweepResult, analyse_sweep
-from tissueid.calibration.sweep_file import as_calibration
+from tissueid.calibration.sweep_analysis import SpringMass, SweepResult, analyse_sweep, as_calibration
 from tissueid.formatting import fixed
 from tissueid.identification.base import Array
 from tissueid.identification.engines.lms import LmsModel

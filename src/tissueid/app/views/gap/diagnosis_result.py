@@ -116,7 +116,7 @@ def accept_into_twin(
     """
     from tissueid.app.jobs import JobControl
     from tissueid.gap.accepting import NamedEffects
-    from tissueid.procedures.accept_effects import accept_effects
+    from tissueid.procedures.saved_twins import accept_effects
 
     if why := why_not_accepted(result):
         raise UnusableInputError(why)
