@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import errno
 import os
-import secrets
 import stat
 import subprocess
 import sys
@@ -187,8 +186,8 @@ def test_no_link_is_followed(tmp_path: Path, monkeypatch: pytest.MonkeyPatch):
     """Another user with write access creates a link at the name of the partial file."""
     victim = tmp_path / "victim"
     victim.write_text("precious")
-    names_to_come = iter(["00" * 8, "11" * 8])
-    monkeypatch.setattr(secrets, "token_hex", lambda _: next(names_to_come))
+    names_to_come = iter([b"\x00" * 8, b"\x11" * 8])
+    monkeypatch.setattr(os, "urandom", lambda _: next(names_to_come))
     (tmp_path / f".a.json.{'00' * 8}.partial").symlink_to(victim)
     with pytest.raises(FileExistsError), atomic_file(tmp_path / "a.json"):
         raise AssertionError("nothing may be written")
