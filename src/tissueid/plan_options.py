@@ -32,8 +32,7 @@ class Option:
     Args:
         name: on the command line, such as "--seconds"; "" for the name of the field, with "--no-" for a switch.
         metavar: placeholder of the value in the help.
-        help: one phrase in English, which the form translates.
-        title: label in a form, marked for translation; "" for the name of the field.
+        help: one phrase in English for the command line; a form shows title and description of the field.
         scale: value of the field for 1 on the command line, such as 1e-3 for millimetres.
         read: returns the value of the field from the text on the command line; may raise UnusableInputError.
         argument: whether it is an argument by position.
@@ -43,7 +42,6 @@ class Option:
     name: str = ""
     metavar: str | None = None
     help: str = ""
-    title: str = ""
     scale: float = 1.0
     read: Callable[[str], Any] | None = None
     argument: bool = False

@@ -16,6 +16,7 @@ from tissueid.plan_options import Option, Plan
 from tissueid.procedures.audit_queries import audit_note
 from tissueid.procedures.control import Control
 from tissueid.procedures.pseudonyms import PseudonymConfirmed, check_subject
+from tissueid.untrusted_input import RATES_HZ
 
 if TYPE_CHECKING:  # each takes long to import
     from tissueid.audit import AuditTrail
@@ -24,7 +25,6 @@ if TYPE_CHECKING:  # each takes long to import
 
 _T = TypeVar("_T")
 _EACH = "; once for all tests, or once for each in order"
-_RATES_HZ = (1e-6, 1e9)
 _DECIMALS = {"point": ".", "comma": ","}
 
 
@@ -134,13 +134,13 @@ class ImportPlan(Plan):
                 )
         rates_hz = {marked("the sample rate"): self.rate_hz, marked("the rate of resampling"): self.resample_hz}
         for what, rate_hz in rates_hz.items():
-            if rate_hz is not None and not _RATES_HZ[0] <= rate_hz <= _RATES_HZ[1]:
+            if rate_hz is not None and not RATES_HZ[0] <= rate_hz <= RATES_HZ[1]:
                 raise UnusableInputError(
                     "import.rate_range",
                     "{what} must be between {least:g} and {most:g} Hz, got {rate:g} Hz",
                     what=what,
-                    least=_RATES_HZ[0],
-                    most=_RATES_HZ[1],
+                    least=RATES_HZ[0],
+                    most=RATES_HZ[1],
                     rate=rate_hz,
                 )
         columns = (

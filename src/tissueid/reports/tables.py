@@ -35,6 +35,7 @@ from tissueid.messages import MISSING, Message, translated
 from tissueid.records import Estimate
 from tissueid.reports.page import spring_line
 from tissueid.sessions import Session, Test
+from tissueid.test_settings import PROPERTIES, label_of, setting_of
 from tissueid.units import display_unit
 from tissueid.version import SOFTWARE
 
@@ -297,6 +298,8 @@ def _flatten(settings: Mapping[str, Any], rows: dict[str, str], parent: str) -> 
 def named_text(name: str, value: Any) -> tuple[str, str]:
     """Return a named setting of any kind as label and text, both in the language of the report where it has them."""
     label, text = label_and_value(name, value)
+    if name in PROPERTIES:
+        label, text = label_of(name), setting_of(name).choices.get(value, text)
     return _(label), _(text)
 
 
