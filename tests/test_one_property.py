@@ -142,7 +142,7 @@ def check_table_and_report(path: Path) -> None:
     assert (float(values["hydration"]), values["posture"]) == (0.4, "lying")
     assert main(["report", str(path), "--out", str(page), "--engines", "lms"]) == 0
     assert "Hydration" in page.read_text()
-    assert "lying" in page.read_text()
+    assert "Lying" in page.read_text()  # the declared label
 
 
 def check_form() -> None:
