@@ -85,7 +85,8 @@ class Journal:
         except FileExistsError as error:
             raise JournalError(
                 "journal.exists",
-                "{path} is left from an unfinished session: use {action} first",
+                "{path} exists: another window records to it now, or it is left from an unfinished session; then use "
+                "{action} first",
                 path=str(path),
                 action=RECOVER,
             ) from error
