@@ -29,10 +29,11 @@ from tissueid.reports import ComparisonRow, ComparisonTable, report_html, sessio
 from tissueid.reports.pdf import PageWriter, write_pdf
 from tissueid.reports.session_page import signals_figure
 from tissueid.reports.style import to_svg
-from tissueid.reports.tables import parameter_table, readable_date, score_table, settings_tables
+from tissueid.reports.tables import named_text, parameter_table, readable_date, score_table, settings_tables
 from tissueid.reports.verdict import FROM_ELSEWHERE, NOT_JUDGED, judge, key_numbers
 from tissueid.sessions import Session, Subject
 from tissueid.sessions.quality import HEADLINES, Quality
+from tissueid.test_settings import PROPERTIES
 
 Analyses = dict[int, dict[str, Analysis]]
 
@@ -413,3 +414,10 @@ def test_html_and_pdf_of_a_simulation_say_so(session: Session, analyses: Analyse
 def test_the_report_of_a_test_reads_as_its_golden_page(source: str) -> None:
     """Renew the page by ``python tests/golden/renew.py``."""
     check_golden_page("report-test", lines_of_html(source))
+
+
+def test_settings_have_the_labels_of_the_form_without_its_marks_of_keys():
+    assert named_text("external_spring_n_per_m", 500.0) == ("External spring", "500 N/m")
+    assert named_text("coupling", "tape") == ("Coupling", "Double-sided tape")
+    assert named_text("orientation_deg", 90.0)[1] == "90° horizontal, across the limb"
+    assert not any("&" in named_text(name, 1.0)[0] for name in PROPERTIES)

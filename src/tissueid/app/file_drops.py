@@ -25,8 +25,6 @@ if TYPE_CHECKING:  # imports are seldom: the window starts without their readers
     from tissueid.procedures.import_export import ImportPlan
     from tissueid.sessions.imports import ImportedSession
 
-RECORDS = "*.csv *.txt *.tsv *.mat *.lvm"
-
 
 def dropped_paths(event: QDropEvent) -> list[Path]:
     """Return the local files and folders that are dragged."""

@@ -22,7 +22,7 @@ from tissueid.app.command_palette import Action, CommandPalette, declare, instal
 from tissueid.app.context import AppContext
 from tissueid.app.device_search import DeviceSearch
 from tissueid.app.emergency import BY_BUTTON, BY_CLOSING, BY_DEFECT, NO_ANSWER, DeliberatePress, EmergencyStop
-from tissueid.app.file_drops import RECORDS, FileDrops, dropped_paths
+from tissueid.app.file_drops import FileDrops, dropped_paths
 from tissueid.app.findings import Findings, whose
 from tissueid.app.jobs import Jobs
 from tissueid.app.layout import Layout
@@ -52,6 +52,7 @@ from tissueid.procedures.control import BY_KEY
 from tissueid.procedures.instrument_access import opening_after
 from tissueid.procedures.test_plan import TestPlan
 from tissueid.sessions import Session, Test
+from tissueid.sessions.file_policy import RECORDS
 from tissueid.sessions.model import IMPORTED
 from tissueid.sessions.quality import quality_of
 
@@ -472,7 +473,9 @@ class MainWindow(QMainWindow):
         self.ui.guidance.show_idle(self.study.instruction or shown)
 
     def _choose_session(self) -> None:
-        kinds = _("Sessions and records (*.h5 {records});;All files (*)").format(records=RECORDS)
+        kinds = _("Sessions and records (*.h5 {records});;All files (*)").format(
+            records=" ".join(f"*{suffix}" for suffix in RECORDS)
+        )
         dialog = build.styled(
             QFileDialog(self, _("Open a session, or import records"), str(self.ui.form.folder), kinds),
             file_mode=QFileDialog.FileMode.ExistingFiles,

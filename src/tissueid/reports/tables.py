@@ -300,7 +300,7 @@ def named_text(name: str, value: Any) -> tuple[str, str]:
     label, text = label_and_value(name, value)
     if name in PROPERTIES:
         label, text = label_of(name), setting_of(name).choices.get(value, text)
-    return _(label), _(text)
+    return _(label).replace("&", ""), _(text)  # a form marks the key of a label
 
 
 def _instrument_rows(device: DeviceDescription) -> tuple[Row, ...]:

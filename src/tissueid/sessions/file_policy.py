@@ -16,7 +16,7 @@ from tissueid.language import marked
 from tissueid.messages import Action, Message, code_of
 from tissueid.untrusted_input import MAX_FILE_BYTES, UNPACKED_FREE_BYTES, UNPACKED_PER_BYTE
 
-_RECORDS = (".csv", ".txt", ".mat", ".lvm")
+RECORDS = (".csv", ".txt", ".tsv", ".mat", ".lvm")
 """Names of files of other programs that can be imported."""
 RECOVER_PLACE = marked("“Recover” on the page Start")
 _SIGNATURE = b"\x89HDF\r\n\x1a\n"
@@ -143,7 +143,7 @@ def damaged(path: Path) -> Message:
     """Return the message for a file that is not a session, or no longer one."""
     if path.is_dir():
         return Message("session.folder", "{path} is a folder", path=str(path))
-    if path.suffix.lower() in _RECORDS:
+    if path.suffix.lower() in RECORDS:
         return Message(
             "session.record",
             "{path} is no session file: {action} makes one of it",
