@@ -179,6 +179,10 @@ def test_tests_of_two_sessions_get_new_numbers(tmp_path):
         (lambda stored: stored.update(columns={}), "import.few_signals", {}),
         (lambda stored: stored.update(format="other"), "import.no_map", {}),
         (lambda stored: stored.update(format_version="9.0"), "import.attributes_invalid", {"field": "format_version"}),
+        (lambda stored: stored.pop("session"), "import.attributes_invalid", {"field": "session"}),
+        (lambda stored: stored.update(session={}), "import.attributes_invalid", {"field": "session"}),
+        (lambda stored: stored["session"].pop("session_id"), "import.attributes_invalid", {"field": "session"}),
+        (lambda stored: stored["session"].pop("created"), "import.attributes_invalid", {"field": "session"}),
     ],
 )
 def test_invalid_attributes_are_refused(tmp_path, change, code, values):

@@ -8,10 +8,11 @@ from dataclasses import asdict, fields, replace
 from pathlib import Path
 from typing import Annotated, Any, Literal
 
-from pydantic import BaseModel, ConfigDict, Field, TypeAdapter, ValidationError
+from pydantic import BaseModel, BeforeValidator, ConfigDict, Field, TypeAdapter, ValidationError
 
 from tissueid.device import DeviceDescription
 from tissueid.errors import UnusableInputError
+from tissueid.messages import Message, Verbatim
 from tissueid.option_errors import validation_reason
 from tissueid.sessions.model import ORIGIN, STATUSES, Origin, Session, Subject, Test, attributes_of
 from tissueid.untrusted_input import StoredName, StoredText, json_value
@@ -32,12 +33,20 @@ class ColumnPart(_Part):
     unit: StoredText
 
 
+def _stated(origin: object) -> object:
+    """Return the origin of a session after checking that it is stated: its defaults are those of a new session."""
+    for name in ORIGIN:
+        if isinstance(origin, dict) and name not in origin and name != "audit_head":
+            raise ValueError(Message("import.no_origin", "it does not state '{name}'", name=Verbatim(name)))
+    return origin
+
+
 class Attributes(_Part):
     """Attributes of one exported test."""
 
     format: Literal["tissueid-export"] = "tissueid-export"
     format_version: Literal["1.0"] = "1.0"
-    session: Origin
+    session: Annotated[Origin, BeforeValidator(_stated)]
     instrument: dict[str, Any]
     subject: Subject
     test: Test
