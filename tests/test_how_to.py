@@ -86,7 +86,7 @@ form.choose("massless")
 found["form"] = form.engine.currentText(), form.about.text(), [field.label for field in form._fields.values()]
 
 from tissueid.app.views.gap.page_content_builder import page_content_of
-from tissueid.app.views.gap.result_page import ResultPage
+from tissueid.app.views.gap.result_page import DiagnosisPage
 from tissueid.device import DeviceDescription
 from tissueid.gap.diagnosis import diagnose
 from tissueid.gap.preparation import prepare
@@ -110,7 +110,7 @@ signals = {
 }
 session = Session(DeviceDescription(), tests=(Test(1, "stochastic", signals, 2000.0, surface_position_m=0.010),))
 diagnosed = diagnose(prepare(session), SerialExecutor(), candidates=["stray_magnet"])
-page = ResultPage()
+page = DiagnosisPage()
 story = page_content_of(diagnosed, session)
 page.show_story(story)
 found["page"] = diagnosed.combination, page.headline.text(), story.todo

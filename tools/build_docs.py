@@ -77,7 +77,7 @@ PLUG_IN_CLASSES = (
     "tissueid.identification.Family",
     "tissueid.identification.FitReport",
     "tissueid.identification.LineFigure",
-    "tissueid.identification.Curve",
+    "tissueid.identification.FittedCurve",
     "tissueid.identification.preparation.PreparedRecord",
     "tissueid.stimuli.OpenLoopKind",
     "tissueid.twin.effect.Parameter",

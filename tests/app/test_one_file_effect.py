@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 
 from tissueid.app.views.gap.page_content_builder import page_content_of
-from tissueid.app.views.gap.result_page import ResultPage
+from tissueid.app.views.gap.result_page import DiagnosisPage
 from tissueid.cli import main
 from tissueid.device import DeviceDescription
 from tissueid.gap.answer import as_answer
@@ -121,7 +121,7 @@ def test_a_diagnosis_names_it_and_page_report_and_score_show_it(qtbot, session: 
     parameters = found.ranking[0].parameters
     assert parameters["place_m"] == pytest.approx(VALUES[1], abs=1e-4)
     story = page_content_of(found, session)
-    page = ResultPage()
+    page = DiagnosisPage()
     qtbot.addWidget(page)
     page.show_story(story)
     assert TITLE in page.headline.text()

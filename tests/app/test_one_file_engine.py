@@ -31,7 +31,7 @@ from typing import ClassVar
 import numpy as np
 from pydantic import Field
 
-from tissueid.identification import Curve, Engine, FitReport, LineFigure, Model, engine, vaf_percent
+from tissueid.identification import FittedCurve, Engine, FitReport, LineFigure, Model, engine, vaf_percent
 from tissueid.language import marked
 from tissueid.messages import Message
 from tissueid.records import Estimate
@@ -51,7 +51,7 @@ class SlopeModel(Model):
 
 def _line(model):
     force = np.linspace(0.0, 2.0, 50)
-    return (Curve(force, model.simulate(force), marked("fitted line")),)
+    return (FittedCurve(force, model.simulate(force), marked("fitted line")),)
 
 
 @engine

@@ -14,7 +14,7 @@ from tissueid.acquisition.quality import Quality, QualityFinding
 from tissueid.analysis.curves.plot import Axis, Curve, Plot
 from tissueid.app.number_field import OptionalNumberField
 from tissueid.app.plot_canvas import PlotCanvas
-from tissueid.app.quality_gate import QualityGate
+from tissueid.app.quality_gate import QualityGatePanel
 from tissueid.app.views.clinician.comparing import Sighting, changes
 from tissueid.records import Estimate
 from tissueid.sessions import read_session, write_session
@@ -84,7 +84,7 @@ def test_the_numbers_of_a_test_that_does_not_count_are_not_bold(opened, saved, t
 
 
 def test_a_clinician_is_sent_to_the_technician_who_is_led_to_the_calibration(qtbot):
-    gate = QualityGate()
+    gate = QualityGatePanel()
     qtbot.addWidget(gate)
     wanted = []
     gate.calibration_wanted.connect(lambda: wanted.append(1))

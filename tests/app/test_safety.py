@@ -14,7 +14,7 @@ from PySide6.QtCore import Qt
 
 from tissueid.acquisition.quality import Quality, QualityFinding
 from tissueid.app.calibration_state import UNKNOWN, calibration_state
-from tissueid.app.quality_gate import MOST_SHOWN, UNJUDGED, QualityGate
+from tissueid.app.quality_gate import MOST_SHOWN, UNJUDGED, QualityGatePanel
 from tissueid.app.readouts import KEYS_LOST, KEYS_REACH, SafetyReadouts
 from tissueid.app.safety import LinearRange, Safety, SafetyWatch, linear_region
 from tissueid.app.signals import LINEAR, OUTSIDE
@@ -280,7 +280,7 @@ WARM = QualityFinding("coil_warm", "note", "The coil was at 52 °C.", "Let it co
 
 @pytest.fixture
 def gate(qtbot):
-    widget = QualityGate()
+    widget = QualityGatePanel()
     qtbot.addWidget(widget)
     return widget
 

@@ -35,7 +35,7 @@ PALETTE_KEY = "Ctrl+K"
 
 
 @dataclass(frozen=True)
-class Action:
+class PaletteEntry:
     """Something to do: its title in the language of the window, its shortcut if it has one, and what does it.
 
     ``why_not`` returns why it cannot be done now, and "" where it can; ``offered`` is whether the window has it now.
@@ -50,22 +50,22 @@ class Action:
     energises: bool = False
 
 
-def declare(ui: Layout, panels: Panels, pages: Pages, window: QWidget) -> tuple[Action, ...]:
+def declare(ui: Layout, panels: Panels, pages: Pages, window: QWidget) -> tuple[PaletteEntry, ...]:
     """Return the actions of the window as it is now, with those of the pages that have been made."""
-    own = [Action(ui.stop.accessibleName(), ui.stop.click, why_not=partial(_nothing_to_stop, ui))]
+    own = [PaletteEntry(ui.stop.accessibleName(), ui.stop.click, why_not=partial(_nothing_to_stop, ui))]
     own += [
-        Action(button.accessibleName(), partial(pages.go, name), ui.rail.keys[name])
+        PaletteEntry(button.accessibleName(), partial(pages.go, name), ui.rail.keys[name])
         for name, button in ui.rail.buttons.items()
     ]
     own += [
-        Action(_("Help for this page"), panels.help_button.click, HELP_KEY),
-        Action(_("Log of the window"), panels.log_button.click, LOG_KEY),
-        Action(_("Close TissueID"), window.close, "Ctrl+Q"),
+        PaletteEntry(_("Help for this page"), panels.help_button.click, HELP_KEY),
+        PaletteEntry(_("Log of the window"), panels.log_button.click, LOG_KEY),
+        PaletteEntry(_("Close TissueID"), window.close, "Ctrl+Q"),
     ]
     for chooser in pages.start.choosers:
         choice = chooser.choice
         own += [
-            Action(f"{chooser.name}: {choice.itemText(place)}", partial(choice.setCurrentIndex, place))
+            PaletteEntry(f"{chooser.name}: {choice.itemText(place)}", partial(choice.setCurrentIndex, place))
             for place in range(choice.count())
             if place != choice.currentIndex()
         ]
@@ -77,7 +77,7 @@ def declare(ui: Layout, panels: Panels, pages: Pages, window: QWidget) -> tuple[
     return tuple(own)
 
 
-def install_shortcuts(actions: Iterable[Action], window: QWidget) -> None:
+def install_shortcuts(actions: Iterable[PaletteEntry], window: QWidget) -> None:
     """Make the shortcuts of the actions that have one."""
     for action in actions:
         if action.keys:
@@ -90,7 +90,7 @@ def _nothing_to_stop(ui: Layout) -> str:
     return "" if ui.testing else sentence(translated(NO_TEST))
 
 
-def _by_button(pages: Pages, page: str, button: QAbstractButton, *, energises: bool = False) -> Action:
+def _by_button(pages: Pages, page: str, button: QAbstractButton, *, energises: bool = False) -> PaletteEntry:
     """Return the action that presses a button of a page, or that leads to it where it energises a coil."""
     name = button.accessibleName() or button.text().replace("&", "")
     title = f"{pages.title(page)}: {name}" if page else name
@@ -107,7 +107,7 @@ def _by_button(pages: Pages, page: str, button: QAbstractButton, *, energises: b
     def why_not() -> str:
         return "" if button.isEnabled() else button.accessibleDescription() or _("Not possible now.")
 
-    return Action(title, run, "", partial(_is_there, button), why_not, energises)
+    return PaletteEntry(title, run, "", partial(_is_there, button), why_not, energises)
 
 
 def _is_there(button: QAbstractButton) -> bool:
@@ -182,11 +182,11 @@ class CommandPalette(QFrame):
     What cannot be done now is listed with the reason, and does nothing. What starts a coil leads to its button.
     """
 
-    def __init__(self, declare: Callable[[], tuple[Action, ...]], window: QWidget) -> None:
+    def __init__(self, declare: Callable[[], tuple[PaletteEntry, ...]], window: QWidget) -> None:
         super().__init__(window)
         self._declare, self._window = declare, window
         self._before: QWidget | None = None
-        self._actions: tuple[Action, ...] = ()
+        self._actions: tuple[PaletteEntry, ...] = ()
         build.styled(self, role="card", auto_fill_background=True)
         self.words = _Words()
         build.styled(
@@ -236,10 +236,10 @@ class CommandPalette(QFrame):
         self.setGeometry((window.width() - width) // 2, _TOP, width, height)
 
     @property
-    def chosen(self) -> Action | None:
+    def chosen(self) -> PaletteEntry | None:
         """The action that Return would take; None where that is not possible now."""
         item = self.list.currentItem()
-        action: Action | None = None if item is None else item.data(Qt.ItemDataRole.UserRole)
+        action: PaletteEntry | None = None if item is None else item.data(Qt.ItemDataRole.UserRole)
         return action
 
     def _close(self) -> None:

@@ -31,7 +31,7 @@ from tissueid.app.live_analysis import LiveAnalysis
 from tissueid.app.navigation_bar import MEASURE, NavigationBar
 from tissueid.app.notice import Notice, NoticeLine
 from tissueid.app.panels import HelpPanel
-from tissueid.app.quality_gate import QualityGate
+from tissueid.app.quality_gate import QualityGatePanel
 from tissueid.app.readouts import SafetyReadouts
 from tissueid.app.result import ResultPage
 from tissueid.app.roles import RoleChooser
@@ -90,7 +90,7 @@ class Layout:
         self._side_frame = QFrame()
         self.role = RoleChooser(role)
         self.safety = SafetyReadouts()
-        self.gate = QualityGate()
+        self.gate = QualityGatePanel()
         self._verdict = QWidget()
         build.column(self.gate, parent=self._verdict)
         self.start = build.styled(BigButton(_("&Start test")), role="start")

@@ -18,7 +18,7 @@ from tissueid.app import build
 from tissueid.app.calibration_controller import CalibrationController
 from tissueid.app.calibration_state import calibration_state
 from tissueid.app.clinician import Clinician
-from tissueid.app.command_palette import Action, CommandPalette, declare, install_shortcuts
+from tissueid.app.command_palette import CommandPalette, PaletteEntry, declare, install_shortcuts
 from tissueid.app.context import AppContext
 from tissueid.app.device_search import DeviceSearch
 from tissueid.app.emergency import BY_BUTTON, BY_CLOSING, BY_DEFECT, NO_ANSWER, DeliberatePress, EmergencyStop
@@ -166,7 +166,7 @@ class MainWindow(QMainWindow):
             closing=lambda: self._closing,
         )
 
-    def declare_actions(self) -> tuple[Action, ...]:
+    def declare_actions(self) -> tuple[PaletteEntry, ...]:
         """Return the actions of the command palette."""
         return declare(self.ui, self.panels, self.pages, self)
 

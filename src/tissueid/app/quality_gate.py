@@ -31,7 +31,7 @@ _ASK = marked("The values can be compared only with those of this instrument. As
 UNJUDGED = marked("The quality gate did not judge this test when it was made.")
 
 
-class QualityGate(QFrame):
+class QualityGatePanel(QFrame):
     """The verdict on a test, hidden until it is over.
 
     ``again`` is sent by the button that is there when the test should be repeated, ``judge`` by the one that is there

@@ -206,7 +206,7 @@ class Model(ABC):
 
 
 @dataclass(frozen=True, eq=False)
-class Curve:
+class FittedCurve:
     """One curve of a plot: ``x`` and ``y`` (n,), its ``label`` in the legend; ``points`` draws points instead of a
     line.
     """
@@ -231,7 +231,7 @@ class LineFigure:
     caption: str
     x_label: str
     y_label: str
-    curves: Callable[[Any], Sequence[Curve]]
+    curves: Callable[[Any], Sequence[FittedCurve]]
     group: Literal["record", "linear", "nonlinear", "validation"] = "linear"
 
 

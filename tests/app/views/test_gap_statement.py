@@ -13,7 +13,7 @@ from gap_records import observed, recorded
 
 from tissueid.app.views.gap.displayed_text import as_title
 from tissueid.app.views.gap.page_content_builder import page_content_of
-from tissueid.app.views.gap.result_page import ResultPage
+from tissueid.app.views.gap.result_page import DiagnosisPage
 from tissueid.app.views.gap.result_tabs import _NONE, _NONE_SEPARATES, NextTestTab
 from tissueid.cli.gap import summary_lines
 from tissueid.gap.closed_share import Budget, BudgetStep
@@ -71,7 +71,7 @@ CASES = ("sure", "doubtful", "pair", "no gap", "unexplained", "nowhere", "twin")
 def test_page_chain_tabs_report_and_shell_agree(qtbot, case):
     found = synthetic(case)
     story = page_content_of(found, recorded(EFFECT, SEED, SAMPLES))
-    page = ResultPage()
+    page = DiagnosisPage()
     qtbot.addWidget(page)
     page.show_story(story)
     headline, level = headline_of(found)

@@ -16,7 +16,7 @@ import numpy as np
 from scipy import fft
 
 from tissueid.errors import UnusableInputError
-from tissueid.identification.base import Array, Curve, Engine, LineFigure, Mask, Model, option
+from tissueid.identification.base import Array, Engine, FittedCurve, LineFigure, Mask, Model, option
 from tissueid.identification.correlation import Correlator, dependence_samples
 from tissueid.identification.levenberg_marquardt import Bounds, ErrorPoint, minimise
 from tissueid.identification.model_family import Family
@@ -283,15 +283,15 @@ def independent_samples(error: Array) -> float:
     return error.size / (1.0 + 2.0 * float(related[:end].sum()))
 
 
-def _modulus(model: ViscoelasticModel) -> tuple[Curve, ...]:
+def _modulus(model: ViscoelasticModel) -> tuple[FittedCurve, ...]:
     """Return the dynamic stiffness of the tissue, without the mass, against frequency."""
     frequency = np.geomspace(0.2, 200.0, 120)
     system = model.system
     h, _ = system.response(frequency)
     z = 1.0 / h + system.values[0] * (2.0 * np.pi * frequency) ** 2
     return (
-        Curve(frequency, z.real, marked("in phase with the displacement")),
-        Curve(frequency, z.imag, marked("in phase with the speed")),
+        FittedCurve(frequency, z.real, marked("in phase with the displacement")),
+        FittedCurve(frequency, z.imag, marked("in phase with the speed")),
     )
 
 

@@ -255,7 +255,7 @@ _LEAST_WIDTH = 540
 """Of the page with a scroll bar: the drawing of the chain is no narrower, pixels."""
 
 
-class ResultPage(QScrollArea):
+class DiagnosisPage(QScrollArea):
     """Shows the content of a diagnosis, with buttons to save its outputs or to repeat it."""
 
     def __init__(self, parent: QWidget | None = None) -> None:

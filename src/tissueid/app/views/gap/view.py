@@ -35,7 +35,7 @@ from tissueid.app.views.gap.diagnosis_store import KeptDiagnoses, default_folder
 from tissueid.app.views.gap.effect_dialog import EffectDialog
 from tissueid.app.views.gap.next_test import prepared_words, session_url
 from tissueid.app.views.gap.request_panel import RequestPanel
-from tissueid.app.views.gap.result_page import ResultPage
+from tissueid.app.views.gap.result_page import DiagnosisPage
 from tissueid.app.widgets import show_disabled_reason
 from tissueid.app.window_state import RESEARCH_FOLDERS, load_texts
 from tissueid.app.words import in_words
@@ -79,7 +79,7 @@ class GapView(View):
             context.services.folder, lambda: [Path(text) for text in load_texts(context.settings, RESEARCH_FOLDERS)]
         )
         self.history = DiagnosisList()
-        self.result = ResultPage()
+        self.result = DiagnosisPage()
         self.welcome = label("muted", text=_(_WELCOME), alignment=Qt.AlignmentFlag.AlignTop)
         self._stack = QStackedWidget()
         self._stack.addWidget(self.welcome)
