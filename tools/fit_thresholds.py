@@ -13,7 +13,7 @@ import argparse
 import sys
 from pathlib import Path
 
-from tissueid.gap.decision import THRESHOLDS
+from tissueid.gap.thresholds import THRESHOLDS
 from tissueid_lab.blind_check.scenarios import seal
 from tissueid_lab.blind_check.threshold_fit import (
     DECISION,

@@ -6,7 +6,7 @@ import numpy as np
 
 from tissueid.gap.closed_share import ceiling
 from tissueid.gap.dataset import DatasetTest, Purpose
-from tissueid.gap.scoring import ChannelError
+from tissueid.gap.decision import ChannelError
 
 RATE = 2000.0
 SAMPLES = 8000

@@ -10,7 +10,8 @@ import numpy as np
 import pytest
 
 from tissueid.gap.decision import (
-    THRESHOLDS,
+    Candidate,
+    ChannelError,
     Grounds,
     Tried,
     can_stand_for,
@@ -24,7 +25,7 @@ from tissueid.gap.decision import (
     shows_in_the_check_alone,
 )
 from tissueid.gap.diagnosis import needs_strict_fit
-from tissueid.gap.scoring import Candidate, ChannelError
+from tissueid.gap.thresholds import THRESHOLDS
 from tissueid.twin.catalogue import effect
 from tissueid.twin.effect import STAGES
 
@@ -138,7 +139,7 @@ def test_effects_of_a_stage_and_those_that_are_mistaken_for_each_other_can_stand
 def test_an_effect_next_to_one_that_nearly_closes_the_gap_can_stand_for_its_form(other, named):
     alone, both = tried(1.0, 0.98, "eddy_currents"), tried(0.05, 0.999, "eddy_currents", other)
     assert is_needed(alone, both) is named
-    little = tried(2.0, THRESHOLDS.stand_in_closed - 0.1, "eddy_currents")
+    little = tried(2.0, THRESHOLDS.structural - 0.1, "eddy_currents")
     assert is_needed(little, both)
 
 

@@ -11,7 +11,7 @@ from gap_records import observed
 
 from tissueid.gap import diagnose
 from tissueid.gap.answer import as_answer
-from tissueid.gap.detection_limits import DetectionLimits
+from tissueid.gap.diagnosis import DetectionLimits
 from tissueid.gap.fitting import predict
 from tissueid.gap.parameters import parametrise
 from tissueid.gap.search import Search

@@ -11,11 +11,12 @@ from gap_records import changed, observed, recorded, scenario
 
 from tissueid.errors import CancelledError
 from tissueid.gap.dataset import Purpose
-from tissueid.gap.fit_tasks import STEPS_TO_RE_ESTIMATE, Task, refit
+from tissueid.gap.decision import errors
+from tissueid.gap.fit_tasks import Task, refit
 from tissueid.gap.fitting import SLOPE_STEP_S, Differences, Fit, LinearRefit, fit, predict, re_estimate
 from tissueid.gap.parameters import WITHIN_STDS, parametrise
 from tissueid.gap.preparation import prepare
-from tissueid.gap.scoring import errors
+from tissueid.gap.thresholds import LIMITS
 from tissueid.twin.catalogue import effect
 from tissueid.twin.effect import Effect, Parameter
 
@@ -263,7 +264,7 @@ def test_a_short_fit_keeps_the_estimates_of_the_fit_near_it():
     rates = [item for item in found.parameters.constants if "_hz@" in item]
     assert rates
     assert {item: kept[item] for item in rates} == {item: found.parameters.constants[item] for item in rates}
-    longer = refit(replace(task, most_steps=STEPS_TO_RE_ESTIMATE)).fit.parameters.constants
+    longer = refit(replace(task, most_steps=LIMITS.steps_to_re_estimate)).fit.parameters.constants
     assert {item: longer[item] for item in rates} != {item: kept[item] for item in rates}
 
 

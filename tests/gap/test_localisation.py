@@ -9,12 +9,12 @@ import pytest
 from firmware_sim.effects import LISTED
 from firmware_sim.laboratory.scenario_generation import NOMINAL, draw_scenario
 from tissueid.device import DeviceDescription
+from tissueid.gap.decision import score_candidate
 from tissueid.gap.error_regions import ErrorProfile
 from tissueid.gap.fitting import fit
 from tissueid.gap.localisation import Localisation, localise
 from tissueid.gap.noise import lost_samples, mains_lines, quiet_motion
 from tissueid.gap.preparation import prepare
-from tissueid.gap.scoring import score_candidate
 from tissueid.gap.stage_substitution import DRIVE, motion, propagated_noise, simulate_stage
 from tissueid.sessions import Session, Test
 from tissueid.twin.catalogue import effect

@@ -21,13 +21,13 @@ from firmware_sim.other_machines import (
     two_mass_drive,
 )
 from tissueid.gap.dataset import Purpose
+from tissueid.gap.decision import gap, score_candidate
 from tissueid.gap.diagnosis import diagnose
 from tissueid.gap.fit_tasks import acts_on_machine, effects_of
 from tissueid.gap.fitting import fit
 from tissueid.gap.forward_model import recorded_state, restarts
 from tissueid.gap.machine_family import with_best_family
 from tissueid.gap.preparation import prepare
-from tissueid.gap.scoring import gap, score_candidate
 from tissueid.gap.search import Search
 from tissueid.gap.workers import SerialExecutor
 from tissueid.sessions import Session, Test

@@ -7,11 +7,10 @@ import numpy as np
 import pytest
 
 from tissueid.device import DeviceDescription
-from tissueid.gap.candidate_tests import candidate_tests
+from tissueid.gap.decision import score_candidate
 from tissueid.gap.fitting import fit
-from tissueid.gap.next_experiment import NextExperiment, next_experiment, settings_of
+from tissueid.gap.next_experiment import NextExperiment, candidate_tests, next_experiment, settings_of
 from tissueid.gap.preparation import prepare
-from tissueid.gap.scoring import score_candidate
 from tissueid.sessions import Session, Test
 from tissueid.stimuli import get_stimulus
 from tissueid.twin.catalogue import effect

@@ -11,12 +11,12 @@ from scipy import integrate, signal
 
 from tissueid.device import DeviceDescription
 from tissueid.errors import UnusableInputError
-from tissueid.gap.candidate_tests import candidate_tests
+from tissueid.gap.decision import gap, score_candidate
 from tissueid.gap.diagnosis import diagnose
 from tissueid.gap.fit_tasks import effects_of
 from tissueid.gap.fitting import fit
+from tissueid.gap.next_experiment import candidate_tests
 from tissueid.gap.preparation import prepare
-from tissueid.gap.scoring import gap, score_candidate
 from tissueid.gap.search import applicable
 from tissueid.gap.workers import SerialExecutor
 from tissueid.sessions import Session, Test

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from tissueid.gap.closed_share import closed_in_draws, draws_of, widened
-from tissueid.gap.scoring import (
+from tissueid.gap.decision import (
     Candidate,
     ChannelError,
     closed,
@@ -17,9 +17,9 @@ from tissueid.gap.scoring import (
     gap_left,
     quiet_tests,
     score,
+    tried,
     without_rare_events,
 )
-from tissueid.gap.set_search import tried
 
 
 def error(test: int = 1, channel: str = "position", square: float = 4.0, **others: float) -> ChannelError:

@@ -12,23 +12,18 @@ from gap_records import changed, observed, recorded
 from tissueid.errors import CancelledError
 from tissueid.gap import diagnosis
 from tissueid.gap.answer import as_answer
-from tissueid.gap.decision import THRESHOLDS
+from tissueid.gap.decision import Candidate
 from tissueid.gap.diagnosis import diagnose
 from tissueid.gap.fit_tasks import Task, refit
 from tissueid.gap.noise import rests
 from tissueid.gap.preparation import prepare
-from tissueid.gap.scoring import Candidate
 from tissueid.gap.search import (
-    BEST_ALIGNED,
-    CLEARLY_NEEDED,
-    PARTNERS,
-    SHORT_STEPS,
-    TRIAL_STEPS,
     Search,
     SearchProgress,
     SearchResult,
     applicable,
 )
+from tissueid.gap.thresholds import LIMITS, THRESHOLDS
 from tissueid.gap.workers import SerialExecutor
 from tissueid.twin.bus import MOST_EFFECTS
 from tissueid.twin.catalogue import all_effects, effect
@@ -273,7 +268,7 @@ def test_a_set_without_a_clearly_needed_member_is_fitted_further_only_where_it_m
     near, names = search.baseline().fit, ("dry_friction", "sensor_lag")
     pair = refit(Task(search.dataset, names, tuple(effect(name).starts[0] for name in names), near, 6))
     needed, needless = search.remove_from(pair, names, briefly=True)
-    assert needed.score - pair.score > CLEARLY_NEEDED > needless.score - pair.score
+    assert needed.score - pair.score > LIMITS.clearly_needed > needless.score - pair.score
     thorough = search.remove_from(pair, names)
     assert thorough[1] is needless
     assert thorough[0] is not needed
@@ -285,10 +280,10 @@ def test_further_effects_are_tried_before_they_are_fitted():
     more = (*CANDIDATES, "tissue_stiffening", "viscoelasticity", "tissue_hysteresis", "directional_friction")
     search = Search(observed("dry_friction", samples=SAMPLES), recorder, more)
     added = search.add_to([search.baseline()])
-    trials = [task.names for task in recorder.tasks if task.most_steps == TRIAL_STEPS]
-    fitted = [task.names for task in recorder.tasks if task.most_steps == SHORT_STEPS]
-    assert len(set(trials)) == len(trials) > len(fitted) == PARTNERS
-    assert fitted[:BEST_ALIGNED] == trials[:BEST_ALIGNED]
+    trials = [task.names for task in recorder.tasks if task.most_steps == LIMITS.trial_steps]
+    fitted = [task.names for task in recorder.tasks if task.most_steps == LIMITS.short_steps]
+    assert len(set(trials)) == len(trials) > len(fitted) == LIMITS.fits
+    assert fitted[: LIMITS.beam] == trials[: LIMITS.beam]
     assert set(fitted) <= set(trials)
     assert ("dry_friction",) in {item.effects for item in added}
 

@@ -10,10 +10,8 @@ from typing import Any
 import pytest
 from coded import says
 
-from tissueid.gap.candidate_tests import KINDS
-from tissueid.gap.detection_limits import DetectionLimit
-from tissueid.gap.diagnosis import Ranked
-from tissueid.gap.next_experiment import NextExperiment
+from tissueid.gap.diagnosis import DetectionLimit, Ranked
+from tissueid.gap.next_experiment import KINDS, NextExperiment
 from tissueid.gap.statement import effect_title, headline_of, next_steps_of, sentences_of
 from tissueid.language import set_language
 from tissueid.messages import Message, translated

@@ -11,10 +11,10 @@ from coded import coded, holding
 from tissueid.device import DeviceDescription
 from tissueid.errors import UnusableInputError
 from tissueid.gap import diagnosis
+from tissueid.gap.decision import floor, score_candidate
 from tissueid.gap.diagnosis import diagnose
 from tissueid.gap.fitting import fit
 from tissueid.gap.preparation import prepare
-from tissueid.gap.scoring import floor, score_candidate
 from tissueid.gap.twin_export import against_twin, check_same_instrument, twin_file_of, with_prior_twin
 from tissueid.gap.workers import SerialExecutor
 from tissueid.instrument import open_instrument

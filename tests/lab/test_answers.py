@@ -8,7 +8,7 @@ import pytest
 from coded import coded
 
 from tissueid.errors import UnusableInputError
-from tissueid.gap.answer_store import store_answer, stored_answer
+from tissueid.gap.answer import store_answer, stored_answer
 from tissueid.gap.workers import SerialExecutor
 from tissueid_lab.blind_check.answers import BlindScenario, CheckInProgress, answers, begin_check, check_in_progress
 

@@ -7,7 +7,8 @@ from dataclasses import replace
 import pytest
 
 from tissueid.errors import UnusableInputError
-from tissueid.gap.decision import Grounds, Thresholds, Tried, decide
+from tissueid.gap.decision import Grounds, Tried, decide
+from tissueid.gap.thresholds import Thresholds
 from tissueid_lab.blind_check.threshold_fit import Decided, changed, fit_thresholds, read_decided, scores
 
 NOTHING = frozenset()
@@ -40,7 +41,7 @@ CASES = [
 def test_a_second_name_that_closes_little_is_left_out_and_one_that_closes_much_is_kept():
     found = fit_thresholds(CASES, Thresholds())
     assert [decide(item.grounds, found) for item in CASES] == [item.true for item in CASES]
-    assert 0.79 < found.stand_in_closed <= 0.98
+    assert 0.79 < found.structural <= 0.98
 
 
 def test_a_wrong_name_weighs_more_than_an_abstention():
@@ -53,8 +54,8 @@ def test_a_wrong_name_weighs_more_than_an_abstention():
 
 
 def test_figures_of_decisions():
-    kept = scores(CASES, replace(Thresholds(), stand_in_closed=2.0, explained_closed=0.7))
-    cut = scores(CASES, changed(changed(Thresholds(), "stand_in_closed", 0.9), "explained_closed", 0.75))
+    kept = scores(CASES, replace(Thresholds(), structural=2.0, explained_closed=0.7))
+    cut = scores(CASES, changed(changed(Thresholds(), "structural", 0.9), "explained_closed", 0.75))
     assert kept["single effect named, nothing else"] == (pytest.approx(0.25), 4)
     assert cut["single effect named, nothing else"] == (1.0, 4)
     assert kept["several effects: F1"] == cut["several effects: F1"] == (1.0, 3)

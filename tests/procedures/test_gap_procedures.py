@@ -18,8 +18,8 @@ from tissueid.audit import AuditLog, AuditTrail, last_lines
 from tissueid.cli import main
 from tissueid.errors import CancelledError, UnusableInputError
 from tissueid.gap import fit_tasks
-from tissueid.gap.accepting import NamedEffects
 from tissueid.gap.search import SearchProgress, Work
+from tissueid.gap.twin_export import NamedEffects
 from tissueid.procedures.control import Control, RemainingTime, counted
 from tissueid.procedures.diagnosis import SHARES, STEPS, SearchDisplay
 from tissueid.procedures.gap_plans import AcceptPlan, DiagnosisPlan

@@ -19,8 +19,7 @@ from tissueid.cli.output import (
 from tissueid.errors import CancelledError, UnusableInputError
 from tissueid.formatting import number
 from tissueid.gap import Diagnosis, as_answer
-from tissueid.gap.accepting import NamedEffects
-from tissueid.gap.history import GapHistory, GapHistoryEntry, history_headline
+from tissueid.gap.answer import GapHistory, GapHistoryEntry, history_headline
 from tissueid.gap.statement import (
     alternatives_of,
     headline_of,
@@ -30,6 +29,7 @@ from tissueid.gap.statement import (
     sentences_of,
     shown_probability,
 )
+from tissueid.gap.twin_export import NamedEffects
 from tissueid.instrument.twin_file import TwinFile
 from tissueid.messages import MISSING
 from tissueid.procedures.diagnosis import diagnose_session

@@ -20,8 +20,8 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy import stats
 
-from tissueid.gap.dataset import Dataset, DatasetTest, Purpose
-from tissueid.gap.scoring import (
+from tissueid.gap.dataset import DatasetTest, Purpose
+from tissueid.gap.decision import (
     GAP_CHANNELS,
     Candidate,
     ChannelError,
@@ -30,7 +30,6 @@ from tissueid.gap.scoring import (
     floor,
     gap,
     gap_left,
-    quiet_tests,
 )
 from tissueid.twin.catalogue import effect
 from tissueid.twin.effect import Stage
@@ -79,7 +78,7 @@ def removal_path(
         known: effects of the baseline, which stay.
         remove: refits a set without each of some effects.
     """
-    quiet = quiet_tests(found.fit.parameters.dataset.tests)
+    quiet = found.quiet
     path: list[Candidate] = [found]
     without: dict[str, Candidate] = {}
     while len(names := [name for name in path[-1].effects if name not in known]) > 1:
@@ -102,16 +101,14 @@ def budget(
         remains_in: stage that shows what the complete set leaves.
     """
     complete = path[-1]
-    quiet = quiet_tests(baseline.fit.parameters.dataset.tests)
+    quiet = baseline.quiet
     in_stretches = stretches(baseline)
     draws = draws_of(len(in_stretches))
 
     def share(item: Candidate) -> tuple[float, FloatArray]:
         if item is baseline:
             return 0.0, np.zeros(len(draws))
-        before, after = gap(baseline.checked_by, quiet), gap(item.checked_by, quiet)
-        drawn = closed_in_draws(in_stretches, stretches(item), draws, quiet)
-        return closed(before, after, floor(baseline.checked_by, quiet)), drawn
+        return item.closed(baseline), closed_in_draws(in_stretches, stretches(item), draws, quiet)
 
     shares = {id(item): share(item) for item in (baseline, *path, *without.values())}
 
@@ -163,7 +160,7 @@ def ceiling(baseline: Candidate) -> float:
     NaN without a gap.
     """
     dataset = baseline.fit.parameters.dataset
-    quiet = quiet_tests(dataset.tests)
+    quiet = baseline.quiet
     before, least = gap(baseline.checked_by, quiet), floor(baseline.checked_by, quiet)
     courses = [
         _course(test, predicted, dataset.channels)
@@ -267,32 +264,24 @@ class GapFigures:
     """Closed share on the samples for the choice, which the check verifies."""
 
 
-def figures_of(dataset: Dataset, baseline: Candidate, best: Candidate | None) -> GapFigures:
+def figures_of(baseline: Candidate, best: Candidate | None) -> GapFigures:
     """Return the gap before and after, with a bootstrap interval of the closed share over stretches of the check."""
-    quiet = quiet_tests(dataset.tests)
+    quiet = baseline.quiet
     before, least = gap(baseline.checked_by, quiet), floor(baseline.checked_by, quiet)
     after = before if best is None else gap_left(baseline.checked_by, best.checked_by, quiet)
     shut = closed(before, after, least)
     promised, interval = float("nan"), (float("nan"), float("nan"))
     if best is not None:
-        promised = predicted_closed(baseline, best)
-        interval = closed_interval(dataset, baseline, best)
+        promised = best.predicted_closed(baseline)
+        interval = closed_interval(baseline, best)
     return GapFigures(before, after, least, shut, interval, promised)
 
 
-def predicted_closed(baseline: Candidate, best: Candidate) -> float:
-    """Return the closed share on the samples for the choice, which is stated before the check."""
-    quiet = quiet_tests(baseline.fit.parameters.dataset.tests)
-    return closed(gap(baseline.chosen_by, quiet), gap(best.chosen_by, quiet), floor(baseline.chosen_by, quiet))
-
-
-def closed_interval(dataset: Dataset, baseline: Candidate, best: Candidate) -> tuple[float, float]:
+def closed_interval(baseline: Candidate, best: Candidate) -> tuple[float, float]:
     """Return the 95 % interval of the closed share by a widened bootstrap over the stretches of the check."""
-    quiet = quiet_tests(dataset.tests)
     before = stretches(baseline)
-    drawn = closed_in_draws(before, stretches(best), draws_of(len(before)), quiet)
-    middle = closed(gap(baseline.checked_by, quiet), gap(best.checked_by, quiet), floor(baseline.checked_by, quiet))
-    return widened(middle, drawn, len(before))
+    drawn = closed_in_draws(before, stretches(best), draws_of(len(before)), baseline.quiet)
+    return widened(best.closed(baseline), drawn, len(before))
 
 
 def draws_of(count: int) -> IntArray:
@@ -310,7 +299,7 @@ def closed_in_draws(
         before: errors of the baseline in every stretch.
         after: those of a candidate.
         draws: numbers of the drawn stretches, shape (draws, stretches).
-        quiet: tests that are left out, as in ``scoring.gap``.
+        quiet: tests that are left out, as in ``decision.gap``.
     """
     wide, left = _gaps(before, draws, quiet), _gaps(after, draws, quiet)
     least = _gaps(before, draws, quiet, lambda item: item.noise**2 + item.irreducible**2)
@@ -324,7 +313,7 @@ def _gaps(
     quiet: Sequence[int],
     square: Callable[[ChannelError], float] = lambda item: item.square,
 ) -> FloatArray:
-    # The squared gap in each draw, as ``scoring.gap`` pools it, shape (draws,).
+    # The squared gap in each draw, as ``decision.gap`` pools it, shape (draws,).
     sums = np.zeros((2, len(found), len(GAP_CHANNELS)))
     for k, stretch in enumerate(found):
         for item in stretch:

@@ -1,78 +1,235 @@
-"""Decisions from scores: whether there is a gap, whether a candidate explains it, and with which probability.
+"""Scores of a twin on held-out data, and the decisions from them.
 
-The thresholds were set on eighty scenarios of the first simulated laboratory, those of pairs on 249 and some more
-(decisions 0025 and 0028), stricter ones also on parts of another draw (decision 0026), the conditions on further
-members on sixty of each laboratory (decision 0040) and on thirty on skin (decision 0046), the gain on forty of the
-second laboratory (decision 0061). docs/measured/gap.json reports none of these draws for these thresholds, or says so.
+Errors by channel and test give the score, the gap and the closed share of the gap. From these follow whether there is a
+gap, whether a candidate explains it, and with which probability. The constants of the decisions are in ``thresholds``.
 """
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any, Literal
 
 import numpy as np
+from numpy.typing import NDArray
 
-from tissueid.gap.scoring import Candidate, misfit, score
+from tissueid.gap.dataset import DatasetTest, Purpose
+from tissueid.gap.fitting import Fit, residual_blocks
+from tissueid.gap.thresholds import LIMITS, THRESHOLDS, Thresholds
 from tissueid.twin.catalogue import effect
 from tissueid.twin.effect import Effect
 
-Verdict = Literal["effect", "no_gap", "unexplained"]
-FLEXIBLE = 5
-"""Number of fitted parameters above which an effect can stand for an error in the form of any other; those of the
-environment, with their own rates, cannot."""
+FloatArray = NDArray[np.float64]
+
+GAP_CHANNELS = ("current", "position", "voltage")
+"""Channels of the gap; the voltage counts where the command is known."""
+LEAST_RATIO = 1.0
+"""Least ratio of error to noise variance: smaller errors count as noise."""
+RARE_BLOCKS = 0.2
+"""Share of the blocks, those with the largest error, that do not count against an accepted twin. The error that it left
+in its own session rests on one or two events where it is rare, such as lift-off, and says little about the next ones.
+"""
 
 
 @dataclass(frozen=True)
-class Thresholds:
-    """Thresholds of the decisions. Scores are in nats (see ``scoring.score``)."""
+class ChannelError:
+    """Error of one channel in one test on the samples of one purpose.
 
-    least_score: float = 0.24
-    """Score of the baseline below which there is no gap."""
-    at_the_floor: float = 0.12
-    """Score below which a candidate explains the gap without further conditions."""
-    explained_closed: float = 0.5
-    """Least closed share of the gap on held-out data of an explanation."""
-    explained_share: float = 0.55
-    """Largest share of the baseline's score that an explanation leaves, unless it lowers it by ``explained_gain``."""
-    explained_gain: float = 3.0
-    """Decrease of the score, nats, that is enough however large a share is left: where the noise is small, the
-    structural error of the right effect is many times the noise."""
-    clear_share: float = 0.12
-    """Largest share of the score that is left by a candidate that explains the gap whatever share of it is closed:
-    rounding can leave most of it. More is not enough for an effect with an exact law, and where the evidence by stages
-    contradicts the candidate."""
-    set_gain: float = 0.3
-    """Least decrease of the score by a member of a set, nats."""
-    set_leaves: float = 0.36
-    """Largest share of the gap without a member that the set leaves, unless it is at the floor or the member is an
-    effect of living tissue, which are expected together."""
-    set_leaves_score: float = 0.45
-    """Largest share of the score without a member that the set leaves, sufficient in place of ``set_leaves``: hum or
-    rounding changes the score more than the gap."""
-    stand_in_closed: float = 0.9
-    """Closed share of a set from which a further member is not named that can stand for the error in the form of one of
-    its members."""
-    stand_in_score: float = 2.0
-    """Score without a member from which a set at the noise floor needs it whatever it can stand for, nats."""
-    structural: float = 0.9
-    """Closed share from which what a set leaves is taken as the structural error of its members, all of them right."""
-    growth: float = 0.03
-    """Least decrease of the misfit by a further effect that is followed, nats."""
-    nearly_all: float = 0.985
-    """Closed share above which the search ends."""
-    temperature: float = 0.06
-    """Scale of score differences for probabilities, nats: smaller differences are no evidence."""
-    temperature_share: float = 0.1
-    """The same as a share of the best candidate's score, a measure of its model error."""
-    complexity: float = 0.01
-    """Penalty of each coordinate, nats."""
-    most_counted: int = 5
-    """Most coordinates of an effect that are penalised: overfitting by larger tables shows in held-out data."""
+    ``square`` is the mean squared error (SI squared), ``noise`` the sensor noise (std, SI), ``spread`` the standard
+    deviation of the recorded signal over the whole test, ``samples`` the number of samples. ``irreducible`` (std, SI)
+    is the part that an effect leaves however well it is known, such as rounding, or that a saved twin is known to
+    leave. ``frequent`` is the mean squared error without rare events, where those do not count.
+    """
+
+    test: int
+    channel: str
+    square: float
+    noise: float
+    spread: float
+    samples: int
+    irreducible: float = 0.0
+    frequent: float | None = None
+
+    @property
+    def ratio(self) -> float:
+        """Mean squared error over the variance of noise and irreducible error, at least 1."""
+        square = self.square if self.frequent is None else self.frequent
+        return max(square / (self.noise**2 + self.irreducible**2), LEAST_RATIO)
 
 
-THRESHOLDS = Thresholds()
+def errors(fitted: Fit, *purposes: Purpose, tests: Sequence[DatasetTest] | None = None) -> list[ChannelError]:
+    """Return the errors by test and channel on the samples of any of the purposes, where there are such samples.
+
+    ``tests`` replaces the fit's tests by the same tests with other purposes.
+    """
+    found = []
+    dataset = fitted.parameters.dataset
+    for test, predicted in zip(dataset.tests if tests is None else tests, fitted.predictions, strict=True):
+        irreducible = fitted.parameters.irreducible(fitted.theta, test.number)
+        chosen = np.isin(test.purpose, purposes)
+        for name in dataset.channels:
+            mask = chosen & np.isfinite(test.signals[name])
+            if not mask.any():
+                continue
+            error = np.clip(np.nan_to_num(predicted[name][mask], nan=1e6) - test.signals[name][mask], -1e6, 1e6)
+            found.append(
+                ChannelError(
+                    test.number,
+                    name,
+                    float(np.mean(error**2)),
+                    dataset.noise[name],
+                    float(np.nanstd(test.signals[name])),
+                    int(mask.sum()),
+                    irreducible.get(name, 0.0),
+                    without_rare_events(error, np.flatnonzero(mask)) if dataset.unmodelled else None,
+                )
+            )
+    return found
+
+
+def without_rare_events(error: FloatArray, samples: NDArray[np.intp]) -> float:
+    """Return the mean squared error without the blocks of largest error, ``RARE_BLOCKS`` of them and at least one of
+    several.
+
+    Args:
+        error: errors, SI, shape (n,).
+        samples: their places in the test, ascending, shape (n,); a block ends where a place is left out.
+    """
+    begins = np.flatnonzero(np.diff(samples, prepend=samples[0] - 2) > 1)
+    sums, sizes = np.add.reduceat(error**2, begins), np.diff(begins, append=error.size)
+    left_out = max(int(RARE_BLOCKS * begins.size), min(begins.size - 1, 1))
+    kept = np.argsort(sums / sizes)[: begins.size - left_out]
+    return float(sums[kept].sum() / sizes[kept].sum())
+
+
+def score(found: Sequence[ChannelError]) -> float:
+    """Return half the logarithm of error over noise variance, summed over channels and averaged over tests, nats.
+
+    0 where only noise is left. The score is scale-free: halving the error of a channel lowers it by 0.69 at any level,
+    so that a weak trace in one channel counts next to a large error in another.
+    """
+    tests = {item.test for item in found}
+    return float(sum(0.5 * np.log(item.ratio) for item in found)) / max(len(tests), 1)
+
+
+def fitted_score(fitted: Fit, residuals: FloatArray) -> float:
+    """Return the score of residuals on the fitted samples, shape as ``Fit.residuals``."""
+    blocks = residual_blocks(fitted)
+    tests = len(blocks) / len(fitted.parameters.dataset.channels)
+    squares = (float(np.mean(residuals[block] ** 2)) for block in blocks)
+    return float(sum(0.5 * np.log(max(square, LEAST_RATIO)) for square in squares)) / max(tests, 1.0)
+
+
+def gap(found: Sequence[ChannelError], quiet: Sequence[int] = ()) -> float:
+    """Return the normalised root-mean-square error: error over the standard deviation of the recorded signal.
+
+    Squares and variances are pooled over the tests of a channel; channels have equal weight. ``quiet`` tests have no
+    signal to normalise by and are left out.
+    """
+    return _pooled(found, quiet, lambda item: item.square)
+
+
+def floor(found: Sequence[ChannelError], quiet: Sequence[int] = ()) -> float:
+    """Return the gap that sensor noise and irreducible errors alone cause."""
+    return _pooled(found, quiet, lambda item: item.noise**2 + item.irreducible**2)
+
+
+def gap_left(before: Sequence[ChannelError], after: Sequence[ChannelError], quiet: Sequence[int] = ()) -> float:
+    """Return the gap that an explanation leaves: at least the floor, as smaller errors count as noise."""
+    return max(gap(after, quiet), min(floor(before, quiet), gap(before, quiet)))
+
+
+def _pooled(found: Sequence[ChannelError], quiet: Sequence[int], square) -> float:  # type: ignore[no-untyped-def]
+    shares = []
+    for name in GAP_CHANNELS:
+        of_channel = [item for item in found if item.channel == name and item.test not in quiet and item.spread > 0.0]
+        if of_channel:
+            error = sum(square(item) * item.samples for item in of_channel)
+            shares.append(error / sum(item.spread**2 * item.samples for item in of_channel))
+    return float(np.sqrt(np.mean(shares))) if shares else float("nan")
+
+
+def closed(before: float, after: float, least: float) -> float:
+    """Return the closed share of a gap: 1 - sqrt((after^2 - floor^2) / (before^2 - floor^2)), negative where it grew.
+
+    NaN where there was no gap above the floor.
+    """
+    room = before**2 - least**2
+    if not room > 0.0:
+        return float("nan")
+    return 1.0 - float(np.sqrt(max(after**2 - least**2, 0.0) / room))
+
+
+@dataclass(frozen=True)
+class Candidate:
+    """A refitted baseline with added effects, and its errors on held-out data."""
+
+    effects: tuple[str, ...]
+    fit: Fit
+    chosen_by: tuple[ChannelError, ...]
+    """Errors on the samples for the choice."""
+    checked_by: tuple[ChannelError, ...]
+    """Errors on the samples for the check."""
+
+    @property
+    def score(self) -> float:
+        """Score on the samples for the choice; smaller is better."""
+        return score(self.chosen_by)
+
+    def added_to(self, baseline: Candidate) -> list[str]:
+        """Return the effects that the baseline does not have."""
+        return [name for name in self.effects if name not in baseline.effects]
+
+    def closed(self, baseline: Candidate) -> float:
+        """Return the share of the baseline's gap that is closed on the samples for the check."""
+        return _closed_share(self.quiet, baseline.checked_by, self.checked_by)
+
+    def predicted_closed(self, baseline: Candidate) -> float:
+        """Return the closed share on the samples for the choice, which is stated before the check."""
+        return _closed_share(self.quiet, baseline.chosen_by, self.chosen_by)
+
+    @property
+    def quiet(self) -> tuple[int, ...]:
+        """Numbers of the tests without a stimulus, which have no signal to normalise by."""
+        return quiet_tests(self.fit.parameters.dataset.tests)
+
+    @property
+    def orders(self) -> tuple[int, ...]:
+        """Number of fitted parameters of each effect."""
+        return tuple(effect.order for effect in self.fit.parameters.effects)
+
+
+def _closed_share(quiet: Sequence[int], before: Sequence[ChannelError], after: Sequence[ChannelError]) -> float:
+    return closed(gap(before, quiet), gap(after, quiet), floor(before, quiet))
+
+
+def misfit(candidate: Candidate) -> float:
+    """Return half the logarithm of the mean squared error in noise deviations on the samples for the choice, nats.
+
+    It pools the channels as the fit does. Far from the noise floor, where a fit trades an error of one channel for that
+    of another, a further effect of a set always lowers it; the score (see ``score``) can rise.
+    """
+    found = candidate.chosen_by
+    return 0.5 * float(np.log(sum(item.ratio * item.samples for item in found) / sum(item.samples for item in found)))
+
+
+def score_candidate(fitted: Fit) -> Candidate:
+    """Return a fit with its errors on held-out data."""
+    return Candidate(
+        tuple(effect.name for effect in fitted.parameters.effects),
+        fitted,
+        tuple(errors(fitted, Purpose.CHOICE)),
+        tuple(errors(fitted, Purpose.CHECK)),
+    )
+
+
+def quiet_tests(tests: Sequence[DatasetTest]) -> tuple[int, ...]:
+    """Return the numbers of the tests without a stimulus."""
+    return tuple(test.number for test in tests if test.quiet)
+
+
+Verdict = Literal["effect", "no_gap", "unexplained"]
 
 
 def cost(candidate: Candidate, thresholds: Thresholds = THRESHOLDS) -> float:
@@ -131,6 +288,19 @@ class Tried:
     cost: float
     closed: float
     strict: bool
+
+
+def tried(baseline: Candidate, item: Candidate, strict: bool = False) -> Tried:
+    """Return a fitted set as the decision needs it.
+
+    What an effect leaves on the samples for the choice however well it is known, such as rounding, counts as closed.
+    """
+    quiet = baseline.quiet
+    least = floor(baseline.chosen_by, quiet)
+    own = floor(item.chosen_by, quiet) ** 2 - least**2
+    after = math.sqrt(max(gap(item.chosen_by, quiet) ** 2 - own, 0.0))
+    share = closed(gap(baseline.chosen_by, quiet), after, least)
+    return Tried(tuple(item.added_to(baseline)), item.score, cost(item), share, strict)
 
 
 @dataclass(frozen=True)
@@ -203,9 +373,9 @@ def confirmed(baseline: float, left: float, closed: float, thresholds: Threshold
     return left <= _most_left(baseline, thresholds, clearly=True) or not closed < thresholds.explained_closed
 
 
-def grows(smaller: Candidate, larger: Candidate, thresholds: Thresholds = THRESHOLDS) -> bool:
+def grows(smaller: Candidate, larger: Candidate) -> bool:
     """Return whether a larger or other set is followed further in the search: more lenient than ``is_needed``."""
-    return misfit(smaller) - misfit(larger) >= thresholds.growth or cost(smaller) - cost(larger) >= thresholds.set_gain
+    return misfit(smaller) - misfit(larger) >= LIMITS.growth or cost(smaller) - cost(larger) >= THRESHOLDS.set_gain
 
 
 def is_needed(without: Tried, found: Tried, thresholds: Thresholds = THRESHOLDS) -> bool:
@@ -226,7 +396,7 @@ def contributes(without: Tried, found: Tried, thresholds: Thresholds = THRESHOLD
         return True
     others = [effect(name) for name in without.effects]
     with_tissue = any(other.in_living_tissue for other in others)
-    return without.closed < thresholds.stand_in_closed or not all(
+    return without.closed < thresholds.structural or not all(
         any(can_stand_for(one, other) for other in others) and not (with_tissue and one.in_living_tissue)
         for one in _added(without, found)
     )
@@ -240,7 +410,7 @@ def can_stand_for(one: Effect, other: Effect) -> bool:
     """Return whether an effect can stand for an error in the form of another.
 
     It can where both act in the same stage, where one is easily mistaken for the other, and where it has more than
-    ``FLEXIBLE`` parameters, such as a curve along the stroke.
+    ``most_counted`` parameters, such as a curve along the stroke.
     """
-    flexible = one.order > FLEXIBLE and one.stage != "environment"
+    flexible = one.order > THRESHOLDS.most_counted and one.stage != "environment"
     return flexible or one.stage == other.stage or one.name in other.mistaken_for or other.name in one.mistaken_for

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import time
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
@@ -13,7 +14,7 @@ import numpy as np
 from tissueid.gap.closed_share import Budget, GapFigures, budget, ceiling, figures_of, removal_path
 from tissueid.gap.dataset import Dataset
 from tissueid.gap.decision import (
-    THRESHOLDS,
+    Candidate,
     Grounds,
     Verdict,
     confirmed,
@@ -21,15 +22,17 @@ from tissueid.gap.decision import (
     decide,
     is_gap,
     probabilities,
+    score,
     shows_in_the_check_alone,
+    tried,
 )
-from tissueid.gap.detection_limits import DetectionLimit, DetectionLimits
 from tissueid.gap.fit_tasks import Screen, cosine, effects_of
+from tissueid.gap.fitting import residual_blocks
 from tissueid.gap.localisation import Localisation, localise
 from tissueid.gap.next_experiment import NextExperiment, next_experiment
-from tissueid.gap.scoring import Candidate, score
-from tissueid.gap.search import Search, SearchProgress, SearchResult
-from tissueid.gap.set_search import added, search_sets, tried
+from tissueid.gap.parameters import starts_of
+from tissueid.gap.search import Search, SearchProgress, SearchResult, SetSearch
+from tissueid.gap.thresholds import THRESHOLDS
 from tissueid.gap.workers import Executor
 from tissueid.messages import Message
 from tissueid.twin.catalogue import all_effects, effect
@@ -38,9 +41,6 @@ from tissueid.twin.effect import Effect, Stage
 Job = Callable[[], Any]
 RANKED = 10
 """Most candidates in the ranking."""
-ALIKE = 0.97
-"""Least cosine of surviving signatures that this data cannot separate, where the scores differ little as well."""
-ALIKE_SCORE = 0.10
 CERTAIN = 0.9
 """Probability from which no further test is proposed."""
 _ELECTRICAL: frozenset[Stage] = frozenset({"drive", "coil"})
@@ -141,22 +141,22 @@ def diagnose(
     baseline = search.baseline(known)
     dataset = baseline.fit.parameters.dataset
     there_is = is_gap(baseline.score)
-    found, best = search_sets(search, baseline) if there_is else (SearchResult(baseline, (), ()), None)
+    found, best = SetSearch(search, baseline).run() if there_is else (SearchResult(baseline, (), ()), None)
     verdict: Verdict = "no_gap"
     jobs: list[Job] = [partial(localise, dataset, baseline), *([partial(ceiling, baseline)] if there_is else [])]
     places, *most = _together(pool, jobs, cancelled)
-    ranking = _ranking(dataset, found, places)
+    ranking = _ranking(found, places)
     grounds = _grounds(found, places)
     remarks = dataset.remarks
     if there_is:
         names = decide(grounds)
         verdict = "effect" if names else "unexplained"
-        best = next((item for item in found.candidates if names == set(added(item, baseline))), best)
+        best = next((item for item in found.candidates if names == set(item.added_to(baseline))), best)
     elif shows_in_the_check_alone(baseline):
         # Against a twin rare events do not count.
         verdict = "no_gap" if dataset.unmodelled else "unexplained"
         remarks = (*remarks, RARE)
-    figures = figures_of(dataset, baseline, best)
+    figures = figures_of(baseline, best)
     if (
         verdict == "effect"
         and best is not None
@@ -202,7 +202,7 @@ def _call(job: Job) -> Any:
 
 
 def _limits(names: Sequence[str], baseline: Candidate, found: Candidate) -> dict[str, DetectionLimit | None]:
-    limits = DetectionLimits(found, added(found, baseline))
+    limits = DetectionLimits(found, found.added_to(baseline))
     library = effects_of(found.fit.parameters.dataset)
     return {name: limits.of(library[name]) for name in names if name not in found.effects}
 
@@ -263,11 +263,11 @@ def needs_strict_fit(best: Candidate, places: Localisation, known: Sequence[str]
     That is the case where every added effect has an exact law, and where the stages show that the current does not
     follow from voltage and motion although every added effect only moves the probe.
     """
-    added = [effect(name) for name in best.effects if name not in known]
-    stages = {item.stage for item in added}
+    new = [effect(name) for name in best.effects if name not in known]
+    stages = {item.stage for item in new}
     blamed = {stage for stage, share in places.shares.items() if share > 0.0}
     only_moves = bool(blamed) and blamed <= _ELECTRICAL and stages <= _MOVING
-    return only_moves or all(item.exact for item in added)
+    return only_moves or all(item.exact for item in new)
 
 
 def _grounds(found: SearchResult, places: Localisation) -> Grounds:
@@ -284,7 +284,7 @@ def _with_stage_of_cause(found: Localisation, best: Candidate | None, known: Seq
     return found if found.stage in stages else replace(found, stage=stages[0])
 
 
-def _ranking(dataset: Dataset, found: SearchResult, places: Localisation) -> tuple[Ranked, ...]:
+def _ranking(found: SearchResult, places: Localisation) -> tuple[Ranked, ...]:
     known = set(found.baseline.effects)
     singles = sorted(found.singles, key=cost)
     shares = _probabilities(found, singles, places)
@@ -296,10 +296,10 @@ def _ranking(dataset: Dataset, found: SearchResult, places: Localisation) -> tup
             other
             for j, other in enumerate(_names(singles, known))
             if j != k
-            and abs(cost(singles[j]) - cost(item)) < ALIKE_SCORE
-            and cosine(surviving[k], surviving[j]) > ALIKE
+            and abs(cost(singles[j]) - cost(item)) < THRESHOLDS.alike_cost
+            and cosine(surviving[k], surviving[j]) > THRESHOLDS.alike_cosine
         )
-        figures = figures_of(dataset, found.baseline, item)
+        figures = figures_of(found.baseline, item)
         ranking.append(
             Ranked(
                 name,
@@ -339,3 +339,105 @@ def parameters_of(candidate: Candidate, name: str) -> dict[str, float]:
         for parameter, value in zip(chosen.parameters, values, strict=True)
         if not parameter.per_test
     }
+
+
+TRIALS = 6
+"""Simulations of an effect at most; the size follows from the last two by a power law."""
+CLOSE = 0.1
+"""Relative difference of the score at which the search for a size ends."""
+LARGEST_FACTOR = 30.0
+"""Largest change of the size from one trial to the next."""
+LEAST_RISE = 0.05
+"""Least rise of the score by a visible effect, nats, also where the baseline is close to a gap already."""
+
+
+@dataclass(frozen=True)
+class DetectionLimit:
+    """Smallest size of an effect that would have been named: the value of one of its parameters, SI.
+
+    Where the effect vanishes as its parameter grows, such as the mass of a frame, it is the largest value (``below``).
+    """
+
+    parameter: str
+    value: float
+    unit: str
+    below: bool
+
+
+class DetectionLimits:
+    """Detection limits at a fit.
+
+    Args:
+        found: the fit that explains the session: the baseline without a gap, or the named set.
+        named: effects that it adds to the baseline.
+    """
+
+    def __init__(self, found: Candidate, named: Sequence[str]) -> None:
+        self._fit = found.fit
+        self._screen = Screen(found.fit)
+        self._blocks = residual_blocks(found.fit)
+        self._left = [float(np.mean(found.fit.residuals[block] ** 2)) for block in self._blocks]
+        self._tests = len(found.fit.parameters.dataset.tests)
+        # A further member of a set needs its gain; a first effect a certain gap.
+        self._wanted = THRESHOLDS.set_gain if named else max(THRESHOLDS.least_score - found.score, LEAST_RISE)
+
+    def of(self, effect: Effect) -> DetectionLimit | None:
+        """Return the limit of an effect; None where no size within its bounds would have been named, or where its size
+        is estimated from the record."""
+        start = starts_of(self._fit.parameters.dataset, effect, self._fit.predictions)[0]
+        scaled = _scaled_parameters(effect, start)
+        if not scaled:
+            return None
+        size, last = 1.0, None
+        for _ in range(TRIALS):
+            values = _at_size(effect, start, scaled, size)
+            raised = self._raised(effect, values)
+            if abs(raised - self._wanted) <= CLOSE * self._wanted:
+                break
+            # The score grows with the square of a small size.
+            power = 2.0
+            if last is not None and last[0] != size and raised > 0.0 < last[1]:
+                power = min(max(math.log(raised / last[1]) / math.log(size / last[0]), 0.3), 4.0)
+            last = (size, raised)
+            factor = (self._wanted / raised) ** (1.0 / power) if raised > 0.0 else LARGEST_FACTOR
+            size *= min(max(factor, 1.0 / LARGEST_FACTOR), LARGEST_FACTOR)
+        else:
+            if raised < self._wanted:
+                return None
+        if any(not effect.parameters[k].low <= values[k] <= effect.parameters[k].high for k in scaled):
+            return None
+        first, value = effect.parameters[scaled[0]], values[scaled[0]]
+        assert first.neutral is not None
+        return DetectionLimit(
+            first.name,
+            abs(value) if first.neutral == 0.0 else value,
+            first.unit,
+            below=first.neutral > value and first.neutral != 0.0,
+        )
+
+    def _raised(self, effect: Effect, values: tuple[float, ...]) -> float:
+        # Half the logarithm of the error with and without the effect, as in ``decision.score``.
+        change = self._screen.surviving_change(effect, values)
+        added = [float(np.mean(change[block] ** 2)) for block in self._blocks]
+        return sum(0.5 * math.log1p(more / max(left, 1.0)) for more, left in zip(added, self._left, strict=True)) / max(
+            self._tests, 1
+        )
+
+
+def _scaled_parameters(effect: Effect, start: Sequence[float]) -> list[int]:
+    # The parameters that vanish with the effect: the first, or all where it vanishes with all of them only.
+    scaled = [
+        k
+        for k, (parameter, value) in enumerate(zip(effect.parameters, start, strict=True))
+        if parameter.neutral is not None and not parameter.fixed and value != parameter.neutral
+    ]
+    return scaled if effect.jointly else scaled[:1]
+
+
+def _at_size(effect: Effect, start: Sequence[float], scaled: Sequence[int], size: float) -> tuple[float, ...]:
+    values = list(start)
+    for k in scaled:
+        neutral = effect.parameters[k].neutral
+        assert neutral is not None
+        values[k] = start[k] / size if math.isinf(neutral) else neutral + size * (start[k] - neutral)
+    return tuple(values)

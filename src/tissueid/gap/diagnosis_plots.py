@@ -9,13 +9,13 @@ import numpy as np
 from tissueid.analysis.curves.plot import CONFIDENCE, FREQUENCY, TIME, Array, Axis, Bars, Curve, Kind, Plot
 from tissueid.errors import UnusableInputError
 from tissueid.formatting import label_and_unit, number
+from tissueid.gap.answer import GapHistory, GapHistoryEntry
 from tissueid.gap.dataset import DatasetTest
+from tissueid.gap.decision import Candidate
 from tissueid.gap.diagnosis import Diagnosis, Ranked
 from tissueid.gap.diagnosis_curves import BudgetRow, GapProfile, GapSpectrum, SignalOverlay
 from tissueid.gap.error_regions import ErrorProfile, ErrorSpectrum
-from tissueid.gap.history import GapHistory, GapHistoryEntry
 from tissueid.gap.preparation import BLOCK_S
-from tissueid.gap.scoring import Candidate
 from tissueid.gap.statement import effect_title
 from tissueid.language import marked
 from tissueid.messages import Message

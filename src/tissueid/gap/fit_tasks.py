@@ -14,9 +14,10 @@ from numpy.typing import NDArray
 
 from tissueid.device import DeviceDescription
 from tissueid.gap.dataset import Dataset, Purpose
-from tissueid.gap.fitting import ESTIMATES, MOST_STEPS, Differences, Fit, LinearRefit, fit, re_estimate
+from tissueid.gap.decision import Candidate, score_candidate
+from tissueid.gap.fitting import ESTIMATES, Differences, Fit, LinearRefit, fit, re_estimate
 from tissueid.gap.parameters import SURFACE_SHIFT, starts_of
-from tissueid.gap.scoring import Candidate, score_candidate
+from tissueid.gap.thresholds import LIMITS
 from tissueid.twin.catalogue import all_effects
 from tissueid.twin.effect import SCALES, Effect
 from tissueid.twin.machine_effects import machine_effects
@@ -50,10 +51,6 @@ def acts_on_machine(dataset: Dataset, item: Effect) -> bool:
 
 
 FloatArray = NDArray[np.float64]
-
-
-SECOND_START = 0.7
-"""Least alignment of a second starting point of an effect, as a share of the first one's."""
 
 
 @dataclass(frozen=True)
@@ -134,7 +131,7 @@ def best_aligned(signatures: Sequence[Signature], most_starts: int = 2) -> list[
     found: dict[str, list[Signature]] = {}
     for item in sorted(signatures, key=lambda item: -item.alignment):
         of_effect = found.setdefault(item.effect, [])
-        near_best = not of_effect or item.alignment >= SECOND_START * of_effect[0].alignment
+        near_best = not of_effect or item.alignment >= LIMITS.second_start * of_effect[0].alignment
         if near_best and len(of_effect) < most_starts:
             of_effect.append(item)
     return sorted((item for items in found.values() for item in items), key=lambda item: -item.alignment)
@@ -142,11 +139,6 @@ def best_aligned(signatures: Sequence[Signature], most_starts: int = 2) -> list[
 
 ESTIMATES_IN_A_SHORT_FIT = 1
 """Re-estimates of an effect from the record in a short fit; a full fit repeats them."""
-STEPS_TO_RE_ESTIMATE = 20
-"""Steps of a fit from which effects are re-estimated that the fit near it has as well."""
-STEPS_OF_TRACKING = 40
-STARTS_OF_A_MEMBER = 2
-"""Starting points of each member from which the final set is fitted again."""
 
 
 @dataclass(frozen=True)
@@ -178,10 +170,10 @@ def refit(task: Task) -> Candidate:
 
 def _readings(task: Task, effects: Sequence[Effect]) -> int:
     # A short fit keeps the estimates of the fit from which it starts.
-    if task.most_steps == MOST_STEPS:
+    if task.most_steps == LIMITS.most_steps:
         return ESTIMATES
     known = all(item in task.near.parameters.effects for item in effects if item.re_estimate)
-    return 0 if known and task.most_steps < STEPS_TO_RE_ESTIMATE else ESTIMATES_IN_A_SHORT_FIT
+    return 0 if known and task.most_steps < LIMITS.steps_to_re_estimate else ESTIMATES_IN_A_SHORT_FIT
 
 
 def _tracked(task: Task, effects: Sequence[Effect]) -> tuple[Fit, tuple[tuple[float, ...], ...]]:
@@ -190,7 +182,9 @@ def _tracked(task: Task, effects: Sequence[Effect]) -> tuple[Fit, tuple[tuple[fl
     near, starts = task.near, task.starts
     for bandwidth in task.tracking_rad_s:
         # Its slopes are a first guess for the next fit, recomputed after the first step that gains less than predicted.
-        near = fit(replace(part, tracking_rad_s=bandwidth), effects, starts, near=near, most_steps=STEPS_OF_TRACKING)
+        near = fit(
+            replace(part, tracking_rad_s=bandwidth), effects, starts, near=near, most_steps=LIMITS.steps_of_tracking
+        )
     if part is task.dataset:
         return near, starts
     found = fit(part, effects, starts, near=near, most_steps=task.most_steps)
@@ -231,7 +225,7 @@ def screen(near: Fit, items: Sequence[tuple[str, Sequence[tuple[float, ...]]]]) 
 def best_starts(near: Fit, name: str) -> list[tuple[float, ...]]:
     """Return the starting points of an effect that are best aligned with the residual of a fit, best first."""
     found = sorted(screen(near, [(name, ())]), key=lambda item: -item.alignment)
-    return [item.start for item in found[:STARTS_OF_A_MEMBER]]
+    return [item.start for item in found[: LIMITS.beam]]
 
 
 def other_minima(found: Fit) -> list[Fit]:

@@ -13,13 +13,13 @@ from tissueid.errors import CancelledError
 from tissueid.gap.dataset import LEAST_NOISE, Dataset, DatasetTest, Purpose
 from tissueid.gap.forward_model import STEP_S, simulate_test, substeps_of
 from tissueid.gap.parameters import Parametrisation, parametrise
+from tissueid.gap.thresholds import LIMITS
 from tissueid.identification.levenberg_marquardt import Bounds, SecantProblem, minimise
 from tissueid.twin.effect import Effect
 
 FloatArray = NDArray[np.float64]
 Predictions = list[dict[str, FloatArray]]
 
-MOST_STEPS = 100
 TOLERANCE = 1e-4
 """Relative decrease of the cost below which the fit ends."""
 ESTIMATES = 4
@@ -84,7 +84,7 @@ def fit(
     starts: Sequence[Sequence[float]] = (),
     *,
     near: Fit | None = None,
-    most_steps: int = MOST_STEPS,
+    most_steps: int = LIMITS.most_steps,
     cancelled: Callable[[], bool] = lambda: False,
 ) -> Fit:
     """Fit baseline and effects together to the samples for the fit.
@@ -109,7 +109,7 @@ def fit(
     return _Search(parameters, cancelled).run(theta, near, most_steps)
 
 
-def re_estimate(found: Fit, most_steps: int = MOST_STEPS, readings: int = ESTIMATES) -> Fit:
+def re_estimate(found: Fit, most_steps: int = LIMITS.most_steps, readings: int = ESTIMATES) -> Fit:
     """Re-estimate the per-test parameters at a fit and refit. Return the better of the two fits.
 
     Args:
@@ -302,7 +302,7 @@ class _Search:
         known = partial(self._jacobian, near=near) if of_same_tests else None
         search = partial(minimise, problem, tolerance=TOLERANCE, bounds=bounds)
         found = search(problem.start(theta, known), most_steps=most_steps)
-        if found.converged and self._coarser and (most_steps == MOST_STEPS or found.steps == 0):
+        if found.converged and self._coarser and (most_steps == LIMITS.most_steps or found.steps == 0):
             # A fit to the end needs exact derivatives, and so does one that coarse ones do not let begin.
             self._slope_step_s = STEP_S
             more = search(problem.restart(found.point), most_steps=most_steps)

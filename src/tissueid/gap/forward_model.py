@@ -315,6 +315,3 @@ class _MotionCache:
 
 
 _MOTIONS = _MotionCache(96)
-
-
-__all__ = ["STEP_S", "fineness", "simulate_test", "starting_point", "substeps_of"]

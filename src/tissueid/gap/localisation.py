@@ -15,6 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from tissueid.gap.dataset import Dataset, DatasetTest, interpolated
+from tissueid.gap.decision import Candidate
 from tissueid.gap.error_regions import ErrorRegions, find_error_regions
 from tissueid.gap.fitting import Fit
 from tissueid.gap.forces import DEPTH, OF_TIME_AND_PAST, PERIODIC, ForceFamily, force_families
@@ -27,7 +28,6 @@ from tissueid.gap.noise import (
     settling_samples,
     without_outliers,
 )
-from tissueid.gap.scoring import Candidate
 from tissueid.gap.stage_substitution import (
     COIL,
     DRIVE,

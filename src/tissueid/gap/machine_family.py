@@ -16,6 +16,7 @@ from scipy.optimize import nnls
 from scipy.signal import savgol_filter
 
 from tissueid.gap.dataset import Dataset, DatasetTest, Purpose, interpolated
+from tissueid.gap.decision import score_candidate
 from tissueid.gap.equivalent_oscillator import (
     FAMILY_NAMES,
     VELOCITY_TIME_S,
@@ -26,7 +27,6 @@ from tissueid.gap.equivalent_oscillator import (
 )
 from tissueid.gap.fitting import Fit, fit
 from tissueid.gap.forward_model import recorded_state, restarts, velocity_error
-from tissueid.gap.scoring import score_candidate
 from tissueid.messages import Message
 from tissueid.twin.machine_effects import friction_starts, machine_effects
 
@@ -305,6 +305,3 @@ def _two_masses(lines: FrequencyResponse, about: Equivalent, family: Family) -> 
                 coupling=(float(hz), float(ratio * scale), float(share), 0.5 * damping / own + 1e-3 * omega),
             )
     return best, start
-
-
-__all__ = ["in_windows", "with_best_family"]

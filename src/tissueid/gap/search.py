@@ -8,7 +8,7 @@ from functools import partial
 from typing import Literal, TypeVar
 
 from tissueid.gap.dataset import Dataset, Purpose
-from tissueid.gap.decision import THRESHOLDS, grows
+from tissueid.gap.decision import Candidate, contributes, cost, fitted_score, grows, misfit, score_candidate, tried
 from tissueid.gap.fit_tasks import (
     Signature,
     Task,
@@ -22,10 +22,10 @@ from tissueid.gap.fit_tasks import (
     refit,
     screen,
 )
-from tissueid.gap.fitting import MOST_STEPS, Fit, fit, residuals_without
+from tissueid.gap.fitting import Fit, fit, residuals_without
 from tissueid.gap.machine_family import with_best_family
 from tissueid.gap.noise import rests, with_robust_noise
-from tissueid.gap.scoring import Candidate, fitted_score, misfit, score_candidate
+from tissueid.gap.thresholds import LIMITS, THRESHOLDS
 from tissueid.gap.workers import Executor
 from tissueid.twin.bus import MOST_EFFECTS
 from tissueid.twin.catalogue import effect
@@ -34,24 +34,8 @@ from tissueid.twin.effect import Effect, nested
 T = TypeVar("T")
 R = TypeVar("R")
 
-SINGLES = 12
-"""Largest number of starting points refitted, best-aligned first."""
 SCREENING_TASKS = 8
 """Tasks of a screening: each prepares the fit once for its effects."""
-LEAST_ALIGNMENT = 0.02
-FIRST_STARTING_POINTS = 4
-"""Starting points refitted first. Where one of them explains the gap, only close rivals follow."""
-RIVAL_ALIGNMENT = 0.5
-"""Least alignment of a close rival, as a share of the best alignment."""
-RIVAL_SCORE = 1.5
-"""Largest score of a close rival after its short fit, nats."""
-SHORT_STEPS = 6
-"""Optimiser steps of a short fit, which every candidate gets; the best candidates get a full fit."""
-SHORT_STEPS_OF_MANY = 10
-"""Optimiser steps of a short fit to several tests, whose minima are narrower."""
-STEPS_IN_A_SET = 30
-"""Optimiser steps of a set with a member more, less, or another, or from another start: only the final set is fitted to
-the end."""
 SLOWLY = (300.0, 100.0, 30.0)
 WEAK_STARTS: tuple[tuple[int, tuple[float, ...], bool], ...] = (
     (0, SLOWLY, True),
@@ -65,37 +49,6 @@ was found.
 The error of a free run has many minima where several effects are far from their values; tracked, it has few. Which way
 leads to the least one differs from session to session.
 """
-FIRST_WEAK_STARTS = 2
-"""Weak starts from which tissue is fitted first."""
-ROUNDS_OF_RESTARTS = 3
-KEPT_REMOVALS = 2
-"""Sets of which the fits without each member are kept, those of the latest."""
-CLEARLY_NEEDED = 1.5
-"""Rise of the score by the removal of a member above which the search does not ask further whether it is needed, nats:
-with the others refitted to first order, on the fitted samples (fits raised the score then by at least 0.48), and after
-a short fit."""
-WORTH_A_ROUND = 0.9
-"""Cost relative to the last round below which another round of restarts follows."""
-FULL_FITS = 4
-FULL_FITS_BY_COST = 2
-"""Full fits of candidates with the least cost on the fitted samples, in addition to those with the best score."""
-FURTHER = 12
-FURTHER_FULL_FITS = 8
-"""Starting points of the second round, and its full fits."""
-STARTS_OF_A_PARTNER = 2
-"""Starting points of an effect that are screened with a set, those best aligned with the residual of the baseline."""
-TRIED_PARTNERS = 12
-"""Largest number of further effects of which each is tried with a set, from its best aligned starting point."""
-TRIAL_STEPS = 2
-"""Optimiser steps of a trial."""
-PARTNERS = 4
-"""Effects that get a short fit after their trial: the best aligned and those of least cost. Far from its minimum a set
-with another effect can gain far more in a few steps than its alignment says."""
-BEST_ALIGNED = 2
-"""Best aligned effects among them."""
-FULL_FITS_OF_SETS = 2
-
-
 Work = Literal[
     "baseline",
     "screening",
@@ -188,7 +141,7 @@ class Search:
         self._pool = pool
         self._wanted = names
         several = sum(bool(test.serving(Purpose.FIT).any()) for test in dataset.tests) > 1
-        self._short_steps = SHORT_STEPS_OF_MANY if several else SHORT_STEPS
+        self._short_steps = LIMITS.short_steps_of_many if several else LIMITS.short_steps
         self._progress = progress
         self._cancelled = cancelled
         self._known: tuple[str, ...] = ()
@@ -239,14 +192,14 @@ class Search:
         signatures = self._screened(baseline.fit)
         for name in self.names:
             of_effect = _by_alignment([item for item in signatures if item.effect == name])
-            self._starts[name] = tuple(item.start for item in of_effect[:STARTS_OF_A_PARTNER])
-        worth = best_aligned(signatures)[:SINGLES]
-        short_fits = self._short_fits("likeliest candidates", baseline, worth[:FIRST_STARTING_POINTS])
+            self._starts[name] = tuple(item.start for item in of_effect[: LIMITS.beam])
+        worth = best_aligned(signatures)[: LIMITS.starts]
+        short_fits = self._short_fits("likeliest candidates", baseline, worth[: LIMITS.fits])
         if short_fits and min(item.score for item in short_fits) <= THRESHOLDS.at_the_floor:
             # The gap is explained: only effects with a similar signature can be rivals.
-            worth = [item for item in worth if item.alignment >= RIVAL_ALIGNMENT * worth[0].alignment]
-        short_fits += self._short_fits("candidates", baseline, worth[FIRST_STARTING_POINTS:])
-        candidates = self._full_fits("leading candidates", short_fits, FULL_FITS, best_aligned_too=True)
+            worth = [item for item in worth if item.alignment >= LIMITS.rival_alignment * worth[0].alignment]
+        short_fits += self._short_fits("candidates", baseline, worth[LIMITS.fits :])
+        candidates = self._full_fits("leading candidates", short_fits, LIMITS.fits, best_aligned_too=True)
         return SearchResult(baseline, tuple(signatures), self._with_nested(baseline, candidates))
 
     def further(self, found: SearchResult) -> SearchResult:
@@ -254,12 +207,12 @@ class Search:
 
         For a first round with a large remaining gap: a narrow minimum can have been missed.
         """
-        tried = best_aligned(found.signatures)[:SINGLES]
+        tried = best_aligned(found.signatures)[: LIMITS.starts]
         others = [item for item in found.signatures if all(item is not other for other in tried)]
-        short_fits = self._short_fits("further starting points", found.baseline, _by_alignment(others)[:FURTHER])
+        short_fits = self._short_fits("further starting points", found.baseline, _by_alignment(others)[: LIMITS.starts])
         on_the_way = [item for item in found.candidates if item.fit.steps == self._short_steps]
         finished = [item for item in found.candidates if item.fit.steps != self._short_steps]
-        full_fits = self._full_fits("further candidates", [*short_fits, *on_the_way], FURTHER_FULL_FITS)
+        full_fits = self._full_fits("further candidates", [*short_fits, *on_the_way], 2 * LIMITS.fits)
         candidates = _best_of_each([*finished, *full_fits])
         return SearchResult(found.baseline, found.signatures, self._with_nested(found.baseline, candidates))
 
@@ -283,7 +236,7 @@ class Search:
         there = tuple(led.get(item.name, at) for item, at in zip(other.parameters, other.starts[0], strict=True))
         effects = [other if item is held else item for item in near.parameters.effects]
         starts = tuple(there if item is other else item.starts[0] for item in effects)
-        return Task(self._dataset, tuple(item.name for item in effects), starts, near, MOST_STEPS)
+        return Task(self._dataset, tuple(item.name for item in effects), starts, near, LIMITS.most_steps)
 
     def tissue_set(self, near: Candidate) -> tuple[Candidate, ...]:
         """Fit a set together with all effects of living tissue that it lacks, from the first weak starts.
@@ -308,7 +261,7 @@ class Search:
         self._with_tissue.add(frozenset(names))
         if near.effects == self._known:
             self._from_baseline.add(frozenset(names))
-        tasks = self._from_weak_starts(near, names)[:FIRST_WEAK_STARTS]
+        tasks = self._from_weak_starts(near, names)[: LIMITS.beam]
         return (min(self._run_tasks("tissue", refit, tasks), key=_fitted_cost),)
 
     def tissue_set_again(self, near: Candidate, found: Candidate) -> Candidate:
@@ -316,7 +269,7 @@ class Search:
         the misfit and leave enough for another member. Return the better fit."""
         if not grows(near, found) or found.score <= THRESHOLDS.set_gain:
             return found
-        tasks = self._from_weak_starts(near, found.effects)[FIRST_WEAK_STARTS:]
+        tasks = self._from_weak_starts(near, found.effects)[LIMITS.beam :]
         return min((found, *self._run_tasks("tissue", refit, tasks)), key=_fitted_cost)
 
     def _from_weak_starts(self, near: Candidate, names: Sequence[str]) -> list[Task]:
@@ -325,7 +278,7 @@ class Search:
             begin = near.fit if keeps or self._baseline is None else on_found_surface(self._baseline)
             held = {item.name: item.starts[0] for item in begin.parameters.effects}
             starts = tuple(held.get(name) or library[name].weak_starts[k] for name in names)
-            tasks.append(Task(self._dataset, tuple(names), starts, begin, STEPS_IN_A_SET, bandwidths))
+            tasks.append(Task(self._dataset, tuple(names), starts, begin, LIMITS.steps_in_a_set, bandwidths))
         return tasks
 
     def add_to(self, leaders: Sequence[Candidate]) -> tuple[Candidate, ...]:
@@ -336,37 +289,41 @@ class Search:
             if len(leader.effects) < MOST_EFFECTS
             for larger in self._with_partner("additions", leader)
         ]
-        return self._full_fits("leading additions", short_fits, FULL_FITS_OF_SETS, STEPS_IN_A_SET)
+        return self._full_fits("leading additions", short_fits, LIMITS.beam, LIMITS.steps_in_a_set)
 
     def perhaps_needless(self, found: Candidate, names: Sequence[str]) -> list[str]:
-        """Return those of ``names`` whose removal a linear refit does not show to cost ``CLEARLY_NEEDED`` or more."""
+        """Return those of ``names`` that a linear refit does not show to be clearly needed."""
         before = fitted_score(found.fit, found.fit.residuals)
         return [
             name
             for name in names
-            if fitted_score(found.fit, residuals_without(found.fit, name)) - before < CLEARLY_NEEDED
+            if fitted_score(found.fit, residuals_without(found.fit, name)) - before < LIMITS.clearly_needed
         ]
 
     def remove_from(self, found: Candidate, names: Sequence[str], *, briefly: bool = False) -> list[Candidate]:
         """Refit a set without each of ``names``, in their order; those that cost least are fitted further, unless
         ``briefly`` and their short fit shows that the member is clearly needed."""
         done = next((item for item in self._removed if item.found is found), None) or _Removals(found, {}, set())
-        self._removed = [*(item for item in self._removed if item is not done), done][-KEPT_REMOVALS:]
+        self._removed = [*(item for item in self._removed if item is not done), done][-LIMITS.beam :]
         new = [name for name in names if name not in done.smaller]
         short_fits = self._run_tasks("removals", refit, [self._smaller(found, (name,)) for name in new])
         done.smaller.update(zip(new, short_fits, strict=True))
-        least = sorted(names, key=lambda name: done.smaller[name].fit.cost)[:FULL_FITS_OF_SETS]
-        worth = [name for name in least if not briefly or done.smaller[name].score - found.score < CLEARLY_NEEDED]
-        further = [name for name in worth if name not in done.fitted_further]
-        near = [done.smaller[name] for name in further]
-        tasks = [Task(self._dataset, item.effects, (), item.fit, STEPS_IN_A_SET) for item in near]
+        least = sorted(names, key=lambda name: done.smaller[name].fit.cost)[: LIMITS.beam]
+        if briefly:
+            least = [name for name in least if done.smaller[name].score - found.score < LIMITS.clearly_needed]
+        further = [name for name in least if name not in done.fitted_further]
+        tasks = self._continued([done.smaller[name] for name in further], LIMITS.steps_in_a_set)
         done.smaller.update(zip(further, self._run_tasks("removals", refit, tasks), strict=True))
         done.fitted_further.update(further)
         return [done.smaller[name] for name in names]
 
     def remove_all_from(self, found: Candidate, names: Sequence[str]) -> list[Candidate]:
         """Refit a set without all of ``names``."""
-        return self._run_tasks("removals", refit, [replace(self._smaller(found, names), most_steps=STEPS_IN_A_SET)])
+        task = replace(self._smaller(found, names), most_steps=LIMITS.steps_in_a_set)
+        return self._run_tasks("removals", refit, [task])
+
+    def _continued(self, items: Sequence[Candidate], most_steps: int) -> list[Task]:
+        return [Task(self._dataset, item.effects, (), item.fit, most_steps) for item in items]
 
     def _smaller(self, found: Candidate, names: Sequence[str]) -> Task:
         kept = tuple(name for name in found.effects if name not in names)
@@ -385,11 +342,11 @@ class Search:
             best = self._restarted(
                 baseline, min((found, *self._run_tasks("replacements", refit, tasks)), key=_fitted_cost)
             )
-        to_the_end = [Task(self._dataset, best.effects, (), best.fit, MOST_STEPS)]
+        to_the_end = self._continued([best], LIMITS.most_steps)
         return min((best, *self._run_tasks("leading additions", refit, to_the_end)), key=_fitted_cost)
 
     def _restarted(self, baseline: Candidate, best: Candidate) -> Candidate:
-        for _ in range(ROUNDS_OF_RESTARTS):
+        for _ in range(LIMITS.restarts):
             added = [name for name in best.effects if name not in baseline.effects]
             restarts = [
                 Task(self._dataset, (*without.effects, name), (*held, start), without.fit, self._short_steps)
@@ -401,12 +358,9 @@ class Search:
                 Task(self._dataset, best.effects, (), near, self._short_steps) for near in other_minima(best.fit)
             ]
             short_fits = sorted(self._run_tasks("replacements", refit, restarts), key=_fitted_cost)
-            tasks = [
-                Task(self._dataset, item.effects, (), item.fit, STEPS_IN_A_SET)
-                for item in short_fits[:FULL_FITS_OF_SETS]
-            ]
+            tasks = self._continued(short_fits[: LIMITS.beam], LIMITS.steps_in_a_set)
             better = min((best, *self._run_tasks("leading replacements", refit, tasks)), key=_fitted_cost)
-            if better.fit.cost > WORTH_A_ROUND * best.fit.cost:
+            if better.fit.cost > LIMITS.worth_a_round * best.fit.cost:
                 return better
             best = better
         return best
@@ -416,7 +370,7 @@ class Search:
         short_fits = [
             item for without in smaller for item in self._with_partner("replacements", without, found.effects)
         ]
-        return self._full_fits("leading replacements", short_fits, FULL_FITS_OF_SETS, STEPS_IN_A_SET)
+        return self._full_fits("leading replacements", short_fits, LIMITS.beam, LIMITS.steps_in_a_set)
 
     def nested_with(self, baseline: Candidate, found: Candidate) -> Candidate:
         """Return the set, or a better one with a special case or the general form of a member in its place."""
@@ -425,17 +379,16 @@ class Search:
     def _with_partner(self, what: Work, near: Candidate, excluded: Sequence[str] = ()) -> list[Candidate]:
         # Short fits of a set with another effect. Its alignment changes when another effect is in the model.
         likely = best_aligned(self._screened(near.fit), most_starts=1)
-        tried = [item for item in likely if item.effect not in excluded][:TRIED_PARTNERS]
-        trials = self._short_fits(what, near, tried, TRIAL_STEPS)
-        chosen = trials[:BEST_ALIGNED]
-        chosen += sorted(trials[BEST_ALIGNED:], key=_fitted_cost)[: PARTNERS - len(chosen)]
-        tasks = [Task(self._dataset, item.effects, (), item.fit, self._short_steps) for item in chosen]
-        return self._run_tasks(what, refit, tasks)
+        tried = [item for item in likely if item.effect not in excluded][: LIMITS.starts]
+        trials = self._short_fits(what, near, tried, LIMITS.trial_steps)
+        chosen = trials[: LIMITS.beam]
+        chosen += sorted(trials[LIMITS.beam :], key=_fitted_cost)[: LIMITS.fits - len(chosen)]
+        return self._run_tasks(what, refit, self._continued(chosen, self._short_steps))
 
     def _short_fits(
         self, what: Work, near: Candidate, signatures: Sequence[Signature], most_steps: int | None = None
     ) -> list[Candidate]:
-        worth = [item for item in signatures if item.alignment >= LEAST_ALIGNMENT]
+        worth = [item for item in signatures if item.alignment >= LIMITS.least_alignment]
         before = [held.starts[0] for held in near.fit.parameters.effects]
         begin = from_twin(near.fit) if near.effects == self._known else near.fit
         steps = most_steps or self._short_steps
@@ -449,13 +402,13 @@ class Search:
         what: Work,
         short_fits: Sequence[Candidate],
         count: int,
-        most_steps: int = MOST_STEPS,
+        most_steps: int = LIMITS.most_steps,
         best_aligned_too: bool = False,
     ) -> tuple[Candidate, ...]:
         ranked = _best_of_each(short_fits)
         if ranked and ranked[0].score <= THRESHOLDS.at_the_floor:
-            count = sum(item.score <= RIVAL_SCORE for item in ranked[:count])
-        fitting = sorted(ranked, key=lambda item: item.fit.cost)[: min(FULL_FITS_BY_COST, count)]
+            count = sum(item.score <= LIMITS.rival_score for item in ranked[:count])
+        fitting = sorted(ranked, key=lambda item: item.fit.cost)[: min(LIMITS.beam, count)]
         going_on = [
             item for place, item in enumerate(ranked) if place < count or any(item is other for other in fitting)
         ]
@@ -463,8 +416,7 @@ class Search:
             # A narrow minimum is reached in many steps, and a short fit towards it can leave more than others.
             going_on += short_fits[:1]
         going_on = [item for item in going_on if item.fit.steps >= self._short_steps]
-        tasks = [Task(self._dataset, item.effects, (), item.fit, most_steps) for item in going_on]
-        finished = self._run_tasks(what, refit, tasks)
+        finished = self._run_tasks(what, refit, self._continued(going_on, most_steps))
         others = [item for item in ranked if all(item is not other for other in going_on)]
         return tuple(sorted((*finished, *others), key=lambda item: item.score))
 
@@ -499,3 +451,134 @@ def _best_of_each(candidates: Sequence[Candidate]) -> tuple[Candidate, ...]:
     for item in sorted(candidates, key=lambda item: item.score):
         best.setdefault(frozenset(item.effects), item)
     return tuple(best.values())
+
+
+class SetSearch:
+    """The search for the set of effects that explains a gap: single effects, those of tissue, then forward-backward
+    selection. It holds the best fit of every set.
+    """
+
+    def __init__(self, search: Search, baseline: Candidate) -> None:
+        self._search, self._baseline = search, baseline
+        self._fitted: dict[frozenset[str], Candidate] = {}
+
+    def run(self) -> tuple[SearchResult, Candidate | None]:
+        """Return everything that was fitted, and the best set of effects; None where no effect applies."""
+        search, baseline = self._search, self._baseline
+        found = search.singles(baseline)
+        best = min(found.candidates, key=cost, default=None)
+        if best is None:
+            return found, None
+        together: tuple[Candidate, ...] = ()
+        if not self._settled(best):
+            together = search.tissue_set(baseline)
+            if together and self._closed(together[0]) < THRESHOLDS.structural:
+                # An effect of the instrument can conceal those of the tissue.
+                together = (min((*together, *search.tissue_set(_leaders(found)[0])), key=misfit),)
+            together = tuple(search.tissue_set_again(baseline, item) for item in together)
+            if not together or not grows(_leaders(found)[0], together[0]):
+                found = search.further(found)
+                best = min(found.candidates, key=cost)
+        if cost(best) <= THRESHOLDS.set_gain or (baseline.effects and self._settled(best)):
+            return found, best
+        top = self._best_set(found, together)
+        best = top if len(top.added_to(baseline)) > 1 else best
+        return SearchResult(baseline, found.signatures, tuple(sorted(self._fitted.values(), key=cost))), best
+
+    def _best_set(self, found: SearchResult, together: Sequence[Candidate]) -> Candidate:
+        # It starts from the effects of the tissue ``together`` or from the best single effects, whichever leaves less.
+        search, baseline = self._search, self._baseline
+        self._fitted = {frozenset(item.effects): item for item in found.candidates}
+        leaders = _leaders(found)
+        for item in self._kept(together):
+            if grows(leaders[0], item):
+                leaders = [self._without_needless(item)]
+        top = self._grown(leaders)
+        if len(names := top.added_to(baseline)) > 1 and self._closed(top) < THRESHOLDS.structural:
+            # A member can be wrong, most likely one whose removal costs little: try others in its place.
+            smaller = sorted(self._kept(search.remove_from(top, names)), key=cost)[: LIMITS.beam]
+            other = min(self._kept(search.replace_in(top, smaller)), key=misfit, default=None)
+            if other is not None and grows(top, other):
+                top = self._grown([search.nested_with(baseline, other)])
+        while len(top.added_to(baseline)) > 1:
+            (polished,) = self._kept([search.polish(baseline, top)])
+            gained, top = misfit(top) - misfit(polished), polished
+            if gained < THRESHOLDS.set_gain:
+                break
+            # At another minimum others can show.
+            larger = self._grown([top])
+            if set(larger.effects) == set(top.effects):
+                break
+            top = larger
+        if len(names := top.added_to(baseline)) > 1:
+            # The decision compares the set with those without each member.
+            self._kept(search.remove_from(top, names))
+        return top
+
+    def _kept(self, items: Sequence[Candidate]) -> Sequence[Candidate]:
+        for item in items:
+            held = self._fitted.get(frozenset(item.effects))
+            if held is None or misfit(item) < misfit(held):
+                self._fitted[frozenset(item.effects)] = item
+        return items
+
+    def _closed(self, item: Candidate) -> float:
+        return tried(self._baseline, item).closed
+
+    def _settled(self, best: Candidate) -> bool:
+        # The residual does not justify a longer search. Against a twin, whose effects are accepted, one new effect is
+        # expected, and what it leaves is its structural error.
+        enough = THRESHOLDS.structural if self._baseline.effects else LIMITS.nearly_all
+        return best.score <= THRESHOLDS.at_the_floor or self._closed(best) >= enough
+
+    def _grown(self, leaders: Sequence[Candidate]) -> Candidate:
+        # Add to the leaders while the misfit falls and more is left than a needed member must gain, then remove what is
+        # not needed.
+        top = leaders[0]
+        while len(top.added_to(self._baseline)) < LIMITS.most_members and top.score > THRESHOLDS.set_gain:
+            grown = min(self._kept(self._search.add_to(leaders)), key=misfit, default=None)
+            if grown is None or not grows(top, grown):
+                break
+            top = self._with_all_of_tissue(self._search.nested_with(self._baseline, grown))
+            leaders = [top]
+        return self._without_needless(top)
+
+    def _with_all_of_tissue(self, top: Candidate) -> Candidate:
+        # A set with some effects of tissue can conceal the others, as single effects do: fit them all together with the
+        # other members.
+        names, search = top.added_to(self._baseline), self._search
+        in_tissue = [name for name in names if effect(name).in_living_tissue]
+        if not in_tissue or len(in_tissue) == len(names) or top.score <= LIMITS.large_remainder:
+            return top
+        whole = self._kept([search.tissue_set_again(top, item) for item in search.tissue_set(top)])
+        best = min(whole, key=misfit, default=top)
+        return self._without_needless(best) if grows(top, best) else top
+
+    def _without_needless(self, top: Candidate) -> Candidate:
+        # Remove all members that contribute nothing, then one at a time the least needed.
+        search, baseline = self._search, self._baseline
+        while len(names := top.added_to(baseline)) > 1:
+            names = search.perhaps_needless(top, names)
+            smaller = self._kept(search.remove_from(top, names, briefly=True))
+            idle = [name for name, without in zip(names, smaller, strict=True) if not grows(without, top)]
+            if len(idle) > 1:
+                without = self._kept(search.remove_all_from(top, idle))[0]
+                if not grows(without, top):
+                    top = without
+                    continue
+            least = min(smaller, key=cost, default=None)
+            if least is None or contributes(tried(baseline, least), tried(baseline, top)):
+                break
+            top = least
+        return top
+
+
+def _leaders(found: SearchResult) -> list[Candidate]:
+    # Of nested effects only the better one: both have the same partners, and nested effects of a set are tried later.
+    leaders: list[Candidate] = []
+    for item in (min(found.candidates, key=misfit), *sorted(found.candidates, key=cost)):
+        if all(
+            item is not other and not nested(effect(item.effects[-1]), effect(other.effects[-1])) for other in leaders
+        ):
+            leaders.append(item)
+    return leaders[: LIMITS.beam]

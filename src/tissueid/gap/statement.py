@@ -11,9 +11,8 @@ from typing import Literal
 import numpy as np
 
 from tissueid.formatting import fixed, number, with_unit
-from tissueid.gap.candidate_tests import KINDS
-from tissueid.gap.detection_limits import DetectionLimit
-from tissueid.gap.diagnosis import Diagnosis, Ranked, parameters_of
+from tissueid.gap.diagnosis import DetectionLimit, Diagnosis, Ranked, parameters_of
+from tissueid.gap.next_experiment import KINDS
 from tissueid.language import marked
 from tissueid.messages import Listing, Message, sentences
 from tissueid.twin.catalogue import all_effects

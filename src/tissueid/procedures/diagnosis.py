@@ -8,8 +8,7 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
 from tissueid.gap import Diagnosis, diagnose, executor, prepare
-from tissueid.gap.accepting import NamedEffects, named_effects
-from tissueid.gap.twin_export import against_twin
+from tissueid.gap.twin_export import NamedEffects, against_twin, named_effects
 from tissueid.instrument.twin_file import TwinFile, check_twin_writable, read_twin
 from tissueid.language import marked
 from tissueid.procedures.control import Control, RemainingTime, counted

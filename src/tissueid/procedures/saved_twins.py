@@ -9,7 +9,7 @@ from typing import Annotated
 from tissueid.audit import AuditTrail
 from tissueid.errors import UnusableInputError
 from tissueid.gap import executor
-from tissueid.gap.accepting import NamedEffects, accept_named
+from tissueid.gap.twin_export import NamedEffects, accept_named
 from tissueid.instrument.twin_file import TwinFile, check_twin_name, check_twin_writable, read_twin, write_twin
 from tissueid.plan_options import Option, Plan
 from tissueid.procedures.audit_queries import audit_note

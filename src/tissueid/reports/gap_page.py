@@ -10,10 +10,10 @@ import numpy as np
 from matplotlib.figure import FigureBase
 
 from tissueid.formatting import fixed, label_and_unit, number, share_text, subject_text, with_unit
+from tissueid.gap.answer import GapHistory, GapHistoryEntry, history_headline
+from tissueid.gap.decision import Candidate
 from tissueid.gap.diagnosis import Diagnosis, Ranked, effect_in, parameters_of
 from tissueid.gap.diagnosis_plots import history_plot
-from tissueid.gap.history import GapHistory, GapHistoryEntry, history_headline
-from tissueid.gap.scoring import Candidate
 from tissueid.gap.statement import (
     effect_title,
     headline_of,

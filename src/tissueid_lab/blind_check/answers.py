@@ -1,7 +1,7 @@
 """Diagnosis of blind scenarios in parallel processes, with answers that survive an interruption.
 
 ``answers/check.json`` in the folder of the scenarios holds the draw and the SHA-256 of the labels before the first
-diagnosis; the answers are next to it (``tissueid.gap.answer_store``).
+diagnosis; the answers are next to it (``tissueid.gap.answer``).
 """
 
 from __future__ import annotations
@@ -15,15 +15,13 @@ import numpy as np
 from pydantic import TypeAdapter, ValidationError
 
 from tissueid.errors import UnusableInputError
-from tissueid.gap.accepting import named_effects
-from tissueid.gap.answer import as_answer
-from tissueid.gap.answer_store import answer_path, store_answer, stored_answer, stored_content
+from tissueid.gap.answer import answer_path, as_answer, store_answer, stored_answer, stored_content
 from tissueid.gap.dataset import Dataset, Purpose
+from tissueid.gap.decision import ChannelError, floor, gap, quiet_tests
 from tissueid.gap.diagnosis import diagnose
 from tissueid.gap.preparation import prepare
-from tissueid.gap.scoring import ChannelError, floor, gap, quiet_tests
 from tissueid.gap.search import Search
-from tissueid.gap.twin_export import against_twin, twin_file_of
+from tissueid.gap.twin_export import against_twin, named_effects, twin_file_of
 from tissueid.gap.workers import Executor, SerialExecutor
 from tissueid.instrument.twin_file import TwinFile, read_twin, write_twin
 from tissueid.sessions import Session

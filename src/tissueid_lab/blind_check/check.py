@@ -125,7 +125,7 @@ def _not_with(kind: str, option: str) -> UnusableInputError:
 
 
 def _interrupted(keep: Path | None) -> str:
-    from tissueid.gap.answer_store import FOLDER
+    from tissueid.gap.answer import FOLDER
 
     if keep is None or not (keep / FOLDER).is_dir():
         return Message("blind.cancelled", "cancelled; nothing was written")

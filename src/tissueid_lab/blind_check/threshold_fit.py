@@ -17,8 +17,9 @@ from typing import Any
 import numpy as np
 
 from tissueid.errors import UnusableInputError
-from tissueid.gap.answer_store import stored_answer
-from tissueid.gap.decision import THRESHOLDS, Grounds, Thresholds, decide, probabilities
+from tissueid.gap.answer import stored_answer
+from tissueid.gap.decision import Grounds, decide, probabilities
+from tissueid.gap.thresholds import THRESHOLDS, Thresholds
 from tissueid_lab.blind_check.answers import BlindScenario
 from tissueid_lab.blind_check.scenarios import scenario_names, unseal
 from tissueid_lab.blind_check.scoring import calibration_error, f1, mean, survives
@@ -35,7 +36,7 @@ DECISION: dict[str, tuple[float, ...]] = {
     "set_leaves": (0.1, 0.15, 0.2, 0.25, 0.3, 0.36),
     "set_leaves_score": (0.2, 0.25, 0.3, 0.36, 0.4, 0.45, 0.5),
     "stand_in_score": (1.0, 1.5, 2.0, 3.0, 20.0),
-    "stand_in_closed": (0.8, 0.85, 0.9, 0.93, 0.95, 0.97, 0.98, 0.99, 1.0),
+    "structural": (0.8, 0.85, 0.9, 0.93, 0.95, 0.97, 0.98, 0.99, 1.0),
 }
 """Values that are tried. Those of sets begin where the search ends, which has discarded what lies below."""
 PROBABILITY: dict[str, tuple[float, ...]] = {

@@ -27,8 +27,7 @@ from tissueid.app.words import sentence
 from tissueid.audit import AuditLog, last_lines
 from tissueid.device import DeviceDescription
 from tissueid.gap import fit_tasks
-from tissueid.gap.candidate_tests import candidate_tests
-from tissueid.gap.next_experiment import NextExperiment, settings_of
+from tissueid.gap.next_experiment import NextExperiment, candidate_tests, settings_of
 from tissueid.instrument import open_instrument
 from tissueid.instrument.twin_file import TwinSource, content_of, device_of, read_twin, write_twin
 from tissueid.instrument.twin_list import twins_in

@@ -115,7 +115,7 @@ def accept_into_twin(
         UnusableInputError: nothing was chosen, the file's name makes no name of a twin, or it cannot be written.
     """
     from tissueid.app.jobs import JobControl
-    from tissueid.gap.accepting import NamedEffects
+    from tissueid.gap.twin_export import NamedEffects
     from tissueid.procedures.saved_twins import accept_effects
 
     if why := why_not_accepted(result):

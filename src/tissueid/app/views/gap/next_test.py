@@ -11,9 +11,8 @@ from tissueid.app.views.gap.displayed_text import as_sentence, as_title
 from tissueid.app.views.gap.page_content import Proposal
 from tissueid.device import DeviceDescription
 from tissueid.formatting import clean
-from tissueid.gap.candidate_tests import candidate_tests
 from tissueid.gap.diagnosis import Diagnosis
-from tissueid.gap.next_experiment import odds
+from tissueid.gap.next_experiment import candidate_tests, odds
 from tissueid.instrument.twin_list import model_of_file, twin_url, twins_in
 from tissueid.language import _, marked
 from tissueid.messages import Message, Verbatim, translated
