@@ -150,7 +150,7 @@ def check_form() -> None:
     from PySide6.QtWidgets import QApplication
 
     application = QApplication([])
-    from tissueid.app.configuring import ConfigurationChooser
+    from tissueid.app.stimulus_form import ConfigurationChooser
 
     form = ConfigurationChooser()
     assert (form.values()["hydration"], form.values()["posture"]) == (None, None)

@@ -42,9 +42,9 @@ from screenshot_sessions import (
 )
 
 from tissueid.app.emergency import EmergencyStop
-from tissueid.app.form_choices import FROM_FILE, MULTISTEP
 from tissueid.app.main_window import MainWindow
 from tissueid.app.services import AppServices
+from tissueid.app.stimulus_form import FROM_FILE, MULTISTEP
 from tissueid.app.views.gap.view import GapView
 from tissueid.app.views.researcher.view import ResearchView
 from tissueid.app.views.studies.view import StudiesView

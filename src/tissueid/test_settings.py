@@ -68,11 +68,17 @@ class Setting(Option):
         only: configurations that have it; empty for all.
         choices: label in a form by value, marked for translation. With None alone, any number or "not recorded".
         compared: whether tests that differ in it cannot be analysed together.
+        usual: value that a form shows where the default leaves it to the stimulus.
+        offered: bounds of a number in a form where they are narrower than those of the field.
+        step: of a number in a form, which then has two decimals; 0 for a step that follows the value.
     """
 
     only: tuple[ConfigurationName, ...] = ()
     choices: Mapping[Any, str] = field(default_factory=dict)
     compared: bool = False
+    usual: Any = None
+    offered: tuple[float, float] | None = None
+    step: float = 0.0
 
 
 NOT_RECORDED = {None: marked("not recorded")}
@@ -220,20 +226,62 @@ class StimulusSettings(_Settings):
     ] = None
     min_force_n: Annotated[
         float | None,
-        Option("--min-force", metavar="NEWTON", help=f"lower end of the force range; noise: {USUAL_FORCE_N[0]:g}"),
+        Setting(
+            "--min-force",
+            metavar="NEWTON",
+            help=f"lower end of the force range; noise: {USUAL_FORCE_N[0]:g}",
+            usual=USUAL_FORCE_N[0],
+            offered=(-15.0, 14.5),
+            step=0.5,
+        ),
+        Field(
+            title=marked("Lo&west force"),
+            description=marked("Below zero the coil pulls: tissue that is not attached to the probe is left"),
+        ),
     ] = None
     max_force_n: Annotated[
         float | None,
-        Option("--max-force", metavar="NEWTON", help=f"upper end of the force range; noise: {USUAL_FORCE_N[1]:g}"),
+        Setting(
+            "--max-force",
+            metavar="NEWTON",
+            help=f"upper end of the force range; noise: {USUAL_FORCE_N[1]:g}",
+            usual=USUAL_FORCE_N[1],
+            offered=(0.5, 15.0),
+            step=0.5,
+        ),
+        Field(title=marked("Hi&ghest force")),
     ] = None
     seconds: Annotated[
         float | None,
-        Option("--seconds", metavar="SECONDS", help=f"length after 0.5 s of preload; noise: {USUAL_SECONDS:g}"),
+        Setting(
+            "--seconds",
+            metavar="SECONDS",
+            help=f"length after 0.5 s of preload; noise: {USUAL_SECONDS:g}",
+            usual=USUAL_SECONDS,
+            offered=SECONDS,
+            step=1.0,
+        ),
+        Field(title=marked("Dur&ation")),
     ] = None
-    seed: Annotated[int | None, Option("--seed", help="seed of the stimulus"), Field(ge=0, le=2**31 - 1)] = None
-    kind: Annotated[str | None, Option("--kind", metavar="NAME", help="spring or free_air: a test without tissue")] = (
-        None
-    )
+    seed: Annotated[
+        int | None,
+        Setting("--seed", help="seed of the stimulus", usual=USUAL_SEED),
+        Field(title=marked("Seed"), ge=0, le=2**31 - 1),
+    ] = None
+    kind: Annotated[
+        str | None,
+        Setting(
+            "--kind",
+            metavar="NAME",
+            help="spring or free_air: a test without tissue",
+            choices={
+                None: marked("Tissue or sample"),
+                "spring": marked("Calibration spring"),
+                "free_air": marked("Nothing: free air"),
+            },
+        ),
+        Field(title=marked("Under the probe")),
+    ] = None
 
 
 LARGEST_SCALE = 1e6

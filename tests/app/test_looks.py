@@ -61,11 +61,14 @@ def test_the_tab_key_visits_everything_from_top_to_bottom(qtbot, window):
         visited.append(window.focusWidget())
     form = ui.form
     expected = [form.instrument.choice, form.instrument.refresh, form.site, form.map, form.subject, form.product]
-    expected += [*form.set_up.fields[:3], form.limits, form.preset.choice, form.fold]
+    expected += [*form.set_up.fields[:3], form.limits, form.preset, form.fold]
     options = [field for field in form.stimulus.option_fields(depths=False) if field.isVisible() and field.isEnabled()]
     expected += [form.stimulus.kind, form.stimulus.stop_when, form.stimulus.live_method, *options]
-    expected += [form.distribution, form.min_force, form.max_force, form.seconds, form.seed, form.repeats]
-    expected += [form.under_probe, form.path, form.browse]
+    expected += [
+        *(field.controls[0] for name, field in form.options.items() if name != "rest_s"),
+        form.path,
+        form.browse,
+    ]
     expected += [ui.guidance.lamp.watch]
     expected += [ui.start, ui.stop, ui.role.choice, ui.open, ui.pages.tabBar()]
     assert visited == [*expected, ui.rail.buttons["measure"], *ui.rail.feet]

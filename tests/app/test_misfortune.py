@@ -83,7 +83,7 @@ def mishap(monkeypatch, some_findings):
 def context(open_window):
     """A window that opens what is at the other end of a cable."""
     window = open_window(opener=open_instrument)
-    window.ui.form.seconds.setValue(SECONDS)
+    window.ui.form.fill({"seconds": SECONDS})
     return window
 
 

@@ -168,7 +168,7 @@ def measure_with(qtbot, open_window):
         window = open_window(opener=opener, finder=finder)
         form = window.ui.form
         form.instrument.choose(PORT)
-        form.seconds.setValue(0.5)
+        form.fill({"seconds": 0.5})
         assert reads(form.instrument.about.text(), "instruments.ready", what="desktop indenter")
         type_site(qtbot, window)
         before()

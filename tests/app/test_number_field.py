@@ -38,7 +38,7 @@ pytestmark = [pytest.mark.qt_log_level_fail("WARNING"), pytest.mark.qt_log_ignor
 def test_a_typed_force_is_taken_or_the_one_before_stands(qtbot, window, typed, value):
     form = window.ui.form
     form.fold.setChecked(True)
-    field = form.max_force
+    field = form.options["max_force_n"].controls[0]
     assert isinstance(field, NumberField)
     assert field.value() == 10.5
     field.setFocus()
@@ -51,24 +51,25 @@ def test_a_typed_force_is_taken_or_the_one_before_stands(qtbot, window, typed, v
 
 def test_fields_have_the_decimal_sign_of_the_language(open_window):
     form = open_window(language="de").ui.form
-    assert form.seconds.text() == "4,00 s"
-    form.seconds.setValue(2.5)
+    assert form.options["seconds"].controls[0].text() == "4,00 s"
+    form.fill({"seconds": 2.5})
     assert form.plan().seconds == 2.5
 
 
 def test_a_test_that_is_begun_in_mid_typing_takes_what_is_typed(qtbot, window):
     form = window.ui.form
     form.fold.setChecked(True)
-    form.seconds.setFocus()
-    form.seconds.selectAll()
-    qtbot.keyClicks(form.seconds, "1,5")
-    assert form.seconds.value() == 4.0
+    seconds = form.options["seconds"].controls[0]
+    seconds.setFocus()
+    seconds.selectAll()
+    qtbot.keyClicks(seconds, "1,5")
+    assert seconds.value() == 4.0
     assert form.plan().seconds == 1.5
 
 
 def test_arrows_still_step_and_what_is_undone_comes_back(qtbot, window):
     window.ui.form.fold.setChecked(True)
-    field = window.ui.form.max_force
+    field = window.ui.form.options["max_force_n"].controls[0]
     field.setFocus()
     qtbot.keyClick(field, Qt.Key.Key_Down)
     assert field.value() == 10.0
@@ -84,16 +85,17 @@ def test_what_is_not_taken_is_explained_at_the_field(qtbot, window, typed, at_on
     """Nothing moves for it, and it is gone once something better is typed."""
     form = window.ui.form
     form.fold.setChecked(True)
-    field = form.max_force
+    field = form.options["max_force_n"].controls[0]
     refused = []
     field.refused.connect(refused.append)
-    place = form.seconds.mapToGlobal(form.seconds.rect().topLeft())
+    seconds = form.options["seconds"].controls[0]
+    place = seconds.mapToGlobal(seconds.rect().topLeft())
     field.setFocus()
     field.selectAll()
     qtbot.keyClicks(field, typed)
     assert field.hint.isVisible() is bool(at_once)
-    form.seconds.setFocus()
-    assert form.seconds.mapToGlobal(form.seconds.rect().topLeft()) == place
+    seconds.setFocus()
+    assert seconds.mapToGlobal(seconds.rect().topLeft()) == place
     if at_once is None:
         assert not field.hint.isVisible()
         assert refused == []

@@ -13,7 +13,7 @@ from hypothesis import strategies as st
 
 from tissueid.acquisition import PRELOAD_S, Phase, Progress, journal_path, recovery
 from tissueid.app.emergency import EmergencyStop
-from tissueid.app.form_choices import longest_stimulus_s
+from tissueid.app.form import longest_stimulus_s
 from tissueid.app.live_signals import LiveSignals, decimated
 from tissueid.app.live_test import LiveTest
 from tissueid.app.user_files import dated_path

@@ -80,7 +80,7 @@ def test_a_clinician_measures_a_site_twice_accepts_and_prints(qtbot, from_start,
     assert ui.form.subject.hasFocus()
     ui.form.subject.selectAll()
     qtbot.keyClicks(ui.form.subject, "P-021")
-    ui.form.seconds.setValue(1.0)
+    ui.form.fill({"seconds": 1.0})
     press(qtbot, ui.form.map)
     chart = window.clinician.body_map
     qtbot.waitUntil(lambda: chart.isVisible() and chart.isActiveWindow(), timeout=WAIT_MS)

@@ -343,9 +343,9 @@ def test_run_again_runs_the_same_test_into_another_file(qtbot, open_window, tmp_
     window = open_window()
     type_site(qtbot, window)
     # At -9 N the probe leaves the skin: the gate asks for another test.
-    window.ui.form.min_force.setMinimum(-9.0)
-    window.ui.form.min_force.setValue(-9.0)
-    window.ui.form.seconds.setValue(1.5)
+    window.ui.form.options["min_force_n"].controls[0].setMinimum(-9.0)
+    window.ui.form.fill({"min_force_n": -9.0})
+    window.ui.form.fill({"seconds": 1.5})
     press(qtbot, window.ui.start)
     wait_for_result(qtbot, window)
     assert window.ui.gate.headline.text() == HEADLINES["repeat"]
@@ -371,7 +371,7 @@ def test_only_what_goes_together_can_be_chosen_and_it_is_stored(qtbot, open_wind
     assert spring.isVisible()
     assert spring.value() == 200.0
     spring.set_value(350.0)
-    window.ui.form.seconds.setValue(1.0)
+    window.ui.form.fill({"seconds": 1.0})
     type_site(qtbot, window)
     press(qtbot, window.ui.start)
     assert window.ui.signals.position.heading.text() == "Displacement (mm)"
@@ -387,12 +387,12 @@ def test_only_what_goes_together_can_be_chosen_and_it_is_stored(qtbot, open_wind
 
 
 def test_the_form_says_how_the_probe_meets_the_tissue(window):
-    form, lowest = window.ui.form.set_up, window.ui.form.min_force
+    form, lowest = window.ui.form.set_up, window.ui.form.options["min_force_n"].controls[0]
     assert form.values()["coupling"] == "none"
     # An attached probe can pull; one that is not is lifted off for a moment, within the same limits.
-    assert lowest.minimum() == -window.ui.form.max_force.maximum()
+    assert lowest.minimum() == -window.ui.form.options["max_force_n"].controls[0].maximum()
     form.choose(coupling="adhesive")
-    assert lowest.minimum() == -window.ui.form.max_force.maximum()
+    assert lowest.minimum() == -window.ui.form.options["max_force_n"].controls[0].maximum()
     form.settings["configuration"].controls[0].setCurrentIndex(1)
     for name, value in (("orientation_deg", 90.0), ("initial_length_m", 0.012)):
         form.settings[name].set_value(value)

@@ -8,8 +8,7 @@ from app.benches import WAIT_MS
 from app.test_window import idle, press
 from coded import begins
 
-from tissueid.app.form_choices import FROM_FILE, MULTISTEP
-from tissueid.app.stimulus_form import StimulusForm
+from tissueid.app.stimulus_form import FROM_FILE, MULTISTEP, StimulusForm
 from tissueid.cli import main
 from tissueid.instrument import SimulatedInstrument
 from tissueid.procedures.demo import LARGE_CLIPPED, LARGE_N
@@ -50,13 +49,13 @@ def test_every_kind_is_offered_and_its_usual_options_make_a_plan(form):
 
 def test_fields_of_other_kinds_are_hidden(form):
     form.fold.setChecked(True)
-    assert form.distribution.isVisible()
+    assert form.stimulus.controls["distribution"].isVisible()
     form.stimulus.fill("quiet")
-    assert not form.distribution.isVisible()
-    assert not form.max_force.isVisible()
+    assert "distribution" not in form.stimulus.controls
+    assert not form.options["max_force_n"].isVisible()
     form.stimulus.fill(FROM_FILE)
     assert form.stimulus.file.isVisible()
-    assert not form.seconds.isVisible()
+    assert not form.options["seconds"].isVisible()
 
 
 @pytest.mark.parametrize("kind", ["interchange", "rtig"])
@@ -65,11 +64,11 @@ def test_a_test_of_the_form_plays_what_the_command_line_plays(qtbot, open_window
     form = window.ui.form
     form.site.setEditText("bench")
     form.stimulus.fill(kind)
-    form.seconds.setValue(1.5)
-    form.seed.setValue(7)
+    form.fill({"seconds": 1.5})
+    form.fill({"seed": 7})
     made = run(qtbot, window)
     command = ["test", "--device", "simulated://spring?seed=3", "--site", "bench", "--out", str(tmp_path / "cli.h5")]
-    low, high = form.min_force.value(), form.max_force.value()
+    low, high = form.options["min_force_n"].value(), form.options["max_force_n"].value()
     options = ["--stimulus", kind, "--seconds", "1.5", "--seed", "7", "--min-force", str(low), "--max-force", str(high)]
     assert main([*command, *options, "--no-calibration"]) == 0
     known = read_session(tmp_path / "cli.h5")
@@ -95,7 +94,7 @@ def test_a_saved_stimulus_a_stop_rule_and_steps(qtbot, open_window, tmp_path):
 
     (tmp_path / "made.h5").unlink()
     form.stimulus.fill("noise")
-    form.seconds.setValue(6.0)
+    form.fill({"seconds": 6.0})
     form.stimulus.stop_when.setText("stiffness=0.2")
     stopped = run(qtbot, window).test()
     assert stopped.status == "completed"
@@ -103,7 +102,7 @@ def test_a_saved_stimulus_a_stop_rule_and_steps(qtbot, open_window, tmp_path):
 
     (tmp_path / "made.h5").unlink()
     form.stimulus.fill(MULTISTEP, {"steps": 2, "depth_min_m": 1e-3, "depth_max_m": 3e-3, "target": 0.001})
-    form.seconds.setValue(1.5)
+    form.fill({"seconds": 1.5})
     steps = run(qtbot, window)
     assert [test.notes["multistep"] for test in steps.tests] == [1.0, 2.0]
 
@@ -114,7 +113,7 @@ def test_what_is_under_the_probe_is_the_kind_of_the_test(qtbot, open_window):
     form.fill({"site": "bench", "under_probe": "spring", "seconds": 0.5})
     assert run(qtbot, window).test().kind == "spring"
     form.stimulus.fill(MULTISTEP)
-    assert form.under_probe.isHidden()
+    assert form.options["kind"].isHidden()
     assert form.plan().kind is None
 
 
@@ -152,47 +151,47 @@ def test_what_cannot_be_played_is_said_before_an_instrument_is_touched(qtbot, wi
 
 
 def enabled(form, name):
-    place = form.preset.choice.findData(name)
-    return form.preset.choice.model().item(place).isEnabled()
+    place = form.preset.findData(name)
+    return form.preset.model().item(place).isEnabled()
 
 
 def choose(form, name):
-    form.preset.choice.setCurrentIndex(form.preset.choice.findData(name))
-    form.preset.choice.activated.emit(form.preset.choice.currentIndex())
+    form.preset.setCurrentIndex(form.preset.findData(name))
+    form.preset.activated.emit(form.preset.currentIndex())
 
 
 def test_presets_fill_the_form_and_other_settings_are_ones_own(form):
-    assert form.preset.choice.currentData() == "standard"
+    assert form.preset.currentData() == "standard"
     assert form.plan().options == ()
     choose(form, "thesis")
     plan = form.plan()
     plan.check()
     assert (plan.min_force_n, plan.max_force_n, plan.seconds, plan.lower_force) == (*LARGE_N, 4.0, False)
     assert dict(plan.options) == {"clipped": LARGE_CLIPPED}
-    assert form.preset.choice.currentData() == "thesis"
-    form.seconds.setValue(6.0)
-    assert form.preset.choice.currentData() == ""
+    assert form.preset.currentData() == "thesis"
+    form.fill({"seconds": 6.0})
+    assert form.preset.currentData() == ""
     choose(form, "depths")
-    assert form.preset.choice.currentData() == "depths"
+    assert form.preset.currentData() == "depths"
     assert form.stimulus.depths.isVisible()
     form.stimulus.controls["depth_max_m"].set_value(0.003)
     plan = form.plan()
     assert plan.stimulus == "rtig"
     assert plan.specification(2000.0).depth_max_m == 0.003
     choose(form, "standard")
-    assert (form.min_force.value(), form.max_force.value()) == (0.5, 10.5)
+    assert (form.options["min_force_n"].value(), form.options["max_force_n"].value()) == (0.5, 10.5)
     assert form.plan().lower_force
     assert not form.stimulus.depths.isVisible()
 
 
 def test_the_thesis_test_is_offered_where_the_force_allows_it(form):
     assert enabled(form, "thesis")
-    assert form.preset.reason.isHidden()
+    assert form.not_offered.isHidden()
     form.tell_force(form.instrument.url, 7.8)
     assert not enabled(form, "thesis")
-    assert form.preset.reason.isVisible()
+    assert form.not_offered.isVisible()
     assert enabled(form, "standard")
-    assert form.preset.choice.currentData() == "standard"
+    assert form.preset.currentData() == "standard"
 
 
 def test_noise_shows_the_options_that_apply(form):
@@ -205,16 +204,16 @@ def test_noise_shows_the_options_that_apply(form):
     assert options["natural_hz"].isVisible()
     assert not options["cutoff_hz"].isVisible()
     assert dict(form.plan().options) == {"spectrum": "second_order"}
-    form.distribution.setCurrentIndex(form.distribution.findData("quantiles"))
+    form.fill({"distribution": "quantiles"})
     assert options["quantiles"].isVisible()
     assert not options["clipped"].isVisible()
 
 
 def test_forces_below_zero_stay_within_the_limits(form):
-    form.min_force.setValue(-50.0)
-    assert form.min_force.value() == -12.0
+    form.fill({"min_force_n": -50.0})
+    assert form.options["min_force_n"].value() == -12.0
     form.tell_force(form.instrument.url, 7.8)
-    assert form.min_force.value() == -7.8
+    assert form.options["min_force_n"].value() == -7.8
 
 
 def test_a_waveform_scaled_and_repeated(qtbot, open_window, tmp_path):
@@ -228,8 +227,8 @@ def test_a_waveform_scaled_and_repeated(qtbot, open_window, tmp_path):
     form.stimulus.file.setText(str(saved))
     form.fold.setChecked(True)
     assert form.stimulus.controls["file_rate_hz"].isVisible()
-    form.repeats.setValue(2)
-    assert form.rest.isVisible()
+    form.fill({"repeats": 2})
+    assert form.options["rest_s"].isVisible()
     session = run(qtbot, window)
     assert [test.repeat_of for test in session.tests] == [None, 1]
     command = session.test().signals["command"][1000:]

@@ -44,7 +44,8 @@ def test_measure_before_a_test(qtbot, on_page):
     window = on_page("measure")
     window.ui.form.fold.setChecked(True)
     seen = check_tabs(qtbot, window)
-    assert {window.ui.form.seed, window.ui.start, window.ui.stop, window.ui.pages.tabBar()} <= set(seen)
+    ui = window.ui
+    assert {ui.form.options["seed"].controls[0], ui.start, ui.stop, ui.pages.tabBar()} <= set(seen)
     window.ui.pages.setCurrentWidget(window.ui.calibration)
     assert len(check_tabs(qtbot, window)) > len(seen)
 

@@ -91,9 +91,9 @@ def test_the_whole_path_by_mouse(qtbot, open_window, tmp_path):
     ui = window.ui
     ui.form.site.setCurrentText("material sample")
     press(qtbot, ui.form.fold)
-    assert ui.form.seconds.isVisible()
-    ui.form.seconds.setValue(1.0)
-    ui.form.distribution.setCurrentIndex(ui.form.distribution.findData("uniform"))
+    assert ui.form.options["seconds"].isVisible()
+    ui.form.fill({"seconds": 1.0})
+    ui.form.fill({"distribution": "uniform"})
     assert reads(ui.form.summary.text(), "form.noise", distribution="Uniform", low=0.5, high=10.5, seconds=1.0, seed=1)
     ui.form.subject.setText("P-017")
     press(qtbot, ui.start)
@@ -211,7 +211,7 @@ def test_an_instrument_that_disappears_gives_words_and_leaves_the_window_alive(q
     links[0].run_for(1.0)
     assert not links[0].firmware.energised
     window.ui.form.instrument.choice.setEditText("simulated://forearm")
-    window.ui.form.seconds.setValue(1.0)
+    window.ui.form.fill({"seconds": 1.0})
     press(qtbot, window.ui.start)
     wait_for_result(qtbot, window)
     assert window.findings.test.status == "completed"
@@ -362,7 +362,7 @@ def test_a_test_that_still_runs_is_not_offered(open_window, tmp_path):
         (lambda form: form.site.setEditText(""), "fill in the site"),
         (lambda form: form.instrument.choice.setEditText(" "), "choose an instrument"),
         (lambda form: form.instrument.choice.setEditText("simulated://moon"), "no simulated tissue"),
-        (lambda form: form.min_force.setValue(11.0), "must be below the highest"),
+        (lambda form: form.fill({"min_force_n": 11.0}), "must be below the highest"),
         (lambda form: _save_to(form, form.folder / "there.h5"), "never overwritten"),
         (lambda form: _save_to(form, form.folder / "nowhere" / "s.h5"), "no folder"),
     ],
@@ -388,7 +388,7 @@ def _save_to(form, path):
 
 def test_a_path_of_ones_own_is_used_once(qtbot, window, tmp_path):
     type_site(qtbot, window)
-    window.ui.form.seconds.setValue(1.0)
+    window.ui.form.fill({"seconds": 1.0})
     window.ui.form.path.setFocus()
     window.ui.form.path.selectAll()
     qtbot.keyClicks(window.ui.form.path, str(tmp_path / "mine.h5"))
@@ -461,7 +461,7 @@ def test_a_system_that_cannot_list_its_ports_still_has_typed_addresses(qtbot, op
     press(qtbot, window.ui.form.instrument.refresh)
     qtbot.waitUntil(lambda: idle(window), timeout=WAIT_MS)
     assert window.ui.form.instrument.url == "simulated://forearm"
-    window.ui.form.seconds.setValue(1.0)
+    window.ui.form.fill({"seconds": 1.0})
     type_site(qtbot, window)
     press(qtbot, window.ui.start)
     wait_for_result(qtbot, window)

@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from typing import Any, TypeVar
 
 from PySide6.QtCore import QObject, Qt, QTimer, SignalInstance
 from PySide6.QtWidgets import (
     QBoxLayout,
+    QComboBox,
+    QGridLayout,
     QHBoxLayout,
     QHeaderView,
     QLabel,
@@ -103,6 +105,25 @@ def button(text: str, clicked: Callable[[], object] | SignalInstance | None = No
     if clicked is not None:
         made.clicked.connect(clicked)
     return made
+
+
+def choice(entries: Mapping[Any, str], **properties: Any) -> QComboBox:
+    """Return a combo box with a text for each value."""
+    made = QComboBox()
+    for value, text in entries.items():
+        made.addItem(text, value)
+    return styled(made, **properties)
+
+
+def grid(
+    parent: QWidget | None = None, *, stretched: Sequence[int] = (1,), margins: Sequence[int] = (0,), **properties: Any
+) -> QGridLayout:
+    """Return a grid, the layout of ``parent`` if there is one, whose columns ``stretched`` take the spare width."""
+    made = QGridLayout() if parent is None else QGridLayout(parent)
+    made.setContentsMargins(*(margins if len(margins) == 4 else [margins[0]] * 4))
+    for column in stretched:
+        made.setColumnStretch(column, 1)
+    return styled(made, **({"vertical_spacing": 6} | properties))
 
 
 def timer(parent: QObject, interval_ms: int, timeout: Callable[[], object], *, repeat: bool = False) -> QTimer:

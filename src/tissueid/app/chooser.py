@@ -16,7 +16,6 @@ from PySide6.QtWidgets import (
 
 from tissueid.app import build
 from tissueid.app.calibration_state import CalibrationState
-from tissueid.app.form_choices import DEFAULT_URL
 from tissueid.formatting import clean
 from tissueid.instrument import FoundInstrument
 from tissueid.instrument.discovery import IN_PROCESS
@@ -24,6 +23,7 @@ from tissueid.instrument.twin_list import is_twin_url
 from tissueid.language import _, marked
 from tissueid.messages import Message, Verbatim, translated
 
+DEFAULT_URL = "simulated://forearm"
 TYPED = Message("instruments.typed", "Typed address: tried when the test starts.")
 _SHOWN = Qt.ItemDataRole.UserRole
 """What the open list shows of an instrument: its name and address. The line that is typed into has the address."""

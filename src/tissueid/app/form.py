@@ -11,13 +11,12 @@ from pathlib import Path
 from typing import Any
 
 from PySide6.QtCore import Qt, Signal
-from PySide6.QtGui import QKeyEvent
+from PySide6.QtGui import QKeyEvent, QStandardItemModel
 from PySide6.QtWidgets import (
     QAbstractButton,
     QCheckBox,
     QComboBox,
     QFileDialog,
-    QGridLayout,
     QLabel,
     QLayout,
     QLineEdit,
@@ -26,18 +25,12 @@ from PySide6.QtWidgets import (
     QWidget,
 )
 
-from tissueid.app.build import button, column, fill, label, row, styled
+from tissueid.acquisition.stimulus_choice import PRELOAD_S
+from tissueid.app.build import button, choice, column, fill, grid, label, row, styled
 from tissueid.app.chooser import InstrumentChooser
-from tissueid.app.configuring import ConfigurationChooser
-from tissueid.app.form_choices import (
-    DISTRIBUTIONS,
-    MULTISTEP,
-    SITES,
-    longest_stimulus_s,
-)
-from tissueid.app.number_field import NumberField, OptionalNumberField, WholeNumberField
-from tissueid.app.presets import PresetChooser
-from tissueid.app.stimulus_form import StimulusForm
+from tissueid.app.number_field import OptionalNumberField
+from tissueid.app.option_field import OptionField
+from tissueid.app.stimulus_form import MULTISTEP, ConfigurationChooser, StimulusForm
 from tissueid.app.user_files import dated_path
 from tissueid.audit import Role
 from tissueid.formatting import ANONYMOUS
@@ -45,34 +38,38 @@ from tissueid.instrument import PROFILES
 from tissueid.language import _, marked
 from tissueid.messages import Message, Verbatim, translated
 from tissueid.procedures.pseudonyms import reads_like_name
-from tissueid.procedures.test_plan import TestPlan
-from tissueid.procedures.test_presets import PRESETS, Preset
+from tissueid.procedures.test_plan import SPECIFIED, TestPlan
+from tissueid.procedures.test_presets import PRESETS
 from tissueid.stimuli.kinds.noise import Noise
-from tissueid.test_settings import SECONDS, USUAL_FORCE_N, USUAL_SECONDS, USUAL_SEED
+from tissueid.test_settings import SECONDS, USUAL_FORCE_N
 
-_CALLED = {
-    "clinical": marked("Clinical"),
-    "research": marked("Research"),
-    "gaussian": marked("Gaussian"),
-    "uniform": marked("Uniform"),
-    "rayleigh": marked("Rayleigh"),
-    "exponential": marked("Exponential"),
-    "quantiles": marked("By a table"),
-}
+SITES = (
+    "left forearm, posterior",
+    "left forearm, anterior",
+    "right forearm, posterior",
+    "right forearm, anterior",
+    "left upper arm",
+    "right upper arm",
+    "left thigh",
+    "right thigh",
+    "left calf",
+    "right calf",
+    "abdomen",
+    "material sample",
+)
+"""Suggested sites; any text is allowed."""
+_LIMITS = {"clinical": marked("Clinical"), "research": marked("Research")}
 _LIKE_NAME = marked(
     "This looks like a person's name. Use a pseudonym, such as P-001: files and reports contain this text."
 )
-_UNDER_PROBE = {
-    "": marked("Tissue or sample"),
-    "spring": marked("Calibration spring"),
-    "free_air": marked("Nothing: free air"),
-}
-_USUAL_DISTRIBUTION = Noise.model_fields["distribution"].default
-_MOST_REPEATS = 20
+OWN = ""
+"""Choice of settings that are those of no preset."""
+_OPTIONS = (*SPECIFIED.values(), "repeats", "rest_s", "kind")
+"""Fields of the plan that are made from their declaration, from top to bottom."""
 _MOST_MINUTES = 1e6
+_LEAST_FORCE_N = 0.5
 _MINUTES_WIDTH = 96
 """Pixels."""
-_MOST_SEED = 2**31 - 1
 
 
 class PlanForm(QWidget):
@@ -124,14 +121,13 @@ class PlanForm(QWidget):
             line.setPlaceholderText(_("such as left calf"))
         self.map = button(_("Body map…"), tip=_("Choose the site on a drawn body"))
         self.set_up = ConfigurationChooser()
-        self.limits = QComboBox()
-        for name in sorted(PROFILES):
-            self.limits.addItem(
-                _("{profile}: up to {force:g} N").format(
-                    profile=_(_CALLED.get(name, name.capitalize())), force=PROFILES[name].max_force_n
-                ),
-                name,
-            )
+        limits = {name: _(_LIMITS.get(name, name.capitalize())) for name in sorted(PROFILES)}
+        self.limits = choice(
+            {
+                name: _("{profile}: up to {force:g} N").format(profile=title, force=PROFILES[name].max_force_n)
+                for name, title in limits.items()
+            }
+        )
         self.path = QLineEdit()
         self.browse = button(_("C&hoose…"), self._choose_path, name=_("Choose where to save"))
 
@@ -160,8 +156,7 @@ class PlanForm(QWidget):
         self._look_at_product()
         for chosen in (self.instrument.choice.currentTextChanged, self.limits.currentIndexChanged):
             chosen.connect(self.changed)
-        for field in (self.min_force, self.max_force, self.seconds, self.minutes):
-            field.valueChanged.connect(self.changed)
+        self.minutes.valueChanged.connect(self.changed)
         self.set_up.changed.connect(self.changed)
         self.subject.textChanged.connect(self._look_at_subject)
         self.subject.editingFinished.connect(self._choose_subject)
@@ -169,7 +164,7 @@ class PlanForm(QWidget):
         self._chosen_subject = ""
         self.limits.currentIndexChanged.connect(self._apply_limits)
         self.instrument.choice.currentTextChanged.connect(self._apply_limits)
-        self.max_force.valueChanged.connect(self._take_own_force)
+        self.options["max_force_n"].edited.connect(self._take_own_force)
         self.path.setPlaceholderText(_("empty: a name by date and time"))
         self.path.textEdited.connect(self.take_own_path)
         self.path.editingFinished.connect(self._name_by_date)
@@ -185,8 +180,6 @@ class PlanForm(QWidget):
         """
         if not self._own_path:
             self.renew_path()
-        has = self.stimulus.has
-        noise = self.stimulus.chosen == Noise.name
         return TestPlan(
             url=self.instrument.url,
             site=self.site.currentText().strip(),
@@ -196,15 +189,8 @@ class PlanForm(QWidget):
             condition=(product := self.product.text().strip()),
             minutes_since_application=self.minutes.given if product else None,
             limits=self.limits.currentData(),
-            distribution=self.distribution.currentData() if noise else None,
-            min_force_n=self.min_force.settled if "force_min_n" in has else None,
-            max_force_n=self.max_force.settled if "force_max_n" in has else None,
-            seconds=self.seconds.settled if "seconds" in has else None,
-            seed=self.seed.value() if "seed" in has else None,
             lower_force=not self._own_force,
-            repeats=1 if self.repeats.isHidden() else self.repeats.value(),
-            rest_s=0.0 if self.rest.isHidden() else self.rest.settled,
-            kind=None if self.under_probe.isHidden() else self.under_probe.currentData() or None,
+            **{name: field.value() for name, field in self.options.items() if not field.isHidden()},
             **self.set_up.values(),
             **self.stimulus.values(),
         )
@@ -245,23 +231,25 @@ class PlanForm(QWidget):
             "pseudonym": self.subject.setText,
             "condition": self.product.setText,
             "minutes_since_application": self.minutes.give,
-            "preset": self._fill_preset,
+            "preset": self._take_preset,
             "limits": partial(_select, self.limits),
-            "distribution": partial(_select, self.distribution),
-            "min_force_n": self.min_force.setValue,
-            "max_force_n": self.max_force.setValue,
-            "seconds": self.seconds.setValue,
-            "seed": self.seed.setValue,
             "stimulus_kind": self.stimulus.fill,
-            "repeats": self.repeats.setValue,
-            "under_probe": partial(_select, self.under_probe),
+            "distribution": self._fill_distribution,
+            "under_probe": lambda kind: self.options["kind"].set_value(kind or None),
         }
+        fields |= {name: field.set_value for name, field in self.options.items()}
+        max_force_n = self.options["max_force_n"].value()
         if settings := {name: value for name, value in values.items() if name not in fields}:
             self.set_up.choose(**settings)
         for name, value in values.items():
             if name in fields:
                 fields[name](value)
+        if values.get("max_force_n", max_force_n) != max_force_n:
+            self._own_force = True
         self._choose_subject()
+        self._show_options()
+        self._summarise()
+        self.changed.emit()
 
     def keyPressEvent(self, event: QKeyEvent) -> None:  # noqa: N802
         """Go to the next field at Return, where a field does not use it."""
@@ -292,7 +280,7 @@ class PlanForm(QWidget):
     def order_options(self) -> None:
         """Put the options of the stimulus into the order of the tab key, where they stand."""
         around = (
-            [self.preset.choice, *self.stimulus.option_fields(depths=True)],
+            [self.preset, *self.stimulus.option_fields(depths=True)],
             [self.stimulus.live_method, *self.stimulus.option_fields(depths=False)],
         )
         for order in around:
@@ -303,8 +291,9 @@ class PlanForm(QWidget):
 
     def _add_settings(self, layout: QVBoxLayout) -> None:
         """The presets, and the stimulus, folded away under a line that says what it is."""
-        self.preset = PresetChooser()
-        _add(layout, _("Test"), self.preset, focus=self.preset.choice)
+        self.preset = choice({preset.name: _(preset.title) for preset in PRESETS} | {OWN: _("Own settings")})
+        self.not_offered = label("muted", hidden=True)
+        _add(layout, _("Test"), column(self.preset, self.not_offered, spacing=3), focus=self.preset)
         self.fold = styled(
             QToolButton(),
             role="fold",
@@ -314,58 +303,23 @@ class PlanForm(QWidget):
             tool_button_style=Qt.ToolButtonStyle.ToolButtonTextBesideIcon,
         )
         self.summary = styled(QLabel(), role="field", word_wrap=True)
-        self.distribution = _choice({name: _CALLED.get(name, name.capitalize()) for name in DISTRIBUTIONS})
-        _select(self.distribution, _USUAL_DISTRIBUTION)
-        pulls = _("Below zero the coil pulls: tissue that is not attached to the probe is left")
-        self.min_force = styled(_number(" N", -15.0, 14.5, 0.5, USUAL_FORCE_N[0]), tip=pulls)
-        self.max_force = _number(" N", 0.5, 15.0, 0.5, USUAL_FORCE_N[1])
-        self.seconds = _number(" s", *SECONDS, 1.0, USUAL_SECONDS)
-        self.seed = styled(WholeNumberField(), range=(0, _MOST_SEED), value=USUAL_SEED)
-        after = _("Tests one after another, in one session file")
-        self.repeats = styled(WholeNumberField(), range=(1, _MOST_REPEATS), tip=after)
-        pause = _("Pause between the tests, to cool the coil")
-        self.rest = styled(_number(" s", 0.0, 600.0, 10.0, 0.0), tip=pause)
-        self.under_probe = _choice(_UNDER_PROBE)
         self.stimulus = StimulusForm()
+        self.options = {name: OptionField(name, TestPlan.model_fields[name]) for name in _OPTIONS}
         self.settings = QWidget()
-        grid = QGridLayout()
-        grid.setVerticalSpacing(6)
-        fill(QVBoxLayout(self.settings), self.stimulus, grid)
-        self._rows: list[tuple[QLabel, QWidget]] = []
-        rows = (
-            (_("&Distribution"), self.distribution),
-            (_("Lo&west force"), self.min_force),
-            (_("Hi&ghest force"), self.max_force),
-            (_("Dur&ation"), self.seconds),
-            (_("Seed"), self.seed),
-            (_("Repeats"), self.repeats),
-            (_("Rest between repeats"), self.rest),
-            (_("Under the probe"), self.under_probe),
-        )
-        for place, (name, field) in enumerate(rows):
-            named = styled(QLabel(name), buddy=field)
-            field.setAccessibleName(name.replace("&", ""))
-            grid.addWidget(named, place, 0)
-            grid.addWidget(field, place, 1)
-            self._rows.append((named, field))
-        grid.setColumnStretch(1, 1)
+        rows = grid()
+        fill(QVBoxLayout(self.settings), self.stimulus, rows)
+        for place, field in enumerate(self.options.values()):
+            field.place(rows, place, word_wrap=False)
+            field.edited.connect(self._summarise)
+            field.edited.connect(self.changed)
         layout.addLayout(column(self.stimulus.depths, self.fold, self.summary, self.settings, spacing=4))
         self.fold.toggled.connect(self._unfold)
-        for choice in (self.distribution, self.under_probe):
-            choice.currentIndexChanged.connect(self._summarise)
-        self.distribution.currentIndexChanged.connect(self._decide_distribution)
-        self._decide_distribution()
-        self.preset.chosen.connect(self._take_preset)
-        self.repeats.valueChanged.connect(self._show_options)
-        for spin in (self.repeats, self.rest):
-            spin.valueChanged.connect(self.changed)
-        self.under_probe.currentIndexChanged.connect(self.changed)
+        self.preset.activated.connect(self._choose_preset)
+        self.options["repeats"].edited.connect(self._show_options)
         self.stimulus.changed.connect(self._summarise)
         self.stimulus.changed.connect(self.changed)
         self.stimulus.kind_changed.connect(self._show_options)
         self._show_options()
-        for spin in (self.min_force, self.max_force, self.seconds, self.seed):
-            spin.valueChanged.connect(self._summarise)
         self._unfold(False)
 
     # -- reacting -----------------------------------------------------------------------------------------
@@ -387,98 +341,107 @@ class PlanForm(QWidget):
 
     def _apply_limits(self) -> None:
         """Limit force and length to the profile of limits and the maximum force of the instrument."""
-        name = self.limits.currentData()
-        most = min(PROFILES[name].max_force_n, self._forces_n.get(self.instrument.url, math.inf))
+        most_n = self.most_n
         self._applying = True
-        self.max_force.setMaximum(most)
+        self.options["max_force_n"].limit(_LEAST_FORCE_N, most_n)
         if not self._own_force:
-            self.max_force.setValue(self._usual_force_n)
+            self.options["max_force_n"].set_value(self._usual_force_n)
         self._applying = False
-        self.min_force.setRange(-most, most - self.min_force.singleStep())
-        self.preset.allow(most)
-        self.seconds.setMaximum(longest_stimulus_s(name))
+        self.options["min_force_n"].limit(-most_n, most_n - _LEAST_FORCE_N)
+        self.options["seconds"].limit(SECONDS[0], longest_stimulus_s(self.limits.currentData()))
+        self._allow_presets(most_n)
+        self._summarise()
+
+    @property
+    def most_n(self) -> float:
+        """Greatest force that limits and instrument allow, N."""
+        allowed = PROFILES[self.limits.currentData()].max_force_n
+        return min(allowed, self._forces_n.get(self.instrument.url, math.inf))
+
+    def _allow_presets(self, most_n: float) -> None:
+        """Offer the presets whose force is within ``most_n``, N, and say why the others are not."""
+        model = self.preset.model()
+        assert isinstance(model, QStandardItemModel)
+        reasons = [translated(why) if (why := preset.why_not(most_n)) else "" for preset in PRESETS]
+        for place, reason in enumerate(reasons):
+            model.item(place).setEnabled(not reason)
+            self.preset.setItemData(place, reason, Qt.ItemDataRole.ToolTipRole)
+        self.not_offered.setText("\n".join(filter(None, reasons)))
+        self.not_offered.setVisible(any(reasons))
 
     def _show_options(self) -> None:
         """Show the fields of the chosen kind of stimulus."""
-        has = self.stimulus.has
-        wanted = {
-            self.distribution: self.stimulus.chosen == Noise.name,
-            self.min_force: "force_min_n" in has,
-            self.max_force: "force_max_n" in has,
-            self.seconds: "seconds" in has,
-            self.seed: "seed" in has,
-            self.repeats: self.stimulus.chosen != MULTISTEP,
-            self.rest: self.stimulus.chosen != MULTISTEP and self.repeats.value() > 1,
-            self.under_probe: self.stimulus.chosen != MULTISTEP,
-        }
-        for named, field in self._rows:
-            for widget in (named, field):
-                widget.setVisible(wanted[field])
+        shown = dict.fromkeys(_OPTIONS, self.stimulus.chosen != MULTISTEP)
+        shown |= {name: option in self.stimulus.has for option, name in SPECIFIED.items()}
+        shown["rest_s"] = shown["rest_s"] and self.options["repeats"].value() > 1
+        for name, field in self.options.items():
+            field.setVisible(shown[name])
         if self.window() is not self:  # before that, the fields belong to several windows
             self.order_options()
 
-    def _decide_distribution(self) -> None:
-        """Show the options of noise that go with its distribution."""
-        self.stimulus.decide("distribution", self.distribution.currentData())
+    def _fill_distribution(self, name: str) -> None:
+        if "distribution" in self.stimulus.controls:
+            self.stimulus.controls["distribution"].set_value(name)
+            self.stimulus.update_shown()
 
-    def _take_preset(self, preset: Preset | None) -> None:
-        """Fill the form with a preset; its highest force follows the instrument unless it is one that it needs."""
-        if preset is None:
+    def _choose_preset(self) -> None:
+        if self.preset.currentData() == OWN:
             self.fold.setChecked(True)
-            return
-        self.stimulus.fill(preset.kind, dict(preset.options))
-        self.stimulus.stop_when.clear()
-        _select(self.distribution, _USUAL_DISTRIBUTION)
-        self.min_force.setValue(preset.force_n[0])
-        self.seconds.setValue(preset.seconds)
-        self._own_force, self._usual_force_n = not preset.lowered, preset.force_n[1]
-        if not preset.lowered:
-            self.max_force.setValue(preset.force_n[1])
-        self._apply_limits()
-        self._summarise()
+        else:
+            self._take_preset(self.preset.currentData())
 
-    def _shown_preset(self) -> Preset | None:
-        """Return the preset whose settings are in the form; seed, depths and repeats may be others."""
+    def _take_preset(self, name: str) -> None:
+        """Fill the form with a preset; its highest force follows the instrument unless it is one that it needs."""
+        preset = next(preset for preset in PRESETS if preset.name == name)
+        self.stimulus.fill(preset.stimulus, dict(preset.options))
+        self.stimulus.stop_when.clear()
+        for field in ("min_force_n", "seconds", *(() if preset.lower_force else ("max_force_n",))):
+            self.options[field].set_value(getattr(preset, field))
+        self._own_force, self._usual_force_n = not preset.lower_force, preset.max_force_n
+        self._apply_limits()
+        self.changed.emit()
+
+    def _shown_preset(self) -> str:
+        """Return the name of the preset whose settings are in the form; seed, depths and repeats may be others."""
         for preset in PRESETS:
-            most = min(preset.force_n[1], self.max_force.maximum()) if preset.lowered else preset.force_n[1]
-            fields = (self.min_force.value(), self.max_force.value(), self.seconds.value())
-            if self.stimulus.chosen == preset.kind and fields == (preset.force_n[0], most, preset.seconds):
-                usual = self.distribution.currentData() == _USUAL_DISTRIBUTION
-                if self.stimulus.changed_options() == dict(preset.options) and (usual or preset.kind != Noise.name):
-                    return preset
-        return None
+            most_n = min(preset.max_force_n, self.most_n) if preset.lower_force else preset.max_force_n
+            fields = [self.options[name].value() for name in ("min_force_n", "max_force_n", "seconds")]
+            wanted = [preset.stimulus, preset.min_force_n, most_n, preset.seconds]
+            if [self.stimulus.chosen, *fields] == wanted and self.stimulus.changed_options() == dict(preset.options):
+                return preset.name
+        return OWN
 
     def _summarise(self) -> None:
-        self.preset.show_preset(self._shown_preset())
+        _select(self.preset, self._shown_preset())
         has = self.stimulus.has
+        low, high, seconds = (self.options[name].value() for name in ("min_force_n", "max_force_n", "seconds"))
         if self._plain and not self.fold.isChecked() and {"seconds", "force_max_n"} <= set(has):
-            values = {"force": self.max_force.value(), "seconds": self.seconds.value()}
-            self._show_summary(_("{seconds:g} s, up to {force:g} N").format(**values))
+            self._show_summary(_("{seconds:g} s, up to {force:g} N").format(seconds=seconds, force=high))
             return
         if self.stimulus.chosen != Noise.name:
             title = self.stimulus.kind.currentText()
-            low, high, seconds = self.min_force.value(), self.max_force.value(), self.seconds.value()
             words = _("{title}, {low:g} to {high:g} N").format(title=title, low=low, high=high)
             words = words if "force_max_n" in has else title
             self._show_summary(f"{words}, {seconds:g} s" if "seconds" in has else words)
             return
+        distribution = self.stimulus.controls["distribution"].text
         self._show_summary(
             translated(
                 Message(
                     "form.noise",
                     "{distribution} noise, {low:g} to {high:g} N, {seconds:g} s, seed {seed}",
-                    distribution=Verbatim(self.distribution.currentText()),
-                    low=self.min_force.value(),
-                    high=self.max_force.value(),
-                    seconds=self.seconds.value(),
-                    seed=self.seed.value(),
+                    distribution=Verbatim(distribution[:1].upper() + distribution[1:]),
+                    low=low,
+                    high=high,
+                    seconds=seconds,
+                    seed=self.options["seed"].value(),
                 )
             )
         )
 
     def _show_summary(self, words: str) -> None:
-        under = "" if self.under_probe.isHidden() else self.under_probe.currentText()
-        under = under if self.under_probe.currentData() else ""
+        kind = self.options["kind"]
+        under = "" if kind.isHidden() or kind.value() is None else kind.text
         self.summary.setText(
             _("{words}; under the probe: {under}").format(words=words, under=under) if under else words
         )
@@ -499,11 +462,6 @@ class PlanForm(QWidget):
     def _look_at_product(self) -> None:
         """Offer the minutes where there is a product."""
         self.minutes.setEnabled(bool(self.product.text().strip()))
-
-    def _fill_preset(self, name: str) -> None:
-        """Fill in a test by its name, with its own force."""
-        self._own_force = False
-        self._take_preset(next(preset for preset in PRESETS if preset.name == name))
 
     def _take_own_force(self) -> None:
         self._own_force = self._own_force or not self._applying
@@ -543,16 +501,10 @@ def _add(layout: QVBoxLayout, name: str, field: QWidget | QLayout, *, focus: QWi
     return named
 
 
-def _choice(titles: Mapping[str, str]) -> QComboBox:
-    combo = QComboBox()
-    for name, title in titles.items():
-        combo.addItem(_(title), name)
-    return combo
-
-
 def _select(choice: QComboBox, name: str) -> None:
     choice.setCurrentIndex(choice.findData(name))
 
 
-def _number(unit: str, low: float, high: float, step: float, value: float) -> NumberField:
-    return styled(NumberField(), suffix=unit, decimals=2, range=(low, high), single_step=step, value=value)
+def longest_stimulus_s(limits: str) -> float:
+    """Return the longest stimulus that a profile of limits allows after the preload, s."""
+    return PROFILES[limits].max_seconds - PRELOAD_S

@@ -25,7 +25,6 @@ from PySide6.QtWidgets import (
 
 from tissueid.app import build
 from tissueid.app.build import label, styled
-from tissueid.app.configuring import CONFIGURATION_NAMES
 from tissueid.app.words import in_words
 from tissueid.configuration import CONFIGURATIONS
 from tissueid.errors import TissueIDError, UnusableInputError
@@ -45,6 +44,7 @@ from tissueid.sessions.imports.export_attributes import attributes_beside
 from tissueid.sessions.imports.imported_table import Column, RowRange
 from tissueid.sessions.imports.stated_units import unit_of
 from tissueid.sessions.model import SIGNAL_UNITS
+from tissueid.test_settings import setting_of
 
 _SHOWN_ROWS = 4
 _TITLE_BAR = 40
@@ -154,7 +154,7 @@ class ImportDialog(QDialog):
         self.site, self.subject = QLineEdit(), QLineEdit()
         self.subject.setPlaceholderText(_("a pseudonym, never a name"))
         self.kind = _choice(_KIND_NAMES, KINDS, _("as the record shows: stochastic, or a ramp and hold"))
-        self.configuration = _choice(CONFIGURATION_NAMES, tuple(CONFIGURATIONS))
+        self.configuration = _choice(dict(setting_of("configuration").choices), tuple(CONFIGURATIONS))
         self.out = QLineEdit(str(out))
         self.browse = build.button(_("Browse…"), self._choose_out)
         self.said = label("readout", level="poor", hidden=True)

@@ -172,19 +172,10 @@ class Layout:
         order += self.form.set_up.fields
         order += [
             self.form.limits,
-            self.form.preset.choice,
+            self.form.preset,
             self.form.fold,
             *self.form.stimulus.fields,
-            self.form.distribution,
-            self.form.min_force,
-            self.form.max_force,
-        ]
-        order += [
-            self.form.seconds,
-            self.form.seed,
-            self.form.repeats,
-            self.form.rest,
-            self.form.under_probe,
+            *(control for field in self.form.options.values() for control in field.controls),
             self.form.path,
             self.form.browse,
             self.guidance.lamp.watch,

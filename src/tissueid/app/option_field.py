@@ -11,9 +11,19 @@ from typing import Any, Literal, Union, get_args, get_origin
 
 import annotated_types
 from pydantic.fields import FieldInfo
-from PySide6.QtCore import QEvent, QObject, Signal
+from pydantic_core import PydanticUndefined
+from PySide6.QtCore import SIGNAL, QEvent, QObject, Signal
 from PySide6.QtGui import QKeyEvent, QKeySequence
-from PySide6.QtWidgets import QCheckBox, QComboBox, QDoubleSpinBox, QLineEdit, QSpinBox, QWidget
+from PySide6.QtWidgets import (
+    QCheckBox,
+    QComboBox,
+    QDoubleSpinBox,
+    QGridLayout,
+    QLabel,
+    QLineEdit,
+    QSpinBox,
+    QWidget,
+)
 
 from tissueid.app import build
 from tissueid.app.number_field import NumberField, WholeNumberField
@@ -40,6 +50,7 @@ CHOICES = {
     "boxcar": marked("none (rectangular)"),
     "burger": "Burgers",
     "butterworth": marked("low-pass (Butterworth)"),
+    "exponential": marked("exponential"),
     "full": marked("all lines"),
     "gaussian": marked("Gaussian"),
     "hamming": "Hamming",
@@ -65,6 +76,7 @@ CHOICES = {
     "svd": marked("robust (singular values)"),
     "table": marked("from a table"),
     "toeplitz": marked("fast (Toeplitz)"),
+    "uniform": marked("uniform"),
     "white": marked("flat (white)"),
     "wiener": marked("dynamics, then nonlinearity (Wiener)"),
 }
@@ -74,27 +86,34 @@ CHOICES = {
 class OptionField(QWidget):
     """The control of one option; ``edited`` is emitted when the user changes its value.
 
-    ``undone`` and ``redone`` are sent for the keys of undo and redo, which a control would otherwise keep for itself.
+    A choice has no entries for the values ``without``. ``undone`` and ``redone`` are sent for the keys of undo and
+    redo, which a control would otherwise keep for itself.
     """
 
     edited = Signal()
     undone = Signal()
     redone = Signal()
 
-    def __init__(self, name: str, info: FieldInfo, parent: QWidget | None = None) -> None:
+    def __init__(
+        self, name: str, info: FieldInfo, parent: QWidget | None = None, *, without: tuple[str, ...] = ()
+    ) -> None:
         super().__init__(parent)
         self.name = name
+        self._heading: QLabel | None = None
         kind, self._optional = _without_none(info.annotation)
-        declared = option_of(info)
-        choices = dict(declared.choices) if isinstance(declared, Setting) else {}
+        option = option_of(info)
+        declared = option if isinstance(option, Setting) else Setting()
+        choices = dict(declared.choices)
         unknown = choices.pop(None, None) if not self._optional or len(choices) == 1 else None
-        self._optional = self._optional and not choices
+        self._optional = self._optional and not choices and declared.usual is None
         label, si_unit = label_and_unit(name)
         unit, self._scale = display_unit(si_unit)
-        label = _(info.title or label).replace("&", "")
-        self.label = label
+        self._title = _(info.title or label)
+        self.label = label = self._title.replace("&", "")
         self._kind = kind
-        self._control = self._choice(choices) if choices else self._make(kind, info, unit)
+        if not choices and get_origin(kind) is Literal:
+            choices = {name: CHOICES.get(str(name), str(name)) for name in get_args(kind) if name not in without}
+        self._control = self._choice(choices) if choices else self._make(kind, info, declared, unit)
         if isinstance(self._control, QLineEdit) and unit:
             self.label = f"{_(label)} ({unit})"
         self._automatic: QCheckBox | None = None
@@ -109,11 +128,37 @@ class OptionField(QWidget):
             widget.setToolTip(f"<qt>{html.escape(description)}</qt>" if description else "")
             widget.installEventFilter(self)
         build.styled(self._control, name=self.label, accessible_description=description, minimum_width=_NARROW)
+        usual = declared.usual if declared.usual is not None else info.get_default()
+        if usual is not PydanticUndefined:
+            self.set_value(usual)
+
+    def place(self, grid: QGridLayout, row: int, **style: Any) -> None:
+        """Put the option into a row of a grid, after a label in a style; both are shown and hidden together."""
+        self._heading = build.styled(QLabel(self._title), **({"word_wrap": True, "buddy": self._control} | style))
+        grid.addWidget(self._heading, row, 0)
+        grid.addWidget(self, row, 1)
+
+    def setVisible(self, visible: bool) -> None:  # noqa: N802
+        """Show or hide the option and its label."""
+        super().setVisible(visible)
+        if self._heading is not None:
+            self._heading.setVisible(visible)
+
+    def limit(self, low: float, high: float) -> None:
+        """Change the bounds of a number, in its displayed unit; ``edited`` is emitted where that changes its value."""
+        assert isinstance(self._control, QDoubleSpinBox)
+        self._control.setRange(low, high)
 
     @property
     def controls(self) -> list[QWidget]:
         """Widgets in tab order."""
         return [self._control] if self._automatic is None else [self._control, self._automatic]
+
+    @property
+    def text(self) -> str:
+        """The label of the value that is chosen."""
+        assert isinstance(self._control, QComboBox)
+        return self._control.currentText()
 
     def value(self) -> Any:
         """Return the value of the option in SI units.
@@ -153,11 +198,11 @@ class OptionField(QWidget):
     def eventFilter(self, watched: QObject, event: QEvent) -> bool:  # noqa: N802
         """Forward undo and redo keys to the form, and ignore the wheel without focus."""
         if isinstance(event, QKeyEvent) and event.type() in (QEvent.Type.ShortcutOverride, QEvent.Type.KeyPress):
-            for keys, signal in (
-                (QKeySequence.StandardKey.Undo, self.undone),
-                (QKeySequence.StandardKey.Redo, self.redone),
+            for keys, signal, name in (
+                (QKeySequence.StandardKey.Undo, self.undone, "undone()"),
+                (QKeySequence.StandardKey.Redo, self.redone, "redone()"),
             ):
-                if event.matches(keys):
+                if event.matches(keys) and self.receivers(SIGNAL(name)):
                     event.accept()
                     if event.type() == QEvent.Type.KeyPress:
                         signal.emit()
@@ -170,16 +215,15 @@ class OptionField(QWidget):
 
     # -- making -------------------------------------------------------------------------------------------
 
-    def _make(self, kind: Any, info: FieldInfo, unit: str) -> QWidget:
+    def _make(self, kind: Any, info: FieldInfo, declared: Setting, unit: str) -> QWidget:
         if kind is bool:
             box = QCheckBox()
             box.toggled.connect(self._tell)
             return box
-        if get_origin(kind) is Literal:
-            return self._choice({choice: CHOICES.get(str(choice), str(choice)) for choice in get_args(kind)})
         if kind is int or kind is float:
             low, high, open_low, open_high = _bounds(info)
-            return self._make_number(kind, (low, high), (open_low, open_high), unit)
+            limits = declared.offered or (low, high)
+            return self._make_number(kind, limits, (open_low, open_high), unit, declared.step)
         line = build.styled(
             QLineEdit(), max_length=_LONGEST, placeholder_text="1, 2, 3" if get_origin(kind) is tuple else ""
         )
@@ -198,7 +242,7 @@ class OptionField(QWidget):
         return combo
 
     def _make_number(
-        self, kind: type, limits: tuple[float, float], opened: tuple[bool, bool], unit: str
+        self, kind: type, limits: tuple[float, float], opened: tuple[bool, bool], unit: str, step: float
     ) -> QSpinBox | QDoubleSpinBox:
         spin: QSpinBox | QDoubleSpinBox
         if kind is int:
@@ -210,7 +254,7 @@ class OptionField(QWidget):
             whole.valueChanged.connect(self._tell)
             spin = whole
         else:
-            number = _GeneralSpin()
+            number = build.styled(NumberField(), decimals=2, single_step=step) if step else _GeneralSpin()
             low_f, high_f = (limit * self._scale for limit in limits)
             number.setRange(_inside(low_f, 1.0) if opened[0] else low_f, _inside(high_f, -1.0) if opened[1] else high_f)
             number.setValue(_SHORT_S if unit == "s" else _START)

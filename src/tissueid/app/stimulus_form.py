@@ -1,4 +1,4 @@
-"""Fields of the Measure form for the stimulus and the live estimates: kind, options, saved file, stop rule, method."""
+"""Parts of the form of a test: the stimulus with its live estimates, and the configuration with its probe."""
 
 from __future__ import annotations
 
@@ -8,25 +8,30 @@ from typing import Any
 
 from pydantic import BaseModel, Field
 from PySide6.QtCore import Qt, Signal
-from PySide6.QtWidgets import QComboBox, QFileDialog, QGridLayout, QLabel, QLineEdit, QWidget
+from PySide6.QtWidgets import QComboBox, QFileDialog, QLabel, QLineEdit, QWidget
 
 from tissueid.acquisition.waveform_file import SUFFIXES, is_waveform
 from tissueid.app import build
-from tissueid.app.form_choices import FROM_FILE, MULTISTEP
 from tissueid.app.option_field import OptionField
+from tissueid.configuration import PROBES
 from tissueid.errors import UnusableInputError
 from tissueid.language import _, marked
-from tissueid.procedures.test_plan import LIVE_METHODS
+from tissueid.messages import translated
+from tissueid.procedures.test_plan import LIVE_METHODS, SPECIFIED
 from tissueid.stimuli import StimulusKind, get_stimulus, stimulus_names
 from tissueid.stimuli.kinds.noise import Noise
-from tissueid.test_settings import FilePlayback
+from tissueid.test_settings import Circumstances, FilePlayback, SetUp, label_of, setting_of
 
+FROM_FILE = "file"
+MULTISTEP = "multistep"
 TITLES = {MULTISTEP: marked("Equal depths, in steps"), FROM_FILE: marked("From a file")}
 """Titles of the choices that are no kinds of stimulus; a kind has its own title."""
 DEPTHS = ("depth_min_m", "depth_max_m")
 """Options that are shown with the presets, above the settings."""
-IN_FORM = ("force_min_n", "force_max_n", "seconds", "seed", "sample_rate")
-"""Options that the form has fields for, or that the instrument decides."""
+IN_FORM = (*SPECIFIED, "sample_rate")
+"""Options that are fields of the plan, or that the instrument decides."""
+_HURTING = ("binary",)
+"""Distributions of noise that are not offered: its edges hurt (thesis 3.1.1)."""
 
 
 class _Steps(BaseModel):
@@ -65,12 +70,7 @@ class StimulusForm(QWidget):
             name=_("File of the stimulus"),
         )
         self.depths = QWidget()
-        self._depths = QGridLayout(self.depths)
-        self._depths.setContentsMargins(0, 0, 0, 0)
-        self._depths.setVerticalSpacing(6)
-        self._depths.setColumnStretch(1, 1)
-        self._deciding: dict[str, Any] = {}
-        self._labels: dict[str, QLabel] = {}
+        self._depths = build.grid(self.depths)
         self.browse = build.button(_("Browse…"), self._choose_file)
         self.stop_when = build.styled(
             QLineEdit(),
@@ -80,20 +80,15 @@ class StimulusForm(QWidget):
             + "\n"
             + _("such as stiffness 2 %; empty: to its end"),
         )
-        self.live_method = QComboBox()
-        for name, title in LIVE_METHODS.items():
-            self.live_method.addItem(_(title), name)
-        self.live_method.setAccessibleName(_("Live response"))
-        self.live_method.setToolTip(
-            _("Impulse response while the test runs. Sliding: least squares of the last 10 s, with a band.")
+        self.live_method = build.choice(
+            {name: _(title) for name, title in LIVE_METHODS.items()},
+            name=_("Live response"),
+            tip=_("Impulse response while the test runs. Sliding: least squares of the last 10 s, with a band.")
             + "\n"
-            + _("Recursive: least squares of all samples. Adaptive: follows a response that changes with depth.")
+            + _("Recursive: least squares of all samples. Adaptive: follows a response that changes with depth."),
         )
         self.controls: dict[str, OptionField] = {}
-        self._grid = QGridLayout(self)
-        self._grid.setContentsMargins(0, 0, 0, 0)
-        self._grid.setVerticalSpacing(6)
-        self._grid.setColumnStretch(1, 1)
+        self._grid = build.grid(self)
         self._saved = QWidget()
         build.row((self.file, 1), self.browse, parent=self._saved)
         self._stop_label = build.styled(QLabel(_("Stop at uncertainty")), word_wrap=True)
@@ -161,11 +156,6 @@ class StimulusForm(QWidget):
                     changed[name] = value
         return changed
 
-    def decide(self, option: str, value: Any) -> None:
-        """Take the value of an option that has its field elsewhere, and show the options that depend on it."""
-        self._deciding[option] = value
-        self.update_shown()
-
     def values(self) -> dict[str, Any]:
         """The fields of ``TestPlan`` that stand here.
 
@@ -216,25 +206,20 @@ class StimulusForm(QWidget):
                 if item is not None and (widget := item.widget()) is not None:
                     widget.hide()
                     widget.deleteLater()
-        self.controls, self._labels = {}, {}
+        self.controls = {}
         chosen = self.chosen
         self._saved.setVisible(chosen == FROM_FILE)
         for widget in (self._stop_label, self.stop_when, self._live_label, self.live_method):
             widget.setVisible(self._stops)
-        elsewhere = (*IN_FORM, "distribution") if chosen == Noise.name else IN_FORM
         for name, info in _model(chosen).model_fields.items():
-            if name in elsewhere:
+            if name in IN_FORM:
                 continue
-            field = OptionField(name, info)
-            field.set_value(info.get_default())
+            field = OptionField(name, info, without=_HURTING if chosen == Noise.name else ())
             field.edited.connect(self.update_shown)
             field.edited.connect(self.changed)
-            label = build.styled(QLabel(field.label), word_wrap=True)
             grid, row = (self._depths, 0) if name in DEPTHS else (self._grid, self._rows)
-            row += len(self.controls)
-            grid.addWidget(label, row, 0)
-            grid.addWidget(field, row, 1)
-            self.controls[name], self._labels[name] = field, label
+            field.place(grid, row + len(self.controls))
+            self.controls[name] = field
         self.depths.setVisible(any(name in DEPTHS for name in self.controls))
         self.update_shown()
         self.kind_changed.emit()
@@ -246,17 +231,12 @@ class StimulusForm(QWidget):
             return name != "file_rate_hz" or is_waveform(Path(self.file.text().strip()))
         kind = _model(self.chosen)
         rule = kind.applies.get(name) if issubclass(kind, StimulusKind) else None
-        if rule is None:
-            return True
-        deciding = self.controls.get(rule[0])
-        return (self._deciding.get(rule[0]) if deciding is None else deciding.value()) in rule[1]
+        return rule is None or self.controls[rule[0]].value() in rule[1]
 
     def update_shown(self) -> None:
         """Show the options that apply."""
         for name, field in self.controls.items():
-            used = self._is_used(name)
-            for widget in (self._labels[name], field):
-                widget.setVisible(used)
+            field.setVisible(self._is_used(name))
 
     def _choose_file(self) -> None:
         kinds = " ".join(f"*{suffix}" for suffix in (".json", *SUFFIXES))
@@ -296,3 +276,92 @@ def _targets(text: str) -> tuple[str, ...]:
             f"{names.get(name, name)}={float(share) / 100.0:g}" if percent else f"{names.get(name, name)}={share}"
         )
     return tuple(targets)
+
+
+_USUAL_SPRING_N_PER_M = 200.0
+_WHAT = {
+    "indentation": marked("The probe pushes into the tissue"),
+    "extension": marked("The probe is stuck on and moves along the skin, which it stretches"),
+    "surface": marked("The probe slides on the surface against an external spring, which is subtracted"),
+}
+_SET_UP = {**SetUp.model_fields, **Circumstances.model_fields}
+_ELSEWHERE = ("probe", "minutes_since_application")
+"""Settings with a control of their own."""
+
+
+class ConfigurationChooser(QWidget):
+    """Configuration, probe, and the settings of the configuration: only what goes together can be chosen.
+
+    ``changed`` is sent whenever one of them has another value.
+    """
+
+    changed = Signal()
+
+    def __init__(self, parent: QWidget | None = None) -> None:
+        super().__init__(parent)
+        self.settings = {name: OptionField(name, info) for name, info in _SET_UP.items() if name not in _ELSEWHERE}
+        self.probe = build.styled(QComboBox(), name=_("Probe"))
+        grid = build.grid(self, vertical_spacing=5, horizontal_spacing=8)
+        grid.addWidget(build.styled(QLabel(_(label_of("probe"))), role="field", buddy=self.probe), 1, 0)
+        grid.addWidget(self.probe, 1, 1)
+        for place, (name, field) in enumerate(self.settings.items()):
+            field.place(grid, place + bool(place), role="field", word_wrap=False)
+            field.edited.connect(self._go_together if name == "configuration" else self.changed)
+        self.probe.currentIndexChanged.connect(self._describe)
+        self._go_together()
+
+    @property
+    def fields(self) -> list[QWidget]:
+        """The controls from top to bottom."""
+        first, *others = self.settings.values()
+        return [*first.controls, self.probe, *(control for field in others for control in field.controls)]
+
+    @property
+    def chosen(self) -> str:
+        """The name of the configuration."""
+        return str(self.settings["configuration"].value())
+
+    def values(self) -> dict[str, Any]:
+        """Return the fields of a plan that are chosen here."""
+        values = {
+            name: field.value() if self._has(name) else _SET_UP[name].get_default()
+            for name, field in self.settings.items()
+        }
+        return values | {"probe": self.probe.currentData()}
+
+    def choose(self, probe: str | None = None, **values: Any) -> None:
+        """Choose settings by their names, the default for others; the first probe of the configuration for None.
+
+        Raises:
+            KeyError: there is no such setting.
+        """
+        if unknown := values.keys() - self.settings.keys():
+            raise KeyError(*unknown)
+        for name, field in self.settings.items():
+            field.set_value(values.get(name, _SET_UP[name].get_default()))
+        self._go_together()
+        self.probe.setCurrentIndex(0 if probe is None else self.probe.findData(probe))
+
+    def _has(self, name: str) -> bool:
+        """Return whether the chosen configuration has a setting."""
+        only = setting_of(name).only
+        return not only or self.chosen in only
+
+    def _go_together(self) -> None:
+        """Offer the probes and the settings of the configuration."""
+        self.probe.clear()
+        for probe in PROBES.values():
+            if probe.configuration == self.chosen:
+                self.probe.addItem(probe.name, probe.name)
+        for name, field in self.settings.items():
+            field.setVisible(self._has(name))
+        spring = self.settings["external_spring_n_per_m"]
+        if self._has(spring.name) and not spring.value():
+            spring.set_value(_USUAL_SPRING_N_PER_M)
+        self.settings["configuration"].setToolTip(_(_WHAT.get(self.chosen, "")))
+        self._describe()
+        self.changed.emit()
+
+    def _describe(self) -> None:
+        if (probe := PROBES.get(self.probe.currentData())) is not None:
+            self.probe.setToolTip(translated(probe.words))

@@ -15,7 +15,6 @@ from tissueid.app.context import AppContext
 from tissueid.app.layout import Layout
 from tissueid.app.navigation_bar import MEASURE
 from tissueid.app.number_field import OptionalNumberField
-from tissueid.app.presets import why_not_offered
 from tissueid.app.session_jobs import find
 from tissueid.app.views.clinician.sitting import NORM, Repeat, repeat_of
 from tissueid.app.views.clinician.study_card import condition_words
@@ -251,8 +250,8 @@ class StudySitting(QObject):
             "under_probe": "",
         }
         self._ui.form.fill(values | ({} if protocol.seconds is None else {"seconds": protocol.seconds}))
-        if words := why_not_offered(protocol.preset, self._ui.form.max_force.maximum()):
-            self._say(words, problem=True)
+        if why := protocol.preset.why_not(self._ui.form.most_n):
+            self._say(translated(why), problem=True)
 
     def _save(self, values: dict[str, str]) -> None:
         state = self.state

@@ -16,7 +16,7 @@ from tissueid.messages import Message, Verbatim
 from tissueid.plan_options import Option, name_and_value, named_values
 from tissueid.procedures.control import Control
 from tissueid.procedures.pseudonyms import PseudonymConfirmed, check_subject
-from tissueid.test_settings import USUAL_FORCE_N, USUAL_SECONDS, FilePlayback, TestSettings
+from tissueid.test_settings import USUAL_FORCE_N, USUAL_SECONDS, FilePlayback, Setting, TestSettings
 
 if TYPE_CHECKING:  # each takes long to import
     from tissueid.identification.live.stopping import StopRule
@@ -40,7 +40,7 @@ LIVE_METHODS: dict[LiveMethod, str] = {
 """Short titles of the methods, for forms."""
 _ANY_RATE_HZ = 2000.0
 """Sample rate at which options are checked before an instrument is open, Hz."""
-_SPECIFIED = {
+SPECIFIED = {
     "force_min_n": "min_force_n",
     "force_max_n": "max_force_n",
     "seconds": "seconds",
@@ -139,14 +139,25 @@ class TestPlan(FilePlayback, TestSettings):
             help="impulse response of --live: sliding (default, least squares of the last 10 s), rls or als",
         ),
     ] = None
-    repeats: Annotated[int, Option("--repeats", help="number of runs of the test"), Field(ge=1, le=100)] = 1
+    repeats: Annotated[
+        int,
+        Setting("--repeats", help="number of runs of the test", offered=(1, 20)),
+        Field(
+            title=marked("Repeats"), description=marked("Tests one after another, in one session file"), ge=1, le=100
+        ),
+    ] = 1
     place_again: Annotated[
         bool, Option("--place-again", help="find the surface before each repeat, not only before the first")
     ] = False
     rest_s: Annotated[
         float,
-        Option("--rest", metavar="SECONDS", help="pause between repeats, to cool the coil"),
-        Field(ge=0.0, le=600.0),
+        Setting("--rest", metavar="SECONDS", help="pause between repeats, to cool the coil", step=10.0),
+        Field(
+            title=marked("Rest between repeats"),
+            description=marked("Pause between the tests, to cool the coil"),
+            ge=0.0,
+            le=600.0,
+        ),
     ] = 0.0
     limits: Annotated[str, Option("--limits", help="clinical (12 N) or research (15 N)")] = "clinical"
     subject: Annotated[str, Option("--subject", metavar="PSEUDONYM", help="pseudonym, never a name")] = ANONYMOUS
@@ -204,7 +215,7 @@ class TestPlan(FilePlayback, TestSettings):
             raise UnusableInputError("plan.target", "--target needs --multistep")
         if self.stimulus_file is None:
             self.specification(_ANY_RATE_HZ)
-        elif self._own_stimulus or any(getattr(self, name) is not None for name in _SPECIFIED.values()):
+        elif self._own_stimulus or any(getattr(self, name) is not None for name in SPECIFIED.values()):
             raise saved_stimulus_options(self.stimulus_file)
 
     def _check_depths(self) -> None:
@@ -319,7 +330,7 @@ class TestPlan(FilePlayback, TestSettings):
 
     def _given(self) -> dict[str, tuple[str, float]]:
         """Return name on the command line and value of the stimulus options that are given, by option of the kind."""
-        return named_values(self, _SPECIFIED)
+        return named_values(self, SPECIFIED)
 
     def within(self, greatest_n: float) -> Self:
         """Return this plan for an instrument with a maximum force of ``greatest_n``, N: the usual force is lowered."""

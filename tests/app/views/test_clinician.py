@@ -10,7 +10,7 @@ from PySide6.QtCore import Qt
 from tissueid.acquisition import Phase
 from tissueid.acquisition.surface_detection import Contact, contact_of_free
 from tissueid.app.contact_watcher import contact_in_test
-from tissueid.app.form_choices import SITES
+from tissueid.app.form import SITES
 from tissueid.app.live_signals import Snapshot
 from tissueid.app.safety import Safety
 from tissueid.app.views.clinician.body_map import HEIGHT, SPOTS, WIDTH, outline
@@ -164,7 +164,7 @@ def test_the_light_follows_a_test(seen, said):
 
 def test_contact_is_watched_before_a_test_and_the_test_takes_over(qtbot, window, bench):
     lamp = window.ui.guidance.lamp
-    window.ui.form.seconds.setValue(1.0)
+    window.ui.form.fill({"seconds": 1.0})
     window.ui.form.site.setCurrentText("left calf")
     press(qtbot, lamp.watch)
     qtbot.waitUntil(lambda: lamp.contact is Contact.ON, timeout=WAIT_MS)
@@ -275,7 +275,7 @@ def test_the_button_on_the_instrument_starts_a_test(qtbot, open_window, bench):
 
     window = open_window(opener=opener, calibrate=lambda _: None)
     lamp = window.ui.guidance.lamp
-    window.ui.form.seconds.setValue(1.0)
+    window.ui.form.fill({"seconds": 1.0})
     window.ui.form.site.setCurrentText("left calf")
     press(qtbot, lamp.watch)
     qtbot.waitUntil(lamp.arm.isVisible, timeout=WAIT_MS)

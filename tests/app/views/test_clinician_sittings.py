@@ -30,7 +30,7 @@ def test_repeats_are_counted_and_accepted(qtbot, open_window, bench, tmp_path):
     window = open_window(opener=seeded(bench))
     ui, bar = window.ui, window.ui.gate.repeats
     ui.form.fold.setChecked(True)
-    ui.form.seconds.setValue(1.0)
+    ui.form.fill({"seconds": 1.0})
     ui.form.site.setCurrentText("left calf")
     run_test(qtbot, window, ui.start)
     assert bar.isVisible()
@@ -153,24 +153,24 @@ def handheld(url):
 def test_the_usual_force_goes_down_to_what_the_instrument_gives(qtbot, open_window):
     window = open_window(opener=handheld, role="researcher")
     ui = window.ui
-    ui.form.seconds.setValue(1.0)
+    ui.form.fill({"seconds": 1.0})
     ui.form.site.setCurrentText("left calf")
-    assert ui.form.max_force.value() == 10.5
+    assert ui.form.options["max_force_n"].value() == 10.5
     run_test(qtbot, window, ui.start)
     assert window.findings.test.stimulus["stimulus"]["force_max_n"] == 7.8
-    assert ui.form.max_force.value() == 7.8
+    assert ui.form.options["max_force_n"].value() == 7.8
     assert "0.5 to 7.8 N" in ui.form.summary.text()
     assert window.clinician.sitting.continues(ui.form.plan())
     ui.form.instrument.choice.setEditText("simulated://spring")
-    assert ui.form.max_force.value() == 10.5
+    assert ui.form.options["max_force_n"].value() == 10.5
 
 
 def test_a_force_of_ones_own_is_not_changed(window):
     form = window.ui.form
-    form.max_force.setValue(6.0)
+    form.fill({"max_force_n": 6.0})
     form.tell_force(form.instrument.url, 7.8)
-    assert form.max_force.value() == 6.0
-    assert form.max_force.maximum() == 7.8
+    assert form.options["max_force_n"].value() == 6.0
+    assert form.options["max_force_n"].controls[0].maximum() == 7.8
     assert not form.plan().lower_force
 
 

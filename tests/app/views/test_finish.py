@@ -53,7 +53,7 @@ def sitting(qtbot, open_window, bench, monkeypatch):
 
         window = open_window(opener=opener, **changes)
         ui = window.ui
-        ui.form.seconds.setValue(1.0)
+        ui.form.fill({"seconds": 1.0})
         ui.form.site.setCurrentText("left calf")
         ui.form.subject.setText("P-7")
         for _ in range(count):

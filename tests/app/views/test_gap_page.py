@@ -409,7 +409,12 @@ def test_the_next_test_is_prepared_without_a_command_line(qtbot, diagnosed):
     press(qtbot, page.result.next.prepare)
     form = window.ui.form
     assert window.ui.page == "measure"
-    assert (form.min_force.value(), form.max_force.value(), form.seconds.value(), form.seed.value()) == (1.5, 9, 3, 4)
+    assert (
+        form.options["min_force_n"].value(),
+        form.options["max_force_n"].value(),
+        form.options["seconds"].value(),
+        form.options["seed"].value(),
+    ) == (1.5, 9, 3, 4)
     assert not window.testing
     assert "Prepared" in window.ui.notice.text.text()
 
@@ -451,7 +456,7 @@ def test_every_candidate_test_is_prepared_on_the_form(qtbot, diagnosed, answers,
     stimulus, under, seconds = PREPARED[kind]
     assert page.result.next.put.isVisible() == bool(under)
     form = window.ui.form
-    form.under_probe.setCurrentIndex(1)
+    form.fill({"kind": "spring"})
     press(qtbot, page.result.next.prepare)
     assert window.ui.page == "measure"
     plan = form.plan()
