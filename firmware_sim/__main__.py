@@ -78,6 +78,12 @@ def _parser() -> argparse.ArgumentParser:
     )
     parser.add_argument("--initial-length", type=float, metavar="MM", help="extension: length between the faces")
     parser.add_argument(
+        "--normal-preload",
+        type=float,
+        metavar="N",
+        help="sliding: force on the skin, and dry friction in its proportion",
+    )
+    parser.add_argument(
         "--variation",
         type=float,
         nargs="?",
@@ -132,6 +138,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
             lotion=options.lotion,
             orientation_deg=options.orientation,
             initial_length_m=None if options.initial_length is None else 1e-3 * options.initial_length,
+            normal_preload_n=options.normal_preload,
             variation=options.variation,
             subject=options.subject,
             effects=dict(options.hide) or None,

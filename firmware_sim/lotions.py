@@ -2,9 +2,9 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import astuple, dataclass, replace
 
-from firmware_sim.tissue import Tissue
+from firmware_sim.tissue import Friction, Tissue
 
 
 @dataclass(frozen=True)
@@ -44,6 +44,8 @@ def with_lotion(tissue: Tissue, name: str) -> Tissue:
             tissue,
             stiffness=replace(tissue.stiffness, coefficient=spring + lotion.surface_stiffness * own),
             damping=replace(tissue.damping, coefficient=lotion.surface_damping * tissue.damping.coefficient),
+            friction=tissue.friction
+            and Friction(*(lotion.surface_damping * value for value in astuple(tissue.friction))),
         )
     if not tissue.branches or tissue.extension is not None:  # of the presets, only skin relaxes
         raise ValueError(f"tissue {tissue.name}: a lotion is for skin under a probe that pushes or slides")

@@ -13,7 +13,7 @@ from pydantic import BaseModel, ConfigDict, Field, ValidationError, model_valida
 from firmware_sim.bench import Bench
 from firmware_sim.converters import CHANNELS, ChannelError
 from firmware_sim.device_models import MODELS
-from firmware_sim.effects import read_effects
+from firmware_sim.effects import in_order, read_effects
 from firmware_sim.effects.base import Effect
 from firmware_sim.faults import PlannedFault
 from firmware_sim.identity import Identity
@@ -95,6 +95,8 @@ class Scenario(BaseModel):
     """Angle of a strip in extension against the limb's axis."""
     initial_length_m: Annotated[float | None, _between(1e-3, 0.1)] = None
     """Initial length of a strip in extension."""
+    normal_preload_n: Annotated[float | None, Field(gt=0.0, le=15.0, allow_inf_nan=False)] = None
+    """Force that presses a slider onto the skin: its friction is then dry, and proportional to this force."""
     lotion: str | None = None
     """Lotion on the skin."""
     stage: bool | None = None
@@ -118,8 +120,9 @@ class Scenario(BaseModel):
 
     @property
     def acting(self) -> tuple[Effect, ...]:
-        """The effects, in the order of the plant."""
-        return read_effects(self.effects)
+        """The effects, in the order of the plant, with the friction of a slider under a normal preload."""
+        own = read_effects(self.effects)
+        return own if self.normal_preload_n is None else in_order([*own, self._skin.pressed(self.normal_preload_n)[1]])
 
     @model_validator(mode="after")
     def _channels_exist(self) -> Self:
@@ -147,17 +150,22 @@ class Scenario(BaseModel):
 
     @property
     def tissue(self) -> Tissue:
-        """The tissue of the preset with lotion, orientation, length and probe.
+        """The tissue of the preset with lotion, normal preload, orientation, length and probe.
 
         Raises:
             ValueError: one of them does not go with the preset.
         """
-        tissue = load_preset(self.preset)
-        if self.lotion is not None:
-            tissue = with_lotion(tissue, self.lotion)
+        tissue = self._skin
+        if self.normal_preload_n is not None:
+            tissue = tissue.pressed(self.normal_preload_n)[0]
         if self.orientation_deg is not None or self.initial_length_m is not None:
             tissue = tissue.stretched(self.orientation_deg, self.initial_length_m)
         return tissue if self.probe is None else tissue.with_probe(read_probe(self.probe))
+
+    @property
+    def _skin(self) -> Tissue:
+        tissue = load_preset(self.preset)
+        return tissue if self.lotion is None else with_lotion(tissue, self.lotion)
 
     def bench(self) -> Bench:
         """Return the bench of this scenario."""

@@ -9,6 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from firmware_sim import kernel
+from firmware_sim.effects.mechanics import DryFriction
 from firmware_sim.layers import LAYER_VALUES, Layer, layer_problem, layer_values
 from firmware_sim.probe import FOUNDATION_SHARE, REFERENCE, Probe
 
@@ -21,6 +22,8 @@ _KIND_CODES = {
     "hammerstein": kernel.HAMMERSTEIN,
 }
 _SMALLEST_FREE_MASS_KG = 0.002
+PRESLIDING_M = 1e-4
+"""Displacement before a slider slips over skin, m; an estimate."""
 
 
 @dataclass(frozen=True)
@@ -86,6 +89,14 @@ class Extension:
 
 
 @dataclass(frozen=True)
+class Friction:
+    """Dry friction of a slider on skin, proportional to the force that presses it on, and the damping that remains."""
+
+    coefficient: float
+    damping_n_s_per_m: float
+
+
+@dataclass(frozen=True)
 class Tissue:
     """Mechanical law under the probe, SI, positive into the tissue.
 
@@ -111,6 +122,7 @@ class Tissue:
     - ``layers``: layers in series, in parallel with the law above (``firmware_sim.layers``).
     - ``extension``: orientation and length of a stretched strip.
     - ``external_spring_n_per_m``: part of the constant stiffness of the kind ``linear`` that is not the tissue's.
+    - ``friction``: dry friction instead of the constant damping under a known normal preload; see ``pressed``.
     - ``probe``: a round probe other than the reference probe (``firmware_sim.probe``); see ``with_probe``.
 
     Raises:
@@ -135,6 +147,7 @@ class Tissue:
     layers: tuple[Layer, ...] = ()
     extension: Extension | None = None
     external_spring_n_per_m: float = 0.0
+    friction: Friction | None = None
     probe: Probe | None = None
     title: str = ""
     sources: dict[str, str] = field(default_factory=dict, compare=False, repr=False)
@@ -188,6 +201,8 @@ class Tissue:
                 yield "the orientation of a strip must be between -180 and 180 degrees"
         if not 0.0 <= self.external_spring_n_per_m <= self.stiffness.coefficient and self.kind == "linear":
             yield "the external spring must be a part of the stiffness"
+        if self.friction is not None and min(self.friction.coefficient, self.friction.damping_n_s_per_m) < 0:
+            yield "friction and its damping must not be negative"
 
     def _exponentials(self) -> tuple[Exponential, ...]:
         laws = self.mass, self.damping, self.stiffness
@@ -272,6 +287,22 @@ class Tissue:
         return replace(
             self, extension=replace(self.extension, **{name: v for name, v in given.items() if v is not None})
         )
+
+    def pressed(self, normal_preload_n: float) -> tuple[Tissue, DryFriction]:
+        """Return the tissue under a slider that is pressed on with a force, N, and its friction.
+
+        The friction is dry: proportional to that force, against the motion, after a displacement of presliding.
+
+        Raises:
+            ValueError: the tissue has no friction.
+        """
+        if self.friction is None:
+            raise ValueError(f"tissue {self.name}: a normal preload is for a tissue that has friction")
+        friction = DryFriction(
+            level=self.friction.coefficient * normal_preload_n, breakaway_share=0.0, presliding_m=PRESLIDING_M
+        )
+        damping = Exponential(self.friction.damping_n_s_per_m)
+        return replace(self, damping=damping), friction
 
     def has(self, extra: str) -> bool:
         """Return whether an extra is on."""

@@ -14,7 +14,7 @@ from importlib.resources.abc import Traversable
 from typing import Any, TypeVar
 
 from firmware_sim.layers import Layer
-from firmware_sim.tissue import Branch, Exponential, Extension, Pulled, Tissue
+from firmware_sim.tissue import Branch, Exponential, Extension, Friction, Pulled, Tissue
 
 _LAWS = ("mass", "damping", "stiffness")
 _UNITS = {"mass": "kg", "damping": "n_s_per_m", "stiffness": "n_per_m"}
@@ -74,6 +74,7 @@ def parse_preset(name: str, text: str) -> Tissue:
     layers = reader.layers()
     pulled = reader.part("pulled", Pulled, ("stiffness_rate_per_m", "damping_rate_per_m"))
     extension = reader.part("extension", Extension, ("fibre_deg", "across_rate_per_m", "reference_length_m"))
+    friction = reader.part("friction", Friction, ("coefficient", "damping_n_s_per_m"))
     figures: dict[str, Any] = {
         item: reader.figure(path) for item, path in _FIELDS.items() if reader.has(path) or item == "surface_m"
     }
@@ -90,6 +91,7 @@ def parse_preset(name: str, text: str) -> Tissue:
         layers=layers,
         pulled=pulled,
         extension=extension,
+        friction=friction,
         sources=reader.sources,
         **figures,
     )

@@ -381,7 +381,8 @@ def test_a_test_unlike_its_repeats():
     desk.run(), desk.run()
     law = desk.bench.plant.tissue
     stiffness = replace(law.stiffness, coefficient=1.5 * law.stiffness.coefficient)
-    desk.bench.plant.tissue = replace(law, stiffness=stiffness)
+    layers = tuple(replace(layer, stiffness_n_per_m=1.5 * layer.stiffness_n_per_m) for layer in law.layers)
+    desk.bench.plant.tissue = replace(law, stiffness=stiffness, layers=layers)
     findings = [f for f in judge(desk.run(), DEVICE, desk.tests[:-1]).findings if f.code == "unusual"]
     assert {f.severity for f in findings} == {"look", "repeat"}
 

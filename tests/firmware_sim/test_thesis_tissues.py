@@ -32,11 +32,11 @@ HORIZONTAL = PlantParameters(gravity_force_n=0.0)
 # Last position and standard deviations of speed and current in the first 1.5 s of the uniform standard test, before any
 # of these tissues existed.
 BEFORE = {
-    "acrylamide-20": (0.011619237033960932, 0.16041056406769907, 1.1195902162369757),
+    "acrylamide-20": (0.011643300382297717, 0.16277217366050198, 1.119224351427775),
     "buna": (0.010499479272800238, 0.06433455684036375, 1.1210294622377985),
     "calibration-spring": (0.013054917847754493, 0.18445635638199306, 1.1218515856395168),
     "hammerstein-demo": (0.01154700720379552, 0.07044856967808572, 1.1233936440770018),
-    "latex": (0.014904854336618931, 0.13367662638455596, 1.119027815007213),
+    "latex": (0.014764911386666064, 0.13346282991745523, 1.1190538306849451),
     "linear-demo": (0.010752303027770057, 0.07726960610413733, 1.1218753267372576),
     "sliding-forearm": (0.01393150336939787, 0.11352115974170156, 1.1198265562748375),
     "wiener-demo": (0.014043067643975914, 0.24047566704005308, 1.1033819137588043),
@@ -100,6 +100,53 @@ def test_the_tangent_is_the_slope_of_the_elastic_force(tissue):
     for depth in (-2e-3, -1e-3, 5e-4, 2e-3):
         slope = (tissue.elastic_force(depth + 1e-7) - tissue.elastic_force(depth - 1e-7)) / 2e-7
         assert tissue.tangent_stiffness(depth) == pytest.approx(slope, rel=1e-5)
+
+
+@pytest.mark.parametrize("probe", ["indenter-4.3mm", "indenter-5mm"])
+@pytest.mark.parametrize("preset", ["acrylamide-10", "acrylamide-20", "acrylamide-30", "latex"])
+def test_the_stiffness_of_materials_is_a_sigmoid_of_depth_and_that_of_skin_is_not(preset, probe):
+    depths = np.linspace(0.4e-3, 6e-3, 29)  # beyond the corner of the probe
+    material, skin = (
+        np.diff([tissue.with_probe(PROBES[probe]).tangent_stiffness(depth) for depth in depths])
+        for tissue in (load_preset(preset), load_preset(DEFAULT))
+    )
+    assert np.all(material > 0.0)
+    assert material[-1] < 0.35 * material.max()  # it levels off
+    assert np.all(np.diff(skin) > 0.0)
+
+
+# -- sliding ----------------------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("lotion", [None, "chanel"])
+@pytest.mark.parametrize("normal_n", [0.5, 1.0, 4.0])
+def test_friction_is_dry_and_proportional_to_the_normal_preload(normal_n, lotion):
+    """In a slow cycle the force on the way there and that on the way back differ by twice the friction."""
+    scenario = load_scenario(
+        None, preset="sliding-preloaded-skin", normal_preload_n=normal_n, lotion=lotion, tilt_deg=90.0
+    )
+    (friction,) = scenario.acting
+    assert friction.level == pytest.approx((0.3 if lotion is None else 0.7 * 0.3) * normal_n)
+    half = np.linspace(-6.0, 6.0, 6000)
+    bench = scenario.bench()
+    trace = bench.plant.advance(np.concatenate([np.linspace(0.0, -6.0, 3000), half, half[::-1]]) * VOLTS_PER_NEWTON)
+    there, back = (trace[first : first + 6000] for first in (3000, 9000))
+    middle = 0.5 * (there["position"].mean() + back["position"].mean())
+    forces = [
+        3.0 * np.interp(middle, *zip(*sorted(zip(w["position"], w["current"], strict=True)), strict=True))
+        for w in (there, back)
+    ]
+    speed = np.ptp(there["position"]) / 3.0
+    viscous = 2.0 * speed * (scenario.tissue.damping.coefficient + 3.5)
+    assert forces[0] - forces[1] == pytest.approx(2.0 * friction.level + viscous, rel=0.02)
+
+
+def test_without_a_normal_preload_nothing_rubs():
+    scenario = load_scenario(None, preset="sliding-preloaded-skin")
+    assert scenario.acting == ()
+    assert scenario.tissue == load_preset("sliding-preloaded-skin")
+    with pytest.raises(ValueError, match="a normal preload is for a tissue that has friction"):
+        load_scenario(None, preset="sliding-forearm", normal_preload_n=1.0)
 
 
 # -- attached tissue --------------------------------------------------------------------------------------------
