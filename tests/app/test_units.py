@@ -19,7 +19,6 @@ from tissueid.app.views.clinician.comparing import Sighting, SittingComparison
 from tissueid.app.views.clinician.comparison_card import ComparisonCard
 from tissueid.app.views.clinician.repeat_bar import SittingSummary
 from tissueid.app.views.clinician.sitting import Repeat, Sitting, standing
-from tissueid.app.views.gap.page_content import Fitted, Rival
 from tissueid.app.views.gap.result_tabs import CandidatesTab
 from tissueid.app.views.researcher.plot_stack import SpectrumCard
 from tissueid.app.views.researcher.save_dialog import write_figure
@@ -30,6 +29,7 @@ from tissueid.app.views.technician.calibration_panels import SweepsPanel
 from tissueid.calibration import CalibratedQuantity
 from tissueid.calibration.labels import label_of
 from tissueid.formatting import figure_text, value_and_rest
+from tissueid.gap.diagnosis_content import Fitted, Rival
 from tissueid.procedures.test_plan import TestPlan
 from tissueid.records import Estimate
 from tissueid.sessions import read_session

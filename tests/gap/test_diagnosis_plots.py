@@ -6,7 +6,7 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
-from tissueid.gap.diagnosis_curves import GapProfile, GapSpectrum, SignalOverlay
+from tissueid.gap.diagnosis_content import GapProfile, GapSpectrum, SignalOverlay
 from tissueid.gap.diagnosis_plots import (
     overlay_plots,
     profile_plot,

@@ -8,8 +8,8 @@ import numpy as np
 import pytest
 from coded import shows
 
-from tissueid.gap.answer import GapHistory, GapHistoryEntry, history_headline
 from tissueid.gap.diagnosis_plots import history_plot
+from tissueid.gap.statement import GapHistory, GapHistoryEntry, history_headline
 from tissueid.messages import Message
 
 

@@ -18,8 +18,9 @@ from tissueid.device import DeviceDescription
 from tissueid.gap.diagnosis import Diagnosis, NextExperiment, diagnose
 from tissueid.gap.diagnosis_plots import largest_held_out_error
 from tissueid.gap.preparation import prepare
+from tissueid.gap.statement import headline_of, next_steps_of
 from tissueid.gap.workers import SerialExecutor
-from tissueid.reports.gap_page import DiagnosisOrigin, gap_html, headline_of, next_steps_of
+from tissueid.reports.gap_page import DiagnosisOrigin, gap_html
 from tissueid.reports.gap_panels import gap_panels
 from tissueid.reports.page import write_text_atomically
 from tissueid.sessions import Session, Subject, Test

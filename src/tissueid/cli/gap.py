@@ -19,10 +19,12 @@ from tissueid.cli.output import (
 from tissueid.errors import CancelledError, UnusableInputError
 from tissueid.formatting import number
 from tissueid.gap import Diagnosis, as_answer
-from tissueid.gap.answer import GapHistory, GapHistoryEntry, history_headline
 from tissueid.gap.statement import (
+    GapHistory,
+    GapHistoryEntry,
     alternatives_of,
     headline_of,
+    history_headline,
     members_of,
     ordered_candidates,
     percent,

@@ -1,21 +1,45 @@
-"""The diagnosis as plain values for JSON, under the contract's names, SI."""
+"""What a diagnosis says: the content of page and report, its JSON, and stored answers.
+
+Answers are stored so that long work on many sessions can be interrupted and resumed: ``answers/NAME.json`` in a folder
+holds one each, written atomically by the process that computed it. Each file has the SHA-256 of its content, so that a
+changed one is never scored or reported.
+"""
 
 from __future__ import annotations
 
 import hashlib
 import json
-from collections.abc import Sequence
-from dataclasses import dataclass
-from datetime import UTC, datetime
+from collections.abc import Iterator, Sequence
 from pathlib import Path
 from typing import Any
 
+import numpy as np
+
 from tissueid.atomic_write import atomic_file, private_folder
 from tissueid.errors import UnusableInputError
-from tissueid.gap.diagnosis import Diagnosis
-from tissueid.gap.statement import Level, alternatives_of, effect_title, headline_of, members_of, ordered_candidates
+from tissueid.formatting import number
+from tissueid.gap.diagnosis import Diagnosis, Ranked, parameters_of
+from tissueid.gap.diagnosis_content import DiagnosisContent, Fitted, Rival, SignalOverlay, StageContent
+from tissueid.gap.diagnosis_plots import PROFILES, budget_rows, gap_spectrum, overlays_of, profile_values
+from tissueid.gap.noise import MARGIN
+from tissueid.gap.statement import (
+    alternatives_of,
+    described,
+    effect_title,
+    headline_of,
+    members_of,
+    next_steps_of,
+    ordered_candidates,
+    percent,
+    sentences_of,
+    shown_probability,
+)
+from tissueid.gap.twin_export import stds_of
 from tissueid.language import marked
-from tissueid.messages import Listing, Message, Verbatim, stored
+from tissueid.messages import MISSING, Listing, Message, sentences, stored
+from tissueid.records import Estimate
+from tissueid.twin.catalogue import all_effects
+from tissueid.twin.effect import STAGES, Stage
 
 
 def as_answer(found: Diagnosis) -> dict[str, Any]:
@@ -96,92 +120,174 @@ def _budget(found: Diagnosis) -> list[dict[str, Any]]:
     ]
 
 
-@dataclass(frozen=True)
-class GapHistoryEntry:
-    """One session: its file, its time of recording (ISO 8601; "" where unknown) and its diagnosis.
-
-    ``answer`` is the JSON of ``gap diagnose`` against the twin; None where the session cannot be used, for the
-    ``reason``.
-    """
-
-    file: str
-    created: str
-    answer: dict[str, Any] | None
-    reason: str = ""
-
-    @property
-    def grew(self) -> bool:
-        """Whether there is a gap against the twin: more than noise and what the twin is known to leave."""
-        return self.answer is not None and self.answer["verdict"] != "no_gap"
-
-    @property
-    def combination(self) -> tuple[str, ...]:
-        """Named new effects."""
-        return () if self.answer is None else tuple(self.answer["combination"])
-
-    @property
-    def time(self) -> datetime | None:
-        """Time of recording, UTC; None where it is unknown."""
-        try:
-            found = datetime.fromisoformat(self.created)
-        except ValueError:
-            return None
-        return found.astimezone(UTC) if found.tzinfo is not None else found.replace(tzinfo=UTC)
-
-    def gap(self, name: str) -> float:
-        """Return a figure of the gap, such as ``before``; NaN where there is none."""
-        value = None if self.answer is None else self.answer["gap"][name]
-        return float("nan") if value is None else float(value)
-
-    def as_answer(self) -> dict[str, Any]:
-        """Return plain values for JSON, SI."""
-        if self.answer is None:
-            reason = self.reason.as_dict() if isinstance(self.reason, Message) else None
-            return {"file": self.file, "created": self.created, "verdict": None, "gap": None, "combination": []} | {
-                "error": str(self.reason),
-                "message": reason,
-            }
-        return {"file": self.file, "created": self.created, "grew": self.grew} | self.answer
+def content_of(found: Diagnosis, file: Path | None = None) -> DiagnosisContent:
+    """Return what page and report show of a diagnosis; with the shell's command where the session's file is given."""
+    regions = found.where.regions
+    headline, level = headline_of(found)
+    spectrum = next((item for item in regions.spectra if item.channel == regions.channel), None)
+    return DiagnosisContent(
+        found.verdict,
+        _titles(found.combination),
+        headline,
+        level,
+        tuple(sentences_of(found)),
+        tuple(next_steps_of(found, file)),
+        found.remarks,
+        tuple(_stage(found, stage) for stage in STAGES),
+        found.at_fault,
+        None if spectrum is None else gap_spectrum(spectrum, regions.bands_hz),
+        {name: profile_values(name, regions.profiles[name]) for name in PROFILES if name in regions.profiles},
+        tuple(_rival(found, item) for item in ordered_candidates(found)),
+        _closing(found),
+        _overlays(found),
+        tuple(_offered(found)),
+        budget_rows(found),
+    )
 
 
-@dataclass(frozen=True)
-class GapHistory:
-    """Sessions in order of time; those without a time come last, by name."""
-
-    entries: tuple[GapHistoryEntry, ...]
-
-    @classmethod
-    def of(cls, entries: Sequence[GapHistoryEntry]) -> GapHistory:
-        """Return the history of sessions in any order."""
-        last = datetime.max.replace(tzinfo=UTC)
-        return cls(tuple(sorted(entries, key=lambda entry: (entry.time or last, entry.file))))
-
-    @property
-    def first_grown(self) -> GapHistoryEntry | None:
-        """The first session in which the gap grew; None where it grew in none."""
-        return next((entry for entry in self.entries if entry.grew), None)
-
-    def as_answer(self) -> dict[str, Any]:
-        """Return the JSON of ``tissueid gap watch``."""
-        first = self.first_grown
-        return {
-            "sessions": [entry.as_answer() for entry in self.entries],
-            "first_grown": None if first is None else first.file,
-            "grown_effects": [] if first is None else list(first.combination),
-        }
+def _titles(names: Sequence[str]) -> str:
+    if not names:
+        return ""
+    return Message("gap.effects", "{names}", names=Listing(tuple(effect_title(name) for name in names)))
 
 
-def history_headline(history: GapHistory) -> tuple[Message, Level]:
-    """Return the first session in which the gap grew, and what grew, in one line, with its level."""
-    first = history.first_grown
-    if first is None:
-        count = sum(entry.answer is not None for entry in history.entries)
-        return Message("watch.not_grown", "The gap grew in none of {count} sessions", count=count), "good"
-    causes: tuple[str, ...] = tuple(effect_title(name) for name in first.combination) or (marked("cause unexplained"),)
-    cause = Listing(causes, marked(" and "))
+def _offered(found: Diagnosis) -> Iterator[tuple[str, str, bool]]:
+    for member in members_of(found):
+        for name, share in ((member.effect, member.probability), *member.rivals):
+            yield name, described(found, name, share), name == member.effect
+
+
+def _stage(found: Diagnosis, stage: Stage) -> StageContent:
+    where = found.where
+    if found.verdict == "no_gap":
+        only_noise = marked("The residual of the simulation is noise: there is no evidence against this stage.")
+        return StageContent(stage, 0.0, False, (only_noise,))
+    lines: list[str] = [
+        Message(
+            "gap.stage_finding",
+            "{finding}: {error} times the noise of the {channel}.",
+            finding=item.what,
+            error=number(item.error / item.floor, 3),
+            channel=item.channel,
+        )
+        for item in where.findings
+        if item.stage == stage
+    ]
+    named = [
+        effect_title(name) for name in found.combination if name in all_effects() and all_effects()[name].stage == stage
+    ]
+    if named:
+        causes = Listing(tuple(named), "; ", "; ")
+        lines.append(Message("gap.stage_of_effect", "Named effects of this stage: {names}.", names=causes))
+    return StageContent(
+        stage, where.shares[stage], stage in found.at_fault, tuple(lines) or (_no_evidence(found, stage),)
+    )
+
+
+def _no_evidence(found: Diagnosis, stage: Stage) -> str:
+    nearest = found.where.evidence.nearest
+    if stage not in nearest:
+        return marked("There is no evidence against this stage.")
+    times = number(nearest[stage], 3)
+    if nearest[stage] <= MARGIN:
+        return Message(
+            "gap.stage_within_noise",
+            "There is no evidence against this stage: its residual is {times} times the noise.",
+            times=times,
+        )
     return Message(
-        "watch.grown", "The gap grew first in {file}: {cause}", file=Verbatim(first.file), cause=cause
-    ), "check"
+        "gap.stage_elsewhere",
+        "There is no evidence against this stage: its residual is {times} times the noise, which another stage "
+        "explains.",
+        times=times,
+    )
+
+
+def _rival(found: Diagnosis, item: Ranked) -> Rival:
+    known = all_effects().get(item.effect)
+    probability = shown_probability(found, item.effect, item.probability)
+    return Rival(
+        effect_title(item.effect),
+        item.stage,
+        item.effect in found.combination,
+        probability,
+        f"{percent(probability)} %" if np.isfinite(probability) else MISSING,
+        _closed(found, item),
+        _titles(item.indistinguishable),
+        "" if known is None else known.signature,
+        "" if known is None else known.remedy,
+        _figures(found, item),
+    )
+
+
+def _closed(found: Diagnosis, item: Ranked) -> str:
+    low, high = item.closed_ci
+    if np.isfinite(item.closed) and np.isfinite(low) and np.isfinite(high):
+        values = {"percent": 100.0 * item.closed, "low": 100.0 * low, "high": 100.0 * high}
+        return Message("gap.closed_interval", "{percent:.0f} % ({low:.0f} to {high:.0f} %)", **values)
+    if np.isfinite(item.closed):
+        return Message("gap.share", "{percent:.0f} %", percent=100.0 * item.closed)
+    if item.effect in found.combination and np.isfinite(found.gap.closed):
+        return Message("gap.closed_together", "{percent:.0f} % together", percent=100.0 * found.gap.closed)
+    return marked("not determined")
+
+
+def _figures(found: Diagnosis, item: Ranked) -> tuple[Fitted, ...]:
+    values, stds = item.parameters, {}
+    if item.effect in found.combination and found.best is not None:
+        values, stds = parameters_of(found.best, item.effect), stds_of(found.best)
+    known = all_effects().get(item.effect)
+    about: dict[str, Any] = {} if known is None else {parameter.name: parameter for parameter in known.parameters}
+    rows = []
+    for name, value in values.items():
+        meaning = (about[name].meaning if name in about else "") or name.replace("_", " ")
+        std = stds.get(f"{item.effect}.{name}")
+        rows.append(Fitted(meaning, Estimate(value, std), about[name].unit if name in about else ""))
+    return tuple(rows)
+
+
+def _closing(found: Diagnosis) -> str:
+    gap = found.gap
+    if found.verdict == "no_gap":
+        return Message("gap.nothing_to_close", "There is no gap to close: the residual is noise.")
+    if not np.isfinite(gap.closed):
+        return marked("No candidate was fitted to the gap.")
+    low, high = gap.closed_ci
+    values = {"percent": 100.0 * gap.closed, "predicted": 100.0 * gap.predicted_closed}
+    if np.isfinite(low) and np.isfinite(high):
+        closed = Message(
+            "gap.closed_percent_interval",
+            "Closed: {percent:.0f}\u00a0% of what noise does not explain (95 %: {low:.0f} to {high:.0f}\u00a0%); "
+            "{predicted:.0f}\u00a0% predicted on the data used for the choice.",
+            low=100.0 * low,
+            high=100.0 * high,
+            **values,
+        )
+    else:
+        closed = Message(
+            "gap.closed_percent",
+            "Closed: {percent:.0f}\u00a0% of what noise does not explain; "
+            "{predicted:.0f}\u00a0% predicted on the data used for the choice.",
+            **values,
+        )
+    if not np.isfinite(found.ceiling):
+        return closed
+    ceiling = Message(
+        "gap.ceiling",
+        "The most that any model closed, physical or not: {percent:.0f}\u00a0%.",
+        percent=100.0 * found.ceiling,
+    )
+    return sentences(closed, ceiling)
+
+
+def _overlays(found: Diagnosis) -> tuple[SignalOverlay, ...]:
+    """Return every signal, the one with the largest gap first; none if every sample was fitted."""
+    if found.where.regions.channel not in found.dataset.channels:
+        return ()
+    try:
+        return overlays_of(found)
+    except UnusableInputError:
+        return ()
 
 
 FOLDER = "answers"

@@ -9,14 +9,13 @@ import numpy as np
 from tissueid.analysis.curves.plot import CONFIDENCE, FREQUENCY, TIME, Array, Axis, Bars, Curve, Kind, Plot
 from tissueid.errors import UnusableInputError
 from tissueid.formatting import label_and_unit, number
-from tissueid.gap.answer import GapHistory, GapHistoryEntry
 from tissueid.gap.dataset import DatasetTest
 from tissueid.gap.decision import Candidate
 from tissueid.gap.diagnosis import Diagnosis, Ranked
-from tissueid.gap.diagnosis_curves import BudgetRow, GapProfile, GapSpectrum, SignalOverlay
+from tissueid.gap.diagnosis_content import BudgetRow, GapProfile, GapSpectrum, SignalOverlay
 from tissueid.gap.error_regions import ErrorProfile, ErrorSpectrum
 from tissueid.gap.preparation import BLOCK_S
-from tissueid.gap.statement import effect_title
+from tissueid.gap.statement import GapHistory, GapHistoryEntry, effect_title
 from tissueid.language import marked
 from tissueid.messages import Message
 from tissueid.sessions import SIGNAL_UNITS
@@ -87,6 +86,11 @@ def spectrum_plot(spectrum: GapSpectrum) -> Plot:
     return Plot(
         title, FREQUENCY, y, (shade, *curves), note=marked("Shaded: bands that stand above the noise with significance")
     )
+
+
+def gap_spectrum(found: ErrorSpectrum, bands_hz: tuple[tuple[float, float], ...]) -> GapSpectrum:
+    """Return the amplitude densities of a spectrum with its significant bands."""
+    return GapSpectrum(found.channel, found.frequency_hz, spectrum_lines(found), bands_hz)
 
 
 def profile_values(name: str, found: ErrorProfile) -> GapProfile:

@@ -5,8 +5,9 @@ from __future__ import annotations
 import shlex
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
+from datetime import UTC, datetime
 from pathlib import Path
-from typing import Literal
+from typing import Any, Literal
 
 import numpy as np
 
@@ -14,7 +15,7 @@ from tissueid.formatting import fixed, number, with_unit
 from tissueid.gap.diagnosis import DetectionLimit, Diagnosis, Ranked, parameters_of
 from tissueid.gap.next_experiment import KINDS
 from tissueid.language import marked
-from tissueid.messages import Listing, Message, sentences
+from tissueid.messages import Listing, Message, Verbatim, sentences
 from tissueid.twin.catalogue import all_effects
 from tissueid.twin.effect import STAGE_NAMES, STAGES, Stage
 from tissueid.units import unit_for
@@ -223,11 +224,16 @@ def sentences_of(found: Diagnosis) -> Iterator[Message]:
 
 def limit_text(name: str, limit: DetectionLimit) -> Message:
     """Return from which size an effect would have been named."""
-    unit, scale = unit_for("" if limit.unit == "1" else limit.unit, limit.value)
-    size = with_unit(number(scale * limit.value, 2), unit)
+    size = size_of(limit)
     if limit.below:
         return Message("gap.limit_below", "{effect} below {size}", effect=effect_title(name), size=size)
     return Message("gap.limit_above", "{effect} above {size}", effect=effect_title(name), size=size)
+
+
+def size_of(limit: DetectionLimit) -> str:
+    """Return a size with its unit."""
+    unit, scale = unit_for("" if limit.unit == "1" else limit.unit, limit.value)
+    return with_unit(number(scale * limit.value, 2), unit)
 
 
 def _examples_of_limits(found: Diagnosis) -> tuple[Message, ...]:
@@ -365,3 +371,91 @@ def _share(share: float) -> str:
     if not np.isfinite(share):
         return marked("an unknown share")
     return Message("gap.share", "{percent:.0f} %", percent=100.0 * share)
+
+
+@dataclass(frozen=True)
+class GapHistoryEntry:
+    """One session: its file, its time of recording (ISO 8601; "" where unknown) and its diagnosis.
+
+    ``answer`` is the JSON of ``gap diagnose`` against the twin; None where the session cannot be used, for the
+    ``reason``.
+    """
+
+    file: str
+    created: str
+    answer: dict[str, Any] | None
+    reason: str = ""
+
+    @property
+    def grew(self) -> bool:
+        """Whether there is a gap against the twin: more than noise and what the twin is known to leave."""
+        return self.answer is not None and self.answer["verdict"] != "no_gap"
+
+    @property
+    def combination(self) -> tuple[str, ...]:
+        """Named new effects."""
+        return () if self.answer is None else tuple(self.answer["combination"])
+
+    @property
+    def time(self) -> datetime | None:
+        """Time of recording, UTC; None where it is unknown."""
+        try:
+            found = datetime.fromisoformat(self.created)
+        except ValueError:
+            return None
+        return found.astimezone(UTC) if found.tzinfo is not None else found.replace(tzinfo=UTC)
+
+    def gap(self, name: str) -> float:
+        """Return a figure of the gap, such as ``before``; NaN where there is none."""
+        value = None if self.answer is None else self.answer["gap"][name]
+        return float("nan") if value is None else float(value)
+
+    def as_answer(self) -> dict[str, Any]:
+        """Return plain values for JSON, SI."""
+        if self.answer is None:
+            reason = self.reason.as_dict() if isinstance(self.reason, Message) else None
+            return {"file": self.file, "created": self.created, "verdict": None, "gap": None, "combination": []} | {
+                "error": str(self.reason),
+                "message": reason,
+            }
+        return {"file": self.file, "created": self.created, "grew": self.grew} | self.answer
+
+
+@dataclass(frozen=True)
+class GapHistory:
+    """Sessions in order of time; those without a time come last, by name."""
+
+    entries: tuple[GapHistoryEntry, ...]
+
+    @classmethod
+    def of(cls, entries: Sequence[GapHistoryEntry]) -> GapHistory:
+        """Return the history of sessions in any order."""
+        last = datetime.max.replace(tzinfo=UTC)
+        return cls(tuple(sorted(entries, key=lambda entry: (entry.time or last, entry.file))))
+
+    @property
+    def first_grown(self) -> GapHistoryEntry | None:
+        """The first session in which the gap grew; None where it grew in none."""
+        return next((entry for entry in self.entries if entry.grew), None)
+
+    def as_answer(self) -> dict[str, Any]:
+        """Return the JSON of ``tissueid gap watch``."""
+        first = self.first_grown
+        return {
+            "sessions": [entry.as_answer() for entry in self.entries],
+            "first_grown": None if first is None else first.file,
+            "grown_effects": [] if first is None else list(first.combination),
+        }
+
+
+def history_headline(history: GapHistory) -> tuple[Message, Level]:
+    """Return the first session in which the gap grew, and what grew, in one line, with its level."""
+    first = history.first_grown
+    if first is None:
+        count = sum(entry.answer is not None for entry in history.entries)
+        return Message("watch.not_grown", "The gap grew in none of {count} sessions", count=count), "good"
+    causes: tuple[str, ...] = tuple(effect_title(name) for name in first.combination) or (marked("cause unexplained"),)
+    cause = Listing(causes, marked(" and "))
+    return Message(
+        "watch.grown", "The gap grew first in {file}: {cause}", file=Verbatim(first.file), cause=cause
+    ), "check"

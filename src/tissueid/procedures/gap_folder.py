@@ -20,7 +20,8 @@ from platformdirs import user_cache_path
 from tissueid.atomic_write import open_regular
 from tissueid.errors import CancelledError, UnusableInputError
 from tissueid.gap import Diagnosis, as_answer, diagnose, prepare
-from tissueid.gap.answer import GapHistory, GapHistoryEntry, store_answer, stored_answer
+from tissueid.gap.answer import store_answer, stored_answer
+from tissueid.gap.statement import GapHistory, GapHistoryEntry
 from tissueid.gap.twin_export import against_twin
 from tissueid.gap.workers import SerialExecutor
 from tissueid.instrument.twin_file import TwinFile, read_twin

@@ -10,18 +10,19 @@ import numpy as np
 from matplotlib.figure import FigureBase
 
 from tissueid.formatting import fixed, label_and_unit, number, share_text, subject_text, with_unit
-from tissueid.gap.answer import GapHistory, GapHistoryEntry, history_headline
+from tissueid.gap.answer import content_of
 from tissueid.gap.decision import Candidate
 from tissueid.gap.diagnosis import Diagnosis, Ranked, effect_in, parameters_of
 from tissueid.gap.diagnosis_plots import history_plot
 from tissueid.gap.statement import (
+    GapHistory,
+    GapHistoryEntry,
     effect_title,
-    headline_of,
-    next_steps_of,
+    history_headline,
     ordered_candidates,
     percent,
-    sentences_of,
     shown_probability,
+    size_of,
 )
 from tissueid.gap.twin_export import stds_of
 from tissueid.instrument.twin_file import TwinFile
@@ -34,7 +35,7 @@ from tissueid.reports.tables import Row, Table, readable_date
 from tissueid.sessions import Session
 from tissueid.twin.catalogue import all_effects
 from tissueid.twin.effect import STAGE_NAMES, STAGES
-from tissueid.units import display_unit, unit_for
+from tissueid.units import display_unit
 from tissueid.version import SOFTWARE
 
 _TASKS = {
@@ -109,11 +110,9 @@ def _limits(found: Diagnosis, called: Callable[[str], str]) -> Table:
         if limit is None:
             rows.append((called(name), _("not visible at any size, or estimated from the record"), ""))
             continue
-        unit, scale = unit_for("" if limit.unit == "1" else limit.unit, limit.value)
-        size = with_unit(number(scale * limit.value, 2), unit)
         words = _("below {size}") if limit.below else _("above {size}")
         meanings = {item.name: item.meaning for item in all_effects()[name].parameters}
-        rows.append((called(name), words.format(size=size), translated(meanings[limit.parameter])))
+        rows.append((called(name), words.format(size=size_of(limit)), translated(meanings[limit.parameter])))
     note = _("Size from which an effect that is not named would have been named in this session, at its usual form.")
     return Table(_("Detection limits"), (_("Effect"), _("Visible"), _("Meaning")), tuple(rows), note)
 
@@ -160,7 +159,8 @@ def gap_html(found: Diagnosis, title: str = "", origin: DiagnosisOrigin | None =
         title: heading of the page.
         origin: what was diagnosed, to be named on the page and in what to type next.
     """
-    figures = {panel.key: panel.picture().block for panel in gap_panels(found)}
+    content = content_of(found, None if origin is None else origin.file)
+    figures = {panel.key: panel.picture().block for panel in gap_panels(found, content)}
     places = ("frequency", "depth", "speed", "surface", "time", "current", "amplitude", "mains", "where")
     groups = (
         FigureGroup("g-where", _("Where it lies"), tuple(figures[key] for key in places if key in figures)),
@@ -169,23 +169,22 @@ def gap_html(found: Diagnosis, title: str = "", origin: DiagnosisOrigin | None =
             "g-far", _("How far it closes"), tuple(figures[key] for key in ("budget", "overlay") if key in figures)
         ),
     )
-    headline, level = headline_of(found)
     return template("gap.html.j2").render(
         title=title or _("Simulated and recorded"),
         research_line=_(RESEARCH_LINE),
         software=SOFTWARE,
         facts=tuple(_facts(found, origin)),
-        headline=translated(headline),
-        level=level,
-        sentences=tuple(map(translated, sentences_of(found))),
+        headline=translated(content.headline),
+        level=content.level,
+        sentences=tuple(map(translated, content.means)),
         numbers=tuple(_numbers(found)),
         chain=FigureGroup("g-chain", "", (figures["chain"],)),
         findings=_findings(found),
         groups=tuple(group for group in groups if group.figures),
         ranking=_ranking(found),
-        remedies=tuple(map(translated, next_steps_of(found, None if origin is None else origin.file))),
+        remedies=tuple(map(translated, content.todo)),
         tables=tuple(tables_of(found, _effect)),
-        remarks=tuple(map(translated, found.remarks)),
+        remarks=tuple(map(translated, content.remarks)),
     )
 
 

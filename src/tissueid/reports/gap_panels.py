@@ -12,18 +12,15 @@ from matplotlib.patches import FancyBboxPatch
 
 from tissueid.analysis.curves.plot import Axis, Plot, Surface
 from tissueid.errors import UnusableInputError
+from tissueid.gap.answer import content_of
 from tissueid.gap.diagnosis import Diagnosis
-from tissueid.gap.diagnosis_curves import GapSpectrum
+from tissueid.gap.diagnosis_content import DiagnosisContent
 from tissueid.gap.diagnosis_plots import (
     TIMES_NOISE,
     budget_plot,
-    budget_rows,
     overlay_plots,
-    overlays_of,
     profile_plot,
-    profile_values,
     ranking_plots,
-    spectrum_lines,
     spectrum_plot,
 )
 from tissueid.gap.statement import ordered_candidates
@@ -122,8 +119,9 @@ def _link(axes: Axes, start: tuple[float, float], end: tuple[float, float], *, b
 _LISTED = 8
 
 
-def gap_panels(found: Diagnosis) -> Iterator[Panel]:
-    """All pictures of a diagnosis."""
+def gap_panels(found: Diagnosis, content: DiagnosisContent | None = None) -> Iterator[Panel]:
+    """All pictures of a diagnosis with its content."""
+    content = content or content_of(found)
     regions = found.where.regions
     yield Panel(
         "chain",
@@ -153,7 +151,7 @@ def gap_panels(found: Diagnosis) -> Iterator[Panel]:
             "What the refitted baseline leaves, and of it the parts that are coherent with the command (linear), with "
             "its square (even) and with its cube (odd). Shaded: bands that stand above the noise."
         ),
-        lambda figure: draw_spectrum(figure, found),
+        partial(draw_spectrum, content=content),
         height=3.4,
     )
     yield Panel(
@@ -164,7 +162,7 @@ def gap_panels(found: Diagnosis) -> Iterator[Panel]:
             "Root-mean-square error as a multiple of the noise (what the sensors' noise alone leaves: 1, dashed). "
             "Full dots stand above it with significance."
         ),
-        lambda figure: draw_profile(figure, found, "depth_m"),
+        partial(draw_profile, content=content, name="depth_m"),
         wide=False,
         height=2.9,
     )
@@ -173,7 +171,7 @@ def gap_panels(found: Diagnosis) -> Iterator[Panel]:
         _("By speed and direction"),
         _("Error of {channel} against velocity, and the noise.").format(channel=of),
         _("The same against velocity; positive is into the tissue."),
-        lambda figure: draw_profile(figure, found, "velocity_m_s"),
+        partial(draw_profile, content=content, name="velocity_m_s"),
         wide=False,
         height=2.9,
     )
@@ -197,11 +195,11 @@ def gap_panels(found: Diagnosis) -> Iterator[Panel]:
             "Root-mean-square error as a multiple of the noise by quarter second; full dots stand above it with "
             "significance."
         ),
-        lambda figure: draw_profile(figure, found, "time_s"),
+        partial(draw_profile, content=content, name="time_s"),
         wide=False,
         height=3.2,
     )
-    yield from _more_profiles(found, of)
+    yield from _more_profiles(content, regions.mains_hz, of)
     if candidates := ordered_candidates(found):
         yield Panel(
             "ranking",
@@ -214,7 +212,6 @@ def gap_panels(found: Diagnosis) -> Iterator[Panel]:
             lambda figure: draw_row(figure, ranking_plots(candidates[:_LISTED])),
             height=0.9 + 0.28 * min(len(candidates), _LISTED),
         )
-    rows = budget_rows(found)
     yield Panel(
         "budget",
         _("Gap budget"),
@@ -223,8 +220,8 @@ def gap_panels(found: Diagnosis) -> Iterator[Panel]:
             "Error over the signals' deviation on data held out for the check. Each effect closes the share between "
             "the ends of its bar when it is added to those above it."
         ),
-        lambda figure: draw_grid(figure, [[budget_plot(rows)]], title=False, key=False),
-        height=0.9 + 0.3 * len(rows),
+        lambda figure: draw_grid(figure, [[budget_plot(content.budget)]], title=False, key=False),
+        height=0.9 + 0.3 * len(content.budget),
     )
     yield Panel(
         "overlay",
@@ -234,12 +231,12 @@ def gap_panels(found: Diagnosis) -> Iterator[Panel]:
             "A tenth of a second that was held out of the fit: of those in which the signal moves, "
             "that with the largest error. Below: recorded less simulated; dotted: what noise alone would leave."
         ),
-        lambda figure: draw_overlay(figure, found),
+        partial(draw_overlay, content=content, worst=regions.channel),
         height=5.0,
     )
 
 
-def _more_profiles(found: Diagnosis, of: str) -> Iterator[Panel]:
+def _more_profiles(content: DiagnosisContent, mains_hz: float, of: str) -> Iterator[Panel]:
     """Along what not every test has: a current, a stimulus whose size changes, the mains."""
     where = (
         ("current_a", "current", _("By current"), _("The same against the current of the coil.")),
@@ -257,32 +254,29 @@ def _more_profiles(found: Diagnosis, of: str) -> Iterator[Panel]:
         ),
     )
     for name, key, heading, caption in where:
-        if name in found.where.regions.profiles:
+        if name in content.profiles:
             yield Panel(
                 key,
                 heading,
                 _("Error of {channel}, {heading}, and the noise.").format(channel=of, heading=heading),
                 caption,
-                partial(draw_profile, found=found, name=name),
+                partial(draw_profile, content=content, name=name, mains_hz=mains_hz),
                 wide=False,
                 height=2.9,
             )
 
 
-def draw_spectrum(figure: FigureBase, found: Diagnosis) -> None:
+def draw_spectrum(figure: FigureBase, content: DiagnosisContent) -> None:
     """Amplitude densities of a residual and its parts."""
-    regions = found.where.regions
-    spectrum = next(item for item in regions.spectra if item.channel == regions.channel)
-    shown = GapSpectrum(regions.channel, spectrum.frequency_hz, spectrum_lines(spectrum), regions.bands_hz)
-    draw_plot(figure.subplots(1, 1), spectrum_plot(shown), title=False)
+    assert content.spectrum is not None
+    draw_plot(figure.subplots(1, 1), spectrum_plot(content.spectrum), title=False)
 
 
-def draw_profile(figure: FigureBase, found: Diagnosis, name: str) -> None:
+def draw_profile(figure: FigureBase, content: DiagnosisContent, name: str, mains_hz: float = 0.0) -> None:
     """Error along something, as a multiple of the noise floor."""
-    regions = found.where.regions
-    plot = profile_plot(name, profile_values(name, regions.profiles[name]))
+    plot = profile_plot(name, content.profiles[name])
     if name == "mains_phase_rad":
-        label = Message("plot.mains_phase", "Phase at {hertz:.2f} Hz", hertz=regions.mains_hz)
+        label = Message("plot.mains_phase", "Phase at {hertz:.2f} Hz", hertz=mains_hz)
         plot = replace(plot, x=replace(plot.x, label=label))
     draw_plot(figure.subplots(1, 1), plot, title=False)
 
@@ -302,12 +296,13 @@ def draw_surface(figure: FigureBase, found: Diagnosis) -> None:
     draw_plot(figure.subplots(1, 1), Plot("", Axis(marked("Depth"), "mm"), Axis(marked("Velocity"), "mm/s"), (values,)))
 
 
-def draw_overlay(figure: FigureBase, found: Diagnosis) -> None:
+def draw_overlay(figure: FigureBase, content: DiagnosisContent, worst: str) -> None:
     """Recorded and simulated over a stretch that was not fitted, for the signals that show it most.
 
     Raises:
         UnusableInputError: every sample was fitted.
     """
-    worst = found.where.regions.channel
-    shown = [item for item in overlays_of(found) if item.channel != "voltage" or worst == "voltage"][:3]
+    if not content.overlays:
+        raise UnusableInputError("report.all_fitted", "every sample was fitted")
+    shown = [item for item in content.overlays if item.channel != "voltage" or worst == "voltage"]
     draw_grid(figure, list(zip(*map(overlay_plots, shown), strict=True)), title=False, heights=(3.0, 2.0))

@@ -17,11 +17,11 @@ from PySide6.QtWidgets import QAbstractButton, QComboBox, QFileDialog, QLabel, Q
 from tissueid.app.user_files import stamp_of
 from tissueid.app.views.gap import diagnosis_run
 from tissueid.app.views.gap.diagnosis_result import why_not_accepted
+from tissueid.app.views.gap.diagnosis_run import page_content_of
 from tissueid.app.views.gap.displayed_text import STAGE_TITLES, VERDICT_TITLES
 from tissueid.app.views.gap.effect_dialog import EffectDialog
 from tissueid.app.views.gap.next_test import session_url
 from tissueid.app.views.gap.page_content import Proposal
-from tissueid.app.views.gap.page_content_builder import page_content_of
 from tissueid.app.views.gap.request_panel import RequestPanel
 from tissueid.app.words import sentence
 from tissueid.audit import AuditLog, last_lines

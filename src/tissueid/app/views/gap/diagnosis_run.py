@@ -7,12 +7,15 @@ from typing import TYPE_CHECKING
 
 from tissueid.app.user_files import Stamp, stamp_of
 from tissueid.app.views.gap.diagnosis_result import DiagnosisResult
+from tissueid.app.views.gap.page_content import PageContent
 from tissueid.procedures.control import Control
 from tissueid.procedures.gap_plans import DiagnosisPlan
 from tissueid.stored_values import finite
 
 if TYPE_CHECKING:
+    from tissueid.gap.diagnosis import Diagnosis
     from tissueid.procedures.diagnosis import DiagnosedSession
+    from tissueid.sessions import Session
 
 
 def run_diagnosis(plan: DiagnosisPlan, control: Control, *, separate_process: bool) -> DiagnosisResult:
@@ -44,7 +47,6 @@ def result_of(diagnosed: DiagnosedSession, stamp: Stamp | None = None) -> Diagno
         diagnosed: the diagnosis.
         stamp: of the session file, from before it was read.
     """
-    from tissueid.app.views.gap.page_content_builder import page_content_of
     from tissueid.gap import as_answer
 
     found, session, named = diagnosed.found, diagnosed.session, diagnosed.named
@@ -60,3 +62,11 @@ def result_of(diagnosed: DiagnosedSession, stamp: Stamp | None = None) -> Diagno
         named.refused,
         stamp,
     )
+
+
+def page_content_of(found: Diagnosis, session: Session) -> PageContent:
+    """Return the content of the page for a diagnosis."""
+    from tissueid.app.views.gap.next_test import proposal_of
+    from tissueid.gap.answer import content_of
+
+    return PageContent(**vars(content_of(found)), proposal=proposal_of(found, session))

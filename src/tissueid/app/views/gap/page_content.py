@@ -1,26 +1,16 @@
-"""Content of the page for one diagnosis: texts, shares and curves. It is stored in files, so it validates itself.
-
-Texts are messages, which the page translates when it shows them.
-"""
+"""Content of the page for one diagnosis, with the proposed test. It is stored in files, so it validates itself."""
 
 from __future__ import annotations
 
-import math
 from collections.abc import Mapping
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Annotated, Any, Literal
+from typing import Annotated, Any
 
 from pydantic import AfterValidator, Field
 
-from tissueid.gap.diagnosis_curves import MOST_ROWS, BudgetRow, Finite, GapProfile, GapSpectrum, SignalOverlay
-from tissueid.records import Estimate
+from tissueid.gap.diagnosis_content import MOST_ROWS, DiagnosisContent, Finite
 from tissueid.stored_values import LONGEST_TEXT, StoredText
-from tissueid.twin.effect import STAGES, Stage
 
-if TYPE_CHECKING:
-    pass
-
-_MOST_LINES = 100
 _FORM_FIELDS: Mapping[str, type | tuple[type, ...]] = {
     "min_force_n": (int, float),
     "max_force_n": (int, float),
@@ -33,13 +23,6 @@ _FORM_FIELDS: Mapping[str, type | tuple[type, ...]] = {
     "pseudonym": str,
 }
 _GREATEST_FIELD = 2**31 - 1
-_PROFILES = frozenset({"depth_m", "velocity_m_s", "time_s"})
-
-
-def _known_share(value: float) -> float:
-    if not (math.isnan(value) or 0.0 <= value <= 1.0):
-        raise ValueError("a probability must be 0 to 1 or NaN")
-    return value
 
 
 def _form_fields(fields: Mapping[str, Any]) -> Mapping[str, Any]:
@@ -51,46 +34,6 @@ def _form_fields(fields: Mapping[str, Any]) -> Mapping[str, Any]:
         if isinstance(value, str) and len(value) > LONGEST_TEXT:
             raise ValueError(f"{name} is too long")
     return fields
-
-
-Name = Annotated[str, Field(max_length=LONGEST_TEXT)]
-Lines = Annotated[tuple[StoredText, ...], Field(max_length=_MOST_LINES)]
-Share = Annotated[float, Field(ge=0.0, le=1.0)]
-
-
-@dataclass(frozen=True)
-class StageContent:
-    """One stage of the signal chain: its share of the gap (0 to 1), whether it is at fault, and the evidence."""
-
-    stage: Stage
-    share: Share
-    lit: bool
-    evidence: Lines
-
-
-@dataclass(frozen=True)
-class Fitted:
-    """A fitted parameter: its meaning, and its value in SI units."""
-
-    meaning: StoredText
-    value: Estimate
-    si_unit: Name
-
-
-@dataclass(frozen=True)
-class Rival:
-    """One candidate of the ranking; ``figures`` are its fitted parameters."""
-
-    title: StoredText
-    stage: Stage
-    named: bool
-    probability: Annotated[float, AfterValidator(_known_share)]
-    odds: StoredText
-    closed: StoredText
-    alike: StoredText
-    signature: StoredText
-    remedy: StoredText
-    figures: Annotated[tuple[Fitted, ...], Field(max_length=MOST_ROWS)]
 
 
 @dataclass(frozen=True)
@@ -111,32 +54,7 @@ class Proposal:
 
 
 @dataclass(frozen=True)
-class PageContent:
-    """A diagnosis as the page shows it."""
+class PageContent(DiagnosisContent):
+    """A diagnosis as the page shows it, with the proposed test as the form of the guided test takes it."""
 
-    verdict: Literal["effect", "no_gap", "unexplained"]
-    effect: StoredText
-    headline: StoredText
-    level: Literal["good", "check", "poor"]
-    means: Lines
-    todo: Lines
-    remarks: Lines
-    stages: tuple[StageContent, ...]
-    at_fault: tuple[Stage, ...]
-    spectrum: GapSpectrum | None
-    profiles: dict[Name, GapProfile]
-    ranking: Annotated[tuple[Rival, ...], Field(max_length=MOST_ROWS)]
-    closing: StoredText
-    overlays: Annotated[tuple[SignalOverlay, ...], Field(max_length=3)]
     proposal: Proposal | None
-    offered: Annotated[tuple[tuple[Name, StoredText, bool], ...], Field(max_length=MOST_ROWS)]
-    """Effects to accept: name, title with its probability, and whether the diagnosis names it."""
-
-    budget: Annotated[tuple[BudgetRow, ...], Field(max_length=MOST_ROWS)]
-    """The waterfall from the gap before to the noise."""
-
-    def __post_init__(self) -> None:
-        if [item.stage for item in self.stages] != list(STAGES):
-            raise ValueError("the stages are not those of the signal chain")
-        if not set(self.profiles) <= _PROFILES:
-            raise ValueError("a profile has an unknown name")

@@ -35,8 +35,8 @@ from tissueid.messages import Message, translated
 from tissueid.units import shown_si
 
 if TYPE_CHECKING:
-    from tissueid.app.views.gap.page_content import Fitted, PageContent, Proposal, Rival
-    from tissueid.gap.diagnosis_curves import BudgetRow, GapProfile, SignalOverlay
+    from tissueid.app.views.gap.page_content import PageContent, Proposal
+    from tissueid.gap.diagnosis_content import BudgetRow, Fitted, GapProfile, Rival, SignalOverlay
 
 _SHARE = Qt.ItemDataRole.UserRole
 _ROW = 24

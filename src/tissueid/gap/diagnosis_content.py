@@ -1,15 +1,21 @@
-"""Curves of a diagnosis as window and report draw them and files keep them, in display units; they check themselves."""
+"""Content of a diagnosis as window and report show it and files keep it: texts, shares, and curves in display units.
+
+The classes check themselves.
+"""
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 from typing import Annotated, Any, Literal
 
 import numpy as np
 from numpy.typing import NDArray
-from pydantic import Field, PlainSerializer, PlainValidator
+from pydantic import AfterValidator, Field, PlainSerializer, PlainValidator
 
-from tissueid.stored_values import Name, StoredText
+from tissueid.records import Estimate
+from tissueid.stored_values import LONGEST_TEXT, StoredText
+from tissueid.twin.effect import STAGES, Stage
 
 MOST_POINTS = 100_000
 """Maximum number of points of a curve."""
@@ -113,3 +119,84 @@ class BudgetRow:
 def _check_curves(x: NDArray[np.float64], *others: NDArray[Any]) -> None:
     if not x.size or any(item.size != x.size for item in others) or not np.isfinite(x).all():
         raise ValueError("the curves of a figure differ in length, or their axis has a value that is not finite")
+
+
+_MOST_LINES = 100
+_PROFILES = frozenset({"depth_m", "velocity_m_s", "time_s", "current_a", "amplitude_n", "mains_phase_rad"})
+
+
+def _known_share(value: float) -> float:
+    if not (math.isnan(value) or 0.0 <= value <= 1.0):
+        raise ValueError("a probability must be 0 to 1 or NaN")
+    return value
+
+
+Name = Annotated[str, Field(max_length=LONGEST_TEXT)]
+Lines = Annotated[tuple[StoredText, ...], Field(max_length=_MOST_LINES)]
+Share = Annotated[float, Field(ge=0.0, le=1.0)]
+
+
+@dataclass(frozen=True)
+class StageContent:
+    """One stage of the signal chain: its share of the gap (0 to 1), whether it is at fault, and the evidence."""
+
+    stage: Stage
+    share: Share
+    lit: bool
+    evidence: Lines
+
+
+@dataclass(frozen=True)
+class Fitted:
+    """A fitted parameter: its meaning, and its value in SI units."""
+
+    meaning: StoredText
+    value: Estimate
+    si_unit: Name
+
+
+@dataclass(frozen=True)
+class Rival:
+    """One candidate of the ranking; ``figures`` are its fitted parameters."""
+
+    title: StoredText
+    stage: Stage
+    named: bool
+    probability: Annotated[float, AfterValidator(_known_share)]
+    odds: StoredText
+    closed: StoredText
+    alike: StoredText
+    signature: StoredText
+    remedy: StoredText
+    figures: Annotated[tuple[Fitted, ...], Field(max_length=MOST_ROWS)]
+
+
+@dataclass(frozen=True)
+class DiagnosisContent:
+    """A diagnosis as page and report show it. Texts are messages, which are translated when they are shown."""
+
+    verdict: Literal["effect", "no_gap", "unexplained"]
+    effect: StoredText
+    headline: StoredText
+    level: Literal["good", "check", "poor"]
+    means: Lines
+    todo: Lines
+    remarks: Lines
+    stages: tuple[StageContent, ...]
+    at_fault: tuple[Stage, ...]
+    spectrum: GapSpectrum | None
+    profiles: dict[Name, GapProfile]
+    ranking: Annotated[tuple[Rival, ...], Field(max_length=MOST_ROWS)]
+    closing: StoredText
+    overlays: Annotated[tuple[SignalOverlay, ...], Field(max_length=3)]
+    offered: Annotated[tuple[tuple[Name, StoredText, bool], ...], Field(max_length=MOST_ROWS)]
+    """Effects to accept: name, title with its probability, and whether the diagnosis names it."""
+
+    budget: Annotated[tuple[BudgetRow, ...], Field(max_length=MOST_ROWS)]
+    """The waterfall from the gap before to the noise."""
+
+    def __post_init__(self) -> None:
+        if [item.stage for item in self.stages] != list(STAGES):
+            raise ValueError("the stages are not those of the signal chain")
+        if not set(self.profiles) <= _PROFILES:
+            raise ValueError("a profile has an unknown name")
