@@ -26,6 +26,8 @@ from tissueid.app.emergency import (
     EmergencyStop,
     seconds_since_boot,
 )
+from tissueid.app.live_signals import LiveSignals
+from tissueid.app.live_test import LiveTest
 from tissueid.app.session_jobs import find
 from tissueid.app.views.technician.events import read_events
 from tissueid.app.views.technician.log_reading import read_log
@@ -35,6 +37,8 @@ from tissueid.errors import CancelledError, LinkLostError
 from tissueid.instrument import CLINICAL, SimulatedInstrument
 from tissueid.messages import MISSING, Message
 from tissueid.procedures.control import BY_KEY
+from tissueid.procedures.test_plan import TestPlan
+from tissueid.procedures.test_run import run_test
 
 pytestmark = [pytest.mark.qt_log_level_fail("WARNING"), pytest.mark.qt_log_ignore("This plugin does not support")]
 
@@ -216,6 +220,28 @@ def test_a_window_that_hangs_does_not_keep_the_coil_energised(qtbot, open_window
     test = only_session(tmp_path)[1].test()
     assert (test.status, test.notes["reason"]) == ("aborted", NO_ANSWER)
     assert test.samples < 6000
+
+
+def test_the_coil_is_released_without_any_event_loop(clock, tmp_path):
+    """The thread of the instrument ends the test by itself: there is no window, and nothing runs that could answer."""
+    instrument, stop, gate, ended = Watched(), EmergencyStop(clock.read), Gate(passed=300), []
+    plan = TestPlan(url="simulated://forearm", site="left calf", out=tmp_path / "alone.h5")
+    stop.beat()
+
+    def work():
+        control = LiveTest(LiveSignals(), stop)
+        ended.append(run_test(plan, control, None, opener=lambda _: instrument, pace=gate.wait, separate_process=False))
+
+    thread = threading.Thread(target=work)
+    thread.start()
+    assert gate.reached.wait(WAIT_MS / 1000)
+    assert instrument.energised
+    clock.now += 1.2
+    gate.opened.set()
+    thread.join(WAIT_MS / 1000)
+    assert instrument.released.is_set()
+    assert not instrument.energised
+    assert (ended[0].session.test().status, ended[0].session.test().notes["reason"]) == ("aborted", NO_ANSWER)
 
 
 def test_a_computer_that_slept_ends_the_test(qtbot, open_window, clock, bench, tmp_path):

@@ -2,6 +2,7 @@
 
 import dataclasses
 import threading
+from datetime import datetime
 
 import numpy as np
 import pytest
@@ -496,3 +497,23 @@ def test_live_plots_show_the_running_test(qtbot, open_window):
     press(qtbot, window.ui.stop)
     gate.opened.set()
     wait_for_result(qtbot, window)
+
+
+def test_a_name_that_other_programs_take_at_the_start_gives_way_to_the_next_unused_name(
+    qtbot, open_window, bench, tmp_path
+):
+    named = tmp_path / "2026-01-02_03-04-05.h5"
+
+    def open_late(url):
+        journal_path(named).touch()
+        named.with_stem(f"{named.stem}_2").touch()
+        return bench.open(url)
+
+    window = open_window(opener=open_late, now=lambda: datetime(2026, 1, 2, 3, 4, 5))
+    type_site(qtbot, window)
+    press(qtbot, window.ui.start)
+    wait_for_result(qtbot, window)
+    assert window.findings.path == named.with_stem(f"{named.stem}_3")
+    assert not window.ui.notice.isVisible()
+    assert not window.ui.form.other_test.isVisible()
+    assert journal_path(named).read_bytes() == b""

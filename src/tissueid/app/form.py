@@ -201,6 +201,11 @@ class PlanForm(QWidget):
             self._forces_n[url] = greatest_n
             self._apply_limits()
 
+    @property
+    def another_name(self) -> Callable[[], Path] | None:
+        """Return an unused path in the same folder when called, from any thread; None for a path of the user's own."""
+        return None if self._own_path else partial(dated_path, self.folder, self._now())
+
     def show_other_test(self, other: bool) -> None:
         """Show whether the displayed result belongs to another test than the form."""
         self.other_test.setVisible(other)

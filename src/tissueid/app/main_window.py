@@ -187,7 +187,7 @@ class MainWindow(QMainWindow):
             if plan.out.parent == self.services.folder:
                 private_folder(plan.out.parent)
             wrong = form.path
-            check_save_path(plan.out)
+            check_save_path(plan.out, taken=form.another_name is not None)
         except (TissueIDError, OSError) as error:
             self.ui.notice.say(in_words(error), problem=True, about_form=True)
             if isinstance(error, TissueIDError) and code_of(error.message) == "subject.name":
@@ -218,6 +218,7 @@ class MainWindow(QMainWindow):
             pace=self.services.wait or stop.wait,
             separate_process=self.services.separate_process,
             earlier=self.clinician.earlier,
+            another_name=form.another_name,
         )
         why = _("A test is running on Measure: stop it there, or wait.")
         self.jobs.do(work, self.on_test_ended, self.on_test_failed, why=why)
@@ -330,6 +331,8 @@ class MainWindow(QMainWindow):
         self._end_frames()
         self.ui.form.renew_path()
         session = outcome.session
+        if self._plan is not None:
+            self._plan = self._plan.model_copy(update={"out": outcome.path})
         notices = [] if self._running is None else self._running.notices
         unlogged = [notice for notice in notices if code_of(notice) == NOT_LOGGED]
         said, failed = outcome_text(outcome, unanswered=self.emergency.reason == NO_ANSWER, unlogged=unlogged)

@@ -15,8 +15,10 @@ from tissueid.procedures.output_files import check_session_path
 SUFFIX = ".h5"
 
 
-def check_save_path(path: Path) -> None:
+def check_save_path(path: Path, *, taken: bool = False) -> None:
     """Check that a new session can be saved to a path that ends in .h5. Nothing is written.
+
+    ``taken`` is whether another program may use the name: another one is chosen then.
 
     Raises:
         UnusableInputError: it cannot; the message says why.
@@ -25,7 +27,7 @@ def check_save_path(path: Path) -> None:
         raise UnusableInputError(
             "save_path.suffix", "the name of a session ends in .h5, {name} does not", name=path.name
         )
-    check_session_path(path)
+    check_session_path(path, taken=taken)
 
 
 def default_folder() -> Path:

@@ -170,8 +170,10 @@ _TEMPORARY = 26
 """Characters that a temporary name adds; a journal adds fewer."""
 
 
-def check_session_path(path: Path) -> None:
+def check_session_path(path: Path, *, taken: bool = False) -> None:
     """Check that a new session, its journal and its temporary file can be created at a path. Nothing is left there.
+
+    ``taken`` is whether the name may be that of a session or journal: another one is chosen then.
 
     Raises:
         UnusableInputError: it cannot; the message says why.
@@ -196,13 +198,13 @@ def check_session_path(path: Path) -> None:
             "there is no folder {folder}: make it, or choose another one",
             folder=str(path.parent),
         )
-    if path.exists():
+    if path.exists() and not taken:
         raise UnusableInputError(
             "save_path.exists",
             "{path} is there already; files are never overwritten: choose another name",
             path=str(path),
         )
-    if journal_path(path).exists():
+    if journal_path(path).exists() and not taken:
         raise UnusableInputError(
             "save_path.unfinished",
             "an unfinished test is left at {path}: recover it ({action}), or choose another name",

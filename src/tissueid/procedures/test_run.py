@@ -24,7 +24,7 @@ from tissueid.acquisition.surface_detection import Placement, place_in_air
 from tissueid.audit import AuditTrail
 from tissueid.calibration.active import ActiveCalibration, activate_calibration
 from tissueid.device import DeviceDescription
-from tissueid.errors import CancelledError, FirmwareFaultError, LinkLostError, TissueIDError
+from tissueid.errors import CancelledError, FirmwareFaultError, LinkLostError, SessionExistsError, TissueIDError
 from tissueid.instrument import PROFILES, Instrument, Limits, SimulatedInstrument, open_instrument
 from tissueid.language import marked
 from tissueid.messages import Action, Message
@@ -42,6 +42,8 @@ if TYPE_CHECKING:
     from tissueid.instrument.simulated import Wait
 
 
+_MOST_NAMES = 20
+"""Names that are tried for a session, one after another, while other programs take them."""
 TestStep = Step
 """One test of a test in steps, and how it was designed."""
 
@@ -121,6 +123,7 @@ def run_test(
     pace: Wait | None = None,
     separate_process: bool = True,
     earlier: Sequence[Test] = (),
+    another_name: Callable[[], Path] | None = None,
 ) -> TestOutcome:
     """Place the probe once, and run the planned tests. In every case the coil is released and the samples are saved.
 
@@ -133,12 +136,14 @@ def run_test(
         pace: slows a simulation in this process down to real time; without it, it waits for nothing.
         separate_process: whether another process identifies the running test; otherwise this is done between polls.
         earlier: previous tests of the same sitting, against which the quality gate judges.
+        another_name: returns an unused path for the session, where another program has taken that of the plan; without
+            it, the test does not start then.
 
     Raises:
         TissueIDError, OSError: the test could not start; there is no file.
     """
     plan.check()
-    check_session_path(plan.out)
+    check_session_path(plan.out, taken=another_name is not None)
     run = _Run(plan, control)
     error: BaseException | None = None
     steps: tuple[Step, ...] = ()
@@ -146,7 +151,7 @@ def run_test(
         instrument = (opener or open_instrument)(plan.url)
         try:
             run.prepare(instrument, trail, calibrate)
-            run.open_recorder(trail, earlier)
+            run.open_recorder(trail, earlier, another_name)
             if isinstance(instrument, SimulatedInstrument):
                 separate_process = separate_process and pace is not None
                 if pace is not None:
@@ -163,7 +168,7 @@ def run_test(
     except BaseException as reason:
         if run.recorder is None:
             if trail is not None:
-                log_no_recording(trail, plan.out, Subject(plan.subject), plan.site, reason)
+                log_no_recording(trail, run.path, Subject(plan.subject), plan.site, reason)
                 settle(trail, control)
             if not isinstance(reason, CancelledError):
                 raise
@@ -171,7 +176,7 @@ def run_test(
     session, not_saved = _kept(run.recorder, error)
     if trail is not None:
         settle(trail, control)
-    return TestOutcome(plan.out, session, steps, _without_frames(error), not_saved)
+    return TestOutcome(run.path, session, steps, _without_frames(error), not_saved)
 
 
 def _without_frames(error: BaseException | None) -> BaseException | None:
@@ -202,6 +207,8 @@ class _Run:
 
     def __init__(self, plan: TestPlan, control: TestControl) -> None:
         self.recorder: SessionRecorder | None = None
+        self.path = plan.out
+        """Path of the session."""
         self._plan = plan
         self._control = control
         self._identification: LiveIdentification | None = None
@@ -281,12 +288,21 @@ class _Run:
         if forecast.warning:
             self._control.notice(Message("test.warning", "warning: {warning}", warning=forecast.warning))
 
-    def open_recorder(self, trail: AuditTrail | None, earlier: Sequence[Test]) -> None:
+    def open_recorder(
+        self, trail: AuditTrail | None, earlier: Sequence[Test], another_name: Callable[[], Path] | None
+    ) -> None:
         """Begin the session, and judge the earlier tests of the sitting, which are in other files."""
-        plan, instrument = self._plan, self._instrument
+        instrument, subject = self._instrument, Subject(self._plan.subject)
 
         def opened() -> SessionRecorder:
-            return SessionRecorder(plan.out, instrument.device, Subject(plan.subject), trail=trail)
+            for _attempt in range(_MOST_NAMES if another_name is not None else 0):
+                try:
+                    return SessionRecorder(self.path, instrument.device, subject, trail=trail)
+                except (SessionExistsError, JournalError) as error:
+                    if another_name is None or error.code not in ("session.exists", "journal.exists"):
+                        raise
+                    self.path = another_name()
+            return SessionRecorder(self.path, instrument.device, subject, trail=trail)
 
         self.recorder = recorder = run_while_polling(instrument, opened)  # not cancelled: its journal would be left
 
