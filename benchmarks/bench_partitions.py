@@ -9,9 +9,8 @@ from scipy import linalg, signal
 
 from benchmarks.base import Comparison
 from tissueid.identification.least_squares import factor
-from tissueid.identification.partitions.cells import Partitions, place_breakpoints
-from tissueid.identification.partitions.regression import lagged_regressors
-from tissueid.identification.volterra.lag_grid import LagGrid
+from tissueid.identification.partitions.regression import Partitions, lagged_regressors, place_breakpoints
+from tissueid.identification.volterra.regressors import LagGrid
 from tissueid_lab.thesis import published_algorithms as published
 
 PARTITIONS, LAGS = 15, 40

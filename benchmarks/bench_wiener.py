@@ -10,7 +10,7 @@ from tissueid.identification.engines.wiener import Wiener
 from tissueid.identification.impulse_response import factor_input
 from tissueid.identification.preparation import prepare
 from tissueid.identification.static_nonlinearity import ExponentialCurve
-from tissueid.identification.wiener.iteration import LinearStage, hunter_korenberg
+from tissueid.identification.wiener_cascade import LinearStage, hunter_korenberg
 from tissueid_lab.thesis import published_algorithms as published
 
 LAGS = 250

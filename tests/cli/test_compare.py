@@ -17,8 +17,8 @@ from reports.synthetic_sitting import make_session, make_test
 from tissueid.cli import main
 from tissueid.device import DeviceDescription
 from tissueid.identification import engine_names
+from tissueid.identification.base import Family
 from tissueid.identification.engines.lms import Lms
-from tissueid.identification.model_family import Family
 from tissueid.sessions import Session, Test, write_session
 
 BLIND = sorted(RIG.glob("*.h5"))

@@ -13,8 +13,7 @@ from outside_data import REAL
 from scipy import io
 
 from tissueid.errors import UnusableInputError
-from tissueid.identification.validation.distortion import Distortion, distortion
-from tissueid.identification.validation.multisine import cut_periods, find_driven, find_period
+from tissueid.identification.validation.distortion import Distortion, cut_periods, distortion, find_driven, find_period
 from tissueid.records import Record
 
 LINES = systems.grid(90)

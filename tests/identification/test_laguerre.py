@@ -11,8 +11,8 @@ from identification.simulated_kernels import LAGS, Known, force, polynomial
 from scipy import linalg
 
 from tissueid.errors import UnusableInputError
-from tissueid.identification.volterra.kernel_regression import simulate_third
 from tissueid.identification.volterra.laguerre import laguerre_functions, laguerre_kernels
+from tissueid.identification.volterra.methods import simulate_third
 
 
 @pytest.mark.parametrize("pole", [0.0, 0.3, 0.9])

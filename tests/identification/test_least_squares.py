@@ -10,8 +10,7 @@ from coded import says
 from identification.simulated import Array, generator
 from scipy import linalg
 
-from tissueid.identification.lagged_gram import LaggedRegressors
-from tissueid.identification.least_squares import factor
+from tissueid.identification.least_squares import LaggedRegressors, factor
 
 
 class Explicit:

@@ -9,8 +9,7 @@ from identification import simulated, simulated_dpn, simulated_stepped
 
 from tissueid.errors import UnusableInputError
 from tissueid.identification import vaf_percent
-from tissueid.identification.engines.localized import Localized
-from tissueid.identification.localized import LocalizedModel
+from tissueid.identification.engines.localized import Localized, LocalizedModel
 from tissueid.records import Record, joined
 
 TISSUE = simulated_dpn.GROWING

@@ -12,8 +12,13 @@ from identification import simulated_validation as systems
 from scipy import signal
 
 from tissueid.errors import UnusableInputError
-from tissueid.identification.validation.autoregression import Autoregression, fit_autoregression
-from tissueid.identification.validation.prediction import fit_noise, predict_ahead, prediction_curve
+from tissueid.identification.validation.prediction import (
+    Autoregression,
+    fit_autoregression,
+    fit_noise,
+    predict_ahead,
+    prediction_curve,
+)
 from tissueid.records import Record
 
 POLES = np.array([1.5, -0.7])

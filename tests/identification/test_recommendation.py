@@ -17,7 +17,6 @@ from tissueid.analysis import compare, specifications, split_records
 from tissueid.errors import UnusableInputError
 from tissueid.identification import Family
 from tissueid.identification import recommendation_messages as messages
-from tissueid.identification.candidates import VafDifference, difference
 from tissueid.identification.recommendation import (
     ModelCandidate,
     ModelStanding,
@@ -26,6 +25,7 @@ from tissueid.identification.recommendation import (
     recommend,
     sufficient,
 )
+from tissueid.identification.recommendation_messages import VafDifference, difference
 from tissueid.language import set_language
 from tissueid.messages import Message, code_of, translated
 from tissueid.records import Record

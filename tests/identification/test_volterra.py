@@ -16,9 +16,8 @@ from tissueid.errors import UnusableInputError
 from tissueid.identification import validated
 from tissueid.identification.engines.lms import Lms
 from tissueid.identification.engines.volterra import Volterra
-from tissueid.identification.volterra.lag_grid import automatic_grid, smoothed, whiteness
-from tissueid.identification.volterra.model import VolterraModel
-from tissueid.identification.volterra.regressors import coefficient_count
+from tissueid.identification.volterra.regressors import automatic_grid, coefficient_count, smoothed, whiteness
+from tissueid.identification.volterra.structure import VolterraModel
 from tissueid.records import Record, joined
 
 LAGS = simulated_cascades.LAGS

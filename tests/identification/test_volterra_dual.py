@@ -12,7 +12,7 @@ from identification.simulated_kernels import LAGS, polynomial
 from scipy import linalg, stats
 
 from tissueid.errors import UnusableInputError
-from tissueid.identification.volterra.kernel_regression import RegressionKernels, regression_kernels, simulate_third
+from tissueid.identification.volterra.methods import RegressionKernels, regression_kernels, simulate_third
 
 
 def _covariance(lags: int, std: float, decay: float, rate: float) -> np.ndarray:

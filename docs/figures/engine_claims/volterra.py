@@ -15,7 +15,7 @@ from engine_claims.base import Claim
 from tissueid.errors import UnusableInputError
 from tissueid.identification import validated
 from tissueid.identification.engines.volterra import Volterra
-from tissueid.identification.volterra.model import VolterraModel
+from tissueid.identification.volterra.structure import VolterraModel
 from tissueid.sessions import read_session
 
 FIT_SHARE = 0.75

@@ -19,12 +19,17 @@ from outside_data import RIG
 
 from engine_claims.base import Claim
 from tissueid.identification.validation import vaf_percent
-from tissueid.identification.volterra.kernel_regression import regression_kernels
-from tissueid.identification.volterra.lag_grid import THESIS_SIGMA, smoothed
 from tissueid.identification.volterra.laguerre import laguerre_kernels
-from tissueid.identification.volterra.methods import factor_stimulus
+from tissueid.identification.volterra.methods import factor_stimulus, regression_kernels
 from tissueid.identification.volterra.prior import regularised_fit, roughness
-from tissueid.identification.volterra.regressors import Kernels, VolterraRegressors, kernels_of, lagged_inputs
+from tissueid.identification.volterra.regressors import (
+    THESIS_SIGMA,
+    Kernels,
+    VolterraRegressors,
+    kernels_of,
+    lagged_inputs,
+    smoothed,
+)
 from tissueid.records import Record
 from tissueid.sessions import read_session
 
@@ -44,7 +49,7 @@ _CHILD = """
 import json, resource, sys, time
 import numpy as np
 from identification.simulated_kernels import polynomial
-from tissueid.identification.volterra.kernel_regression import regression_kernels, simulate_third
+from tissueid.identification.volterra.methods import regression_kernels, simulate_third
 n, lags, order = (int(word) for word in sys.argv[1:])
 known = polynomial(60, n=n + lags - 1, lags=lags, cube=2.0 if order == 3 else 0.0, cutoff_hz=500.0, snr_db=30.0,
                    slowness=lags / 30.0)

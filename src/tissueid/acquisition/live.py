@@ -12,7 +12,7 @@ from tissueid.acquisition.live_process import LiveEstimator, LiveProcess, LiveSe
 from tissueid.device import DeviceDescription
 from tissueid.identification.live.live_view import LiveView, Method
 from tissueid.identification.live.stopping import StopRule
-from tissueid.identification.online.identifier import RECENT_S
+from tissueid.identification.online_identifier import RECENT_S
 from tissueid.instrument.force_profile import recorded_force
 
 

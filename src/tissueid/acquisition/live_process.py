@@ -27,7 +27,7 @@ from tissueid.child_process import start
 from tissueid.errors import TissueIDError, UnusableInputError
 from tissueid.identification.live.live_view import LiveIdentifier, LiveView, Method, start_identifier, view
 from tissueid.identification.live.stopping import Precision, StopRule, precision
-from tissueid.identification.online.identifier import RECENT_S
+from tissueid.identification.online_identifier import RECENT_S
 from tissueid.messages import Message, Verbatim
 from tissueid.records import Record
 

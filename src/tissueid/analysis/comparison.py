@@ -13,8 +13,7 @@ from tissueid.analysis.option_sweeps import Progress, SweepRow, memory_sweep, si
 from tissueid.analysis.scoring import Scored, candidates, scored
 from tissueid.analysis.split import Split
 from tissueid.errors import UnusableInputError
-from tissueid.identification.base import Engine
-from tissueid.identification.model_family import Family
+from tissueid.identification.base import Engine, Family
 from tissueid.identification.recommendation import Recommendation, recommend
 from tissueid.identification.registry import engine_names, get_engine
 from tissueid.identification.validation.repeats import Ceiling

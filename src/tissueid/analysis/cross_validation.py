@@ -12,8 +12,8 @@ from tissueid.analysis.scoring import held_out_error
 from tissueid.analysis.split import Split
 from tissueid.errors import UnusableInputError
 from tissueid.identification.base import Array, Engine
-from tissueid.identification.candidates import ModelCandidate, difference
 from tissueid.identification.recommendation import beaten
+from tissueid.identification.recommendation_messages import ModelCandidate, difference
 from tissueid.language import marked
 from tissueid.records import Record, joined
 

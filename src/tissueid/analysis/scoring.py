@@ -10,10 +10,9 @@ import numpy as np
 
 from tissueid.analysis.fitting import Analysis
 from tissueid.analysis.split import Split
-from tissueid.identification.base import Array, FitReport, Mask, Model
-from tissueid.identification.candidates import ModelCandidate
-from tissueid.identification.model_family import Family
+from tissueid.identification.base import Array, Family, FitReport, Mask, Model
 from tissueid.identification.preparation import scored_samples
+from tissueid.identification.recommendation_messages import ModelCandidate
 from tissueid.identification.second_order_fit import SecondOrderFit
 from tissueid.identification.validation import aic, aicc, vaf_percent
 from tissueid.identification.validation.scores import unrelated_p_value

@@ -11,6 +11,7 @@ from abc import ABC, abstractmethod
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import asdict, dataclass, field, replace
+from enum import StrEnum
 from functools import wraps
 from typing import Annotated, Any, ClassVar, Literal, Self
 
@@ -21,8 +22,7 @@ from pydantic import BaseModel, ConfigDict, Field, ValidationError
 from tissueid.errors import UnusableInputError
 from tissueid.identification.blas_threads import one_blas_thread
 from tissueid.identification.depth_profile import DepthProfile
-from tissueid.identification.fit_scores import aic, aicc, vaf_percent
-from tissueid.identification.model_family import Family
+from tissueid.language import marked
 from tissueid.messages import Message, stored
 from tissueid.option_errors import option_error
 from tissueid.records import Estimate, Record
@@ -30,6 +30,68 @@ from tissueid.stored_values import MaybeNumber, Name, Number, Texts, finite
 
 Array = NDArray[np.float64]
 Mask = NDArray[np.bool_]
+
+
+def vaf_percent(measured: Array, modelled: Array) -> float:
+    """Return the variance accounted for, % (Eq. 3.13), over the samples where both arrays (n,) are finite.
+
+    Negative if the error varies more than the measurement. NaN with fewer than two samples, or if the measurement is
+    constant.
+    """
+    used = np.isfinite(measured) & np.isfinite(modelled)
+    if used.sum() < 2:
+        return float("nan")
+    variance = float(np.var(measured[used]))
+    if variance == 0.0:
+        return float("nan")
+    return 100.0 * (1.0 - float(np.var(measured[used] - modelled[used])) / variance)
+
+
+def aic(residuals: Array, n_parameters: float) -> float:
+    """Return Akaike's information criterion of Gaussian residuals (n,) (Eqs. 3.14-3.15); NaN are ignored."""
+    finite = residuals[np.isfinite(residuals)]
+    if finite.size == 0:
+        return float("nan")
+    rss = float(finite @ finite)
+    if rss == 0.0:
+        return float("-inf")
+    return 2.0 * n_parameters + finite.size * (math.log(2.0 * math.pi * rss / finite.size) + 1.0)
+
+
+def aicc(residuals: Array, n_parameters: float) -> float:
+    """Return AIC with the second-order correction for few samples (Eq. 3.16); NaN if n <= k + 1."""
+    n = int(np.isfinite(residuals).sum())
+    if n <= n_parameters + 1:
+        return float("nan")
+    return aic(residuals, n_parameters) + 2.0 * n_parameters * (n_parameters + 1) / (n - n_parameters - 1)
+
+
+class Family(StrEnum):
+    """Kind of model that an engine fits, in order of complexity; of equally good models the simpler is preferred.
+
+    An engine declares its family by ``family: ClassVar[Family]``; the default is ``OTHER``, the last.
+    """
+
+    LINEAR = marked("linear")
+    STATIC = marked("linear blocks and static nonlinearities")
+    PARAMETRIC = marked("parameters that follow depth")
+    DEPTH = marked("depth partitions")
+    DIRECTION = marked("depth and direction partitions")
+    KERNELS = marked("Volterra kernels")
+    OTHER = marked("other")
+
+    @property
+    def rank(self) -> int:
+        """Position in the order of complexity: 0 is the simplest."""
+        return list(Family).index(self)
+
+    @property
+    def interpretability(self) -> str:
+        """How well results of different tests can be compared as numbers (Chen 2010, Table 8.1)."""
+        if self is Family.KERNELS:
+            return marked("poor")
+        return marked("not rated") if self is Family.OTHER else marked("good")
+
 
 SIGNIFICANT = 0.05
 """Largest p-value of the held-out score at which a fit counts as predictive."""

@@ -17,15 +17,14 @@ import numpy as np
 
 from tissueid.errors import UnusableInputError
 from tissueid.identification import recommendation_messages as messages
-from tissueid.identification.base import Array
-from tissueid.identification.candidates import (
+from tissueid.identification.base import Array, Family
+from tissueid.identification.recommendation_messages import (
     ModelCandidate,
     ModelStanding,
     SufficientOption,
     VafDifference,
     difference,
 )
-from tissueid.identification.model_family import Family
 from tissueid.identification.validation import vaf_percent
 from tissueid.language import marked
 from tissueid.messages import stored

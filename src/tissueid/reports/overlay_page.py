@@ -24,7 +24,7 @@ from tissueid.atomic_write import atomic_file, private_folder
 from tissueid.errors import UnusableInputError
 from tissueid.formatting import fixed, grouped, number
 from tissueid.identification.engines.wiener import WienerModel
-from tissueid.identification.volterra.model import VolterraModel
+from tissueid.identification.volterra.structure import VolterraModel
 from tissueid.language import _, marked
 from tissueid.messages import MISSING, translated
 from tissueid.reports import captions

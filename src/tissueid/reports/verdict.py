@@ -13,8 +13,8 @@ from tissueid.analysis.curves.signals import lost_samples
 from tissueid.analysis.split import SURFACE_KNOWN_TO_M
 from tissueid.formatting import estimate, fixed, label_and_unit, number
 from tissueid.identification import label_of, report_engines
+from tissueid.identification.engines.localized import LocalizedModel
 from tissueid.identification.engines.wiener import WienerModel
-from tissueid.identification.localized import LocalizedModel
 from tissueid.language import _, marked
 from tissueid.messages import Listing, Message
 from tissueid.reports.page import surface_of

@@ -15,7 +15,7 @@ from tissueid.analysis.curves.overlay_plots import loop_width
 from tissueid.analysis.overlay import Overlay, repeated_values, series_profiles
 from tissueid.formatting import fixed, grouped, number
 from tissueid.identification.engines.volterra import Volterra
-from tissueid.identification.volterra.model import VolterraModel
+from tissueid.identification.volterra.structure import VolterraModel
 from tissueid.language import marked
 from tissueid_lab.thesis.computing_times import (
     lags_for,

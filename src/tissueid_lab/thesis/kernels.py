@@ -26,8 +26,8 @@ from tissueid.identification.depth_profile import DepthProfile
 from tissueid.identification.engines.partitions import Depth
 from tissueid.identification.engines.volterra import Volterra
 from tissueid.identification.partitions.model import PartitionedModel
-from tissueid.identification.volterra.model import VolterraModel
 from tissueid.identification.volterra.prior import roughness
+from tissueid.identification.volterra.structure import VolterraModel
 from tissueid.language import marked
 from tissueid.records import Record
 from tissueid.reports.overlay_page import DrawnFigures

@@ -12,7 +12,7 @@ from tissueid.analysis import Analysis
 from tissueid.analysis.curves.plot import CONFIDENCE, Array, Axis, Bars, Curve, Kind, Plot, cloud, signal_axis
 from tissueid.errors import UnusableInputError
 from tissueid.identification.depth_profile import DepthProfile
-from tissueid.identification.dpn.confidence_bands import CurveBand
+from tissueid.identification.dpn.fit import CurveBand
 from tissueid.identification.engines.dpn import DpnModel
 from tissueid.language import marked
 from tissueid.messages import Message

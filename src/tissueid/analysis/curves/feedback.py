@@ -29,7 +29,7 @@ from tissueid.errors import UnusableInputError
 from tissueid.identification.depth_profile import DepthProfile
 from tissueid.identification.engines.als import AlsModel
 from tissueid.identification.engines.lms import Lms
-from tissueid.identification.online.identifier import OnlineModel
+from tissueid.identification.online_identifier import OnlineModel
 from tissueid.identification.second_order import SecondOrder
 from tissueid.language import marked
 from tissueid.messages import Message

@@ -30,7 +30,7 @@ from tissueid.errors import UnusableInputError
 from tissueid.formatting import fixed
 from tissueid.identification.base import Model
 from tissueid.identification.partitions.model import PartitionedModel
-from tissueid.identification.volterra.model import VolterraModel
+from tissueid.identification.volterra.structure import VolterraModel
 from tissueid.language import marked
 from tissueid.messages import Message
 from tissueid.records import Record

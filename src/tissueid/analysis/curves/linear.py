@@ -27,13 +27,13 @@ from tissueid.analysis.curves.validation import power_edge
 from tissueid.errors import UnusableInputError
 from tissueid.identification.base import Model
 from tissueid.identification.engines.lms import LmsModel
+from tissueid.identification.engines.localized import LevelFit, LocalizedModel
 from tissueid.identification.engines.rls import RlsModel
 from tissueid.identification.engines.spectral import Spectra, Spectral, SpectralModel
-from tissueid.identification.localized import LevelFit, LocalizedModel
-from tissueid.identification.online.identifier import OnlineModel
+from tissueid.identification.online_identifier import OnlineModel
 from tissueid.identification.partitions.model import PartitionedModel
 from tissueid.identification.second_order_fit import SecondOrderFit
-from tissueid.identification.volterra.model import VolterraModel
+from tissueid.identification.volterra.structure import VolterraModel
 from tissueid.language import marked
 from tissueid.messages import Message
 from tissueid.records import Record

@@ -23,7 +23,7 @@ from tissueid.analysis.curves.plot import (
 from tissueid.analysis.curves.validation import KINDS, ROLES
 from tissueid.errors import UnusableInputError
 from tissueid.formatting import label_and_unit
-from tissueid.identification.cascades.curves import curve_slopes
+from tissueid.identification.cascades.blocks import curve_slopes
 from tissueid.identification.correlation import convolve_at_rest
 from tissueid.identification.engines.cascade import CascadeModel
 from tissueid.identification.engines.hammerstein import HammersteinModel

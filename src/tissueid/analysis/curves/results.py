@@ -48,9 +48,9 @@ from tissueid.analysis.curves.validation import output_plots, unseen_motion
 from tissueid.errors import UnusableInputError
 from tissueid.identification.base import Model
 from tissueid.identification.engines.lms import LmsModel
+from tissueid.identification.engines.localized import LocalizedModel
 from tissueid.identification.engines.spectral import Spectra, SpectralModel
 from tissueid.identification.engines.wiener import Wiener, WienerModel
-from tissueid.identification.localized import LocalizedModel
 from tissueid.identification.validation.residual_tests import ResidualTest, residual_tests
 from tissueid.language import marked
 from tissueid.messages import Message

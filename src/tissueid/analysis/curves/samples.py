@@ -20,7 +20,7 @@ from tissueid.analysis.curves.plot import Array, is_mechanical, ratio_unit
 from tissueid.errors import UnusableInputError
 from tissueid.identification.engines.wiener import WienerModel
 from tissueid.identification.partitions.model import PartitionedModel
-from tissueid.identification.volterra.model import VolterraModel
+from tissueid.identification.volterra.structure import VolterraModel
 
 MAGNITUDE, PHASE = "magnitude_m_per_n", "phase_deg"
 MASS, DAMPING, STIFFNESS = "mass_kg", "damping_n_s_per_m", "stiffness_n_per_m"

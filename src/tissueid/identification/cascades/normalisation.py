@@ -9,8 +9,16 @@ import numpy as np
 from scipy import linalg
 
 from tissueid.identification.base import Array, Mask
-from tissueid.identification.cascades.blocks import Blocks, CascadeData, Structure, run, slopes
-from tissueid.identification.cascades.curves import multiplied, with_scaled_argument, with_zero_at
+from tissueid.identification.cascades.blocks import (
+    Blocks,
+    CascadeData,
+    Structure,
+    multiplied,
+    run,
+    slopes,
+    with_scaled_argument,
+    with_zero_at,
+)
 from tissueid.identification.correlation import convolve_at_rest, dependence_samples, long_run_covariance
 from tissueid.identification.second_order import Hold
 from tissueid.identification.second_order_fit import SecondOrderFit, fit_second_order

@@ -28,8 +28,7 @@ from tissueid.identification.cascades.blocks import (
     run,
     slopes,
 )
-from tissueid.identification.cascades.fit import FittedCascade, fit_linear, refine
-from tissueid.identification.cascades.starting_points import solve_with_ridge
+from tissueid.identification.cascades.fit import FittedCascade, fit_linear, refine, solve_with_ridge
 from tissueid.identification.correlation import dependence_samples, long_run_covariance
 from tissueid.identification.validation import aicc
 from tissueid.language import marked

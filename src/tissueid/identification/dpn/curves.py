@@ -19,8 +19,7 @@ from numpy.polynomial import legendre
 from numpy.typing import NDArray
 
 from tissueid.identification.base import Array
-from tissueid.identification.dpn.kernel import DAMPING, DIRECTION, FORCE, INERTIA, MASS
-from tissueid.identification.dpn.simulation import Curves
+from tissueid.identification.dpn.simulation import DAMPING, DIRECTION, FORCE, INERTIA, MASS, Curves
 
 MARGIN = 0.5
 """Margin of the tables beyond the visited range, as a share of it."""

@@ -8,12 +8,11 @@ from typing import ClassVar
 import numpy as np
 
 from tissueid.errors import UnusableInputError
-from tissueid.identification.base import Array, option
+from tissueid.identification import adaptive_least_squares as adaptation
+from tissueid.identification.base import Array, Family, option
 from tissueid.identification.correlation import convolve_at_rest
 from tissueid.identification.impulse_response import memory_warnings
-from tissueid.identification.model_family import Family
-from tissueid.identification.online import adaptive_least_squares as adaptation
-from tissueid.identification.online.identifier import Identifier, OnlineEngine, OnlineModel
+from tissueid.identification.online_identifier import Identifier, OnlineEngine, OnlineModel
 from tissueid.identification.preparation import PreparedRecord, prepare
 from tissueid.identification.registry import engine
 from tissueid.identification.second_order_fit import fit_second_order

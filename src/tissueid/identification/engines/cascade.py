@@ -8,7 +8,7 @@ from typing import ClassVar, Literal
 import numpy as np
 
 from tissueid.errors import UnusableInputError
-from tissueid.identification.base import Array, Model, option
+from tissueid.identification.base import Array, Family, Model, option
 from tissueid.identification.cascades.blocks import (
     STRUCTURES,
     Blocks,
@@ -36,7 +36,6 @@ from tissueid.identification.cascades.structure_selection import (
 )
 from tissueid.identification.impulse_response import memory_warnings
 from tissueid.identification.memory import MemoryEngine
-from tissueid.identification.model_family import Family
 from tissueid.identification.preparation import memory_in_samples
 from tissueid.identification.registry import engine
 from tissueid.identification.second_order_fit import SecondOrderFit

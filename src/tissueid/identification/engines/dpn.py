@@ -8,15 +8,19 @@ from typing import ClassVar, Literal, Self
 import numpy as np
 
 from tissueid.errors import UnusableInputError
-from tissueid.identification.base import Array, Engine, Mask, Model, option
+from tissueid.identification.base import Array, Engine, Family, Mask, Model, option
 from tissueid.identification.depth_profile import DepthProfile
-from tissueid.identification.dpn.confidence_bands import EstimatedCurves, coefficient_covariance
 from tissueid.identification.dpn.curves import LogCurves
-from tissueid.identification.dpn.fit import DpnData, FittedDpn
-from tissueid.identification.dpn.report import curve_warnings, dpn_parameters, findings, settling_samples
-from tissueid.identification.dpn.selection import score_gains, select_degrees
+from tissueid.identification.dpn.fit import DpnData, EstimatedCurves, FittedDpn, coefficient_covariance
+from tissueid.identification.dpn.selection import (
+    curve_warnings,
+    dpn_parameters,
+    findings,
+    score_gains,
+    select_degrees,
+    settling_samples,
+)
 from tissueid.identification.dpn.simulation import FreeRun, simulate_dpn
-from tissueid.identification.model_family import Family
 from tissueid.identification.preparation import (
     SAMPLES_PER_PARAMETER,
     PreparedRecord,

@@ -8,15 +8,20 @@ from typing import ClassVar
 import numpy as np
 
 from tissueid.errors import UnusableInputError
-from tissueid.identification.base import Array, Mask, Model, option
-from tissueid.identification.cascades.blocks import Blocks, CascadeData, cascade_data, input_levels, prepare_cascade
-from tissueid.identification.cascades.curves import with_offset
+from tissueid.identification.base import Array, Family, Mask, Model, option
+from tissueid.identification.cascades.blocks import (
+    Blocks,
+    CascadeData,
+    cascade_data,
+    input_levels,
+    prepare_cascade,
+    with_offset,
+)
 from tissueid.identification.cascades.fit import FittedCascade, fit_linear, hammerstein_passes, refine
 from tissueid.identification.cascades.normalisation import FLAT, has_steady_gains, normalise_gains, uncertainty
 from tissueid.identification.correlation import convolve_at_rest
 from tissueid.identification.impulse_response import memory_warnings
 from tissueid.identification.memory import MemoryEngine
-from tissueid.identification.model_family import Family
 from tissueid.identification.preparation import memory_in_samples
 from tissueid.identification.registry import engine
 from tissueid.identification.second_order import Hold
@@ -30,7 +35,7 @@ from tissueid.identification.static_nonlinearity import (
     coefficient_count,
 )
 from tissueid.identification.validation import vaf_percent
-from tissueid.identification.wiener.refinement import derived, wiener_parameters
+from tissueid.identification.wiener_cascade import derived, wiener_parameters
 from tissueid.language import marked
 from tissueid.messages import Listing, Message
 from tissueid.records import Record

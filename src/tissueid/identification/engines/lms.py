@@ -7,7 +7,7 @@ from typing import ClassVar, Literal
 
 import numpy as np
 
-from tissueid.identification.base import Array, Model, option
+from tissueid.identification.base import Array, Family, Model, option
 from tissueid.identification.correlation import convolve_at_rest
 from tissueid.identification.impulse_response import (
     factor_input,
@@ -17,7 +17,6 @@ from tissueid.identification.impulse_response import (
     with_extra_memory,
 )
 from tissueid.identification.memory import MemoryEngine
-from tissueid.identification.model_family import Family
 from tissueid.identification.preparation import prepare
 from tissueid.identification.registry import engine
 from tissueid.identification.second_order_fit import SecondOrderFit, fit_second_order

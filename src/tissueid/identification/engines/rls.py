@@ -3,22 +3,176 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from math import isfinite, nan
 from typing import ClassVar
 
 import numpy as np
+from numba import njit
+from numpy.typing import NDArray
 
-from tissueid.identification.base import Array, option
+from tissueid.identification.base import Array, Family, option
 from tissueid.identification.correlation import convolve_at_rest
 from tissueid.identification.impulse_response import kernel_std, memory_warnings
-from tissueid.identification.model_family import Family
-from tissueid.identification.online import recursive_least_squares as recursion
-from tissueid.identification.online.identifier import Identifier, OnlineEngine, OnlineModel
+from tissueid.identification.online_identifier import Identifier, OnlineEngine, OnlineModel
 from tissueid.identification.preparation import SAMPLES_PER_PARAMETER, PreparedRecord, prepare
 from tissueid.identification.registry import engine
 from tissueid.identification.second_order_fit import fit_second_order
 from tissueid.language import marked
 from tissueid.messages import Message
 from tissueid.records import Record
+
+# Rows of the work array.
+_COEFFICIENTS, _REGRESSOR, _PENDING, _RIDGE_PENDING, _PRODUCT = range(5)
+_WORK_ROWS = 5
+
+# Scalars.
+_FORGETTING, _RIDGE = 0, 1  # ridge of one coefficient: one over its initial variance
+_SCALE, _WEIGHT, _RIDGE_WEIGHT = 2, 3, 4  # V = scale triangle - weight pending pending' - ridge_weight ridge ridge'
+_RECEIVED, _UPDATES = 5, 6  # inputs since the last gap; total updates
+_SCALARS = 7
+
+
+def _start_recursion(taps: int, variance: float, constant: float, forgetting: float) -> tuple[Array, Array, Array]:
+    """Return the triangle, work array and scalars of a new identifier.
+
+    Args:
+        taps: lags of the response.
+        variance: initial variance of every coefficient, for output noise of unit variance.
+        constant: the regressor of the offset, after those of the lags.
+        forgetting: factor of Eq. 6.3, at most 1.
+    """
+    count = taps + 1
+    triangle = np.zeros(count * (count + 1) // 2)
+    triangle[_diagonal(count)] = variance
+    work = np.zeros((_WORK_ROWS, count))
+    work[_REGRESSOR, taps] = constant
+    scalars = np.zeros(_SCALARS)
+    scalars[[_FORGETTING, _RIDGE, _SCALE]] = forgetting, 1.0 / variance, 1.0
+    return triangle, work, scalars
+
+
+def _recursion_covariance(triangle: Array, work: Array, scalars: Array) -> Array:
+    """Return V (taps + 1, taps + 1), including the stored update; the state is not changed."""
+    count = work.shape[1]
+    full = np.zeros((count, count))
+    full[np.triu_indices(count)] = scalars[_SCALE] * triangle
+    full += np.triu(full, 1).T
+    for row, weight in ((_PENDING, _WEIGHT), (_RIDGE_PENDING, _RIDGE_WEIGHT)):
+        full -= scalars[weight] * np.outer(work[row], work[row])
+    return full
+
+
+def _diagonal(count: int) -> NDArray[np.intp]:
+    rows = np.arange(count)
+    return rows * count - rows * (rows - 1) // 2
+
+
+# Reordering of sums is allowed, so that the compiler can use vector instructions.
+@njit(cache=True, nogil=True, fastmath={"reassoc", "contract"})
+def _advance_recursion(triangle: Array, work: Array, scalars: Array, u: Array, y: Array, errors: Array) -> None:
+    """Add samples u (n,) and y (n,), minus their operating point, and store the prediction errors (n,) before each
+    update.
+
+    An error is NaN, and no update is made, if the output or any input in the memory is NaN.
+    """
+    taps = work.shape[1] - 1
+    x = work[_REGRESSOR]
+    coefficients = work[_COEFFICIENTS]
+    for n in range(u.size):
+        for k in range(taps - 1, 0, -1):
+            x[k] = x[k - 1]
+        x[0] = u[n]
+        scalars[_RECEIVED] = scalars[_RECEIVED] + 1.0 if isfinite(u[n]) else 0.0
+        errors[n] = nan
+        if scalars[_RECEIVED] < taps or not isfinite(y[n]):
+            continue
+        known = 0.0
+        for k in range(taps + 1):
+            known += coefficients[k] * x[k]
+        errors[n] = y[n] - known  # Eq. 6.2
+        _multiply(triangle, work, scalars)
+        _learn(triangle, work, scalars, errors[n])
+        scalars[_UPDATES] += 1.0
+
+
+@njit(cache=True, fastmath={"reassoc", "contract"})
+def _multiply(triangle: Array, work: Array, scalars: Array) -> None:
+    """Apply the stored update, and compute the product of V with the regressor, in one pass.
+
+    Two rows are processed at a time, so that common factors are read once.
+    """
+    count = work.shape[1]
+    scale, weight, ridge_weight = scalars[_SCALE], scalars[_WEIGHT], scalars[_RIDGE_WEIGHT]
+    for k in range(count):
+        work[_PRODUCT, k] = 0.0
+    first = 0
+    for i in range(0, count - 1, 2):
+        rest = count - i - 2
+        upper, lower = triangle[first : first + rest + 2], triangle[first + rest + 2 : first + 2 * rest + 3]
+        x, pending, ridge, product = (
+            work[_REGRESSOR, i:],
+            work[_PENDING, i:],
+            work[_RIDGE_PENDING, i:],
+            work[_PRODUCT, i:],
+        )
+        a, a_ridge, a_x = weight * pending[0], ridge_weight * ridge[0], x[0]
+        b, b_ridge, b_x = weight * pending[1], ridge_weight * ridge[1], x[1]
+        upper[0] = scale * upper[0] - a * pending[0] - a_ridge * ridge[0]
+        upper[1] = scale * upper[1] - a * pending[1] - a_ridge * ridge[1]
+        lower[0] = scale * lower[0] - b * pending[1] - b_ridge * ridge[1]
+        a_total = upper[0] * a_x + upper[1] * b_x
+        b_total = upper[1] * a_x + lower[0] * b_x
+        above, below = upper[2:], lower[1:]
+        x, pending, ridge, product = x[2:], pending[2:], ridge[2:], product[2:]
+        for k in range(rest):
+            from_a = scale * above[k] - a * pending[k] - a_ridge * ridge[k]
+            from_b = scale * below[k] - b * pending[k] - b_ridge * ridge[k]
+            above[k], below[k] = from_a, from_b
+            a_total += from_a * x[k]
+            b_total += from_b * x[k]
+            product[k] += from_a * a_x + from_b * b_x
+        work[_PRODUCT, i] += a_total
+        work[_PRODUCT, i + 1] += b_total
+        first += 2 * rest + 3
+    if count % 2 == 1:
+        last = count - 1
+        triangle[first] = (
+            scale * triangle[first]
+            - weight * work[_PENDING, last] ** 2
+            - ridge_weight * work[_RIDGE_PENDING, last] ** 2
+        )
+        work[_PRODUCT, last] += triangle[first] * work[_REGRESSOR, last]
+
+
+# Reordering of sums is allowed, as above.
+@njit(cache=True, fastmath={"reassoc", "contract"})
+def _learn(triangle: Array, work: Array, scalars: Array, error: float) -> None:
+    """Correct the coefficients by the error, and store the update of V."""
+    count = work.shape[1]
+    coefficients, x, pending, ridge, product = work[0], work[1], work[2], work[3], work[4]
+    forgetting = scalars[_FORGETTING]
+    spread = forgetting
+    for k in range(count):
+        spread += x[k] * product[k]
+    gain = error / spread  # Eqs. 6.3 and 6.5
+    for k in range(count):
+        coefficients[k] += product[k] * gain
+        pending[k] = product[k]
+    scalars[_SCALE] = 1.0 / forgetting
+    scalars[_WEIGHT] = 1.0 / (forgetting * spread)  # Eq. 6.4
+    if forgetting == 1.0:
+        return
+    turn = int(scalars[_UPDATES]) % count
+    place = turn  # index in the triangle: down column ``turn`` to the diagonal, then along its row
+    for k in range(count):
+        ridge[k] = triangle[place] / forgetting - scalars[_WEIGHT] * pending[k] * pending[turn]
+        place += count - 1 - k if k < turn else 1
+    returned = scalars[_RIDGE] * count * (1.0 - forgetting)
+    scalars[_RIDGE_WEIGHT] = 1.0 / (1.0 / returned + ridge[turn])
+    away = coefficients[turn] * scalars[_RIDGE_WEIGHT]
+    for k in range(count):
+        coefficients[k] -= ridge[k] * away
+
 
 _RETAINED_TIME_CONSTANTS = 4.0
 """Time constants of forgetting after which the weight of a residual is neglected."""
@@ -52,30 +206,30 @@ class RlsIdentifier(Identifier):
         super().__init__(options, sample_rate_hz, operating_point, units, begin)
         self._constant = input_std
         self.first_variance = options.covariance / input_std**2
-        self._triangle, self._work, self._scalars = recursion.start(
+        self._triangle, self._work, self._scalars = _start_recursion(
             self.lags, self.first_variance, self._constant, options.forgetting
         )
 
     def _advance(self, u: Array, y: Array, errors: Array) -> None:
-        recursion.advance(self._triangle, self._work, self._scalars, u, y, errors)
+        _advance_recursion(self._triangle, self._work, self._scalars, u, y, errors)
 
     def _response(self) -> Array:
-        return self._work[recursion.COEFFICIENTS, : self.lags]
+        return self._work[_COEFFICIENTS, : self.lags]
 
     @property
     def offset(self) -> float:
         """Output at the operating point of the input."""
-        return self.output_mean + self._constant * float(self._work[recursion.COEFFICIENTS, self.lags])
+        return self.output_mean + self._constant * float(self._work[_COEFFICIENTS, self.lags])
 
     @property
     def covariance(self) -> Array:
         """Covariance of the response per sample, (lags, lags), for white output noise of unit variance (Eq. 6.4)."""
-        return recursion.covariance(self._triangle, self._work, self._scalars)[: self.lags, : self.lags]
+        return _recursion_covariance(self._triangle, self._work, self._scalars)[: self.lags, : self.lags]
 
     @property
     def updates(self) -> int:
         """Number of samples used for updates."""
-        return int(self._scalars[recursion.UPDATES])
+        return int(self._scalars[_UPDATES])
 
 
 @engine

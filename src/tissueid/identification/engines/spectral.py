@@ -11,10 +11,9 @@ from numpy.typing import NDArray
 from scipy import fft, signal
 
 from tissueid.errors import UnusableInputError
-from tissueid.identification.base import Array, Model, option
+from tissueid.identification.base import Array, Family, Model, option
 from tissueid.identification.correlation import convolve_at_rest
 from tissueid.identification.memory import MemoryEngine
-from tissueid.identification.model_family import Family
 from tissueid.identification.preparation import (
     PreparedRecord,
     finite_runs,

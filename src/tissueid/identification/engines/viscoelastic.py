@@ -16,10 +16,9 @@ import numpy as np
 from scipy import fft
 
 from tissueid.errors import UnusableInputError
-from tissueid.identification.base import Array, Engine, FittedCurve, LineFigure, Mask, Model, option
+from tissueid.identification.base import Array, Engine, Family, FittedCurve, LineFigure, Mask, Model, option
 from tissueid.identification.correlation import Correlator, dependence_samples
 from tissueid.identification.levenberg_marquardt import Bounds, ErrorPoint, minimise
-from tissueid.identification.model_family import Family
 from tissueid.identification.preparation import complete_windows, finite_runs, prepare
 from tissueid.identification.ramp_stiffness import is_slow, ramp_stiffness
 from tissueid.identification.registry import engine

@@ -9,14 +9,12 @@ from typing import ClassVar, Literal
 import numpy as np
 
 from tissueid.errors import UnusableInputError
-from tissueid.identification.base import PARAMETRIC, Array, option
+from tissueid.identification.base import PARAMETRIC, Array, Family, option
 from tissueid.identification.impulse_response import memory_warnings
 from tissueid.identification.memory import MemoryEngine
-from tissueid.identification.model_family import Family
 from tissueid.identification.preparation import SAMPLES_PER_PARAMETER, PreparedRecord, memory_in_samples, prepare
 from tissueid.identification.registry import engine
 from tissueid.identification.second_order_fit import fit_second_order
-from tissueid.identification.volterra.lag_grid import LagGrid, automatic_grid, lag_grid, shortened, smoothed, whiteness
 from tissueid.identification.volterra.methods import (
     Solved,
     VolterraStimulus,
@@ -25,9 +23,17 @@ from tissueid.identification.volterra.methods import (
     laguerre_least_squares,
     regularised_least_squares,
 )
-from tissueid.identification.volterra.model import VolterraModel
-from tissueid.identification.volterra.regressors import VolterraRegressors, coefficient_count
-from tissueid.identification.volterra.structure import kernel_structure
+from tissueid.identification.volterra.regressors import (
+    LagGrid,
+    VolterraRegressors,
+    automatic_grid,
+    coefficient_count,
+    lag_grid,
+    shortened,
+    smoothed,
+    whiteness,
+)
+from tissueid.identification.volterra.structure import VolterraModel, kernel_structure
 from tissueid.language import marked
 from tissueid.messages import Message
 from tissueid.records import Record

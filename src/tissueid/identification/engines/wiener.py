@@ -8,10 +8,9 @@ from typing import ClassVar, Self
 import numpy as np
 from scipy import fft
 
-from tissueid.identification.base import Array, Model, option
+from tissueid.identification.base import Array, Family, Model, option
 from tissueid.identification.impulse_response import factor_input, memory_warnings, with_extra_memory
 from tissueid.identification.memory import MemoryEngine
-from tissueid.identification.model_family import Family
 from tissueid.identification.preparation import memory_in_samples, prepare
 from tissueid.identification.registry import engine
 from tissueid.identification.second_order import Hold, SecondOrder, sampled_response_at
@@ -25,17 +24,15 @@ from tissueid.identification.static_nonlinearity import (
     coefficient_count,
 )
 from tissueid.identification.validation import vaf_percent
-from tissueid.identification.wiener.iteration import (
+from tissueid.identification.wiener_cascade import (
     LinearStage,
     Pass,
     WienerCascade,
+    coefficient_covariance,
     cut_to_memory,
+    fit_linear_stage,
     hunter_korenberg,
     linear_output,
-)
-from tissueid.identification.wiener.refinement import (
-    coefficient_covariance,
-    fit_linear_stage,
     refine,
     straightness_warning,
     wiener_parameters,

@@ -23,7 +23,7 @@ from tissueid.identification.engines.spectral import Spectral
 from tissueid.identification.impulse_response import kernel_std
 from tissueid.identification.live.sliding import SlidingLms
 from tissueid.identification.live.stopping import PARAMETERS, Parameter, Precision
-from tissueid.identification.online.identifier import RECENT_S
+from tissueid.identification.online_identifier import RECENT_S
 from tissueid.identification.preparation import PreparedRecord, prepare
 from tissueid.identification.second_order import without_spring
 from tissueid.identification.second_order_fit import SecondOrderFit

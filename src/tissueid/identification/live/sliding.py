@@ -15,7 +15,7 @@ from tissueid.identification.base import Array
 from tissueid.identification.correlation import condition_number, toeplitz_inverse, toeplitz_solve
 from tissueid.identification.engines.lms import Lms, LmsModel
 from tissueid.identification.impulse_response import EXTRA_MEMORY_S, RIDGE, factor_input, with_extra_memory
-from tissueid.identification.lagged_gram import LaggedRegressors
+from tissueid.identification.least_squares import LaggedRegressors
 from tissueid.identification.preparation import (
     PreparedRecord,
     checked_samples,

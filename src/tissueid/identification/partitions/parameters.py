@@ -18,11 +18,10 @@ from scipy import optimize
 
 from tissueid.identification.base import Array
 from tissueid.identification.depth_profile import DepthProfile
-from tissueid.identification.partitions.cells import Cells, Partitions
-from tissueid.identification.partitions.regression import PartitionedKernels
+from tissueid.identification.partitions.regression import Cells, PartitionedKernels, Partitions
 from tissueid.identification.second_order import Complex, Hold, SecondOrder, sampled_response_at
 from tissueid.identification.second_order_fit import SecondOrderFit
-from tissueid.identification.volterra.lag_grid import LagGrid, input_spectrum
+from tissueid.identification.volterra.regressors import LagGrid, input_spectrum
 from tissueid.records import Estimate
 
 _EXCITED_POWER = 1e-4

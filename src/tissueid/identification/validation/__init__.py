@@ -1,6 +1,6 @@
 """Validation of models: scores, residual tests, prediction, distortion, repeats, bootstrap."""
 
-from tissueid.identification.fit_scores import aic, aicc, vaf_percent
+from tissueid.identification.base import aic, aicc, vaf_percent
 from tissueid.identification.validation.scores import Score, score, validate, validated
 
 __all__ = [

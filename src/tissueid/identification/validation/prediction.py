@@ -7,19 +7,166 @@ autocorrelated.
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy import linalg
 
 from tissueid.errors import UnusableInputError
-from tissueid.identification.base import Array, Model, check_horizon
+from tissueid.identification.base import Array, Mask, Model, check_horizon
+from tissueid.identification.correlation import lagged_products
 from tissueid.identification.preparation import complete_windows, scored_samples
 from tissueid.identification.validation import vaf_percent
-from tissueid.identification.validation.autoregression import Autoregression, fit_autoregression
 from tissueid.identification.validation.scores import NO_SAMPLE, vaf_std_percent
 from tissueid.records import Record
+
+_LARGEST_ORDER = 60
+_ROWS_PER_ORDER = 20
+"""Minimum number of samples per order that is tried."""
+
+_LARGEST_POLE = 0.999
+"""Largest modulus of a pole; unstable least-squares models are scaled to it."""
+
+
+@dataclass(frozen=True, eq=False)
+class Autoregression:
+    """e[n] - mean = sum over i of coefficients[i - 1] (e[n - i] - mean) + a white innovation.
+
+    ``coefficients`` has shape (order,), empty for white noise; ``innovation_std`` and ``mean`` are in the unit of the
+    signal.
+    """
+
+    coefficients: Array
+    mean: float
+    innovation_std: float
+    n_samples: int
+    aicc: float
+
+    @property
+    def order(self) -> int:
+        """Number of past samples in the regression."""
+        return int(self.coefficients.size)
+
+    def innovations(self, signal: Array) -> Array:
+        """Return the innovations (n,) of a signal (n,); NaN within ``order`` samples of a gap."""
+        return self.whiten(signal - self.mean)
+
+    def whiten(self, signal: Array) -> Array:
+        """Return a signal (n,) filtered by the whitening filter, shape (n,); NaN where the filter covers an unknown
+        sample.
+        """
+        known = np.isfinite(signal)
+        filtered = np.convolve(np.where(known, signal, 0.0), np.concatenate([[1.0], -self.coefficients]))
+        return np.where(complete_windows(known, self.order + 1), filtered[: signal.size], np.nan)
+
+    def response(self, length: int) -> Array:
+        """Return the response psi (length,) of the signal to one innovation: psi[0] = 1."""
+        psi = np.zeros(length)
+        for step in range(length):
+            past = psi[max(0, step - self.order) : step][::-1]
+            psi[step] = 1.0 if step == 0 else float(self.coefficients[: past.size] @ past)
+        return psi
+
+    def ahead(self, horizon: int) -> Array:
+        """Return the weights (order,) that predict e[n] from e[n - horizon] and before, for a zero-mean e."""
+        weights = self.coefficients.copy()
+        for _ in range(horizon - 1):
+            weights = weights[:1] * self.coefficients + np.append(weights[1:], 0.0)[: self.order]
+        return weights
+
+    def error_std(self, horizons: Array) -> Array:
+        """Return the standard deviation of the best prediction's error ``horizons`` samples ahead, same shape."""
+        steps = np.asarray(horizons, dtype=np.intp)
+        spread = np.cumsum(self.response(int(np.max(steps))) ** 2)
+        return np.asarray(self.innovation_std * np.sqrt(spread[steps - 1]), dtype=np.float64)
+
+
+def fit_autoregression(signal: Array, max_order: int | None = None) -> Autoregression:
+    """Fit an autoregression to a signal (n,) by least squares, its order selected by AICc (Hurvich and Tsai 1989).
+
+    NaN are gaps; no row of the regression crosses one. Without ``max_order``, orders up to 60 are tried, or up to one
+    per 20 known samples.
+
+    Raises:
+        UnusableInputError: too few successive samples, or the signal does not vary.
+    """
+    known = np.isfinite(signal)
+    count = int(known.sum())
+    largest = min(_LARGEST_ORDER, count // _ROWS_PER_ORDER) if max_order is None else max_order
+    while max_order is None and largest > 1 and not _has_enough_rows(known, largest):
+        largest -= 1
+    if not _has_enough_rows(known, largest):
+        raise UnusableInputError(
+            "noise_model.too_few_residuals",
+            "{count} residuals have too few without gaps for a noise model of order {order}: record longer, or "
+            "lower the order",
+            count=int(count),
+            order=largest,
+        )
+    rows = complete_windows(known, largest + 1)
+    mean = float(np.mean(signal[known]))
+    centred = np.where(known, signal - mean, 0.0)
+    if float(np.max(np.abs(centred))) <= 1e-12 * max(abs(mean), 1e-300):
+        raise UnusableInputError("noise_model.constant", "the residual does not vary: there is no noise to describe")
+    order = _best_order(lagged_products(centred, rows, largest + 1), int(rows.sum()))
+    rows = complete_windows(known, order + 1)
+    used = int(rows.sum())
+    products = lagged_products(centred, rows, order + 1)
+    coefficients = _stabilised(_solve(products))
+    gain = np.concatenate([[1.0], -coefficients])
+    rss = used * float(gain @ products @ gain)
+    return Autoregression(
+        coefficients=coefficients,
+        mean=mean,
+        innovation_std=math.sqrt(rss / max(1, used - order - 1)),
+        n_samples=used,
+        aicc=_aicc(rss / used, used, order),
+    )
+
+
+def _has_enough_rows(known: Mask, order: int) -> bool:
+    """Return whether there are enough successive known samples for a noise model of this order."""
+    return int(complete_windows(known, order + 1).sum()) >= _ROWS_PER_ORDER * max(1, order)
+
+
+def _best_order(products: Array, rows: int) -> int:
+    """Return the order with the smallest AICc, with all orders scored on the same rows."""
+    factor = linalg.cholesky(_with_ridge(products[1:, 1:]), lower=True) if products.shape[0] > 1 else np.zeros((0, 0))
+    explained = linalg.solve_triangular(factor, products[1:, 0], lower=True) if factor.size else np.zeros(0)
+    left = products[0, 0] - np.concatenate([[0.0], np.cumsum(explained**2)])
+    left = np.maximum(left, 1e-14 * products[0, 0])
+    return int(np.argmin([_aicc(float(power), rows, order) for order, power in enumerate(left)]))
+
+
+def _solve(products: Array) -> Array:
+    if products.shape[0] == 1:
+        return np.zeros(0)
+    return np.asarray(linalg.solve(_with_ridge(products[1:, 1:]), products[1:, 0], assume_a="pos"), dtype=np.float64)
+
+
+def _with_ridge(products: Array) -> Array:
+    """Return the products with a small ridge, for signals without power over most of the band."""
+    loaded = products.copy()
+    loaded[np.diag_indices_from(loaded)] += 1e-10 * products[0, 0]
+    return loaded
+
+
+def _aicc(power: float, n: int, order: int) -> float:
+    k = order + 2  # plus the mean and the innovation variance
+    return n * (math.log(2.0 * math.pi * power) + 1.0) + 2.0 * k + 2.0 * k * (k + 1) / max(1, n - k - 1)
+
+
+def _stabilised(coefficients: Array) -> Array:
+    """Return the coefficients (order,) with all poles inside the unit circle."""
+    if coefficients.size == 0:
+        return coefficients
+    fastest = float(np.max(np.abs(np.roots(np.concatenate([[1.0], -coefficients])))))
+    if fastest < _LARGEST_POLE:
+        return coefficients
+    return np.asarray(coefficients * (_LARGEST_POLE / fastest) ** np.arange(1, coefficients.size + 1), dtype=np.float64)
 
 
 @dataclass(frozen=True, eq=False)

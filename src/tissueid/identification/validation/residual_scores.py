@@ -18,7 +18,7 @@ from scipy import fft, linalg, special
 
 from tissueid.identification.base import Array, Mask
 from tissueid.identification.correlation import ROWS_AT_ONCE
-from tissueid.identification.validation.autoregression import Autoregression
+from tissueid.identification.validation.prediction import Autoregression
 
 Lags = NDArray[np.int_]
 

@@ -18,7 +18,7 @@ from tissueid.errors import UnusableInputError
 from tissueid.identification.base import Array, Mask, Model
 from tissueid.identification.correlation import Correlator
 from tissueid.identification.preparation import scored_samples
-from tissueid.identification.validation.autoregression import fit_autoregression
+from tissueid.identification.validation.prediction import fit_autoregression
 from tissueid.identification.validation.residual_scores import (
     LEVEL,
     KernelError,

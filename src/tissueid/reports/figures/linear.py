@@ -22,9 +22,9 @@ from tissueid.analysis.curves.linear import (
 from tissueid.formatting import fixed, number
 from tissueid.identification.engines.als import AlsModel
 from tissueid.identification.engines.lms import Lms, LmsModel
+from tissueid.identification.engines.localized import LocalizedModel
 from tissueid.identification.engines.spectral import Spectral, SpectralModel
-from tissueid.identification.localized import LocalizedModel
-from tissueid.identification.online.identifier import OnlineModel
+from tissueid.identification.online_identifier import OnlineModel
 from tissueid.language import _, marked
 from tissueid.reports.captions import joined, second_order
 from tissueid.reports.figures.registry import Drawn, FigureSubject, figure

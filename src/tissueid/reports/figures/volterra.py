@@ -24,8 +24,8 @@ from tissueid.errors import UnusableInputError
 from tissueid.formatting import fixed, number, with_unit
 from tissueid.identification.engines.volterra import Volterra
 from tissueid.identification.validation import vaf_percent
-from tissueid.identification.volterra.lag_grid import THESIS_SIGMA
-from tissueid.identification.volterra.model import VolterraModel
+from tissueid.identification.volterra.regressors import THESIS_SIGMA
+from tissueid.identification.volterra.structure import VolterraModel
 from tissueid.language import _, marked
 from tissueid.reports import captions
 from tissueid.reports.figures.registry import Drawn, FigureSubject, figure

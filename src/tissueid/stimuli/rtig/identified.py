@@ -16,7 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy import signal, special
 
-from tissueid.identification.online import adaptive_least_squares as adaptation
+from tissueid.identification import adaptive_least_squares as adaptation
 from tissueid.identification.second_order import SecondOrder
 from tissueid.language import marked
 from tissueid.stimuli.base import Array

@@ -25,7 +25,7 @@ from tissueid.app.views.researcher.selected_test import SelectedTest
 from tissueid.app.words import sentence
 from tissueid.formatting import clean, fixed, grouped
 from tissueid.identification import engine_label, engine_names
-from tissueid.identification.candidates import ModelStanding
+from tissueid.identification.recommendation_messages import ModelStanding
 from tissueid.language import _, marked
 from tissueid.messages import MISSING, translated
 

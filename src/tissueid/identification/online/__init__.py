@@ -1,1 +1,0 @@
-"""Recursive and adaptive identifiers, updated sample by sample."""

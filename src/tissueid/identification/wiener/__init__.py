@@ -1,1 +1,0 @@
-"""Wiener cascade: iteration, refinement, parameters."""
