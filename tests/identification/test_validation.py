@@ -155,6 +155,17 @@ def test_a_fit_that_explains_a_third_of_the_motion_predicts():
         assert PREDICTS_NOTHING not in report.warnings
 
 
+@pytest.mark.parametrize("period", [8, 10, 12])
+def test_shifts_that_repeat_a_periodic_input_do_not_refuse_the_right_model(period: int):
+    phase = 2.0 * np.pi * np.arange(4000) / period
+    u = np.sin(phase) + 0.5 * np.sin(2.0 * phase + 1.0)
+    y = delay().simulate(u) + simulated.generator(10).standard_normal(4000)
+    report = validated(delay(), Record(u, y, 100.0), slice(3000, None)).report
+    assert (report.predicts_nothing, report.validation_p_value) == (False, 1 / 40)
+    drift = np.linspace(0.0, 3.0, 4000)  # the other way round: a drift is no answer to a periodic input
+    assert validated(delay(), Record(drift + 0.1 * u, drift[::-1] + y, 100.0)).report.predicts_nothing
+
+
 def test_the_mark_of_a_fit_goes_with_the_samples_that_it_is_judged_on():
     model = delay().with_validation(-3.0, 0.5)
     assert (model.report.predicts_nothing, model.report.warnings) == (True, (PREDICTS_NOTHING,))

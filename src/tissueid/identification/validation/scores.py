@@ -7,6 +7,7 @@ sample that it depends on were received.
 from __future__ import annotations
 
 from dataclasses import dataclass
+from itertools import islice
 from typing import TypeVar
 
 import numpy as np
@@ -29,6 +30,8 @@ _FEW_INDEPENDENT = 30.0
 """Effective sample size below which the t test is confirmed by shifted inputs: a trend has too few of its own."""
 _SHIFTS = 39
 """Number of shifted inputs: the smallest p-value that they can give is 1 / 40."""
+_REPEATED = 0.9
+"""Correlation of an input with its shifted self from which the shift repeats a periodic input and is not used."""
 
 _LEAST_SHARE = 1e-2
 _LEAST_SHARE_ALIKE = 1e-4
@@ -90,7 +93,8 @@ def unrelated_p_value(model: Model, record: Record, simulated: Array, used: Mask
 
     Their correlation is tested with its effective sample size. Where that is small, as for a drift, the same model is
     also run with the input shifted in time, by 39 lags of at least a tenth of the record, and the larger of the two
-    p-values is returned: what the model describes as well with another input does not come from the input.
+    p-values is returned: what the model describes as well with another input does not come from the input. Lags that
+    repeat a periodic input are not among them.
     """
     used = used & np.isfinite(simulated) & np.isfinite(record.output)
     measured = record.output[used]
@@ -98,10 +102,17 @@ def unrelated_p_value(model: Model, record: Record, simulated: Array, used: Mask
     if p_value > SIGNIFICANT or independent > _FEW_INDEPENDENT:
         return p_value
     least, n = vaf_percent(measured, simulated[used]), record.input.size
-    lags = np.random.default_rng(_SHIFTS).integers(n // 10, n - n // 10, _SHIFTS)
-    shifted = (model.simulate(np.roll(record.input, lag))[used] for lag in lags)
-    as_good = sum(vaf_percent(measured, run) >= least for run in shifted)
-    return max(p_value, (1 + as_good) / (1 + _SHIFTS))
+    lags = np.random.default_rng(_SHIFTS).integers(n // 10, n - n // 10, 10 * _SHIFTS)
+    x = np.nan_to_num(record.input, nan=float(np.nanmean(record.input)))
+    others = islice((lag for lag in lags if not _repeats(np.roll(x, lag)[used], x[used])), _SHIFTS)
+    as_good = [vaf_percent(measured, model.simulate(np.roll(record.input, lag))[used]) >= least for lag in others]
+    return max(p_value, (1 + sum(as_good)) / (1 + len(as_good)))
+
+
+def _repeats(shifted: Array, x: Array) -> bool:
+    """Return whether a shifted input (n,) is nearly the input (n,) again."""
+    a, b = shifted - shifted.mean(), x - x.mean()
+    return float(a @ b) > _REPEATED * float(np.sqrt((a @ a) * (b @ b)))
 
 
 def ratio_std(power: Array, whole: Array, sample_rate_hz: float) -> float:
