@@ -11,6 +11,7 @@ import pytest
 from coded import coded, says
 from identification import simulated
 from reports.synthetic_sitting import make_session, make_test
+from scipy import signal
 
 from tissueid.analysis import (
     analyse,
@@ -415,3 +416,58 @@ class TestTissueAlone:
             "tissue_mass_kg",
             "tissue_damping_n_s_per_m",
         }
+
+
+class TestVoltageInput:
+    """Mass, damping and stiffness from the voltage, without the back-EMF of the coil (Chen 2010, C.2.3)."""
+
+    RESISTANCE, FORCE_CONSTANT = 9.0, 4.0
+
+    def _session(self, inductance: float = 0.0, **figures: float) -> Session:
+        """A coil on the forearm under a band-limited voltage, integrated at sixteen times the sample rate."""
+        r, bl, (m, b, k) = (
+            self.RESISTANCE,
+            self.FORCE_CONSTANT,
+            (simulated.MASS, simulated.DAMPING, simulated.STIFFNESS),
+        )
+        rng, fine = simulated.generator(31), 16 * 2000.0
+        volts = signal.sosfilt(signal.butter(8, 200.0, fs=fine, output="sos"), rng.standard_normal(16 * 10_000))
+        volts *= 6.0 / np.std(volts)
+        if inductance:  # states: position, speed, current
+            a = np.array([[0, 1, 0], [-k / m, -b / m, bl / m], [0, -bl / inductance, -r / inductance]])
+            drive = np.array([[0.0], [0.0], [1.0 / inductance]])
+        else:
+            a = np.array([[0.0, 1.0], [-k / m, -(b + bl**2 / r) / m]])
+            drive = np.array([[0.0], [bl / (r * m)]])
+        output = np.eye(a.shape[0])[:1]
+        a, drive, output, through, _ = signal.cont2discrete((a, drive, output, [[0.0]]), 1.0 / fine, method="foh")
+        position = signal.lfilter(*(np.ravel(part) for part in signal.ss2tf(a, drive, output, through)), volts)
+        volts, position = volts[32_000::16], position[32_000::16]
+        signals = {"voltage": volts, "position": 0.012 + position + simulated.noise(rng, position, 40.0)}
+        session = make_session(make_test(signals=signals, preload_s=0.0, sample_rate_hz=2000.0))
+        known = {"coil_resistance_ohm": r, "force_constant_n_per_a": bl} | figures
+        return replace(session, instrument=replace(session.instrument, **known))
+
+    @pytest.mark.parametrize("engine", ["lms", "spectral", "volterra"])
+    def test_mass_damping_and_stiffness_are_those_of_the_force(self, engine: str):
+        report = analyse(self._session(), engine, input_name="voltage").model.report
+        found = [report.parameters[name] for name in ("mass_kg", "damping_n_s_per_m", "stiffness_n_per_m")]
+        for estimate, true in zip(found, (simulated.MASS, simulated.DAMPING, simulated.STIFFNESS), strict=True):
+            assert estimate.value == pytest.approx(true, rel=0.01)
+            assert 0.02 < estimate.std / true < 0.05  # 2 % of each figure of the coil
+        assert says(report.findings[-1], "analysis.behind_coil", resistance=9.0, force_constant=4.0, damping=16.0 / 9.0)
+
+    def test_the_deviations_are_those_of_fit_and_calibration(self):
+        stds = {"coil_resistance_ohm_std": 0.09, "force_constant_n_per_a_std": 0.02}
+        stiffness = analyse(self._session(calibration=stds), "lms", input_name="voltage").model.report.parameters
+        assert stiffness["stiffness_n_per_m"].std == pytest.approx(np.hypot(0.01, 0.005) * simulated.STIFFNESS, rel=0.1)
+
+    def test_an_inductance_of_a_tenth_of_a_millisecond_biases_little(self):
+        report = analyse(self._session(inductance=0.9e-3), "lms", input_name="voltage").model.report
+        assert report.parameters["stiffness_n_per_m"].value == pytest.approx(simulated.STIFFNESS, rel=0.02)
+        assert report.parameters["mass_kg"].value == pytest.approx(simulated.MASS, rel=0.1)
+
+    @pytest.mark.parametrize("missing", ["coil_resistance_ohm", "force_constant_n_per_a"])
+    def test_without_a_figure_of_the_coil_there_is_gain_alone(self, missing: str):
+        report = analyse(self._session(**{missing: np.nan}), "lms", input_name="voltage").model.report
+        assert ("gain" in report.parameters, "mass_kg" in report.parameters, report.findings) == (True, False, ())

@@ -10,13 +10,14 @@ from typing import Any, Unpack
 
 from numba.core.event import install_timer
 
-from tissueid.analysis.actuator import NOMINAL_RELATIVE_STD, Actuator
+from tissueid.analysis.actuator import NOMINAL_RELATIVE_STD, Actuator, Coil
 from tissueid.analysis.split import Selection, Split, split
 from tissueid.errors import UnusableInputError
 from tissueid.identification.base import Engine, Model, refused_if_not_computed
 from tissueid.identification.depth_profile import DepthProfile
 from tissueid.identification.registry import get_engine, report_engines
 from tissueid.identification.second_order import has_stiffness, profile_without_spring, without_spring
+from tissueid.identification.second_order_fit import SecondOrderFit
 from tissueid.identification.validation import validated
 from tissueid.language import marked
 from tissueid.messages import Message
@@ -160,7 +161,9 @@ def fit_split(specification: Engine, parts: Split) -> Analysis:
     with _engine_errors(specification):
         model = validated(model, parts.held_out_record, parts.held_out).with_report(seconds=seconds)
     model = model if parts.scorable else model.without_validation()
-    model = _without_spring(model, parts.external_spring_n_per_m)
+    model = _without_spring(
+        model if parts.coil is None else _behind_coil(model, parts.coil), parts.external_spring_n_per_m
+    )
     return Analysis(
         model if parts.actuator is None else _with_tissue_alone(model, parts.actuator),
         parts.record,
@@ -199,6 +202,27 @@ def _with_tissue_alone(model: Model, actuator: Actuator) -> Model:
             **values,
         )
     return model.with_report(parameters=report.parameters | more, findings=(*report.findings, line))
+
+
+def _behind_coil(model: Model, coil: Coil) -> Model:
+    """Return a model from the voltage with mass, damping and stiffness behind the coil, and a finding about them, where
+    it reports a second-order fit of voltage to position.
+    """
+    report = model.report
+    second_order = getattr(model, "second_order", None)
+    if not isinstance(second_order, SecondOrderFit) or not second_order.parameters.items() <= report.parameters.items():
+        return model
+    line = Message(
+        "analysis.behind_coil",
+        "Mass, damping and stiffness follow from the coil's resistance of {resistance:.2f} ohm and force constant of "
+        "{force_constant:.2f} N/A: the back-EMF damping of {damping:.2f} N s/m is subtracted, the inductance "
+        "neglected.",
+        resistance=coil.resistance.value,
+        force_constant=coil.force_constant.value,
+        damping=coil.force_constant.value**2 / coil.resistance.value,
+    )
+    parameters = report.parameters | second_order.behind_coil(coil.resistance, coil.force_constant)
+    return model.with_report(parameters=parameters, findings=(*report.findings, line))
 
 
 def _with_test_values(model: Model, given: Engine, used: Engine, weight_n: float | None) -> Model:

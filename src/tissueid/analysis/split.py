@@ -9,7 +9,7 @@ from typing import TypedDict
 
 import numpy as np
 
-from tissueid.analysis.actuator import Actuator
+from tissueid.analysis.actuator import Actuator, Coil
 from tissueid.configuration import has_depth, spring_of
 from tissueid.device import GRAVITY_M_S2, DeviceDescription
 from tissueid.errors import UnusableInputError
@@ -53,7 +53,8 @@ class Split:
     the stiffness of the external spring parallel to the tissue in all of them; 0 unless the record is force and
     position. ``surface_position_m`` is the position of the tissue surface, and ``weight_n`` the weight of the moving
     part along the stroke, N into the tissue, which the signal force does not include; None unless the tests know it.
-    ``actuator`` is the moving part of the instrument where the tissue alone is to be reported.
+    ``actuator`` is the moving part of the instrument where the tissue alone is to be reported; ``coil`` is its coil
+    where the input is the voltage and the output the position.
 
     Several tests are joined with a gap between each two; no engine uses samples across a gap. Their held-out parts are
     separate stretches: ``held_out_record`` then holds the whole input, which a free run needs, and NaN for every
@@ -73,6 +74,7 @@ class Split:
     surface_position_m: float | None = None
     weight_n: float | None = None
     actuator: Actuator | None = None
+    coil: Coil | None = None
 
     @property
     def fitted(self) -> Record:
@@ -180,6 +182,7 @@ def split(
         configuration=first.configuration,
         surface_position_m=_common_surface(tests) if known else None,
         weight_n=_common_weight(tests, session.instrument) if known else None,
+        coil=Coil.of(session.instrument) if (input_name, output_name) == ("voltage", "position") else None,
     )
 
 

@@ -148,6 +148,33 @@ class SecondOrderFit:
             "a3_per_s": self.estimate(found[2], (-1.0, 1.0, 0.0)),
         }
 
+    def behind_coil(self, resistance: Estimate, force_constant: Estimate) -> dict[str, Estimate]:
+        """Return mass, damping and stiffness that a coil moves, for its voltage as the input (Chen 2010, C.2.3).
+
+        A voltage V is a force V Bl / R, and the voltage that the motion induces a damping Bl^2 / R, which is
+        subtracted. The inductance of the coil is neglected. A deviation that is not known makes that of all unknown.
+
+        Args:
+            resistance: R of the coil, ohm.
+            force_constant: Bl of the coil, N/A.
+        """
+        r, bl = resistance.value, force_constant.value
+        force_per_volt, induced = bl / r, bl**2 / r
+        errors = [math.nan if error.std is None else error.std / error.value for error in (resistance, force_constant)]
+
+        def value(row: int, volts: float, subtracted: float = 0.0) -> Estimate:
+            variance = math.nan if self.log_covariance is None else float(self.log_covariance[row, row])
+            found = force_per_volt * volts
+            parts = found * math.sqrt(variance), (found - subtracted) * errors[0], (found - 2 * subtracted) * errors[1]
+            std = math.hypot(*parts)
+            return Estimate(self.sign * (found - subtracted), std if math.isfinite(std) else None)
+
+        return {
+            "mass_kg": value(0, self.system.mass),
+            "damping_n_s_per_m": value(1, self.system.damping, induced),
+            "stiffness_n_per_m": value(2, self.system.stiffness),
+        }
+
     def estimate(self, value: float, log_slopes: tuple[float, float, float]) -> Estimate:
         """Return a positive function of M, B, K with its standard deviation, from its derivatives with respect to their
         logarithms.
