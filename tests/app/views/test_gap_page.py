@@ -383,7 +383,7 @@ def test_nothing_begins_beside_a_running_test(qtbot, open_window, friction):
     page = page_of(window)
     wait(qtbot, window)
     page.update_enabled(busy=True, testing=True)
-    for control in (page.asking.run, page.asking.session.choice, page.asking.session.open, page.asking.fold):
+    for control in (page.asking.run, page.asking.session.choice, page.asking.open, page.asking.fold):
         assert not control.isEnabled()
     page.begin()
     assert not page.context.busy
@@ -505,12 +505,12 @@ def test_names_sizes_and_keys(qtbot, diagnosed, qapp):
     assert page.result.widget().minimumSizeHint().width() <= page.result.viewport().width()
     visited = []
     page.history.list.setFocus()
-    for _ in range(13):
+    for _ in range(12):
         visited.append(window.focusWidget())
         qtbot.keyClick(window.focusWidget(), Qt.Key.Key_Tab)
     asking, result = page.asking, page.result
     expected = [page.history.list, page.history.remove]
-    expected += [asking.session.choice, asking.session.open, asking.twin.choice, asking.twin.open, asking.run]
+    expected += [asking.session.choice, asking.twin.choice, asking.open, asking.run]
     expected += [asking.fold, result.accept, result.report, result.export]
     expected += [result.chain.stages["mechanics"], result.tabs.tabBar()]
     assert visited == expected

@@ -12,6 +12,7 @@ from PySide6.QtGui import QColor
 from PySide6.QtWidgets import QApplication, QComboBox, QFileDialog, QLineEdit, QPushButton, QSpinBox
 
 from tissueid.app.theme import LIGHT
+from tissueid.app.views.researcher import session_search
 from tissueid.app.views.researcher.background_work import BackgroundWork
 from tissueid.app.views.researcher.browser import Browser
 from tissueid.app.views.researcher.session_model import COLUMNS, FILE, QUALITY
@@ -135,27 +136,47 @@ def test_folders_are_added_removed_and_kept(qtbot, opened, year, tmp_path):
 
 
 class Held:
-    """Reading of outlines that waits before its second file until it is let go."""
+    """Reading of outlines that waits before some of its files, by number, until it is let go."""
 
     def __init__(self, monkeypatch):
-
-        from tissueid.app.views.researcher import session_search
-
-        self.read, self.count = session_search.read_outline, 0
+        self.read, self.count, self.stops = session_search.read_outline, 0, (2,)
         self.reached, self.go = threading.Event(), threading.Event()
         monkeypatch.setattr(session_search, "read_outline", self)
 
     def __call__(self, path):
         self.count += 1
-        if self.count == 2:
+        if self.count in self.stops:
             self.reached.set()
             assert self.go.wait(WAIT_MS / 1000)
+            self.go.clear()
         return self.read(path)
 
 
 @pytest.fixture
 def held(monkeypatch):
     return Held(monkeypatch)
+
+
+def test_sessions_are_listed_while_the_search_goes_on(qtbot, host, year, held):
+    held.stops = 2, 4
+    window, view = host(year)
+    for count in (1, 3):
+        qtbot.waitUntil(lambda count=count: len(listed(view)) == count, timeout=WAIT_MS)
+        assert window.jobs
+        held.go.set()
+    qtbot.waitUntil(lambda: len(listed(view)) == 4 and not window.jobs, timeout=WAIT_MS)
+
+
+def test_files_of_a_slow_folder_are_read_before_it_is_walked_to_the_end(year):
+    class Watched(type(year)):
+        def is_dir(self):
+            read.append(search.found.qsize())
+            return False
+
+    read, search = [], session_search.SessionSearch([year, Watched(year / "gone")], [], {})
+    search.walk_s = 0.0
+    search.run()
+    assert read == [4]
 
 
 def test_a_search_is_cancelled_and_keeps_what_it_found(qtbot, host, year, held):

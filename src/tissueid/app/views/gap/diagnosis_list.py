@@ -49,6 +49,7 @@ class DiagnosisList(QWidget):
             name=_("Remove the chosen diagnosis from the list"),
             tip=_("Delete does the same; Ctrl+Z brings it back"),
         )
+        self.none = build.label("muted", _("No diagnosis yet."))
         self._removed: tuple[int, DiagnosisResult] | None = None
         for keys, slot in (
             (QKeySequence.StandardKey.Delete, self._remove),
@@ -57,7 +58,8 @@ class DiagnosisList(QWidget):
             shortcut = QShortcut(QKeySequence(keys), self)
             shortcut.setContext(Qt.ShortcutContext.WidgetWithChildrenShortcut)
             shortcut.activated.connect(slot)
-        build.column(styled(QLabel(_("Diagnoses")), role="heading"), (self.list, 1), self.remove, parent=self)
+        heading = styled(QLabel(_("Diagnoses")), role="heading")
+        build.column(heading, self.none, (self.list, 1), self.remove, parent=self)
         self._tell()
 
     @property
@@ -84,6 +86,7 @@ class DiagnosisList(QWidget):
             if result.key not in there and len(self._results) < _MOST:
                 self._insert(len(self._results), result)
         self.list.blockSignals(False)
+        self.none.setVisible(not self._results)
 
     def look(self) -> None:
         """Check the session files again."""
@@ -139,6 +142,7 @@ class DiagnosisList(QWidget):
             self.returned.emit(result)
 
     def _tell(self) -> None:
+        self.none.setVisible(not self._results)
         self.remove.setEnabled(self.result is not None)
         self.chosen.emit()
 

@@ -28,7 +28,7 @@ from tissueid.app.widgets import BigButton
 from tissueid.app.window_state import load_texts, save_texts
 from tissueid.formatting import clean
 from tissueid.language import _, marked
-from tissueid.messages import translated
+from tissueid.messages import Message, translated
 from tissueid.procedures.gap_plans import DiagnosisPlan, read_test_number
 
 NOMINAL = marked("Nominal twin")
@@ -57,10 +57,9 @@ class RequestPanel(QFrame):
         super().__init__(parent)
         self.setProperty("role", "card")
         self._folder, self._others = folder, others
-        self.session = _FileChoice(_("Session"), _("Open a session"), _("Sessions (*.h5);;All files (*)"), folder)
-        self.twin = _FileChoice(
-            _("Baseline twin"), _("Open a twin"), _("Twins (*.toml);;All files (*)"), folder, first=_(NOMINAL)
-        )
+        self.session = _FileChoice(_("Session"), folder)
+        self.twin = _FileChoice(_("Baseline twin"), folder, first=_(NOMINAL))
+        self.open = button(_("Open…"), self._ask, name=_("Open a session or a twin…"))
         self.run = styled(
             BigButton(_("Run")),
             name=_("Run the diagnosis"),
@@ -90,8 +89,7 @@ class RequestPanel(QFrame):
     @property
     def fields(self) -> list[QWidget]:
         """Widgets in tab order."""
-        first = [self.session.choice, self.session.open, self.twin.choice, self.twin.open]
-        return [*first, self.run, self.stop, self.fold, self.fit, self.check]
+        return [self.session.choice, self.twin.choice, self.open, self.run, self.stop, self.fold, self.fit, self.check]
 
     def asked(self) -> DiagnosisPlan:
         """Return the current plan.
@@ -126,8 +124,22 @@ class RequestPanel(QFrame):
         self.twin.offer(_newest(folders, ".toml"))
 
     def take(self, path: Path) -> None:
-        """Select a dropped file: a twin by its suffix, else a session."""
+        """Select a file: a twin by its suffix, else a session."""
         (self.twin if path.suffix == ".toml" else self.session).choose(path)
+
+    def _ask(self) -> None:
+        dialog = styled(
+            QFileDialog(
+                self,
+                _("Open a session or a twin"),
+                str((self.session.path or self._folder / "x").parent),
+                _("Sessions and twins (*.h5 *.toml);;All files (*)"),
+            ),
+            file_mode=QFileDialog.FileMode.ExistingFile,
+            attribute=Qt.WidgetAttribute.WA_DeleteOnClose,
+        )
+        dialog.fileSelected.connect(lambda path: self.take(Path(path)))
+        dialog.open()
 
     def on_session_saved(self, path: Path) -> None:
         """List a file that was saved."""
@@ -135,7 +147,12 @@ class RequestPanel(QFrame):
         self.look()
 
     def show_progress(self, fraction: float | None, step: str) -> None:
-        """Show the step and its completed share from 0 to 1; None where that is not known."""
+        """Show the step and its completed share from 0 to 1; None where that is not known.
+
+        A step of which nothing is done yet is shown without its count.
+        """
+        if isinstance(step, Message) and step.values.get("done") == 0:
+            step, fraction = step.values["step"], None
         self.doing.setText(translated(step) if fraction is not None else f"{translated(step)}…")
         self.bar.setRange(0, 0 if fraction is None else _STEPS)
         self.bar.setValue(0 if fraction is None else round(_STEPS * fraction))
@@ -161,7 +178,7 @@ class RequestPanel(QFrame):
 
     def update_enabled(self, *, busy: bool, testing: bool) -> None:
         """Enable or disable the controls."""
-        for widget in (*self.session.fields, *self.twin.fields, self.fold, self.fit, self.check):
+        for widget in (self.session.choice, self.twin.choice, self.open, self.fold, self.fit, self.check):
             widget.setEnabled(not testing)
         self.run.setEnabled(not busy and self.session.path is not None)
 
@@ -196,9 +213,8 @@ class RequestPanel(QFrame):
         choices.setSpacing(8)
         for choice, share in ((self.session, 3), (self.twin, 2)):
             label = styled(QLabel(choice.choice.accessibleName()), role="field")
-            column = build.column(label, build.row((choice.choice, 1), choice.open), spacing=2)
-            choices.addLayout(column, share)
-        choices.addWidget(self.run, 0, Qt.AlignmentFlag.AlignBottom | Qt.AlignmentFlag.AlignRight)
+            choices.addLayout(build.column(label, choice.choice, spacing=2), share)
+        choices.addLayout(build.column(None, build.row(None, self.open, self.run, spacing=8)))
         inside = FoldingBox(_FIELDS_IN_A_ROW, self.more)
         inside.setContentsMargins(0, 0, 0, 0)
         for words, field in ((_("Tests to fit"), self.fit), (_("Tests to check"), self.check)):
@@ -224,16 +240,16 @@ class RequestPanel(QFrame):
 
 
 class _FileChoice(QObject):
-    """A list of files and a button that opens others.
+    """A list of files.
 
     ``recent`` are files from outside the folder that were saved or opened, newest first.
     """
 
     changed = Signal()
 
-    def __init__(self, name: str, title: str, kinds: str, folder: Path, first: str = "") -> None:
+    def __init__(self, name: str, folder: Path, first: str = "") -> None:
         super().__init__()
-        self._title, self._kinds, self._folder, self._first = title, kinds, folder, first
+        self._folder, self._first = folder, first
         self._titles: dict[Path, str] = {}
         self.recent: list[Path] = []
         self.choice = styled(
@@ -243,15 +259,9 @@ class _FileChoice(QObject):
             minimum_contents_length=12,
             placeholder_text=_("No session: open one, or drop its file here"),
         )
-        self.open = button(_("Open…"), self._ask, name=f"{title}…")
         self.choice.currentIndexChanged.connect(self._tell)
         if first:
             self.choice.addItem(first, "")
-
-    @property
-    def fields(self) -> tuple[QWidget, ...]:
-        """The controls."""
-        return self.choice, self.open
 
     @property
     def path(self) -> Path | None:
@@ -319,18 +329,6 @@ class _FileChoice(QObject):
     def _tell(self) -> None:
         self.choice.setToolTip(clean(str(self.path or "")))
         self.changed.emit()
-
-    def _ask(self) -> None:
-        dialog = styled(
-            QFileDialog(self.open, self._title, str((self.path or self._folder / "x").parent), self._kinds),
-            file_mode=QFileDialog.FileMode.ExistingFile,
-            attribute=Qt.WidgetAttribute.WA_DeleteOnClose,
-        )
-        dialog.fileSelected.connect(self._take)
-        dialog.open()
-
-    def _take(self, path: str) -> None:
-        self.choose(Path(path))
 
 
 def _newest(folders: Iterable[Path], suffix: str) -> list[Path]:

@@ -3,12 +3,12 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Iterable, Sequence
 from functools import partial
 from pathlib import Path
 from queue import Empty
 
-from PySide6.QtCore import QByteArray, QItemSelection, QModelIndex, Qt, QTimer, Signal
+from PySide6.QtCore import QByteArray, QItemSelection, QModelIndex, Qt, Signal
 from PySide6.QtGui import QKeySequence, QShortcut
 from PySide6.QtWidgets import QComboBox, QFileDialog, QHBoxLayout, QLabel, QLineEdit, QMenu, QPushButton, QWidget
 
@@ -221,8 +221,8 @@ class Browser(QWidget):
         )
         self._restore()
         self._arrange()
-        self._drain = self._timer(_DRAIN_MS, self._take_found, single=False)
-        self._settled = self._timer(_SETTLED_MS, self._tell_selected, single=True)
+        self._drain = build.timer(self, _DRAIN_MS, self._take_found, repeat=True)
+        self._settled = build.timer(self, _SETTLED_MS, self._tell_selected)
         self._connect()
         self._tell_count()
 
@@ -445,6 +445,3 @@ class Browser(QWidget):
         entry = self.shown.data(top.siblingAtColumn(DATE), ITEM)
         if isinstance(entry, SessionEntry) and not entry.problem:
             self.opened.emit(entry.path)
-
-    def _timer(self, milliseconds: int, what: Callable[[], None], *, single: bool) -> QTimer:
-        return build.timer(self, milliseconds, what)

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 import os
+import time
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -94,6 +95,9 @@ class SessionSearch(BackgroundWork):
     What ``known`` has is not read again while its file is as it was. Links are not followed.
     """
 
+    walk_s = 0.3
+    """Longest time of a walk before the files that it has listed are read, s; chosen to be hardly noticed."""
+
     def __init__(self, folders: Sequence[Path], files: Sequence[Path], known: Mapping[Path, SessionEntry]) -> None:
         super().__init__(_("Looking for sessions"))
         self.found: SimpleQueue[SessionEntry] = SimpleQueue()
@@ -105,14 +109,28 @@ class SessionSearch(BackgroundWork):
     def run(self) -> SessionSearch:
         """Search; a cancelled search keeps what it has found."""
         try:
-            paths = list(dict.fromkeys([*self._listed(), *self._files]))
-            for done, path in enumerate(paths):
-                self.tell(done / len(paths))
-                self.words = _("Reading {count} files").format(count=len(paths))
-                self._look_at(path)
+            read: set[Path] = set()
+            for batch in self._batches():
+                fresh = [path for path in dict.fromkeys(batch) if path not in read]
+                read.update(fresh)
+                self.words = _("Reading {count} files").format(count=len(read))
+                for done, path in enumerate(fresh):
+                    self.tell(done / len(fresh))
+                    self._look_at(path)
         except CancelledError:
             self.remarks.append(_("The search was stopped: the list may lack sessions."))
         return self
+
+    def _batches(self) -> Iterator[list[Path]]:
+        """Yield the files to read: those of a large or slow folder piece by piece, while the walk goes on."""
+        batch: list[Path] = []
+        until = time.monotonic() + self.walk_s
+        for path in self._listed():
+            batch.append(path)
+            if time.monotonic() > until:
+                yield batch
+                batch, until = [], time.monotonic() + self.walk_s
+        yield [*batch, *self._files]
 
     def _look_at(self, path: Path) -> None:
         try:
